@@ -1,0 +1,70 @@
+"""Every error that pfdist raises on purpose.
+
+::
+
+    PfdistError                     one line: what, got, allowed, where
+    ├── JobError                    the job file or an option says something impossible
+    ├── ModelError                  a model cannot be loaded, or does not do what a model must
+    ├── MeasurementTimesError       the measurement times do not fit the problem
+    ├── StoreError                  a run's folder cannot be read or written
+    │   └── RunMismatchError        the folder holds a run of something else
+    ├── SearchError                 a search ended without an answer
+    └── PoolError                   the workers cannot be had
+        └── TaskError               a task failed in its worker; carries the traceback
+"""
+
+
+class PfdistError(Exception):
+    """Base of all errors of pfdist; the command line prints it as one line and exits with 1."""
+
+
+class JobError(PfdistError):
+    """The job file, or an option that overrides it, says something impossible."""
+
+
+class ModelError(PfdistError):
+    """A model cannot be loaded, or does not do what a model must."""
+
+
+class MeasurementTimesError(PfdistError):
+    """The measurement times do not fit the problem."""
+
+
+class StoreError(PfdistError):
+    """A run's folder cannot be read or written."""
+
+
+class RunMismatchError(StoreError):
+    """The folder holds a run of something else.
+
+    Attributes
+    ----------
+    differences : tuple of str
+        One line a field, ``field: the run's value -> this value``.
+    """
+
+    def __init__(self, message: str, differences: tuple[str, ...]) -> None:
+        super().__init__(f"{message}: {'; '.join(differences)}")
+        self.differences = differences
+
+
+class SearchError(PfdistError):
+    """A search ended without an answer."""
+
+
+class PoolError(PfdistError):
+    """The workers cannot be had."""
+
+
+class TaskError(PoolError):
+    """A task failed in its worker.
+
+    Attributes
+    ----------
+    traceback : str
+        The traceback as the worker saw it.
+    """
+
+    def __init__(self, message: str, traceback: str) -> None:
+        super().__init__(message)
+        self.traceback = traceback

@@ -1,0 +1,10 @@
+"""State-space models: what a model is, how one is found by its name, and those that ship.
+
+Here only NumPy and the elementwise functions: a model is formulas, and knows neither filter nor
+simulation.
+"""
+
+from pfdist.models.base import StateSpaceModel
+from pfdist.models.loader import ModelSource, find_model, installed_models
+
+__all__ = ["ModelSource", "StateSpaceModel", "find_model", "installed_models"]

@@ -1,0 +1,170 @@
+"""What a model is: a handful of pure formulas (paper, equations 1 to 4)."""
+
+import dataclasses
+import inspect
+import math
+from collections import namedtuple
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from pfdist.errors import ModelError
+
+NOISE_KINDS = ("normal", "uniform")
+_ARGUMENTS = {
+    "initial": ("w", "p"),
+    "transition": ("x", "t", "w", "p"),
+    "measurement": ("x", "t", "v", "p"),
+    "log_likelihood": ("y", "x", "t", "p"),
+    "quantity_of_interest": ("x", "t", "p"),
+}
+
+
+@dataclass(frozen=True)
+class StateSpaceModel:
+    """A system that can be simulated and measured.
+
+    x, w, v, y and z are tuples of components, also when there is only one. A component is one
+    number in the compiled filter and an array in the plain one, so the formulas use operators,
+    NumPy's elementwise functions, `pfdist.where` and `pfdist.clip`. t is an integer. p holds the
+    parameters, read as ``p.sigma``.
+
+    Parameters
+    ----------
+    name : str
+    initial : callable
+        ``(w, p) -> x(0)``, with w one variate for each entry of `initial_noise`.
+    transition : callable
+        ``(x, t, w, p) -> x(t+1)``, the paper's f_t; t is the time of x.
+    measurement : callable
+        ``(x, t, v, p) -> y(t)``, the paper's g_t.
+    log_likelihood : callable
+        ``(y, x, t, p) -> log p(y | x)``, one number a particle, up to a constant that does not
+        depend on x.
+    quantity_of_interest : callable
+        ``(x, t, p) -> z(t)``, the paper's h_t.
+    initial_noise, process_noise, measurement_noise : tuple of {"normal", "uniform"}
+        What w and v are made of: standard normal or uniform on (0, 1). Any other distribution is
+        a transform of these, written in the formula.
+    parameters : mapping of str to float
+        The values of p; a job may override them.
+    parameter_ranges : mapping of str to (float, float)
+        Lowest and highest value allowed; without an entry any finite value is.
+
+    Raises
+    ------
+    ModelError
+        A formula does not take its arguments or does not give a tuple of components, a noise is
+        of no known kind, or a parameter lies outside its range.
+    """
+
+    name: str
+    initial: Callable[..., Any]
+    transition: Callable[..., Any]
+    measurement: Callable[..., Any]
+    log_likelihood: Callable[..., Any]
+    quantity_of_interest: Callable[..., Any]
+    initial_noise: tuple[str, ...]
+    process_noise: tuple[str, ...]
+    measurement_noise: tuple[str, ...]
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    parameter_ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name, arguments in _ARGUMENTS.items():
+            self._check_signature(name, arguments)
+        for name in ("initial_noise", "process_noise", "measurement_noise"):
+            self._check_noise(name)
+        for name, value in self.parameters.items():
+            self._check_parameter(name, value)
+        self.components  # noqa: B018  evaluated here so that a wrong formula is found here
+
+    @cached_property
+    def p(self) -> Any:
+        """The parameters as the formulas read them, a named tuple of floats."""
+        kind = namedtuple("Parameters", self.parameters)  # type: ignore[misc]  # noqa: PYI024
+        return kind(**{name: float(value) for name, value in self.parameters.items()})
+
+    @cached_property
+    def components(self) -> tuple[int, int, int]:
+        """Numbers of components of x, y and z, found by calling the formulas once on arrays."""
+        with np.errstate(all="ignore"):
+            x = self._call("initial", self._probe(self.initial_noise), self.p)
+            following = self._call("transition", x, 0, self._probe(self.process_noise), self.p)
+            if len(following) != len(x):
+                raise ModelError(
+                    f"model {self.name}: transition must give as many components as initial, "
+                    f"{len(x)}, got {len(following)}"
+                )
+            y = self._call("measurement", x, 0, self._probe(self.measurement_noise), self.p)
+            z = self._call("quantity_of_interest", x, 0, self.p)
+            self._call("log_likelihood", y, x, 0, self.p)
+        return len(x), len(y), len(z)
+
+    def with_parameters(self, overrides: Mapping[str, float]) -> "StateSpaceModel":
+        """Give the model with some parameters changed.
+
+        Raises
+        ------
+        ModelError
+            A parameter is unknown, or its value lies outside its range.
+        """
+        for name in overrides:
+            if name not in self.parameters:
+                allowed = ", ".join(sorted(self.parameters)) or "none"
+                raise ModelError(
+                    f"model.parameters: unknown parameter {name!r} of model {self.name}, "
+                    f"allowed: {allowed}"
+                )
+        return dataclasses.replace(self, parameters={**self.parameters, **overrides})
+
+    def _check_signature(self, name: str, arguments: tuple[str, ...]) -> None:
+        function = getattr(self, name)
+        expected = f"model {self.name}: {name} must be a function of ({', '.join(arguments)})"
+        if not callable(function):
+            raise ModelError(f"{expected}, got {function!r}")
+        try:
+            inspect.signature(function).bind(*arguments)
+        except TypeError as error:
+            got = inspect.signature(function)
+            raise ModelError(f"{expected}, got {got}") from error
+
+    def _check_noise(self, name: str) -> None:
+        kinds = getattr(self, name)
+        if not isinstance(kinds, tuple) or any(kind not in NOISE_KINDS for kind in kinds):
+            raise ModelError(
+                f"model {self.name}: {name} must be a tuple of {' or '.join(map(repr, NOISE_KINDS))}"
+                f", one for each component, got {kinds!r}"
+            )
+
+    def _check_parameter(self, name: str, value: float) -> None:
+        low, high = self.parameter_ranges.get(name, (-math.inf, math.inf))
+        if not (math.isfinite(value) and low <= value <= high):
+            raise ModelError(
+                f"model.parameters.{name} must be a finite number in {low:g}..{high:g}, "
+                f"got {value!r} (model {self.name})"
+            )
+
+    def _probe(self, kinds: tuple[str, ...]) -> tuple[Any, ...]:
+        return tuple(np.full(2, 0.5) for _ in kinds)
+
+    def _call(self, name: str, *arguments: Any) -> Any:
+        try:
+            value = getattr(self, name)(*arguments)
+        except Exception as error:
+            raise ModelError(
+                f"model {self.name}: {name} failed on arrays: {type(error).__name__}: {error}"
+            ) from error
+        if name != "log_likelihood" and not isinstance(value, tuple):
+            raise ModelError(
+                f"model {self.name}: {name} must give a tuple of components, also of one: (a,), "
+                f"got {type(value).__name__}"
+            )
+        if name == "log_likelihood" and isinstance(value, tuple):
+            raise ModelError(
+                f"model {self.name}: log_likelihood must give one number, got a tuple"
+            )
+        return value

@@ -1,0 +1,178 @@
+"""The Monte Carlo estimate of the expected MSE (paper, section 2.3, equation 6).
+
+The work is a pure function of its arguments, cut by ranges of draws; whatever the cut, a draw's
+MSE is the same, and so is what is computed from all of them in the order of the draws.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pfdist.draws import simulate
+from pfdist.measurement_times import Times
+from pfdist.models import StateSpaceModel
+from pfdist.particle_filter import filter_draws
+
+DEGENERATE_POLICIES = ("kill", "leave_out")
+"""What one degenerate draw does to an evaluation: ``kill``, the paper's, makes its cost infinite;
+``leave_out`` takes the mean over the other draws."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A model, a horizon and the filter that is to follow it.
+
+    Parameters
+    ----------
+    model : StateSpaceModel
+    horizon : int
+        T.
+    particles : int
+        P.
+    resampling : {"multinomial", "systematic"}
+    """
+
+    model: StateSpaceModel
+    horizon: int
+    particles: int
+    resampling: str = "multinomial"
+
+    def __call__(self, work: "Work") -> "Result":
+        """Do the work: simulate the draws once and filter them with every set of times."""
+        draws = simulate(self.model, self.horizon, range(*work.draws), work.draws_stream)
+        filtered = [
+            filter_draws(
+                self.model, draws, times, self.particles, stream, self.resampling, work.trajectories
+            )
+            for times, stream in zip(work.measurement_times, work.filter_streams, strict=True)
+        ]
+        mse = np.stack([one.mse for one in filtered], axis=1)
+        if not work.trajectories:
+            return Result(mse)
+        return Result(mse, draws.z, draws.y, np.stack([one.estimate for one in filtered]))
+
+
+@dataclass(frozen=True)
+class Work:
+    """Sets of measurement times to be tried on the same draws.
+
+    Parameters
+    ----------
+    measurement_times : tuple of tuples of int
+        S sets.
+    filter_streams : tuple of int, (S,)
+        Key of each filter's noise.
+    draws_stream : int
+        Key of the draws.
+    draws : (int, int)
+        First draw, and the one after the last.
+    trajectories : bool
+        Whether z, y and the estimates are wanted.
+    """
+
+    measurement_times: tuple[Times, ...]
+    filter_streams: tuple[int, ...]
+    draws_stream: int
+    draws: tuple[int, int]
+    trajectories: bool = False
+
+
+@dataclass(frozen=True)
+class Result:
+    """What became of a `Work` of D draws and S sets.
+
+    Parameters
+    ----------
+    mse : array of float64, (D, S)
+        NaN for a degenerate draw.
+    z, y : array of float64, (D, T+1, q) and (D, T+1, m), or None
+    estimates : array of float64, (S, D, T+1, q), or None
+    """
+
+    mse: NDArray[np.float64]
+    z: NDArray[np.float64] | None = None
+    y: NDArray[np.float64] | None = None
+    estimates: NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """One estimate of the expected MSE for one set of measurement times.
+
+    Parameters
+    ----------
+    measurement_times : tuple of int
+    mse : array of float64, (D,)
+        Per-draw MSE; NaN for a degenerate draw.
+    degenerate_policy : {"kill", "leave_out"}
+    """
+
+    measurement_times: Times
+    mse: NDArray[np.float64]
+    degenerate_policy: str = "kill"
+
+    @property
+    def draws(self) -> int:
+        """D, the degenerate draws included."""
+        return self.mse.size
+
+    @cached_property
+    def degenerate_draws(self) -> int:
+        """How many draws are degenerate."""
+        return int(np.isnan(self.mse).sum())
+
+    @cached_property
+    def expected_mse(self) -> float:
+        """Mean of the per-draw MSE; what a degenerate draw makes of it is the policy's."""
+        usable = self._usable
+        return float(np.mean(usable)) if usable.size else math.inf
+
+    @cached_property
+    def standard_error(self) -> float:
+        """Standard error of `expected_mse`, infinite where that is or with fewer than 2 draws."""
+        usable = self._usable
+        if usable.size < 2 or not np.isfinite(usable).all():
+            return math.inf
+        return float(np.std(usable, ddof=1) / math.sqrt(usable.size))
+
+    @property
+    def cost(self) -> float:
+        """What a search minimises: `expected_mse`."""
+        return self.expected_mse
+
+    @property
+    def _usable(self) -> NDArray[np.float64]:
+        if self.degenerate_draws and self.degenerate_policy == "kill":
+            return np.empty(0)
+        return self.mse[~np.isnan(self.mse)]
+
+
+def cut(draws: Sequence[int], block: int) -> list[tuple[int, int]]:
+    """Cut draws that are still to be done into ranges.
+
+    Parameters
+    ----------
+    draws : sequence of int
+        Sorted, without repetition.
+    block : int
+        A range lies between two multiples of this.
+
+    Returns
+    -------
+    list of (int, int)
+        First draw, and the one after the last.
+
+    Examples
+    --------
+    >>> cut([0, 1, 2, 3, 4, 7, 8], block=3)
+    [(0, 3), (3, 5), (7, 8), (8, 9)]
+    """
+    if not len(draws):
+        return []
+    index = np.asarray(draws)
+    starts = np.flatnonzero((np.diff(index) > 1) | (index[1:] % block == 0)) + 1
+    return [(int(piece[0]), int(piece[-1]) + 1) for piece in np.split(index, starts)]

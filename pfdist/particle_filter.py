@@ -1,0 +1,235 @@
+"""The intermittent particle filter, fused and compiled (paper, section 2.1).
+
+Sampling importance resampling: particles are propagated by the model, and weighted and resampled
+only at the measurement times. `pfdist.plain` holds the same filter in plain NumPy, for reading.
+
+References
+----------
+Arulampalam, Maskell, Gordon, Clapp, "A tutorial on particle filters", 2002, algorithm 4.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from pfdist.draws import Draws
+from pfdist.kernels.components import formula, reader, writer
+from pfdist.kernels.noise import FILTER_INITIAL, FILTER_PROCESS, filler, padded
+from pfdist.kernels.resampling import POINTS, ancestors
+from pfdist.measurement_times import Times, validated
+from pfdist.models import StateSpaceModel
+
+KERNEL_VERSION = 1
+"""Counts the changes after which the same keys give other figures; part of a run's identity."""
+
+RESAMPLING = tuple(POINTS)
+
+
+@dataclass(frozen=True)
+class Filtered:
+    """What the filter makes of some draws.
+
+    Parameters
+    ----------
+    mse : array of float64, (D,)
+        Mean over t = 0..T of the squared Euclidean error of the estimate of z(t). NaN marks a
+        degenerate draw, inf one whose particles left the finite numbers.
+    estimate, variance : array of float64, (D, T+1, q), or None
+        Weighted mean and variance of the particles' z(t), if they were asked for. NaN from the
+        measurement on at which a draw became degenerate.
+    """
+
+    mse: NDArray[np.float64]
+    estimate: NDArray[np.float64] | None = None
+    variance: NDArray[np.float64] | None = None
+
+
+def filter_draws(
+    model: StateSpaceModel,
+    draws: Draws,
+    measurement_times: Times,
+    particles: int,
+    stream: int,
+    resampling: str = "multinomial",
+    trajectories: bool = False,
+) -> Filtered:
+    """Filter draws with one set of measurement times.
+
+    Parameters
+    ----------
+    model : StateSpaceModel
+        The filter's model.
+    draws : Draws
+        The truth and its measurements, D draws.
+    measurement_times : tuple of int
+        The set M, in 0..T.
+    particles : int
+        P.
+    stream : int
+        Key of the filter's noise, 64 bits.
+    resampling : {"multinomial", "systematic"}
+    trajectories : bool
+        Whether estimate and variance are wanted.
+
+    Returns
+    -------
+    Filtered
+
+    Raises
+    ------
+    MeasurementTimesError
+        The measurement times do not lie in 0..T, or one stands twice.
+    """
+    count, instants, quantities = draws.z.shape
+    measured = np.zeros(instants, np.bool_)
+    measured[list(validated(measurement_times, instants - 1))] = True
+    mse = np.empty(count)
+    kept = (count, instants, quantities) if trajectories else (0, instants, quantities)
+    estimate, variance = np.full(kept, np.nan), np.full(kept, np.nan)
+    _compiled(model, resampling)(
+        np.uint64(stream), draws.index.start, draws.y, draws.z, measured, particles, model.p,
+        mse, estimate, variance,
+    )  # fmt: skip
+    return Filtered(mse, estimate, variance) if trajectories else Filtered(mse)
+
+
+def _compiled(model: StateSpaceModel, resampling: str) -> Callable[..., None]:
+    return _compile(
+        (model.initial, model.transition, model.log_likelihood, model.quantity_of_interest),
+        (model.initial_noise, model.process_noise),
+        model.components,
+        resampling,
+    )
+
+
+@njit(nogil=True)
+def _cumulative_weights(log_weight, weight, cumulative):  # type: ignore[no-untyped-def]
+    """Weights from log-weights, the maximum subtracted; gives their sum, 0 if degenerate."""
+    highest = -np.inf
+    for i in range(log_weight.size):
+        # What is not finite is impossible: nan compares false, +inf is no likelihood.
+        if log_weight[i] > highest and log_weight[i] < np.inf:
+            highest = log_weight[i]
+    total = 0.0
+    for i in range(log_weight.size):
+        excess = log_weight[i] - highest
+        weight[i] = np.exp(excess) if excess <= 0.0 and highest > -np.inf else 0.0
+        total += weight[i]
+        cumulative[i] = total
+    return total
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"reassoc", "nsz"})
+def _moments(values, weight, total):  # type: ignore[no-untyped-def]
+    """Weighted mean and variance; free to reorder its sums, so that they are vectorised."""
+    mean = 0.0
+    for i in range(weight.size):
+        mean += weight[i] * values[i]
+    mean /= total
+    variance = 0.0
+    for i in range(weight.size):
+        variance += weight[i] * (values[i] - mean) ** 2
+    return mean, variance / total
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"reassoc", "nsz"})
+def _mean(values, weight, total):  # type: ignore[no-untyped-def]
+    mean = 0.0
+    for i in range(weight.size):
+        mean += weight[i] * values[i]
+    return mean / total
+
+
+@lru_cache(maxsize=32)
+def _compile(
+    functions: tuple[Callable[..., Any], ...],
+    noise_kinds: tuple[tuple[str, ...], ...],
+    components: tuple[int, int, int],
+    resampling: str,
+) -> Callable[..., None]:
+    """Fuse the formulas of a model and a resampling scheme into one compiled filter."""
+    initial, transition, log_likelihood, quantity = map(formula, functions)
+    fill_w0, fill_w = map(filler, noise_kinds)
+    read_w0, read_w = (reader(len(kinds)) for kinds in noise_kinds)
+    states, measurements, quantities = components
+    read_x, read_y = reader(states), reader(measurements)
+    write_x, write_z = writer(states), writer(quantities)
+    noise_rows = max(1, *map(len, noise_kinds))
+    place_points = POINTS[resampling]
+
+    @njit(nogil=True, error_model="numpy")
+    def propagate(x, t, noise, p, out):  # type: ignore[no-untyped-def]
+        for i in range(x.shape[1]):
+            write_x(out, i, transition(read_x(x, i), t, read_w(noise, i), p))
+
+    @njit(nogil=True, error_model="numpy")
+    def weigh(x, y, t, p, out):  # type: ignore[no-untyped-def]
+        measured = read_y(y, 0)
+        for i in range(x.shape[1]):
+            out[i] = log_likelihood(measured, read_x(x, i), t, p)
+
+    @njit(nogil=True, error_model="numpy")
+    def interest(x, t, p, out):  # type: ignore[no-untyped-def]
+        for i in range(x.shape[1]):
+            write_z(out, i, quantity(read_x(x, i), t, p))
+
+    @njit(nogil=True)
+    def resample(x, ancestor, out):  # type: ignore[no-untyped-def]
+        for component in range(states):
+            for i in range(ancestor.size):
+                out[component, i] = x[component, ancestor[i]]
+
+    @njit(nogil=True, error_model="numpy")
+    def filter_kernel(stream, first, y, z, measured, particles, p, mse, estimate, variance):  # type: ignore[no-untyped-def]
+        x, other = np.empty((states, particles)), np.empty((states, particles))
+        values = np.empty((quantities, particles))
+        noise = np.empty((noise_rows, padded(particles)), np.float32)
+        log_weight, weight = np.empty(particles), np.empty(particles)
+        cumulative, points = np.empty(particles), np.empty(particles)
+        buffer = np.empty(padded(particles + 1), np.float32)
+        ancestor = np.empty(particles, np.int64)
+        instants = measured.size
+        for d in range(mse.size):
+            draw = first + d
+            error = 0.0
+            fill_w0(noise, stream, draw, 0, FILTER_INITIAL)
+            for i in range(particles):
+                write_x(x, i, initial(read_w0(noise, i), p))
+            for t in range(instants):
+                if t > 0:
+                    fill_w(noise, stream, draw, t - 1, FILTER_PROCESS)
+                    propagate(x, t - 1, noise, p, other)
+                    x, other = other, x
+                if measured[t]:
+                    weigh(x, y[d, t : t + 1].T, t, p, log_weight)
+                    total = _cumulative_weights(log_weight, weight, cumulative)
+                    if total == 0.0:
+                        error = np.nan
+                        break
+                else:
+                    weight[:] = 1.0
+                    total = float(particles)
+                interest(x, t, p, values)
+                for k in range(quantities):
+                    if estimate.size:
+                        mean, spread = _moments(values[k], weight, total)
+                        estimate[d, t, k], variance[d, t, k] = mean, spread
+                    else:
+                        mean = _mean(values[k], weight, total)
+                    error += (z[d, t, k] - mean) ** 2
+                if measured[t]:
+                    place_points(points, buffer, stream, draw, t)
+                    ancestors(cumulative, points, ancestor)
+                    resample(x, ancestor, other)
+                    x, other = other, x
+                if not np.isfinite(error):
+                    error = np.inf
+                    break
+            mse[d] = error / instants
+
+    return filter_kernel  # type: ignore[no-any-return]
