@@ -1,0 +1,9 @@
+"""What a run's tables say, as pandas DataFrames and figures with their intervals.
+
+Reads tables alone: no Ray, no model, no kernel.
+"""
+
+from pfdist.analysis.gains import GainSummary, relative_gain, summarise_gain
+from pfdist.analysis.tables import Run, open_run
+
+__all__ = ["GainSummary", "Run", "open_run", "relative_gain", "summarise_gain"]

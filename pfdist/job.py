@@ -1,0 +1,262 @@
+"""The job file: TOML in, frozen and validated data out. Data only: nothing is built here."""
+
+import re
+import tomllib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import tomli_w
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError, model_validator
+from pydantic_core import ErrorDetails
+
+from pfdist.errors import JobError
+
+REFERENCE = "regular"
+
+Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=40)]
+Probability = Annotated[float, Field(ge=0.0, le=1.0)]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+
+class Model(_Section):
+    """The system: a model that ships, an entry point, or ``path/file.py:object``."""
+
+    name: str = "ungm"
+    parameters: dict[str, float] = {}
+
+
+class ProblemSection(_Section):
+    """How long, and how many measurements."""
+
+    horizon: Annotated[int, Field(ge=1, le=32_000)]
+    measurement_budget: Annotated[int, Field(ge=2)]
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if self.measurement_budget > self.horizon + 1:
+            raise ValueError(
+                f"measurement_budget must be at most horizon + 1 = {self.horizon + 1}, "
+                f"got {self.measurement_budget}"
+            )
+        return self
+
+
+class Filter(_Section):
+    """The particle filter."""
+
+    particles: Annotated[int, Field(ge=1)] = 500
+    resampling: Literal["multinomial", "systematic"] = "multinomial"
+
+
+class EvaluationSection(_Section):
+    """How the expected MSE of a set of times is estimated during a search."""
+
+    draws: Annotated[int, Field(ge=2)] = 1000
+    noise: Literal["fresh", "common"] = "fresh"
+    degenerate_draws: Literal["kill", "leave_out"] = "kill"
+
+
+class _Search(_Section):
+    name: Name = ""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _named_after_its_method(cls, data: Any) -> Any:
+        if isinstance(data, dict) and "name" not in data:
+            return {**data, "name": data.get("method")}
+        return data
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The hyper-parameters of the optimiser."""
+        return self.model_dump(exclude={"name", "method"})
+
+
+class GeneticSearch(_Search):
+    """The paper's genetic algorithm."""
+
+    method: Literal["genetic"]
+    population: Annotated[int, Field(ge=2, multiple_of=2)] = 50
+    generations: Annotated[int, Field(ge=1)] = 25
+    crossover_probability: Probability = 1.0
+    mutation_probability: Probability = 0.003
+    sigma_scaling: Annotated[float, Field(gt=0.0, allow_inf_nan=False)] = 1.0
+
+
+class RandomSearch(_Search):
+    """The paper's random trials."""
+
+    method: Literal["random"]
+    evaluations: Annotated[int, Field(ge=1)] = 1250
+
+
+_SEARCHES: dict[str, type[_Search]] = {"genetic": GeneticSearch, "random": RandomSearch}
+Search = Annotated[GeneticSearch | RandomSearch, Field(discriminator="method")]
+
+
+class Comparison(_Section):
+    """The found times against the reference, on the same fresh draws."""
+
+    draws: Annotated[int, Field(ge=2, le=2**32)] = 100_000
+    reference: Literal["regular"] = REFERENCE
+
+
+class Execution(_Section):
+    """Where a run is computed; never part of what it is."""
+
+    pool: Literal["ray", "serial"] = "ray"
+    workers: Annotated[int, Field(ge=0)] = 0
+    address: str = ""
+
+
+class Job(_Section):
+    """Everything a run is, and where to compute it. Made by `load_job`."""
+
+    seed: Annotated[int, Field(ge=0, lt=2**63)]
+    model: Model = Model()
+    problem: ProblemSection
+    filter: Filter = Filter()
+    evaluation: EvaluationSection = EvaluationSection()
+    search: tuple[Search, ...] = Field(min_length=1, strict=False)
+    comparison: Comparison = Comparison()
+    execution: Execution = Execution()
+    _path: Path = PrivateAttr(default=Path("job.toml"))
+
+    @model_validator(mode="after")
+    def _names_differ(self) -> Self:
+        names = [REFERENCE, *(search.name for search in self.search)]
+        twice = [name for name in names if names.count(name) > 1]
+        if twice:
+            raise ValueError(
+                f"search: every name must be another one, and none {REFERENCE!r}, "
+                f"got {twice[0]!r} twice: give one of them name = \"...\""
+            )
+        return self
+
+    @property
+    def path(self) -> Path:
+        """The job file: a model's path is relative to its folder, a run is named after it."""
+        return self._path
+
+    def with_changes(self, overrides: Iterable[str]) -> "Job":
+        """Give the job with some keys changed, as ``key=value``; see `load_job`."""
+        return _validated(self.model_dump(mode="json"), self.path, overrides)
+
+    def identity(self) -> dict[str, Any]:
+        """What a run of this job is: everything but [execution]."""
+        return self.model_dump(mode="json", exclude={"execution"})
+
+
+def load_job(path: str | Path, overrides: Iterable[str] = ()) -> Job:
+    """Read and validate a job file.
+
+    Parameters
+    ----------
+    path : str or Path
+        A TOML file.
+    overrides : iterable of str
+        ``key=value`` each, with a dotted key and a TOML value, for instance ``seed=3`` or
+        ``search.genetic.generations=5`` (a search goes by its name).
+
+    Returns
+    -------
+    Job
+
+    Raises
+    ------
+    JobError
+        The file cannot be read, is no TOML, or says something impossible.
+    """
+    path = Path(path)
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise JobError(f"cannot read the job file {path}: {error.strerror}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise JobError(f"the job file must be TOML, got an error: {error} ({path})") from error
+    return _validated(data, path, overrides)
+
+
+def job_toml(identity: Mapping[str, Any]) -> str:
+    """Write what a run is as TOML; the same text for the same identity."""
+    return tomli_w.dumps(identity)
+
+
+def _validated(data: dict[str, Any], path: Path, overrides: Iterable[str]) -> Job:
+    given = list(overrides)
+    for override in given:
+        _override(data, override)
+    try:
+        job = Job.model_validate(data)
+    except ValidationError as error:
+        first, *others = error.errors()
+        more = f"; {len(others)} more like this" if others else ""
+        where = f"{path} with {' '.join(given)}" if given else str(path)
+        raise JobError(f"{_sentence(first)} ({where}){more}") from error
+    job._path = path
+    return job
+
+
+def _override(data: dict[str, Any], override: str) -> None:
+    key, equals, text = override.partition("=")
+    path = key.split(".")
+    if not equals or not all(path):
+        raise JobError(f"--set must be key=value, for instance seed=3, got {override!r}")
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text  # a bare word is a string: filter.resampling=systematic
+    section: Any = data
+    if path[0] == "search" and len(path) > 1:
+        section, path = _search_named(data, path[1], override), path[2:]
+    for part in path[:-1]:
+        section = section.setdefault(part, {})
+        if not isinstance(section, dict):
+            raise JobError(f"--set {override}: {part} is no section, so it has no keys")
+    if not path:
+        raise JobError(f"--set {override}: name a key of the search, search.NAME.KEY=value")
+    section[path[-1]] = value
+
+
+def _search_named(data: dict[str, Any], name: str, override: str) -> dict[str, Any]:
+    searches = data.get("search", [])
+    searches = [search for search in searches if isinstance(search, dict)]
+    names = [str(search.get("name", search.get("method"))) for search in searches]
+    if name not in names:
+        raise JobError(
+            f"--set {override}: the job has no search {name!r}, allowed: {', '.join(names)}"
+        )
+    return searches[names.index(name)]
+
+
+def _sentence(error: ErrorDetails) -> str:
+    """Say in one sentence what a validation error means: what, got, allowed."""
+    key = ".".join(str(part) for part in error["loc"] if not isinstance(part, int))
+    kind, got = error["type"], error["input"]
+    if kind == "extra_forbidden":
+        section, _, name = key.rpartition(".")
+        place = f" in [{section}]" if section else ""
+        return f"unknown key {name!r}{place}, allowed: {', '.join(_allowed_keys(section))}"
+    if kind == "missing":
+        return f"{key} must be given"
+    if kind in ("union_tag_invalid", "union_tag_not_found"):
+        method = got.get("method") if isinstance(got, dict) else got
+        return f"search.method must be one of {', '.join(map(repr, _SEARCHES))}, got {method!r}"
+    if kind == "value_error":
+        return str(error["ctx"]["error"])
+    rule = re.sub(r"^(Input|String|Value) should ", "must ", error["msg"])
+    return f"{key} {rule}, got {got!r}"
+
+
+def _allowed_keys(section: str) -> list[str]:
+    """The keys of a section; a search's goes by its method."""
+    if section.startswith("search."):
+        return list(_SEARCHES[section.removeprefix("search.")].model_fields)
+    if not section:
+        return list(Job.model_fields)
+    kind = Job.model_fields[section].annotation
+    return list(kind.model_fields) if isinstance(kind, type) and issubclass(kind, BaseModel) else []

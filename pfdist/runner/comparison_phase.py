@@ -1,0 +1,148 @@
+"""The comparison: every set of times filters the same fresh draws, never those that chose it."""
+
+from collections.abc import Mapping
+from contextlib import closing
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from pfdist.kernels.noise import stream_key
+from pfdist.measurement_times import Times
+from pfdist.monte_carlo import Work, cut
+from pfdist.runner.build import Built
+from pfdist.runner.collect import Collector
+from pfdist.runner.pool import Outcome, Task
+from pfdist.runner.progress import Progress, Report
+from pfdist.runner.search_phase import TASK_STEPS
+from pfdist.store import Store, comparison_schema, trajectories_schema
+from pfdist.store.parquet import ROWS_IN_A_FILE
+
+PHASE = "comparison"
+TRAJECTORIES = 100  # draws whose z, y and estimates are kept
+
+
+def run_comparison(
+    built: Built,
+    sets: Mapping[str, Times],
+    collector: Collector,
+    progress: Progress,
+    report: Report,
+) -> None:
+    """Filter the draws that the store does not hold yet with every set, and publish.
+
+    Parameters
+    ----------
+    built : Built
+    sets : mapping of str to tuple of int
+        Measurement times by name, the reference first.
+    collector : Collector
+    progress : Progress
+        How far the run was before the comparison.
+    report : callable
+    """
+    store, draws = collector.store, built.job.comparison.draws
+    missing = np.ones(draws, np.bool_)
+    missing[store.column("comparison", "draw")] = False
+    done = int(draws - missing.sum())
+    progress = replace(progress, phase=PHASE, done=progress.done + done * len(sets))
+    progress = replace(progress, evaluations=done, generation=0, generations=0)
+    work = _work(built, sets)
+    _keep_trajectories(built, work, collector)
+    schema = comparison_schema(list(sets))
+
+    def rows_of(outcome: Outcome) -> pa.Table:
+        columns = [pa.array(np.arange(*outcome.task.work.draws))]
+        columns += [pa.array(mse, from_pandas=True) for mse in outcome.value.mse.T]
+        return pa.Table.from_arrays(columns, schema=schema)
+
+    tasks = [
+        Task(f"{PHASE}:{first}-{last}", replace(work, draws=(first, last)))
+        for first, last in cut(np.flatnonzero(missing), _block(built, len(sets)))
+    ]
+    with closing(collector.run(PHASE, "comparison", tasks, rows_of)) as outcomes:
+        for outcome in outcomes:
+            first, last = outcome.task.work.draws
+            progress = replace(
+                progress,
+                done=progress.done + (last - first) * len(sets),
+                evaluations=progress.evaluations + last - first,
+            )
+            report(progress)
+    _publish(store, draws)
+
+
+def _work(built: Built, sets: Mapping[str, Times]) -> Work:
+    """The same draws for all sets, and for each the noise of its own filter."""
+    seed = built.job.seed
+    return Work(
+        measurement_times=tuple(sets.values()),
+        filter_streams=tuple(stream_key(seed, PHASE, "filter", name) for name in sets),
+        draws_stream=stream_key(seed, PHASE, "draws"),
+        draws=(0, 0),
+    )
+
+
+def _block(built: Built, sets: int) -> int:
+    steps = built.job.filter.particles * (built.job.problem.horizon + 1) * sets
+    return max(1, TASK_STEPS // steps)
+
+
+def _keep_trajectories(built: Built, work: Work, collector: Collector) -> None:
+    """Filter the first draws once more, keeping what the figures show."""
+    store, names = collector.store, built.names
+    draws = min(TRAJECTORIES, built.job.comparison.draws)
+    if store.has("trajectories") and store.column("trajectories", "draw").max() == draws - 1:
+        return
+    _, measurements, quantities = built.problem.model.components
+    schema = trajectories_schema(names, quantities, measurements)
+    block = min(_block(built, len(names)), -(-draws // collector.pool.workers))
+    tasks = [
+        Task(f"trajectories:{first}-{last}", replace(work, draws=(first, last), trajectories=True))
+        for first, last in cut(range(draws), block)
+    ]
+
+    def rows_of(outcome: Outcome) -> pa.Table:
+        return pa.table(_trajectory_columns(outcome, names), schema=schema)
+
+    with closing(collector.run(PHASE, "trajectories", tasks, rows_of)) as outcomes:
+        for _ in outcomes:
+            pass
+    rows = pa.Table.from_pandas(store.read("trajectories"), schema=schema, preserve_index=False)
+    store.publish("trajectories", PHASE, 0, rows)
+    store.drop_parts("trajectories", PHASE)
+
+
+def _trajectory_columns(outcome: Outcome, names: list[str]) -> dict[str, Any]:
+    result = outcome.value
+    first, last = outcome.task.work.draws
+    instants = result.z.shape[1]
+    columns: dict[str, Any] = {
+        "draw": np.repeat(np.arange(first, last), instants),
+        "t": np.tile(np.arange(instants, dtype=np.int32), last - first),
+    }
+    columns |= _by_component("z", result.z) | _by_component("y", result.y)
+    for name, estimate in zip(names, result.estimates, strict=True):
+        columns |= _by_component(f"estimate_{name}", estimate)
+    return columns
+
+
+def _by_component(name: str, values: NDArray[np.float64]) -> dict[str, pa.Array]:
+    """(D, T+1, components) as a column a component, draw after draw; NaN becomes null."""
+    return {
+        f"{name}_{k}": pa.array(values[:, :, k].ravel(), from_pandas=True)
+        for k in range(values.shape[2])
+    }
+
+
+def _publish(store: Store, draws: int) -> None:
+    """Turn parts into tables, as many draws at a time as make a file."""
+    if not store.has_parts("comparison", PHASE):
+        return
+    rows = ROWS_IN_A_FILE["comparison"]
+    for number, first in enumerate(range(0, draws, rows)):
+        piece = store.rows_between("comparison", "draw", first, min(first + rows, draws))
+        store.publish("comparison", PHASE, number, piece)
+    store.drop_parts("comparison", PHASE)

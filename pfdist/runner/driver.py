@@ -1,0 +1,102 @@
+"""The driver: search phases, then the comparison. It knows a pool and a store, and no Ray."""
+
+import math
+import uuid
+from dataclasses import replace
+from typing import Any
+
+import pandas as pd
+import pyarrow as pa
+
+from pfdist.errors import SearchError
+from pfdist.measurement_times import Times, regular
+from pfdist.runner import comparison_phase
+from pfdist.runner.build import Built
+from pfdist.runner.collect import Collector
+from pfdist.runner.comparison_phase import run_comparison
+from pfdist.runner.pool import Pool
+from pfdist.runner.progress import Progress, Report
+from pfdist.runner.search_phase import run_search
+from pfdist.store import Store, schema
+
+
+def drive(built: Built, store: Store, pool: Pool, report: Report) -> None:
+    """Compute what a run still lacks; going on and starting are the same.
+
+    Parameters
+    ----------
+    built : Built
+    store : Store
+    pool : Pool
+        Entered.
+    report : callable
+        Told of the progress, once an outcome.
+
+    Raises
+    ------
+    SearchError
+        A search found no set of times without degenerate draws.
+    TaskError
+        A task failed.
+    """
+    collector = Collector(store, pool, uuid.uuid4().hex[:8])
+    draws = built.job.evaluation.draws
+    searched = [search.optimiser.evaluations * draws for search in built.searches]
+    total = sum(searched) + built.job.comparison.draws * len(built.names)
+    progress = Progress(phase=built.names[0], done=0, total=total)
+    try:
+        if not store.has("compared"):
+            _search(built, collector, progress, report)
+        progress = replace(progress, done=sum(searched))
+        run_comparison(built, compared_sets(store), collector, progress, report)
+    finally:
+        for phase in (*built.names[1:], comparison_phase.PHASE):
+            _publish_timings(store, phase)
+
+
+def compared_sets(store: Store) -> dict[str, Times]:
+    """Measurement times that are compared, by name, in their order."""
+    rows = store.read("compared")
+    return {
+        str(name): tuple(int(time) for time in times)
+        for name, times in zip(rows["name"], rows["measurement_times"], strict=True)
+    }
+
+
+def _search(built: Built, collector: Collector, progress: Progress, report: Report) -> None:
+    """Run every search and publish what is to be compared."""
+    problem = built.job.problem
+    reference = regular(problem.horizon, problem.measurement_budget)
+    rows: list[dict[str, Any]] = [{"name": built.job.comparison.reference, "measurement_times": reference}]
+    for search in built.searches:
+        best = run_search(built, search, collector, progress, report)
+        if not math.isfinite(best.cost):
+            raise SearchError(
+                f"search {search.name}: every set of times that it ended with had a degenerate "
+                f"draw (a measurement no particle can explain); more particles than "
+                f"{built.job.filter.particles} help, or evaluation.degenerate_draws = 'leave_out'"
+            )
+        work = search.optimiser.evaluations * built.job.evaluation.draws
+        progress = replace(progress, done=progress.done + work)
+        rows.append(
+            {
+                "name": search.name,
+                "measurement_times": best.measurement_times,
+                "search_cost": best.cost,
+                "search_standard_error": best.standard_error,
+            }
+        )
+    for position, row in enumerate(rows):
+        row["position"] = position
+    table = pa.Table.from_pylist(rows, schema=schema("compared"))
+    collector.store.publish("compared", "search", 0, table)
+
+
+def _publish_timings(store: Store, phase: str) -> None:
+    if not store.has_parts("timings", phase):
+        return
+    rows: pd.DataFrame = store.read("timings")
+    rows = rows[rows["phase"] == phase]
+    table = pa.Table.from_pandas(rows, schema=schema("timings"), preserve_index=False)
+    store.publish("timings", phase, 0, table)
+    store.drop_parts("timings", phase)

@@ -1,0 +1,50 @@
+"""Evaluate one set of measurement times in process."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from pfdist.job import Job, load_job
+from pfdist.kernels.noise import stream_key
+from pfdist.measurement_times import validated
+from pfdist.monte_carlo import Evaluation, Work
+from pfdist.runner.build import build
+
+
+def evaluate(
+    job: Job | str | Path,
+    measurement_times: Iterable[int],
+    draws: int | None = None,
+    particles: int | None = None,
+    seed: int | None = None,
+) -> Evaluation:
+    """Estimate the expected MSE of one set of measurement times, in this process.
+
+    Parameters
+    ----------
+    job : Job, str or Path
+        A job, or the path of its file.
+    measurement_times : iterable of int
+        In 0..T; as many as you like.
+    draws, particles, seed : int, optional
+        In the place of the job's evaluation.draws, filter.particles and seed.
+
+    Returns
+    -------
+    Evaluation
+        With ``expected_mse``, ``standard_error``, ``draws``, ``degenerate_draws`` and ``mse``, the
+        per-draw values.
+
+    Raises
+    ------
+    JobError, ModelError, MeasurementTimesError
+        What was asked for is impossible.
+    """
+    given = {"evaluation.draws": draws, "filter.particles": particles, "seed": seed}
+    changes = [f"{key}={value}" for key, value in given.items() if value is not None]
+    job = job.with_changes(changes) if isinstance(job, Job) else load_job(job, changes)
+    times = validated(measurement_times, job.problem.horizon, "--times")
+    fresh = [times] if job.evaluation.noise == "fresh" else []
+    stream = stream_key(job.seed, "evaluate", *fresh)
+    work = Work((times,), (stream,), stream, (0, job.evaluation.draws))
+    mse = build(job).problem(work).mse[:, 0]
+    return Evaluation(times, mse, job.evaluation.degenerate_draws)

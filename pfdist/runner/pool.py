@@ -1,0 +1,112 @@
+"""What a pool is, and the pool that is no pool: the same in process."""
+
+import os
+import platform
+import time
+import traceback
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, Protocol, Self
+
+
+@dataclass(frozen=True)
+class Task:
+    """One unit handed to a pool.
+
+    Parameters
+    ----------
+    key : str
+        Says what it is: the same key, the same work.
+    work : object
+        The argument of the pool's function, which is pure.
+    """
+
+    key: str
+    work: Any
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a task.
+
+    Parameters
+    ----------
+    task : Task
+    value : object or None
+        What the function gave; None if it failed.
+    seconds : float
+        In the worker.
+    worker, node : str
+        Process id and host name.
+    error : str or None
+        The traceback, if it failed.
+    """
+
+    task: Task
+    value: Any
+    seconds: float
+    worker: str
+    node: str
+    error: str | None = None
+
+
+class Pool(Protocol):
+    """Workers that apply one pure function; a context manager.
+
+    The function is made in each worker by the callable the pool was created with, so that what
+    is costly to send or cannot be sent (a compiled filter) never travels.
+    """
+
+    workers: int
+
+    def run(self, tasks: Iterable[Task]) -> Iterator[Outcome]:
+        """Give the outcomes as they come, in any order; tasks are taken only as needed."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None: ...
+
+
+def do(function: Callable[[Any], Any], task: Task) -> Outcome:
+    """Do a task here: what every worker does. An exception becomes the outcome's error."""
+    start = time.perf_counter()
+    value, error = None, None
+    try:
+        value = function(task.work)
+    except Exception:
+        error = traceback.format_exc()
+    seconds = time.perf_counter() - start
+    return Outcome(task, value, seconds, str(os.getpid()), platform.node(), error)
+
+
+class SerialPool:
+    """One worker, this process.
+
+    Parameters
+    ----------
+    make_function : callable
+        Makes the function that is applied to each task's work.
+    """
+
+    workers = 1
+
+    def __init__(self, make_function: Callable[[], Callable[[Any], Any]]) -> None:
+        self._make_function = make_function
+
+    def __enter__(self) -> Self:
+        self._function = self._make_function()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        del self._function
+
+    def run(self, tasks: Iterable[Task]) -> Iterator[Outcome]:
+        """Do the tasks one after another."""
+        for task in tasks:
+            yield do(self._function, task)

@@ -1,0 +1,81 @@
+"""Run a job: compute what its run lacks, then draw the figures."""
+
+from collections.abc import Callable
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from pfdist.analysis import Run, open_run
+from pfdist.errors import JobError
+from pfdist.job import Job, load_job
+from pfdist.plots import draw_figures
+from pfdist.runner.build import build, make_pool
+from pfdist.runner.driver import drive
+from pfdist.runner.identity import open_store
+from pfdist.runner.progress import Report
+
+
+def run(
+    job: Job | str | Path,
+    results: str | Path | None = None,
+    pool: str | None = None,
+    workers: int | None = None,
+    *,
+    address: str | None = None,
+    report: Report = lambda progress: None,
+    say: Callable[[str], Any] = lambda line: None,
+) -> Run:
+    """Run a job, or go on with its run where it stopped.
+
+    Parameters
+    ----------
+    job : Job, str or Path
+        A job, or the path of its file.
+    results : str or Path, optional
+        The run's own folder; by default ``results/<the job file's stem>``.
+    pool : {"ray", "serial"}, optional
+        In the place of the job's execution.pool.
+    workers : int, optional
+        In the place of the job's execution.workers; 0 takes all cores.
+    address : str, optional
+        Of a Ray cluster to join.
+    report : callable, optional
+        Is told of the progress, a `pfdist.runner.progress.Progress` at a time.
+    say : callable, optional
+        Is told, in one line, when the pool is ready.
+
+    Returns
+    -------
+    Run
+
+    Raises
+    ------
+    PfdistError
+        Whatever went wrong; what was committed is kept, and the same call goes on from there.
+    """
+    job = job if isinstance(job, Job) else load_job(job)
+    execution = {"pool": pool, "workers": workers, "address": address}
+    changes = [f"execution.{k}={v}" for k, v in execution.items() if v is not None]
+    job = job.with_changes(changes) if changes else job
+    if job.execution.pool == "serial" and (job.execution.workers > 1 or job.execution.address):
+        raise JobError(
+            "execution.pool = 'serial' is one worker in this process, got workers = "
+            f"{job.execution.workers}, address = {job.execution.address!r}; pool 'ray' takes both"
+        )
+    path = Path("results") / job.path.stem if results is None else Path(results)
+    built = build(job)
+    store = open_store(path, built)
+    finished = open_run(path)
+    if finished.state != "finished":
+        start = perf_counter()
+        with make_pool(built, job.execution) as entered:
+            say(_ready(job.execution.pool, entered.workers, perf_counter() - start))
+            drive(built, store, entered, report)
+    if finished.state != "finished" or not (path / "figures").exists():
+        draw_figures(open_run(path))
+    return open_run(path)
+
+
+def _ready(pool: str, workers: int, seconds: float) -> str:
+    name = "Ray is" if pool == "ray" else "Serial pool is"
+    return f"{name} ready: {workers} worker{'s' * (workers != 1)} in {seconds:.1f} s"

@@ -1,0 +1,224 @@
+"""One search: ask, evaluate what the store does not hold, commit, tell, until done."""
+
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from pfdist.kernels.noise import generator, stream_key
+from pfdist.measurement_times import Times
+from pfdist.monte_carlo import Evaluation, Work, cut
+from pfdist.runner.build import Built, NamedSearch
+from pfdist.runner.collect import Collector
+from pfdist.runner.pool import Outcome, Task
+from pfdist.runner.progress import Progress, Report
+from pfdist.store import Store, schema
+from pfdist.store.parquet import ROWS_IN_A_FILE, cut_rows
+
+TASK_STEPS = 50_000_000  # particle-steps of a task at most: about 0.3 s
+LEAST_STEPS = 2_000_000  # and at least: 10 ms, ten times what handing it over costs
+TASKS_A_WORKER = 4  # in a generation at least, so that the cores end it together
+
+_EVALUATIONS_AT_ONCE = 200  # read from the store when a phase is published
+
+
+@dataclass(frozen=True)
+class _Request:
+    """An evaluation that is wanted."""
+
+    id: str
+    times: Times
+    draws_stream: int
+    filter_stream: int
+
+
+def run_search(
+    built: Built, search: NamedSearch, collector: Collector, progress: Progress, report: Report
+) -> Evaluation:
+    """Run a search to its end, replaying what the store holds.
+
+    Parameters
+    ----------
+    built : Built
+    search : NamedSearch
+    collector : Collector
+    progress : Progress
+        How far the run was before this search.
+    report : callable
+
+    Returns
+    -------
+    Evaluation
+        What the search returns.
+    """
+    optimiser, name, store = search.optimiser, search.name, collector.store
+    committed = _committed_generations(store, name)
+    draws = built.job.evaluation.draws
+    state, generation = optimiser.init(), 0
+    progress = replace(progress, phase=name, generations=optimiser.generations)
+    while not optimiser.done(state):
+        rng = generator(built.job.seed, "search", name, generation)
+        population = [tuple(row) for row in optimiser.ask(state, rng).tolist()]
+        copies = Counter(population)
+        requests = [_request(built, name, generation, times) for times in copies]
+        evaluations: dict[Times, Evaluation] = {}
+        for evaluation in _evaluate(built, name, requests, collector):
+            evaluations[evaluation.measurement_times] = evaluation
+            count = copies[evaluation.measurement_times]
+            progress = replace(
+                progress,
+                done=progress.done + count * draws,
+                evaluations=progress.evaluations + count,
+                generation=generation + 1,
+            )
+            report(progress)
+        if generation not in committed:
+            rows = _rows(name, generation, population, requests, evaluations)
+            store.commit("evaluations", name, f"{generation:06d}", rows)
+        told = [evaluations[times] for times in population]
+        costs = [evaluation.cost for evaluation in told if np.isfinite(evaluation.cost)]
+        if costs:
+            progress = replace(progress, best=min(costs), mean=float(np.mean(costs)))
+        state, generation = optimiser.tell(state, told), generation + 1
+    _publish(store, name)
+    return optimiser.best(state)
+
+
+def _request(built: Built, name: str, generation: int, times: Times) -> _Request:
+    fresh = [generation, times] if built.job.evaluation.noise == "fresh" else []
+    stream = stream_key(built.job.seed, "search", name, *fresh)
+    # One stream serves truth and filter: their roles keep them apart.
+    return _Request(built.source.evaluation_id(times, stream, stream), times, stream, stream)
+
+
+def _evaluate(
+    built: Built, phase: str, requests: list[_Request], collector: Collector
+) -> Iterator[Evaluation]:
+    """Evaluate what was asked for, each once, taking from the store what it holds."""
+    draws, policy = built.job.evaluation.draws, built.job.evaluation.degenerate_draws
+    mse = {request.id: np.full(draws, np.nan) for request in requests}
+    missing = {request.id: np.ones(draws, np.bool_) for request in requests}
+    known = collector.store.per_draw(list(mse))
+    for id_, rows in known.groupby("evaluation"):
+        rows = rows[rows["draw"] < draws]
+        mse[str(id_)][rows["draw"]] = rows["mse"]
+        missing[str(id_)][rows["draw"]] = False
+
+    def finished(request: _Request) -> Evaluation:
+        return Evaluation(request.times, mse[request.id], policy)
+
+    of_id = {request.id: request for request in requests}
+    for request in requests:
+        if not missing[request.id].any():
+            yield finished(of_id.pop(request.id))
+    tasks = _tasks(built, list(of_id.values()), missing, collector.pool.workers)
+    with closing(collector.run(phase, "draws", tasks, _draw_rows)) as outcomes:
+        for outcome in outcomes:
+            first, last = outcome.task.work.draws
+            id_ = _id_of(outcome.task)
+            mse[id_][first:last] = outcome.value.mse[:, 0]
+            missing[id_][first:last] = False
+            if not missing[id_].any():
+                yield finished(of_id[id_])
+
+
+def _tasks(
+    built: Built, requests: list[_Request], missing: dict[str, NDArray[np.bool_]], workers: int
+) -> list[Task]:
+    """Cut evaluations into tasks, finer where they are too few to fill the cores."""
+    steps = built.job.filter.particles * (built.job.problem.horizon + 1)
+    draws = built.job.evaluation.draws
+    block = draws
+    if requests:
+        pieces = -(-TASKS_A_WORKER * workers // len(requests))
+        block = max(-(-draws // pieces), LEAST_STEPS // steps, 1)
+    block = min(block, max(1, TASK_STEPS // steps))
+    return [
+        Task(
+            f"{request.id}:{first}-{last}",
+            Work(
+                (request.times,), (request.filter_stream,), request.draws_stream, (first, last)
+            ),
+        )
+        for request in requests
+        for first, last in cut(np.flatnonzero(missing[request.id]).tolist(), block)
+    ]
+
+
+def _id_of(task: Task) -> str:
+    return task.key.partition(":")[0]
+
+
+def _draw_rows(outcome: Outcome) -> pa.Table:
+    first, last = outcome.task.work.draws
+    columns = [
+        pa.array([_id_of(outcome.task)] * (last - first), pa.string()),
+        pa.array(np.arange(first, last)),
+        pa.array(outcome.value.mse[:, 0], from_pandas=True),
+    ]
+    return pa.Table.from_arrays(columns, schema=schema("draws"))
+
+
+def _rows(
+    phase: str,
+    generation: int,
+    population: list[Times],
+    requests: list[_Request],
+    evaluations: dict[Times, Evaluation],
+) -> pa.Table:
+    copies = Counter(population)
+    rows = [
+        {
+            "evaluation": request.id,
+            "phase": phase,
+            "generation": generation,
+            "individual": population.index(request.times),
+            "copies": copies[request.times],
+            "measurement_times": request.times,
+            "expected_mse": evaluations[request.times].expected_mse,
+            "standard_error": evaluations[request.times].standard_error,
+            "draws": evaluations[request.times].draws,
+            "degenerate_draws": evaluations[request.times].degenerate_draws,
+        }
+        for request in requests
+    ]
+    return pa.Table.from_pylist(rows, schema=schema("evaluations"))
+
+
+def _committed_generations(store: Store, phase: str) -> set[int]:
+    if not store.has("evaluations"):
+        return set()
+    rows = store.read("evaluations")
+    return set(rows.loc[rows["phase"] == phase, "generation"])
+
+
+def _publish(store: Store, phase: str) -> None:
+    """Turn the parts of a search into tables; the same again if it was cut short."""
+    if not any(store.has_parts(table, phase) for table in ("evaluations", "draws")):
+        return
+    rows = store.read("evaluations")
+    rows = rows[rows["phase"] == phase]
+    ids = list(dict.fromkeys(rows["evaluation"]))
+    pieces = (
+        _per_draw(store, ids[first : first + _EVALUATIONS_AT_ONCE])
+        for first in range(0, len(ids), _EVALUATIONS_AT_ONCE)
+    )
+    for number, piece in enumerate(cut_rows(pieces, ROWS_IN_A_FILE["draws"])):
+        store.publish("draws", phase, number, piece)
+    table = pa.Table.from_pandas(rows, schema=schema("evaluations"), preserve_index=False)
+    store.publish("evaluations", phase, 0, table)
+    for name in ("draws", "evaluations"):
+        store.drop_parts(name, phase)
+
+
+def _per_draw(store: Store, ids: list[str]) -> pa.Table:
+    """Per-draw MSEs in the order of these evaluations."""
+    rows = store.per_draw(ids)
+    rows["evaluation"] = pd.Categorical(rows["evaluation"], categories=ids, ordered=True)
+    rows = rows.sort_values(["evaluation", "draw"]).astype({"evaluation": "object"})
+    return pa.Table.from_pandas(rows, schema=schema("draws"), preserve_index=False)

@@ -1,0 +1,43 @@
+"""The two files that say what a run is: job.toml and run.json."""
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from pfdist.errors import StoreError
+from pfdist.store import files
+
+
+def holds_run(path: Path) -> bool:
+    """Whether a folder holds a run: run.json is the file that is written last."""
+    return (path / "run.json").exists()
+
+
+def write_job(path: Path, toml: str) -> None:
+    """Write the resolved job."""
+    files.write_text(path / "job.toml", toml)
+
+
+def write_run(path: Path, run: dict[str, Any]) -> None:
+    """Write identity and provenance."""
+    files.write_text(path / "run.json", json.dumps(run, indent=2) + "\n")
+
+
+def read_run(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Read run.json and job.toml.
+
+    Raises
+    ------
+    StoreError
+        The folder holds no run, or one that cannot be read.
+    """
+    try:
+        run = json.loads((path / "run.json").read_text(encoding="utf-8"))
+        job = tomllib.loads((path / "job.toml").read_text(encoding="utf-8"))
+    except (FileNotFoundError, NotADirectoryError) as error:
+        name = Path(str(error.filename)).name
+        raise StoreError(f"{path} holds no run: there is no {name} in it") from error
+    except (OSError, ValueError) as error:
+        raise StoreError(f"cannot read the run {path}: {error}") from error
+    return run, job

@@ -1,0 +1,179 @@
+"""The store of one run: commit parts as they come, publish them as tables when a phase ends.
+
+::
+
+    parts/<table>/<phase>-<key>.parquet      committed one by one, gone when their phase is done
+    tables/<table>/<phase>-00000.parquet     published: sorted, cut at fixed counts
+
+A reader sees both as one. A phase may be published again and again with the same outcome, so a
+process may die at any instant of it.
+"""
+
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.dataset as ds
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from pfdist.errors import StoreError
+from pfdist.store import files
+from pfdist.store.schema import KEYS, SCHEMA_VERSION
+
+ROWS_IN_A_FILE = {"draws": 1_000_000, "comparison": 50_000}
+
+
+class Store:
+    """Tables of one run.
+
+    Parameters
+    ----------
+    path : Path
+        The run's folder.
+
+    Every reading raises a `StoreError` where a file cannot be read or is of a newer schema.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    # --- writing ------------------------------------------------------------------------------
+
+    def sweep(self) -> None:
+        """Remove what a killed process left half written."""
+        files.sweep(self.path)
+
+    def commit(self, table: str, phase: str, key: str, rows: pa.Table) -> None:
+        """Commit rows of a phase; the same key again is a no-op.
+
+        Parameters
+        ----------
+        table : str
+        phase : str
+        key : str
+            Says what the rows are.
+        rows : pyarrow.Table
+        """
+        path = self.path / "parts" / table / f"{phase}-{key}.parquet"
+        files.write_table(path, rows)
+        if table == "draws":
+            self._index(path, rows)
+
+    def publish(self, table: str, phase: str, number: int, rows: pa.Table) -> None:
+        """Write one file of a table, in the place of an earlier version of the same file."""
+        path = self.path / "tables" / table / f"{phase}-{number:05d}.parquet"
+        files.write_table(path, rows.combine_chunks(), replace=True)
+        if table == "draws":
+            self._index(path, rows)
+
+    def drop_parts(self, table: str, phase: str) -> None:
+        """Remove the parts of a phase, when all their rows are published."""
+        for path in self._parts(table, phase):
+            files.remove(path)
+            for holders in self._files_of_evaluation.values():
+                holders.discard(path)
+
+    # --- reading ------------------------------------------------------------------------------
+
+    def read(self, table: str) -> pd.DataFrame:
+        """Read a whole table, parts and published files as one, sorted by key."""
+        paths = self._files(table)
+        if not paths:
+            raise StoreError(f"the run {self.path} has no table {table!r} yet")
+        frame = pd.concat([_read_file(path).to_pandas() for path in paths], ignore_index=True)
+        return frame.drop_duplicates(KEYS[table]).sort_values(KEYS[table], ignore_index=True)
+
+    def has(self, table: str) -> bool:
+        """Whether anything of a table was committed."""
+        return bool(self._files(table))
+
+    def has_parts(self, table: str, phase: str) -> bool:
+        """Whether a phase has rows that are not published yet."""
+        return bool(self._parts(table, phase))
+
+    def rows_between(self, table: str, column: str, first: int, last: int) -> pa.Table | None:
+        """Rows, parts and published, whose column lies in first..last-1; sorted, each once."""
+        paths = self._files(table)
+        if not paths:
+            return None
+        bounds = (pc.field(column) >= first) & (pc.field(column) < last)
+        found = ds.dataset([str(path) for path in paths]).to_table(filter=bounds).sort_by(column)
+        values = found[column].to_numpy()
+        keep = np.ones(len(values), bool)
+        keep[1:] = values[1:] != values[:-1]
+        return found.filter(pa.array(keep))
+
+    def column(self, table: str, column: str) -> NDArray[np.int64]:
+        """One integer column of all files of a table, in no order and perhaps repeated."""
+        pieces = [_read_file(path, [column])[column].to_numpy() for path in self._files(table)]
+        return np.concatenate([np.empty(0, np.int64), *pieces])
+
+    def per_draw(self, evaluations: Sequence[str]) -> pd.DataFrame:
+        """Rows of the draws table that belong to these evaluations, sorted, each once."""
+        paths = set().union(*(self._files_of_evaluation.get(id_, set()) for id_ in evaluations))
+        wanted = pc.field("evaluation").isin(list(evaluations))
+        frames = [pq.read_table(path, filters=wanted).to_pandas() for path in sorted(paths)]
+        if not frames:
+            return pd.DataFrame({"evaluation": [], "draw": [], "mse": []})
+        rows = pd.concat(frames, ignore_index=True)
+        return rows.drop_duplicates(KEYS["draws"]).sort_values(KEYS["draws"], ignore_index=True)
+
+    def _parts(self, table: str, phase: str) -> list[Path]:
+        return sorted((self.path / "parts" / table).glob(f"{phase}-*.parquet"))
+
+    def _files(self, table: str) -> list[Path]:
+        # Published first: where a row is in both, its published version is kept.
+        return [
+            path
+            for kind in ("tables", "parts")
+            for path in sorted((self.path / kind / table).glob("[!.]*.parquet"))
+        ]
+
+    @cached_property
+    def _files_of_evaluation(self) -> dict[str, set[Path]]:
+        """Where each evaluation's draws are, read once and then kept up to date."""
+        index: dict[str, set[Path]] = defaultdict(set)
+        for path in self._files("draws"):
+            for id_ in _read_file(path, ["evaluation"])["evaluation"].unique().to_pylist():
+                index[id_].add(path)
+        return index
+
+    def _index(self, path: Path, rows: pa.Table) -> None:
+        for id_ in rows["evaluation"].unique().to_pylist():
+            self._files_of_evaluation[id_].add(path)
+
+
+def cut_rows(pieces: Iterable[pa.Table], count: int) -> Iterator[pa.Table]:
+    """Cut a stream of tables into tables of a fixed number of rows, the last one shorter."""
+    waiting: list[pa.Table] = []
+    rows = 0
+    for piece in pieces:
+        waiting.append(piece)
+        rows += piece.num_rows
+        while rows >= count:
+            whole = pa.concat_tables(waiting)
+            yield whole.slice(0, count)
+            waiting, rows = [whole.slice(count)], rows - count
+    if rows:
+        yield pa.concat_tables(waiting)
+
+
+def _read_file(path: Path, columns: list[str] | None = None) -> pa.Table:
+    try:
+        table = pq.read_table(path, columns=columns, partitioning=None)
+    except (OSError, pa.ArrowInvalid) as error:
+        reason = str(error).splitlines()[0]
+        raise StoreError(f"cannot read {path}: {reason}") from error
+    version = int((table.schema.metadata or {}).get(b"pfdist_schema_version", b"0"))
+    if version > SCHEMA_VERSION:
+        raise StoreError(
+            f"{path} is of schema version {version}; this pfdist reads up to {SCHEMA_VERSION}: "
+            "use the newer pfdist that wrote it"
+        )
+    return table

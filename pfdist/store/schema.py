@@ -1,0 +1,111 @@
+"""Tables, columns and units.
+
+Every file carries the schema's version and its table's name in its metadata, every column a unit
+and a description. ``mse`` and the like are in the square of the unit of z.
+"""
+
+from collections.abc import Sequence
+
+import pyarrow as pa
+
+SCHEMA_VERSION = 1
+
+_MSE = "square of z's unit"
+
+KEYS: dict[str, list[str]] = {
+    "evaluations": ["phase", "generation", "individual"],
+    "draws": ["evaluation", "draw"],
+    "compared": ["position"],
+    "comparison": ["draw"],
+    "trajectories": ["draw", "t"],
+    "timings": ["phase", "task", "session"],
+}
+"""What identifies a row of each table."""
+
+TABLES = tuple(KEYS)
+
+
+def _column(name: str, kind: pa.DataType, unit: str, description: str) -> pa.Field:
+    return pa.field(name, kind, metadata={"unit": unit, "description": description})
+
+
+def _schema(table: str, columns: Sequence[pa.Field]) -> pa.Schema:
+    return pa.schema(
+        columns, metadata={"table": table, "pfdist_schema_version": str(SCHEMA_VERSION)}
+    )
+
+
+_TIMES = _column("measurement_times", pa.list_(pa.int16()), "t", "the set M, sorted")
+
+_SCHEMAS = {
+    "evaluations": [
+        _column("evaluation", pa.string(), "", "id: hash of all that its draws depend on"),
+        _column("phase", pa.string(), "", "the search's name"),
+        _column("generation", pa.int32(), "", "counted from 0"),
+        _column("individual", pa.int32(), "", "index of the first copy in its population"),
+        _column("copies", pa.int32(), "", "how many of the population are this set"),
+        _TIMES,
+        _column("expected_mse", pa.float64(), _MSE, "inf: killed for a degenerate draw"),
+        _column("standard_error", pa.float64(), _MSE, "of expected_mse"),
+        _column("draws", pa.int32(), "", "draws filtered"),
+        _column("degenerate_draws", pa.int32(), "", "of them, degenerate"),
+    ],
+    "draws": [
+        _column("evaluation", pa.string(), "", "id, as in evaluations"),
+        _column("draw", pa.int64(), "", "index of the draw in its stream"),
+        _column("mse", pa.float64(), _MSE, "null: degenerate"),
+    ],
+    "compared": [
+        _column("position", pa.int32(), "", "order; 0 is the reference"),
+        _column("name", pa.string(), "", "regular, or the search that found the set"),
+        _TIMES,
+        _column("search_cost", pa.float64(), _MSE, "what the search believed; null: reference"),
+        _column("search_standard_error", pa.float64(), _MSE, "of search_cost"),
+    ],
+    "timings": [
+        _column("phase", pa.string(), "", "a search's name, or comparison"),
+        _column("task", pa.string(), "", "key of the task"),
+        _column("session", pa.string(), "", "which start of the program"),
+        _column("seconds", pa.float64(), "s", "in the worker"),
+        _column("worker", pa.string(), "", "process id"),
+        _column("node", pa.string(), "", "host name"),
+        _column("failures", pa.int32(), "", "1: the task failed"),
+        _column("error", pa.string(), "", "traceback, if it failed"),
+    ],
+}
+
+
+def schema(table: str) -> pa.Schema:
+    """Schema of a table whose columns do not depend on the job."""
+    return _schema(table, _SCHEMAS[table])
+
+
+def comparison_schema(names: Sequence[str]) -> pa.Schema:
+    """Schema of the comparison of these sets: a row a draw, a column a set."""
+    columns = [_column("draw", pa.int64(), "", "index of the draw")]
+    columns += [
+        _column(f"mse_{name}", pa.float64(), _MSE, "null: degenerate with this set")
+        for name in names
+    ]
+    return _schema("comparison", columns)
+
+
+def trajectories_schema(names: Sequence[str], quantities: int, measurements: int) -> pa.Schema:
+    """Schema of the trajectories: a row a draw and instant."""
+    columns = [
+        _column("draw", pa.int64(), "", "index of the draw, as in comparison"),
+        _column("t", pa.int32(), "t", "instant"),
+    ]
+    columns += [
+        _column(f"z_{k}", pa.float64(), "z", "quantity of interest") for k in range(quantities)
+    ]
+    columns += [
+        _column(f"y_{k}", pa.float64(), "y", "measurement, had one been made")
+        for k in range(measurements)
+    ]
+    columns += [
+        _column(f"estimate_{name}_{k}", pa.float64(), "z", "the filter's; null: degenerate")
+        for name in names
+        for k in range(quantities)
+    ]
+    return _schema("trajectories", columns)
