@@ -4,7 +4,7 @@ import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Final, Literal, Self
 
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError, model_validator
@@ -12,7 +12,7 @@ from pydantic_core import ErrorDetails
 
 from pfdist.errors import JobError
 
-REFERENCE = "regular"
+REFERENCE: Final = "regular"
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=40)]
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -133,7 +133,7 @@ class Job(_Section):
         if twice:
             raise ValueError(
                 f"search: every name must be another one, and none {REFERENCE!r}, "
-                f"got {twice[0]!r} twice: give one of them name = \"...\""
+                f'got {twice[0]!r} twice: give one of them name = "..."'
             )
         return self
 
@@ -230,7 +230,8 @@ def _search_named(data: dict[str, Any], name: str, override: str) -> dict[str, A
         raise JobError(
             f"--set {override}: the job has no search {name!r}, allowed: {', '.join(names)}"
         )
-    return searches[names.index(name)]
+    found: dict[str, Any] = searches[names.index(name)]
+    return found
 
 
 def _sentence(error: ErrorDetails) -> str:

@@ -5,12 +5,11 @@ MSE is the same, and so is what is computed from all of them in the order of the
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pfdist.draws import simulate
 from pfdist.measurement_times import Times
@@ -53,7 +52,8 @@ class Problem:
         mse = np.stack([one.mse for one in filtered], axis=1)
         if not work.trajectories:
             return Result(mse)
-        return Result(mse, draws.z, draws.y, np.stack([one.estimate for one in filtered]))
+        estimates = [one.estimate for one in filtered if one.estimate is not None]
+        return Result(mse, draws.z, draws.y, np.stack(estimates))
 
 
 @dataclass(frozen=True)
@@ -151,12 +151,12 @@ class Evaluation:
         return self.mse[~np.isnan(self.mse)]
 
 
-def cut(draws: Sequence[int], block: int) -> list[tuple[int, int]]:
+def cut(draws: ArrayLike, block: int) -> list[tuple[int, int]]:
     """Cut draws that are still to be done into ranges.
 
     Parameters
     ----------
-    draws : sequence of int
+    draws : array-like of int
         Sorted, without repetition.
     block : int
         A range lies between two multiples of this.
@@ -171,8 +171,8 @@ def cut(draws: Sequence[int], block: int) -> list[tuple[int, int]]:
     >>> cut([0, 1, 2, 3, 4, 7, 8], block=3)
     [(0, 3), (3, 5), (7, 8), (8, 9)]
     """
-    if not len(draws):
-        return []
     index = np.asarray(draws)
+    if not index.size:
+        return []
     starts = np.flatnonzero((np.diff(index) > 1) | (index[1:] % block == 0)) + 1
     return [(int(piece[0]), int(piece[-1]) + 1) for piece in np.split(index, starts)]

@@ -107,60 +107,82 @@ def _compiled(model: StateSpaceModel, resampling: str) -> Callable[..., None]:
     )
 
 
-@njit(nogil=True)
-def _cumulative_weights(log_weight, weight, cumulative):  # type: ignore[no-untyped-def]
-    """Weights from log-weights, the maximum subtracted; gives their sum, 0 if degenerate."""
-    highest = -np.inf
-    for i in range(log_weight.size):
-        # What is not finite is impossible: nan compares false, +inf is no likelihood.
-        if log_weight[i] > highest and log_weight[i] < np.inf:
-            highest = log_weight[i]
-    total = 0.0
-    for i in range(log_weight.size):
-        excess = log_weight[i] - highest
-        weight[i] = np.exp(excess) if excess <= 0.0 and highest > -np.inf else 0.0
-        total += weight[i]
-        cumulative[i] = total
-    return total
-
-
-@njit(nogil=True, error_model="numpy", fastmath={"reassoc", "nsz"})
-def _moments(values, weight, total):  # type: ignore[no-untyped-def]
-    """Weighted mean and variance; free to reorder its sums, so that they are vectorised."""
-    mean = 0.0
-    for i in range(weight.size):
-        mean += weight[i] * values[i]
-    mean /= total
-    variance = 0.0
-    for i in range(weight.size):
-        variance += weight[i] * (values[i] - mean) ** 2
-    return mean, variance / total
-
-
-@njit(nogil=True, error_model="numpy", fastmath={"reassoc", "nsz"})
-def _mean(values, weight, total):  # type: ignore[no-untyped-def]
-    mean = 0.0
-    for i in range(weight.size):
-        mean += weight[i] * values[i]
-    return mean / total
-
-
 @lru_cache(maxsize=32)
-def _compile(
+def _compile(  # noqa: C901  one loop, told in its order
     functions: tuple[Callable[..., Any], ...],
     noise_kinds: tuple[tuple[str, ...], ...],
     components: tuple[int, int, int],
     resampling: str,
 ) -> Callable[..., None]:
     """Fuse the formulas of a model and a resampling scheme into one compiled filter."""
-    initial, transition, log_likelihood, quantity = map(formula, functions)
+    start, propagate, weigh, interest = _cloud_steps(functions, noise_kinds, components)
     fill_w0, fill_w = map(filler, noise_kinds)
+    noise_rows = max(1, *map(len, noise_kinds))
+    states, _, quantities = components
+    place_points = POINTS[resampling]
+
+    @njit(nogil=True, error_model="numpy")
+    def filter_kernel(stream, first, y, z, measured, particles, p, mse, estimate, variance):  # type: ignore[no-untyped-def]
+        x, other = np.empty((states, particles)), np.empty((states, particles))
+        values = np.empty((quantities, particles))
+        noise = np.empty((noise_rows, padded(particles)), np.float32)
+        log_weight, weight = np.empty(particles), np.empty(particles)
+        cumulative, points = np.empty(particles), np.empty(particles)
+        buffer = np.empty(padded(particles + 1), np.float32)
+        ancestor = np.empty(particles, np.int64)
+        for d in range(mse.size):
+            draw, error = first + d, 0.0
+            fill_w0(noise, stream, draw, 0, FILTER_INITIAL)
+            start(noise, p, x)
+            for t in range(measured.size):
+                if t > 0:
+                    fill_w(noise, stream, draw, t - 1, FILTER_PROCESS)
+                    propagate(x, t - 1, noise, p, other)
+                    x, other = other, x
+                weight[:] = 1.0
+                total = float(particles)
+                if measured[t]:
+                    weigh(x, y[d, t : t + 1].T, t, p, log_weight)
+                    total = _cumulative_weights(log_weight, weight, cumulative)
+                if total == 0.0:  # degenerate
+                    error = np.nan
+                    break
+                interest(x, t, p, values)
+                for k in range(quantities):
+                    mean = _mean(values[k], weight, total)
+                    error += (z[d, t, k] - mean) ** 2
+                    if estimate.size:
+                        estimate[d, t, k] = mean
+                        variance[d, t, k] = _variance(values[k], weight, total, mean)
+                if not error < np.inf:
+                    error = np.inf
+                    break
+                if measured[t]:
+                    place_points(points, buffer, stream, draw, t)
+                    ancestors(cumulative, points, ancestor)
+                    _take(x, ancestor, other)
+                    x, other = other, x
+            mse[d] = error / measured.size
+
+    return filter_kernel  # type: ignore[no-any-return]
+
+
+def _cloud_steps(
+    functions: tuple[Callable[..., Any], ...],
+    noise_kinds: tuple[tuple[str, ...], ...],
+    components: tuple[int, int, int],
+) -> tuple[Callable[..., None], ...]:
+    """Compile what a model does to a cloud: start, propagate, weigh, and give z."""
+    initial, transition, log_likelihood, quantity = map(formula, functions)
     read_w0, read_w = (reader(len(kinds)) for kinds in noise_kinds)
     states, measurements, quantities = components
     read_x, read_y = reader(states), reader(measurements)
     write_x, write_z = writer(states), writer(quantities)
-    noise_rows = max(1, *map(len, noise_kinds))
-    place_points = POINTS[resampling]
+
+    @njit(nogil=True, error_model="numpy")
+    def start(noise, p, out):  # type: ignore[no-untyped-def]
+        for i in range(out.shape[1]):
+            write_x(out, i, initial(read_w0(noise, i), p))
 
     @njit(nogil=True, error_model="numpy")
     def propagate(x, t, noise, p, out):  # type: ignore[no-untyped-def]
@@ -178,58 +200,47 @@ def _compile(
         for i in range(x.shape[1]):
             write_z(out, i, quantity(read_x(x, i), t, p))
 
-    @njit(nogil=True)
-    def resample(x, ancestor, out):  # type: ignore[no-untyped-def]
-        for component in range(states):
-            for i in range(ancestor.size):
-                out[component, i] = x[component, ancestor[i]]
+    return start, propagate, weigh, interest
 
-    @njit(nogil=True, error_model="numpy")
-    def filter_kernel(stream, first, y, z, measured, particles, p, mse, estimate, variance):  # type: ignore[no-untyped-def]
-        x, other = np.empty((states, particles)), np.empty((states, particles))
-        values = np.empty((quantities, particles))
-        noise = np.empty((noise_rows, padded(particles)), np.float32)
-        log_weight, weight = np.empty(particles), np.empty(particles)
-        cumulative, points = np.empty(particles), np.empty(particles)
-        buffer = np.empty(padded(particles + 1), np.float32)
-        ancestor = np.empty(particles, np.int64)
-        instants = measured.size
-        for d in range(mse.size):
-            draw = first + d
-            error = 0.0
-            fill_w0(noise, stream, draw, 0, FILTER_INITIAL)
-            for i in range(particles):
-                write_x(x, i, initial(read_w0(noise, i), p))
-            for t in range(instants):
-                if t > 0:
-                    fill_w(noise, stream, draw, t - 1, FILTER_PROCESS)
-                    propagate(x, t - 1, noise, p, other)
-                    x, other = other, x
-                if measured[t]:
-                    weigh(x, y[d, t : t + 1].T, t, p, log_weight)
-                    total = _cumulative_weights(log_weight, weight, cumulative)
-                    if total == 0.0:
-                        error = np.nan
-                        break
-                else:
-                    weight[:] = 1.0
-                    total = float(particles)
-                interest(x, t, p, values)
-                for k in range(quantities):
-                    if estimate.size:
-                        mean, spread = _moments(values[k], weight, total)
-                        estimate[d, t, k], variance[d, t, k] = mean, spread
-                    else:
-                        mean = _mean(values[k], weight, total)
-                    error += (z[d, t, k] - mean) ** 2
-                if measured[t]:
-                    place_points(points, buffer, stream, draw, t)
-                    ancestors(cumulative, points, ancestor)
-                    resample(x, ancestor, other)
-                    x, other = other, x
-                if not np.isfinite(error):
-                    error = np.inf
-                    break
-            mse[d] = error / instants
 
-    return filter_kernel  # type: ignore[no-any-return]
+@njit(nogil=True)
+def _cumulative_weights(log_weight, weight, cumulative):  # type: ignore[no-untyped-def]
+    """Weights from log-weights, the maximum subtracted; gives their sum, 0 if degenerate."""
+    highest = -np.inf
+    for i in range(log_weight.size):
+        # What is not finite is impossible: nan compares false, +inf is no likelihood.
+        if log_weight[i] > highest and log_weight[i] < np.inf:
+            highest = log_weight[i]
+    total = 0.0
+    for i in range(log_weight.size):
+        excess = log_weight[i] - highest
+        weight[i] = np.exp(excess) if excess <= 0.0 else 0.0
+        total += weight[i]
+        cumulative[i] = total
+    return total
+
+
+# Free to reorder their sums, so that they are vectorised.
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"reassoc", "nsz"})
+def _mean(values, weight, total):  # type: ignore[no-untyped-def]
+    mean = 0.0
+    for i in range(weight.size):
+        mean += weight[i] * values[i]
+    return mean / total
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"reassoc", "nsz"})
+def _variance(values, weight, total, mean):  # type: ignore[no-untyped-def]
+    variance = 0.0
+    for i in range(weight.size):
+        variance += weight[i] * (values[i] - mean) ** 2
+    return variance / total
+
+
+@njit(nogil=True)
+def _take(x, ancestor, out):  # type: ignore[no-untyped-def]
+    for component in range(x.shape[0]):
+        for i in range(ancestor.size):
+            out[component, i] = x[component, ancestor[i]]

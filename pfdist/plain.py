@@ -1,7 +1,6 @@
-"""The simulation and the filter in plain NumPy: for reading, and what the tests hold the compiled
-ones against.
+"""Simulation and filter in plain NumPy: for reading, and to hold the compiled ones against.
 
-The same keys, the same formulas on arrays, no compiled code of ours. About 15 times slower.
+The same keys and the same formulas, on arrays; no compiled code of ours.
 """
 
 from typing import Any

@@ -42,9 +42,7 @@ class GainSummary:
     quantiles: dict[float, float]
 
 
-def relative_gain(
-    mse: NDArray[np.float64], reference: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def relative_gain(mse: NDArray[np.float64], reference: NDArray[np.float64]) -> NDArray[np.float64]:
     """Relative gain of each draw, 1 - mse / reference; NaN where either is degenerate."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return 1.0 - mse / reference

@@ -57,7 +57,7 @@ class Run:
     def gains(self) -> pd.DataFrame:
         """One row a draw: draw, and gain_<name> for every set but the reference."""
         rows = self.comparison()
-        gains = {"draw": rows["draw"]}
+        gains: dict[str, Any] = {"draw": rows["draw"]}
         for name in self.names[1:]:
             gains[f"gain_{name}"] = relative_gain(
                 rows[f"mse_{name}"].to_numpy(), rows[f"mse_{self.names[0]}"].to_numpy()

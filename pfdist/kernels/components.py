@@ -18,7 +18,7 @@ def formula(function: Callable[..., Any]) -> Callable[..., Any]:
 
     Division by zero gives inf or nan as in NumPy: a branch to raise would stop vectorisation.
     """
-    return njit(function, error_model="numpy", forceinline=True, nogil=True)  # type: ignore[no-any-return]
+    return njit(function, error_model="numpy", forceinline=True, nogil=True)
 
 
 @cache
@@ -38,4 +38,4 @@ def writer(components: int) -> Callable[..., Any]:
 def _made(source: str, name: str) -> Callable[..., Any]:
     scope: dict[str, Any] = {"float64": np.float64}
     exec(source, scope)  # noqa: S102  the source is made above, of a number alone
-    return njit(scope[name], forceinline=True, nogil=True)  # type: ignore[no-any-return]
+    return njit(scope[name], forceinline=True, nogil=True)

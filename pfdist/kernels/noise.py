@@ -75,12 +75,12 @@ def padded(particles: int) -> int:
 
 
 @inlined
-def _rotate(x, bits):  # type: ignore[no-untyped-def]
+def _rotate(x, bits):
     return np.uint32((x << np.uint32(bits)) | (x >> np.uint32(32 - bits)))
 
 
 @inlined
-def _round(bits_01, bits_23, x0, x1, x2, x3):  # type: ignore[no-untyped-def]
+def _round(bits_01, bits_23, x0, x1, x2, x3):
     # Words 1 and 3 leave swapped: that is Threefry's permutation between two rounds.
     x0 = np.uint32(x0 + x1)
     x2 = np.uint32(x2 + x3)
@@ -88,7 +88,7 @@ def _round(bits_01, bits_23, x0, x1, x2, x3):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _add_key(k0, k1, k2, k3, times, x0, x1, x2, x3):  # type: ignore[no-untyped-def]
+def _add_key(k0, k1, k2, k3, times, x0, x1, x2, x3):
     return (
         np.uint32(x0 + k0),
         np.uint32(x1 + k1),
@@ -98,7 +98,7 @@ def _add_key(k0, k1, k2, k3, times, x0, x1, x2, x3):  # type: ignore[no-untyped-
 
 
 @inlined
-def threefry4x32(k0, k1, k2, k3, c0, c1, c2, c3):  # type: ignore[no-untyped-def]
+def threefry4x32(k0, k1, k2, k3, c0, c1, c2, c3):
     """Threefry-4x32 with 13 rounds.
 
     Parameters
@@ -123,7 +123,7 @@ def threefry4x32(k0, k1, k2, k3, c0, c1, c2, c3):  # type: ignore[no-untyped-def
 
 
 @inlined
-def _words(stream, draw, t, role, component, block):  # type: ignore[no-untyped-def]
+def _words(stream, draw, t, role, component, block):
     return threefry4x32(
         np.uint32(stream & np.uint64(0xFFFFFFFF)),
         np.uint32(stream >> np.uint64(32)),
@@ -142,7 +142,7 @@ def _words(stream, draw, t, role, component, block):  # type: ignore[no-untyped-
 
 
 @inlined
-def _exponential(word):  # type: ignore[no-untyped-def]
+def _exponential(word):
     """-ln u for u = (word + 1/2) / 2^32; error of ln 5e-8."""
     u = np.float32(np.float32(word) * np.float32(2.0**-32)) + np.float32(2.0**-33)
     bits = np.float32(u).view(np.int32)
@@ -162,14 +162,14 @@ def _exponential(word):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _uniform(word):  # type: ignore[no-untyped-def]
+def _uniform(word):
     """In (0, 1), ends excluded: the 23 high bits and a half, exact in float32."""
     return (np.float32(word >> np.uint32(9)) + np.float32(0.5)) * np.float32(2.0**-23)
 
 
 @inlined
-def _sine_cosine(word):  # type: ignore[no-untyped-def]
-    """sin and cos of pi s for s = word / 2^31 in [-1, 1]; error 3e-7."""
+def _sine_cosine(word):
+    """Sin and cos of pi s for s = word / 2^31 in [-1, 1]; error 3e-7."""
     s = np.float32(np.int32(word)) * np.float32(2.0**-31)
     q = s * s
     p = np.float32(-3.8589476e-04)
@@ -189,14 +189,14 @@ def _sine_cosine(word):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _box_muller(word_a, word_b):  # type: ignore[no-untyped-def]
+def _box_muller(word_a, word_b):
     radius = np.sqrt(np.float32(2.0) * _exponential(word_a))
     sine, cosine = _sine_cosine(word_b)
     return radius * sine, radius * cosine
 
 
 @inlined
-def _four_normals(stream, draw, t, role, component, block):  # type: ignore[no-untyped-def]
+def _four_normals(stream, draw, t, role, component, block):
     a, b, c, d = _words(stream, draw, t, role, component, block)
     e, f = _box_muller(a, b)
     g, h = _box_muller(c, d)
@@ -204,13 +204,13 @@ def _four_normals(stream, draw, t, role, component, block):  # type: ignore[no-u
 
 
 @inlined
-def _four_uniforms(stream, draw, t, role, component, block):  # type: ignore[no-untyped-def]
+def _four_uniforms(stream, draw, t, role, component, block):
     a, b, c, d = _words(stream, draw, t, role, component, block)
     return _uniform(a), _uniform(b), _uniform(c), _uniform(d)
 
 
 @inlined
-def _four_exponentials(stream, draw, t, role, component, block):  # type: ignore[no-untyped-def]
+def _four_exponentials(stream, draw, t, role, component, block):
     a, b, c, d = _words(stream, draw, t, role, component, block)
     return _exponential(a), _exponential(b), _exponential(c), _exponential(d)
 
@@ -227,7 +227,7 @@ FOUR: dict[str, Callable[..., Any]] = {
 
 def _filling(four: Callable[..., Any]) -> Callable[..., Any]:
     @njit(nogil=True)
-    def fill(out, stream, draw, t, role, component):  # type: ignore[no-untyped-def]
+    def fill(out, stream, draw, t, role, component):
         for tile in range(out.size // TILE):
             first = tile * TILE
             a = out[first : first + LANES]
@@ -239,7 +239,7 @@ def _filling(four: Callable[..., Any]) -> Callable[..., Any]:
                     stream, draw, t, role, component, tile * LANES + lane
                 )
 
-    return fill  # type: ignore[no-any-return]
+    return fill
 
 
 FILL = {kind: _filling(four) for kind, four in FOUR.items()}
@@ -262,14 +262,14 @@ def filler(kinds: Sequence[str]) -> Callable[..., Any]:
     fill_normal, fill_uniform = FILL["normal"], FILL["uniform"]
 
     @njit(nogil=True)
-    def fill(out, stream, draw, t, role):  # type: ignore[no-untyped-def]
+    def fill(out, stream, draw, t, role):
         for component in range(normal.size):
             if normal[component]:
                 fill_normal(out[component], stream, draw, t, role, component)
             else:
                 fill_uniform(out[component], stream, draw, t, role, component)
 
-    return fill  # type: ignore[no-any-return]
+    return fill
 
 
 def variates(

@@ -22,7 +22,7 @@ _fill_uniforms = FILL["uniform"]
 
 
 @njit(nogil=True)
-def _multinomial(points, buffer, stream, draw, t):  # type: ignore[no-untyped-def]
+def _multinomial(points, buffer, stream, draw, t):
     # Sorted uniforms without sorting: the partial sums of P+1 exponentials over their total.
     _fill_exponentials(buffer, stream, draw, t, RESAMPLING, 0)
     total = 0.0
@@ -35,7 +35,7 @@ def _multinomial(points, buffer, stream, draw, t):  # type: ignore[no-untyped-de
 
 
 @njit(nogil=True)
-def _systematic(points, buffer, stream, draw, t):  # type: ignore[no-untyped-def]
+def _systematic(points, buffer, stream, draw, t):
     _fill_uniforms(buffer[:TILE], stream, draw, t, RESAMPLING, 0)
     shift = np.float64(buffer[0])
     scale = 1.0 / points.size
@@ -48,7 +48,7 @@ POINTS: dict[str, Callable[..., Any]] = {"multinomial": _multinomial, "systemati
 
 
 @njit(nogil=True)
-def ancestors(cumulative, points, out):  # type: ignore[no-untyped-def]
+def ancestors(cumulative, points, out):
     """Merge sorted points into cumulative weights.
 
     Parameters

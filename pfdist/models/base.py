@@ -85,7 +85,7 @@ class StateSpaceModel:
     @cached_property
     def p(self) -> Any:
         """The parameters as the formulas read them, a named tuple of floats."""
-        kind = namedtuple("Parameters", self.parameters)  # type: ignore[misc]  # noqa: PYI024
+        kind = namedtuple("Parameters", self.parameters)  # type: ignore[misc]
         return kind(**{name: float(value) for name, value in self.parameters.items()})
 
     @cached_property
@@ -135,9 +135,10 @@ class StateSpaceModel:
     def _check_noise(self, name: str) -> None:
         kinds = getattr(self, name)
         if not isinstance(kinds, tuple) or any(kind not in NOISE_KINDS for kind in kinds):
+            allowed = " or ".join(map(repr, NOISE_KINDS))
             raise ModelError(
-                f"model {self.name}: {name} must be a tuple of {' or '.join(map(repr, NOISE_KINDS))}"
-                f", one for each component, got {kinds!r}"
+                f"model {self.name}: {name} must be a tuple of {allowed}, one for each "
+                f"component, got {kinds!r}"
             )
 
     def _check_parameter(self, name: str, value: float) -> None:
@@ -164,7 +165,5 @@ class StateSpaceModel:
                 f"got {type(value).__name__}"
             )
         if name == "log_likelihood" and isinstance(value, tuple):
-            raise ModelError(
-                f"model {self.name}: log_likelihood must give one number, got a tuple"
-            )
+            raise ModelError(f"model {self.name}: log_likelihood must give one number, got a tuple")
         return value

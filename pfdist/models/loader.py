@@ -5,7 +5,7 @@ A name is that of a model that ships, of an installed entry point of the group
 """
 
 import hashlib
-import importlib
+import importlib.util
 import pkgutil
 import types
 from dataclasses import dataclass
@@ -75,7 +75,7 @@ class ModelSource:
         return model
 
 
-def find_model(name: str, folder: Path) -> ModelSource:
+def find_model(name: str, folder: Path = Path()) -> ModelSource:
     """Find a model's source by its name.
 
     Parameters
@@ -83,7 +83,7 @@ def find_model(name: str, folder: Path) -> ModelSource:
     name : str
         A model that ships, an entry point, or ``path/file.py:object``.
     folder : Path
-        What a path in the name is relative to.
+        What a path in the name is relative to; by default the current one.
 
     Raises
     ------

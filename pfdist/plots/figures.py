@@ -68,9 +68,7 @@ def _save(path: Path, name: str, height: float, plot: Callable[[Axes], None]) ->
 
 
 def _cost(run: Run, axes: Axes) -> None:
-    one_by_one = {
-        search["name"] for search in run.job["search"] if search["method"] in ONE_BY_ONE
-    }
+    one_by_one = {search["name"] for search in run.job["search"] if search["method"] in ONE_BY_ONE}
     regular = run.comparison()[f"mse_{run.names[0]}"].mean()
     plot_cost(axes, run.evaluations(), one_by_one, float(regular))
 
@@ -88,9 +86,7 @@ def _draw(run: Run, name: str, axes: Axes) -> None:
 
 def _gain(run: Run, name: str, axes: Axes) -> None:
     rows = run.comparison()
-    summary = summarise_gain(
-        rows[f"mse_{name}"].to_numpy(), rows[f"mse_{run.names[0]}"].to_numpy()
-    )
+    summary = summarise_gain(rows[f"mse_{name}"].to_numpy(), rows[f"mse_{run.names[0]}"].to_numpy())
     gain = run.gains()[f"gain_{name}"].dropna().to_numpy()
     finite = gain[np.isfinite(gain)]
     plot_gain_histogram(axes, finite, name, summary.mean_relative_gain, summary.positive_fraction)

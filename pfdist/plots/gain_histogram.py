@@ -25,15 +25,15 @@ def plot_gain_histogram(
         Mean relative gain, and share of positive ones, as fractions.
     """
     low = np.quantile(gain, _LOWEST)
-    bins = np.linspace(100 * low, 100 * gain.max(), 101)
+    count = int(np.clip(2 * np.cbrt(gain.size), 10, 100))  # Rice's rule
+    bins = np.linspace(100 * low, 100 * gain.max(), count + 1)
     axes.hist(100 * gain, bins=bins.tolist(), density=True, color=BLUE, alpha=0.75, lw=0)
     axes.axvline(0.0, color=RED, lw=1.0, label="no gain")
     label = f"mean {100 * mean:.1f} %\n$P(g > 0)$ = {100 * positive:.1f} %\n{gain.size:,} draws"
-    axes.plot([], [], " ", label=label)
     left_out = int(np.sum(gain < low))
+    if left_out:
+        label += f"\n{left_out:,} of them below {100 * low:.0f} %"
+    axes.plot([], [], " ", label=label)
     axes.set_xlabel(f"relative gain $g$ of {name} over regular times [%]")
     axes.set_ylabel("density [1/%]")
-    if left_out:
-        note = f"{left_out:,} draws below {100 * low:.0f} %"
-        axes.text(0.02, 0.03, note, transform=axes.transAxes, fontsize=6)
     axes.legend(loc="upper left")

@@ -9,9 +9,10 @@ from matplotlib.axes import Axes
 from pfdist.plots.style import BLUE, RED
 
 
-def typical_draw(gains: pd.Series, mean: float) -> int:
+def typical_draw(gains: "pd.Series[float]", mean: float) -> int:
     """Give the draw, of those in the index, whose relative gain lies nearest to the mean."""
-    return int((gains - mean).abs().idxmin())
+    distance = (gains - mean).abs().to_numpy()
+    return int(gains.index[int(distance.argmin())])
 
 
 def plot_one_draw(

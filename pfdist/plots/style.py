@@ -7,7 +7,7 @@ SERIES = (RED, BLUE, ORANGE, GREEN)
 
 COLUMN_INCHES = 3.5
 
-STYLE: dict[str, Any] = {
+STYLE: Any = {
     "font.family": "serif",
     "font.serif": ["STIXGeneral", "DejaVu Serif"],
     "mathtext.fontset": "stix",

@@ -1,7 +1,7 @@
 """Have tasks done and commit their rows as they come."""
 
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from dataclasses import dataclass
 
 import pyarrow as pa
@@ -36,7 +36,7 @@ class Collector:
         table: str,
         tasks: Iterable[Task],
         rows_of: Callable[[Outcome], pa.Table],
-    ) -> Iterator[Outcome]:
+    ) -> Generator[Outcome]:
         """Give outcomes as they come; about once a second, and at the end, commit their rows.
 
         Close the iterator (`contextlib.closing`) and what has come so far is committed, whatever

@@ -67,7 +67,9 @@ def _search(built: Built, collector: Collector, progress: Progress, report: Repo
     """Run every search and publish what is to be compared."""
     problem = built.job.problem
     reference = regular(problem.horizon, problem.measurement_budget)
-    rows: list[dict[str, Any]] = [{"name": built.job.comparison.reference, "measurement_times": reference}]
+    rows: list[dict[str, Any]] = [
+        {"name": built.job.comparison.reference, "measurement_times": reference}
+    ]
     for search in built.searches:
         best = run_search(built, search, collector, progress, report)
         if not math.isfinite(best.cost):

@@ -121,8 +121,12 @@ def _git() -> dict[str, Any] | None:
     """Commit of the folder the program was called in, and whether it has changes."""
     try:
         commit, changes = (
-            subprocess.run(  # noqa: S603  fixed arguments
-                ["git", *arguments], capture_output=True, text=True, timeout=10, check=True  # noqa: S607
+            subprocess.run(  # noqa: S603
+                ["git", *arguments],  # noqa: S607  the user's own
+                capture_output=True,
+                text=True,
+                timeout=10,
+                check=True,
             ).stdout.strip()
             for arguments in (["rev-parse", "HEAD"], ["status", "--porcelain"])
         )

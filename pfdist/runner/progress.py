@@ -18,8 +18,10 @@ class Progress:
         Evaluations finished in this phase, copies counted; in the comparison, draws.
     generation, generations : int
         Of the search; 0 in the comparison.
-    best, mean : float or None
-        Lowest and mean cost of the last finished generation.
+    best : float or None
+        Cost of the set the search would return now.
+    mean : float or None
+        Mean cost of the last finished generation.
     """
 
     phase: str

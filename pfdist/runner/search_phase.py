@@ -81,10 +81,11 @@ def run_search(
             rows = _rows(name, generation, population, requests, evaluations)
             store.commit("evaluations", name, f"{generation:06d}", rows)
         told = [evaluations[times] for times in population]
+        state, generation = optimiser.tell(state, told), generation + 1
         costs = [evaluation.cost for evaluation in told if np.isfinite(evaluation.cost)]
         if costs:
-            progress = replace(progress, best=min(costs), mean=float(np.mean(costs)))
-        state, generation = optimiser.tell(state, told), generation + 1
+            best = optimiser.best(state).cost
+            progress = replace(progress, best=best, mean=float(np.mean(costs)))
     _publish(store, name)
     return optimiser.best(state)
 
@@ -104,8 +105,7 @@ def _evaluate(
     mse = {request.id: np.full(draws, np.nan) for request in requests}
     missing = {request.id: np.ones(draws, np.bool_) for request in requests}
     known = collector.store.per_draw(list(mse))
-    for id_, rows in known.groupby("evaluation"):
-        rows = rows[rows["draw"] < draws]
+    for id_, rows in known[known["draw"] < draws].groupby("evaluation"):
         mse[str(id_)][rows["draw"]] = rows["mse"]
         missing[str(id_)][rows["draw"]] = False
 
@@ -141,9 +141,7 @@ def _tasks(
     return [
         Task(
             f"{request.id}:{first}-{last}",
-            Work(
-                (request.times,), (request.filter_stream,), request.draws_stream, (first, last)
-            ),
+            Work((request.times,), (request.filter_stream,), request.draws_stream, (first, last)),
         )
         for request in requests
         for first, last in cut(np.flatnonzero(missing[request.id]).tolist(), block)

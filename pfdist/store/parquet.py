@@ -86,7 +86,7 @@ class Store:
         paths = self._files(table)
         if not paths:
             raise StoreError(f"the run {self.path} has no table {table!r} yet")
-        frame = pd.concat([_read_file(path).to_pandas() for path in paths], ignore_index=True)
+        frame: pd.DataFrame = pd.concat([_read_file(path).to_pandas() for path in paths])
         return frame.drop_duplicates(KEYS[table]).sort_values(KEYS[table], ignore_index=True)
 
     def has(self, table: str) -> bool:
@@ -121,7 +121,7 @@ class Store:
         frames = [pq.read_table(path, filters=wanted).to_pandas() for path in sorted(paths)]
         if not frames:
             return pd.DataFrame({"evaluation": [], "draw": [], "mse": []})
-        rows = pd.concat(frames, ignore_index=True)
+        rows: pd.DataFrame = pd.concat(frames)
         return rows.drop_duplicates(KEYS["draws"]).sort_values(KEYS["draws"], ignore_index=True)
 
     def _parts(self, table: str, phase: str) -> list[Path]:

@@ -1,0 +1,198 @@
+"""The command line: parse, call, print; no logic."""
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import pfdist
+from pfdist.analysis import open_run
+from pfdist.display import Display, print_summary
+from pfdist.errors import MeasurementTimesError, PfdistError, TaskError
+from pfdist.job import load_job
+from pfdist.models import find_model, installed_models
+from pfdist.plots import draw_figures
+from pfdist.runner.evaluate import evaluate
+from pfdist.runner.run import run
+
+_EPILOG = "Exit codes: 0 done, 1 an error, 2 a misuse, 130 interrupted by Ctrl-C."
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        In the place of the process's own.
+
+    Returns
+    -------
+    int
+        The exit code.
+    """
+    options = _parser().parse_args(arguments)
+    try:
+        options.command(options)
+    except PfdistError as error:
+        if options.debug:
+            raise
+        print(f"pfdist: {_one_line(error)}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print(
+            "pfdist: interrupted; the same command goes on from what is committed", file=sys.stderr
+        )
+        return 130
+    except BrokenPipeError:  # the reader of our output has gone, as `head` does
+        sys.stderr.close()
+        return 1
+    return 0
+
+
+def _one_line(error: PfdistError) -> str:
+    hint = " (--debug shows the traceback)" if isinstance(error, TaskError) else ""
+    return " ".join(str(error).split()) + hint
+
+
+def _run(options: argparse.Namespace) -> None:
+    job = load_job(options.job, options.set)
+    with Display() as display:
+        finished = run(
+            job,
+            results=options.results,
+            pool=options.pool,
+            workers=options.workers,
+            address=options.address,
+            report=display.report,
+            say=display.say,
+        )
+    _print_run(finished.summary(), options)
+
+
+def _status(options: argparse.Namespace) -> None:
+    _print_run(open_run(options.run).summary(), options)
+
+
+def _evaluate(options: argparse.Namespace) -> None:
+    start = time.perf_counter()
+    job = load_job(options.job, options.set)
+    evaluation = evaluate(
+        job, _times(options.times), options.draws, options.particles, options.seed
+    )
+    answer = {
+        "expected_mse": evaluation.expected_mse,
+        "standard_error": evaluation.standard_error,
+        "draws": evaluation.draws,
+        "degenerate_draws": evaluation.degenerate_draws,
+        "seconds": round(time.perf_counter() - start, 3),
+    }
+    if options.json:
+        _print_json(answer)
+        return
+    print(f"expected MSE {answer['expected_mse']:.4f} ± {answer['standard_error']:.4f}")
+    print(
+        f"{answer['draws']:,} draws, {answer['degenerate_draws']:,} degenerate, "
+        f"{answer['seconds']:.1f} s"
+    )
+
+
+def _plot(options: argparse.Namespace) -> None:
+    for file in draw_figures(open_run(options.run)):
+        print(file)
+
+
+def _models(options: argparse.Namespace) -> None:
+    names = sorted(installed_models())
+    width = max(map(len, names))
+    for name in names:
+        summary = find_model(name).text.lstrip('"').split("\n", 1)[0]
+        print(f"{name:{width}}  {summary}")
+
+
+def _times(text: str) -> list[int]:
+    try:
+        return [int(time) for time in text.split(",") if time.strip()]
+    except ValueError as error:
+        raise MeasurementTimesError(
+            f"--times must be integers separated by commas, for instance 0,3,6, got {text!r}"
+        ) from error
+
+
+def _print_run(summary: dict[str, Any], options: argparse.Namespace) -> None:
+    if options.json:
+        _print_json(summary)
+        return
+    path = summary["run"]
+    print_summary(summary, f"tables: {path}/tables   figures: {path}/figures")
+
+
+def _print_json(value: dict[str, Any]) -> None:
+    infinite = {key: None for key, inner in value.items() if inner in (float("inf"),)}
+    print(json.dumps({**value, **infinite}, indent=2, allow_nan=False))
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="pfdist",
+        description="Find when to measure so that a particle filter errs least, and prove it.",
+        epilog=_EPILOG,
+    )
+    parser.add_argument("--version", action="version", version=f"pfdist {pfdist.__version__}")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    def command(name: str, function: Any, summary: str) -> argparse.ArgumentParser:
+        added = commands.add_parser(name, help=summary, description=summary, epilog=_EPILOG)
+        added.set_defaults(command=function)
+        added.add_argument("--debug", action="store_true", help="show the traceback of an error")
+        return added
+
+    one = command("run", _run, "Run a job, or go on with its run where it stopped.")
+    _add_job(one)
+    one.add_argument(
+        "--results",
+        metavar="DIR",
+        help="the run's own folder (default: results/<the job file's stem>)",
+    )
+    one.add_argument("--pool", choices=["ray", "serial"], help="where tasks are done (ray)")
+    one.add_argument("--workers", type=int, metavar="N", help="how many (all cores)")
+    one.add_argument("--address", help="of a Ray cluster to join (a local one is started)")
+    _add_json(one)
+
+    one = command("status", _status, "Say how far a run is and what it has found.")
+    one.add_argument("run", metavar="RUN", help="a run's folder")
+    _add_json(one)
+
+    one = command("evaluate", _evaluate, "Estimate the expected MSE of one set of times.")
+    _add_job(one)
+    one.add_argument("--times", required=True, metavar="T,T,...", help="for instance 0,3,6")
+    one.add_argument("--draws", type=int, metavar="K", help="how many (evaluation.draws)")
+    one.add_argument("--particles", type=int, metavar="P", help="how many (filter.particles)")
+    one.add_argument("--seed", type=int, metavar="S", help="in the place of the job's")
+    _add_json(one)
+
+    one = command("plot", _plot, "Draw the figures of a run from its tables.")
+    one.add_argument("run", metavar="RUN", help="a run's folder")
+
+    command("models", _models, "List the models that can be named in a job.")
+    return parser
+
+
+def _add_job(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("job", metavar="JOB", help="a job file, for instance jobs/paper.toml")
+    parser.add_argument(
+        "--set",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="KEY=VALUE",
+        help="change keys of the job, for instance seed=3 search.genetic.generations=5",
+    )
+
+
+def _add_json(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--json", action="store_true", help="print one JSON object, and nothing else"
+    )

@@ -1,0 +1,150 @@
+"""What a person sees: the progress of a run, and summaries."""
+
+import sys
+import time
+from types import TracebackType
+from typing import Any, Self
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+from pfdist.runner.progress import Progress as State
+
+LINE_SECONDS = 5.0  # between two lines where there is no terminal
+
+
+class Display:
+    """Progress on standard error: live in a terminal, else a plain line every few seconds.
+
+    A context manager; `report` and `say` are what `pfdist.run` takes.
+    """
+
+    def __init__(self, console: Console | None = None) -> None:
+        self._console = console or Console(stderr=True, highlight=False)
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=None),
+            TaskProgressColumn(),
+            TimeRemainingColumn(),
+            TextColumn("left"),
+            console=self._console,
+            transient=True,
+        )
+        self._live = self._console.is_terminal
+        self._task: Any = None
+        self._phase = ""
+        self._start, self._phase_start, self._last_line = time.monotonic(), (0.0, 0, 0), 0.0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._bar.stop()
+
+    def say(self, line: str) -> None:
+        """Print one line."""
+        self._console.print(line, soft_wrap=True)
+
+    def report(self, state: State) -> None:
+        """Show how far a run is."""
+        now = time.monotonic()
+        if state.phase != self._phase:
+            self._phase, self._phase_start = state.phase, (now, state.evaluations, state.done)
+        line = self._line(state, now)
+        if self._live:
+            if self._task is None:
+                self._task = self._bar.add_task(line, total=state.total, completed=state.done)
+                self._bar.start()
+            self._bar.update(self._task, completed=state.done, description=line)
+        elif now - self._last_line >= LINE_SECONDS or state.done == state.total:
+            self._last_line = now
+            self.say(f"{100 * state.done / state.total:5.1f} %  {line}  {self._left(state, now)}")
+
+    def _line(self, state: State, now: float) -> str:
+        start, evaluations, _ = self._phase_start
+        elapsed = now - start
+        rate = (state.evaluations - evaluations) / elapsed if elapsed > 0.5 else 0.0
+        unit = "evaluations" if state.generations else "draws"
+        parts = [state.phase]
+        if state.generations:
+            parts.append(f"generation {state.generation}/{state.generations}")
+        else:
+            parts.append(f"{state.evaluations:,} draws")
+        if state.best is not None and state.mean is not None and state.generations:
+            parts.append(f"best {state.best:.2f}  mean {state.mean:.2f}")
+        if rate:
+            parts.append(f"{rate:,.{1 if rate < 100 else 0}f} {unit}/s")
+        return "  ".join(parts)
+
+    def _left(self, state: State, now: float) -> str:
+        start, _, done = self._phase_start
+        if state.done <= done:
+            return ""
+        seconds = (now - start) / (state.done - done) * (state.total - state.done)
+        return (
+            f"about {seconds:,.0f} s left"
+            if seconds < 120
+            else f"about {seconds / 60:,.0f} min left"
+        )
+
+
+def print_summary(summary: dict[str, Any], files: str) -> None:
+    """Print the summary of a run on standard output.
+
+    Parameters
+    ----------
+    summary : dict
+        As `pfdist.analysis.Run.summary` gives it.
+    files : str
+        Where tables and figures lie, as a sentence.
+    """
+    print(_summary_text(summary, files), file=sys.stdout)  # noqa: T201  this is its output
+
+
+def _summary_text(summary: dict[str, Any], files: str) -> str:
+    lines = [
+        f"{summary['run']}: {summary['state']}, {summary['evaluations']:,} evaluations, "
+        f"{summary['draws_compared']:,} draws compared"
+    ]
+    for name, result in summary["results"].items():
+        times = ", ".join(map(str, result["measurement_times"]))
+        lines += ["", f"{name}: measure at t = {times}"]
+        lines.append(
+            f"  expected MSE          {_number(result['expected_mse'])} "
+            f"± {_number(result['standard_error'])}  (standard error, on fresh draws)"
+        )
+        if result["degenerate_draws"]:
+            lines.append(f"  degenerate draws      {result['degenerate_draws']:,} (left out)")
+        if result["search_cost"] is not None:
+            lines.append(f"  the search believed   {_number(result['search_cost'])}")
+        if "mean_relative_gain" in result:
+            lines += _gain_lines(result)
+    return "\n".join([*lines, "", files])
+
+
+def _gain_lines(result: dict[str, Any]) -> list[str]:
+    return [
+        f"  mean relative gain    {_percent(result['mean_relative_gain'])}  "
+        f"(95 %: {_interval(result['mean_relative_gain_interval'])})",
+        f"  positive gains        {_percent(result['positive_fraction'])} of draws  "
+        f"(95 %: {_interval(result['positive_fraction_interval'])})",
+        f"  gain of means         {_percent(result['gain_of_means'])}",
+    ]
+
+
+def _number(value: float | None) -> str:
+    return "infinite" if value is None else f"{value:.4g}" if abs(value) < 0.1 else f"{value:.3f}"
+
+
+def _percent(fraction: float | None) -> str:
+    return "unknown" if fraction is None else f"{100 * fraction:.2f} %"
+
+
+def _interval(interval: list[float | None]) -> str:
+    low, high = interval
+    return f"{_percent(low)} to {_percent(high)}"

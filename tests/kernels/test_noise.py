@@ -1,0 +1,176 @@
+from functools import cache
+from itertools import combinations, product
+
+import numpy as np
+import pytest
+from numba import njit
+from scipy import stats
+
+from pfdist.kernels import noise
+from pfdist.kernels.noise import FILL, LANES, TILE, filler, generator, padded, stream_key, variates
+
+KINDS = ("normal", "uniform", "exponential")
+STREAM = 0x0123456789ABCDEF
+WORDS = 2**32
+
+# Random123, kat_vectors, threefry4x32 with 13 rounds: counter, key, expected.
+KNOWN_ANSWERS = [
+    (
+        "00000000 00000000 00000000 00000000",
+        "00000000 00000000 00000000 00000000",
+        "531c7e4f 39491ee5 2c855a92 3d6abf9a",
+    ),
+    (
+        "ffffffff ffffffff ffffffff ffffffff",
+        "ffffffff ffffffff ffffffff ffffffff",
+        "c4189358 1c9cc83a d5881c67 6a0a89e0",
+    ),
+    (
+        "243f6a88 85a308d3 13198a2e 03707344",
+        "a4093822 299f31d0 082efa98 ec4e6c89",
+        "4aa71d8f 734738c2 431fc6a8 ae6debf1",
+    ),
+]
+
+
+@njit
+def compiled_threefry(k, c):
+    return noise.threefry4x32(k[0], k[1], k[2], k[3], c[0], c[1], c[2], c[3])
+
+
+def words(text):
+    return np.array([int(word, 16) for word in text.split()], np.uint32)
+
+
+def filled(kind, particles, stream=STREAM, draw=0, t=0, role=0, component=0):
+    out = np.empty(padded(particles), np.float32)
+    FILL[kind](out, np.uint64(stream), draw, t, role, component)
+    return out[:particles]
+
+
+@cache
+def cloud(kind, **key):
+    """(draws, particles): 2048 draws of 512 particles, 2^20 values."""
+    return np.stack([filled(kind, 512, draw=d, **key) for d in range(2048)]).astype(np.float64)
+
+
+@pytest.mark.parametrize(("counter", "key", "expected"), KNOWN_ANSWERS)
+def test_threefry_gives_the_published_answers(counter, key, expected):
+    plain = noise.threefry4x32(*words(key)[:, None], *words(counter)[:, None])
+    assert np.concatenate(plain).tolist() == words(expected).tolist()
+    assert list(compiled_threefry(words(key), words(counter))) == words(expected).tolist()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("particles", [1, 63, 64, 65, 500])
+@pytest.mark.parametrize("key", [(STREAM, 3, 2, 1, 0), (2**64 - 1, WORDS - 1, 32_000, 5, 7)])
+def test_compiled_and_plain_noise_agree_to_the_last_bit(kind, particles, key):
+    plain = variates(kind, particles, *key)
+    assert plain.astype(np.float32).tobytes() == filled(kind, particles, *key).tobytes()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_particle_has_its_variate_whatever_the_number_of_particles(kind):
+    many = variates(kind, 500, STREAM, 1, 2, 3, 4)
+    np.testing.assert_array_equal(variates(kind, 100, STREAM, 1, 2, 3, 4), many[:100])
+
+
+@pytest.mark.parametrize("kinds", [(), ("uniform",), ("normal", "uniform", "normal")])
+def test_filler_gives_each_component_its_kind_and_its_key(kinds):
+    out = np.zeros((4, padded(70)), np.float32)
+    filler(kinds)(out, np.uint64(STREAM), 1, 2, 3)
+    for component, kind in enumerate(kinds):
+        expected = variates(kind, 70, STREAM, 1, 2, 3, component)
+        np.testing.assert_array_equal(out[component, :70], expected)
+    assert not out[len(kinds) :].any()
+
+
+def test_normals_have_the_moments_of_the_standard_normal():
+    z = cloud("normal").ravel()
+    n = z.size
+    # Standard errors of mean, variance, skewness and excess kurtosis of n normals; 5 of them.
+    assert abs(z.mean()) < 5 * np.sqrt(1 / n)
+    assert abs(z.var() - 1) < 5 * np.sqrt(2 / n)
+    assert abs(stats.skew(z)) < 5 * np.sqrt(6 / n)
+    assert abs(stats.kurtosis(z)) < 5 * np.sqrt(24 / n)
+
+
+@pytest.mark.parametrize(
+    ("kind", "distribution"), [("normal", "norm"), ("uniform", "uniform"), ("exponential", "expon")]
+)
+def test_kolmogorov_smirnov_does_not_reject_the_distribution(kind, distribution):
+    assert stats.kstest(cloud(kind)[:400].ravel(), distribution).pvalue > 1e-3
+
+
+def assert_uncorrelated(a, b):
+    limit = 5 / np.sqrt(a.size)  # a correlation of n independent pairs has standard error n^-1/2
+    assert abs(np.corrcoef(a.ravel(), b.ravel())[0, 1]) < limit
+    assert abs(np.corrcoef(a.ravel() ** 2, b.ravel() ** 2)[0, 1]) < limit
+
+
+@pytest.mark.parametrize(
+    "key",
+    [{"stream": STREAM + 1}, {"stream": STREAM + WORDS}, {"t": 1}, {"role": 1}, {"component": 1}],
+    ids=str,
+)
+def test_neighbouring_keys_are_uncorrelated(key):
+    assert_uncorrelated(cloud("normal"), cloud("normal", **key))
+
+
+def test_neighbouring_draws_are_uncorrelated():
+    assert_uncorrelated(cloud("normal")[:-1], cloud("normal")[1:])
+
+
+# Within a tile the four words of a block, two of which share a radius, lie LANES apart.
+@pytest.mark.parametrize("lag", [1, LANES, 2 * LANES, 3 * LANES, TILE])
+def test_neighbouring_particles_are_uncorrelated(lag):
+    assert_uncorrelated(cloud("normal")[:, :-lag], cloud("normal")[:, lag:])
+
+
+EXTREME = np.array([0, 1, 2**31 - 1, 2**31, WORDS - 2, WORDS - 1], np.uint32)
+
+
+def test_uniforms_lie_strictly_inside_the_unit_interval_for_every_word():
+    np.testing.assert_array_equal(
+        noise._uniform(EXTREME[[0, -1]]).astype(np.float64), [2.0**-24, 1 - 2.0**-24]
+    )
+
+
+def test_normals_are_finite_for_extreme_words():
+    a, b = np.array(list(product(EXTREME, EXTREME)), np.uint32).T
+    # The smallest u is 2^-33, so no radius exceeds sqrt(2 * 33 ln 2) = 6.7637.
+    assert np.abs(noise._box_muller(a, b)).max() < 6.764
+
+
+def test_polynomials_are_the_functions_they_stand_for():
+    w = np.concatenate([EXTREME, np.random.default_rng(1).integers(WORDS, size=10**6)])
+    w = w.astype(np.uint32)
+    unit = 2.0**-24  # half a unit in the last place of a float32 in [1, 2)
+    exact = -np.log((w + 0.5) / WORDS)
+    # Rounded: u, the product, the sum; and the polynomial's own error, below a unit.
+    assert (np.abs(noise._exponential(w) - exact) < 4 * unit * np.maximum(1, exact)).all()
+    angle = np.pi * w.view(np.int32) / 2**31
+    for value, exact in zip(noise._sine_cosine(w), (np.sin(angle), np.cos(angle)), strict=True):
+        # Rounded: the angle, up to pi units, and the operations after it, about a unit each.
+        assert np.abs(value - exact).max() < 8 * unit
+
+
+def test_stream_key_is_pinned():
+    # printf '[2020,"search","genetic",3,[0,5,60]]' | b2sum -l 64, little-endian
+    expected = int.from_bytes(bytes.fromhex("ebe23d694ebe207d"), "little")
+    assert stream_key(2020, "search", "genetic", 3, (0, 5, 60)) == expected
+
+
+def test_different_parts_give_different_streams():
+    parts = [(1,), ("1",), (1, 1), (11,), ("a", "bc"), ("ab", "c"), ([1, 2], 3), (1, [2, 3]), ()]
+    assert all(stream_key(*a) != stream_key(*b) for a, b in combinations(parts, 2))
+
+
+def test_generator_repeats_for_the_same_parts_only():
+    first, again, other = (generator(1, "search", g).random(4).tolist() for g in (0, 0, 1))
+    assert first == again != other
+
+
+@pytest.mark.parametrize(("particles", "length"), [(0, 0), (1, 64), (64, 64), (65, 128)])
+def test_padded_is_the_next_multiple_of_a_tile(particles, length):
+    assert padded(particles) == length

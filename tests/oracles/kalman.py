@@ -1,0 +1,114 @@
+"""Kalman filter with intermittent measurements: the exact filter of a linear-Gaussian model."""
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pfdist import StateSpaceModel
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LinearGaussian:
+    """x(t+1) = A x + B w, y = C x + D v, z = H x, x(0) = B0 w0; w, v, w0 standard normal.
+
+    D is square and diagonal.
+    """
+
+    a: Array
+    b: Array
+    c: Array
+    d: Array
+    h: Array
+    b0: Array
+
+    def as_model(self) -> StateSpaceModel:
+        """The same as a model of pfdist, its formulas written out from the matrices."""
+
+        def affine(*terms: tuple[Array, str]) -> str:
+            rows = range(len(terms[0][0]))
+            sums = (
+                " + ".join(
+                    f"{matrix[i, j]!r} * {name}[{j}]"
+                    for matrix, name in terms
+                    for j in range(matrix.shape[1])
+                )
+                for i in rows
+            )
+            return f"({''.join(f'{one},' for one in sums)})".replace("np.float64", "")
+
+        errors = " + ".join(
+            f"((y[{i}] - (" + affine((self.c, "x")) + f")[{i}]) / {float(self.d[i, i])!r}) ** 2"
+            for i in range(len(self.c))
+        )
+        return StateSpaceModel(
+            name="linear_gaussian",
+            initial=eval(f"lambda w, p: {affine((self.b0, 'w'))}"),
+            transition=eval(f"lambda x, t, w, p: {affine((self.a, 'x'), (self.b, 'w'))}"),
+            measurement=eval(f"lambda x, t, v, p: {affine((self.c, 'x'), (self.d, 'v'))}"),
+            log_likelihood=eval(f"lambda y, x, t, p: -0.5 * ({errors})"),
+            quantity_of_interest=eval(f"lambda x, t, p: {affine((self.h, 'x'))}"),
+            initial_noise=("normal",) * self.b0.shape[1],
+            process_noise=("normal",) * self.b.shape[1],
+            measurement_noise=("normal",) * self.d.shape[1],
+        )
+
+
+def kalman_filter(
+    model: LinearGaussian, y: Array, measurement_times: Collection[int]
+) -> tuple[Array, Array]:
+    """Mean (T+1, q) and variance (T+1, q) of z(t) given the measurements up to t."""
+    mean, covariance = np.zeros(len(model.a)), model.b0 @ model.b0.T
+    means, variances = [], []
+    for t in range(len(y)):
+        if t in measurement_times:
+            innovation = model.c @ covariance @ model.c.T + model.d @ model.d.T
+            gain = covariance @ model.c.T @ np.linalg.inv(innovation)
+            mean = mean + gain @ (y[t] - model.c @ mean)
+            covariance = covariance - gain @ model.c @ covariance
+        means.append(model.h @ mean)
+        variances.append(np.diag(model.h @ covariance @ model.h.T))
+        mean = model.a @ mean
+        covariance = model.a @ covariance @ model.a.T + model.b @ model.b.T
+    return np.array(means), np.array(variances)
+
+
+def riccati_cost(model: LinearGaussian, horizon: int, measurement_times: Collection[int]) -> float:
+    """The exact expected MSE: the variances do not depend on what is measured."""
+    nothing = np.zeros((horizon + 1, len(model.c)))
+    return float(np.mean(np.sum(kalman_filter(model, nothing, measurement_times)[1], axis=1)))
+
+
+# Position and velocity with one process noise, position measured, position and their sum wanted:
+# n = 2, two initial noises, one process noise, m = 1, q = 2.
+TRACKING = LinearGaussian(
+    a=np.array([[1.0, 0.5], [-0.1, 0.9]]),
+    b=np.array([[0.3], [0.5]]),
+    c=np.array([[1.0, 0.0]]),
+    d=np.array([[0.8]]),
+    h=np.array([[1.0, 0.0], [1.0, 1.0]]),
+    b0=np.array([[1.0, 0.0], [0.0, 2.0]]),
+)
+
+# A scalar random walk that forgets: n = m = q = 1.
+SCALAR = LinearGaussian(
+    a=np.array([[0.9]]),
+    b=np.array([[1.0]]),
+    c=np.array([[1.0]]),
+    d=np.array([[0.5]]),
+    h=np.array([[1.0]]),
+    b0=np.array([[3.0]]),
+)
+
+# Three states, two measured with different noise, one wanted: n = 3, m = 2, q = 1.
+THREE = LinearGaussian(
+    a=np.array([[0.9, 0.2, 0.0], [0.0, 0.8, 0.3], [0.1, 0.0, 0.7]]),
+    b=np.array([[0.5, 0.0], [0.0, 0.4], [0.3, 0.3]]),
+    c=np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.0]]),
+    d=np.array([[0.7, 0.0], [0.0, 1.2]]),
+    h=np.array([[1.0, -1.0, 0.5]]),
+    b0=np.array([[1.0, 0.0, 0.0], [0.5, 1.0, 0.0], [0.0, 0.0, 1.5]]),
+)
