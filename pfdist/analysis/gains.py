@@ -72,6 +72,7 @@ def summarise_gain(mse: NDArray[np.float64], reference: NDArray[np.float64]) -> 
     interval = (np.nan, np.nan)
     if count > 1 and np.isfinite(mean):
         interval = stats.t.interval(CONFIDENCE, count - 1, mean, stats.sem(gain))
+    quantiles = np.quantile(gain, QUANTILES, method="inverted_cdf")  # also of infinite gains
     positive = stats.binomtest(int(np.sum(gain > 0)), count)
     wilson = positive.proportion_ci(CONFIDENCE, method="wilson")
     return GainSummary(
@@ -81,5 +82,5 @@ def summarise_gain(mse: NDArray[np.float64], reference: NDArray[np.float64]) -> 
         positive_fraction=float(positive.statistic),
         positive_fraction_interval=(float(wilson.low), float(wilson.high)),
         gain_of_means=float(1.0 - np.mean(mse) / np.mean(reference)),
-        quantiles=dict(zip(QUANTILES, np.quantile(gain, QUANTILES).tolist(), strict=True)),
+        quantiles=dict(zip(QUANTILES, quantiles.tolist(), strict=True)),
     )

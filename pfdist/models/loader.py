@@ -9,7 +9,7 @@ import importlib.util
 import pkgutil
 import types
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
@@ -46,6 +46,7 @@ class ModelSource:
         """Hash of the source text."""
         return hashlib.sha256(self.text.encode()).hexdigest()
 
+    @cache  # noqa: B019  the same source is the same model, and is compiled once a process
     def load(self) -> StateSpaceModel:
         """Run the source and take the model from it.
 

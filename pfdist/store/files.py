@@ -1,5 +1,6 @@
 """Files that are there whole or not at all."""
 
+import contextlib
 import os
 import uuid
 from collections.abc import Callable
@@ -57,10 +58,11 @@ def _write(path: Path, write: Callable[[Path], Any], replace: bool) -> None:
         else:
             _put_if_absent(temporary, path)
         _flush(path.parent, os.O_RDONLY)
-    except OSError as error:
-        raise _store_error("write", path, error) from error
-    finally:
         temporary.unlink(missing_ok=True)
+    except OSError as error:
+        with contextlib.suppress(OSError):  # what cannot be removed now is swept at the next start
+            temporary.unlink(missing_ok=True)
+        raise _store_error("write", path, error) from error
 
 
 def _put_if_absent(temporary: Path, path: Path) -> None:

@@ -14,32 +14,21 @@ STREAM = 0x0123456789ABCDEF
 WORDS = 2**32
 
 # Random123, kat_vectors, threefry4x32 with 13 rounds: counter, key, expected.
-KNOWN_ANSWERS = [
-    (
-        "00000000 00000000 00000000 00000000",
-        "00000000 00000000 00000000 00000000",
-        "531c7e4f 39491ee5 2c855a92 3d6abf9a",
+ONES = [0xFFFFFFFF] * 4
+KNOWN_ANSWERS = {
+    "zeros": ([0] * 4, [0] * 4, [0x531C7E4F, 0x39491EE5, 0x2C855A92, 0x3D6ABF9A]),
+    "ones": (ONES, ONES, [0xC4189358, 0x1C9CC83A, 0xD5881C67, 0x6A0A89E0]),
+    "pi": (
+        [0x243F6A88, 0x85A308D3, 0x13198A2E, 0x03707344],
+        [0xA4093822, 0x299F31D0, 0x082EFA98, 0xEC4E6C89],
+        [0x4AA71D8F, 0x734738C2, 0x431FC6A8, 0xAE6DEBF1],
     ),
-    (
-        "ffffffff ffffffff ffffffff ffffffff",
-        "ffffffff ffffffff ffffffff ffffffff",
-        "c4189358 1c9cc83a d5881c67 6a0a89e0",
-    ),
-    (
-        "243f6a88 85a308d3 13198a2e 03707344",
-        "a4093822 299f31d0 082efa98 ec4e6c89",
-        "4aa71d8f 734738c2 431fc6a8 ae6debf1",
-    ),
-]
+}
 
 
 @njit
 def compiled_threefry(k, c):
     return noise.threefry4x32(k[0], k[1], k[2], k[3], c[0], c[1], c[2], c[3])
-
-
-def words(text):
-    return np.array([int(word, 16) for word in text.split()], np.uint32)
 
 
 def filled(kind, particles, stream=STREAM, draw=0, t=0, role=0, component=0):
@@ -54,11 +43,25 @@ def cloud(kind, **key):
     return np.stack([filled(kind, 512, draw=d, **key) for d in range(2048)]).astype(np.float64)
 
 
-@pytest.mark.parametrize(("counter", "key", "expected"), KNOWN_ANSWERS)
-def test_threefry_gives_the_published_answers(counter, key, expected):
-    plain = noise.threefry4x32(*words(key)[:, None], *words(counter)[:, None])
-    assert np.concatenate(plain).tolist() == words(expected).tolist()
-    assert list(compiled_threefry(words(key), words(counter))) == words(expected).tolist()
+@pytest.mark.parametrize("vector", KNOWN_ANSWERS)
+def test_threefry_gives_the_published_answers(vector):
+    counter, key, expected = (np.array(part, np.uint32) for part in KNOWN_ANSWERS[vector])
+    plain = noise.threefry4x32(*key[:, None], *counter[:, None])
+    assert np.concatenate(plain).tolist() == expected.tolist()
+    assert list(compiled_threefry(key, counter)) == expected.tolist()
+
+
+def test_noise_is_threefry_of_the_key_that_is_documented():
+    draw, t, role, component = 11, 7, 4, 2
+    block = np.arange(2 * LANES, dtype=np.uint32)  # two tiles
+    key = [STREAM % WORDS, STREAM // WORDS, draw, t]
+    counter = [block, *(np.full_like(block, part) for part in (component, role, 0))]
+    words = noise.threefry4x32(*(np.full_like(block, part) for part in key), *counter)
+    expected = [
+        (word[lanes] // 512 + 0.5) / 2**23 for lanes in np.split(block, 2) for word in words
+    ]
+    given = variates("uniform", 2 * TILE, STREAM, draw, t, role, component)
+    np.testing.assert_array_equal(given, np.concatenate(expected))
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -10,9 +10,8 @@ def test_the_best_of_all_trials_is_kept_over_several_askings() -> None:
     trials, rng = RandomTrials(30, 3, 600), np.random.default_rng(1)
     state, costs = trials.init(), []
     while not trials.done(state):
-        told = []
-        for row in map(tuple, trials.ask(state, rng).tolist()):
-            told.append(Evaluation(row, rng.random(1)))
+        rows = map(tuple, trials.ask(state, rng).tolist())
+        told = [Evaluation(row, rng.random(1)) for row in rows]
         costs += [evaluation.cost for evaluation in told]
         state = trials.tell(state, told)
     assert len(costs) == 600

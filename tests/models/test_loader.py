@@ -1,0 +1,143 @@
+import hashlib
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+
+import pfdist.models
+from pfdist import StateSpaceModel
+from pfdist.errors import ModelError
+from pfdist.models.loader import find_model, installed_models
+
+MODEL = """
+from pfdist import StateSpaceModel
+
+damped = StateSpaceModel(
+    name="damped",
+    initial=lambda w, p: (w[0],),
+    transition=lambda x, t, w, p: (p.factor * x[0] + w[0],),
+    measurement=lambda x, t, v, p: (x[0] + v[0],),
+    log_likelihood=lambda y, x, t, p: -0.5 * (y[0] - x[0]) ** 2,
+    quantity_of_interest=lambda x, t, p: (x[0],),
+    initial_noise=("normal",),
+    process_noise=("normal",),
+    measurement_noise=("normal",),
+    parameters={"factor": 0.9},
+)
+number = 3
+"""
+FOLDER = Path(pfdist.models.__file__).parent
+SHIPPED = {file.stem for file in FOLDER.glob("*.py")} - {"__init__", "base", "loader"}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub" / "mine.py").write_text(MODEL, encoding="utf-8")
+    return tmp_path
+
+
+@pytest.fixture
+def plug(monkeypatch, folder):
+    """Install an entry point, as another package would."""
+
+    def install(name, value):
+        entry = EntryPoint(name, value, "pfdist.models")
+        found = {"pfdist.models": [entry]}
+        monkeypatch.setattr("pfdist.models.loader.entry_points", lambda *, group: found[group])
+
+    monkeypatch.syspath_prepend(folder / "sub")
+    return install
+
+
+@pytest.mark.parametrize("name", sorted(SHIPPED))
+def test_every_model_that_ships_is_found_by_its_name(name):
+    source = find_model(name)
+    assert installed_models()[name] == (f"pfdist.models.{name}", "model")
+    assert source.text == (FOLDER / f"{name}.py").read_text(encoding="utf-8")
+    assert source.load().name == name
+
+
+def test_a_path_is_relative_to_the_folder(folder):
+    source = find_model("sub/mine.py:damped", folder)
+    assert isinstance(source.load(), StateSpaceModel)
+    assert source.load().p.factor == 0.9
+    assert (source.name, source.attribute) == ("sub/mine.py:damped", "damped")
+
+
+def test_an_absolute_path_needs_no_folder(folder):
+    assert find_model(f"{folder}/sub/mine.py:damped").load().name == "damped"
+
+
+def test_an_entry_point_is_a_model(plug):
+    plug("plugged", "mine:damped")
+    assert installed_models()["plugged"] == ("mine", "damped")
+    assert find_model("plugged").load().name == "damped"
+
+
+def test_an_entry_point_takes_no_name_of_a_model_that_ships(plug):
+    plug("ungm", "mine:damped")
+    assert find_model("ungm").load().name == "ungm"
+
+
+def test_the_text_that_was_read_is_loaded_though_the_file_changes(folder):
+    source = find_model("sub/mine.py:damped", folder)
+    (folder / "sub" / "mine.py").write_text("damped = None", encoding="utf-8")
+    assert source.load().p.factor == 0.9
+
+
+def test_sha256_is_that_of_the_text(folder):
+    source = find_model("sub/mine.py:damped", folder)
+    assert source.sha256 == hashlib.sha256(MODEL.encode()).hexdigest()
+    (folder / "sub" / "mine.py").write_text(MODEL + "# seen", encoding="utf-8")
+    assert find_model("sub/mine.py:damped", folder).sha256 != source.sha256
+
+
+def error_of(name, folder=Path()):
+    with pytest.raises(ModelError) as caught:
+        find_model(name, folder).load()
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["ungn", "mine.py", ""])
+def test_an_unknown_name_lists_the_known_ones(name):
+    message = error_of(name)
+    assert f"got {name!r}" in message
+    assert "path/file.py:object" in message
+    assert [model for model in SHIPPED if model not in message] == []
+
+
+def test_a_file_that_is_not_there_is_named(folder):
+    message = error_of("sub/other.py:damped", folder)
+    assert f"cannot read {folder}/sub/other.py" in message
+    assert "got 'sub/other.py:damped'" in message
+
+
+@pytest.mark.parametrize(("attribute", "got"), [("model", "nothing"), ("number", "int")])
+def test_a_name_that_is_no_model_lists_the_models_in_the_file(folder, attribute, got):
+    message = error_of(f"sub/mine.py:{attribute}", folder)
+    assert f"{folder}/sub/mine.py must hold a StateSpaceModel named {attribute!r}" in message
+    assert f"got {got}" in message
+    assert message.endswith("models in it: damped")
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (b"1 / 0", "fails when loaded: ZeroDivisionError: division by zero"),
+        (b"def f(:", "fails when loaded: SyntaxError"),
+        (b"import no_such_module", "fails when loaded: ModuleNotFoundError"),
+        (b"'\xff'", "not UTF-8 text"),
+        (b"", "models in it: none"),
+        (MODEL.replace("(w[0],)", "w[0]").encode(), "model damped: initial must give a tuple"),
+    ],
+)
+def test_a_file_that_makes_no_model_says_why(folder, content, reason):
+    (folder / "broken.py").write_bytes(content)
+    assert reason in error_of("broken.py:model", folder)
+
+
+@pytest.mark.parametrize("value", ["no_such_module:model", "mine:other"])
+def test_an_entry_point_without_its_model_is_an_error(plug, value):
+    plug("plugged", value)
+    assert value.partition(":")[0] in error_of("plugged")

@@ -1,0 +1,242 @@
+"""A run: what it computes, that it goes on, and that it is the same however it was computed."""
+
+import hashlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import pfdist
+from pfdist import Job, load_job
+from pfdist.errors import JobError, PfdistError, RunMismatchError, SearchError, TaskError
+from pfdist.monte_carlo import Problem, Work
+from pfdist.runner import collect, comparison_phase
+from pfdist.runner.pool import Outcome, SerialPool
+from pfdist.store import parquet
+
+ROOT = Path(__file__).parents[2]
+
+
+def hashes(run: Path) -> dict[str, str]:
+    """Of all that must not depend on how a run was computed."""
+    files = [run / "job.toml", *sorted((run / "tables").rglob("*.parquet"))]
+    return {
+        str(path.relative_to(run)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in files
+        if "timings" not in path.parts
+    }
+
+
+@pytest.fixture
+def count_draws(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """How many draws each task of the serial pool filtered."""
+    counted: list[int] = []
+    do = SerialPool.run
+
+    def counting(self: SerialPool, tasks: Any) -> Iterator[Outcome]:
+        for outcome in do(self, tasks):
+            first, last = outcome.task.work.draws
+            counted.append((last - first) * len(outcome.task.work.measurement_times))
+            yield outcome
+
+    monkeypatch.setattr(SerialPool, "run", counting)
+    return counted
+
+
+def test_the_tables_hold_every_evaluation_and_every_draw(small_job: Job, tmp_path: Path) -> None:
+    run = pfdist.run(small_job, tmp_path / "run")
+    evaluations, draws = run.evaluations(), run.draws()
+    populations = evaluations.groupby(["phase", "generation"])["copies"].sum()
+    assert populations["genetic"].tolist() == [6, 6, 6, 6]
+    assert populations["random"].tolist() == [10]
+    # each evaluation's figures are those of its draws
+    per_draw = draws.groupby("evaluation")["mse"]
+    evaluations = evaluations.set_index("evaluation")
+    np.testing.assert_allclose(evaluations["expected_mse"], per_draw.mean()[evaluations.index])
+    np.testing.assert_allclose(evaluations["standard_error"], per_draw.sem()[evaluations.index])
+    assert (per_draw.size() == 30).all()
+    comparison = run.comparison()
+    assert comparison.columns.tolist() == ["draw", "mse_regular", "mse_genetic", "mse_random"]
+    assert comparison["draw"].tolist() == list(range(250))
+    gains = run.gains()
+    expected = 1 - comparison["mse_genetic"] / comparison["mse_regular"]
+    np.testing.assert_allclose(gains["gain_genetic"], expected)
+    assert not list((run.path / "parts").rglob("*.parquet"))
+
+
+def test_a_search_reports_what_its_own_evaluation_got(small_job: Job, tmp_path: Path) -> None:
+    run = pfdist.run(small_job, tmp_path / "run")
+    evaluations, results = run.evaluations(), run.summary()["results"]
+    last = evaluations[(evaluations["phase"] == "genetic") & (evaluations["generation"] == 3)]
+    best = last.loc[last["expected_mse"].idxmin()]
+    assert results["genetic"]["search_cost"] == best["expected_mse"]
+    assert results["genetic"]["measurement_times"] == best["measurement_times"].tolist()
+    assert results["regular"]["measurement_times"] == [0, 4, 8, 12]
+    assert results["regular"]["search_cost"] is None
+
+
+def test_the_first_trajectories_belong_to_the_comparison(small_job: Job, tmp_path: Path) -> None:
+    run = pfdist.run(small_job, tmp_path / "run")
+    rows, comparison = run.trajectories(), run.comparison().set_index("draw")
+    assert rows["draw"].nunique() == 100
+    for name in run.names:
+        error = (rows["z_0"] - rows[f"estimate_{name}_0"]) ** 2
+        mse = error.groupby(rows["draw"]).mean()
+        np.testing.assert_allclose(mse, comparison.loc[mse.index, f"mse_{name}"])
+
+
+def test_pools_and_numbers_of_workers_give_the_same_bytes(
+    tmp_path: Path, ray_cluster: None
+) -> None:
+    job = load_job(ROOT / "jobs" / "quick.toml")
+    runs = {"serial": ("serial", 0), "one": ("ray", 1), "two": ("ray", 2)}
+    for name, (pool, workers) in runs.items():
+        pfdist.run(job, tmp_path / name, pool=pool, workers=workers)
+    serial, one, two = (hashes(tmp_path / name) for name in runs)
+    assert len(serial) > 6
+    assert serial == one == two
+
+
+@pytest.mark.parametrize("stop_after", [3, 25, 40])
+def test_a_run_that_failed_goes_on_with_what_is_committed_and_ends_with_the_same_bytes(
+    stop_after: int,
+    small_job: Job,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    count_draws: list[int],
+) -> None:
+    monkeypatch.setattr(comparison_phase, "TASK_STEPS", 13 * 40 * 3 * 20)  # 20 draws a task
+    monkeypatch.setattr(collect, "COMMIT_SECONDS", 0.0)  # each task is committed
+    whole = pfdist.run(small_job, tmp_path / "whole")
+    needed = sum(count_draws)
+    count_draws.clear()
+    calls, do = 0, Problem.__call__
+
+    def failing(self: Problem, work: Work) -> Any:
+        nonlocal calls
+        calls += 1
+        if calls > stop_after:
+            raise ArithmeticError("the cluster is on fire")
+        return do(self, work)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Problem, "__call__", failing)
+        with pytest.raises(TaskError, match="the cluster is on fire") as failure:
+            pfdist.run(small_job, tmp_path / "again")
+    assert "Traceback" in failure.value.traceback
+    timings = pfdist.open_run(tmp_path / "again").timings()
+    assert timings["failures"].sum() == 1
+    assert timings.loc[timings["failures"] == 1, "error"].str.contains("on fire").all()
+    failed = count_draws.pop()  # counted, and not done
+    again = pfdist.run(small_job, tmp_path / "again")
+    assert sum(count_draws) == needed  # nothing is computed twice
+    assert failed > 0
+    assert hashes(again.path) == hashes(whole.path)
+
+
+def test_a_finished_run_computes_nothing(
+    small_job: Job, tmp_path: Path, count_draws: list[int]
+) -> None:
+    first = pfdist.run(small_job, tmp_path / "run")
+    count_draws.clear()
+    assert pfdist.run(small_job, tmp_path / "run").summary() == first.summary()
+    assert count_draws == []
+
+
+def test_more_draws_of_comparison_compute_only_the_new_and_give_the_same_bytes(
+    small_job: Job, tmp_path: Path, count_draws: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(parquet.ROWS_IN_A_FILE, "comparison", 100)
+    larger = small_job.with_changes(["comparison.draws=430"])
+    at_once = pfdist.run(larger, tmp_path / "at once")
+    pfdist.run(small_job, tmp_path / "grown")
+    count_draws.clear()
+    grown = pfdist.run(larger, tmp_path / "grown")
+    assert sum(count_draws) == (430 - 250) * 3
+    assert hashes(grown.path) == hashes(at_once.path)
+    assert grown.summary()["draws_compared"] == 430
+
+
+@pytest.mark.parametrize(
+    ("change", "difference"),
+    [
+        ("seed=2", "seed: 1 -> 2"),
+        ("problem.measurement_budget=5", "problem.measurement_budget: 4 -> 5"),
+        ("search.genetic.generations=5", "search.genetic.generations: 4 -> 5"),
+        ("model.parameters.process_sd=2.0", "model.parameters.process_sd: nothing -> 2.0"),
+        ("comparison.draws=100", r"comparison.draws: 250 -> 100 \(may only grow\)"),
+    ],
+)
+def test_another_job_is_refused_with_the_difference(
+    small_job: Job, tmp_path: Path, change: str, difference: str
+) -> None:
+    pfdist.run(small_job, tmp_path / "run")
+    with pytest.raises(RunMismatchError, match=difference):
+        pfdist.run(small_job.with_changes([change]), tmp_path / "run")
+
+
+def test_an_edited_model_is_refused(tmp_path: Path, small_job: Job) -> None:
+    source = (ROOT / "pfdist" / "models" / "ungm.py").read_text()
+    model = small_job.path.with_name("mine.py")
+    model.write_text(source)
+    job = small_job.with_changes(['model.name="mine.py:model"'])
+    pfdist.run(job, tmp_path / "run")
+    model.write_text(source.replace("x[0] / 2", "x[0] / 3"))
+    with pytest.raises(RunMismatchError, match="model_sha256"):
+        pfdist.run(job, tmp_path / "run")
+
+
+def test_common_noise_evaluates_a_set_once_in_a_whole_search(
+    small_job: Job, tmp_path: Path, count_draws: list[int]
+) -> None:
+    job = small_job.with_changes(["evaluation.noise=common", "search.genetic.generations=12"])
+    run = pfdist.run(job, tmp_path / "run")
+    genetic = run.evaluations().query("phase == 'genetic'")
+    times = genetic["measurement_times"].map(tuple)
+    assert times.nunique() < len(times)  # some sets came back in a later generation
+    assert genetic["evaluation"].nunique() == times.nunique()
+    assert len(run.draws()) == 30 * run.evaluations()["evaluation"].nunique()
+
+
+def test_a_search_that_kills_everything_says_so(small_job: Job, tmp_path: Path) -> None:
+    small_job.path.with_name("hopeless.py").write_text(
+        "from pfdist.models.ungm import model\n"
+        "import dataclasses\n"
+        "hopeless = dataclasses.replace(\n"
+        "    model, log_likelihood=lambda y, x, t, p: x[0] - x[0] - float('inf'))\n"
+    )
+    job = small_job.with_changes(['model.name="hopeless.py:hopeless"'])
+    with pytest.raises(SearchError, match=r"genetic: every set of times .* degenerate"):
+        pfdist.run(job, tmp_path / "run")
+    rows = pfdist.open_run(tmp_path / "run").evaluations()
+    assert (rows["degenerate_draws"] == rows["draws"]).all()
+    assert np.isinf(rows["expected_mse"]).all()
+
+
+def test_a_folder_with_other_things_is_left_alone(small_job: Job, tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("do not touch")
+    with pytest.raises(PfdistError, match=r"--results must be .*thesis\.tex"):
+        pfdist.run(small_job, tmp_path)
+
+
+def test_the_serial_pool_has_one_worker(small_job: Job, tmp_path: Path) -> None:
+    with pytest.raises(JobError, match="one worker in this process, got workers = 4"):
+        pfdist.run(small_job, tmp_path / "run", workers=4)
+
+
+def test_progress_counts_all_work_once(small_job: Job, tmp_path: Path) -> None:
+    seen: list[Any] = []
+    pfdist.run(small_job, tmp_path / "run", report=seen.append)
+    done = [state.done for state in seen]
+    assert done == sorted(done)
+    assert seen[-1].done == seen[-1].total == (6 * 4 + 10) * 30 + 250 * 3
+    assert {state.phase for state in seen} == {"genetic", "random", "comparison"}
+
+
+def test_the_tables_are_read_with_pandas_alone(small_job: Job, tmp_path: Path) -> None:
+    run = pfdist.run(small_job, tmp_path / "run")
+    rows = pd.read_parquet(tmp_path / "run" / "tables" / "comparison")
+    pd.testing.assert_frame_equal(rows, run.comparison())

@@ -1,0 +1,160 @@
+"""The store: committed is committed, once, and parts and tables read as one."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from pfdist.errors import StoreError
+from pfdist.store import SCHEMA_VERSION, Store, comparison_schema, schema, trajectories_schema
+from pfdist.store.parquet import cut_rows
+from pfdist.store.schema import TABLES
+
+
+def _draws(evaluation: str, first: int, last: int, value: float = 1.0) -> pa.Table:
+    rows = [{"evaluation": evaluation, "draw": d, "mse": value + d} for d in range(first, last)]
+    return pa.Table.from_pylist(rows, schema=schema("draws"))
+
+
+def _compared(first: int, last: int) -> pa.Table:
+    draw = np.arange(first, last)
+    return pa.table({"draw": draw, "mse_a": draw / 2}, schema=comparison_schema(["a"]))
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    return Store(tmp_path)
+
+
+def test_what_is_committed_is_read_sorted_and_by_a_new_store_too(store: Store) -> None:
+    store.commit("draws", "genetic", "two", _draws("b", 0, 2))
+    store.commit("draws", "genetic", "one", _draws("a", 1, 3))
+    for reader in (store, Store(store.path)):
+        rows = reader.read("draws")
+        assert rows[["evaluation", "draw"]].to_numpy().tolist() == [
+            ["a", 1], ["a", 2], ["b", 0], ["b", 1],
+        ]  # fmt: skip
+
+
+def test_the_same_key_again_is_a_no_op(store: Store) -> None:
+    store.commit("draws", "genetic", "key", _draws("a", 0, 2))
+    store.commit("draws", "genetic", "key", _draws("a", 0, 2, value=99.0))
+    assert store.read("draws")["mse"].tolist() == [1.0, 2.0]
+
+
+def test_a_row_that_is_both_a_part_and_published_counts_once(store: Store) -> None:
+    store.commit("draws", "genetic", "key", _draws("a", 0, 3))
+    store.publish("draws", "genetic", 0, _draws("a", 0, 3))
+    assert len(store.read("draws")) == len(store.per_draw(["a"])) == 3
+    store.drop_parts("draws", "genetic")
+    assert len(store.read("draws")) == len(store.per_draw(["a"])) == 3
+
+
+def test_draws_are_found_by_their_evaluation_in_parts_and_tables(store: Store) -> None:
+    store.commit(
+        "draws", "genetic", "one", pa.concat_tables([_draws("a", 0, 2), _draws("b", 0, 1)])
+    )
+    store.publish("draws", "random", 0, _draws("c", 0, 2))
+    for reader in (store, Store(store.path)):
+        rows = reader.per_draw(["a", "c", "unknown"])
+        assert rows.groupby("evaluation")["draw"].apply(list).to_dict() == {
+            "a": [0, 1],
+            "c": [0, 1],
+        }
+        assert reader.per_draw(["unknown"]).empty
+
+
+def test_rows_between_are_sorted_and_each_once(store: Store) -> None:
+    for first, last in ((10, 20), (0, 10), (5, 15)):
+        store.commit("comparison", "comparison", f"{first}", _compared(first, last))
+    rows = store.rows_between("comparison", "draw", 3, 17)
+    assert rows["draw"].to_pylist() == list(range(3, 17))
+
+
+def test_only_the_parts_of_a_phase_are_dropped(store: Store) -> None:
+    store.commit("draws", "genetic", "key", _draws("a", 0, 1))
+    store.commit("draws", "random", "key", _draws("b", 0, 1))
+    store.drop_parts("draws", "genetic")
+    assert not store.has_parts("draws", "genetic")
+    assert store.read("draws")["evaluation"].tolist() == ["b"]
+
+
+def test_nothing_but_whole_tables_lies_in_a_tables_folder(store: Store) -> None:
+    store.publish("draws", "genetic", 0, _draws("a", 0, 5))
+    store.commit("draws", "genetic", "key", _draws("a", 0, 5))
+    files = [path.name for path in store.path.rglob("*") if path.is_file()]
+    assert sorted(files) == ["genetic-00000.parquet", "genetic-key.parquet"]
+    # anybody reads them, with nothing of pfdist
+    assert len(pd.read_parquet(store.path / "tables" / "draws")) == 5
+
+
+def test_what_a_killed_process_left_half_written_is_swept_and_never_read(store: Store) -> None:
+    store.publish("draws", "genetic", 0, _draws("a", 0, 5))
+    half = store.path / "tables" / "draws" / ".genetic-00001.parquet.0123.tmp"
+    half.write_bytes(b"PAR1 torn")
+    assert len(store.read("draws")) == len(pd.read_parquet(half.parent)) == 5
+    store.sweep()
+    assert not half.exists()
+
+
+def test_identical_tables_are_identical_bytes(tmp_path: Path) -> None:
+    whole = _draws("a", 0, 100)
+    pieces = pa.concat_tables([whole.slice(0, 7), whole.slice(7)])  # cut otherwise in memory
+    for name, rows in (("x", whole), ("y", pieces)):
+        Store(tmp_path / name).publish("draws", "genetic", 0, rows)
+    x, y = ((tmp_path / n / "tables/draws/genetic-00000.parquet").read_bytes() for n in "xy")
+    assert x == y
+
+
+def test_a_file_that_cannot_be_written_is_an_error_that_says_what_to_do(tmp_path: Path) -> None:
+    (tmp_path / "parts").write_text("a file where a folder should be")
+    with pytest.raises(StoreError, match=r"cannot write .*run the same command again"):
+        Store(tmp_path).commit("draws", "genetic", "key", _draws("a", 0, 1))
+
+
+def test_a_damaged_file_is_an_error_that_names_it(store: Store) -> None:
+    store.publish("draws", "genetic", 0, _draws("a", 0, 5))
+    path = store.path / "tables/draws/genetic-00000.parquet"
+    path.write_bytes(path.read_bytes()[:-10])
+    with pytest.raises(StoreError, match=r"cannot read .*genetic-00000\.parquet"):
+        Store(store.path).read("draws")
+
+
+def test_a_newer_schema_is_refused_with_a_sentence(store: Store) -> None:
+    rows = _compared(0, 1)
+    newer = {**rows.schema.metadata, b"pfdist_schema_version": str(SCHEMA_VERSION + 1).encode()}
+    store.publish("comparison", "comparison", 0, rows.replace_schema_metadata(newer))
+    with pytest.raises(StoreError, match="use the newer pfdist"):
+        store.read("comparison")
+
+
+def test_a_table_that_is_not_there_yet_is_an_error(store: Store) -> None:
+    with pytest.raises(StoreError, match="no table 'comparison' yet"):
+        store.read("comparison")
+
+
+@pytest.mark.parametrize("count", [1, 3, 4, 100])
+def test_cut_rows_keeps_all_rows_in_order(count: int) -> None:
+    pieces = [_draws("a", 0, 5), _draws("a", 5, 6), _draws("a", 6, 17)]
+    cut = list(cut_rows(pieces, count))
+    assert [d for piece in cut for d in piece["draw"].to_pylist()] == list(range(17))
+    assert all(piece.num_rows == count for piece in cut[:-1])
+
+
+def test_every_column_says_its_unit_and_every_table_its_version(store: Store) -> None:
+    variable = {
+        "comparison": comparison_schema(["regular", "genetic"]),
+        "trajectories": trajectories_schema(["regular"], quantities=2, measurements=1),
+    }
+    for table in TABLES:
+        columns = variable.get(table) or schema(table)
+        store.publish(table, "phase", 0, columns.empty_table())
+        read = pq.read_schema(store.path / "tables" / table / "phase-00000.parquet")
+        assert read.metadata[b"pfdist_schema_version"] == str(SCHEMA_VERSION).encode()
+        assert read.metadata[b"table"] == table.encode()
+        for column in read:
+            assert b"unit" in column.metadata
+            assert column.metadata[b"description"]

@@ -1,0 +1,79 @@
+import math
+
+import numpy as np
+import pytest
+from numba import njit
+
+from pfdist import clip, where
+
+INF, NAN = math.inf, math.nan
+
+
+@njit
+def compiled_where(condition, if_true, if_false):
+    return where(condition, if_true, if_false)
+
+
+@njit
+def compiled_clip(x, low, high):
+    return clip(x, low, high)
+
+
+def arrays(arguments):
+    return tuple(np.array([one, one]) for one in arguments)
+
+
+@pytest.mark.parametrize("function", [where, compiled_where], ids=["plain", "compiled"])
+@pytest.mark.parametrize(
+    ("condition", "if_true", "if_false", "chosen"),
+    [
+        (True, 1.5, 2.5, 1.5),
+        (False, 1.5, 2.5, 2.5),
+        (True, 1, 2.5, 1.0),  # an integer among floats is a float
+        (False, 1, 2.5, 2.5),
+        (True, 1.5, NAN, 1.5),  # what is not chosen does not spread
+        (False, INF, 0.0, 0.0),
+    ],
+)
+def test_where_chooses_alike_on_scalars_and_arrays(function, condition, if_true, if_false, chosen):
+    arguments = (condition, if_true, if_false)
+    assert function(*arguments) == chosen
+    assert function(*arrays(arguments)).tolist() == [chosen, chosen]
+
+
+@pytest.mark.parametrize("function", [clip, compiled_clip], ids=["plain", "compiled"])
+@pytest.mark.parametrize(
+    ("x", "low", "high", "limited"),
+    [
+        (-1.0, 0.0, 1.0, 0.0),
+        (0.5, 0.0, 1.0, 0.5),
+        (3.0, 0.0, 1.0, 1.0),
+        (1.0, 0.0, 1.0, 1.0),
+        (-7.0, -INF, 1.0, -7.0),
+        (INF, 0.0, 1.0, 1.0),
+        (NAN, 0.0, 1.0, NAN),  # as np.clip
+    ],
+)
+def test_clip_limits_alike_on_scalars_and_arrays(function, x, low, high, limited):
+    np.testing.assert_equal(float(function(x, low, high)), limited)
+    np.testing.assert_equal(function(*arrays((x, low, high))), np.full(2, limited))
+
+
+@pytest.mark.parametrize("function", [where, compiled_where], ids=["plain", "compiled"])
+def test_where_chooses_element_by_element(function):
+    condition = np.array([True, False, True])
+    assert function(condition, np.arange(3.0), -1.0).tolist() == [0.0, -1.0, 2.0]
+    assert function(condition, 5.0, np.arange(3.0)).tolist() == [5.0, 1.0, 5.0]
+    assert function(condition, 5.0, -1.0).tolist() == [5.0, -1.0, 5.0]
+
+
+@pytest.mark.parametrize("function", [clip, compiled_clip], ids=["plain", "compiled"])
+def test_clip_limits_element_by_element(function):
+    x = np.array([-1.0, 0.5, 3.0])
+    assert function(x, 0.0, 1.0).tolist() == [0.0, 0.5, 1.0]
+    assert function(x, np.array([0.0, 1.0, 0.0]), 2.0).tolist() == [0.0, 1.0, 2.0]
+
+
+@pytest.mark.parametrize("function", [compiled_where, compiled_clip])
+def test_compiled_scalars_make_no_array(function):
+    assert type(function(1.0, 2.0, 3.0)) is float
