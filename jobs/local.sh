@@ -5,7 +5,8 @@
 set -euo pipefail
 
 if [[ ! -f ${1:-} ]]; then
-    echo "usage: $0 JOB [pfdist run options...]    (JOB is a job file, got '${1:-}')" >&2
+    echo "usage: $0 JOB [pfdist run options...]" >&2
+    echo "JOB must be a job file, got '${1:-}'" >&2
     exit 2
 fi
 PATH=${PFDIST_VENV:+$PFDIST_VENV/bin:}$PATH

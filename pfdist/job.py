@@ -39,7 +39,7 @@ class ProblemSection(_Section):
     def _fits(self) -> Self:
         if self.measurement_budget > self.horizon + 1:
             raise ValueError(
-                f"measurement_budget must be at most horizon + 1 = {self.horizon + 1}, "
+                f"problem.measurement_budget must be at most horizon + 1 = {self.horizon + 1}, "
                 f"got {self.measurement_budget}"
             )
         return self
@@ -55,7 +55,7 @@ class Filter(_Section):
 class EvaluationSection(_Section):
     """How the expected MSE of a set of times is estimated during a search."""
 
-    draws: Annotated[int, Field(ge=2)] = 1000
+    draws: Annotated[int, Field(ge=2, le=2**32)] = 1000
     noise: Literal["fresh", "common"] = "fresh"
     degenerate_draws: Literal["kill", "leave_out"] = "kill"
 
@@ -193,7 +193,7 @@ def _validated(data: dict[str, Any], path: Path, overrides: Iterable[str]) -> Jo
     try:
         job = Job.model_validate(data)
     except ValidationError as error:
-        first, *others = error.errors()
+        first, *others = _told(error)
         more = f"; {len(others)} more like this" if others else ""
         where = f"{path} with {' '.join(given)}" if given else str(path)
         raise JobError(f"{_sentence(first)} ({where}){more}") from error
@@ -203,13 +203,13 @@ def _validated(data: dict[str, Any], path: Path, overrides: Iterable[str]) -> Jo
 
 def _override(data: dict[str, Any], override: str) -> None:
     key, equals, text = override.partition("=")
-    path = key.split(".")
-    if not equals or not all(path):
+    path = [part.strip() for part in key.split(".")]
+    if not equals or not all(path) or "\n" in override:
         raise JobError(f"--set must be key=value, for instance seed=3, got {override!r}")
     try:
         value = tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
-        value = text  # a bare word is a string: filter.resampling=systematic
+        value = text.strip()  # a bare word is a string: filter.resampling=systematic
     section: Any = data
     if path[0] == "search" and len(path) > 1:
         section, path = _search_named(data, path[1], override), path[2:]
@@ -223,15 +223,23 @@ def _override(data: dict[str, Any], override: str) -> None:
 
 
 def _search_named(data: dict[str, Any], name: str, override: str) -> dict[str, Any]:
-    searches = data.get("search", [])
+    searches = data.get("search")
+    searches = searches if isinstance(searches, list) else []
     searches = [search for search in searches if isinstance(search, dict)]
     names = [str(search.get("name", search.get("method"))) for search in searches]
     if name not in names:
-        raise JobError(
-            f"--set {override}: the job has no search {name!r}, allowed: {', '.join(names)}"
-        )
+        allowed = ", ".join(names) or "none, there is no [[search]]"
+        raise JobError(f"--set {override}: the job has no search {name!r}, allowed: {allowed}")
     found: dict[str, Any] = searches[names.index(name)]
     return found
+
+
+def _told(error: ValidationError) -> list[ErrorDetails]:
+    """What went wrong, the most telling first: a misspelt key, before the key it stands for."""
+    errors = error.errors()
+    # A wrong search also leaves the tuple of searches too short; that is no mistake of its own.
+    telling = [one for one in errors if one["loc"] != ("search",)] or errors
+    return sorted(telling, key=lambda one: one["type"] != "extra_forbidden")
 
 
 def _sentence(error: ErrorDetails) -> str:
@@ -247,6 +255,8 @@ def _sentence(error: ErrorDetails) -> str:
     if kind in ("union_tag_invalid", "union_tag_not_found"):
         method = got.get("method") if isinstance(got, dict) else got
         return f"search.method must be one of {', '.join(map(repr, _SEARCHES))}, got {method!r}"
+    if key == "search":
+        return f"search must be one or more [[search]] sections, got {got!r}"
     if kind == "value_error":
         return str(error["ctx"]["error"])
     rule = re.sub(r"^(Input|String|Value) should ", "must ", error["msg"])

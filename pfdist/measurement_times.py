@@ -105,6 +105,16 @@ def random(
     -------
     array of int64, (sets, N)
         Each row sorted.
+
+    Raises
+    ------
+    MeasurementTimesError
+        N does not lie in 0..T+1.
     """
+    if not 0 <= measurement_budget <= horizon + 1:
+        raise MeasurementTimesError(
+            f"random times need a measurement_budget in 0..{horizon + 1} (horizon {horizon}), "
+            f"got {measurement_budget}"
+        )
     order = rng.permuted(np.tile(np.arange(horizon + 1), (sets, 1)), axis=1)
     return np.sort(order[:, :measurement_budget], axis=1)

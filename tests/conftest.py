@@ -12,28 +12,7 @@ from pfdist import Job, StateSpaceModel, load_job, load_model
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(Path(__file__).parent))  # for `from oracles.kalman import ...`
 
-SMALL_JOB = """
-seed = 1
-[problem]
-horizon = 12
-measurement_budget = 4
-[filter]
-particles = 40
-[evaluation]
-draws = 30
-[[search]]
-method = "genetic"
-population = 6
-generations = 4
-mutation_probability = 0.05
-[[search]]
-method = "random"
-evaluations = 10
-[comparison]
-draws = 250
-[execution]
-pool = "serial"
-"""
+SMALL_JOB = (Path(__file__).parent / "small.toml").read_text()
 
 
 @pytest.fixture(scope="session")

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from oracles.kalman import SCALAR, THREE
 from pfdist import StateSpaceModel, plain
 from pfdist.draws import simulate
 from pfdist.errors import ModelError
-
-from oracles.kalman import SCALAR, THREE
 
 
 def test_compiled_and_plain_draws_are_the_same(ungm: StateSpaceModel) -> None:

@@ -147,11 +147,12 @@ def test_a_mistake_in_an_override_is_named(write, override, message):
 
 
 def test_with_changes_leaves_the_job_as_it_was(write):
-    job = load_job(write())
+    path = write()
+    job = load_job(path)
     changed = job.with_changes(["search.genetic.generations=5", "problem.horizon=20"])
     assert (changed.problem.horizon, changed.search[0].settings["generations"]) == (20, 5)
     assert (job.problem.horizon, job.search[0].settings["generations"]) == (10, 25)
-    assert changed.path == job.path
+    assert changed.path == job.path == path
 
 
 def test_identity_is_everything_but_the_execution(write):
@@ -180,3 +181,34 @@ def test_identity_survives_being_written_as_toml(name, tmp_path):
 )
 def test_the_job_allows_what_the_program_has(section, key, names):
     assert set(get_args(section.model_fields[key].annotation)) == set(names)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "override", "message"),
+    [
+        ("[[search]]", "[search]", "seed=1", "search must be one or more|TOML"),
+        ("seed = 1", "search = 5", "seed=1", "TOML"),
+        ('method = "genetic"', 'method = "genetic"\npopulation = 7', "seed=1", r"got 7 \([^;]*\)$"),
+        ("seed = 1", "sed = 1", "evaluation.draws=5", r"^unknown key 'sed'"),
+        ("seed = 1", "seed = 1", "seed=1\nx=3", "must be key=value"),
+        ("seed = 1", "seed = 1", "search.genetic=3", r"search\.NAME\.KEY=value"),
+    ],
+)
+def test_the_most_telling_mistake_is_told(write, old, new, override, message):
+    with pytest.raises(JobError, match=message):
+        load_job(write(old, new), [override])
+
+
+def test_searches_that_are_no_sections_are_an_error_with_an_override_too(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text("search = 5\nseed = 1\n[problem]\nhorizon = 5\nmeasurement_budget = 2\n")
+    with pytest.raises(
+        JobError, match=r"search must be one or more \[\[search\]\] sections, got 5"
+    ):
+        load_job(path)
+    with pytest.raises(JobError, match=r"no search 'genetic', allowed: none"):
+        load_job(path, ["search.genetic.population=4"])
+
+
+def test_spaces_around_a_key_and_a_value_do_not_matter(write):
+    assert load_job(write(), ["seed = 3", "filter.resampling = systematic"]).seed == 3

@@ -6,10 +6,9 @@ import math
 import numpy as np
 import pytest
 
+from oracles.kalman import SCALAR, TRACKING, LinearGaussian, riccati_cost
 from pfdist import StateSpaceModel
 from pfdist.monte_carlo import Evaluation, Problem, Work, cut
-
-from oracles.kalman import SCALAR, TRACKING, LinearGaussian, riccati_cost
 
 
 def _evaluation(mse: list[float], policy: str = "kill") -> Evaluation:

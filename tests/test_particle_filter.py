@@ -5,13 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from oracles.kalman import SCALAR, THREE, TRACKING, LinearGaussian, kalman_filter
 from pfdist import StateSpaceModel, plain, where
 from pfdist.draws import simulate
 from pfdist.errors import MeasurementTimesError
 from pfdist.measurement_times import regular
 from pfdist.particle_filter import RESAMPLING, filter_draws
-
-from oracles.kalman import SCALAR, THREE, TRACKING, LinearGaussian, kalman_filter
 
 HORIZON = 12
 TIMES = {"none": (), "some": (0, 3, 4, 9), "all": tuple(range(HORIZON + 1))}

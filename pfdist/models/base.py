@@ -2,6 +2,7 @@
 
 import dataclasses
 import inspect
+import keyword
 import math
 from collections import namedtuple
 from collections.abc import Callable, Mapping
@@ -78,6 +79,12 @@ class StateSpaceModel:
             self._check_signature(name, arguments)
         for name in ("initial_noise", "process_noise", "measurement_noise"):
             self._check_noise(name)
+        for name in self.parameter_ranges:
+            if name not in self.parameters:
+                raise ModelError(
+                    f"model {self.name}: parameter_ranges must name parameters, got {name!r}; "
+                    f"parameters: {', '.join(self.parameters) or 'none'}"
+                )
         for name, value in self.parameters.items():
             self._check_parameter(name, value)
         self.components  # noqa: B018  evaluated here so that a wrong formula is found here
@@ -124,13 +131,13 @@ class StateSpaceModel:
     def _check_signature(self, name: str, arguments: tuple[str, ...]) -> None:
         function = getattr(self, name)
         expected = f"model {self.name}: {name} must be a function of ({', '.join(arguments)})"
-        if not callable(function):
+        if not inspect.isfunction(function):
             raise ModelError(f"{expected}, got {function!r}")
+        signature = inspect.signature(function)
         try:
-            inspect.signature(function).bind(*arguments)
+            signature.bind(*arguments)
         except TypeError as error:
-            got = inspect.signature(function)
-            raise ModelError(f"{expected}, got {got}") from error
+            raise ModelError(f"{expected}, got {signature}") from error
 
     def _check_noise(self, name: str) -> None:
         kinds = getattr(self, name)
@@ -142,6 +149,12 @@ class StateSpaceModel:
             )
 
     def _check_parameter(self, name: str, value: float) -> None:
+        if not name.isidentifier() or name.startswith("_") or keyword.iskeyword(name):
+            raise ModelError(
+                f"model {self.name}: a parameter's name must be that of a variable, got {name!r}"
+            )
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ModelError(f"model.parameters.{name} must be a number, got {value!r}")
         low, high = self.parameter_ranges.get(name, (-math.inf, math.inf))
         if not (math.isfinite(value) and low <= value <= high):
             raise ModelError(
@@ -159,11 +172,20 @@ class StateSpaceModel:
             raise ModelError(
                 f"model {self.name}: {name} failed on arrays: {type(error).__name__}: {error}"
             ) from error
-        if name != "log_likelihood" and not isinstance(value, tuple):
+        if name == "log_likelihood":
+            if not _is_number(value):
+                raise ModelError(
+                    f"model {self.name}: log_likelihood must give one number a particle, "
+                    f"got {'a ' if isinstance(value, tuple) else ''}{type(value).__name__}"
+                )
+        elif not (isinstance(value, tuple) and value and all(map(_is_number, value))):
             raise ModelError(
                 f"model {self.name}: {name} must give a tuple of components, also of one: (a,), "
-                f"got {type(value).__name__}"
+                f"got {value!r}"
             )
-        if name == "log_likelihood" and isinstance(value, tuple):
-            raise ModelError(f"model {self.name}: log_likelihood must give one number, got a tuple")
         return value
+
+
+def _is_number(value: Any) -> bool:
+    """Whether it is a number or an array of them."""
+    return not isinstance(value, tuple | list) and np.asarray(value).dtype.kind in "fiub"

@@ -7,6 +7,7 @@ A name is that of a model that ships, of an installed entry point of the group
 import hashlib
 import importlib.util
 import pkgutil
+import sys
 import types
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -57,6 +58,7 @@ class ModelSource:
         """
         module = types.ModuleType(f"pfdist_model_{self.sha256[:16]}")
         module.__file__ = self.path
+        sys.modules[module.__name__] = module  # dataclasses look their module up there
         try:
             exec(compile(self.text, self.path, "exec"), module.__dict__)  # noqa: S102  it is the user's
         except ModelError:
@@ -101,9 +103,12 @@ def find_model(name: str, folder: Path = Path()) -> ModelSource:
             f"got {name!r}"
         )
     module, attribute = installed[name]
-    spec = importlib.util.find_spec(module)
-    if spec is None or spec.origin is None:
-        raise ModelError(f"model.name: the module {module} of model {name!r} has no source file")
+    try:
+        spec = importlib.util.find_spec(module)
+    except ModuleNotFoundError:
+        spec = None
+    if spec is None or not spec.has_location or spec.origin is None:
+        raise ModelError(f"model.name: the module {module!r} of model {name!r} has no source file")
     return _read(name, Path(spec.origin), attribute)
 
 

@@ -49,7 +49,7 @@ class ProblemSource:
         key = stream_key(
             KERNEL_VERSION,
             self.model.sha256,
-            dict(sorted(self.parameters.items())),
+            dict(self.parameters),
             self.horizon,
             self.particles,
             self.resampling,

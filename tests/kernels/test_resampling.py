@@ -121,3 +121,12 @@ def test_particles_of_zero_weight_have_no_offspring(scheme):
 @schemes
 def test_one_particle_is_its_own_ancestor(scheme):
     assert all(offspring(scheme, np.array([0.3]), draw) == 1 for draw in range(100))
+
+
+@pytest.mark.parametrize(("draw", "particles"), [(470_478, 9), (640_661, 36), (2_618_307, 16)])
+def test_points_stay_inside_where_the_last_exponential_is_least(draw, particles):
+    # With these keys the last exponential's word is one of the 128 highest.
+    points, buffer = np.empty(particles), np.empty(padded(particles + 1), np.float32)
+    POINTS["multinomial"](points, buffer, np.uint64(0), draw, 0)
+    assert buffer[particles] < 1e-7
+    assert points[-1] < 1

@@ -89,8 +89,8 @@ ERRORS = {
         {"log_likelihood": lambda y, x, t, p, q: 0.0},
         ["log_likelihood", "(y, x, t, p)", "got (y, x, t, p, q)"],
     ),
-    "no tuple": ({"initial": lambda w, p: w[0]}, ["initial", "tuple", "(a,)", "got ndarray"]),
-    "no value": ({"measurement": lambda x, t, v, p: None}, ["measurement", "got NoneType"]),
+    "no tuple": ({"initial": lambda w, p: w[0]}, ["initial", "tuple", "(a,)", "got array"]),
+    "no value": ({"measurement": lambda x, t, v, p: None}, ["measurement", "got None"]),
     "a likelihood that is a tuple": (
         {"log_likelihood": lambda y, x, t, p: (0.0,)},
         ["log_likelihood", "one number", "got a tuple"],
@@ -109,10 +109,23 @@ ERRORS = {
     ),
     "a noise too few": ({"initial_noise": ("normal",)}, ["initial failed", "IndexError"]),
     "a parameter that is not there": (
-        {"parameters": {}},
+        {"parameters": {}, "parameter_ranges": {}},
         ["initial failed", "AttributeError", "scale"],
     ),
     "a formula that raises": ({"quantity_of_interest": fails}, ["KeyError: 'nothing here'"]),
+    "a likelihood without return": (
+        {"log_likelihood": lambda y, x, t, p: None},
+        ["log_likelihood", "one number", "got NoneType"],
+    ),
+    "no quantity of interest": (
+        {"quantity_of_interest": lambda x, t, p: ()},
+        ["quantity_of_interest", "tuple", "got ()"],
+    ),
+    "a builtin": ({"initial": min}, ["initial", "must be a function of (w, p)"]),
+    "a range of nothing": (
+        {"parameter_ranges": {"scael": (0.0, 1.0)}},
+        ["parameter_ranges", "got 'scael'", "parameters: scale"],
+    ),
     "a branch on a component": (
         {"transition": lambda x, t, w, p: x if x[0] > 0 else (0.0, 0.0)},
         ["transition failed on arrays", "ValueError"],
@@ -150,3 +163,17 @@ def test_with_parameters_changes_these_and_leaves_the_model():
 def test_with_parameters_lists_the_parameters_that_there_are():
     with pytest.raises(ModelError, match=r"unknown parameter 'scales' .*good.*: scale, shift"):
         GOOD.with_parameters({"scales": 1.0})
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({"a b": 1.0}, "that of a variable, got 'a b'"),
+        ({"_a": 1.0}, "that of a variable, got '_a'"),
+        ({"lambda": 1.0}, "that of a variable, got 'lambda'"),
+        ({"scale": "x"}, "scale must be a number, got 'x'"),
+    ],
+)
+def test_a_parameter_is_a_variables_name_and_a_number(parameters, message):
+    with pytest.raises(ModelError, match=message):
+        dataclasses.replace(GOOD, parameters=parameters, parameter_ranges={})

@@ -141,3 +141,16 @@ def test_a_file_that_makes_no_model_says_why(folder, content, reason):
 def test_an_entry_point_without_its_model_is_an_error(plug, value):
     plug("plugged", value)
     assert value.partition(":")[0] in error_of("plugged")
+
+
+def test_an_entry_point_to_a_package_that_is_not_there_is_an_error(plug):
+    plug("ghost", "no_such_package.module:model")
+    with pytest.raises(ModelError, match=r"no_such_package\.module.* has no source file"):
+        find_model("ghost")
+
+
+def test_a_model_file_may_hold_dataclasses_with_postponed_annotations(folder):
+    text = "from __future__ import annotations\nfrom dataclasses import dataclass\n" + MODEL
+    text += "\n@dataclass\nclass Settings:\n    a: int = 1\n"
+    (folder / "annotated.py").write_text(text, encoding="utf-8")
+    assert find_model("annotated.py:damped", folder).load().name == "damped"

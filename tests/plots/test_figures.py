@@ -1,0 +1,85 @@
+"""The paper's figures show what the tables say."""
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from pfdist.plots.cost import plot_cost
+from pfdist.plots.gain_histogram import plot_gain_histogram
+from pfdist.plots.one_draw import plot_one_draw, typical_draw
+
+EVALUATIONS = pd.DataFrame(
+    [
+        # phase, generation, individual, copies, expected_mse
+        ("genetic", 0, 0, 1, 30.0),
+        ("genetic", 0, 1, 3, 40.0),
+        ("genetic", 1, 0, 2, 20.0),
+        ("genetic", 1, 2, 2, np.inf),  # killed
+        ("random", 0, 0, 1, 50.0),
+        ("random", 0, 1, 1, 30.0),
+        ("random", 0, 2, 1, 40.0),
+    ],
+    columns=["phase", "generation", "individual", "copies", "expected_mse"],
+)
+
+
+def _axes():
+    return Figure().subplots()
+
+
+def _lines(axes) -> dict[str, tuple[list[float], list[float]]]:
+    return {
+        line.get_label(): (
+            np.asarray(line.get_xdata()).tolist(),
+            np.asarray(line.get_ydata()).tolist(),
+        )
+        for line in axes.get_lines()
+    }
+
+
+def test_cost_of_a_population_is_averaged_over_copies_and_of_trials_over_all_so_far() -> None:
+    axes = _axes()
+    plot_cost(axes, EVALUATIONS, {"random"}, 31.2)
+    lines = _lines(axes)
+    assert lines["genetic, average"] == ([4, 8], [37.5, 20.0])
+    assert lines["genetic, minimum"] == ([4, 8], [30.0, 20.0])
+    assert lines["random, average"] == ([1, 2, 3], [50.0, 40.0, 40.0])
+    assert lines["random, minimum"] == ([1, 2, 3], [50.0, 30.0, 30.0])
+    assert lines["regular times"][1] == [31.2, 31.2]
+
+
+def test_one_draw_shows_truth_estimates_and_stars_and_plus_signs() -> None:
+    trajectory = pd.DataFrame(
+        {
+            "t": [0, 1, 2],
+            "z_0": [1.0, 2.0, 3.0],
+            "estimate_regular_0": [0.0, 1.0, 2.0],
+            "estimate_genetic_0": [1.0, 2.0, 2.5],
+        }
+    )
+    axes = _axes()
+    plot_one_draw(axes, trajectory, {"regular": [0, 2], "genetic": [1]}, 0.283)
+    lines = {line.get_label(): line for line in axes.get_lines()}
+    regular, genetic = lines[r"$\mathcal{M}$, regular"], lines[r"$\mathcal{M}$, genetic"]
+    assert (regular.get_marker(), list(regular.get_xdata())) == ("+", [0, 2])
+    assert (genetic.get_marker(), list(genetic.get_xdata())) == ("*", [1])
+    assert list(lines["$z(t)$"].get_ydata()) == [1.0, 2.0, 3.0]
+    assert "28.3 %" in axes.get_title()
+
+
+def test_the_draw_shown_is_the_one_nearest_to_the_mean_gain() -> None:
+    assert typical_draw(pd.Series([0.1, 0.5, 0.26], index=[3, 4, 7]), 0.25) == 7
+
+
+def test_the_histogram_counts_the_draws_and_marks_zero_mean_and_fraction() -> None:
+    gain = np.random.default_rng(1).normal(0.25, 0.3, 5000)
+    axes = _axes()
+    plot_gain_histogram(axes, gain, "genetic", 0.25, 0.8)
+    area = sum(patch.get_width() * patch.get_height() for patch in axes.patches)
+    assert abs(area - 1) < 1e-9
+    assert _lines(axes)["no gain"][0] == [0.0, 0.0]
+    text = " ".join(entry.get_text() for entry in axes.get_legend().get_texts())
+    assert "mean 25.0 %" in text
+    assert "80.0 %" in text
+    assert "5,000 draws" in text
+    assert "5 of them below" in text  # the lowest thousandth

@@ -1,0 +1,191 @@
+"""The command line: whole outputs, exit codes, and one line for every mistake."""
+
+import json
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import pfdist
+from pfdist import Job
+from pfdist.cli import main
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small finished run, its job file beside it."""
+    folder = tmp_path_factory.mktemp("cli")
+    job = folder / "small.toml"
+    job.write_text((Path(__file__).parent / "small.toml").read_text())
+    assert main(["run", str(job), "--results", str(folder / "run")]) == 0
+    return folder / "run"
+
+
+def _job(run: Path) -> str:
+    return str(run.with_name("small.toml"))
+
+
+def test_run_and_status_print_the_same_json_and_nothing_else(
+    finished: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    outputs = []
+    for command in (["run", _job(finished), "--results", str(finished)], ["status", str(finished)]):
+        assert main([*command, "--json"]) == 0
+        captured = capsys.readouterr()
+        outputs.append(json.loads(captured.out))
+        assert captured.err == ""
+    run, status = outputs
+    assert run == status
+    assert set(run) == {"state", "run", "evaluations", "draws_compared", "results"}
+    assert (run["state"], run["evaluations"], run["draws_compared"]) == ("finished", 34, 250)
+    regular, genetic = run["results"]["regular"], run["results"]["genetic"]
+    both = {"measurement_times", "expected_mse", "standard_error", "search_cost"}
+    gains = {
+        "mean_relative_gain",
+        "mean_relative_gain_interval",
+        "positive_fraction",
+        "positive_fraction_interval",
+        "gain_of_means",
+    }
+    assert both <= set(regular)
+    assert both | gains <= set(genetic)
+    assert not gains & set(regular)
+    low, high = genetic["mean_relative_gain_interval"]
+    assert low < genetic["mean_relative_gain"] < high < 1
+    assert 0 <= genetic["positive_fraction_interval"][0] <= genetic["positive_fraction"] <= 1
+
+
+def test_the_summary_says_what_a_person_wants_to_know(
+    finished: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["status", str(finished)]) == 0
+    text = capsys.readouterr().out
+    for words in (
+        "finished, 34 evaluations, 250 draws compared",
+        "regular: measure at t = 0, 4, 8, 12",
+        "expected MSE",
+        "±",
+        "mean relative gain",
+        "positive gains",
+        "gain of means",
+        "95 %",
+        f"tables: {finished}/tables",
+        f"figures: {finished}/figures",
+    ):
+        assert words in text
+
+
+def test_evaluate_prints_json(finished: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = f"evaluate {_job(finished)} --times 8,0,4 --draws 50 --particles 30 --seed 9 --json"
+    assert main(shlex.split(command)) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert set(answer) == {
+        "expected_mse", "standard_error", "draws", "degenerate_draws", "seconds",
+    }  # fmt: skip
+    expected = pfdist.evaluate(_job(finished), (0, 4, 8), draws=50, particles=30, seed=9)
+    assert answer["expected_mse"] == expected.expected_mse
+    assert answer["standard_error"] == expected.standard_error
+    assert (answer["draws"], answer["degenerate_draws"]) == (50, 0)
+
+
+def test_what_is_infinite_is_null_in_json(
+    tmp_path: Path, small_job: Job, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "mine.py").write_text(
+        "import dataclasses\nfrom pfdist.models.ungm import model\n"
+        "model = dataclasses.replace(\n"
+        "    model, log_likelihood=lambda y, x, t, p: x[0] - x[0] - float('inf'))\n"
+    )
+    command = ["evaluate", str(small_job.path), "--times", "3", "--json"]
+    assert main([*command, "--set", "model.name=mine.py:model"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["expected_mse"] is answer["standard_error"] is None
+    assert answer["degenerate_draws"] == answer["draws"] == 30
+
+
+def test_plot_draws_every_figure_as_png_and_svg(
+    finished: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["plot", str(finished)]) == 0
+    files = [Path(line) for line in capsys.readouterr().out.splitlines()]
+    names = {"cost", "draw-genetic", "gain-genetic", "draw-random", "gain-random"}
+    assert {file.name for file in files} == {
+        f"{n}.{kind}" for n in names for kind in ("png", "svg")
+    }
+    assert all(file.stat().st_size > 5000 for file in files)
+
+
+def test_models_lists_every_model_with_a_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["models"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert any(line.startswith("ungm ") and "growth model" in line for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("run missing.toml", "cannot read the job file missing.toml"),
+        ("run {job} --results {run} --set seed=9", "another run .* seed: 1 -> 9"),
+        ("run {job} --set filter.partcles=3", "unknown key 'partcles' .* allowed: particles, res"),
+        ("run {job} --set model.name=nothing", "must be one of .*ungm.*, got 'nothing'"),
+        ("run {job} --set model.parameters.process_sd=-1", r"process_sd .* 0\.\.inf, got -1"),
+        (
+            "run {job} --set model.parameters.sd=1",
+            "unknown parameter 'sd' .* allowed: .*process_sd",
+        ),
+        ("run {job} --results {job}", "--results must be a folder, got the file"),
+        ("run {job} --workers -3", "execution.workers .* got -3"),
+        ("evaluate {job} --times 0,3,13", r"must lie in 0\.\.12, got 13 \(--times\)"),
+        ("evaluate {job} --times 3,3", r"got 3 twice \(--times\)"),
+        ("evaluate {job} --times 0,x", "integers separated by commas.* got '0,x'"),
+        ("evaluate {job} --times 1 --draws 1", "evaluation.draws .* got 1"),
+        ("evaluate {job} --times 1 --particles 0", "filter.particles .* got 0"),
+        ("status {job}", "holds no run"),
+        ("status nowhere", "nowhere holds no run: there is no run.json"),
+        ("plot nowhere", "nowhere holds no run"),
+    ],
+)
+def test_every_mistake_is_one_line_and_exit_code_1(
+    command: str, words: str, finished: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    filled = command.format(job=shlex.quote(_job(finished)), run=shlex.quote(str(finished)))
+    assert main(shlex.split(filled)) == 1
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.count("\n") == 1
+    assert captured.err.startswith("pfdist: ")
+    assert re.search(words, captured.err)
+
+
+@pytest.mark.parametrize(
+    "command", ["", "walk", "run", "run a.toml --pool dask", "evaluate a.toml"]
+)
+def test_a_misuse_is_exit_code_2(command: str) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(shlex.split(command))
+    assert stop.value.code == 2
+
+
+def test_debug_shows_the_traceback() -> None:
+    with pytest.raises(pfdist.PfdistError):
+        main(["run", "missing.toml", "--debug"])
+
+
+def test_python_m_pfdist_is_the_same_and_a_finished_run_answers_at_once(finished: Path) -> None:
+    command = [sys.executable, "-m", "pfdist", "status", str(finished), "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
+    assert json.loads(done.stdout)["state"] == "finished"
+    assert done.stderr == ""
+
+
+def test_without_a_terminal_progress_is_plain_lines(
+    small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["run", str(small_job.path), "--results", str(tmp_path / "run")]) == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0].startswith("Serial pool is ready: 1 worker")
+    assert lines[-1].startswith("100.0 %  comparison  250 draws")
+    assert "\x1b" not in "".join(lines)  # no escape codes

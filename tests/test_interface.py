@@ -1,0 +1,72 @@
+"""The Python interface: every exported name exists, is documented, and does what it says."""
+
+import inspect
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pfdist
+from pfdist import Job
+from pfdist.errors import MeasurementTimesError
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.mark.parametrize("name", pfdist.__all__)
+def test_every_exported_name_is_documented(name: str) -> None:
+    exported = getattr(pfdist, name)
+    doc = inspect.getdoc(exported)
+    assert doc
+    if inspect.isfunction(exported):
+        for parameter in inspect.signature(exported).parameters:
+            assert f"{parameter}" in doc
+        assert "Returns" in doc
+
+
+def test_evaluate_is_a_function_of_its_arguments(small_job: Job) -> None:
+    once, again = (pfdist.evaluate(small_job, [8, 0, 4]) for _ in range(2))
+    np.testing.assert_array_equal(once.mse, again.mse)
+    assert once.measurement_times == (0, 4, 8)
+    assert once.expected_mse == np.mean(once.mse)
+    assert (once.draws, once.degenerate_draws, once.mse.shape) == (30, 0, (30,))
+    from_file = pfdist.evaluate(small_job.path, (0, 4, 8))
+    np.testing.assert_array_equal(once.mse, from_file.mse)
+    other = pfdist.evaluate(small_job, (0, 4, 8), draws=40, particles=10, seed=2)
+    assert other.draws == 40
+    assert other.expected_mse != once.expected_mse
+
+
+def test_more_draws_begin_with_the_same_draws(small_job: Job) -> None:
+    few, many = (pfdist.evaluate(small_job, (0, 4), draws=draws).mse for draws in (10, 30))
+    np.testing.assert_array_equal(few, many[:10])
+
+
+def test_common_noise_compares_sets_on_the_same_draws(small_job: Job) -> None:
+    correlations = {}
+    for noise in ("fresh", "common"):
+        job = small_job.with_changes([f"evaluation.noise={noise}"])
+        a, b = (pfdist.evaluate(job, times, draws=400).mse for times in ((2, 5), (2, 6)))
+        correlations[noise] = np.corrcoef(a, b)[0, 1]
+    assert abs(correlations["fresh"]) < 4 / np.sqrt(400)
+    assert correlations["common"] > 0.5
+
+
+def test_evaluate_refuses_times_outside_the_horizon(small_job: Job) -> None:
+    with pytest.raises(MeasurementTimesError, match=r"0\.\.12, got -1"):
+        pfdist.evaluate(small_job, (-1, 4))
+
+
+def test_load_model_takes_a_path_and_a_name(tmp_path: Path) -> None:
+    assert pfdist.load_model("ungm").name == "ungm"
+    path = tmp_path / "mine.py"
+    path.write_text("from pfdist.models.ungm import model as mine\n")
+    assert pfdist.load_model(f"{path}:mine").components == (1, 1, 1)
+
+
+def test_a_run_opens_as_data_frames(small_job: Job, tmp_path: Path) -> None:
+    run = pfdist.run(small_job, results=tmp_path / "run", pool="serial")
+    opened = pfdist.open_run(tmp_path / "run")
+    for table in ("evaluations", "draws", "comparison", "gains"):
+        assert getattr(opened, table)().equals(getattr(run, table)())
+    assert opened.gains().columns.tolist() == ["draw", "gain_genetic", "gain_random"]
