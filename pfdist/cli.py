@@ -2,9 +2,11 @@
 
 import argparse
 import json
+import signal
 import sys
 import time
 from collections.abc import Sequence
+from types import FrameType
 from typing import Any
 
 import pfdist
@@ -17,7 +19,14 @@ from pfdist.plots import draw_figures
 from pfdist.runner.evaluate import evaluate
 from pfdist.runner.run import run
 
-_EPILOG = "Exit codes: 0 done, 1 an error, 2 a misuse, 130 interrupted by Ctrl-C."
+_EPILOG = (
+    "Exit codes: 0 done, 1 an error, 2 a misuse, 130 interrupted by Ctrl-C, "
+    "75 ended by SIGTERM or SIGUSR1 (a batch system: run it again to go on)."
+)
+_GO_ON = "what was done is committed; the same command goes on from there"
+
+
+_preempted: list[int] = []  # signals by which a batch system has asked for the machine
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -34,6 +43,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code.
     """
     options = _parser().parse_args(arguments)
+    for number in (signal.SIGTERM, signal.SIGUSR1):
+        signal.signal(number, _preempt)
     try:
         options.command(options)
     except PfdistError as error:
@@ -43,13 +54,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
     except KeyboardInterrupt:
         print(
-            "pfdist: interrupted; the same command goes on from what is committed", file=sys.stderr
+            f"pfdist: {'asked to end' if _preempted else 'interrupted'}; {_GO_ON}", file=sys.stderr
         )
-        return 130
+        return 75 if _preempted else 130
     except BrokenPipeError:  # the reader of our output has gone, as `head` does
         sys.stderr.close()
         return 1
     return 0
+
+
+def _preempt(number: int, frame: FrameType | None) -> None:
+    for again in (signal.SIGTERM, signal.SIGUSR1):
+        signal.signal(again, signal.SIG_IGN)  # it is said twice where a script forwards it
+    _preempted.append(number)
+    raise KeyboardInterrupt
 
 
 def _one_line(error: PfdistError) -> str:

@@ -6,7 +6,10 @@ actor compiles its filter once. Each is handed its next task before it has ended
 
 import logging
 import os
+import signal
+import threading
 import warnings
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from itertools import cycle, islice
 from typing import Any, Self
@@ -22,6 +25,7 @@ from pfdist.errors import PoolError
 from pfdist.runner.pool import Outcome, Task, do
 
 IN_FLIGHT = 2  # tasks a worker: the one it does and the one that waits for it
+DEATHS = 3  # of workers that had a task, before the task is given up
 PATIENCE_SECONDS = 600.0  # a task takes seconds; when none ends in this time, none will
 START_SECONDS = 120.0
 _ONE_THREAD = {
@@ -30,7 +34,7 @@ _ONE_THREAD = {
 _OBJECT_STORE_BYTES = 100 * 1024**2  # outcomes are kilobytes
 
 
-@ray.remote(num_cpus=1, max_restarts=3, max_task_retries=3)
+@ray.remote(num_cpus=1)
 class _Worker:
     def __init__(self, make_function: Callable[[], Callable[[Any], Any]]) -> None:
         self._function = make_function()
@@ -70,6 +74,7 @@ class RayPool:
         self._make_function = make_function
         self._address = address
         self._started = False
+        self._actors: list[Any] = []
         self.workers = workers
 
     def __enter__(self) -> Self:
@@ -77,9 +82,7 @@ class RayPool:
             self._connect()
             if not self.workers:
                 self.workers = max(1, int(ray.cluster_resources().get("CPU", 1)))
-            environment = {"env_vars": _ONE_THREAD}
-            make = _Worker.options(runtime_env=environment)  # type: ignore[attr-defined]
-            self._actors = [make.remote(self._make_function) for _ in range(self.workers)]
+            self._actors = [self._new_worker() for _ in range(self.workers)]
             ray.get([actor.ready.remote() for actor in self._actors], timeout=START_SECONDS)
         except (RayError, ConnectionError, RuntimeError, ValueError, TimeoutError) as error:
             self.__exit__()
@@ -93,27 +96,35 @@ class RayPool:
         return self
 
     def __exit__(self, *_: object) -> None:
-        for actor in getattr(self, "_actors", []):
-            ray.kill(actor)
-        self._actors = []
         if self._started:
-            ray.shutdown()
+            ray.shutdown()  # the workers go with it
             self._started = False
+        elif ray.is_initialized():
+            for actor in self._actors:
+                ray.kill(actor)
+        self._actors = []
 
     def run(self, tasks: Iterable[Task]) -> Iterator[Outcome]:
         """Give the outcomes as the workers end their tasks, with a bounded number in flight.
+
+        A worker that dies is replaced and what it had is done again.
 
         Raises
         ------
         PoolError
             No worker answers.
         """
-        waiting: dict[Any, tuple[Task, Any]] = {}
+        waiting: dict[Any, tuple[Task, int, Any]] = {}
+        deaths: Counter[str] = Counter()
+
+        def submit(task: Task, slot: int) -> None:
+            actor = self._actors[slot]
+            waiting[actor.do.remote(task)] = (task, slot, actor)
+
         todo = iter(tasks)
-        for task, actor in zip(
-            islice(todo, IN_FLIGHT * self.workers), cycle(self._actors), strict=False
-        ):
-            waiting[actor.do.remote(task)] = (task, actor)
+        slots = cycle(range(self.workers))
+        for slot, task in zip(islice(slots, IN_FLIGHT * self.workers), todo, strict=False):
+            submit(task, slot)
         while waiting:
             ready, _ = ray.wait(list(waiting), num_returns=1, timeout=PATIENCE_SECONDS)
             if not ready:
@@ -121,18 +132,25 @@ class RayPool:
                     f"no worker has ended a task in {PATIENCE_SECONDS:.0f} s; "
                     "run the same command again to go on from what is committed"
                 )
-            task, actor = waiting.pop(ready[0])
+            task, slot, actor = waiting.pop(ready[0])
+            try:
+                outcome: Outcome = ray.get(ready[0], timeout=PATIENCE_SECONDS)
+            except RayError as error:
+                deaths[task.key] += 1
+                if self._actors[slot] is actor:
+                    self._actors[slot] = self._new_worker()
+                if deaths[task.key] < DEATHS:
+                    submit(task, slot)
+                    continue
+                outcome = Outcome(task, None, 0.0, "", "", f"{type(error).__name__}: {error}")
             following = next(todo, None)
             if following is not None:
-                waiting[actor.do.remote(following)] = (following, actor)
-            yield self._outcome(ready[0], task)
+                submit(following, slot)
+            yield outcome
 
-    def _outcome(self, reference: Any, task: Task) -> Outcome:
-        try:
-            outcome: Outcome = ray.get(reference, timeout=PATIENCE_SECONDS)
-        except RayError as error:  # the worker itself died, more often than it is restarted
-            return Outcome(task, None, 0.0, "", "", f"{type(error).__name__}: {error}")
-        return outcome
+    def _new_worker(self) -> Any:
+        options = _Worker.options(runtime_env={"env_vars": _ONE_THREAD})  # type: ignore[attr-defined]
+        return options.remote(self._make_function)
 
     def _connect(self) -> None:
         if ray.is_initialized():
@@ -148,7 +166,10 @@ class RayPool:
                 "include_dashboard": False,
                 "object_store_memory": _OBJECT_STORE_BYTES,
             }
+        before = signal.getsignal(signal.SIGTERM)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", FutureWarning)
             ray.init(**options)
         self._started = True
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, before)  # Ray takes it for itself, and exits with 1

@@ -1,5 +1,6 @@
 """What every pool keeps to: one contract, one test."""
 
+import tempfile
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
@@ -76,3 +77,29 @@ def test_ray_workers_have_one_thread_each(ray_cluster: None) -> None:
     with RayPool(ENVIRONMENT, 1) as pool:
         outcomes = list(pool.run(Task(name, name) for name in names))
     assert {outcome.task.key: outcome.value for outcome in outcomes} == dict.fromkeys(names, "1")
+
+
+def test_a_ray_worker_that_dies_is_replaced_and_its_tasks_are_done(ray_cluster: None) -> None:
+    from pfdist.runner.ray_pool import RayPool
+
+    # Task 3 kills its worker, the first time it is tried.
+    kill_once = (
+        "lambda work: (__import__('pathlib').Path(work[1]).mkdir(), "
+        "__import__('os').kill(__import__('os').getpid(), 9)) "
+        "if work[0] == 3 and not __import__('pathlib').Path(work[1]).exists() else work[0]"
+    )
+    with tempfile.TemporaryDirectory() as folder, RayPool(partial(eval, kill_once), 2) as pool:
+        tasks = [Task(f"task {k}", (k, f"{folder}/died")) for k in range(12)]
+        outcomes = list(pool.run(tasks))
+    assert sorted(outcome.value for outcome in outcomes) == list(range(12))
+
+
+def test_a_task_that_kills_every_worker_is_given_up_with_an_error(ray_cluster: None) -> None:
+    from pfdist.runner.ray_pool import RayPool
+
+    kill = "lambda work: __import__('os').kill(__import__('os').getpid(), 9) if work == 1 else work"
+    with RayPool(partial(eval, kill), 2) as pool:
+        outcomes = {outcome.task.work: outcome for outcome in pool.run(_tasks(6))}
+    assert "died" in outcomes[1].error
+    # A neighbour that waited behind it three times may be given up with it; no other is.
+    assert sum(outcome.error is None for outcome in outcomes.values()) >= 4

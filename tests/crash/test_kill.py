@@ -1,4 +1,4 @@
-"""Killed with SIGKILL in either phase and run again: the same bytes."""
+"""Ended by a signal in either phase and run again: the same bytes."""
 
 import hashlib
 import signal
@@ -43,14 +43,17 @@ def _finish(job: Path, run: Path, pool: str) -> dict[str, str]:
     return _hashes(run)
 
 
-def _kill_when(process: subprocess.Popen[bytes], reached: Callable[[], bool]) -> None:
+def _end_when(
+    process: subprocess.Popen[bytes], reached: Callable[[], bool], number: signal.Signals
+) -> int:
+    """Send a signal once a run has got so far; give its exit code."""
     deadline = time.monotonic() + PATIENCE_SECONDS
     while not reached():
         assert process.poll() is None, "the run ended before it could be killed"
         assert time.monotonic() < deadline, "the run never got so far"
         time.sleep(0.005)
-    process.send_signal(signal.SIGKILL)
-    assert process.wait(PATIENCE_SECONDS) == -signal.SIGKILL
+    process.send_signal(number)
+    return process.wait(PATIENCE_SECONDS)
 
 
 def _hashes(run: Path) -> dict[str, str]:
@@ -80,14 +83,29 @@ def never_killed(job: Path) -> dict[str, str]:
     return hashes
 
 
-@pytest.mark.parametrize("pool", ["serial", "ray"])
-def test_a_run_killed_in_every_phase_ends_with_the_same_bytes(
-    pool: str, job: Path, never_killed: dict[str, str], tmp_path: Path
+@pytest.mark.parametrize(
+    ("pool", "searching", "comparing"),
+    [
+        ("serial", (signal.SIGKILL, -9), (signal.SIGKILL, -9)),
+        ("ray", (signal.SIGKILL, -9), (signal.SIGKILL, -9)),
+        ("serial", (signal.SIGTERM, 75), (signal.SIGINT, 130)),
+    ],
+    ids=["serial killed", "ray killed", "asked to end"],
+)
+def test_a_run_ended_in_every_phase_goes_on_to_the_same_bytes(
+    pool: str,
+    searching: tuple[signal.Signals, int],
+    comparing: tuple[signal.Signals, int],
+    job: Path,
+    never_killed: dict[str, str],
+    tmp_path: Path,
 ) -> None:
     run = tmp_path / "run"
-    _kill_when(_start(job, run, pool), lambda: _parts(run, "draws") >= 2)
+    number, code = searching
+    assert _end_when(_start(job, run, pool), lambda: _parts(run, "draws") >= 2, number) == code
     assert not (run / "tables" / "compared").exists()  # it was still searching
-    _kill_when(_start(job, run, pool), lambda: _parts(run, "comparison") >= 1)
+    number, code = comparing
+    assert _end_when(_start(job, run, pool), lambda: _parts(run, "comparison") >= 1, number) == code
     assert not (run / "tables" / "comparison").exists()  # it was still comparing
     assert _finish(job, run, pool) == never_killed
     assert not list(run.rglob(".*"))
