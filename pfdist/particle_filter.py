@@ -20,14 +20,15 @@ from numpy.typing import NDArray
 from pfdist.draws import Draws
 from pfdist.kernels.components import formula, reader, writer
 from pfdist.kernels.noise import FILTER_INITIAL, FILTER_PROCESS, filler, padded
-from pfdist.kernels.resampling import POINTS, ancestors
+from pfdist.kernels.resampling import RESAMPLE, WIDE
+from pfdist.kernels.weights import cumulate, weigh, weighted_mean, weighted_variance
 from pfdist.measurement_times import Times, validated
 from pfdist.models import StateSpaceModel
 
 KERNEL_VERSION = 1
 """Counts the changes after which the same keys give other figures; part of a run's identity."""
 
-RESAMPLING = tuple(POINTS)
+RESAMPLING = tuple(RESAMPLE)
 
 
 @dataclass(frozen=True)
@@ -115,11 +116,11 @@ def _compile(  # noqa: C901  one loop, told in its order
     resampling: str,
 ) -> Callable[..., None]:
     """Fuse the formulas of a model and a resampling scheme into one compiled filter."""
-    start, propagate, weigh, interest = _cloud_steps(functions, noise_kinds, components)
+    start, propagate, explain, interest = _cloud_steps(functions, noise_kinds, components)
     fill_w0, fill_w = map(filler, noise_kinds)
     noise_rows = max(1, *map(len, noise_kinds))
     states, _, quantities = components
-    place_points = POINTS[resampling]
+    resample = RESAMPLE[resampling]
 
     @njit(nogil=True, error_model="numpy")
     def filter_kernel(stream, first, y, z, measured, particles, p, mse, estimate, variance):  # type: ignore[no-untyped-def]
@@ -127,9 +128,9 @@ def _compile(  # noqa: C901  one loop, told in its order
         values = np.empty((quantities, particles))
         noise = np.empty((noise_rows, padded(particles)), np.float32)
         log_weight, weight = np.empty(particles), np.empty(particles)
-        cumulative, points = np.empty(particles), np.empty(particles)
-        buffer = np.empty(padded(particles + 1), np.float32)
-        ancestor = np.empty(particles, np.int64)
+        cumulative, points = np.empty(particles), np.empty(padded(particles))
+        ends = np.empty(particles, np.int64)
+        guide, ancestor = np.empty(particles + WIDE, np.int64), np.empty(particles + WIDE, np.int64)
         for d in range(mse.size):
             draw, error = first + d, 0.0
             fill_w0(noise, stream, draw, 0, FILTER_INITIAL)
@@ -142,24 +143,24 @@ def _compile(  # noqa: C901  one loop, told in its order
                 weight[:] = 1.0
                 total = float(particles)
                 if measured[t]:
-                    weigh(x, y[d, t : t + 1].T, t, p, log_weight)
-                    total = _cumulative_weights(log_weight, weight, cumulative)
+                    explain(x, y[d, t : t + 1].T, t, p, log_weight)
+                    weigh(log_weight, weight)
+                    total = cumulate(weight, cumulative)
                 if total == 0.0:  # degenerate
                     error = np.nan
                     break
                 interest(x, t, p, values)
                 for k in range(quantities):
-                    mean = _mean(values[k], weight, total)
+                    mean = weighted_mean(values[k], weight, total)
                     error += (z[d, t, k] - mean) ** 2
                     if estimate.size:
                         estimate[d, t, k] = mean
-                        variance[d, t, k] = _variance(values[k], weight, total, mean)
+                        variance[d, t, k] = weighted_variance(values[k], weight, total, mean)
                 if not error < np.inf:
                     error = np.inf
                     break
                 if measured[t]:
-                    place_points(points, buffer, stream, draw, t)
-                    ancestors(cumulative, points, ancestor)
+                    resample(cumulative, stream, draw, t, points, ends, guide, ancestor)
                     _take(x, ancestor, other)
                     x, other = other, x
             mse[d] = error / measured.size
@@ -172,7 +173,7 @@ def _cloud_steps(
     noise_kinds: tuple[tuple[str, ...], ...],
     components: tuple[int, int, int],
 ) -> tuple[Callable[..., None], ...]:
-    """Compile what a model does to a cloud: start, propagate, weigh, and give z."""
+    """Compile what a model does to a cloud: start, propagate, explain y, and give z."""
     initial, transition, log_likelihood, quantity = map(formula, functions)
     read_w0, read_w = (reader(len(kinds)) for kinds in noise_kinds)
     states, measurements, quantities = components
@@ -190,7 +191,7 @@ def _cloud_steps(
             write_x(out, i, transition(read_x(x, i), t, read_w(noise, i), p))
 
     @njit(nogil=True, error_model="numpy")
-    def weigh(x, y, t, p, out):  # type: ignore[no-untyped-def]
+    def explain(x, y, t, p, out):  # type: ignore[no-untyped-def]
         measured = read_y(y, 0)
         for i in range(x.shape[1]):
             out[i] = log_likelihood(measured, read_x(x, i), t, p)
@@ -200,47 +201,11 @@ def _cloud_steps(
         for i in range(x.shape[1]):
             write_z(out, i, quantity(read_x(x, i), t, p))
 
-    return start, propagate, weigh, interest
-
-
-@njit(nogil=True)
-def _cumulative_weights(log_weight, weight, cumulative):  # type: ignore[no-untyped-def]
-    """Weights from log-weights, the maximum subtracted; gives their sum, 0 if degenerate."""
-    highest = -np.inf
-    for i in range(log_weight.size):
-        # What is not finite is impossible: nan compares false, +inf is no likelihood.
-        if log_weight[i] > highest and log_weight[i] < np.inf:
-            highest = log_weight[i]
-    total = 0.0
-    for i in range(log_weight.size):
-        excess = log_weight[i] - highest
-        weight[i] = np.exp(excess) if excess <= 0.0 else 0.0
-        total += weight[i]
-        cumulative[i] = total
-    return total
-
-
-# Free to reorder their sums, so that they are vectorised.
-
-
-@njit(nogil=True, error_model="numpy", fastmath={"reassoc", "nsz"})
-def _mean(values, weight, total):  # type: ignore[no-untyped-def]
-    mean = 0.0
-    for i in range(weight.size):
-        mean += weight[i] * values[i]
-    return mean / total
-
-
-@njit(nogil=True, error_model="numpy", fastmath={"reassoc", "nsz"})
-def _variance(values, weight, total, mean):  # type: ignore[no-untyped-def]
-    variance = 0.0
-    for i in range(weight.size):
-        variance += weight[i] * (values[i] - mean) ** 2
-    return variance / total
+    return start, propagate, explain, interest
 
 
 @njit(nogil=True)
 def _take(x, ancestor, out):  # type: ignore[no-untyped-def]
     for component in range(x.shape[0]):
-        for i in range(ancestor.size):
+        for i in range(x.shape[1]):
             out[component, i] = x[component, ancestor[i]]

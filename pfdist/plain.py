@@ -17,7 +17,7 @@ from pfdist.kernels.noise import (
     TRUTH_PROCESS,
     variates,
 )
-from pfdist.kernels.resampling import plain_ancestors, plain_points
+from pfdist.kernels.resampling import plain_ancestors
 from pfdist.measurement_times import Times, validated
 from pfdist.models import StateSpaceModel
 from pfdist.particle_filter import Filtered
@@ -95,8 +95,7 @@ def _filter_one(
         means.append(mean)
         variances.append(np.sum(weight * (z - mean[:, None]) ** 2, axis=1) / np.sum(weight))
         if t in times:
-            points = plain_points(resampling, particles, stream, draw, t)
-            chosen = plain_ancestors(np.cumsum(weight), points)
+            chosen = plain_ancestors(resampling, np.cumsum(weight), stream, draw, t)
             x = tuple(_stacked(x, particles)[:, chosen])
     return np.array(means), np.array(variances)
 

@@ -168,6 +168,12 @@ def _uniform(word):
 
 
 @inlined
+def _point(word):
+    """In (0, 1), ends excluded: all 32 bits and a half, exact in float64."""
+    return (np.float64(word) + 0.5) * 2.0**-32
+
+
+@inlined
 def _sine_cosine(word):
     """Sin and cos of pi s for s = word / 2^31 in [-1, 1]; error 4e-7."""
     s = np.float32(np.int32(word)) * np.float32(2.0**-31)
@@ -210,15 +216,15 @@ def _four_uniforms(stream, draw, t, role, component, block):
 
 
 @inlined
-def _four_exponentials(stream, draw, t, role, component, block):
+def _four_points(stream, draw, t, role, component, block):
     a, b, c, d = _words(stream, draw, t, role, component, block)
-    return _exponential(a), _exponential(b), _exponential(c), _exponential(d)
+    return _point(a), _point(b), _point(c), _point(d)
 
 
 FOUR: dict[str, Callable[..., Any]] = {
     "normal": _four_normals,
     "uniform": _four_uniforms,
-    "exponential": _four_exponentials,
+    "point": _four_points,
 }
 
 
@@ -243,7 +249,8 @@ def _filling(four: Callable[..., Any]) -> Callable[..., Any]:
 
 
 FILL = {kind: _filling(four) for kind, four in FOUR.items()}
-"""Compiled ``fill(out, stream, draw, t, role, component)`` by kind; out is float32, padded."""
+"""Compiled ``fill(out, stream, draw, t, role, component)`` by kind; out is padded, and float32
+for normal and uniform, float64 for point."""
 
 
 def filler(kinds: Sequence[str]) -> Callable[..., Any]:
@@ -279,7 +286,7 @@ def variates(
 
     Parameters
     ----------
-    kind : {"normal", "uniform", "exponential"}
+    kind : {"normal", "uniform", "point"}
     particles : int
     stream, draw, t, role, component : int
         The key.
@@ -287,7 +294,7 @@ def variates(
     Returns
     -------
     array of float64, (particles,)
-        The values are those of float32.
+        The values of normal and uniform are those of float32.
     """
     block = np.arange(padded(particles) // 4)
     # The key as an array too: NumPy warns when a scalar's addition wraps, an array's may.

@@ -1,13 +1,16 @@
-"""Resampling: points in (0, 1) by scheme, then one merge that turns them into ancestors.
+"""Resampling: from cumulative weights to the ancestor of each particle.
 
-Every scheme is a way to place P sorted points; the ancestor of point u is the first particle
-whose cumulative weight exceeds u. Each has its plain twin beside it.
+The ancestor that belongs to a point u of (0, 1) is the first particle whose cumulative weight
+exceeds u times their total. A scheme says where the P points lie: ``multinomial`` draws them
+independently, ``systematic`` takes a regular grid with one random shift. Each has its plain twin.
 
 References
 ----------
 Douc, Cappe, Moulines, "Comparison of resampling schemes for particle filtering", 2005.
+Chen and Asau, "On generating random variates from an empirical distribution", 1974 (the guide).
 """
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -17,73 +20,81 @@ from numpy.typing import NDArray
 
 from pfdist.kernels.noise import FILL, RESAMPLING, TILE, variates
 
-_fill_exponentials = FILL["exponential"]
-_fill_uniforms = FILL["uniform"]
+WIDE = 16  # ancestors written at once: one vector store
+
+_fill_points = FILL["point"]
 
 
-@njit(nogil=True)
-def _multinomial(points, buffer, stream, draw, t):
-    # Sorted uniforms without sorting: the partial sums of P+1 exponentials over their total.
-    _fill_exponentials(buffer, stream, draw, t, RESAMPLING, 0)
-    total = 0.0
-    for i in range(points.size):
-        total += np.float64(buffer[i])
-        points[i] = total
-    scale = 1.0 / (total + np.float64(buffer[points.size]))
-    for i in range(points.size):
-        points[i] *= scale
-
-
-@njit(nogil=True)
-def _systematic(points, buffer, stream, draw, t):
-    _fill_uniforms(buffer[:TILE], stream, draw, t, RESAMPLING, 0)
-    shift = np.float64(buffer[0])
-    scale = 1.0 / points.size
-    for i in range(points.size):
-        points[i] = (i + shift) * scale
-
-
-POINTS: dict[str, Callable[..., Any]] = {"multinomial": _multinomial, "systematic": _systematic}
-"""Compiled ``points(out, buffer, stream, draw, t)`` by scheme; buffer is float32, padded(P+1)."""
-
-
-@njit(nogil=True)
-def ancestors(cumulative, points, out):
-    """Merge sorted points into cumulative weights.
+@njit(nogil=True, error_model="numpy")
+def grid_ancestors(cumulative, shift, ends, ancestor):
+    """Ancestors of the points (i + shift)/P of a regular grid.
 
     Parameters
     ----------
     cumulative : array of float64, (P,)
         Cumulative weights; they need not sum to 1.
-    points : array of float64, (P,)
-        Sorted, in (0, 1).
-    out : array of int64, (P,)
-        Receives, for each point, the first index whose cumulative weight exceeds it.
+    shift : float
+        In 0..1.
+    ends : array of int64, (P,)
+        Scratch.
+    ancestor : array of int64, (P + WIDE,)
+        Receives the ancestors; what lies behind the P-th is scratch.
     """
-    last = cumulative.size - 1
-    total = cumulative[last]
-    j = 0
-    for i in range(points.size):
-        u = points[i] * total
-        while j < last and cumulative[j] <= u:
-            j += 1
-        out[i] = j
+    count = cumulative.size
+    scale = count / cumulative[count - 1]
+    for j in range(count):  # how many points lie below each cumulative weight
+        ends[j] = np.int64(min(math.ceil(cumulative[j] * scale - shift), count))
+    # Unsigned, or each index is checked for being negative, and nothing is vectorised.
+    begin = np.uintp(0)
+    for j in range(np.uintp(count)):
+        end = np.uintp(ends[j])
+        # One store serves most particles; what it writes too far, the next one writes over.
+        for k in range(np.uintp(WIDE)):
+            ancestor[begin + np.uintp(k)] = j
+        begin += np.uintp(WIDE)
+        while begin < end:
+            for k in range(np.uintp(WIDE)):
+                ancestor[begin + np.uintp(k)] = j
+            begin += np.uintp(WIDE)
+        begin = end
 
 
-def plain_points(
-    scheme: str, particles: int, stream: int, draw: int, t: int
-) -> NDArray[np.float64]:
-    """Plain twin of `POINTS`, (P,)."""
-    if scheme == "multinomial":
-        partial = np.cumsum(variates("exponential", particles + 1, stream, draw, t, RESAMPLING, 0))
-        return partial[:-1] * (1.0 / partial[-1])
-    shift = variates("uniform", 1, stream, draw, t, RESAMPLING, 0)[0]
-    return (np.arange(particles) + shift) * (1.0 / particles)
+@njit(nogil=True, error_model="numpy")
+def _multinomial(cumulative, stream, draw, t, points, ends, guide, ancestor):
+    _fill_points(points, stream, draw, t, RESAMPLING, 0)
+    # Where a point's ancestor lies at the earliest: that of the grid point below it.
+    grid_ancestors(cumulative, 0.0, ends, guide)
+    count = cumulative.size
+    total = cumulative[count - 1]
+    for i in range(count):
+        j = np.uintp(guide[np.uintp(points[i] * count)])
+        point = points[i] * total
+        j += np.uintp(cumulative[j] <= point)  # a step without a branch, none to be guessed wrong
+        while cumulative[j] <= point:
+            j += np.uintp(1)
+        ancestor[i] = j
+
+
+@njit(nogil=True)
+def _systematic(cumulative, stream, draw, t, points, ends, guide, ancestor):
+    _fill_points(points[:TILE], stream, draw, t, RESAMPLING, 0)
+    grid_ancestors(cumulative, points[0], ends, ancestor)
+
+
+RESAMPLE: dict[str, Callable[..., Any]] = {"multinomial": _multinomial, "systematic": _systematic}
+"""By scheme, compiled ``resample(cumulative, stream, draw, t, points, ends, guide, ancestor)``.
+
+points (float64, padded(P)), ends (int64, P) and guide (int64, P + WIDE) are scratch; ancestor
+(int64, P + WIDE) receives the ancestors.
+"""
 
 
 def plain_ancestors(
-    cumulative: NDArray[np.float64], points: NDArray[np.float64]
+    scheme: str, cumulative: NDArray[np.float64], stream: int, draw: int, t: int
 ) -> NDArray[np.intp]:
-    """Plain twin of `ancestors`, (P,)."""
-    found = np.searchsorted(cumulative, points * cumulative[-1], side="right")
-    return np.minimum(found, cumulative.size - 1)
+    """Plain twin of `RESAMPLE`, (P,)."""
+    count = cumulative.size
+    points = variates("point", count, stream, draw, t, RESAMPLING, 0)
+    if scheme == "systematic":
+        points = (np.arange(count) + points[0]) / count
+    return np.searchsorted(cumulative, points * cumulative[-1], side="right")

@@ -9,7 +9,7 @@ from scipy import stats
 from pfdist.kernels import noise
 from pfdist.kernels.noise import FILL, LANES, TILE, filler, generator, padded, stream_key, variates
 
-KINDS = ("normal", "uniform", "exponential")
+KINDS = ("normal", "uniform", "point")
 STREAM = 0x0123456789ABCDEF
 WORDS = 2**32
 
@@ -32,7 +32,7 @@ def compiled_threefry(k, c):
 
 
 def filled(kind, particles, stream=STREAM, draw=0, t=0, role=0, component=0):
-    out = np.empty(padded(particles), np.float32)
+    out = np.empty(padded(particles), np.float64 if kind == "point" else np.float32)
     FILL[kind](out, np.uint64(stream), draw, t, role, component)
     return out[:particles]
 
@@ -69,7 +69,8 @@ def test_noise_is_threefry_of_the_key_that_is_documented():
 @pytest.mark.parametrize("key", [(STREAM, 3, 2, 1, 0), (2**64 - 1, WORDS - 1, 32_000, 5, 7)])
 def test_compiled_and_plain_noise_agree_to_the_last_bit(kind, particles, key):
     plain = variates(kind, particles, *key)
-    assert plain.astype(np.float32).tobytes() == filled(kind, particles, *key).tobytes()
+    given = filled(kind, particles, *key)
+    assert plain.astype(given.dtype).tobytes() == given.tobytes()
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -99,7 +100,7 @@ def test_normals_have_the_moments_of_the_standard_normal():
 
 
 @pytest.mark.parametrize(
-    ("kind", "distribution"), [("normal", "norm"), ("uniform", "uniform"), ("exponential", "expon")]
+    ("kind", "distribution"), [("normal", "norm"), ("uniform", "uniform"), ("point", "uniform")]
 )
 def test_kolmogorov_smirnov_does_not_reject_the_distribution(kind, distribution):
     assert stats.kstest(cloud(kind)[:400].ravel(), distribution).pvalue > 1e-3
@@ -137,6 +138,10 @@ def test_uniforms_lie_strictly_inside_the_unit_interval_for_every_word():
     np.testing.assert_array_equal(
         noise._uniform(EXTREME[[0, -1]]).astype(np.float64), [2.0**-24, 1 - 2.0**-24]
     )
+
+
+def test_points_lie_strictly_inside_the_unit_interval_for_every_word():
+    np.testing.assert_array_equal(noise._point(EXTREME[[0, -1]]), [2.0**-33, 1 - 2.0**-33])
 
 
 def test_normals_are_finite_for_extreme_words():

@@ -3,75 +3,84 @@ import pytest
 from scipy import stats
 
 from pfdist.kernels.noise import padded
-from pfdist.kernels.resampling import POINTS, ancestors, plain_ancestors, plain_points
+from pfdist.kernels.resampling import RESAMPLE, WIDE, grid_ancestors, plain_ancestors
 
 STREAM = 0x0123456789ABCDEF
-SIZES = [1, 2, 63, 64, 500]
+SIZES = [1, 2, 15, 16, 17, 63, 64, 65, 500]
 RESAMPLINGS = 1000
 WEIGHTS = np.random.default_rng(5).dirichlet(np.ones(50))
-schemes = pytest.mark.parametrize("scheme", POINTS)
+schemes = pytest.mark.parametrize("scheme", RESAMPLE)
 sizes = pytest.mark.parametrize("particles", SIZES)
 
 
-def compiled_points(scheme, particles, draw, t=3):
-    points, buffer = np.empty(particles), np.empty(padded(particles + 1), np.float32)
-    POINTS[scheme](points, buffer, np.uint64(STREAM), draw, t)
-    return points
-
-
-def compiled_ancestors(weights, points):
-    chosen = np.empty(points.size, np.int64)
-    ancestors(np.cumsum(weights), points, chosen)
-    return chosen
+def compiled_ancestors(scheme, weights, draw, t=3):
+    count = weights.size
+    guide, ancestor = np.empty((2, count + WIDE), np.int64)
+    points, ends = np.empty(padded(count)), np.empty(count, np.int64)
+    cumulative = np.cumsum(weights)
+    RESAMPLE[scheme](cumulative, np.uint64(STREAM), draw, t, points, ends, guide, ancestor)
+    return ancestor[:count]
 
 
 def offspring(scheme, weights, draw):
-    chosen = compiled_ancestors(weights, compiled_points(scheme, weights.size, draw))
-    return np.bincount(chosen, minlength=weights.size)
+    return np.bincount(compiled_ancestors(scheme, weights, draw), minlength=weights.size)
 
 
 @schemes
-@sizes
-def test_points_are_sorted_and_lie_inside_the_unit_interval(scheme, particles):
+@pytest.mark.parametrize(
+    "weights",
+    [
+        np.ones(50),
+        WEIGHTS,
+        np.where(WEIGHTS > 0.01, WEIGHTS, 0),
+        1e-300 * WEIGHTS,
+        np.eye(50)[7],
+        np.random.default_rng(1).random(500) ** 20,
+    ],
+    ids=["equal", "random", "some zero", "tiny", "one alone", "few of many"],
+)
+def test_compiled_and_plain_ancestors_agree(scheme, weights):
     for draw in range(100):
-        points = compiled_points(scheme, particles, draw)
-        assert (np.diff(points) >= 0).all()
-        assert points[0] > 0
-        assert points[-1] < 1
+        plain = plain_ancestors(scheme, np.cumsum(weights), STREAM, draw, 3)
+        np.testing.assert_array_equal(compiled_ancestors(scheme, weights, draw), plain)
 
 
 @schemes
 @sizes
 @pytest.mark.parametrize(("draw", "t"), [(0, 0), (3, 60), (2**32 - 1, 32_000)])
-def test_compiled_and_plain_points_agree_to_the_last_bit(scheme, particles, draw, t):
-    plain = plain_points(scheme, particles, STREAM, draw, t)
-    np.testing.assert_array_equal(compiled_points(scheme, particles, draw, t), plain)
+def test_any_number_of_particles_and_any_key(scheme, particles, draw, t):
+    weights = np.random.default_rng(particles).random(particles)
+    plain = plain_ancestors(scheme, np.cumsum(weights), STREAM, draw, t)
+    np.testing.assert_array_equal(compiled_ancestors(scheme, weights, draw, t), plain)
 
 
 @schemes
 @pytest.mark.parametrize(("draw", "t"), [(1, 0), (0, 1)])
-def test_another_draw_or_time_has_other_points(scheme, draw, t):
-    assert (compiled_points(scheme, 50, draw, t) != compiled_points(scheme, 50, 0, 0)).all()
+def test_another_draw_or_time_has_other_ancestors(scheme, draw, t):
+    first = compiled_ancestors(scheme, WEIGHTS, 0, 0)
+    assert (compiled_ancestors(scheme, WEIGHTS, draw, t) != first).any()
 
 
-@pytest.mark.parametrize(
-    "weights",
-    [np.ones(50), WEIGHTS, np.where(WEIGHTS > 0.01, WEIGHTS, 0), 1e-300 * WEIGHTS, np.eye(50)[7]],
-    ids=["equal", "random", "some_zero", "tiny", "one_alone"],
-)
-def test_compiled_and_plain_ancestors_agree(weights):
-    for draw in range(100):
-        points = compiled_points("multinomial", weights.size, draw)
-        plain = plain_ancestors(np.cumsum(weights), points)
-        np.testing.assert_array_equal(compiled_ancestors(weights, points), plain)
-
-
-@pytest.mark.parametrize("merge", [compiled_ancestors, lambda w, u: plain_ancestors(w.cumsum(), u)])
-def test_ancestor_is_the_first_whose_cumulative_weight_exceeds_the_point(merge):
-    # Cumulative weights 0, 1, 2, 2, 4, 4; points times their total 0.8, 1, 1, 2, 3.6.
+def test_an_ancestor_is_the_first_whose_cumulative_weight_exceeds_the_point():
+    # Cumulative weights 0, 1, 2, 2, 4, 4; the grid's points times their total: shift * 2/3 + these
+    # 0, 2/3, 4/3, 2, 8/3, 10/3.
     weights = np.array([0.0, 1.0, 1.0, 0.0, 2.0, 0.0])
-    points = np.array([0.2, 0.25, 0.25, 0.5, 0.9])
-    assert merge(weights, points).tolist() == [1, 2, 2, 4, 4]
+    ends, ancestor = np.empty(6, np.int64), np.empty(6 + WIDE, np.int64)
+    for shift, expected in ((0.1, [1, 1, 2, 4, 4, 4]), (0.9, [1, 2, 2, 4, 4, 4])):
+        grid_ancestors(np.cumsum(weights), shift, ends, ancestor)
+        assert ancestor[:6].tolist() == expected
+
+
+@pytest.mark.parametrize("shift", [0.0, 2.0**-33, 0.5, 1 - 2.0**-33])
+def test_every_point_of_the_grid_has_an_ancestor_at_the_ends_of_the_shift(shift):
+    for seed in range(200):
+        weights = np.random.default_rng(seed).random(37) ** 8
+        ends, ancestor = np.full(37, -1), np.full(37 + WIDE, -1)
+        grid_ancestors(np.cumsum(weights), shift, ends, ancestor)
+        assert ends[-1] == 37
+        assert (np.diff(ancestor[:37]) >= 0).all()
+        assert ancestor[0] >= 0
+        assert ancestor[36] <= 36
 
 
 def test_multinomial_offspring_are_multinomial_in_the_weights():
@@ -121,12 +130,3 @@ def test_particles_of_zero_weight_have_no_offspring(scheme):
 @schemes
 def test_one_particle_is_its_own_ancestor(scheme):
     assert all(offspring(scheme, np.array([0.3]), draw) == 1 for draw in range(100))
-
-
-@pytest.mark.parametrize(("draw", "particles"), [(470_478, 9), (640_661, 36), (2_618_307, 16)])
-def test_points_stay_inside_where_the_last_exponential_is_least(draw, particles):
-    # With these keys the last exponential's word is one of the 128 highest.
-    points, buffer = np.empty(particles), np.empty(padded(particles + 1), np.float32)
-    POINTS["multinomial"](points, buffer, np.uint64(0), draw, 0)
-    assert buffer[particles] < 1e-7
-    assert points[-1] < 1
