@@ -49,6 +49,7 @@ def run_comparison(
     done = int(draws - missing.sum())
     progress = replace(progress, phase=PHASE, done=progress.done + done * len(sets))
     progress = replace(progress, evaluations=done, generation=0, generations=0)
+    report(progress)
     work = _work(built, sets)
     _keep_trajectories(built, work, collector)
     schema = comparison_schema(list(sets))

@@ -60,7 +60,8 @@ def run_search(
     committed = _committed_generations(store, name)
     draws = built.job.evaluation.draws
     state, generation = optimiser.init(), 0
-    progress = replace(progress, phase=name, generations=optimiser.generations)
+    progress = replace(progress, phase=name, generation=1, generations=optimiser.generations)
+    report(progress)
     while not optimiser.done(state):
         rng = generator(built.job.seed, "search", name, generation)
         population = [tuple(row) for row in optimiser.ask(state, rng).tolist()]
