@@ -43,6 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code.
     """
     options = _parser().parse_args(arguments)
+    _preempted.clear()
     for number in (signal.SIGTERM, signal.SIGUSR1):
         signal.signal(number, _preempt)
     try:

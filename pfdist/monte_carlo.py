@@ -169,7 +169,7 @@ def cut(draws: ArrayLike, block: int) -> list[tuple[int, int]]:
     Examples
     --------
     >>> cut([0, 1, 2, 3, 4, 7, 8], block=3)
-    [(0, 3), (3, 5), (7, 8), (8, 9)]
+    [(0, 3), (3, 5), (7, 9)]
     """
     index = np.asarray(draws)
     if not index.size:

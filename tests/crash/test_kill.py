@@ -1,14 +1,21 @@
 """Ended by a signal in either phase and run again: the same bytes."""
 
 import hashlib
+import itertools
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
+
+import pfdist
+from pfdist import Job
+from pfdist.cli import main
+from pfdist.monte_carlo import Problem, Work
 
 JOB = """
 seed = 5
@@ -43,17 +50,14 @@ def _finish(job: Path, run: Path, pool: str) -> dict[str, str]:
     return _hashes(run)
 
 
-def _end_when(
-    process: subprocess.Popen[bytes], reached: Callable[[], bool], number: signal.Signals
-) -> int:
-    """Send a signal once a run has got so far; give its exit code."""
+def _kill_when(process: subprocess.Popen[bytes], reached: Callable[[], bool]) -> None:
     deadline = time.monotonic() + PATIENCE_SECONDS
     while not reached():
         assert process.poll() is None, "the run ended before it could be killed"
         assert time.monotonic() < deadline, "the run never got so far"
         time.sleep(0.005)
-    process.send_signal(number)
-    return process.wait(PATIENCE_SECONDS)
+    process.send_signal(signal.SIGKILL)
+    assert process.wait(PATIENCE_SECONDS) == -signal.SIGKILL
 
 
 def _hashes(run: Path) -> dict[str, str]:
@@ -83,29 +87,50 @@ def never_killed(job: Path) -> dict[str, str]:
     return hashes
 
 
-@pytest.mark.parametrize(
-    ("pool", "searching", "comparing"),
-    [
-        ("serial", (signal.SIGKILL, -9), (signal.SIGKILL, -9)),
-        ("ray", (signal.SIGKILL, -9), (signal.SIGKILL, -9)),
-        ("serial", (signal.SIGTERM, 75), (signal.SIGINT, 130)),
-    ],
-    ids=["serial killed", "ray killed", "asked to end"],
-)
-def test_a_run_ended_in_every_phase_goes_on_to_the_same_bytes(
-    pool: str,
-    searching: tuple[signal.Signals, int],
-    comparing: tuple[signal.Signals, int],
-    job: Path,
-    never_killed: dict[str, str],
-    tmp_path: Path,
+@pytest.mark.parametrize("pool", ["serial", "ray"])
+def test_a_run_killed_in_every_phase_ends_with_the_same_bytes(
+    pool: str, job: Path, never_killed: dict[str, str], tmp_path: Path
 ) -> None:
     run = tmp_path / "run"
-    number, code = searching
-    assert _end_when(_start(job, run, pool), lambda: _parts(run, "draws") >= 2, number) == code
+    _kill_when(_start(job, run, pool), lambda: _parts(run, "draws") >= 2)
     assert not (run / "tables" / "compared").exists()  # it was still searching
-    number, code = comparing
-    assert _end_when(_start(job, run, pool), lambda: _parts(run, "comparison") >= 1, number) == code
+    _kill_when(_start(job, run, pool), lambda: _parts(run, "comparison") >= 1)
     assert not (run / "tables" / "comparison").exists()  # it was still comparing
     assert _finish(job, run, pool) == never_killed
     assert not list(run.rglob(".*"))
+
+
+@pytest.mark.parametrize(("state", "sets", "task"), [("searching", 1, 7), ("comparing", 3, 2)])
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 75), (signal.SIGUSR1, 75)]
+)
+def test_a_run_asked_to_end_keeps_what_is_done_and_goes_on(
+    number: signal.Signals,
+    code: int,
+    state: str,
+    sets: int,
+    task: int,
+    small_job: Job,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    whole, run = tmp_path / "whole", tmp_path / "run"
+    command = ["run", str(small_job.path), "--results"]
+    assert main([*command, str(whole)]) == 0
+    calls, do = itertools.count(1), Problem.__call__
+
+    def signalled(self: Problem, work: Work) -> Any:
+        if len(work.measurement_times) == sets and next(calls) == task:
+            signal.raise_signal(number)
+        return do(self, work)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Problem, "__call__", signalled)
+        assert main([*command, str(run)]) == code
+    assert "the same command goes on" in capsys.readouterr().err
+    kept = pfdist.open_run(run)
+    assert kept.state == state
+    assert len(kept.draws()) > 0
+    assert main([*command, str(run)]) == 0
+    assert _hashes(run) == _hashes(whole)
