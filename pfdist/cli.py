@@ -1,6 +1,7 @@
 """The command line: parse, call, print; no logic."""
 
 import argparse
+import ast
 import json
 import signal
 import sys
@@ -10,7 +11,7 @@ from types import FrameType
 from typing import Any
 
 import pfdist
-from pfdist.analysis import open_run
+from pfdist.analysis import finite, open_run
 from pfdist.display import Display, print_summary
 from pfdist.errors import MeasurementTimesError, PfdistError, TaskError
 from pfdist.job import load_job
@@ -54,12 +55,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"pfdist: {_one_line(error)}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print(
-            f"pfdist: {'asked to end' if _preempted else 'interrupted'}; {_GO_ON}", file=sys.stderr
-        )
+        ended = "asked to end" if _preempted else "interrupted"
+        go_on = f"; {_GO_ON}" if options.command is _run else ""
+        print(f"pfdist: {ended}{go_on}", file=sys.stderr)
         return 75 if _preempted else 130
     except BrokenPipeError:  # the reader of our output has gone, as `head` does
         sys.stderr.close()
+        return 1
+    except OSError as error:
+        print(f"pfdist: {error}", file=sys.stderr)
+        return 1
+    except MemoryError:
+        print("pfdist: not enough memory: fewer draws or particles need less", file=sys.stderr)
         return 1
     return 0
 
@@ -127,13 +134,16 @@ def _models(options: argparse.Namespace) -> None:
     names = sorted(installed_models())
     width = max(map(len, names))
     for name in names:
-        summary = find_model(name).text.lstrip('"').split("\n", 1)[0]
-        print(f"{name:{width}}  {summary}")
+        try:
+            summary = ast.get_docstring(ast.parse(find_model(name).text)) or ""
+        except (PfdistError, SyntaxError) as error:
+            summary = f"cannot be loaded: {error}"
+        print(f"{name:{width}}  {summary.partition(chr(10))[0]}".rstrip())
 
 
 def _times(text: str) -> list[int]:
     try:
-        return [int(time) for time in text.split(",") if time.strip()]
+        return [int(time) for time in text.rstrip(",").split(",")]
     except ValueError as error:
         raise MeasurementTimesError(
             f"--times must be integers separated by commas, for instance 0,3,6, got {text!r}"
@@ -149,8 +159,7 @@ def _print_run(summary: dict[str, Any], options: argparse.Namespace) -> None:
 
 
 def _print_json(value: dict[str, Any]) -> None:
-    infinite = {key: None for key, inner in value.items() if inner in (float("inf"),)}
-    print(json.dumps({**value, **infinite}, indent=2, allow_nan=False))
+    print(json.dumps(finite(value), indent=2, allow_nan=False))
 
 
 def _parser() -> argparse.ArgumentParser:

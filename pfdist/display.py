@@ -7,6 +7,7 @@ from typing import Any, Self
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.table import Column
 
 from pfdist.runner.progress import Progress as State
 
@@ -22,18 +23,18 @@ class Display:
     def __init__(self, console: Console | None = None) -> None:
         self._console = console or Console(stderr=True, highlight=False)
         self._bar = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(bar_width=None),
+            BarColumn(bar_width=16),
             TaskProgressColumn(),
-            TimeRemainingColumn(),
+            TimeRemainingColumn(compact=True),
             TextColumn("left"),
+            TextColumn("{task.description}", table_column=Column(no_wrap=True)),
             console=self._console,
             transient=True,
         )
         self._live = self._console.is_terminal
         self._task: Any = None
         self._phase = ""
-        self._start, self._phase_start, self._last_line = time.monotonic(), (0.0, 0, 0), 0.0
+        self._phase_start, self._last_line = (0.0, 0, 0), 0.0
 
     def __enter__(self) -> Self:
         return self
@@ -76,8 +77,10 @@ class Display:
             parts.append(f"generation {state.generation}/{state.generations}")
         else:
             parts.append(f"{state.evaluations:,} draws")
-        if state.best is not None and state.mean is not None and state.generations:
-            parts.append(f"best {state.best:.2f}  mean {state.mean:.2f}")
+        if state.best is not None and state.generations:
+            parts.append(f"best {state.best:.2f}")
+        if state.mean is not None and state.generations:
+            parts.append(f"mean {state.mean:.2f}")
         if rate:
             parts.append(f"{rate:,.{1 if rate < 100 else 0}f} {unit}/s")
         return "  ".join(parts)

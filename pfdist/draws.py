@@ -10,7 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from pfdist.errors import ModelError
-from pfdist.kernels.components import formula, reader, writer
+from pfdist.kernels.components import formula, formulas_of, reader, writer
 from pfdist.kernels.noise import TILE, TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, filler
 from pfdist.models import StateSpaceModel
 
@@ -46,7 +46,7 @@ def simulate(model: StateSpaceModel, horizon: int, index: range, stream: int) ->
     horizon : int
         T.
     index : range
-        Which draws; a draw is the same whatever others are simulated with it.
+        Which draws, one after another; a draw is the same whatever others are simulated with it.
     stream : int
         Key of the noise, 64 bits.
 
@@ -57,11 +57,14 @@ def simulate(model: StateSpaceModel, horizon: int, index: range, stream: int) ->
     Raises
     ------
     ModelError
-        The model gave a value that is not finite.
+        A formula cannot be compiled or failed, or gave a value that is not finite.
     """
+    if index.step != 1:
+        raise ValueError(f"index must be a range with step 1, got {index}")
     shape = (len(index), horizon + 1)
     x, y, z = (np.empty((*shape, count)) for count in model.components)
-    _compiled(model)(np.uint64(stream), index.start, model.p, x, y, z)
+    with formulas_of(model.name):
+        _compiled(model)(np.uint64(stream), index.start, model.p, x, y, z)
     check_finite(model, x, y, z)
     return Draws(index, x, y, z)
 

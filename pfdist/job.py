@@ -48,14 +48,14 @@ class ProblemSection(_Section):
 class Filter(_Section):
     """The particle filter."""
 
-    particles: Annotated[int, Field(ge=1)] = 500
+    particles: Annotated[int, Field(ge=1, le=10_000_000)] = 500
     resampling: Literal["multinomial", "systematic"] = "multinomial"
 
 
 class EvaluationSection(_Section):
     """How the expected MSE of a set of times is estimated during a search."""
 
-    draws: Annotated[int, Field(ge=2, le=2**32)] = 1000
+    draws: Annotated[int, Field(ge=2, le=10_000_000)] = 1000
     noise: Literal["fresh", "common"] = "fresh"
     degenerate_draws: Literal["kill", "leave_out"] = "kill"
 
@@ -101,7 +101,7 @@ Search = Annotated[GeneticSearch | RandomSearch, Field(discriminator="method")]
 class Comparison(_Section):
     """The found times against the reference, on the same fresh draws."""
 
-    draws: Annotated[int, Field(ge=2, le=2**32)] = 100_000
+    draws: Annotated[int, Field(ge=2, le=100_000_000)] = 100_000
     reference: Literal["regular"] = REFERENCE
 
 
@@ -128,11 +128,11 @@ class Job(_Section):
 
     @model_validator(mode="after")
     def _names_differ(self) -> Self:
-        names = [REFERENCE, *(search.name for search in self.search)]
+        names = [REFERENCE, "comparison", *(search.name for search in self.search)]
         twice = [name for name in names if names.count(name) > 1]
         if twice:
             raise ValueError(
-                f"search: every name must be another one, and none {REFERENCE!r}, "
+                f"search: every name must be another one, and none {REFERENCE!r} or 'comparison', "
                 f'got {twice[0]!r} twice: give one of them name = "..."'
             )
         return self
@@ -260,6 +260,7 @@ def _sentence(error: ErrorDetails) -> str:
     if kind == "value_error":
         return str(error["ctx"]["error"])
     rule = re.sub(r"^(Input|String|Value) should ", "must ", error["msg"])
+    rule = re.sub(r"a valid dictionary or instance of \w+", "a section", rule)
     return f"{key} {rule}, got {got!r}"
 
 

@@ -16,6 +16,9 @@ from pfdist.measurement_times import Times
 from pfdist.models import StateSpaceModel
 from pfdist.particle_filter import filter_draws
 
+TASK_STEPS = 50_000_000
+"""Particle-steps that are done at once: about 0.2 s."""
+
 DEGENERATE_POLICIES = ("kill", "leave_out")
 """What one degenerate draw does to an evaluation: ``kill``, the paper's, makes its cost infinite;
 ``leave_out`` takes the mean over the other draws."""
@@ -39,6 +42,10 @@ class Problem:
     horizon: int
     particles: int
     resampling: str = "multinomial"
+
+    def draws_of(self, steps: int, sets: int = 1) -> int:
+        """How many draws, filtered with so many sets, make about so many particle-steps."""
+        return max(1, steps // (self.particles * (self.horizon + 1) * sets))
 
     def __call__(self, work: "Work") -> "Result":
         """Do the work: simulate the draws once and filter them with every set of times."""

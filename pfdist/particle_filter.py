@@ -18,7 +18,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from pfdist.draws import Draws
-from pfdist.kernels.components import formula, reader, writer
+from pfdist.kernels.components import formula, formulas_of, reader, writer
 from pfdist.kernels.noise import FILTER_INITIAL, FILTER_PROCESS, filler, padded
 from pfdist.kernels.resampling import RESAMPLE, WIDE
 from pfdist.kernels.weights import cumulate, weigh, weighted_mean, weighted_variance
@@ -85,6 +85,8 @@ def filter_draws(
     ------
     MeasurementTimesError
         The measurement times do not lie in 0..T, or one stands twice.
+    ModelError
+        A formula cannot be compiled, or failed.
     """
     count, instants, quantities = draws.z.shape
     measured = np.zeros(instants, np.bool_)
@@ -92,10 +94,11 @@ def filter_draws(
     mse = np.empty(count)
     kept = (count, instants, quantities) if trajectories else (0, instants, quantities)
     estimate, variance = np.full(kept, np.nan), np.full(kept, np.nan)
-    _compiled(model, resampling)(
-        np.uint64(stream), draws.index.start, draws.y, draws.z, measured, particles, model.p,
-        mse, estimate, variance,
-    )  # fmt: skip
+    with formulas_of(model.name):
+        _compiled(model, resampling)(
+            np.uint64(stream), draws.index.start, draws.y, draws.z, measured, particles, model.p,
+            mse, estimate, variance,
+        )  # fmt: skip
     return Filtered(mse, estimate, variance) if trajectories else Filtered(mse)
 
 

@@ -57,11 +57,11 @@ def filter_draws(
     estimate, variance = np.full_like(draws.z, np.nan), np.full_like(draws.z, np.nan)
     mse = np.empty(len(draws.index))
     for d, draw in enumerate(draws.index):
-        filtered = _filter_one(model, draws.y[d], times, particles, stream, draw, resampling)
-        if filtered is None:
-            mse[d] = np.nan  # degenerate
-            continue
-        estimate[d], variance[d] = filtered
+        means, variances = _filter_one(
+            model, draws.y[d], times, particles, stream, draw, resampling
+        )
+        estimate[d, : len(means)], variance[d, : len(means)] = means, variances
+        # nan where the draw is degenerate
         mse[d] = np.mean(np.sum((draws.z[d] - estimate[d]) ** 2, axis=1))
     return Filtered(mse, estimate, variance)
 
@@ -74,7 +74,8 @@ def _filter_one(
     stream: int,
     draw: int,
     resampling: str,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Means and variances of z, (T+1, q) each; fewer of a draw that becomes degenerate."""
     means, variances = [], []
     x = model.initial(
         _noise(model.initial_noise, particles, stream, draw, 0, FILTER_INITIAL), model.p
@@ -88,7 +89,7 @@ def _filter_one(
             (log_weight,) = _stacked((model.log_likelihood(tuple(y[t]), x, t, model.p),), particles)
             log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf)
             if log_weight.max() == -np.inf:
-                return None
+                break
             weight = np.exp(log_weight - log_weight.max())
         z = _stacked(model.quantity_of_interest(x, t, model.p), particles)
         mean = np.sum(weight * z, axis=1) / np.sum(weight)
@@ -97,7 +98,8 @@ def _filter_one(
         if t in times:
             chosen = plain_ancestors(resampling, np.cumsum(weight), stream, draw, t)
             x = tuple(_stacked(x, particles)[:, chosen])
-    return np.array(means), np.array(variances)
+    shape = (len(means), model.components[2])
+    return np.reshape(means, shape), np.reshape(variances, shape)
 
 
 def _stacked(components: tuple[Any, ...], particles: int) -> NDArray[np.float64]:

@@ -1,6 +1,8 @@
 """The intermittent particle filter against exact filters, its plain twin, and published figures."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,9 +10,9 @@ import pytest
 from oracles.kalman import SCALAR, THREE, TRACKING, LinearGaussian, kalman_filter
 from pfdist import StateSpaceModel, plain, where
 from pfdist.draws import simulate
-from pfdist.errors import MeasurementTimesError
+from pfdist.errors import MeasurementTimesError, ModelError
 from pfdist.measurement_times import regular
-from pfdist.particle_filter import RESAMPLING, filter_draws
+from pfdist.particle_filter import KERNEL_VERSION, RESAMPLING, filter_draws
 
 HORIZON = 12
 TIMES = {"none": (), "some": (0, 3, 4, 9), "all": tuple(range(HORIZON + 1))}
@@ -109,9 +111,14 @@ def test_a_draw_is_degenerate_where_no_particle_explains_a_measurement(
         log_likelihood=lambda y, x, t, p: where(y[0] > 0, -0.1 * x[0] ** 2, impossible),
     )
     draws = simulate(model, 4, range(20), 3)
-    mse = filter_draws(model, draws, (2,), 50, 1).mse
-    np.testing.assert_array_equal(np.isnan(mse), draws.y[:, 2, 0] < 0)
-    np.testing.assert_allclose(mse, plain.filter_draws(model, draws, (2,), 50, 1).mse, rtol=1e-9)
+    fast = filter_draws(model, draws, (2,), 50, 1, trajectories=True)
+    slow = plain.filter_draws(model, draws, (2,), 50, 1)
+    degenerate = draws.y[:, 2, 0] < 0
+    np.testing.assert_array_equal(np.isnan(fast.mse), degenerate)
+    assert np.isnan(fast.estimate[degenerate, 2:]).all()
+    assert np.isfinite(fast.estimate[degenerate, :2]).all()
+    for name in ("mse", "estimate", "variance"):
+        np.testing.assert_allclose(getattr(fast, name), getattr(slow, name), rtol=1e-9, atol=1e-12)
 
 
 def test_particles_that_leave_the_finite_numbers_cost_infinity(ungm: StateSpaceModel) -> None:
@@ -141,3 +148,53 @@ def test_times_outside_the_horizon_are_refused(ungm: StateSpaceModel) -> None:
     draws = simulate(ungm, 10, range(1), 1)
     with pytest.raises(MeasurementTimesError, match=r"0\.\.10, got 11"):
         filter_draws(ungm, draws, (3, 11), 10, 1)
+
+
+def test_figures_change_only_with_the_kernels_version(ungm: StateSpaceModel) -> None:
+    # Per-draw MSEs by version: a run that goes on must not meet another kernel.
+    pinned = {
+        1: [
+            [19.627125411828725, 25.179319676538277, 16.543443596988762],
+            [18.854138082741486, 26.09173765331689, 15.731730385417753],
+        ]
+    }
+    draws = simulate(ungm, 60, range(3), 2020)
+    mse = [filter_draws(ungm, draws, regular(60, 21), 500, 1, one).mse for one in RESAMPLING]
+    np.testing.assert_allclose(mse, pinned[KERNEL_VERSION], rtol=1e-9)
+
+
+def scaled(a):
+    return a * FACTOR
+
+
+FACTOR = 0.5
+
+
+def test_a_formula_may_call_its_authors_functions(ungm: StateSpaceModel) -> None:
+    def shifted(a):
+        return scaled(a) + 1.0
+
+    model = replace(ungm, transition=lambda x, t, w, p: (shifted(x[0]) + w[0],))
+    draws = simulate(model, 8, range(4), 3)
+    np.testing.assert_allclose(draws.x, plain.simulate(model, 8, range(4), 3).x, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("transition", "message"),
+    [
+        (lambda x, t, w, p: (np.clip(x[0], 0, 1),), r"compiled by Numba: .*clip.*filter\.py:\d+"),
+        (lambda x, t, w, p: (TABLE["a"] * x[0],), r"compiled by Numba: .*TABLE.*filter\.py:\d+"),
+        (lambda x, t, w, p: (x[0] + (1, 2)[t],), "a formula failed: IndexError"),
+    ],
+    ids=["a function Numba lacks", "a global dict", "raises"],
+)
+def test_a_formula_that_does_not_work_is_one_line_with_its_place(
+    ungm: StateSpaceModel, transition: Callable[..., Any], message: str
+) -> None:
+    model = replace(ungm, transition=transition)
+    with pytest.raises(ModelError, match=message) as error:
+        simulate(model, 8, range(1), 0)
+    assert "\n" not in str(error.value)
+
+
+TABLE = {"a": 1.0}

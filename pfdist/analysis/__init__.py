@@ -4,6 +4,6 @@ Reads tables alone: no Ray, no model, no kernel.
 """
 
 from pfdist.analysis.gains import GainSummary, relative_gain, summarise_gain
-from pfdist.analysis.tables import Run, open_run
+from pfdist.analysis.tables import Run, finite, open_run
 
-__all__ = ["GainSummary", "Run", "open_run", "relative_gain", "summarise_gain"]
+__all__ = ["GainSummary", "Run", "finite", "open_run", "relative_gain", "summarise_gain"]

@@ -49,7 +49,7 @@ def relative_gain(mse: NDArray[np.float64], reference: NDArray[np.float64]) -> N
 
 
 def summarise_gain(mse: NDArray[np.float64], reference: NDArray[np.float64]) -> GainSummary:
-    """Summarise the gain over all draws.
+    """Summarise the gain over all draws that have one.
 
     Parameters
     ----------
@@ -61,9 +61,9 @@ def summarise_gain(mse: NDArray[np.float64], reference: NDArray[np.float64]) -> 
     GainSummary
         NaN where there are too few draws for a figure.
     """
-    usable = ~(np.isnan(mse) | np.isnan(reference))
-    mse, reference = mse[usable], reference[usable]
     gain = relative_gain(mse, reference)
+    usable = ~np.isnan(gain)  # degenerate with either set; or both errors 0, or both infinite
+    mse, reference, gain = mse[usable], reference[usable], gain[usable]
     count = gain.size
     if not count:
         nothing = (np.nan, np.nan)

@@ -74,9 +74,8 @@ class Run:
         """``searching``, ``comparing`` or ``finished``."""
         if not self._store.has("compared"):
             return "searching"
-        finished = self.draws_compared == self.job["comparison"]["draws"]
-        kept = self._store.has("trajectories")
-        return "finished" if finished and kept else "comparing"
+        compared = self.draws_compared == self.job["comparison"]["draws"]
+        return "finished" if compared and not self._store.has_parts() else "comparing"
 
     @property
     def draws_compared(self) -> int:
@@ -101,7 +100,7 @@ class Run:
             "run": str(self.path),
             "evaluations": evaluations,
             "draws_compared": self.draws_compared,
-            "results": _finite(self._results()) if has("comparison") else {},
+            "results": finite(self._results()) if has("comparison") else {},
         }
 
     def _results(self) -> dict[str, Any]:
@@ -144,10 +143,10 @@ def open_run(path: str | Path) -> Run:
     return Run(Path(path))
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
     """The same with None for every float that is not finite, and lists for tuples."""
     if isinstance(value, dict):
-        return {key: _finite(inner) for key, inner in value.items()}
+        return {key: finite(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(inner) for inner in value]
+        return [finite(inner) for inner in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -7,7 +7,7 @@ from pfdist.kernels.noise import inlined
 
 _CHAINS = 4
 _LEAST = -700.0  # e to the less is 0 here; in float64 it is so below -745
-_IMPOSSIBLE = -1e300
+_IMPOSSIBLE = -np.finfo(np.float64).max
 
 
 @inlined

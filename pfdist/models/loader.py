@@ -33,6 +33,8 @@ class ModelSource:
         The file the source was read from.
     attribute : str
         The model's name in that file.
+    package : str
+        What imports in the source are relative to, if it is an installed module's.
     text : str
         The source itself: a worker runs this text, so it needs no access to the file.
     """
@@ -40,6 +42,7 @@ class ModelSource:
     name: str
     path: str
     attribute: str
+    package: str
     text: str
 
     @cached_property
@@ -57,13 +60,13 @@ class ModelSource:
             The source fails, or holds no such model.
         """
         module = types.ModuleType(f"pfdist_model_{self.sha256[:16]}")
-        module.__file__ = self.path
+        module.__file__, module.__package__ = self.path, self.package
         sys.modules[module.__name__] = module  # dataclasses look their module up there
         try:
             exec(compile(self.text, self.path, "exec"), module.__dict__)  # noqa: S102  it is the user's
         except ModelError:
             raise
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise ModelError(
                 f"model.name: {self.path} fails when loaded: {type(error).__name__}: {error}"
             ) from error
@@ -95,7 +98,7 @@ def find_model(name: str, folder: Path = Path()) -> ModelSource:
     """
     if ".py:" in name:
         file, _, attribute = name.rpartition(":")
-        return _read(name, folder / file, attribute)
+        return _read(name, folder / file, attribute, package="")
     installed = installed_models()
     if name not in installed:
         raise ModelError(
@@ -109,7 +112,7 @@ def find_model(name: str, folder: Path = Path()) -> ModelSource:
         spec = None
     if spec is None or not spec.has_location or spec.origin is None:
         raise ModelError(f"model.name: the module {module!r} of model {name!r} has no source file")
-    return _read(name, Path(spec.origin), attribute)
+    return _read(name, Path(spec.origin), attribute, spec.parent or "")
 
 
 def installed_models() -> dict[str, tuple[str, str]]:
@@ -124,10 +127,10 @@ def installed_models() -> dict[str, tuple[str, str]]:
     return {entry.name: (entry.module, entry.attr) for entry in plugged} | shipped
 
 
-def _read(name: str, path: Path, attribute: str) -> ModelSource:
+def _read(name: str, path: Path, attribute: str, package: str) -> ModelSource:
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
         raise ModelError(f"model.name: cannot read {path}: {reason} (got {name!r})") from error
-    return ModelSource(name, str(path), attribute, text)
+    return ModelSource(name, str(path), attribute, package, text)

@@ -1,6 +1,7 @@
 """Draw all figures of a run and save them."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import matplotlib as mpl
@@ -19,10 +20,21 @@ FORMATS = ("png", "svg")
 ONE_BY_ONE = {"random"}  # methods without populations
 
 
+def figure_files(run: Run) -> list[Path]:
+    """List the files of a run's figures: the searches' cost, and two for each search."""
+    names = ["cost", *(f"{kind}-{name}" for name in run.names[1:] for kind in ("draw", "gain"))]
+    return [run.path / "figures" / f"{name}.{kind}" for name in names for kind in FORMATS]
+
+
+def remove_figures(path: Path) -> None:
+    """Remove the figures of the run in this folder."""
+    for file in (path / "figures").glob("*.*"):
+        if file.suffix.removeprefix(".") in FORMATS:
+            file.unlink(missing_ok=True)
+
+
 def draw_figures(run: Run) -> list[Path]:
     """Draw the paper's figures from the tables of a run, into its folder ``figures``.
-
-    One of the searches' cost; and for each search one of a draw and one of the gain.
 
     Parameters
     ----------
@@ -36,34 +48,24 @@ def draw_figures(run: Run) -> list[Path]:
     Raises
     ------
     StoreError
-        The comparison has not begun, so there is nothing to draw.
+        The comparison has not begun, so there is nothing to draw; or a table cannot be read.
     """
     if run.state == "searching" or not run.draws_compared:
         raise StoreError(f"{run.path} has no compared draws yet: run the job on, then plot")
+    plots: dict[str, tuple[float, Callable[[Axes], None]]] = {"cost": (2.4, partial(_cost, run))}
+    for name in run.names[1:]:
+        plots[f"draw-{name}"] = (2.6, partial(_draw, run, name))
+        plots[f"gain-{name}"] = (2.3, partial(_gain, run, name))
+    files = figure_files(run)
     with mpl.rc_context(STYLE):
-        return [
-            *_save(run.path, "cost", 2.4, lambda axes: _cost(run, axes)),
-            *(
-                file
-                for name in run.names[1:]
-                for figure, height, plot in (
-                    (f"draw-{name}", 2.6, _draw),
-                    (f"gain-{name}", 2.3, _gain),
-                )
-                for file in _save(run.path, figure, height, lambda axes: plot(run, name, axes))  # noqa: B023
-            ),
-        ]
-
-
-def _save(path: Path, name: str, height: float, plot: Callable[[Axes], None]) -> list[Path]:
-    figure = Figure(figsize=(COLUMN_INCHES, height), layout="constrained")
-    plot(figure.subplots())
-    folder = path / "figures"
-    folder.mkdir(exist_ok=True)
-    files = [folder / f"{name}.{kind}" for kind in FORMATS]
-    for file in files:
-        # No date in the file: the same figure is the same bytes.
-        figure.savefig(file, metadata={"Date": None} if file.suffix == ".svg" else None)
+        for name, (height, plot) in plots.items():
+            figure = Figure(figsize=(COLUMN_INCHES, height), layout="constrained")
+            plot(figure.subplots())
+            for file in (file for file in files if file.stem == name):
+                file.parent.mkdir(exist_ok=True)
+                # No date in the file: the same figure is the same bytes.
+                date = {"Date": None} if file.suffix == ".svg" else None
+                figure.savefig(file, metadata=date)
     return files
 
 
@@ -77,6 +79,9 @@ def _draw(run: Run, name: str, axes: Axes) -> None:
     trajectories = run.trajectories()
     gains = run.gains().set_index("draw")[f"gain_{name}"].dropna()
     shown = gains[gains.index.isin(trajectories["draw"])]
+    if shown.empty:
+        _say_so(axes, "no draw that is kept has a gain")
+        return
     draw = typical_draw(shown, float(gains.mean()))
     times = run.compared().set_index("name")["measurement_times"]
     chosen = {key: times[key].tolist() for key in (run.names[0], name)}
@@ -89,4 +94,13 @@ def _gain(run: Run, name: str, axes: Axes) -> None:
     summary = summarise_gain(rows[f"mse_{name}"].to_numpy(), rows[f"mse_{run.names[0]}"].to_numpy())
     gain = run.gains()[f"gain_{name}"].dropna().to_numpy()
     finite = gain[np.isfinite(gain)]
+    if not finite.size:
+        _say_so(axes, "no draw has a finite gain")
+        return
     plot_gain_histogram(axes, finite, name, summary.mean_relative_gain, summary.positive_fraction)
+
+
+def _say_so(axes: Axes, text: str) -> None:
+    """In the place of a figure there is nothing to make of."""
+    axes.set_axis_off()
+    axes.text(0.5, 0.5, text, ha="center", va="center", transform=axes.transAxes)

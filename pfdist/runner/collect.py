@@ -53,7 +53,7 @@ class Collector:
             for outcome in self.pool.run(tasks):
                 waiting.append(outcome)
                 if outcome.error is not None:
-                    reason = outcome.error.strip().splitlines()[-1]
+                    reason = outcome.error.strip().splitlines()[-1].removeprefix("pfdist.errors.")
                     raise TaskError(f"a task of {phase} failed: {reason}", outcome.error)
                 yield outcome
                 if time.monotonic() - last >= COMMIT_SECONDS:

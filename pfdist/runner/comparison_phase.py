@@ -11,17 +11,16 @@ from numpy.typing import NDArray
 
 from pfdist.kernels.noise import stream_key
 from pfdist.measurement_times import Times
-from pfdist.monte_carlo import Work, cut
+from pfdist.monte_carlo import TASK_STEPS, Work, cut
 from pfdist.runner.build import Built
 from pfdist.runner.collect import Collector
 from pfdist.runner.pool import Outcome, Task
 from pfdist.runner.progress import Progress, Report
-from pfdist.runner.search_phase import TASK_STEPS
-from pfdist.store import Store, comparison_schema, trajectories_schema
-from pfdist.store.parquet import ROWS_IN_A_FILE
+from pfdist.store import ROWS_IN_A_FILE, Store, comparison_schema, trajectories_schema
 
 PHASE = "comparison"
 TRAJECTORIES = 100  # draws whose z, y and estimates are kept
+_DRAWS_AT_ONCE = 100_000  # made into tasks: memory stays flat
 
 
 def run_comparison(
@@ -42,6 +41,11 @@ def run_comparison(
     progress : Progress
         How far the run was before the comparison.
     report : callable
+
+    Raises
+    ------
+    TaskError, PoolError, StoreError
+        A task failed, no worker answers, or a file cannot be read or written.
     """
     store, draws = collector.store, built.job.comparison.draws
     missing = np.ones(draws, np.bool_)
@@ -51,7 +55,7 @@ def run_comparison(
     progress = replace(progress, evaluations=done, generation=0, generations=0)
     report(progress)
     work = _work(built, sets)
-    _keep_trajectories(built, work, collector)
+    _keep_trajectories(built, work, list(sets), collector)
     schema = comparison_schema(list(sets))
 
     def rows_of(outcome: Outcome) -> pa.Table:
@@ -59,10 +63,14 @@ def run_comparison(
         columns += [pa.array(mse, from_pandas=True) for mse in outcome.value.mse.T]
         return pa.Table.from_arrays(columns, schema=schema)
 
-    tasks = [
+    tasks = (
         Task(f"{PHASE}:{first}-{last}", replace(work, draws=(first, last)))
-        for first, last in cut(np.flatnonzero(missing), _block(built, len(sets)))
-    ]
+        for start in range(0, draws, _DRAWS_AT_ONCE)
+        for first, last in cut(
+            start + np.flatnonzero(missing[start : start + _DRAWS_AT_ONCE]),
+            built.problem.draws_of(TASK_STEPS, len(sets)),
+        )
+    )
     with closing(collector.run(PHASE, "comparison", tasks, rows_of)) as outcomes:
         for outcome in outcomes:
             first, last = outcome.task.work.draws
@@ -86,23 +94,17 @@ def _work(built: Built, sets: Mapping[str, Times]) -> Work:
     )
 
 
-def _block(built: Built, sets: int) -> int:
-    steps = built.job.filter.particles * (built.job.problem.horizon + 1) * sets
-    return max(1, TASK_STEPS // steps)
-
-
-def _keep_trajectories(built: Built, work: Work, collector: Collector) -> None:
+def _keep_trajectories(built: Built, work: Work, names: list[str], collector: Collector) -> None:
     """Filter the first draws once more, keeping what the figures show."""
-    store, names = collector.store, built.names
-    draws = min(TRAJECTORIES, built.job.comparison.draws)
-    if store.has("trajectories") and store.column("trajectories", "draw").max() == draws - 1:
-        return
+    store, draws = collector.store, min(TRAJECTORIES, built.job.comparison.draws)
+    missing = np.setdiff1d(np.arange(draws), store.column("trajectories", "draw"))
     _, measurements, quantities = built.problem.model.components
     schema = trajectories_schema(names, quantities, measurements)
-    block = min(_block(built, len(names)), -(-draws // collector.pool.workers))
+    largest = built.problem.draws_of(TASK_STEPS, len(names))
+    block = min(largest, -(-draws // collector.pool.workers))
     tasks = [
         Task(f"trajectories:{first}-{last}", replace(work, draws=(first, last), trajectories=True))
-        for first, last in cut(range(draws), block)
+        for first, last in cut(missing, block)
     ]
 
     def rows_of(outcome: Outcome) -> pa.Table:
@@ -111,9 +113,10 @@ def _keep_trajectories(built: Built, work: Work, collector: Collector) -> None:
     with closing(collector.run(PHASE, "trajectories", tasks, rows_of)) as outcomes:
         for _ in outcomes:
             pass
-    rows = pa.Table.from_pandas(store.read("trajectories"), schema=schema, preserve_index=False)
-    store.publish("trajectories", PHASE, 0, rows)
-    store.drop_parts("trajectories", PHASE)
+    if store.has_parts("trajectories", PHASE):
+        rows = store.read("trajectories")
+        table = pa.Table.from_pandas(rows, schema=schema, preserve_index=False)
+        store.publish("trajectories", PHASE, [table])
 
 
 def _trajectory_columns(outcome: Outcome, names: list[str]) -> dict[str, Any]:
@@ -140,10 +143,10 @@ def _by_component(name: str, values: NDArray[np.float64]) -> dict[str, pa.Array]
 
 def _publish(store: Store, draws: int) -> None:
     """Turn parts into tables, as many draws at a time as make a file."""
-    if not store.has_parts("comparison", PHASE):
-        return
-    rows = ROWS_IN_A_FILE["comparison"]
-    for number, first in enumerate(range(0, draws, rows)):
-        piece = store.rows_between("comparison", "draw", first, min(first + rows, draws))
-        store.publish("comparison", PHASE, number, piece)
-    store.drop_parts("comparison", PHASE)
+    if store.has_parts("comparison", PHASE):
+        rows = ROWS_IN_A_FILE["comparison"]
+        pieces = (
+            store.rows_between("comparison", "draw", first, min(first + rows, draws))
+            for first in range(0, draws, rows)
+        )
+        store.publish("comparison", PHASE, pieces)

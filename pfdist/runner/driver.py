@@ -36,8 +36,8 @@ def drive(built: Built, store: Store, pool: Pool, report: Report) -> None:
     ------
     SearchError
         A search found no set of times without degenerate draws.
-    TaskError
-        A task failed.
+    TaskError, PoolError, StoreError
+        A task failed, no worker answers, or a file cannot be read or written.
     """
     collector = Collector(store, pool, uuid.uuid4().hex[:8])
     draws = built.job.evaluation.draws
@@ -91,7 +91,7 @@ def _search(built: Built, collector: Collector, progress: Progress, report: Repo
     for position, row in enumerate(rows):
         row["position"] = position
     table = pa.Table.from_pylist(rows, schema=schema("compared"))
-    collector.store.publish("compared", "search", 0, table)
+    collector.store.publish("compared", "search", [table])
 
 
 def _publish_timings(store: Store, phase: str) -> None:
@@ -100,5 +100,4 @@ def _publish_timings(store: Store, phase: str) -> None:
     rows: pd.DataFrame = store.read("timings")
     rows = rows[rows["phase"] == phase]
     table = pa.Table.from_pandas(rows, schema=schema("timings"), preserve_index=False)
-    store.publish("timings", phase, 0, table)
-    store.drop_parts("timings", phase)
+    store.publish("timings", phase, [table])

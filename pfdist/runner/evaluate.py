@@ -3,10 +3,12 @@
 from collections.abc import Iterable
 from pathlib import Path
 
+import numpy as np
+
 from pfdist.job import Job, load_job
 from pfdist.kernels.noise import stream_key
 from pfdist.measurement_times import validated
-from pfdist.monte_carlo import Evaluation, Work
+from pfdist.monte_carlo import TASK_STEPS, Evaluation, Work, cut
 from pfdist.runner.build import build
 
 
@@ -45,6 +47,9 @@ def evaluate(
     times = validated(measurement_times, job.problem.horizon, "--times")
     fresh = [times] if job.evaluation.noise == "fresh" else []
     stream = stream_key(job.seed, "evaluate", *fresh)
-    work = Work((times,), (stream,), stream, (0, job.evaluation.draws))
-    mse = build(job).problem(work).mse[:, 0]
-    return Evaluation(times, mse, job.evaluation.degenerate_draws)
+    problem = build(job).problem
+    pieces = [
+        problem(Work((times,), (stream,), stream, piece)).mse[:, 0]
+        for piece in cut(range(job.evaluation.draws), problem.draws_of(TASK_STEPS))
+    ]
+    return Evaluation(times, np.concatenate(pieces), job.evaluation.degenerate_draws)

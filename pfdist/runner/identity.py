@@ -16,7 +16,6 @@ from pfdist.particle_filter import KERNEL_VERSION
 from pfdist.runner.build import Built
 from pfdist.store import SCHEMA_VERSION, Store, holds_run, read_run, write_job, write_run
 
-_OURS = {"job.toml", "run.json", "parts", "tables", "figures"}
 _LIBRARIES = ("numpy", "scipy", "numba", "ray", "pandas", "pyarrow", "matplotlib")
 
 
@@ -44,8 +43,11 @@ def open_store(path: Path, built: Built) -> Store:
         run, job = read_run(path)
         before = {"job": job} | {key: run.get(key) for key in identity}
         now = {"job": built.job.identity(), **identity}
-        _check_same(path, before, now)
-        if job["comparison"] != built.job.identity()["comparison"]:  # it grew
+        store = Store(path)
+        _check_same(
+            path, before, now, committed=int(store.column("comparison", "draw").max(initial=-1)) + 1
+        )
+        if job != built.job.identity():  # comparison.draws is another
             write_job(path, job_toml(built.job.identity()))
     store = Store(path)
     store.sweep()
@@ -64,7 +66,8 @@ def _identity(built: Built) -> dict[str, Any]:
 def _check_free(path: Path) -> None:
     if path.exists() and not path.is_dir():
         raise StoreError(f"--results must be a folder, got the file {path}")
-    strange = {entry.name for entry in path.glob("[!.]*")} - _OURS if path.exists() else set()
+    # job.toml alone is what a start leaves that was killed before it wrote run.json.
+    strange = {entry.name for entry in path.glob("[!.]*")} - {"job.toml"}
     if strange:
         raise StoreError(
             f"--results must be a new folder, an empty one or a run's, got {path} "
@@ -72,15 +75,16 @@ def _check_free(path: Path) -> None:
         )
 
 
-def _check_same(path: Path, before: dict[str, Any], now: dict[str, Any]) -> None:
+def _check_same(path: Path, before: dict[str, Any], now: dict[str, Any], committed: int) -> None:
     old, new = dict(_flat(before)), dict(_flat(now))
     differences = []
     for key in sorted(old.keys() | new.keys()):
         was, is_ = old.get(key, "nothing"), new.get(key, "nothing")
-        if was == is_ or (key == "job.comparison.draws" and is_ > was):
+        if was == is_ or (key == "job.comparison.draws" and is_ >= committed):
             continue
-        only = " (may only grow)" if key == "job.comparison.draws" else ""
-        differences.append(f"{key.removeprefix('job.')}: {was} -> {is_}{only}")
+        if key == "job.comparison.draws":
+            was = f"{committed} committed"
+        differences.append(f"{key.removeprefix('job.')}: {was} -> {is_}")
     if differences:
         raise RunMismatchError(
             f"{path} holds another run (give --results another folder): the run's -> this one's",
@@ -94,6 +98,8 @@ def _flat(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
         for name, inner in value.items():
             yield from _flat(inner, f"{key}.{name}" if key else str(name))
     elif isinstance(value, list):
+        names = [inner.get("name") for inner in value if isinstance(inner, Mapping)]
+        yield f"{key}.order", ", ".join(map(str, names))
         for index, inner in enumerate(value):
             name = inner.get("name", index) if isinstance(inner, Mapping) else index
             yield from _flat(inner, f"{key}.{name}")
@@ -112,17 +118,18 @@ def _provenance(job: Job) -> dict[str, Any]:
             "system": platform.platform(),
             "cores": len(os.sched_getaffinity(0)),
         },
-        "git": _git(),
+        "git": _git(job.path.parent),
         "execution": job.execution.model_dump(mode="json"),
     }
 
 
-def _git() -> dict[str, Any] | None:
-    """Commit of the folder the program was called in, and whether it has changes."""
+def _git(folder: Path) -> dict[str, Any] | None:
+    """Commit of the repository that holds the job file, and whether it has changes."""
     try:
         commit, changes = (
             subprocess.run(  # noqa: S603
                 ["git", *arguments],  # noqa: S607  the user's own
+                cwd=folder,
                 capture_output=True,
                 text=True,
                 timeout=10,

@@ -7,6 +7,7 @@ actor compiles its filter once. Each is handed its next task before it has ended
 import logging
 import os
 import signal
+import socket
 import threading
 import warnings
 from collections import Counter
@@ -28,6 +29,7 @@ IN_FLIGHT = 2  # tasks a worker: the one it does and the one that waits for it
 DEATHS = 3  # of workers that had a task, before the task is given up
 PATIENCE_SECONDS = 600.0  # a task takes seconds; when none ends in this time, none will
 START_SECONDS = 120.0
+CONNECT_SECONDS = 10.0
 _ONE_THREAD = {
     f"{library}_NUM_THREADS": "1" for library in ("OMP", "MKL", "OPENBLAS", "NUMBA", "NUMEXPR")
 }
@@ -84,12 +86,11 @@ class RayPool:
                 self.workers = max(1, int(ray.cluster_resources().get("CPU", 1)))
             self._actors = [self._new_worker() for _ in range(self.workers)]
             ray.get([actor.ready.remote() for actor in self._actors], timeout=START_SECONDS)
-        except (RayError, ConnectionError, RuntimeError, ValueError, TimeoutError) as error:
+        except (RayError, OSError, RuntimeError, ValueError) as error:
             self.__exit__()
             reason = str(error).strip().splitlines()
             raise PoolError(
-                f"Ray gave no {self.workers or ''} workers within {START_SECONDS:.0f} s"
-                f"{f' at {self._address!r}' if self._address else ''}: "
+                f"Ray could not start workers{f' at {self._address!r}' if self._address else ''}: "
                 f"{reason[-1] if reason else type(error).__name__}; "
                 "--pool serial computes the same without Ray"
             ) from error
@@ -157,6 +158,7 @@ class RayPool:
             return
         options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
         if self._address:
+            _check_reachable(self._address)
             options["address"] = self._address
         else:
             options |= {
@@ -173,3 +175,10 @@ class RayPool:
         self._started = True
         if threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGTERM, before)  # Ray takes it for itself, and exits with 1
+
+
+def _check_reachable(address: str) -> None:
+    """Ray itself waits for minutes where nobody listens."""
+    host, colon, port = address.removeprefix("ray://").rpartition(":")
+    if colon and port.isdigit():
+        socket.create_connection((host, int(port)), timeout=CONNECT_SECONDS).close()

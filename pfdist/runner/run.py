@@ -8,7 +8,7 @@ from typing import Any
 from pfdist.analysis import Run, open_run
 from pfdist.errors import JobError
 from pfdist.job import Job, load_job
-from pfdist.plots import draw_figures
+from pfdist.plots import draw_figures, figure_files, remove_figures
 from pfdist.runner.build import build, make_pool
 from pfdist.runner.driver import drive
 from pfdist.runner.identity import open_store
@@ -65,15 +65,17 @@ def run(
     path = Path("results") / job.path.stem if results is None else Path(results)
     built = build(job)
     store = open_store(path, built)
-    finished = open_run(path)
-    if finished.state != "finished":
+    finished = open_run(path).state == "finished"
+    if not finished:
+        remove_figures(path)  # of fewer draws, or drawn on the way
         start = perf_counter()
         with make_pool(built, job.execution) as entered:
             say(_ready(job.execution.pool, entered.workers, perf_counter() - start))
             drive(built, store, entered, report)
-    if finished.state != "finished" or not (path / "figures").exists():
-        draw_figures(open_run(path))
-    return open_run(path)
+    done = open_run(path)
+    if not all(file.exists() for file in figure_files(done)):
+        draw_figures(done)
+    return done
 
 
 def _ready(pool: str, workers: int, seconds: float) -> str:

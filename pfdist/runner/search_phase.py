@@ -1,7 +1,7 @@
 """One search: ask, evaluate what the store does not hold, commit, tell, until done."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
 
@@ -12,16 +12,14 @@ from numpy.typing import NDArray
 
 from pfdist.kernels.noise import generator, stream_key
 from pfdist.measurement_times import Times
-from pfdist.monte_carlo import Evaluation, Work, cut
+from pfdist.monte_carlo import TASK_STEPS, Evaluation, Work, cut
 from pfdist.runner.build import Built, NamedSearch
 from pfdist.runner.collect import Collector
 from pfdist.runner.pool import Outcome, Task
 from pfdist.runner.progress import Progress, Report
 from pfdist.store import Store, schema
-from pfdist.store.parquet import ROWS_IN_A_FILE, cut_rows
 
-TASK_STEPS = 50_000_000  # particle-steps of a task at most: about 0.3 s
-LEAST_STEPS = 2_000_000  # and at least: 10 ms, ten times what handing it over costs
+LEAST_STEPS = 2_000_000  # particle-steps of a task: 7 ms, ten times what handing it over costs
 TASKS_A_WORKER = 4  # in a generation at least, so that the cores end it together
 
 _EVALUATIONS_AT_ONCE = 200  # read from the store when a phase is published
@@ -55,6 +53,11 @@ def run_search(
     -------
     Evaluation
         What the search returns.
+
+    Raises
+    ------
+    TaskError, PoolError, StoreError
+        A task failed, no worker answers, or a file cannot be read or written.
     """
     optimiser, name, store = search.optimiser, search.name, collector.store
     committed = _committed_generations(store, name)
@@ -71,6 +74,9 @@ def run_search(
         for evaluation in _evaluate(built, name, requests, collector):
             evaluations[evaluation.measurement_times] = evaluation
             count = copies[evaluation.measurement_times]
+            if progress.mean is None:  # nothing better to show yet
+                costs = _finite_costs(evaluations.values())
+                progress = replace(progress, best=min(costs, default=None))
             progress = replace(
                 progress,
                 done=progress.done + count * draws,
@@ -83,12 +89,16 @@ def run_search(
             store.commit("evaluations", name, f"{generation:06d}", rows)
         told = [evaluations[times] for times in population]
         state, generation = optimiser.tell(state, told), generation + 1
-        costs = [evaluation.cost for evaluation in told if np.isfinite(evaluation.cost)]
+        costs = _finite_costs(told)
         if costs:
             best = optimiser.best(state).cost
             progress = replace(progress, best=best, mean=float(np.mean(costs)))
     _publish(store, name)
     return optimiser.best(state)
+
+
+def _finite_costs(evaluations: Iterable[Evaluation]) -> list[float]:
+    return [evaluation.cost for evaluation in evaluations if np.isfinite(evaluation.cost)]
 
 
 def _request(built: Built, name: str, generation: int, times: Times) -> _Request:
@@ -132,13 +142,12 @@ def _tasks(
     built: Built, requests: list[_Request], missing: dict[str, NDArray[np.bool_]], workers: int
 ) -> list[Task]:
     """Cut evaluations into tasks, finer where they are too few to fill the cores."""
-    steps = built.job.filter.particles * (built.job.problem.horizon + 1)
     draws = built.job.evaluation.draws
     block = draws
     if requests:
         pieces = -(-TASKS_A_WORKER * workers // len(requests))
-        block = max(-(-draws // pieces), LEAST_STEPS // steps, 1)
-    block = min(block, max(1, TASK_STEPS // steps))
+        block = max(-(-draws // pieces), built.problem.draws_of(LEAST_STEPS))
+    block = min(block, built.problem.draws_of(TASK_STEPS))
     return [
         Task(
             f"{request.id}:{first}-{last}",
@@ -203,16 +212,11 @@ def _publish(store: Store, phase: str) -> None:
     rows = store.read("evaluations")
     rows = rows[rows["phase"] == phase]
     ids = list(dict.fromkeys(rows["evaluation"]))
-    pieces = (
-        _per_draw(store, ids[first : first + _EVALUATIONS_AT_ONCE])
-        for first in range(0, len(ids), _EVALUATIONS_AT_ONCE)
-    )
-    for number, piece in enumerate(cut_rows(pieces, ROWS_IN_A_FILE["draws"])):
-        store.publish("draws", phase, number, piece)
+    starts = range(0, len(ids), _EVALUATIONS_AT_ONCE)
+    pieces = (_per_draw(store, ids[first : first + _EVALUATIONS_AT_ONCE]) for first in starts)
+    store.publish("draws", phase, pieces)
     table = pa.Table.from_pandas(rows, schema=schema("evaluations"), preserve_index=False)
-    store.publish("evaluations", phase, 0, table)
-    for name in ("draws", "evaluations"):
-        store.drop_parts(name, phase)
+    store.publish("evaluations", phase, [table])
 
 
 def _per_draw(store: Store, ids: list[str]) -> pa.Table:

@@ -5,10 +5,11 @@ search is the driver's.
 """
 
 from pfdist.store.folder import holds_run, read_run, write_job, write_run
-from pfdist.store.parquet import Store
+from pfdist.store.parquet import ROWS_IN_A_FILE, Store
 from pfdist.store.schema import SCHEMA_VERSION, comparison_schema, schema, trajectories_schema
 
 __all__ = [
+    "ROWS_IN_A_FILE",
     "SCHEMA_VERSION",
     "Store",
     "comparison_schema",

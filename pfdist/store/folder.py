@@ -7,11 +7,15 @@ from typing import Any
 
 from pfdist.errors import StoreError
 from pfdist.store import files
+from pfdist.store.schema import SCHEMA_VERSION
 
 
 def holds_run(path: Path) -> bool:
     """Whether a folder holds a run: run.json is the file that is written last."""
-    return (path / "run.json").exists()
+    try:
+        return (path / "run.json").exists()
+    except OSError as error:
+        raise StoreError(f"cannot read {path}: {error.strerror}") from error
 
 
 def write_job(path: Path, toml: str) -> None:
@@ -40,4 +44,15 @@ def read_run(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         raise StoreError(f"{path} holds no run: there is no {name} in it") from error
     except (OSError, ValueError) as error:
         raise StoreError(f"cannot read the run {path}: {error}") from error
+    try:
+        complete = run["schema_version"], job["comparison"]["draws"], job["search"][0]["name"]
+    except (KeyError, TypeError, IndexError) as error:
+        raise StoreError(
+            f"cannot read the run {path}: run.json or job.toml lacks {error}"
+        ) from error
+    if complete[0] > SCHEMA_VERSION:
+        raise StoreError(
+            f"{path} is of schema version {complete[0]}; this pfdist reads up to {SCHEMA_VERSION}: "
+            "use the newer pfdist that wrote it"
+        )
     return run, job

@@ -9,8 +9,9 @@ A reader sees both as one. A phase may be published again and again with the sam
 process may die at any instant of it.
 """
 
+import contextlib
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
 
@@ -27,6 +28,8 @@ from pfdist.store import files
 from pfdist.store.schema import KEYS, SCHEMA_VERSION
 
 ROWS_IN_A_FILE = {"draws": 1_000_000, "comparison": 50_000}
+_MANY = 1_000_000_000  # rows of the other tables: one file a phase
+_ATTEMPTS = 5
 
 
 class Store:
@@ -65,36 +68,46 @@ class Store:
         if table == "draws":
             self._index(path, rows)
 
-    def publish(self, table: str, phase: str, number: int, rows: pa.Table) -> None:
-        """Write one file of a table, in the place of an earlier version of the same file."""
-        path = self.path / "tables" / table / f"{phase}-{number:05d}.parquet"
-        files.write_table(path, rows.combine_chunks(), replace=True)
-        if table == "draws":
-            self._index(path, rows)
+    def publish(self, table: str, phase: str, pieces: Iterable[pa.Table]) -> None:
+        """Write all rows of a phase as the files of its table; then its parts go.
 
-    def drop_parts(self, table: str, phase: str) -> None:
-        """Remove the parts of a phase, when all their rows are published."""
+        Cut short at any instant it leaves parts behind, and is to be called again: it gives the
+        same files.
+
+        Parameters
+        ----------
+        table : str
+        phase : str
+        pieces : iterable of pyarrow.Table
+            All rows of the phase in their order, in pieces of any sizes.
+        """
+        for number, rows in enumerate(cut_rows(pieces, ROWS_IN_A_FILE.get(table, _MANY))):
+            path = self.path / "tables" / table / f"{phase}-{number:05d}.parquet"
+            files.write_table(path, rows.combine_chunks(), replace=True)
+            if table == "draws":
+                self._index(path, rows)
         for path in self._parts(table, phase):
             files.remove(path)
-            for holders in self._files_of_evaluation.values():
-                holders.discard(path)
+            if table == "draws":
+                for holders in self._files_of_evaluation.values():
+                    holders.discard(path)
 
     # --- reading ------------------------------------------------------------------------------
 
     def read(self, table: str) -> pd.DataFrame:
         """Read a whole table, parts and published files as one, sorted by key."""
-        paths = self._files(table)
-        if not paths:
+        pieces = self._load(table)
+        if not pieces:
             raise StoreError(f"the run {self.path} has no table {table!r} yet")
-        frame: pd.DataFrame = pd.concat([_read_file(path).to_pandas() for path in paths])
+        frame: pd.DataFrame = pd.concat([piece.to_pandas() for piece in pieces])
         return frame.drop_duplicates(KEYS[table]).sort_values(KEYS[table], ignore_index=True)
 
     def has(self, table: str) -> bool:
         """Whether anything of a table was committed."""
         return bool(self._files(table))
 
-    def has_parts(self, table: str, phase: str) -> bool:
-        """Whether a phase has rows that are not published yet."""
+    def has_parts(self, table: str = "*", phase: str = "*") -> bool:
+        """Whether a phase, or the run, has rows that are not published yet."""
         return bool(self._parts(table, phase))
 
     def rows_between(self, table: str, column: str, first: int, last: int) -> pa.Table | None:
@@ -103,7 +116,9 @@ class Store:
         if not paths:
             return None
         bounds = (pc.field(column) >= first) & (pc.field(column) < last)
-        found = ds.dataset([str(path) for path in paths]).to_table(filter=bounds).sort_by(column)
+        found = _guarded(
+            paths[0], lambda: ds.dataset([str(path) for path in paths]).to_table(filter=bounds)
+        ).sort_by(column)
         values = found[column].to_numpy()
         keep = np.ones(len(values), bool)
         keep[1:] = values[1:] != values[:-1]
@@ -111,29 +126,34 @@ class Store:
 
     def column(self, table: str, column: str) -> NDArray[np.int64]:
         """One integer column of all files of a table, in no order and perhaps repeated."""
-        pieces = [_read_file(path, [column])[column].to_numpy() for path in self._files(table)]
+        pieces = [piece[column].to_numpy() for piece in self._load(table, [column])]
         return np.concatenate([np.empty(0, np.int64), *pieces])
 
     def per_draw(self, evaluations: Sequence[str]) -> pd.DataFrame:
         """Rows of the draws table that belong to these evaluations, sorted, each once."""
         paths = set().union(*(self._files_of_evaluation.get(id_, set()) for id_ in evaluations))
         wanted = pc.field("evaluation").isin(list(evaluations))
-        frames = [pq.read_table(path, filters=wanted).to_pandas() for path in sorted(paths)]
+        frames = [_read_file(path, filters=wanted).to_pandas() for path in sorted(paths)]
         if not frames:
             return pd.DataFrame({"evaluation": [], "draw": [], "mse": []})
         rows: pd.DataFrame = pd.concat(frames)
         return rows.drop_duplicates(KEYS["draws"]).sort_values(KEYS["draws"], ignore_index=True)
 
     def _parts(self, table: str, phase: str) -> list[Path]:
-        return sorted((self.path / "parts" / table).glob(f"{phase}-*.parquet"))
+        return sorted((self.path / "parts").glob(f"{table}/{phase}-*.parquet"))
 
     def _files(self, table: str) -> list[Path]:
-        # Published first: where a row is in both, its published version is kept.
-        return [
-            path
-            for kind in ("tables", "parts")
-            for path in sorted((self.path / kind / table).glob("[!.]*.parquet"))
-        ]
+        # Parts are listed first: a row that is published in between is then seen twice, not never.
+        parts = sorted((self.path / "parts" / table).glob("[!.]*.parquet"))
+        tables = sorted((self.path / "tables" / table).glob("[!.]*.parquet"))
+        return tables + parts
+
+    def _load(self, table: str, columns: list[str] | None = None) -> list[pa.Table]:
+        """Read all files of a table, again from the start if one was published meanwhile."""
+        for _ in range(_ATTEMPTS):
+            with contextlib.suppress(FileNotFoundError):
+                return [_read_file(path, columns) for path in self._files(table)]
+        raise StoreError(f"the run {self.path} changes faster than it can be read: try again")
 
     @cached_property
     def _files_of_evaluation(self) -> dict[str, set[Path]]:
@@ -164,12 +184,22 @@ def cut_rows(pieces: Iterable[pa.Table], count: int) -> Iterator[pa.Table]:
         yield pa.concat_tables(waiting)
 
 
-def _read_file(path: Path, columns: list[str] | None = None) -> pa.Table:
+def _guarded(path: Path, read: Callable[[], pa.Table]) -> pa.Table:
     try:
-        table = pq.read_table(path, columns=columns, partitioning=None)
+        return read()
+    except FileNotFoundError:
+        raise
     except (OSError, pa.ArrowInvalid) as error:
         reason = str(error).splitlines()[0]
         raise StoreError(f"cannot read {path}: {reason}") from error
+
+
+def _read_file(
+    path: Path, columns: list[str] | None = None, filters: pc.Expression | None = None
+) -> pa.Table:
+    table = _guarded(
+        path, lambda: pq.read_table(path, columns=columns, filters=filters, partitioning=None)
+    )
     version = int((table.schema.metadata or {}).get(b"pfdist_schema_version", b"0"))
     if version > SCHEMA_VERSION:
         raise StoreError(

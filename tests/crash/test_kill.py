@@ -1,6 +1,5 @@
 """Ended by a signal in either phase and run again: the same bytes."""
 
-import hashlib
 import itertools
 import signal
 import subprocess
@@ -13,6 +12,7 @@ from typing import Any
 import pytest
 
 import pfdist
+from oracles.bytes_of import hashes
 from pfdist import Job
 from pfdist.cli import main
 from pfdist.monte_carlo import Problem, Work
@@ -47,7 +47,7 @@ def _start(job: Path, run: Path, pool: str) -> subprocess.Popen[bytes]:
 def _finish(job: Path, run: Path, pool: str) -> dict[str, str]:
     process = _start(job, run, pool)
     assert process.wait(PATIENCE_SECONDS) == 0
-    return _hashes(run)
+    return hashes(run)
 
 
 def _kill_when(process: subprocess.Popen[bytes], reached: Callable[[], bool]) -> None:
@@ -58,15 +58,6 @@ def _kill_when(process: subprocess.Popen[bytes], reached: Callable[[], bool]) ->
         time.sleep(0.005)
     process.send_signal(signal.SIGKILL)
     assert process.wait(PATIENCE_SECONDS) == -signal.SIGKILL
-
-
-def _hashes(run: Path) -> dict[str, str]:
-    files = [run / "job.toml", *sorted((run / "tables").rglob("*.parquet"))]
-    return {
-        str(path.relative_to(run)): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in files
-        if "timings" not in path.parts
-    }
 
 
 def _parts(run: Path, table: str) -> int:
@@ -82,9 +73,9 @@ def job(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def never_killed(job: Path) -> dict[str, str]:
-    hashes = _finish(job, job.with_name("never killed"), "serial")
-    assert "tables/comparison/comparison-00001.parquet" in hashes
-    return hashes
+    whole = _finish(job, job.with_name("never killed"), "serial")
+    assert "tables/comparison/comparison-00001.parquet" in whole
+    return whole
 
 
 @pytest.mark.parametrize("pool", ["serial", "ray"])
@@ -133,4 +124,4 @@ def test_a_run_asked_to_end_keeps_what_is_done_and_goes_on(
     assert kept.state == state
     assert len(kept.draws()) > 0
     assert main([*command, str(run)]) == 0
-    assert _hashes(run) == _hashes(whole)
+    assert hashes(run) == hashes(whole)

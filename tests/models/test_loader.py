@@ -149,6 +149,23 @@ def test_an_entry_point_to_a_package_that_is_not_there_is_an_error(plug):
         find_model("ghost")
 
 
+def test_an_entry_point_may_import_from_its_own_package(plug, folder):
+    package = folder / "sub" / "their_package"
+    package.mkdir()
+    (package / "__init__.py").write_text("", encoding="utf-8")
+    (package / "constants.py").write_text("FACTOR = 0.9\n", encoding="utf-8")
+    (package / "models.py").write_text("from .constants import FACTOR\n" + MODEL, encoding="utf-8")
+    plug("theirs", "their_package.models:damped")
+    assert find_model("theirs").load().name == "damped"
+
+
+@pytest.mark.parametrize("text", ["raise SystemExit(0)", "1 / 0"])
+def test_a_model_file_that_ends_or_fails_is_an_error(folder, text):
+    (folder / "ends.py").write_text(text, encoding="utf-8")
+    with pytest.raises(ModelError, match=r"ends\.py fails when loaded"):
+        find_model("ends.py:model", folder).load()
+
+
 def test_a_model_file_may_hold_dataclasses_with_postponed_annotations(folder):
     text = "from __future__ import annotations\nfrom dataclasses import dataclass\n" + MODEL
     text += "\n@dataclass\nclass Settings:\n    a: int = 1\n"

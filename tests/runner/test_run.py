@@ -1,6 +1,5 @@
 """A run: what it computes, that it goes on, and that it is the same however it was computed."""
 
-import hashlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ import pandas as pd
 import pytest
 
 import pfdist
+from oracles.bytes_of import hashes
 from pfdist import Job, load_job
 from pfdist.errors import JobError, PfdistError, RunMismatchError, SearchError, TaskError
 from pfdist.monte_carlo import Problem, Work
@@ -18,16 +18,6 @@ from pfdist.runner.pool import Outcome, SerialPool
 from pfdist.store import parquet
 
 ROOT = Path(__file__).parents[2]
-
-
-def hashes(run: Path) -> dict[str, str]:
-    """Of all that must not depend on how a run was computed."""
-    files = [run / "job.toml", *sorted((run / "tables").rglob("*.parquet"))]
-    return {
-        str(path.relative_to(run)): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in files
-        if "timings" not in path.parts
-    }
 
 
 @pytest.fixture
@@ -167,7 +157,7 @@ def test_more_draws_of_comparison_compute_only_the_new_and_give_the_same_bytes(
         ("problem.measurement_budget=5", "problem.measurement_budget: 4 -> 5"),
         ("search.genetic.generations=5", "search.genetic.generations: 4 -> 5"),
         ("model.parameters.process_sd=2.0", "model.parameters.process_sd: nothing -> 2.0"),
-        ("comparison.draws=100", r"comparison.draws: 250 -> 100 \(may only grow\)"),
+        ("comparison.draws=100", "comparison.draws: 250 committed -> 100"),
     ],
 )
 def test_another_job_is_refused_with_the_difference(
@@ -240,3 +230,68 @@ def test_the_tables_are_read_with_pandas_alone(small_job: Job, tmp_path: Path) -
     run = pfdist.run(small_job, tmp_path / "run")
     rows = pd.read_parquet(tmp_path / "run" / "tables" / "comparison")
     pd.testing.assert_frame_equal(rows, run.comparison())
+
+
+def test_figures_are_drawn_again_when_the_run_has_grown(small_job: Job, tmp_path: Path) -> None:
+    run = pfdist.run(small_job, tmp_path / "run")
+    figure = run.path / "figures" / "gain-genetic.svg"
+    before = figure.read_bytes()
+    pfdist.run(small_job, tmp_path / "run")
+    assert figure.read_bytes() == before
+    pfdist.run(small_job.with_changes(["comparison.draws=430"]), tmp_path / "run")
+    assert figure.read_bytes() != before
+    figure.unlink()
+    pfdist.run(small_job.with_changes(["comparison.draws=430"]), tmp_path / "run")
+    assert figure.exists()
+
+
+def test_the_order_of_the_searches_is_part_of_what_a_run_is(small_job: Job, tmp_path: Path) -> None:
+    pfdist.run(small_job, tmp_path / "run")
+    swapped = small_job.model_copy(update={"search": small_job.search[::-1]})
+    with pytest.raises(
+        RunMismatchError, match=r"search\.order: genetic, random -> random, genetic"
+    ):
+        pfdist.run(swapped, tmp_path / "run")
+
+
+def test_tables_without_what_says_whose_they_are_are_left_alone(
+    small_job: Job, tmp_path: Path
+) -> None:
+    run = pfdist.run(small_job, tmp_path / "run")
+    (run.path / "run.json").unlink()
+    with pytest.raises(PfdistError, match=r"--results must be .*parts, tables"):
+        pfdist.run(small_job, run.path)
+
+
+def test_a_wish_for_too_many_draws_can_be_taken_back(small_job: Job, tmp_path: Path) -> None:
+    run = pfdist.run(small_job, tmp_path / "run")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Problem, "__call__", lambda self, work: 1 / 0)
+        with pytest.raises(TaskError, match="ZeroDivisionError"):
+            pfdist.run(small_job.with_changes(["comparison.draws=90000000"]), run.path)
+    again = pfdist.run(small_job, run.path)
+    assert again.state == "finished"
+    assert again.draws_compared == 250
+
+
+def test_trajectories_committed_out_of_order_are_completed(
+    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = pfdist.run(small_job, tmp_path / "whole")
+    monkeypatch.setattr(comparison_phase, "TASK_STEPS", 13 * 40 * 3 * 10)  # 10 draws a task
+    do = SerialPool.run
+
+    def backwards_and_killed(self: SerialPool, tasks: Any) -> Iterator[Outcome]:
+        tasks = list(tasks)[::-1]
+        for outcome in do(self, tasks):
+            yield outcome
+            if "trajectories" in outcome.task.key:
+                raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(SerialPool, "run", backwards_and_killed)
+        with pytest.raises(KeyboardInterrupt):
+            pfdist.run(small_job, tmp_path / "run")
+    again = pfdist.run(small_job, tmp_path / "run")
+    assert again.trajectories()["draw"].nunique() == 100
+    assert hashes(again.path) == hashes(whole.path)

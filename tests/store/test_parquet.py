@@ -46,18 +46,36 @@ def test_the_same_key_again_is_a_no_op(store: Store) -> None:
 
 
 def test_a_row_that_is_both_a_part_and_published_counts_once(store: Store) -> None:
-    store.commit("draws", "genetic", "key", _draws("a", 0, 3))
-    store.publish("draws", "genetic", 0, _draws("a", 0, 3))
+    store.publish("draws", "genetic", [_draws("a", 0, 3)])
+    store.commit("draws", "genetic", "key", _draws("a", 0, 3))  # as if killed before it was removed
     assert len(store.read("draws")) == len(store.per_draw(["a"])) == 3
-    store.drop_parts("draws", "genetic")
+    assert store.has_parts()
+    store.publish("draws", "genetic", [_draws("a", 0, 3)])
     assert len(store.read("draws")) == len(store.per_draw(["a"])) == 3
+    assert not store.has_parts()
+
+
+def test_a_reader_sees_a_row_that_is_published_meanwhile(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store.commit("draws", "genetic", "key", _draws("a", 0, 5))
+    listing, writer = Store._files, Store(store.path)
+
+    def published_in_between(self: Store, table: str) -> list[Path]:
+        found = listing(self, table)
+        if self is store and writer.has_parts():
+            writer.publish("draws", "genetic", [_draws("a", 0, 5)])
+        return found
+
+    monkeypatch.setattr(Store, "_files", published_in_between)
+    assert len(store.read("draws")) == 5
 
 
 def test_draws_are_found_by_their_evaluation_in_parts_and_tables(store: Store) -> None:
     store.commit(
         "draws", "genetic", "one", pa.concat_tables([_draws("a", 0, 2), _draws("b", 0, 1)])
     )
-    store.publish("draws", "random", 0, _draws("c", 0, 2))
+    store.publish("draws", "random", [_draws("c", 0, 2)])
     for reader in (store, Store(store.path)):
         rows = reader.per_draw(["a", "c", "unknown"])
         assert rows.groupby("evaluation")["draw"].apply(list).to_dict() == {
@@ -74,16 +92,17 @@ def test_rows_between_are_sorted_and_each_once(store: Store) -> None:
     assert rows["draw"].to_pylist() == list(range(3, 17))
 
 
-def test_only_the_parts_of_a_phase_are_dropped(store: Store) -> None:
+def test_publishing_removes_only_the_parts_of_its_phase(store: Store) -> None:
     store.commit("draws", "genetic", "key", _draws("a", 0, 1))
     store.commit("draws", "random", "key", _draws("b", 0, 1))
-    store.drop_parts("draws", "genetic")
+    store.publish("draws", "genetic", [_draws("a", 0, 1)])
     assert not store.has_parts("draws", "genetic")
-    assert store.read("draws")["evaluation"].tolist() == ["b"]
+    assert store.has_parts("draws", "random")
+    assert store.read("draws")["evaluation"].tolist() == ["a", "b"]
 
 
 def test_nothing_but_whole_tables_lies_in_a_tables_folder(store: Store) -> None:
-    store.publish("draws", "genetic", 0, _draws("a", 0, 5))
+    store.publish("draws", "genetic", [_draws("a", 0, 5)])
     store.commit("draws", "genetic", "key", _draws("a", 0, 5))
     files = [path.name for path in store.path.rglob("*") if path.is_file()]
     assert sorted(files) == ["genetic-00000.parquet", "genetic-key.parquet"]
@@ -92,7 +111,7 @@ def test_nothing_but_whole_tables_lies_in_a_tables_folder(store: Store) -> None:
 
 
 def test_what_a_killed_process_left_half_written_is_swept_and_never_read(store: Store) -> None:
-    store.publish("draws", "genetic", 0, _draws("a", 0, 5))
+    store.publish("draws", "genetic", [_draws("a", 0, 5)])
     half = store.path / "tables" / "draws" / ".genetic-00001.parquet.0123.tmp"
     half.write_bytes(b"PAR1 torn")
     assert len(store.read("draws")) == len(pd.read_parquet(half.parent)) == 5
@@ -104,7 +123,7 @@ def test_identical_tables_are_identical_bytes(tmp_path: Path) -> None:
     whole = _draws("a", 0, 100)
     pieces = pa.concat_tables([whole.slice(0, 7), whole.slice(7)])  # cut otherwise in memory
     for name, rows in (("x", whole), ("y", pieces)):
-        Store(tmp_path / name).publish("draws", "genetic", 0, rows)
+        Store(tmp_path / name).publish("draws", "genetic", [rows])
     x, y = ((tmp_path / n / "tables/draws/genetic-00000.parquet").read_bytes() for n in "xy")
     assert x == y
 
@@ -116,7 +135,7 @@ def test_a_file_that_cannot_be_written_is_an_error_that_says_what_to_do(tmp_path
 
 
 def test_a_damaged_file_is_an_error_that_names_it(store: Store) -> None:
-    store.publish("draws", "genetic", 0, _draws("a", 0, 5))
+    store.publish("draws", "genetic", [_draws("a", 0, 5)])
     path = store.path / "tables/draws/genetic-00000.parquet"
     path.write_bytes(path.read_bytes()[:-10])
     with pytest.raises(StoreError, match=r"cannot read .*genetic-00000\.parquet"):
@@ -126,7 +145,7 @@ def test_a_damaged_file_is_an_error_that_names_it(store: Store) -> None:
 def test_a_newer_schema_is_refused_with_a_sentence(store: Store) -> None:
     rows = _compared(0, 1)
     newer = {**rows.schema.metadata, b"pfdist_schema_version": str(SCHEMA_VERSION + 1).encode()}
-    store.publish("comparison", "comparison", 0, rows.replace_schema_metadata(newer))
+    store.publish("comparison", "comparison", [rows.replace_schema_metadata(newer)])
     with pytest.raises(StoreError, match="use the newer pfdist"):
         store.read("comparison")
 
@@ -151,8 +170,8 @@ def test_every_column_says_its_unit_and_every_table_its_version(store: Store) ->
     }
     for table in TABLES:
         columns = variable.get(table) or schema(table)
-        store.publish(table, "phase", 0, columns.empty_table())
-        read = pq.read_schema(store.path / "tables" / table / "phase-00000.parquet")
+        store.commit(table, "phase", "key", columns.empty_table())
+        read = pq.read_schema(store.path / "parts" / table / "phase-key.parquet")
         assert read.metadata[b"pfdist_schema_version"] == str(SCHEMA_VERSION).encode()
         assert read.metadata[b"table"] == table.encode()
         for column in read:
