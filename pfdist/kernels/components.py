@@ -54,6 +54,9 @@ def _names(code: types.CodeType) -> set[str]:
     return set(code.co_names).union(*inner)
 
 
+_OURS = re.compile(r"(^|/)pfdist/(kernels/|draws\.py|particle_filter\.py)")
+
+
 @contextlib.contextmanager
 def formulas_of(model: str) -> Iterator[None]:
     """Turn what goes wrong in a model's formulas into one line.
@@ -74,7 +77,7 @@ def formulas_of(model: str) -> Iterator[None]:
             re.M,
         )
         places = re.findall(r'File "(.*?)", line (\d+)', text)
-        own = [f"{file}:{line}" for file, line in places if "/pfdist/" not in file]
+        own = [f"{file}:{line}" for file, line in places if not _OURS.search(file)]
         raise ModelError(
             f"model {model} cannot be compiled by Numba: "
             f"{(reasons or text.strip().splitlines())[0].strip()}"
