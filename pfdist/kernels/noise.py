@@ -1,6 +1,6 @@
 """Keyed noise: every random number is a pure function of its key.
 
-There is no generator and no state. A variate is Threefry-4x32 with 13 rounds [1]_ of
+There is no generator and no state. A variate is the cipher of `pfdist.kernels.threefry` of
 
 ======= ============================== =========================================
 key     stream (64 bits), draw, t      which simulation or filter, which draw, when
@@ -12,12 +12,6 @@ number of workers. One block of the cipher serves four particles. Beyond the cip
 additions, multiplications and square roots of float32 are used (no libm), so compiled and
 plain noise agree to the last bit on every machine.
 
-The functions marked `inlined` are written once and run twice: compiled on scalars, and as they
-stand on NumPy arrays.
-
-References
-----------
-.. [1] Salmon, Moraes, Dror, Shaw, "Parallel random numbers: as easy as 1, 2, 3", SC 2011.
 """
 
 import hashlib
@@ -27,8 +21,9 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from numba.extending import register_jitable
 from numpy.typing import NDArray
+
+from pfdist.kernels.threefry import inlined, threefry4x32
 
 # What a noise is for. The simulation's roles and the filter's never meet in one stream, but
 # keeping them apart costs nothing.
@@ -39,8 +34,6 @@ FILTER_INITIAL, FILTER_PROCESS, RESAMPLING = 3, 4, 5
 # compiled loop over the blocks writes whole vectors.
 LANES = 16
 TILE = 4 * LANES
-
-inlined = register_jitable(forceinline=True)  # a call left standing stops vectorisation: 15 times
 
 
 def stream_key(*parts: Any) -> int:
@@ -69,57 +62,6 @@ def generator(*parts: Any) -> np.random.Generator:
 def padded(particles: int) -> int:
     """Length of a noise buffer for this many particles: the next multiple of TILE."""
     return -(-particles // TILE) * TILE
-
-
-# --- the cipher -----------------------------------------------------------------------------
-
-
-@inlined
-def _rotate(x, bits):
-    return np.uint32((x << np.uint32(bits)) | (x >> np.uint32(32 - bits)))
-
-
-@inlined
-def _round(bits_01, bits_23, x0, x1, x2, x3):
-    # Words 1 and 3 leave swapped: that is Threefry's permutation between two rounds.
-    x0 = np.uint32(x0 + x1)
-    x2 = np.uint32(x2 + x3)
-    return x0, _rotate(x3, bits_23) ^ x2, x2, _rotate(x1, bits_01) ^ x0
-
-
-@inlined
-def _add_key(k0, k1, k2, k3, times, x0, x1, x2, x3):
-    return (
-        np.uint32(x0 + k0),
-        np.uint32(x1 + k1),
-        np.uint32(x2 + k2),
-        np.uint32(x3 + k3 + np.uint32(times)),
-    )
-
-
-@inlined
-def threefry4x32(k0, k1, k2, k3, c0, c1, c2, c3):
-    """Threefry-4x32 with 13 rounds.
-
-    Parameters
-    ----------
-    k0, k1, k2, k3, c0, c1, c2, c3 : uint32 or arrays of uint32
-        Key and counter.
-
-    Returns
-    -------
-    tuple of four uint32 or arrays of uint32
-    """
-    k4 = np.uint32(0x1BD11BDA) ^ k0 ^ k1 ^ k2 ^ k3
-    x = _add_key(k0, k1, k2, k3, 0, c0, c1, c2, c3)
-    x = _round(23, 5, *_round(13, 27, *_round(11, 21, *_round(10, 26, *x))))
-    x = _add_key(k1, k2, k3, k4, 1, *x)
-    x = _round(18, 20, *_round(25, 10, *_round(17, 11, *_round(6, 20, *x))))
-    x = _add_key(k2, k3, k4, k0, 2, *x)
-    x = _round(23, 5, *_round(13, 27, *_round(11, 21, *_round(10, 26, *x))))
-    x = _add_key(k3, k4, k0, k1, 3, *x)
-    x0, x3, x2, x1 = _round(6, 20, *x)
-    return x0, x1, x2, x3
 
 
 @inlined

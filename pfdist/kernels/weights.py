@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from pfdist.kernels.noise import inlined
+from pfdist.kernels.threefry import inlined
 
 _CHAINS = 4
 _LEAST = -700.0  # e to the less is 0 here; in float64 it is so below -745
