@@ -15,6 +15,7 @@ sys.path.insert(0, str(Path(__file__).parent))  # for `from oracles.kalman impor
 SMALL_JOB = (Path(__file__).parent / "small.toml").read_text()
 
 
+@pytest.hookimpl(tryfirst=True)  # before xdist reads the groups
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Two processes share the tests: a file stays in one, and all that share a cluster in one."""
     for item in items:
