@@ -15,14 +15,6 @@ sys.path.insert(0, str(Path(__file__).parent))  # for `from oracles.kalman impor
 SMALL_JOB = (Path(__file__).parent / "small.toml").read_text()
 
 
-@pytest.hookimpl(tryfirst=True)  # before xdist reads the groups
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Two processes share the tests: a file stays in one, and all that share a cluster in one."""
-    for item in items:
-        ray = item.path.name == "test_pool.py" or "ray_cluster" in getattr(item, "fixturenames", ())
-        item.add_marker(pytest.mark.xdist_group("ray" if ray else str(item.path)))
-
-
 @pytest.fixture(scope="session")
 def ungm() -> StateSpaceModel:
     return load_model("ungm")
@@ -37,7 +29,7 @@ def small_job(tmp_path: Path) -> Job:
 
 @pytest.fixture(scope="session")
 def ray_cluster() -> Iterator[None]:
-    """Two CPUs, for all tests that want Ray."""
+    """Two CPUs, for all tests of this process that want Ray."""
     from pfdist.runner import ray_pool  # sets Ray's environment before Ray is imported
 
     ray_pool.ray.init(
