@@ -1,4 +1,4 @@
-"""What tests share: models, small jobs, and one Ray cluster for the session."""
+"""What tests share: models, small jobs, and one Ray cluster a process."""
 
 import logging
 import sys

@@ -124,9 +124,12 @@ def test_a_run_asked_to_end_keeps_what_is_done_and_goes_on(
             signal.raise_signal(number)
         return do(self, work)
 
+    # A shell's background jobs, as CI may be, are started with SIGINT ignored.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     with monkeypatch.context() as patch:
         patch.setattr(Problem, "__call__", signalled)
         assert main([*command, str(run)]) == code
+    signal.signal(signal.SIGINT, before)
     assert "the same command goes on" in capsys.readouterr().err
     kept = pfdist.open_run(run)
     assert kept.state == state
