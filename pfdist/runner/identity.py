@@ -34,7 +34,7 @@ def open_store(path: Path, built: Built) -> Store:
     StoreError
         It cannot be read or written, or holds other things than a run.
     """
-    identity = _identity(built)
+    identity, store = _identity(built), Store(path)
     if not holds_run(path):
         _check_free(path)
         write_job(path, job_toml(built.job.identity()))
@@ -43,13 +43,10 @@ def open_store(path: Path, built: Built) -> Store:
         run, job = read_run(path)
         before = {"job": job} | {key: run.get(key) for key in identity}
         now = {"job": built.job.identity(), **identity}
-        store = Store(path)
-        _check_same(
-            path, before, now, committed=int(store.column("comparison", "draw").max(initial=-1)) + 1
-        )
+        committed = int(store.column("comparison", "draw").max(initial=-1)) + 1
+        _check_same(path, before, now, committed)
         if job != built.job.identity():  # comparison.draws is another
             write_job(path, job_toml(built.job.identity()))
-    store = Store(path)
     store.sweep()
     return store
 
