@@ -2,21 +2,24 @@
 
 import argparse
 import ast
+import dataclasses
 import json
 import signal
 import sys
 import time
+import warnings
 from collections.abc import Sequence
 from types import FrameType
 from typing import Any
 
 import pfdist
 from pfdist.analysis import finite, open_run
-from pfdist.display import Display, print_summary
-from pfdist.errors import MeasurementTimesError, PfdistError, TaskError
+from pfdist.display import Display, print_check, print_summary
+from pfdist.errors import MeasurementTimesError, ModelError, PfdistError, TaskError
 from pfdist.job import load_job
 from pfdist.models import find_model, installed_models
 from pfdist.plots import draw_figures
+from pfdist.runner.check_model import check_model
 from pfdist.runner.evaluate import evaluate
 from pfdist.runner.run import run
 
@@ -44,6 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code.
     """
     options = _parser().parse_args(arguments)
+    warnings.showwarning = _show_warning
     _preempted.clear()
     for number in (signal.SIGTERM, signal.SIGUSR1):
         signal.signal(number, _preempt)
@@ -76,6 +80,10 @@ def _preempt(number: int, frame: FrameType | None) -> None:
         signal.signal(again, signal.SIG_IGN)  # it is said twice where a script forwards it
     _preempted.append(number)
     raise KeyboardInterrupt
+
+
+def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+    print(f"pfdist: warning: {message}", file=sys.stderr)
 
 
 def _one_line(error: PfdistError) -> str:
@@ -141,6 +149,19 @@ def _models(options: argparse.Namespace) -> None:
         print(f"{name:{width}}  {summary.partition(chr(10))[0]}".rstrip())
 
 
+def _check_model(options: argparse.Namespace) -> None:
+    checks = []
+    for check in check_model(options.name, options.horizon, options.particles):
+        checks.append(check)
+        if not options.json:
+            print_check(check)
+    if options.json:
+        _print_json({"checks": [dataclasses.asdict(check) for check in checks]})
+    wrong = [check.name for check in checks if check.state == "wrong"]
+    if wrong:
+        raise ModelError(f"{options.name}: wrong: {', '.join(wrong)}")
+
+
 def _times(text: str) -> list[int]:
     try:
         return [int(time) for time in text.rstrip(",").split(",")]
@@ -204,8 +225,24 @@ def _parser() -> argparse.ArgumentParser:
     one = command("plot", _plot, "Draw the figures of a run from its tables.")
     one.add_argument("run", metavar="RUN", help="a run's folder")
 
+    one = command("check-model", _check_model, "Find what is wrong with a model.")
+    one.add_argument(
+        "name", metavar="MODEL", help="as a job names it, for instance path/file.py:object"
+    )
+    one.add_argument("--horizon", type=_count, default=60, metavar="T", help="of the draws (60)")
+    one.add_argument(
+        "--particles", type=_count, default=500, metavar="P", help="of the filter (500)"
+    )
+    _add_json(one)
+
     command("models", _models, "List the models that can be named in a job.")
     return parser
+
+
+def _count(text: str) -> int:
+    if not (text.isdecimal() and 1 <= int(text) <= 32_000):
+        raise argparse.ArgumentTypeError(f"must be an integer in 1..32000, got {text!r}")
+    return int(text)
 
 
 def _add_job(parser: argparse.ArgumentParser) -> None:

@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.table import Column
 
+from pfdist.runner.check_model import Check
 from pfdist.runner.progress import Progress as State
 
 LINE_SECONDS = 5.0  # between two lines where there is no terminal
@@ -95,6 +96,11 @@ class Display:
             if seconds < 120
             else f"about {seconds / 60:,.0f} min left"
         )
+
+
+def print_check(check: Check) -> None:
+    """Print what was found about a model, a line."""
+    print(f"{check.state:5} {check.name}: {check.text}", flush=True)  # noqa: T201  its output
 
 
 def print_summary(summary: dict[str, Any], files: str) -> None:

@@ -10,7 +10,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from pfdist.errors import ModelError
-from pfdist.kernels.components import formula, formulas_of, reader, writer
+from pfdist.kernels.components import naming, reader, writer
+from pfdist.kernels.disk_cache import kept_on_disk
+from pfdist.kernels.formulas import formula, formulas_of
 from pfdist.kernels.noise import TILE, TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, filler
 from pfdist.models import StateSpaceModel
 
@@ -21,6 +23,8 @@ class Draws:
 
     Parameters
     ----------
+    model : StateSpaceModel
+        The truth.
     index : range
         Which draws of the stream these are, D of them.
     x : array of float64, (D, T+1, n)
@@ -31,10 +35,15 @@ class Draws:
         Quantities of interest.
     """
 
+    model: StateSpaceModel
     index: range
     x: NDArray[np.float64]
     y: NDArray[np.float64]
     z: NDArray[np.float64]
+
+    def __getitem__(self, which: slice) -> "Draws":
+        """Give some of the draws."""
+        return Draws(self.model, self.index[which], self.x[which], self.y[which], self.z[which])
 
 
 def simulate(model: StateSpaceModel, horizon: int, index: range, stream: int) -> Draws:
@@ -64,9 +73,9 @@ def simulate(model: StateSpaceModel, horizon: int, index: range, stream: int) ->
     shape = (len(index), horizon + 1)
     x, y, z = (np.empty((*shape, count)) for count in model.components)
     with formulas_of(model.name):
-        _compiled(model)(np.uint64(stream), index.start, model.p, x, y, z)
+        _compiled(model)(np.uint64(stream), index.start, np.array(model.p), x, y, z)
     check_finite(model, x, y, z)
-    return Draws(index, x, y, z)
+    return Draws(model, index, x, y, z)
 
 
 def check_finite(model: StateSpaceModel, *values: NDArray[np.float64]) -> None:
@@ -85,6 +94,7 @@ def _compiled(model: StateSpaceModel) -> Callable[..., None]:
         (model.initial, model.transition, model.measurement, model.quantity_of_interest),
         (model.initial_noise, model.process_noise, model.measurement_noise),
         model.components,
+        tuple(model.parameters),
     )
 
 
@@ -93,29 +103,30 @@ def _compile(
     functions: tuple[Callable[..., Any], ...],
     noise: tuple[tuple[str, ...], ...],
     components: tuple[int, int, int],
+    parameters: tuple[str, ...],
 ) -> Callable[..., None]:
     initial, transition, measurement, quantity = map(formula, functions)
     fill_w0, fill_w, fill_v = map(filler, noise)
-    read_w0, read_w, read_v = (reader(len(kinds)) for kinds in noise)
-    read_x = reader(components[0])
-    write_x, write_y, write_z = map(writer, components)
+    read_w0, read_w, read_v = (reader(len(kinds), "c, i") for kinds in noise)
+    read_x = reader(components[0], "d, t, c")
+    write_x, write_y, write_z = (writer(count, "d, t, c") for count in components)
     rows = max(map(len, noise))
+    named = naming(parameters)
 
     @njit(nogil=True, error_model="numpy")
-    def simulate_draws(stream, first, p, x, y, z):  # type: ignore[no-untyped-def]
+    def simulate_draws(stream, first, parameters, x, y, z):  # type: ignore[no-untyped-def]
+        p, one = named(parameters), np.int64(1)
         noise = np.empty((rows, TILE), np.float32)  # only its first column is used
-        horizon = x.shape[1] - 1
         for d in range(x.shape[0]):
-            path, measured, wanted = x[d].T, y[d].T, z[d].T
-            fill_w0(noise, stream, first + d, 0, TRUTH_INITIAL)
-            write_x(path, 0, initial(read_w0(noise, 0), p))
-            for t in range(horizon + 1):
-                state = read_x(path, t)
-                fill_v(noise, stream, first + d, t, TRUTH_MEASUREMENT)
-                write_y(measured, t, measurement(state, t, read_v(noise, 0), p))
-                write_z(wanted, t, quantity(state, t, p))
-                if t < horizon:
-                    fill_w(noise, stream, first + d, t, TRUTH_PROCESS)
-                    write_x(path, t + 1, transition(state, t, read_w(noise, 0), p))
+            fill_w0(noise, one, stream, first + d, np.int64(0), TRUTH_INITIAL)
+            write_x(x, d, 0, initial(read_w0(noise, 0), p))
+            for t in range(x.shape[1]):
+                state = read_x(x, d, t)
+                fill_v(noise, one, stream, first + d, t, TRUTH_MEASUREMENT)
+                write_y(y, d, t, measurement(state, t, read_v(noise, 0), p))
+                write_z(z, d, t, quantity(state, t, p))
+                if t + 1 < x.shape[1]:
+                    fill_w(noise, one, stream, first + d, t, TRUTH_PROCESS)
+                    write_x(x, d, t + 1, transition(state, t, read_w(noise, 0), p))
 
-    return simulate_draws  # type: ignore[no-any-return]
+    return kept_on_disk(simulate_draws, functions, noise, components, parameters)

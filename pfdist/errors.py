@@ -5,12 +5,15 @@
     PfdistError                     one line: what, got, allowed, where
     ├── JobError                    the job file or an option says something impossible
     ├── ModelError                  a model cannot be loaded, or does not do what a model must
+    │   └── CompileError            Numba cannot compile a formula
     ├── MeasurementTimesError       the measurement times do not fit the problem
     ├── StoreError                  a run's folder cannot be read or written
     │   └── RunMismatchError        the folder holds a run of something else
     ├── SearchError                 a search ended without an answer
     └── PoolError                   the workers cannot be had
         └── TaskError               a task failed in its worker; carries the traceback
+
+    EngineWarning                   a model is computed in NumPy, because Numba cannot compile it
 """
 
 
@@ -24,6 +27,10 @@ class JobError(PfdistError):
 
 class ModelError(PfdistError):
     """A model cannot be loaded, or does not do what a model must."""
+
+
+class CompileError(ModelError):
+    """Numba cannot compile a formula of a model."""
 
 
 class MeasurementTimesError(PfdistError):
@@ -68,3 +75,7 @@ class TaskError(PoolError):
     def __init__(self, message: str, traceback: str) -> None:
         super().__init__(message)
         self.traceback = traceback
+
+
+class EngineWarning(UserWarning):
+    """A model is computed in NumPy, because Numba cannot compile it."""

@@ -22,11 +22,19 @@ class _Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
 
+class FilterModel(_Section):
+    """What the filter takes for the truth: another model, or the same with other parameters."""
+
+    name: str = ""
+    parameters: dict[str, float] = {}
+
+
 class Model(_Section):
     """The system: a model that ships, an entry point, or ``path/file.py:object``."""
 
     name: str = "ungm"
     parameters: dict[str, float] = {}
+    filter: FilterModel = FilterModel()
 
 
 class ProblemSection(_Section):
@@ -49,7 +57,9 @@ class Filter(_Section):
     """The particle filter."""
 
     particles: Annotated[int, Field(ge=1, le=10_000_000)] = 500
-    resampling: Literal["multinomial", "systematic"] = "multinomial"
+    resampling: Literal["multinomial", "stratified", "systematic", "residual"] = "multinomial"
+    dtype: Literal["float64", "float32"] = "float64"
+    engine: Literal["auto", "compiled", "numpy"] = "auto"
 
 
 class EvaluationSection(_Section):
@@ -270,5 +280,9 @@ def _allowed_keys(section: str) -> list[str]:
         return list(_SEARCHES[section.removeprefix("search.")].model_fields)
     if not section:
         return list(Job.model_fields)
-    kind = Job.model_fields[section].annotation
-    return list(kind.model_fields) if isinstance(kind, type) and issubclass(kind, BaseModel) else []
+    kind: Any = Job
+    for part in section.split("."):
+        kind = kind.model_fields[part].annotation
+        if not (isinstance(kind, type) and issubclass(kind, BaseModel)):
+            return []
+    return list(kind.model_fields)

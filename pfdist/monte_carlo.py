@@ -11,13 +11,20 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pfdist import plain
 from pfdist.draws import simulate
+from pfdist.errors import ModelError
 from pfdist.measurement_times import Times
 from pfdist.models import StateSpaceModel
 from pfdist.particle_filter import filter_draws
 
 TASK_STEPS = 50_000_000
-"""Particle-steps that are done at once: about 0.2 s."""
+"""Particle-steps that are done at once: about 0.1 s."""
+
+ENGINES = {"compiled": (simulate, filter_draws), "numpy": (plain.simulate, plain.filter_draws)}
+"""What simulates and filters: the compiled kernel, or NumPy where Numba cannot compile a model."""
+
+NUMPY_TIMES_SLOWER = 100
 
 DEGENERATE_POLICIES = ("kill", "leave_out")
 """What one degenerate draw does to an evaluation: ``kill``, the paper's, makes its cost infinite;
@@ -31,28 +38,73 @@ class Problem:
     Parameters
     ----------
     model : StateSpaceModel
+        The truth: it draws x, y and z, and says what an error costs.
     horizon : int
         T.
     particles : int
         P.
-    resampling : {"multinomial", "systematic"}
+    resampling : {"multinomial", "stratified", "systematic", "residual"}
+    filter_model : StateSpaceModel, optional
+        What the filter takes for the truth; by default it is right.
+    dtype : {"float64", "float32"}
+        What the particles' states are kept in.
+    engine : {"compiled", "numpy"}
+
+    Raises
+    ------
+    ModelError
+        The filter's model measures, or is asked for, something of another size.
     """
 
     model: StateSpaceModel
     horizon: int
     particles: int
     resampling: str = "multinomial"
+    filter_model: StateSpaceModel | None = None
+    dtype: str = "float64"
+    engine: str = "compiled"
+
+    def __post_init__(self) -> None:
+        _, *truth = self.model.components
+        _, *believed = (self.filter_model or self.model).components
+        for name, true, got in zip(("y", "z"), truth, believed, strict=True):
+            if true != got:
+                raise ModelError(
+                    f"model.filter must have as many components of {name} as the model "
+                    f"{self.model.name}, {true}, got {got}"
+                )
+
+    def compile(self) -> None:
+        """Compile what is not yet, by a draw of two instants and one particle.
+
+        Raises
+        ------
+        ModelError
+            A formula cannot be compiled, or failed.
+        """
+        draws = simulate(self.model, 1, range(1), 0)
+        believed = self.filter_model or self.model
+        filter_draws(believed, draws, (0,), 1, 0, self.resampling, dtype=self.dtype)
 
     def draws_of(self, steps: int, sets: int = 1) -> int:
-        """How many draws, filtered with so many sets, make about so many particle-steps."""
-        return max(1, steps // (self.particles * (self.horizon + 1) * sets))
+        """How many draws, filtered with so many sets, take the time of so many particle-steps."""
+        slower = NUMPY_TIMES_SLOWER if self.engine == "numpy" else 1
+        return max(1, steps // (self.particles * (self.horizon + 1) * sets * slower))
 
     def __call__(self, work: "Work") -> "Result":
         """Do the work: simulate the draws once and filter them with every set of times."""
-        draws = simulate(self.model, self.horizon, range(*work.draws), work.draws_stream)
+        simulate_draws, filter_with = ENGINES[self.engine]
+        draws = simulate_draws(self.model, self.horizon, range(*work.draws), work.draws_stream)
         filtered = [
-            filter_draws(
-                self.model, draws, times, self.particles, stream, self.resampling, work.trajectories
+            filter_with(
+                self.filter_model or self.model,
+                draws,
+                times,
+                self.particles,
+                stream,
+                self.resampling,
+                trajectories=work.trajectories,
+                dtype=self.dtype,
             )
             for times, stream in zip(work.measurement_times, work.filter_streams, strict=True)
         ]

@@ -18,17 +18,25 @@ from numba import njit
 from numpy.typing import NDArray
 
 from pfdist.draws import Draws
-from pfdist.kernels.components import formula, formulas_of, reader, writer
+from pfdist.kernels.components import naming, reader, tuple_of, writer
+from pfdist.kernels.disk_cache import kept_on_disk
+from pfdist.kernels.formulas import formula, formulas_of
 from pfdist.kernels.noise import FILTER_INITIAL, FILTER_PROCESS, filler, padded
-from pfdist.kernels.resampling import RESAMPLE, WIDE
-from pfdist.kernels.weights import cumulate, weigh, weighted_mean, weighted_variance
+from pfdist.kernels.resampling import RESAMPLE, SPARE
+from pfdist.kernels.weights import IMPOSSIBLE, cumulate, weigh, width
 from pfdist.measurement_times import Times, validated
 from pfdist.models import StateSpaceModel
 
-KERNEL_VERSION = 1
+KERNEL_VERSION = 2
 """Counts the changes after which the same keys give other figures; part of a run's identity."""
 
 RESAMPLING = tuple(RESAMPLE)
+DTYPES = ("float64", "float32")
+
+ALIKE, WEIGHED = (
+    np.uintp(0),
+    np.uintp(1),
+)  # the rows of weights: where nothing is measured, and where something is
 
 
 @dataclass(frozen=True)
@@ -38,8 +46,9 @@ class Filtered:
     Parameters
     ----------
     mse : array of float64, (D,)
-        Mean over t = 0..T of the squared Euclidean error of the estimate of z(t). NaN marks a
-        degenerate draw, inf one whose particles left the finite numbers.
+        Mean over t = 0..T of the error of the estimate of z(t), its squared Euclidean norm or what
+        the true model says. NaN marks a degenerate draw, inf one whose particles left the finite
+        numbers.
     estimate, variance : array of float64, (D, T+1, q), or None
         Weighted mean and variance of the particles' z(t), if they were asked for. NaN from the
         measurement on at which a draw became degenerate.
@@ -58,13 +67,14 @@ def filter_draws(
     stream: int,
     resampling: str = "multinomial",
     trajectories: bool = False,
+    dtype: str = "float64",
 ) -> Filtered:
     """Filter draws with one set of measurement times.
 
     Parameters
     ----------
     model : StateSpaceModel
-        The filter's model.
+        The filter's model, which need not be the draws'.
     draws : Draws
         The truth and its measurements, D draws.
     measurement_times : tuple of int
@@ -73,9 +83,11 @@ def filter_draws(
         P.
     stream : int
         Key of the filter's noise, 64 bits.
-    resampling : {"multinomial", "systematic"}
+    resampling : {"multinomial", "stratified", "systematic", "residual"}
     trajectories : bool
         Whether estimate and variance are wanted.
+    dtype : {"float64", "float32"}
+        What the particles' states are kept in; formulas compute in float64.
 
     Returns
     -------
@@ -94,81 +106,100 @@ def filter_draws(
     mse = np.empty(count)
     kept = (count, instants, quantities) if trajectories else (0, instants, quantities)
     estimate, variance = np.full(kept, np.nan), np.full(kept, np.nan)
+    truth = draws.model
     with formulas_of(model.name):
-        _compiled(model, resampling)(
-            np.uint64(stream), draws.index.start, draws.y, draws.z, measured, particles, model.p,
-            mse, estimate, variance,
+        _compiled(model, truth, resampling, dtype)(
+            np.uint64(stream), draws.index.start, draws.y, draws.z, measured, particles,
+            np.array(model.p), np.array(truth.p), mse, estimate, variance,
         )  # fmt: skip
     return Filtered(mse, estimate, variance) if trajectories else Filtered(mse)
 
 
-def _compiled(model: StateSpaceModel, resampling: str) -> Callable[..., None]:
+def _compiled(
+    model: StateSpaceModel, truth: StateSpaceModel, resampling: str, dtype: str
+) -> Callable[..., None]:
+    formulas = (model.initial, model.transition, model.log_likelihood, model.quantity_of_interest)
     return _compile(
-        (model.initial, model.transition, model.log_likelihood, model.quantity_of_interest),
+        (*formulas, truth.error),
         (model.initial_noise, model.process_noise),
         model.components,
+        (tuple(model.parameters), tuple(truth.parameters)),
         resampling,
+        dtype,
     )
 
 
 @lru_cache(maxsize=32)
-def _compile(  # noqa: C901  one loop, told in its order
+def _compile(
     functions: tuple[Callable[..., Any], ...],
     noise_kinds: tuple[tuple[str, ...], ...],
     components: tuple[int, int, int],
+    parameters: tuple[tuple[str, ...], ...],
     resampling: str,
+    dtype: str,
 ) -> Callable[..., None]:
-    """Fuse the formulas of a model and a resampling scheme into one compiled filter."""
-    start, propagate, explain, interest = _cloud_steps(functions, noise_kinds, components)
+    """Fuse the formulas of a model and a resampling scheme into one compiled filter.
+
+    Inside, arrays are named and their rows and draws numbered: a part of an array that goes from
+    hand to hand, or two that change names, cost an atomic count each, 0.3 ns a particle in all.
+    """
+    start, propagate, explain = _cloud_steps(functions[:3], noise_kinds, components)
+    average, spread = _moments(functions[3], components)
     fill_w0, fill_w = map(filler, noise_kinds)
     noise_rows = max(1, *map(len, noise_kinds))
     states, _, quantities = components
+    read_z, write_z = reader(quantities, "d, t, c"), writer(quantities, "d, t, c")
+    error_of = formula(functions[4])
+    named, named_truth = map(naming, parameters)
     resample = RESAMPLE[resampling]
+    kind = np.dtype(dtype).type
 
     @njit(nogil=True, error_model="numpy")
-    def filter_kernel(stream, first, y, z, measured, particles, p, mse, estimate, variance):  # type: ignore[no-untyped-def]
-        x, other = np.empty((states, particles)), np.empty((states, particles))
-        values = np.empty((quantities, particles))
-        noise = np.empty((noise_rows, padded(particles)), np.float32)
-        log_weight, weight = np.empty(particles), np.empty(particles)
-        cumulative, points = np.empty(particles), np.empty(padded(particles))
-        ends = np.empty(particles, np.int64)
-        guide, ancestor = np.empty(particles + WIDE, np.int64), np.empty(particles + WIDE, np.int64)
+    def filter_draws(  # type: ignore[no-untyped-def]
+        stream, first, y, z, measured, particles, parameters, truths, mse, estimate, variance
+    ):
+        p, truth = named(parameters), named_truth(truths)
+        size = width(particles)
+        cloud = np.empty((2, states, size), kind)
+        noise = np.empty((noise_rows, padded(particles + SPARE)), np.float32)
+        log_weight, weight = np.empty(size), np.zeros((2, size), np.float32)
+        weight[ALIKE, :particles] = 1.0
+        cumulative, points = np.empty(size + SPARE), np.empty(padded(particles + SPARE))
+        ends, ancestor = np.empty(size, np.uint32), np.zeros(size + 2 * SPARE, np.uint32)
         for d in range(mse.size):
-            draw, error = first + d, 0.0
-            fill_w0(noise, stream, draw, 0, FILTER_INITIAL)
-            start(noise, p, x)
+            draw, total_error, here = first + d, 0.0, np.int64(0)
+            fill_w0(noise, particles, stream, draw, np.int64(0), FILTER_INITIAL)
+            start(noise, p, cloud)
             for t in range(measured.size):
                 if t > 0:
-                    fill_w(noise, stream, draw, t - 1, FILTER_PROCESS)
-                    propagate(x, t - 1, noise, p, other)
-                    x, other = other, x
-                weight[:] = 1.0
-                total = float(particles)
+                    fill_w(noise, particles, stream, draw, t - 1, FILTER_PROCESS)
+                    propagate(cloud, here, t - 1, noise, p)
+                    here = 1 - here
+                by, total = ALIKE, float(particles)
                 if measured[t]:
-                    explain(x, y[d, t : t + 1].T, t, p, log_weight)
-                    weigh(log_weight, weight)
-                    total = cumulate(weight, cumulative)
+                    explain(cloud, here, particles, y, d, t, p, log_weight)
+                    weigh(log_weight, weight, WEIGHED)
+                    by, total = WEIGHED, cumulate(weight, WEIGHED, size, cumulative)
                 if total == 0.0:  # degenerate
-                    error = np.nan
+                    total_error = np.nan
                     break
-                interest(x, t, p, values)
-                for k in range(quantities):
-                    mean = weighted_mean(values[k], weight, total)
-                    error += (z[d, t, k] - mean) ** 2
-                    if estimate.size:
-                        estimate[d, t, k] = mean
-                        variance[d, t, k] = weighted_variance(values[k], weight, total, mean)
-                if not error < np.inf:
-                    error = np.inf
+                mean = average(cloud, here, t, p, weight, by, total)
+                if estimate.size:
+                    write_z(estimate, d, t, mean)
+                    write_z(variance, d, t, spread(cloud, here, t, p, weight, by, total, mean))
+                total_error += error_of(read_z(z, d, t), mean, t, truth)
+                if not total_error < np.inf:
+                    total_error = np.inf
                     break
                 if measured[t]:
-                    resample(cumulative, stream, draw, t, points, ends, guide, ancestor)
-                    _take(x, ancestor, other)
-                    x, other = other, x
-            mse[d] = error / measured.size
+                    resample(cumulative, particles, stream, draw, t, noise, points, ends, ancestor)
+                    _take(cloud, here, particles, ancestor)
+                    here = 1 - here
+            mse[d] = total_error / measured.size
 
-    return filter_kernel  # type: ignore[no-any-return]
+    return kept_on_disk(
+        filter_draws, functions, noise_kinds, components, parameters, resampling, dtype
+    )
 
 
 def _cloud_steps(
@@ -176,39 +207,82 @@ def _cloud_steps(
     noise_kinds: tuple[tuple[str, ...], ...],
     components: tuple[int, int, int],
 ) -> tuple[Callable[..., None], ...]:
-    """Compile what a model does to a cloud: start, propagate, explain y, and give z."""
-    initial, transition, log_likelihood, quantity = map(formula, functions)
-    read_w0, read_w = (reader(len(kinds)) for kinds in noise_kinds)
-    states, measurements, quantities = components
-    read_x, read_y = reader(states), reader(measurements)
-    write_x, write_z = writer(states), writer(quantities)
+    """Compile what a model does to a cloud: start, propagate, explain y.
 
-    @njit(nogil=True, error_model="numpy")
-    def start(noise, p, out):  # type: ignore[no-untyped-def]
-        for i in range(out.shape[1]):
-            write_x(out, i, initial(read_w0(noise, i), p))
+    The cloud is (2, states, particles): what is computed from one half goes to the other.
+    """
+    initial, transition, log_likelihood = map(formula, functions)
+    read_w0, read_w = (reader(len(kinds), "c, i") for kinds in noise_kinds)
+    states, measurements, _ = components
+    read_x, write_x = reader(states, "half, c, i"), writer(states, "half, c, i")
+    read_y = reader(measurements, "d, t, c")
 
-    @njit(nogil=True, error_model="numpy")
-    def propagate(x, t, noise, p, out):  # type: ignore[no-untyped-def]
-        for i in range(x.shape[1]):
-            write_x(out, i, transition(read_x(x, i), t, read_w(noise, i), p))
+    @njit(forceinline=True, nogil=True, error_model="numpy")
+    def start(noise, p, cloud):  # type: ignore[no-untyped-def]
+        for i in range(cloud.shape[2]):
+            write_x(cloud, 0, i, initial(read_w0(noise, i), p))
 
-    @njit(nogil=True, error_model="numpy")
-    def explain(x, y, t, p, out):  # type: ignore[no-untyped-def]
-        measured = read_y(y, 0)
-        for i in range(x.shape[1]):
-            out[i] = log_likelihood(measured, read_x(x, i), t, p)
+    @njit(forceinline=True, nogil=True, error_model="numpy")
+    def propagate(cloud, here, t, noise, p):  # type: ignore[no-untyped-def]
+        for i in range(cloud.shape[2]):
+            x = transition(read_x(cloud, here, i), t, read_w(noise, i), p)
+            write_x(cloud, 1 - here, i, x)
 
-    @njit(nogil=True, error_model="numpy")
-    def interest(x, t, p, out):  # type: ignore[no-untyped-def]
-        for i in range(x.shape[1]):
-            write_z(out, i, quantity(read_x(x, i), t, p))
+    @njit(forceinline=True, nogil=True, error_model="numpy")
+    def explain(cloud, here, particles, y, d, t, p, out):  # type: ignore[no-untyped-def]
+        measured = read_y(y, d, t)
+        for i in range(out.size):
+            value = log_likelihood(measured, read_x(cloud, here, i), t, p)
+            out[i] = value if abs(value) < np.inf else IMPOSSIBLE
+        for i in range(particles, out.size):
+            out[i] = IMPOSSIBLE
 
-    return start, propagate, explain, interest
+    return start, propagate, explain
 
 
-@njit(nogil=True)
-def _take(x, ancestor, out):  # type: ignore[no-untyped-def]
-    for component in range(x.shape[0]):
-        for i in range(x.shape[1]):
-            out[component, i] = x[component, ancestor[i]]
+def _moments(
+    quantity_of_interest: Callable[..., Any], components: tuple[int, int, int]
+) -> tuple[Callable[..., Any], ...]:
+    """Compile the weighted mean and variance of z; a particle of weight 0 does not count.
+
+    Sums that may be added in any order become vectors.
+    """
+    states, _, quantities = components
+    quantity, read_x = formula(quantity_of_interest), reader(states, "half, c, i")
+    add = tuple_of(
+        quantities,
+        "sums, weight, values",
+        "sums[c] + weight * (values[c] if weight > 0.0 else 0.0)",
+        any_order=True,
+    )
+    divided = tuple_of(quantities, "sums, total", "sums[c] / total")
+    squares = tuple_of(quantities, "values, mean", "(values[c] - mean[c]) ** 2")
+    nothing = (0.0,) * quantities
+
+    @njit(forceinline=True, nogil=True, error_model="numpy")
+    def average(cloud, here, t, p, weight, row, total):  # type: ignore[no-untyped-def]
+        sums = nothing
+        for i in range(cloud.shape[2]):
+            z = quantity(read_x(cloud, here, i), t, p)
+            sums = add(sums, weight[row, i], z)
+        return divided(sums, total)
+
+    @njit(forceinline=True, nogil=True, error_model="numpy")
+    def spread(cloud, here, t, p, weight, row, total, mean):  # type: ignore[no-untyped-def]
+        sums = nothing
+        for i in range(cloud.shape[2]):
+            z = quantity(read_x(cloud, here, i), t, p)
+            sums = add(sums, weight[row, i], squares(z, mean))
+        return divided(sums, total)
+
+    return average, spread
+
+
+@njit(forceinline=True, nogil=True)
+def _take(cloud, here, particles, ancestor):  # type: ignore[no-untyped-def]
+    """Copy each particle's ancestor to the other half; what lies behind the last is any one."""
+    for i in range(particles, cloud.shape[2]):
+        ancestor[i] = 0
+    for component in range(cloud.shape[1]):
+        for i in range(cloud.shape[2]):
+            cloud[1 - here, component, i] = cloud[here, component, ancestor[i]]

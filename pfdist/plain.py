@@ -1,9 +1,10 @@
 """Simulation and filter in plain NumPy: for reading, and to hold the compiled ones against.
 
-The same keys and the same formulas, on arrays; no compiled code of ours.
+The same keys and the same formulas, on arrays (draws, particles); no compiled code of ours. It is
+also the engine for models that Numba cannot compile, 30 to 60 times slower.
 """
 
-from typing import Any
+from typing import Any, SupportsIndex
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,29 +19,35 @@ from pfdist.kernels.noise import (
     variates,
 )
 from pfdist.kernels.resampling import plain_ancestors
+from pfdist.kernels.weights import plain_weights
 from pfdist.measurement_times import Times, validated
 from pfdist.models import StateSpaceModel
 from pfdist.particle_filter import Filtered
 
-Components = tuple[NDArray[np.float64], ...]
+Array = NDArray[np.float64]
+
+_AT_ONCE = 2**16  # particles in all draws: what fits into a cache
 
 
 def simulate(model: StateSpaceModel, horizon: int, index: range, stream: int) -> Draws:
     """Plain twin of `pfdist.draws.simulate`."""
     shape = (len(index), horizon + 1)
     x, y, z = (np.empty((*shape, count)) for count in model.components)
-    for d, draw in enumerate(index):
-        w0 = _noise(model.initial_noise, 1, stream, draw, 0, TRUTH_INITIAL)
-        state = model.initial(w0, model.p)
+
+    def noise(kinds: tuple[str, ...], t: int, role: SupportsIndex) -> tuple[Array, ...]:
+        return tuple(w[:, 0] for w in _noise(kinds, 1, stream, index, t, role))
+
+    with np.errstate(all="ignore"):
+        state = model.initial(noise(model.initial_noise, 0, TRUTH_INITIAL), model.p)
         for t in range(horizon + 1):
-            v = _noise(model.measurement_noise, 1, stream, draw, t, TRUTH_MEASUREMENT)
-            x[d, t] = _stacked(state, 1)[:, 0]
-            y[d, t] = _stacked(model.measurement(state, t, v, model.p), 1)[:, 0]
-            z[d, t] = _stacked(model.quantity_of_interest(state, t, model.p), 1)[:, 0]
-            w = _noise(model.process_noise, 1, stream, draw, t, TRUTH_PROCESS)
+            v = noise(model.measurement_noise, t, TRUTH_MEASUREMENT)
+            _put(x, t, state)
+            _put(y, t, model.measurement(state, t, v, model.p))
+            _put(z, t, model.quantity_of_interest(state, t, model.p))
+            w = noise(model.process_noise, t, TRUTH_PROCESS)
             state = model.transition(state, t, w, model.p)
     check_finite(model, x, y, z)
-    return Draws(index, x, y, z)
+    return Draws(model, index, x, y, z)
 
 
 def filter_draws(
@@ -50,67 +57,85 @@ def filter_draws(
     particles: int,
     stream: int,
     resampling: str = "multinomial",
+    trajectories: bool = False,
+    dtype: str = "float64",
 ) -> Filtered:
-    """Plain twin of `pfdist.particle_filter.filter_draws`; estimate and variance always come."""
-    horizon = draws.z.shape[1] - 1
-    times = set(validated(measurement_times, horizon))
-    estimate, variance = np.full_like(draws.z, np.nan), np.full_like(draws.z, np.nan)
-    mse = np.empty(len(draws.index))
-    for d, draw in enumerate(draws.index):
-        means, variances = _filter_one(
-            model, draws.y[d], times, particles, stream, draw, resampling
-        )
-        estimate[d, : len(means)], variance[d, : len(means)] = means, variances
-        # nan where the draw is degenerate
-        mse[d] = np.mean(np.sum((draws.z[d] - estimate[d]) ** 2, axis=1))
-    return Filtered(mse, estimate, variance)
+    """Plain twin of `pfdist.particle_filter.filter_draws`."""
+    times = validated(measurement_times, draws.z.shape[1] - 1)
+    count = max(1, _AT_ONCE // particles)
+    with np.errstate(all="ignore"):
+        blocks = [
+            _filter(
+                model, draws[first : first + count], times, particles, stream, resampling, dtype
+            )
+            for first in range(0, len(draws.index), count)
+        ]
+    mse, estimate, variance = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
+    return Filtered(mse, estimate, variance) if trajectories else Filtered(mse)
 
 
-def _filter_one(
+def _filter(
     model: StateSpaceModel,
-    y: NDArray[np.float64],
-    times: set[int],
+    draws: Draws,
+    times: Times,
     particles: int,
     stream: int,
-    draw: int,
     resampling: str,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Means and variances of z, (T+1, q) each; fewer of a draw that becomes degenerate."""
-    means, variances = [], []
-    x = model.initial(
-        _noise(model.initial_noise, particles, stream, draw, 0, FILTER_INITIAL), model.p
-    )
-    for t in range(len(y)):
+    dtype: str,
+) -> tuple[Array, Array, Array]:
+    """Filter D draws; their MSE (D,), and mean and variance of z (D, T+1, q)."""
+    count, instants, _ = draws.z.shape
+    cloud = (count, particles)
+    mean, variance = np.full_like(draws.z, np.nan), np.full_like(draws.z, np.nan)
+    total, alive = np.zeros(count), np.ones(count, np.bool_)
+    noise = _noise(model.initial_noise, particles, stream, draws.index, 0, FILTER_INITIAL)
+    x = _kept(model.initial(noise, model.p), cloud, dtype)
+    for t in range(instants):
         if t > 0:
-            w = _noise(model.process_noise, particles, stream, draw, t - 1, FILTER_PROCESS)
-            x = model.transition(x, t - 1, w, model.p)
-        weight = np.ones(particles)
+            w = _noise(model.process_noise, particles, stream, draws.index, t - 1, FILTER_PROCESS)
+            x = _kept(model.transition(x, t - 1, w, model.p), cloud, dtype)
+        weight = np.ones(cloud)
         if t in times:
-            (log_weight,) = _stacked((model.log_likelihood(tuple(y[t]), x, t, model.p),), particles)
-            log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf)
-            if log_weight.max() == -np.inf:
-                break
-            weight = np.exp(log_weight - log_weight.max())
-        z = _stacked(model.quantity_of_interest(x, t, model.p), particles)
-        mean = np.sum(weight * z, axis=1) / np.sum(weight)
-        means.append(mean)
-        variances.append(np.sum(weight * (z - mean[:, None]) ** 2, axis=1) / np.sum(weight))
+            y = tuple(draws.y[:, t, k, None] for k in range(draws.y.shape[2]))
+            weight = plain_weights(_like(model.log_likelihood(y, x, t, model.p), cloud))
+            degenerate = alive & ~weight.any(axis=1)
+            total[degenerate], alive[degenerate] = np.nan, False
+        share = weight / weight.sum(axis=1, keepdims=True)
+        for k, values in enumerate(model.quantity_of_interest(x, t, model.p)):
+            counted = np.where(weight > 0, _like(values, cloud), 0.0)
+            mean[:, t, k] = np.sum(share * counted, axis=1)
+            variance[:, t, k] = np.sum(share * (counted - mean[:, t, k, None]) ** 2, axis=1)
+        error = draws.model.error(tuple(draws.z[:, t].T), tuple(mean[:, t].T), t, draws.model.p)
+        total[alive] += _like(error, (count,))[alive]
+        infinite = alive & ~(total < np.inf)
+        total[infinite], alive[infinite] = np.inf, False
+        mean[~alive, t], variance[~alive, t] = np.nan, np.nan
         if t in times:
-            chosen = plain_ancestors(resampling, np.cumsum(weight), stream, draw, t)
-            x = tuple(_stacked(x, particles)[:, chosen])
-    shape = (len(means), model.components[2])
-    return np.reshape(means, shape), np.reshape(variances, shape)
-
-
-def _stacked(components: tuple[Any, ...], particles: int) -> NDArray[np.float64]:
-    """Components as an array (components, particles); a formula may give a constant."""
-    return np.stack([np.broadcast_to(component, particles) for component in components])
+            ancestors = plain_ancestors(resampling, weight, stream, draws.index, t)
+            x = tuple(np.take_along_axis(component, ancestors, axis=1) for component in x)
+    return total / instants, mean, variance
 
 
 def _noise(
-    kinds: tuple[str, ...], particles: int, stream: int, draw: int, t: int, role: int
-) -> Components:
+    kinds: tuple[str, ...], particles: int, stream: int, draws: range, t: int, role: SupportsIndex
+) -> tuple[Array, ...]:
+    """A component's variates each, (D, particles)."""
     return tuple(
-        variates(kind, particles, stream, draw, t, role, component)
+        variates(kind, particles, stream, np.array(draws), t, role, component)
         for component, kind in enumerate(kinds)
     )
+
+
+def _like(value: Any, shape: tuple[int, ...]) -> Array:
+    """What a formula gave, also a constant, as an array of this shape."""
+    return np.broadcast_to(np.asarray(value, np.float64), shape)
+
+
+def _kept(x: tuple[Any, ...], shape: tuple[int, ...], dtype: str) -> tuple[Array, ...]:
+    """States as they are kept: rounded to dtype."""
+    return tuple(_like(component, shape).astype(dtype).astype(np.float64) for component in x)
+
+
+def _put(array: Array, t: int, components: tuple[Any, ...]) -> None:
+    for k, component in enumerate(components):
+        array[:, t, k] = component

@@ -71,7 +71,7 @@ MISTAKES = [
     ("seed = 1", "seed = 1\nsed = 2", r"unknown key 'sed', allowed: seed, model, problem"),
     ("[filter]", "[filter]\nparticle = 9", r"'particle' in \[filter\], allowed: particles, res"),
     ("[filter]", "[filter]\nparticles = 0", r"filter\.particles must .* 1, got 0 "),
-    ("[filter]", "[filter]\nresampling = 'x'", r"resampling .* 'multinomial' or 'systematic', got"),
+    ("[filter]", "[filter]\nresampling = 'x'", r"resampling .* 'systematic' or 'residual', got"),
     ("[model]", "[model]\nparameters = {sd = '1'}", r"model\.parameters\.sd .* number, got '1' "),
     ("horizon = 10", "horizon = 0", r"problem\.horizon must .* 1, got 0 "),
     ("budget = 3", "budget = 1", r"problem\.measurement_budget must .* 2, got 1 "),

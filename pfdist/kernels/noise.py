@@ -9,26 +9,28 @@ counter block, component, role, 0      which particles, which noise component, w
 
 so it does not depend on how draws are cut into tasks, on the order of the tasks or on the
 number of workers. One block of the cipher serves four particles. Beyond the cipher only
-additions, multiplications and square roots of float32 are used (no libm), so compiled and
-plain noise agree to the last bit on every machine.
-
+additions, multiplications (fused ones too) and square roots of float32 are used (no libm), so
+compiled and plain noise agree to the last bit on every machine.
 """
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable
+from functools import cache
+from typing import Any, SupportsIndex
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from pfdist.kernels.threefry import inlined, threefry4x32
+from pfdist.kernels.arithmetic import fma, inlined
+from pfdist.kernels.threefry import threefry4x32
 
 # What a noise is for. The simulation's roles and the filter's never meet in one stream, but
-# keeping them apart costs nothing.
-TRUTH_INITIAL, TRUTH_PROCESS, TRUTH_MEASUREMENT = 0, 1, 2
-FILTER_INITIAL, FILTER_PROCESS, RESAMPLING = 3, 4, 5
+# keeping them apart costs nothing. Of NumPy's type, because Numba compiles anew for each constant
+# of Python's.
+TRUTH_INITIAL, TRUTH_PROCESS, TRUTH_MEASUREMENT = np.arange(3)
+FILTER_INITIAL, FILTER_PROCESS, RESAMPLING = np.arange(3, 6)
 
 # Particles come in tiles: the four words of each of LANES blocks lie LANES apart, so that the
 # compiled loop over the blocks writes whole vectors.
@@ -86,21 +88,22 @@ def _words(stream, draw, t, role, component, block):
 def _exponential(word):
     """-ln u for u = (word + 1/2) / 2^32; error 1.5e-7 of the larger of 1 and the value."""
     # A little less than 2^-32: else the highest words would round to u = 1, and -ln u to 0.
-    u = np.float32(word) * np.float32(2.0**-32 * (1.0 - 2.0**-24)) + np.float32(2.0**-33)
+    less = np.float32(2.0**-32 * (1.0 - 2.0**-24))
+    u = fma(np.float32(word), less, np.float32(2.0**-33))
     bits = np.float32(u).view(np.int32)
     exponent = np.int32(np.int32(bits - np.int32(0x3F3504F3)) >> np.int32(23))
     mantissa = np.int32(bits - np.int32(exponent << np.int32(23)))  # of a number in [0.707, 1.414)
     f = np.int32(mantissa).view(np.float32) - np.float32(1.0)
-    p = np.float32(0.08533313)
-    p = p * f + np.float32(-0.14269258)
-    p = p * f + np.float32(0.14977401)
-    p = p * f + np.float32(-0.16577993)
-    p = p * f + np.float32(0.19955933)
-    p = p * f + np.float32(-0.25001353)
-    p = p * f + np.float32(0.33334193)
-    p = p * f + np.float32(-0.49999997)
-    p = p * f + np.float32(1.0)
-    return -(p * f + np.float32(exponent) * np.float32(0.69314718))
+    p = np.float32(-0.08533313)
+    p = fma(p, f, np.float32(0.14269258))
+    p = fma(p, f, np.float32(-0.14977401))
+    p = fma(p, f, np.float32(0.16577993))
+    p = fma(p, f, np.float32(-0.19955933))
+    p = fma(p, f, np.float32(0.25001353))
+    p = fma(p, f, np.float32(-0.33334193))
+    p = fma(p, f, np.float32(0.49999997))
+    p = fma(p, f, np.float32(-1.0))
+    return fma(p, f, np.float32(exponent) * np.float32(-0.69314718))
 
 
 @inlined
@@ -110,29 +113,23 @@ def _uniform(word):
 
 
 @inlined
-def _point(word):
-    """In (0, 1), ends excluded: all 32 bits and a half, exact in float64."""
-    return (np.float64(word) + 0.5) * 2.0**-32
-
-
-@inlined
 def _sine_cosine(word):
     """Sin and cos of pi s for s = word / 2^31 in [-1, 1]; error 4e-7."""
     s = np.float32(np.int32(word)) * np.float32(2.0**-31)
     q = s * s
     p = np.float32(-3.8589476e-04)
-    p = p * q + np.float32(6.8600797e-03)
-    p = p * q + np.float32(-7.5187169e-02)
-    p = p * q + np.float32(5.2403611e-01)
-    p = p * q + np.float32(-2.0261195)
-    p = p * q + np.float32(3.1415927)
-    sine = s * (np.float32(1.0) - q) * p
+    p = fma(p, q, np.float32(6.8600797e-03))
+    p = fma(p, q, np.float32(-7.5187169e-02))
+    p = fma(p, q, np.float32(5.2403611e-01))
+    p = fma(p, q, np.float32(-2.0261195))
+    p = fma(p, q, np.float32(3.1415927))
+    sine = fma(-q, s, s) * p
     p = np.float32(-1.6158471e-03)
-    p = p * q + np.float32(2.5015287e-02)
-    p = p * q + np.float32(-2.2883615e-01)
-    p = p * q + np.float32(1.2779757)
-    p = p * q + np.float32(-3.7392056)
-    p = p * q + np.float32(4.0)
+    p = fma(p, q, np.float32(2.5015287e-02))
+    p = fma(p, q, np.float32(-2.2883615e-01))
+    p = fma(p, q, np.float32(1.2779757))
+    p = fma(p, q, np.float32(-3.7392056))
+    p = fma(p, q, np.float32(4.0))
     return sine, (np.float32(0.25) - q) * p
 
 
@@ -158,15 +155,15 @@ def _four_uniforms(stream, draw, t, role, component, block):
 
 
 @inlined
-def _four_points(stream, draw, t, role, component, block):
+def _four_exponentials(stream, draw, t, role, component, block):
     a, b, c, d = _words(stream, draw, t, role, component, block)
-    return _point(a), _point(b), _point(c), _point(d)
+    return _exponential(a), _exponential(b), _exponential(c), _exponential(d)
 
 
 FOUR: dict[str, Callable[..., Any]] = {
     "normal": _four_normals,
     "uniform": _four_uniforms,
-    "point": _four_points,
+    "exponential": _four_exponentials,
 }
 
 
@@ -174,14 +171,14 @@ FOUR: dict[str, Callable[..., Any]] = {
 
 
 def _filling(four: Callable[..., Any]) -> Callable[..., Any]:
-    @njit(nogil=True)
-    def fill(out, stream, draw, t, role, component):
-        for tile in range(out.size // TILE):
+    @njit(forceinline=True, nogil=True)
+    def fill(out, row, particles, stream, draw, t, role, component):
+        for tile in range(padded(particles) // TILE):
             first = tile * TILE
-            a = out[first : first + LANES]
-            b = out[first + LANES : first + 2 * LANES]
-            c = out[first + 2 * LANES : first + 3 * LANES]
-            d = out[first + 3 * LANES : first + 4 * LANES]
+            a = out[row, first : first + LANES]
+            b = out[row, first + LANES : first + 2 * LANES]
+            c = out[row, first + 2 * LANES : first + 3 * LANES]
+            d = out[row, first + 3 * LANES : first + 4 * LANES]
             for lane in range(LANES):
                 a[lane], b[lane], c[lane], d[lane] = four(
                     stream, draw, t, role, component, tile * LANES + lane
@@ -191,56 +188,73 @@ def _filling(four: Callable[..., Any]) -> Callable[..., Any]:
 
 
 FILL = {kind: _filling(four) for kind, four in FOUR.items()}
-"""Compiled ``fill(out, stream, draw, t, role, component)`` by kind; out is padded, and float32
-for normal and uniform, float64 for point."""
+"""Compiled ``fill(out, row, particles, stream, draw, t, role, component)`` by kind; out is float32,
+(rows, padded(particles) or more). Rows are unsigned: what may be negative is not vectorised."""
 
 
-def filler(kinds: Sequence[str]) -> Callable[..., Any]:
+@cache
+def filler(kinds: tuple[str, ...]) -> Callable[..., Any]:
     """Compile the filling of one row of noise for each component of a process.
 
     Parameters
     ----------
-    kinds : sequence of {"normal", "uniform"}
+    kinds : tuple of {"normal", "uniform"}
 
     Returns
     -------
     callable
-        ``fill(out, stream, draw, t, role)``; out is float32, (components or more, padded).
+        ``fill(out, particles, stream, draw, t, role)``; out is float32, (components or more,
+        padded(particles) or more).
     """
-    normal = np.array([kind == "normal" for kind in kinds], dtype=np.bool_)
+    count = len(kinds)
+    normal = np.array([kind == "normal" for kind in kinds], np.bool_)
     fill_normal, fill_uniform = FILL["normal"], FILL["uniform"]
+    fill_all = FILL[kinds[0]] if kinds else fill_normal
 
-    @njit(nogil=True)
-    def fill(out, stream, draw, t, role):
-        for component in range(normal.size):
+    @njit(forceinline=True, nogil=True)
+    def fill_alike(out, particles, stream, draw, t, role):
+        for component in range(count):
+            fill_all(out, np.uintp(component), particles, stream, draw, t, role, component)
+
+    @njit(forceinline=True, nogil=True)
+    def fill_each(out, particles, stream, draw, t, role):
+        for component in range(count):
             if normal[component]:
-                fill_normal(out[component], stream, draw, t, role, component)
+                fill_normal(out, np.uintp(component), particles, stream, draw, t, role, component)
             else:
-                fill_uniform(out[component], stream, draw, t, role, component)
+                fill_uniform(out, np.uintp(component), particles, stream, draw, t, role, component)
 
-    return fill
+    return fill_alike if len(set(kinds)) < 2 else fill_each
 
 
 def variates(
-    kind: str, particles: int, stream: int, draw: int, t: int, role: int, component: int
+    kind: str,
+    particles: int,
+    stream: int,
+    draw: int | NDArray[np.int64],
+    t: int,
+    role: SupportsIndex,
+    component: int,
 ) -> NDArray[np.float64]:
     """Give each particle its variate: the plain twin of the compiled filling.
 
     Parameters
     ----------
-    kind : {"normal", "uniform", "point"}
+    kind : {"normal", "uniform", "exponential"}
     particles : int
     stream, draw, t, role, component : int
-        The key.
+        The key; of draw also an array, (D,).
 
     Returns
     -------
-    array of float64, (particles,)
-        The values of normal and uniform are those of float32.
+    array of float64, (particles,) or (D, particles)
+        The values are those of float32.
     """
     block = np.arange(padded(particles) // 4)
     # The key as an array too: NumPy warns when a scalar's addition wraps, an array's may.
-    key = [np.full(block.shape, part, np.int64) for part in (draw, t, role, component)]
-    four = FOUR[kind](np.full(block.shape, stream, np.uint64), *key, block)
-    tiles = np.stack(four).reshape(4, -1, LANES).transpose(1, 0, 2)
-    return tiles.reshape(-1)[:particles].astype(np.float64)
+    of_draw = np.asarray(draw)[..., None]
+    key = [np.full_like(block, part) for part in (t, role, component)]
+    four = FOUR[kind](np.full(block.shape, stream, np.uint64), of_draw, *key, block)
+    tiles = np.moveaxis(np.reshape(four, (4, *four[0].shape[:-1], -1, LANES)), 0, -2)
+    values = tiles.reshape(*four[0].shape[:-1], -1)
+    return values[..., :particles].astype(np.float64)

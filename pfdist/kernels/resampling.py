@@ -1,13 +1,22 @@
 """Resampling: from cumulative weights to the ancestor of each particle.
 
-The ancestor that belongs to a point u of (0, 1) is the first particle whose cumulative weight
-exceeds u times their total. A scheme says where the P points lie: ``multinomial`` draws them
-independently, ``systematic`` takes a regular grid with one random shift. Each has its plain twin.
+A scheme lays P points on (0, 1); the ancestor that belongs to a point u is the first particle
+whose cumulative weight exceeds u times their total.
+
+============ ================================================================================
+multinomial  the points are independent, and taken in ascending order
+stratified   one point in each of P equal intervals, independent
+systematic   one point in each of P equal intervals, all at the same place in theirs
+residual     particle j has floor(P w_j) children; the points of the rest are multinomial in
+             what is left of the weights
+============ ================================================================================
+
+Each has its plain twin.
 
 References
 ----------
 Douc, Cappe, Moulines, "Comparison of resampling schemes for particle filtering", 2005.
-Chen and Asau, "On generating random variates from an empirical distribution", 1974 (the guide).
+Devroye, "Non-uniform random variate generation", 1986, section V.3 (ascending uniforms).
 """
 
 import math
@@ -18,83 +27,282 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from pfdist.kernels.noise import FILL, RESAMPLING, TILE, variates
+from pfdist.kernels.arithmetic import inlined, larger
+from pfdist.kernels.noise import FILL, RESAMPLING, padded, variates
+from pfdist.kernels.weights import cumulate
 
-WIDE = 16  # ancestors written at once: one vector store
+SPARE = 8  # what an array has to spare behind its last particle for sentinels
 
-_fill_points = FILL["point"]
+_ROW, _COMPONENT = np.uintp(0), np.int64(0)  # of the noise that places the points
+
+_STRETCHES = 4
+_fill_exponentials = FILL["exponential"]
+_fill_uniforms = FILL["uniform"]
 
 
-@njit(nogil=True, error_model="numpy")
-def grid_ancestors(cumulative, shift, ends, ancestor):
-    """Ancestors of the points (i + shift)/P of a regular grid.
+# --- points in ascending order ------------------------------------------------------------------
+
+
+@njit(forceinline=True, nogil=True, error_model="numpy")
+def _ascending_points(stream, draw, t, count, total, noise, points):
+    """Put count ordered uniforms on (0, total): sums of exponentials over their last one."""
+    _fill_exponentials(noise, _ROW, count + 1, stream, draw, t, RESAMPLING, _COMPONENT)
+    cumulate(noise, _ROW, padded(count + 1), points)
+    scale = total / points[count]
+    for i in range(count):
+        points[i] *= scale
+
+
+@njit(forceinline=True, nogil=True)
+def _stratified_points(stream, draw, t, count, total, noise, points):
+    """Put a point in each of count equal intervals of (0, total)."""
+    _fill_uniforms(noise, _ROW, count, stream, draw, t, RESAMPLING, _COMPONENT)
+    scale = total / count
+    for i in range(count):
+        points[i] = (i + np.float64(noise[0, i])) * scale
+
+
+# --- from points to ancestors -------------------------------------------------------------------
+
+
+@inlined
+def _step(weights, points, ancestor, j, i):
+    ancestor[i] = j
+    passed = np.uintp(weights[j] <= points[i])
+    return j + passed, i + (np.uintp(1) - passed)
+
+
+@njit(forceinline=True, nogil=True)
+def _split(weights, points, count, particles, position):
+    """How many of the first so many in the merged sequence are weights: a bisection."""
+    low = np.uintp(max(0, position - count))
+    left = np.uintp(min(position, particles)) - low
+    while left > np.uintp(0):
+        half = (left + np.uintp(1)) >> np.uintp(1)
+        middle = low + half - np.uintp(1)
+        passed = np.uintp(weights[middle] <= points[np.uintp(position - 1) - middle])
+        low += half * passed
+        left -= half
+    return low
+
+
+@njit(forceinline=True, nogil=True)
+def merged_ancestors(cumulative, particles, points, count, ancestor):
+    """Ancestors of points in ascending order: the two ascending sequences are merged.
+
+    A step of a merge waits for the one before it, 7 cycles, and to guess how it ends costs more:
+    so the merged sequence is cut into four stretches of one length, walked side by side without
+    a branch. Positive numbers compare as their bits do, which is faster.
 
     Parameters
     ----------
-    cumulative : array of float64, (P,)
-        Cumulative weights; they need not sum to 1.
-    shift : float
-        In 0..1.
-    ends : array of int64, (P,)
-        Scratch.
-    ancestor : array of int64, (P + WIDE,)
-        Receives the ancestors; what lies behind the P-th is scratch.
+    cumulative : array of float64, (particles + SPARE or more,)
+        Cumulative weights; the last one, and what lies behind it, is changed.
+    particles : int
+    points : array of float64, (count + SPARE or more,)
+        Below the last cumulative weight; what lies behind the count-th is changed.
+    count : int
+    ancestor : array of uint32, (count + SPARE or more,)
+        Receives the ancestors; what lies behind the count-th is scratch.
     """
-    count = cumulative.size
-    scale = count / cumulative[count - 1]
-    for j in range(count):  # how many points lie below each cumulative weight
-        ends[j] = np.int64(min(math.ceil(cumulative[j] * scale - shift), count))
-    # Unsigned, or each index is checked for being negative, and nothing is vectorised.
-    begin = np.uintp(0)
-    for j in range(np.uintp(count)):
-        end = np.uintp(ends[j])
-        # One store serves most particles; what it writes too far, the next one writes over.
-        for k in range(np.uintp(WIDE)):
-            ancestor[begin + np.uintp(k)] = j
-        begin += np.uintp(WIDE)
-        while begin < end:
-            for k in range(np.uintp(WIDE)):
-                ancestor[begin + np.uintp(k)] = j
-            begin += np.uintp(WIDE)
-        begin = end
-
-
-@njit(nogil=True, error_model="numpy")
-def _multinomial(cumulative, stream, draw, t, points, ends, guide, ancestor):
-    _fill_points(points, stream, draw, t, RESAMPLING, 0)
-    # Where a point's ancestor lies at the earliest: that of the grid point below it.
-    grid_ancestors(cumulative, 0.0, ends, guide)
-    count = cumulative.size
-    total = cumulative[count - 1]
-    for i in range(count):
-        j = np.uintp(guide[np.uintp(points[i] * count)])
-        point = points[i] * total
-        j += np.uintp(cumulative[j] <= point)  # a step without a branch, none to be guessed wrong
-        while cumulative[j] <= point:
-            j += np.uintp(1)
+    cumulative[particles - 1 : particles + SPARE] = np.inf  # nothing passes the last particle
+    points[count : count + SPARE] = np.finfo(np.float64).max
+    weights, bits = cumulative.view(np.int64), points.view(np.int64)
+    steps = (count + particles - 1) // _STRETCHES
+    j0, j1 = np.uintp(0), _split(weights, bits, count, particles, steps)
+    j2 = _split(weights, bits, count, particles, 2 * steps)
+    j3 = _split(weights, bits, count, particles, 3 * steps)
+    i0, i1 = np.uintp(0), np.uintp(steps) - j1
+    i2, i3 = np.uintp(2 * steps) - j2, np.uintp(3 * steps) - j3
+    begin1, begin2, begin3 = (i1, j1), (i2, j2), (i3, j3)
+    for _ in range(steps):
+        j0, i0 = _step(weights, bits, ancestor, j0, i0)
+        j1, i1 = _step(weights, bits, ancestor, j1, i1)
+        j2, i2 = _step(weights, bits, ancestor, j2, i2)
+        j3, i3 = _step(weights, bits, ancestor, j3, i3)
+    while i3 < count:
+        j3, i3 = _step(weights, bits, ancestor, j3, i3)
+    # A stretch ends by writing where the next one began.
+    for i, j in (begin1, begin2, begin3):
+        while weights[j] <= bits[i]:
+            j += np.uintp(1)  # noqa: PLW2901
         ancestor[i] = j
 
 
-@njit(nogil=True)
-def _systematic(cumulative, stream, draw, t, points, ends, guide, ancestor):
-    _fill_points(points[:TILE], stream, draw, t, RESAMPLING, 0)
-    grid_ancestors(cumulative, points[0], ends, ancestor)
+@njit(forceinline=True, nogil=True)
+def expanded(ends, particles, count, marks, ancestor):
+    """Ancestors from where each particle's children end: each number as often as it is said.
+
+    The first child is marked with its parent, and the marks are carried on: a running maximum, in
+    four stretches side by side. It is one of floats, because LLVM makes branches of one of
+    integers, and half of them are guessed wrong: 1.2 ns a particle in the place of 0.5.
+
+    Parameters
+    ----------
+    ends : array of uint32, (particles,)
+        Ascending, the last one is count.
+    particles, count : int
+        At most 2^24.
+    marks : array of float32, (rows, count + 1 or more)
+        Its first row is scratch.
+    ancestor : array of uint32, (count or more,)
+        Receives the ancestors.
+    """
+    for i in range(count + 1):
+        marks[0, i] = 0.0
+    for j in range(np.uintp(1), np.uintp(particles)):
+        # A childless particle is written over by the next one.
+        marks[0, ends[j - np.uintp(1)]] = np.float32(np.int32(j))
+    stretch = np.uintp(count // _STRETCHES)
+    begin_b, begin_c, begin_d = stretch, np.uintp(2) * stretch, np.uintp(3) * stretch
+    a = b = c = d = np.float32(0.0)
+    for i in range(stretch):
+        a = larger(a, marks[0, i])
+        b = larger(b, marks[0, begin_b + i])
+        c = larger(c, marks[0, begin_c + i])
+        d = larger(d, marks[0, begin_d + i])
+        marks[0, i] = a
+        marks[0, begin_b + i] = b
+        marks[0, begin_c + i] = c
+        marks[0, begin_d + i] = d
+    before, begin = np.float32(0.0), np.uintp(0)
+    for last in (a, b, c, d):
+        for i in range(begin, begin + stretch):
+            ancestor[i] = np.uint32(larger(marks[0, i], before))
+        before, begin = larger(before, last), begin + stretch
+    for i in range(begin, np.uintp(count)):
+        before = larger(before, marks[0, i])
+        ancestor[i] = np.uint32(before)
 
 
-RESAMPLE: dict[str, Callable[..., Any]] = {"multinomial": _multinomial, "systematic": _systematic}
-"""By scheme, compiled ``resample(cumulative, stream, draw, t, points, ends, guide, ancestor)``.
+# --- the schemes --------------------------------------------------------------------------------
 
-points (float64, padded(P)), ends (int64, P) and guide (int64, P + WIDE) are scratch; ancestor
-(int64, P + WIDE) receives the ancestors.
+
+@njit(forceinline=True, nogil=True)
+def _multinomial(cumulative, particles, stream, draw, t, noise, points, ends, ancestor):
+    total = cumulative[particles - 1]
+    _ascending_points(stream, draw, t, particles, total, noise, points)
+    merged_ancestors(cumulative, particles, points, particles, ancestor)
+
+
+@njit(forceinline=True, nogil=True)
+def _stratified(cumulative, particles, stream, draw, t, noise, points, ends, ancestor):
+    total = cumulative[particles - 1]
+    _stratified_points(stream, draw, t, particles, total, noise, points)
+    merged_ancestors(cumulative, particles, points, particles, ancestor)
+
+
+@njit(forceinline=True, nogil=True, error_model="numpy")
+def _systematic(cumulative, particles, stream, draw, t, noise, points, ends, ancestor):
+    _fill_uniforms(noise, _ROW, np.int64(1), stream, draw, t, RESAMPLING, _COMPONENT)
+    shift = np.float64(noise[0, 0])
+    scale = particles / cumulative[particles - 1]
+    for j in range(particles):  # how many points lie below each cumulative weight
+        ends[j] = np.uint32(min(math.ceil(cumulative[j] * scale - shift), particles))
+    expanded(ends, particles, particles, noise, ancestor)
+
+
+@njit(forceinline=True, nogil=True, error_model="numpy")
+def _residual(cumulative, particles, stream, draw, t, noise, points, ends, ancestor):
+    scale = particles / cumulative[particles - 1]
+    before, sure, rest = 0.0, 0, 0.0
+    for j in range(particles):
+        expected = (cumulative[j] - before) * scale
+        before = cumulative[j]
+        children = math.floor(expected)
+        sure += children
+        rest += expected - children
+        ends[j] = np.uint32(sure)
+        cumulative[j] = rest
+    expanded(ends, particles, sure, noise, ancestor)
+    if sure < particles:
+        left, behind = particles - sure, ancestor[sure:]
+        _ascending_points(stream, draw, t, left, rest, noise, points)
+        merged_ancestors(cumulative, particles, points, left, behind)
+
+
+RESAMPLE: dict[str, Callable[..., Any]] = {
+    "multinomial": _multinomial,
+    "stratified": _stratified,
+    "systematic": _systematic,
+    "residual": _residual,
+}
+"""By scheme, compiled ``resample(cumulative, particles, stream, draw, t, noise, points, ends,
+ancestor)``.
+
+cumulative (float64, particles + SPARE or more) is changed; noise (float32, a row or more) and
+points (float64), both padded(particles + SPARE) long, and ends (uint32, particles) are scratch;
+ancestor (uint32, particles + 2 SPARE or more) receives the ancestors.
 """
 
 
+# --- plain twins --------------------------------------------------------------------------------
+
+
 def plain_ancestors(
-    scheme: str, cumulative: NDArray[np.float64], stream: int, draw: int, t: int
+    scheme: str,
+    weight: NDArray[np.float64],
+    stream: int,
+    draw: int | range,
+    t: int,
 ) -> NDArray[np.intp]:
-    """Plain twin of `RESAMPLE`, (P,)."""
-    count = cumulative.size
-    points = variates("point", count, stream, draw, t, RESAMPLING, 0)
-    if scheme == "systematic":
-        points = (np.arange(count) + points[0]) / count
-    return np.searchsorted(cumulative, points * cumulative[-1], side="right")
+    """Plain twin of `RESAMPLE`.
+
+    Parameters
+    ----------
+    scheme : str
+    weight : array of float64, (P,) or (D, P)
+    stream, t : int
+    draw : int or range, (D,)
+
+    Returns
+    -------
+    array of int, shaped as the weights
+    """
+    ancestors = _PLAIN[scheme]
+    if isinstance(draw, int):
+        return ancestors(weight, stream, draw, t)
+    rows = [ancestors(row, stream, one, t) for row, one in zip(weight, draw, strict=True)]
+    return np.array(rows, np.intp).reshape(weight.shape)
+
+
+def _found(weight: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Ancestors of points of (0, 1); no weight at all gives any."""
+    cumulative = np.cumsum(weight)
+    found = np.searchsorted(cumulative, points * cumulative[-1], side="right")
+    return np.minimum(found, weight.size - 1)
+
+
+def _plain_ascending(count: int, stream: int, draw: int, t: int) -> NDArray[np.float64]:
+    sums = np.cumsum(variates("exponential", count + 1, stream, draw, t, RESAMPLING, 0))
+    return sums[:-1] / sums[-1]
+
+
+def _plain_multinomial(weight, stream, draw, t):
+    return _found(weight, _plain_ascending(weight.size, stream, draw, t))
+
+
+def _plain_stratified(weight, stream, draw, t):
+    places = variates("uniform", weight.size, stream, draw, t, RESAMPLING, 0)
+    return _found(weight, (np.arange(weight.size) + places) / weight.size)
+
+
+def _plain_systematic(weight, stream, draw, t):
+    place = variates("uniform", 1, stream, draw, t, RESAMPLING, 0)
+    return _found(weight, (np.arange(weight.size) + place) / weight.size)
+
+
+def _plain_residual(weight, stream, draw, t):
+    expected = weight.size * weight / max(np.sum(weight), np.finfo(np.float64).tiny)
+    children = np.floor(expected).astype(np.intp)
+    sure = np.repeat(np.arange(weight.size), children)
+    rest = _plain_ascending(weight.size - sure.size, stream, draw, t)
+    return np.concatenate([sure, _found(expected - children, rest)])
+
+
+_PLAIN: dict[str, Callable[..., NDArray[np.intp]]] = {
+    "multinomial": _plain_multinomial,
+    "stratified": _plain_stratified,
+    "systematic": _plain_systematic,
+    "residual": _plain_residual,
+}

@@ -1,17 +1,13 @@
 """The cipher Threefry-4x32 with 13 rounds, of Random123.
 
-The functions marked `inlined` are written once and run twice: compiled on scalars, and as they
-stand on NumPy arrays.
-
 References
 ----------
 Salmon, Moraes, Dror, Shaw, "Parallel random numbers: as easy as 1, 2, 3", SC 2011.
 """
 
 import numpy as np
-from numba.extending import register_jitable
 
-inlined = register_jitable(forceinline=True)  # a call left standing stops vectorisation: 15 times
+from pfdist.kernels.arithmetic import inlined
 
 
 @inlined
@@ -24,7 +20,7 @@ def _round(bits_01, bits_23, x0, x1, x2, x3):
     # Words 1 and 3 leave swapped: that is Threefry's permutation between two rounds.
     x0 = np.uint32(x0 + x1)
     x2 = np.uint32(x2 + x3)
-    return x0, _rotate(x3, bits_23) ^ x2, x2, _rotate(x1, bits_01) ^ x0
+    return x0, np.uint32(_rotate(x3, bits_23) ^ x2), x2, np.uint32(_rotate(x1, bits_01) ^ x0)
 
 
 @inlined

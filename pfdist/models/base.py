@@ -21,7 +21,21 @@ _ARGUMENTS = {
     "measurement": ("x", "t", "v", "p"),
     "log_likelihood": ("y", "x", "t", "p"),
     "quantity_of_interest": ("x", "t", "p"),
+    "error": ("z", "estimate", "t", "p"),
 }
+
+_ONE_NUMBER = {
+    "log_likelihood": "one number a particle",
+    "error": "one number for z and its estimate",
+}
+
+
+def squared_error(z: Any, estimate: Any, t: Any, p: Any) -> Any:
+    """Squared Euclidean norm of z less its estimate: the error of the paper's equation 5."""
+    total = 0.0
+    for value, estimated in zip(z, estimate):  # noqa: B905  Numba knows no strict
+        total += (value - estimated) ** 2
+    return total
 
 
 @dataclass(frozen=True)
@@ -54,6 +68,9 @@ class StateSpaceModel:
         The values of p; a job may override them.
     parameter_ranges : mapping of str to (float, float)
         Lowest and highest value allowed; without an entry any finite value is.
+    error : callable
+        ``(z, estimate, t, p) -> number``, what it costs to believe `estimate` where z is true;
+        an MSE is its mean over t. The squared Euclidean norm, unless it is given.
 
     Raises
     ------
@@ -73,6 +90,7 @@ class StateSpaceModel:
     measurement_noise: tuple[str, ...]
     parameters: Mapping[str, float] = field(default_factory=dict)
     parameter_ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    error: Callable[..., Any] = squared_error
 
     def __post_init__(self) -> None:
         for name, arguments in _ARGUMENTS.items():
@@ -109,6 +127,7 @@ class StateSpaceModel:
             y = self._call("measurement", x, 0, self._probe(self.measurement_noise), self.p)
             z = self._call("quantity_of_interest", x, 0, self.p)
             self._call("log_likelihood", y, x, 0, self.p)
+            self._call("error", z, z, 0, self.p)
         return len(x), len(y), len(z)
 
     def with_parameters(self, overrides: Mapping[str, float]) -> "StateSpaceModel":
@@ -172,10 +191,10 @@ class StateSpaceModel:
             raise ModelError(
                 f"model {self.name}: {name} failed on arrays: {type(error).__name__}: {error}"
             ) from error
-        if name == "log_likelihood":
+        if name in _ONE_NUMBER:
             if not _is_number(value):
                 raise ModelError(
-                    f"model {self.name}: log_likelihood must give one number a particle, "
+                    f"model {self.name}: {name} must give {_ONE_NUMBER[name]}, "
                     f"got {'a ' if isinstance(value, tuple) else ''}{type(value).__name__}"
                 )
         elif not (isinstance(value, tuple) and value and all(map(_is_number, value))):

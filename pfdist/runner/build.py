@@ -1,15 +1,17 @@
 """From a job's names to objects: model, problem, optimisers, pool."""
 
+import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
 
+from pfdist.errors import CompileError, EngineWarning
 from pfdist.job import Execution, Job
 from pfdist.kernels.noise import stream_key
 from pfdist.measurement_times import Times
-from pfdist.models import ModelSource, find_model
-from pfdist.monte_carlo import Problem
+from pfdist.models import ModelSource, StateSpaceModel, find_model
+from pfdist.monte_carlo import NUMPY_TIMES_SLOWER, Problem
 from pfdist.particle_filter import KERNEL_VERSION
 from pfdist.runner.pool import Pool, SerialPool
 from pfdist.search import GeneticAlgorithm, Optimiser, RandomTrials
@@ -21,38 +23,70 @@ _OPTIMISERS: dict[str, Callable[..., Optimiser]] = {
 
 
 @dataclass(frozen=True)
+class ChosenModel:
+    """A model's source, and the parameters that are not its own.
+
+    Parameters
+    ----------
+    source : ModelSource
+    parameters : mapping of str to float
+    """
+
+    source: ModelSource
+    parameters: Mapping[str, float]
+
+    def load(self) -> StateSpaceModel:
+        """Load the model."""
+        return self.source.load().with_parameters(self.parameters)
+
+    @property
+    def content(self) -> tuple[str, dict[str, float]]:
+        """What it is, as JSON values."""
+        return self.source.sha256, dict(self.parameters)
+
+
+@dataclass(frozen=True)
 class ProblemSource:
     """A problem as data: it travels to a worker, which makes the problem of it.
 
     Parameters
     ----------
-    model : ModelSource
-    parameters : mapping of str to float
-        Overrides of the model's own.
+    model, filter_model : ChosenModel
     horizon, particles : int
-    resampling : str
+    resampling, dtype, engine : str
     """
 
-    model: ModelSource
-    parameters: Mapping[str, float]
+    model: ChosenModel
+    filter_model: ChosenModel
     horizon: int
     particles: int
     resampling: str
+    dtype: str
+    engine: str
 
     def make(self) -> Problem:
-        """Load the model and give the problem, which is the function a worker applies."""
-        model = self.model.load().with_parameters(self.parameters)
-        return Problem(model, self.horizon, self.particles, self.resampling)
+        """Load the models and give the problem, which is the function a worker applies."""
+        return Problem(
+            self.model.load(),
+            self.horizon,
+            self.particles,
+            self.resampling,
+            self.filter_model.load(),
+            self.dtype,
+            self.engine,
+        )
 
     def evaluation_id(self, times: Times, draws_stream: int, filter_stream: int) -> str:
         """Hash all that the per-draw MSE of these times depends on."""
         key = stream_key(
             KERNEL_VERSION,
-            self.model.sha256,
-            dict(self.parameters),
+            self.model.content,
+            self.filter_model.content,
             self.horizon,
             self.particles,
             self.resampling,
+            self.dtype,
+            self.engine,
             times,
             draws_stream,
             filter_stream,
@@ -95,13 +129,18 @@ def build(job: Job) -> Built:
     ModelError
         The model cannot be loaded, or a parameter is unknown or out of its range.
     """
+    model = ChosenModel(find_model(job.model.name, job.path.parent), dict(job.model.parameters))
     source = ProblemSource(
-        model=find_model(job.model.name, job.path.parent),
-        parameters=dict(job.model.parameters),
+        model=model,
+        filter_model=_filter_model(job, model),
         horizon=job.problem.horizon,
         particles=job.filter.particles,
         resampling=job.filter.resampling,
+        dtype=job.filter.dtype,
+        engine=job.filter.engine,
     )
+    if source.engine != "numpy":
+        source = replace(source, engine=_compiled_or_numpy(source))
     searches = tuple(
         NamedSearch(
             section.name,
@@ -111,9 +150,37 @@ def build(job: Job) -> Built:
         )
         for section in job.search
     )
-    built = Built(job, source, searches)
-    built.problem  # noqa: B018  made here, so that a wrong model or parameter is found at once
-    return built
+    return Built(job, source, searches)
+
+
+def _filter_model(job: Job, model: ChosenModel) -> ChosenModel:
+    """What the filter takes for the truth: the same model, unless [model.filter] names one."""
+    section = job.model.filter
+    if section.name:
+        return ChosenModel(find_model(section.name, job.path.parent), dict(section.parameters))
+    return ChosenModel(model.source, {**model.parameters, **section.parameters})
+
+
+def _compiled_or_numpy(source: ProblemSource) -> str:
+    """The engine: what cannot be compiled is done in NumPy, unless the job says otherwise.
+
+    It is compiled here and now, so that a model that fails does so before any worker starts, and
+    workers on this machine find it on disk.
+    """
+    problem = replace(source, engine="compiled").make()
+    try:
+        problem.compile()
+    except CompileError as error:
+        if source.engine == "compiled":
+            raise
+        warnings.warn(
+            f"{error}: computing in NumPy instead, about {NUMPY_TIMES_SLOWER} times slower "
+            '(filter.engine = "numpy" says that you know)',
+            EngineWarning,
+            stacklevel=4,
+        )
+        return "numpy"
+    return "compiled"
 
 
 def make_pool(built: Built, execution: Execution) -> Pool:

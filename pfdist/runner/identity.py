@@ -56,7 +56,9 @@ def _identity(built: Built) -> dict[str, Any]:
         "schema_version": SCHEMA_VERSION,
         "pfdist": version("pfdist"),
         "kernel": KERNEL_VERSION,
-        "model_sha256": built.source.model.sha256,
+        "engine": built.source.engine,
+        "model_sha256": built.source.model.source.sha256,
+        "filter_model_sha256": built.source.filter_model.source.sha256,
     }
 
 

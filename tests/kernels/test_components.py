@@ -1,52 +1,84 @@
+"""Tuples out of arrays and back."""
+
 import numpy as np
 import pytest
 from numba import njit
 
-from pfdist.kernels.components import formula, reader, writer
+from pfdist.kernels.components import naming, reader, tuple_of, writer
 
 COUNTS = [0, 1, 3]
+VALUES = (7.0, 8.0, 9.0)
 
 
 def cloud():
-    """(components, particles): 10 c + i for component c of particle i, in float32."""
-    return (10 * np.arange(3)[:, None] + np.arange(4)).astype(np.float32)
+    """(half, components, particles): 100 h + 10 c + i, in float32."""
+    h, c, i = np.ogrid[:2, :3, :4]
+    return (100 * h + 10 * c + i).astype(np.float32)
 
 
 @pytest.mark.parametrize("components", COUNTS)
-def test_reader_gives_one_particle_as_a_tuple(components):
-    assert reader(components)(cloud(), 2) == (2.0, 12.0, 22.0)[:components]
+@pytest.mark.parametrize(
+    ("axes", "place", "expected"),
+    [
+        ("half, c, i", (1, 2), (102.0, 112.0, 122.0)),
+        ("half, i, c", (1, 2), (120.0, 121.0, 122.0)),
+        ("c, half, i", (1, 2), (12.0, 112.0, 212.0)),
+    ],
+)
+def test_reader_gives_the_entries_along_the_axis_c_as_a_tuple(components, axes, place, expected):
+    array = np.concatenate([cloud(), cloud() + 200])
+    assert reader(components, axes)(array, *place) == expected[:components]
 
 
 def test_what_is_read_is_float64_whatever_the_array():
-    read = reader(1)
+    read = reader(1, "c, i")
     square = njit(lambda array: read(array, 0)[0] * read(array, 0)[0])
     assert square(np.full((1, 1), 0.1, np.float32)) == float(np.float32(0.1)) ** 2
 
 
 @pytest.mark.parametrize("components", COUNTS)
-def test_writer_changes_one_particle_and_its_components_alone(components):
-    array = np.zeros((3, 4))
-    writer(components)(array, 2, (7.0, 8.0, 9.0)[:components])
-    expected = np.zeros((3, 4))
-    expected[:components, 2] = [7.0, 8.0, 9.0][:components]
+def test_writer_changes_the_entries_along_the_axis_c_alone(components):
+    array, expected = cloud(), cloud()
+    writer(components, "half, c, i")(array, 1, 2, VALUES[:components])
+    expected[1, :components, 2] = VALUES[:components]
     np.testing.assert_array_equal(array, expected)
 
 
 @pytest.mark.parametrize("components", COUNTS)
 def test_written_is_read_again_in_compiled_code(components):
-    read, write = reader(components), writer(components)
+    read, write = reader(components, "half, c, i"), writer(components, "c, i")
 
     @njit
     def copy(source, target):
-        for i in range(source.shape[1]):
-            write(target, i, read(source, i))
+        for i in range(source.shape[2]):
+            write(target, i, read(source, 1, i))
 
     target = np.zeros((components, 4))
     copy(cloud(), target)
-    np.testing.assert_array_equal(target, cloud()[:components])
+    np.testing.assert_array_equal(target, cloud()[1, :components])
 
 
-@pytest.mark.parametrize(("numerator", "quotient"), [(1.0, np.inf), (-1.0, -np.inf), (0.0, np.nan)])
-def test_a_formula_divides_by_zero_as_numpy_does(numerator, quotient):
-    divide = formula(lambda a, b: a / b)
-    np.testing.assert_equal(divide(numerator, 0.0), quotient)
+@pytest.mark.parametrize("any_order", [False, True])
+@pytest.mark.parametrize("components", COUNTS)
+def test_entry_c_of_the_tuple_is_the_expression_with_c_in_it(components, any_order):
+    entry = "vectors[c] + c * scale"  # no other c of the text is touched
+    result = tuple_of(components, "vectors, scale", entry, any_order=any_order)
+    assert result(VALUES, 10.0) == (7.0, 18.0, 29.0)[:components]
+
+
+def test_infinity_survives_additions_in_any_order():
+    # Of what may be assumed of floats, the order alone: a sum of particles may overflow.
+    add = tuple_of(1, "a, b", "a[c] + b[c]", any_order=True)
+    assert add((1e308,), (1e308,)) == (np.inf,)
+    np.testing.assert_equal(add((np.inf,), (-np.inf,)), (np.nan,))
+
+
+def test_parameters_are_read_by_their_names():
+    values = np.array([1.5, 2.5, 3.5])
+    named = naming(("sigma", "c", "i"))
+    assert njit(lambda values: named(values).c - named(values).sigma)(values) == 1.0
+    assert named(values)._asdict() == {"sigma": 1.5, "c": 2.5, "i": 3.5}
+
+
+def test_a_model_without_parameters_has_no_names():
+    assert naming(())(np.empty(0)) == ()

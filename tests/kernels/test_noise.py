@@ -1,3 +1,5 @@
+"""Noise against its cipher's published answers, its plain twin and its distributions."""
+
 from functools import cache
 from itertools import combinations, product
 
@@ -8,8 +10,10 @@ from scipy import stats
 
 from pfdist.kernels import noise
 from pfdist.kernels.noise import FILL, LANES, TILE, filler, generator, padded, stream_key, variates
+from pfdist.kernels.threefry import threefry4x32
 
-KINDS = ("normal", "uniform", "point")
+KINDS = tuple(FILL)
+DISTRIBUTIONS = {"normal": stats.norm(), "uniform": stats.uniform(), "exponential": stats.expon()}
 STREAM = 0x0123456789ABCDEF
 WORDS = 2**32
 
@@ -28,13 +32,13 @@ KNOWN_ANSWERS = {
 
 @njit
 def compiled_threefry(k, c):
-    return noise.threefry4x32(k[0], k[1], k[2], k[3], c[0], c[1], c[2], c[3])
+    return threefry4x32(k[0], k[1], k[2], k[3], c[0], c[1], c[2], c[3])
 
 
 def filled(kind, particles, stream=STREAM, draw=0, t=0, role=0, component=0):
-    out = np.empty(padded(particles), np.float64 if kind == "point" else np.float32)
-    FILL[kind](out, np.uint64(stream), draw, t, role, component)
-    return out[:particles]
+    out = np.empty((1, padded(particles)), np.float32)
+    FILL[kind](out, 0, particles, np.uint64(stream), draw, t, role, component)
+    return out[0, :particles]
 
 
 @cache
@@ -46,7 +50,7 @@ def cloud(kind, **key):
 @pytest.mark.parametrize("vector", KNOWN_ANSWERS)
 def test_threefry_gives_the_published_answers(vector):
     counter, key, expected = (np.array(part, np.uint32) for part in KNOWN_ANSWERS[vector])
-    plain = noise.threefry4x32(*key[:, None], *counter[:, None])
+    plain = threefry4x32(*key[:, None], *counter[:, None])
     assert np.concatenate(plain).tolist() == expected.tolist()
     assert list(compiled_threefry(key, counter)) == expected.tolist()
 
@@ -56,7 +60,7 @@ def test_noise_is_threefry_of_the_key_that_is_documented():
     block = np.arange(2 * LANES, dtype=np.uint32)  # two tiles
     key = [STREAM % WORDS, STREAM // WORDS, draw, t]
     counter = [block, *(np.full_like(block, part) for part in (component, role, 0))]
-    words = noise.threefry4x32(*(np.full_like(block, part) for part in key), *counter)
+    words = threefry4x32(*(np.full_like(block, part) for part in key), *counter)
     expected = [
         (word[lanes] // 512 + 0.5) / 2**23 for lanes in np.split(block, 2) for word in words
     ]
@@ -70,7 +74,26 @@ def test_noise_is_threefry_of_the_key_that_is_documented():
 def test_compiled_and_plain_noise_agree_to_the_last_bit(kind, particles, key):
     plain = variates(kind, particles, *key)
     given = filled(kind, particles, *key)
-    assert plain.astype(given.dtype).tobytes() == given.tobytes()
+    np.testing.assert_array_equal(plain, plain.astype(np.float32))  # no bit beyond float32
+    assert plain.astype(np.float32).tobytes() == given.tobytes()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("particles", [1, 65])
+def test_filling_writes_one_row_as_far_as_it_is_padded(kind, particles):
+    out = np.full((3, padded(particles) + 8), -7, np.float32)
+    FILL[kind](out, 1, particles, np.uint64(STREAM), 0, 0, 0, 0)
+    written = np.zeros(out.shape, np.bool_)
+    written[1, : padded(particles)] = True
+    np.testing.assert_array_equal(out != -7, written)  # a variate is -7 once in 10^12
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_variates_of_many_draws_are_those_of_each(kind):
+    draws = np.array([0, 5, 6, WORDS - 1])
+    together = variates(kind, 70, STREAM, draws, 2, 3, 4)
+    apart = [variates(kind, 70, STREAM, int(draw), 2, 3, 4) for draw in draws]
+    np.testing.assert_array_equal(together, apart)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -82,28 +105,36 @@ def test_a_particle_has_its_variate_whatever_the_number_of_particles(kind):
 @pytest.mark.parametrize("kinds", [(), ("uniform",), ("normal", "uniform", "normal")])
 def test_filler_gives_each_component_its_kind_and_its_key(kinds):
     out = np.zeros((4, padded(70)), np.float32)
-    filler(kinds)(out, np.uint64(STREAM), 1, 2, 3)
+    filler(kinds)(out, 70, np.uint64(STREAM), 1, 2, 3)
     for component, kind in enumerate(kinds):
         expected = variates(kind, 70, STREAM, 1, 2, 3, component)
         np.testing.assert_array_equal(out[component, :70], expected)
     assert not out[len(kinds) :].any()
 
 
-def test_normals_have_the_moments_of_the_standard_normal():
+@pytest.mark.parametrize("kind", KINDS)
+def test_moments_are_those_of_the_distribution(kind):
+    values = cloud(kind).ravel()
+    n = values.size
+    mean, variance, skewness, kurtosis = (float(m) for m in DISTRIBUTIONS[kind].stats("mvsk"))
+    # Standard errors of mean and variance, by the central moments 2 and 4; 5 of them.
+    assert abs(values.mean() - mean) < 5 * np.sqrt(variance / n)
+    assert abs(values.var() - variance) < 5 * variance * np.sqrt((kurtosis + 2) / n)
+    # Of the mean of the standardised cubes, by the moments 6 and 3.
+    cubes = (values - mean) ** 3 / variance**1.5
+    sixth = {"normal": 15, "uniform": 27 / 7, "exponential": 265}[kind]
+    assert abs(cubes.mean() - skewness) < 5 * np.sqrt((sixth - skewness**2) / n)
+
+
+def test_normals_have_the_kurtosis_of_the_normal():
     z = cloud("normal").ravel()
-    n = z.size
-    # Standard errors of mean, variance, skewness and excess kurtosis of n normals; 5 of them.
-    assert abs(z.mean()) < 5 * np.sqrt(1 / n)
-    assert abs(z.var() - 1) < 5 * np.sqrt(2 / n)
-    assert abs(stats.skew(z)) < 5 * np.sqrt(6 / n)
-    assert abs(stats.kurtosis(z)) < 5 * np.sqrt(24 / n)
+    assert abs(stats.kurtosis(z)) < 5 * np.sqrt(24 / z.size)
 
 
-@pytest.mark.parametrize(
-    ("kind", "distribution"), [("normal", "norm"), ("uniform", "uniform"), ("point", "uniform")]
-)
-def test_kolmogorov_smirnov_does_not_reject_the_distribution(kind, distribution):
-    assert stats.kstest(cloud(kind)[:400].ravel(), distribution).pvalue > 1e-3
+@pytest.mark.parametrize("kind", KINDS)
+def test_kolmogorov_smirnov_does_not_reject_the_distribution(kind):
+    given = cloud(kind)[:400].ravel()
+    assert stats.kstest(given, DISTRIBUTIONS[kind].cdf).pvalue > 1e-3
 
 
 def assert_uncorrelated(a, b):
@@ -140,8 +171,11 @@ def test_uniforms_lie_strictly_inside_the_unit_interval_for_every_word():
     )
 
 
-def test_points_lie_strictly_inside_the_unit_interval_for_every_word():
-    np.testing.assert_array_equal(noise._point(EXTREME[[0, -1]]), [2.0**-33, 1 - 2.0**-33])
+def test_exponentials_are_positive_and_finite_for_every_word():
+    # The largest u is 1 - 2^-24, the smallest 2^-33. A zero would make two points one.
+    smallest, largest = noise._exponential(EXTREME[[-1, 0]]).tolist()
+    assert smallest == pytest.approx(2.0**-24, rel=1e-6)
+    assert largest == pytest.approx(33 * np.log(2), rel=1e-6)
 
 
 def test_normals_are_finite_for_extreme_words():
@@ -155,7 +189,8 @@ def test_polynomials_are_the_functions_they_stand_for():
     w = w.astype(np.uint32)
     unit = 2.0**-24  # half a unit in the last place of a float32 in [1, 2)
     exact = -np.log((w + 0.5) / WORDS)
-    # Rounded: u, the product, the sum; and the polynomial's own error, below a unit.
+    # A unit each: u is rounded, and a little less than it should be (2^-24 of it); the sum is
+    # rounded; and the polynomial has its own error.
     assert (np.abs(noise._exponential(w) - exact) < 4 * unit * np.maximum(1, exact)).all()
     angle = np.pi * w.view(np.int32) / 2**31
     for value, exact in zip(noise._sine_cosine(w), (np.sin(angle), np.cos(angle)), strict=True):

@@ -1,0 +1,237 @@
+"""Compiled code kept on disk, under a name that holds all it was compiled from.
+
+Numba's own cache takes a function for the same as long as its file is; these functions are closures
+over a model's formulas, so here the name is a hash of the formulas themselves (their code, the
+constants, modules and functions they use, all the way down), of the kernel's own source, of the
+versions and of the processor. What cannot be hashed is compiled in each process.
+
+Only what is inlined into one function is kept: symbols of Numba's are told apart by a count, which
+two processes may give to two functions.
+
+The folder is local to a node, and belongs to its user alone: what lies in it is code. Each file
+holds the hash of its content; one that is torn or was written over is compiled anew.
+"""
+
+import contextlib
+import hashlib
+import os
+import pickle
+import platform
+import re
+import tempfile
+import types
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import llvmlite
+import numba
+import numpy as np
+from numba.core.compiler import CompileResult
+from numba.core.registry import CPUDispatcher
+from numba.core.serialize import dumps
+
+from pfdist.kernels.formulas import names_in
+
+FOLDER_VARIABLE = "PFDIST_CACHE_DIR"
+_DIGEST_BYTES = 16
+_PACKAGE = Path(__file__).parents[1]
+_VERSIONED = ("builtins", "math", "numpy")  # what is in them is told by its name
+
+
+def kept_on_disk(compiled: Any, *compiled_from: Any) -> Callable[..., None]:
+    """Have a compiled function loaded from disk, and saved there once it was compiled.
+
+    Parameters
+    ----------
+    compiled : compiled function
+        Not called yet.
+    *compiled_from : object
+        All that its code depends on, but the package's own source: a model's functions, names,
+        numbers.
+
+    Returns
+    -------
+    compiled function
+        The same.
+    """
+    try:
+        content = fingerprint(compiled.__name__, _OWN_SOURCE, _versions(), *compiled_from)
+    except UnknownContentError:
+        return compiled
+    # Two kernels in one process must not share a symbol: the second would run the first one's code.
+    compiled.py_func.__qualname__ += f"_{content}"
+    compiled._cache = _DiskCache(content)
+    return compiled
+
+
+class _DiskCache:
+    """What a Numba dispatcher asks before it compiles, and tells when it has."""
+
+    def __init__(self, content: str) -> None:
+        self._content = content
+
+    def load_overload(self, signature: Any, target: Any) -> Any:
+        target.refresh()
+        try:
+            data = self._path(signature, target.codegen()).read_bytes()
+            digest, payload = data[:_DIGEST_BYTES], data[_DIGEST_BYTES:]
+            if digest != _digest(payload):
+                return None
+            return CompileResult._rebuild(target, *pickle.loads(payload))  # noqa: S301  our own file
+        except OSError:
+            return None
+
+    def save_overload(self, signature: Any, result: Any) -> None:
+        if result.library.has_dynamic_globals or not self._is_closed(result.library):
+            return
+        payload = dumps(result._reduce())
+        with contextlib.suppress(OSError):  # a full disk costs the next process its time, no more
+            path = self._path(signature, result.codegen)
+            unfinished = path.with_name(f".{path.name}-{os.getpid()}")
+            try:
+                unfinished.write_bytes(_digest(payload) + payload)
+                unfinished.replace(path)
+            finally:
+                unfinished.unlink(missing_ok=True)
+
+    def _is_closed(self, library: Any) -> bool:
+        """Whether every function in it has a name of its own: all others are inlined."""
+        defined = re.findall(r"^define [^@\n]*@(\S+?)\(", library.get_llvm_str(), re.MULTILINE)
+        return all(self._content in name or name.startswith("NRT_") for name in defined)
+
+    def _path(self, signature: Any, codegen: Any) -> Path:
+        key = fingerprint(self._content, str(signature), *map(str, codegen.magic_tuple()))
+        return _folder() / key
+
+
+def _digest(payload: bytes) -> bytes:
+    return hashlib.blake2b(payload, digest_size=_DIGEST_BYTES).digest()
+
+
+@cache
+def _folder() -> Path:
+    """The folder, made if need be.
+
+    Raises
+    ------
+    OSError
+        It cannot be made, or belongs to somebody else.
+    """
+    given = os.environ.get(FOLDER_VARIABLE)
+    usual = Path(tempfile.gettempdir()) / f"pfdist-{os.getuid()}"
+    folder = Path(given).resolve() if given else usual
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    status = folder.lstat()
+    if status.st_uid != os.getuid() or status.st_mode & 0o022:
+        raise PermissionError(f"{folder} must be writable by its owner alone, and this user's")
+    return folder
+
+
+def _hash_of_own_source() -> str:
+    """Hash of the source that compiled code is made of."""
+    files = sorted((_PACKAGE / "kernels").glob("*.py"))
+    names = ("elementwise.py", "models/base.py", "draws.py", "particle_filter.py")
+    files += [_PACKAGE / name for name in names]
+    return fingerprint(*(file.read_bytes() for file in files))
+
+
+def _versions() -> tuple[str, ...]:
+    return (platform.python_version(), numba.__version__, llvmlite.__version__, np.__version__)
+
+
+# --- what a function is made of -----------------------------------------------------------------
+
+
+class UnknownContentError(Exception):
+    """A value whose content cannot be told."""
+
+
+def fingerprint(*values: Any) -> str:
+    """Hash the content of values, functions among them with all that they use.
+
+    Raises
+    ------
+    UnknownContentError
+        One of them, or what it uses, is of a kind whose content cannot be told.
+    """
+    digest = hashlib.blake2b(digest_size=16)
+    for part in _parts(values, frozenset(), []):
+        digest.update(len(part).to_bytes(8, "little") + part)
+    return digest.hexdigest()
+
+
+def _parts(value: Any, names: frozenset[str], seen: list[Any]) -> Iterator[bytes]:
+    """The content of a value as bytes.
+
+    `names` are those that the code around it uses: of a module they are what matters. `seen`
+    are the functions that have been told already, so that one that calls itself ends.
+    """
+    yield type(value).__name__.encode()
+    if value is None or isinstance(value, bool | int | float | complex | str | np.generic):
+        yield repr(value).encode()
+    elif isinstance(value, bytes):
+        yield value
+    elif isinstance(value, np.ndarray) and value.dtype != object:
+        yield from (value.dtype.str.encode(), str(value.shape).encode(), value.tobytes())
+    elif isinstance(value, tuple | list):
+        yield str(len(value)).encode()
+        for entry in value:
+            yield from _parts(entry, names, seen)
+    elif isinstance(value, CPUDispatcher):
+        yield repr(sorted(value.targetoptions.items())).encode()
+        yield from _parts(value.py_func, names, seen)
+    elif isinstance(value, types.FunctionType):
+        yield from _function_parts(value, seen)
+    elif isinstance(value, types.ModuleType):
+        yield from _module_parts(value, names, seen)
+    elif isinstance(value, np.ufunc) or (
+        getattr(value, "__module__", None) in _VERSIONED and hasattr(value, "__name__")
+    ):
+        yield value.__name__.encode()
+    else:
+        raise UnknownContentError(repr(value))
+
+
+def _function_parts(function: types.FunctionType, seen: list[Any]) -> Iterator[bytes]:
+    if function in seen:
+        yield str(seen.index(function)).encode()
+        return
+    seen.append(function)
+    if function.__module__.split(".")[0] in (*_VERSIONED, "pfdist"):
+        yield f"{function.__module__}.{function.__qualname__}".encode()
+        return
+    names = frozenset(names_in(function.__code__))
+    yield from _code_parts(function.__code__, names, seen)
+    keywords = tuple(sorted((function.__kwdefaults__ or {}).items()))
+    yield from _parts((function.__defaults__, keywords), names, seen)
+    for cell in function.__closure__ or ():
+        yield from _parts(cell.cell_contents, names, seen)
+    for name in sorted(names & function.__globals__.keys()):
+        yield name.encode()
+        yield from _parts(function.__globals__[name], names, seen)
+
+
+def _code_parts(code: types.CodeType, names: frozenset[str], seen: list[Any]) -> Iterator[bytes]:
+    yield code.co_code
+    yield from _parts((code.co_names, code.co_varnames, code.co_freevars), names, seen)
+    for constant in code.co_consts:
+        if isinstance(constant, types.CodeType):
+            yield from _code_parts(constant, names, seen)
+        else:
+            yield from _parts(constant, names, seen)
+
+
+def _module_parts(
+    module: types.ModuleType, names: frozenset[str], seen: list[Any]
+) -> Iterator[bytes]:
+    yield module.__name__.encode()
+    if module.__name__.split(".")[0] in (*_VERSIONED, "pfdist"):
+        return
+    for name in sorted(names & module.__dict__.keys()):
+        yield name.encode()
+        yield from _parts(module.__dict__[name], names, seen)
+
+
+_OWN_SOURCE = _hash_of_own_source()  # when it was imported: it may be edited while this runs

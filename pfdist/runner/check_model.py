@@ -1,0 +1,283 @@
+"""Find what is wrong with a model before a night on a cluster does."""
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, SupportsIndex
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pfdist.draws import Draws
+from pfdist.errors import CompileError, ModelError
+from pfdist.kernels.noise import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, variates
+from pfdist.measurement_times import regular
+from pfdist.models import StateSpaceModel, find_model
+from pfdist.monte_carlo import ENGINES, NUMPY_TIMES_SLOWER, Problem, Work
+
+Array = NDArray[np.float64]
+
+_DRAWS = 1000
+_MEASUREMENTS = 20_000  # simulated at one state, to compare with the log-likelihood
+_PAIRS = 8  # of states, at each of a few instants
+_LARGEST_Z = 5.0  # standard errors; 1 in 10^6 of right models is blamed for each comparison
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing that was looked at.
+
+    Parameters
+    ----------
+    name : str
+    state : {"ok", "note", "wrong"}
+        A note is worth knowing; what is wrong makes every figure wrong or ends the run.
+    text : str
+        What was found, and what to do.
+    """
+
+    name: str
+    state: str
+    text: str
+
+
+def check_model(
+    name: str, horizon: int = 60, particles: int = 500, folder: Path = Path()
+) -> Iterator[Check]:
+    """Look at a model from all sides; what is found comes as it is found.
+
+    Parameters
+    ----------
+    name : str
+        As a job has it: a model that ships, an entry point, or ``path/file.py:object``.
+    horizon : int
+        T of the draws that are simulated.
+    particles : int
+        Of the filter that is timed.
+    folder : Path
+        What a path in the name is relative to.
+
+    Yields
+    ------
+    Check
+    """
+    try:
+        model = find_model(name, folder).load()
+        states, measurements, quantities = model.components
+    except ModelError as error:
+        yield Check("load", "wrong", str(error))
+        return
+    sizes = f"{states} of x, {measurements} of y, {quantities} of z"
+    yield Check("load", "ok", f"{model.name}: components {sizes}")
+    engine = "compiled"
+    try:
+        Problem(model, horizon, particles).compile()
+        yield Check("compile", "ok", "Numba compiles every formula")
+    except CompileError as error:
+        engine = "numpy"
+        yield Check("compile", "note", f"{error}: it runs about {NUMPY_TIMES_SLOWER} times slower")
+    except ModelError as error:
+        yield Check("compile", "wrong", str(error))
+        return
+    try:
+        draws = ENGINES[engine][0](model, horizon, range(_DRAWS), 0)
+    except ModelError as error:
+        yield Check("simulate", "wrong", str(error))
+        return
+    yield Check(
+        "simulate", "ok", f"x, y and z are finite in {_DRAWS} draws of {horizon + 1} instants"
+    )
+    looks: dict[str, Callable[[StateSpaceModel, Draws], tuple[str, str]]] = {
+        "pure": _pure,
+        "elementwise": _elementwise,
+        "compiled as in NumPy": _compiled_as_in_numpy,
+        "log_likelihood": _likelihood,
+    }
+    if engine == "numpy":
+        del looks["compiled as in NumPy"]
+    for look, function in looks.items():
+        try:
+            yield Check(look, *function(model, draws))
+        except Exception as error:  # a formula may raise whatever it likes
+            yield Check(look, "wrong", f"a formula failed: {type(error).__name__}: {error}")
+    yield from _filtered(Problem(model, horizon, particles, engine=engine))
+
+
+# --- formulas as functions ----------------------------------------------------------------------
+
+
+def _calls(model: StateSpaceModel, draws: Draws, t: int) -> dict[str, tuple[Any, ...]]:
+    """Arguments for each formula: the states of all draws at t, and noise."""
+
+    def noise(kinds: tuple[str, ...], role: SupportsIndex) -> tuple[Array, ...]:
+        return tuple(
+            variates(kind, len(draws.index), 1, 0, t, role, component)
+            for component, kind in enumerate(kinds)
+        )
+
+    x, y, z = (tuple(values[:, t].T) for values in (draws.x, draws.y, draws.z))
+    return {
+        "initial": (noise(model.initial_noise, TRUTH_INITIAL), model.p),
+        "transition": (x, t, noise(model.process_noise, TRUTH_PROCESS), model.p),
+        "measurement": (x, t, noise(model.measurement_noise, TRUTH_MEASUREMENT), model.p),
+        "log_likelihood": (y, x, t, model.p),
+        "quantity_of_interest": (x, t, model.p),
+        "error": (z, tuple(np.roll(component, 1) for component in z), t, model.p),
+    }
+
+
+def _values(model: StateSpaceModel, name: str, arguments: tuple[Any, ...], size: int) -> Array:
+    """What a formula gives, (components, size)."""
+    with np.errstate(all="ignore"):
+        value = getattr(model, name)(*arguments)
+    components = value if isinstance(value, tuple) else (value,)
+    return np.stack([np.broadcast_to(np.asarray(one, float), (size,)) for one in components])
+
+
+def _pure(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
+    for name, arguments in _calls(model, draws, 0).items():
+        before = [np.array(part) for group in arguments[:-1] for part in np.atleast_1d(group)]
+        first = _values(model, name, arguments, len(draws.index))
+        again = _values(model, name, arguments, len(draws.index))
+        after = [np.array(part) for group in arguments[:-1] for part in np.atleast_1d(group)]
+        if not np.array_equal(first, again, equal_nan=True):
+            return "wrong", (
+                f"{name} must be a pure function, got other values when called twice with the "
+                "same arguments: take randomness from the noise it is given"
+            )
+        if not all(map(np.array_equal, before, after)):
+            return "wrong", f"{name} must not change its arguments, got one that does"
+    return "ok", "a formula called twice gives the same, and leaves its arguments as they are"
+
+
+def _elementwise(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
+    """A formula on an array must do to each entry what it does to a number."""
+    some = np.linspace(0, len(draws.index) - 1, 10).astype(int)
+    for name, arguments in _calls(model, draws, 0).items():
+        together = _values(model, name, arguments, len(draws.index))[:, some]
+        alone = [
+            _values(model, name, tuple(_entry(part, i) for part in arguments), 1)[:, 0]
+            for i in some
+        ]
+        if not np.allclose(together, np.array(alone).T, rtol=1e-9, atol=1e-12, equal_nan=True):
+            return "wrong", (
+                f"{name} must treat each particle alone, got other values for an array of "
+                "particles than for its entries one by one (a mean or sum over an array?)"
+            )
+    return "ok", "an array of particles gives what its entries give one by one"
+
+
+def _entry(argument: Any, i: int) -> Any:
+    """One particle's part of an argument; t and p belong to all."""
+    if type(argument) is tuple:
+        return tuple(float(component[i]) for component in argument)
+    return argument
+
+
+def _compiled_as_in_numpy(model: StateSpaceModel, _: Draws) -> tuple[str, str]:
+    """Two instants: later ones of a chaotic model differ whatever the last digit."""
+    few = range(100)
+    compiled, plain = (simulate(model, 1, few, 0) for simulate, _ in ENGINES.values())
+    for name in "xyz":
+        one, other = getattr(compiled, name), getattr(plain, name)
+        if not np.allclose(one, other, rtol=1e-7, atol=1e-9):
+            worst = float(np.abs(one - other).max())
+            return "wrong", (
+                f"{name} must be the same compiled and in NumPy, got a difference of {worst:.3g}: "
+                "does a formula use what Numba treats otherwise?"
+            )
+    return "ok", "x, y and z of the first two instants agree"
+
+
+# --- the log-likelihood against the measurement ---------------------------------------------------
+
+
+def _likelihood(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
+    """Compare with what `measurement` gives.
+
+    For y drawn at a state a, and any other state b, the mean of p(y | b) / p(y | a) is 1: the
+    integral of p(y | b). A factor of the likelihood that depends on y alone cancels. b lies so
+    near to a that the ratio has a small variance.
+    """
+    rng, compared = np.random.default_rng(0), 0
+    for t in sorted({0, (draws.x.shape[1] - 1) // 3, draws.x.shape[1] - 1}):
+        for pair in range(_PAIRS):
+            a, other = rng.choice(draws.x[:, t], size=2, replace=False)
+            y = _measured(model, a, t, pair)
+            b = _near(model, y, a, other, t)
+            if b is None:
+                continue
+            ratio = np.exp(_log_ratio(model, y, a, b, t))
+            error = float(np.std(ratio, ddof=1)) / math.sqrt(_MEASUREMENTS)
+            z = (float(np.mean(ratio)) - 1) / error
+            compared += 1
+            if not abs(z) < _LARGEST_Z:
+                states = f"x = {_told(a)} and x = {_told(b)} at t = {t}"
+                return "wrong", (
+                    "log_likelihood must be the log-density of measurement, up to a term that does "
+                    f"not depend on x; but over y measured at the first of {states}, their "
+                    f"likelihoods' ratio has the mean {np.mean(ratio):.4f} ± {error:.4f}, not 1 "
+                    "(a wrong deviation, or a term left out that depends on x?)"
+                )
+    if not compared:
+        return "note", "it does not depend on x where it was looked at"
+    return "ok", f"it agrees with measurement at {compared} pairs of states"
+
+
+def _measured(model: StateSpaceModel, x: Array, t: int, draw: int) -> tuple[Array, ...]:
+    v = tuple(
+        variates(kind, _MEASUREMENTS, 2, draw, t, TRUTH_MEASUREMENT, component)
+        for component, kind in enumerate(model.measurement_noise)
+    )
+    y = _values(model, "measurement", (tuple(x.tolist()), t, v, model.p), _MEASUREMENTS)
+    return tuple(y)
+
+
+def _log_ratio(model: StateSpaceModel, y: tuple[Array, ...], a: Array, b: Array, t: int) -> Array:
+    at_a, at_b = (
+        _values(model, "log_likelihood", (y, tuple(x.tolist()), t, model.p), _MEASUREMENTS)[0]
+        for x in (a, b)
+    )
+    difference: Array = at_b - at_a
+    return difference
+
+
+def _near(
+    model: StateSpaceModel, y: tuple[Array, ...], a: Array, other: Array, t: int
+) -> Array | None:
+    """A state between the two whose log-likelihoods differ by about 1/2; None if none does."""
+    for step in 2.0 ** -np.arange(30):
+        b: Array = a + step * (other - a)
+        spread = np.std(_log_ratio(model, y, a, b, t))
+        if spread < 0.5:
+            return b if spread > 1e-6 else None
+    return None
+
+
+def _told(x: Array) -> str:
+    return f"({', '.join(f'{value:.4g}' for value in x)})"
+
+
+# --- the filter -----------------------------------------------------------------------------------
+
+
+def _filtered(problem: Problem) -> Iterator[Check]:
+    """What an evaluation costs, and how many draws are degenerate."""
+    times = regular(problem.horizon, max(2, (problem.horizon + 1) // 3))
+    draws = min(_DRAWS, problem.draws_of(2 * 10**9))
+    start = time.perf_counter()
+    mse = problem(Work((times,), (3,), 3, (0, draws))).mse[:, 0]
+    seconds = (time.perf_counter() - start) * _DRAWS / draws
+    usable = mse[~np.isnan(mse)]
+    share = 1 - usable.size / draws
+    text = f"{share:.2%} of draws with {len(times)} regular times and {problem.particles} particles"
+    yield Check("degenerate draws", "note" if share else "ok", text)
+    if usable.size > 1 and np.isfinite(usable).all():
+        error = np.std(usable, ddof=1) / math.sqrt(usable.size)
+        yield Check("expected MSE", "ok", f"{np.mean(usable):.4g} ± {error:.2g} with these times")
+    else:
+        text = f"it must be finite, got {np.mean(usable) if usable.size else 'no usable draw'}"
+        yield Check("expected MSE", "wrong", text)
+    yield Check("an evaluation", "ok", f"{seconds:.2g} s for {_DRAWS:,} draws on one core")

@@ -1,0 +1,215 @@
+"""What a model's author may write in a formula, and what the author is told of what may not be."""
+
+import inspect
+import math
+import re
+from itertools import count
+from math import cos as math_cos
+from types import ModuleType
+
+import numpy as np
+import pytest
+from numba import njit
+from numpy import cos
+
+from pfdist import clip, where
+from pfdist.errors import CompileError, ModelError
+from pfdist.kernels.elementary import ELEMENTARY
+from pfdist.kernels.formulas import formula, formulas_of
+
+FACTOR = 0.25
+PAIR = (2.0, 3.0)
+TABLE = np.array([10.0, 20.0, 30.0])
+NAMES = {"a": 1.0}
+helpers = ModuleType("helpers")
+helpers.OFFSET = 0.5
+
+
+def helper(x):
+    return np.cos(x)
+
+
+def helper_of_helper(x):
+    return helper(x)
+
+
+def closure():
+    numpy, function, nested = np, math.cos, helper
+    return [lambda x: -numpy.cos(x), lambda x: -function(x), lambda x: -nested(x)]
+
+
+def with_a_function_inside(x):
+    def inside(y):
+        return np.cos(y)
+
+    return -inside(x)
+
+
+@njit
+def ours(x):
+    return COSINE(x)
+
+
+COSINE = ELEMENTARY["cos"]
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        lambda x: -np.cos(x),
+        lambda x: -math.cos(x),
+        lambda x: -cos(x),
+        lambda x: -math_cos(x),
+        *closure(),
+        lambda x: -helper(x),
+        lambda x: -helper_of_helper(x),
+        with_a_function_inside,
+    ],
+    ids=[
+        *("np.", "math.", "from numpy", "from math"),
+        *("closure over np", "closure over a function", "closure over a helper"),
+        *("helper", "helper of a helper", "function inside"),
+    ],
+)
+def test_a_formula_has_our_elementary_functions_however_it_names_them(function):
+    # An argument at which ours is a last bit from NumPy's and the standard library's shows which.
+    arguments = (0.1 * i for i in count(1))
+    x = next(x for x in arguments if ours(x) not in {float(np.cos(x)), math.cos(x)})
+    assert formula(function)(x) == -ours(x)
+    assert ours(x) == pytest.approx(math.cos(x), rel=1e-15)
+
+
+def test_as_it_stands_a_formula_has_numpys_functions():
+    x = np.linspace(0, 100, 1000)
+    compiled_before = formula(helper)
+    assert compiled_before(1.0) == ours(1.0)
+    assert helper(x).tobytes() == np.cos(x).tobytes()
+
+
+def branching(x, t):
+    if x > FACTOR:
+        y = x - 1
+    elif t == 2:
+        return PAIR[1]
+    else:
+        y = -x
+    for _ in range(t):
+        y = y / 2
+    return y if y > 0 else math.pi * y
+
+
+@pytest.mark.parametrize("t", [0, 2])
+@pytest.mark.parametrize("x", [-2.0, 0.125, 0.5, 3.0])
+def test_branches_and_loops_are_kept(x, t):
+    assert formula(branching)(x, t) == branching(x, t)
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        lambda t: FACTOR * PAIR[t] + TABLE[t],
+        lambda t: helpers.OFFSET + math.pi + np.e,
+        lambda t: where(t > 0, FACTOR, 1.0) + clip(t, 0.5, 0.75),
+        lambda t, k=FACTOR: k + abs(t) + np.sqrt(t) + np.maximum(t, 1) + math.floor(1.5 * t),
+    ],
+    ids=["module constants", "attributes of modules", "where and clip", "default and others"],
+)
+def test_a_formula_gives_what_it_gives_uncompiled(function):
+    assert [formula(function)(t) for t in (0, 1)] == [function(t) for t in (0, 1)]
+
+
+@pytest.mark.parametrize(("numerator", "quotient"), [(1.0, np.inf), (-1.0, -np.inf), (0.0, np.nan)])
+def test_a_formula_divides_by_zero_as_numpy_does(numerator, quotient):
+    np.testing.assert_equal(formula(lambda a, b: a / b)(numerator, 0.0), quotient)
+    np.testing.assert_equal(formula(lambda a, b: -divided(-a, b))(numerator, 0.0), quotient)
+
+
+def divided(a, b):
+    return a / b
+
+
+def test_infinity_and_nan_are_numbers_to_a_formula():
+    # Of what may be assumed of floats, not that these do not occur.
+    finite = formula(lambda x: where(abs(x) < math.inf, 1.0, 0.0))
+    assert [finite(x) for x in (1.0, math.inf, -math.inf, math.nan)] == [1, 0, 0, 0]
+    assert formula(lambda x: x != x)(math.nan)  # noqa: PLR0124
+
+
+# --- what goes wrong ---
+
+
+def clipped(x):
+    return np.clip(x, 0.0, 1.0)
+
+
+def looked_up(x):
+    return NAMES["a"] * x
+
+
+def misspelt(x):
+    return np.cosinus(x)
+
+
+def in_a_helper(x):
+    return 1.0 + clipped(x)
+
+
+def asserting(x):
+    if x > 0:
+        raise AssertionError("x must not be positive")
+    return x
+
+
+def assert_told(error, function, reason):
+    line = inspect.getsourcelines(function)[1] + 1
+    told = rf"model mine cannot be compiled by Numba: .*{reason}.* \(\S*test_formulas\.py:{line}\);"
+    assert re.match(told, str(error.value))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("function", "reason"),
+    [(clipped, "clip"), (looked_up, "NAMES")],
+    ids=["a function Numba lacks", "a dict"],
+)
+def test_what_numba_lacks_is_told_in_one_line_with_its_place(function, reason):
+    with pytest.raises(CompileError) as error, formulas_of("mine"):
+        formula(function)(0.5)
+    assert_told(error, function, reason)
+
+
+@pytest.mark.xfail(strict=True, reason="the line is the formula's that calls the helper")
+def test_the_line_at_fault_is_the_helpers():
+    with pytest.raises(CompileError) as error, formulas_of("mine"):
+        formula(in_a_helper)(0.5)
+    assert_told(error, clipped, "clip")
+
+
+@pytest.mark.xfail(strict=True, raises=(AttributeError, AssertionError), reason="not yet")
+@pytest.mark.parametrize("function", [misspelt, asserting])
+def test_a_misspelt_name_and_a_failed_assertion_are_the_models_fault(function):
+    with pytest.raises(ModelError), formulas_of("mine"):
+        formula(function)(0.5)
+
+
+def raising(x):
+    if x > 0:
+        raise ValueError("x must not be positive")
+    return x
+
+
+@pytest.mark.parametrize(
+    ("function", "reason"),
+    [(raising, "ValueError: x must not be positive"), (lambda x: PAIR[int(x)], "IndexError: .*")],
+    ids=["raises", "index"],
+)
+def test_a_formula_that_raises_is_told_in_one_line(function, reason):
+    message = f"^model mine: a formula failed: {reason}$"
+    with pytest.raises(ModelError, match=message) as error, formulas_of("mine"):
+        formula(function)(5.0)
+    assert not isinstance(error.value, CompileError)
+
+
+def test_what_is_no_formulas_fault_passes():
+    with pytest.raises(KeyboardInterrupt), formulas_of("mine"):
+        raise KeyboardInterrupt

@@ -1,0 +1,119 @@
+import math
+
+import numpy as np
+import pytest
+from scipy import special, stats
+
+from pfdist import plain
+from pfdist.draws import simulate
+from pfdist.measurement_times import regular
+from pfdist.models import find_model
+from pfdist.particle_filter import filter_draws
+
+MODEL = find_model("bearings_only").load()
+KNOT = 1.852 / 60  # km a minute
+EAST, NORTH, SOUTH = math.pi / 2, 0.0, math.pi
+TURNING = {"observer_speed": 1.0, "first_course": EAST, "second_course": NORTH, "turn": 15.0}
+
+
+def assert_mean(values, expected, errors=4.5):
+    """The mean of independent values lies within so many standard errors."""
+    assert abs(values.mean() - expected) < errors * values.std() / np.sqrt(values.size)
+
+
+def test_the_target_starts_at_80_degrees_and_comes_nearer():
+    sine, cosine = 0.984807753012208, 0.17364817766693041  # of 80 degrees
+    expected = (5 * sine, 5 * cosine, -4 * KNOT * sine, -4 * KNOT * cosine)
+    assert MODEL.initial((0.5, 0.0, 0.5, 0.5), MODEL.p) == pytest.approx(expected, rel=1e-12)
+
+
+def test_the_transition_is_gordons():  # x + v + a/2, v + a
+    p = MODEL.with_parameters({"acceleration_sd": 0.5}).p
+    following = MODEL.transition((1.0, 2.0, 0.1, -0.2), 3, (1.0, -2.0), p)
+    assert following == pytest.approx((1.35, 1.3, 0.6, -1.2), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("t", "place"), [(0, (0.0, 0.0)), (7, (7.0, 0.0)), (15, (15.0, 0.0)), (20, (15.0, 5.0))]
+)
+def test_the_bearing_is_clockwise_from_north_where_the_observer_is(t, place):
+    p = MODEL.with_parameters(TURNING | {"bearing_sd": 0.01}).p
+    for east, north, bearing in ((3.0, 4.0, math.atan(0.75)), (1.0, 0.0, EAST), (-2.0, 0.0, -EAST)):
+        x = (place[0] + east, place[1] + north, 0.0, 0.0)
+        assert MODEL.measurement(x, t, (2.0,), p) == pytest.approx((bearing + 0.02,), rel=1e-12)
+        assert MODEL.quantity_of_interest(x, t, p) == x[:2]
+
+
+def test_the_measurement_is_wrapped():
+    p = MODEL.with_parameters({"bearing_sd": 0.1}).p
+    behind = (0.0, -1.0, 0.0, 0.0)  # bearing pi
+    assert MODEL.measurement(behind, 0, (0.0,), p) == (SOUTH,)
+    assert MODEL.measurement(behind, 0, (1.0,), p) == pytest.approx((0.1 - SOUTH,), rel=1e-12)
+    assert MODEL.measurement(behind, 0, (-1.0,), p) == pytest.approx((SOUTH - 0.1,), rel=1e-12)
+
+
+@pytest.mark.parametrize("sd", [math.radians(1.5), 1.0])
+@pytest.mark.parametrize("y", [-3.0, 0.5, 3.1])
+def test_log_likelihood_is_that_of_a_wrapped_normal_but_for_what_comes_round(y, sd):
+    p = MODEL.with_parameters({"bearing_sd": sd}).p
+    bearing = np.linspace(-3.14, 3.14, 101)
+    x = (np.sin(bearing), np.cos(bearing), 0.0, 0.0)
+    turns = 2 * np.pi * np.arange(-9, 10)
+    exact = special.logsumexp(stats.norm.logpdf((y - bearing)[:, None] + turns, scale=sd), axis=1)
+    difference = exact - stats.norm.logpdf(0.0, scale=sd) - MODEL.log_likelihood((y,), x, 0, p)
+    # Of the other turns the nearest weighs exp(-2 pi (pi - |d|) / sd^2) of this one, all the
+    # others together less; rounding of values up to 0.5 * (pi / sd)^2 = 7200.
+    d = np.abs(np.angle(np.exp(1j * (y - bearing))))
+    assert (difference > -1e-11).all()
+    assert (difference < np.log1p(2 * np.exp(-2 * np.pi * (np.pi - d) / sd**2)) + 1e-11).all()
+
+
+def test_simulated_draws_have_the_moments_of_the_formulas():
+    draws = simulate(MODEL.with_parameters({"acceleration_sd": 0.3}), 1, range(100_000), 5)
+    x, y, vx, vy = draws.x[:, 0].T
+    mean, sd = math.radians(80), math.radians(1.5)
+    shrink = math.exp(-(sd**2) / 2)
+    assert_mean(x, 5 * math.sin(mean) * shrink)
+    assert_mean(y, 5 * math.cos(mean) * shrink)
+    assert_mean(x**2 + y**2, 5**2 + 2**2)
+    assert_mean(x**2 - y**2, -(5**2 + 2**2) * math.cos(2 * mean) * shrink**4)
+    assert_mean(vx, -4 * KNOT * math.sin(mean) * 2 / np.pi)  # the course is uniform in a half turn
+    assert_mean(vy, -4 * KNOT * math.cos(mean) * 2 / np.pi)
+    assert_mean(vx**2 + vy**2, (4**2 + 2**2) * KNOT**2)
+    assert_mean(vx**2 - vy**2, 0.0)
+    pushed = draws.x[:, 1] - np.stack([x + vx, y + vy, vx, vy], axis=1)
+    covariance = 0.3**2 * np.kron([[1 / 4, 1 / 2], [1 / 2, 1]], np.eye(2))
+    for i in range(4):
+        assert_mean(pushed[:, i], 0.0)
+        for j in range(i + 1):
+            assert_mean(pushed[:, i] * pushed[:, j], covariance[i, j])
+    assert (np.abs(draws.y) <= np.pi).all()
+
+
+@pytest.mark.parametrize("resampling", ["multinomial", "systematic"])
+def test_compiled_and_plain_filter_agree(resampling):
+    draws = simulate(MODEL, 30, range(4), 17)
+    arguments = (MODEL, draws, regular(30, 11), 130, 23, resampling)
+    fast, slow = (f(*arguments, trajectories=True) for f in (filter_draws, plain.filter_draws))
+    np.testing.assert_allclose(fast.mse, slow.mse, rtol=1e-9)
+    np.testing.assert_allclose(fast.estimate, slow.estimate, rtol=1e-9, atol=1e-9)
+
+
+def test_without_measurements_the_expected_mse_is_the_priors_variance():
+    t, particles = np.arange(31), 500
+    here = 29 - 25 * math.exp(-(math.radians(1.5) ** 2))
+    moving = (20 - (4 * 2 / np.pi) ** 2) * KNOT**2
+    # A push at s < t moves the position by (t - s - 1/2) a, in each direction.
+    variance = here + moving * t**2 + 2 * MODEL.p.acceleration_sd**2 * t * (4 * t**2 - 1) / 12
+    mse = filter_draws(MODEL, simulate(MODEL, 30, range(5000), 3), (), particles, 1).mse
+    assert_mean(mse, variance.mean() * (1 + 1 / particles))
+
+
+def test_it_is_the_turn_that_shows_the_range():
+    straight = MODEL.with_parameters({"second_course": MODEL.p.first_course})
+    blind, turning, going_on = (  # the target is the same
+        filter_draws(model, simulate(model, 30, range(500), 3), times, 2000, 1).mse
+        for model, times in ((MODEL, ()), (MODEL, range(31)), (straight, range(31)))
+    )
+    for gain in (blind - going_on, going_on - turning):
+        assert gain.mean() > 4.5 * gain.std() / np.sqrt(gain.size)
