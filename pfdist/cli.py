@@ -2,20 +2,21 @@
 
 import argparse
 import ast
+import contextlib
 import dataclasses
 import json
 import signal
 import sys
 import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from types import FrameType
 from typing import Any
 
 import pfdist
 from pfdist.analysis import finite, open_run
 from pfdist.display import Display, print_check, print_summary
-from pfdist.errors import MeasurementTimesError, ModelError, PfdistError, TaskError
+from pfdist.errors import EngineWarning, MeasurementTimesError, ModelError, PfdistError, TaskError
 from pfdist.job import load_job
 from pfdist.models import find_model, installed_models
 from pfdist.plots import draw_figures
@@ -47,12 +48,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code.
     """
     options = _parser().parse_args(arguments)
-    warnings.showwarning = _show_warning
     _preempted.clear()
     for number in (signal.SIGTERM, signal.SIGUSR1):
         signal.signal(number, _preempt)
     try:
-        options.command(options)
+        with _warnings_as_lines():
+            options.command(options)
     except PfdistError as error:
         if options.debug:
             raise
@@ -82,8 +83,15 @@ def _preempt(number: int, frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
-def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-    print(f"pfdist: warning: {message}", file=sys.stderr)
+@contextlib.contextmanager
+def _warnings_as_lines() -> Iterator[None]:
+    def show(message: Warning | str, *_: Any, **__: Any) -> None:
+        print(f"pfdist: warning: {message}", file=sys.stderr)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", EngineWarning)
+        warnings.showwarning = show
+        yield
 
 
 def _one_line(error: PfdistError) -> str:

@@ -13,8 +13,10 @@ from pfdist.errors import ModelError
 from pfdist.kernels.components import naming, reader, writer
 from pfdist.kernels.disk_cache import kept_on_disk
 from pfdist.kernels.formulas import formula, formulas_of
-from pfdist.kernels.noise import TILE, TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, filler
+from pfdist.kernels.noise import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, filler
 from pfdist.models import StateSpaceModel
+
+_TOGETHER = 64  # draws that are simulated side by side: a few vectors of noise
 
 
 @dataclass(frozen=True)
@@ -106,7 +108,7 @@ def _compile(
     parameters: tuple[str, ...],
 ) -> Callable[..., None]:
     initial, transition, measurement, quantity = map(formula, functions)
-    fill_w0, fill_w, fill_v = map(filler, noise)
+    fill_w0, fill_w, fill_v = (filler(kinds, of_draws=True) for kinds in noise)
     read_w0, read_w, read_v = (reader(len(kinds), "c, i") for kinds in noise)
     read_x = reader(components[0], "d, t, c")
     write_x, write_y, write_z = (writer(count, "d, t, c") for count in components)
@@ -115,18 +117,24 @@ def _compile(
 
     @njit(nogil=True, error_model="numpy")
     def simulate_draws(stream, first, parameters, x, y, z):  # type: ignore[no-untyped-def]
-        p, one = named(parameters), np.int64(1)
-        noise = np.empty((rows, TILE), np.float32)  # only its first column is used
-        for d in range(x.shape[0]):
-            fill_w0(noise, one, stream, first + d, np.int64(0), TRUTH_INITIAL)
-            write_x(x, d, 0, initial(read_w0(noise, 0), p))
+        p = named(parameters)
+        noise = np.empty((rows, _TOGETHER), np.float32)
+        for begin in range(0, x.shape[0], _TOGETHER):
+            draw, count = first + begin, min(_TOGETHER, x.shape[0] - begin)
+            fill_w0(noise, count, stream, draw, np.int64(0), TRUTH_INITIAL)
+            for i in range(count):
+                write_x(x, begin + i, 0, initial(read_w0(noise, i), p))
             for t in range(x.shape[1]):
-                state = read_x(x, d, t)
-                fill_v(noise, one, stream, first + d, t, TRUTH_MEASUREMENT)
-                write_y(y, d, t, measurement(state, t, read_v(noise, 0), p))
-                write_z(z, d, t, quantity(state, t, p))
-                if t + 1 < x.shape[1]:
-                    fill_w(noise, one, stream, first + d, t, TRUTH_PROCESS)
-                    write_x(x, d, t + 1, transition(state, t, read_w(noise, 0), p))
+                fill_v(noise, count, stream, draw, t, TRUTH_MEASUREMENT)
+                for i in range(count):
+                    state = read_x(x, begin + i, t)
+                    write_y(y, begin + i, t, measurement(state, t, read_v(noise, i), p))
+                    write_z(z, begin + i, t, quantity(state, t, p))
+                if t + 1 == x.shape[1]:
+                    break
+                fill_w(noise, count, stream, draw, t, TRUTH_PROCESS)
+                for i in range(count):
+                    following = transition(read_x(x, begin + i, t), t, read_w(noise, i), p)
+                    write_x(x, begin + i, t + 1, following)
 
     return kept_on_disk(simulate_draws, functions, noise, components, parameters)

@@ -58,13 +58,13 @@ def clip(x: Any, low: Any, high: Any) -> Any:
 # The signatures are bare: Numba compares them with those of what they give, name by name.
 
 
-@overload(where, inline="always")
+@overload(where, jit_options={"forceinline": True})
 def _where_compiled(condition, if_true, if_false):
     if any(isinstance(kind, types.Array) for kind in (condition, if_true, if_false)):
         return lambda condition, if_true, if_false: np.where(condition, if_true, if_false)  # noqa: PLW0108
     return lambda condition, if_true, if_false: if_true if condition else if_false
 
 
-@overload(clip, inline="always")
+@overload(clip, jit_options={"forceinline": True})
 def _clip_compiled(x, low, high):
     return lambda x, low, high: np.minimum(np.maximum(x, low), high)

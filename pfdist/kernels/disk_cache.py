@@ -80,7 +80,7 @@ class _DiskCache:
             if digest != _digest(payload):
                 return None
             return CompileResult._rebuild(target, *pickle.loads(payload))  # noqa: S301  our own file
-        except OSError:
+        except Exception:  # whatever is wrong with the file, compiling is the answer
             return None
 
     def save_overload(self, signature: Any, result: Any) -> None:

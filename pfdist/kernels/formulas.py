@@ -42,9 +42,10 @@ def _seeing(function: Callable[..., Any]) -> Callable[..., Any]:
     scope = function.__globals__
     used = {name: seen(scope[name]) for name in names_in(function.__code__) if name in scope}
     cells = [types.CellType(seen(cell.cell_contents)) for cell in function.__closure__ or ()]
+    # Its module's name would be kept with the compiled code, and be unknown to another process.
     return types.FunctionType(
         function.__code__,
-        scope | used,
+        scope | used | {"__name__": __name__},
         function.__name__,
         function.__defaults__,
         tuple(cells),

@@ -167,7 +167,7 @@ FOUR: dict[str, Callable[..., Any]] = {
 }
 
 
-# --- a variate for each particle ----------------------------------------------------------------
+# --- a variate for each particle, or for each draw ----------------------------------------------
 
 
 def _filling(four: Callable[..., Any]) -> Callable[..., Any]:
@@ -187,42 +187,59 @@ def _filling(four: Callable[..., Any]) -> Callable[..., Any]:
     return fill
 
 
+def _filling_draws(four: Callable[..., Any]) -> Callable[..., Any]:
+    @njit(forceinline=True, nogil=True)
+    def fill(out, row, draws, stream, first, t, role, component):
+        for d in range(draws):
+            out[row, d] = four(stream, first + d, t, role, component, 0)[0]
+
+    return fill
+
+
 FILL = {kind: _filling(four) for kind, four in FOUR.items()}
 """Compiled ``fill(out, row, particles, stream, draw, t, role, component)`` by kind; out is float32,
 (rows, padded(particles) or more). Rows are unsigned: what may be negative is not vectorised."""
 
+FILL_DRAWS = {kind: _filling_draws(four) for kind, four in FOUR.items()}
+"""Compiled ``fill(out, row, draws, stream, first, t, role, component)`` by kind: the variates of
+the first particle of some draws, one after another."""
+
 
 @cache
-def filler(kinds: tuple[str, ...]) -> Callable[..., Any]:
+def filler(kinds: tuple[str, ...], *, of_draws: bool = False) -> Callable[..., Any]:
     """Compile the filling of one row of noise for each component of a process.
 
     Parameters
     ----------
     kinds : tuple of {"normal", "uniform"}
+    of_draws : bool
+        Whether a row holds a variate for each of some draws, or for each particle of one.
 
     Returns
     -------
     callable
         ``fill(out, particles, stream, draw, t, role)``; out is float32, (components or more,
-        padded(particles) or more).
+        padded(particles) or more). Or ``fill(out, draws, stream, first, t, role)``; out is
+        (components or more, draws or more).
     """
+    fills = FILL_DRAWS if of_draws else FILL
     count = len(kinds)
     normal = np.array([kind == "normal" for kind in kinds], np.bool_)
-    fill_normal, fill_uniform = FILL["normal"], FILL["uniform"]
-    fill_all = FILL[kinds[0]] if kinds else fill_normal
+    fill_normal, fill_uniform = fills["normal"], fills["uniform"]
+    fill_all = fills[kinds[0]] if kinds else fill_normal
 
     @njit(forceinline=True, nogil=True)
-    def fill_alike(out, particles, stream, draw, t, role):
+    def fill_alike(out, size, stream, draw, t, role):
         for component in range(count):
-            fill_all(out, np.uintp(component), particles, stream, draw, t, role, component)
+            fill_all(out, np.uintp(component), size, stream, draw, t, role, component)
 
     @njit(forceinline=True, nogil=True)
-    def fill_each(out, particles, stream, draw, t, role):
+    def fill_each(out, size, stream, draw, t, role):
         for component in range(count):
             if normal[component]:
-                fill_normal(out, np.uintp(component), particles, stream, draw, t, role, component)
+                fill_normal(out, np.uintp(component), size, stream, draw, t, role, component)
             else:
-                fill_uniform(out, np.uintp(component), particles, stream, draw, t, role, component)
+                fill_uniform(out, np.uintp(component), size, stream, draw, t, role, component)
 
     return fill_alike if len(set(kinds)) < 2 else fill_each
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
 
-from pfdist.errors import CompileError, EngineWarning
+from pfdist.errors import CompileError, EngineWarning, ModelError
 from pfdist.job import Execution, Job
 from pfdist.kernels.noise import stream_key
 from pfdist.measurement_times import Times
@@ -66,12 +66,17 @@ class ProblemSource:
 
     def make(self) -> Problem:
         """Load the models and give the problem, which is the function a worker applies."""
+        model = self.model.load()
+        try:
+            filter_model = self.filter_model.load()
+        except ModelError as error:
+            raise ModelError(f"model.filter: {error}") from error
         return Problem(
-            self.model.load(),
+            model,
             self.horizon,
             self.particles,
             self.resampling,
-            self.filter_model.load(),
+            filter_model,
             self.dtype,
             self.engine,
         )

@@ -1,4 +1,4 @@
-"""Compiled code on disk: found again by what it was compiled from, and only whole and in a safe place."""
+"""Compiled code on disk: found again by what it was compiled from, if it is whole and safe."""
 
 import errno
 import json
@@ -21,7 +21,7 @@ def kept(factor, *more):
     def scaled(x):
         return factor * x
 
-    compiled = njit(scaled)
+    compiled = njit(scaled, forceinline=True)
 
     @njit
     def one_more(x):
@@ -73,6 +73,18 @@ def test_what_cannot_be_told_is_compiled_in_each_process(folder):
     assert not folder.exists()
 
 
+@njit
+def fibonacci(n):
+    return n if n < 2 else fibonacci(n - 1) + fibonacci(n - 2)
+
+
+def test_what_is_not_all_inlined_is_compiled_in_each_process(folder):
+    # The symbols of what is left standing are told apart by a count, which is a process's own.
+    for _ in range(2):
+        assert called(kept_on_disk(njit(lambda n: fibonacci(n) + 1)), 7) == (14, True)
+    assert not list(folder.iterdir())
+
+
 @pytest.mark.parametrize(
     "spoilt",
     [
@@ -100,7 +112,7 @@ def test_a_file_that_is_not_whole_is_compiled_anew_and_replaced(folder, spoilt):
     assert called(kept(2.0), 5.0) == (11.0, False)
 
 
-def works_without(folder_used=False):
+def works_without():
     for _ in range(2):
         assert called(kept(2.0), 5.0) == (11.0, True)
 
@@ -154,80 +166,81 @@ def test_a_new_folder_is_its_users_alone(folder):
 # --- other processes ---
 
 PROCESS = """
-import json
+import json, sys
 from numba.core.event import install_recorder
 from pfdist import load_model, plain
 from pfdist.draws import simulate
 from pfdist.kernels.disk_cache import fingerprint
 
-model = load_model("model.py:model")
-with install_recorder("numba:compile") as recorder:
-    fast = simulate(model, 5, range(2), 1)
-told = {
-    "compiled": len(recorder.buffer) > 0,
-    "fast": fast.x.ravel().tolist(),
-    "slow": plain.simulate(model, 5, range(2), 1).x.ravel().tolist(),
-    "fingerprint": fingerprint(model.transition, model.initial),
-}
+told = []
+for file in sys.argv[1:]:
+    model = load_model(f"{file}:model")
+    with install_recorder("numba:compile") as recorder:
+        fast = simulate(model, 5, range(2), 1)
+    slow = plain.simulate(model, 5, range(2), 1)
+    told.append({
+        "compiled": len(recorder.buffer) > 0,
+        "fast": fast.x.ravel().tolist(),
+        "slow": slow.x.ravel().tolist(),
+        "fingerprint": fingerprint(model.transition, model.initial),
+    })
 print(json.dumps(told))
 """
 
 MODEL = """
+import math
+from dataclasses import replace
 import constants
 import numpy as np
 from constants import DRIFT
-from pfdist import StateSpaceModel
+from pfdist import load_model
 
 GAIN = 0.5
 
 def transition(x, t, w, p):
-    return (GAIN * np.sin(x[0]) + DRIFT + constants.SHIFT + w[0],)
+    return (GAIN * np.sin(x[0]) + DRIFT + constants.ROUND * math.pi + w[0],)
 
-model = StateSpaceModel(
-    name="edited",
-    initial=lambda w, p: (w[0],),
-    transition=transition,
-    measurement=lambda x, t, v, p: (x[0] + v[0],),
-    log_likelihood=lambda y, x, t, p: -0.5 * (y[0] - x[0]) ** 2,
-    quantity_of_interest=lambda x, t, p: (x[0],),
-    initial_noise=("normal",),
-    process_noise=("normal",),
-    measurement_noise=("normal",),
-)
+model = replace(load_model("ungm"), transition=transition)
 """
-EDITS = [
-    ("model.py", "GAIN = 0.5", "GAIN = 0.25"),
-    ("constants.py", "DRIFT = 1.0", "DRIFT = 2.0"),
-]
+EDITS = [("mine.py", "GAIN = 0.5", "GAIN = 0.25"), ("constants.py", "ROUND = 2", "ROUND = 3")]
 
 
-def simulated(folder, hash_seed):
-    environment = {
-        **os.environ,
-        "PYTHONHASHSEED": hash_seed,
-        "PYTHONPATH": os.pathsep.join(["", *sys.path]),
-        "PYTHONDONTWRITEBYTECODE": "1",  # which would hold a constant's old value for a second
-    }
-    finished = subprocess.run(
-        [sys.executable, "-c", PROCESS],
-        cwd=folder, env=environment, capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    return json.loads(finished.stdout)
+@pytest.fixture
+def models(tmp_path):
+    """Simulate these files' models in a process of its own."""
+
+    def simulated(*files, hash_seed="1"):
+        environment = {
+            **os.environ,
+            "PYTHONHASHSEED": hash_seed,
+            "PYTHONPATH": os.pathsep.join(["", *sys.path]),
+            "PYTHONDONTWRITEBYTECODE": "1",  # which would hold a constant's old value for a second
+        }
+        finished = subprocess.run(
+            [sys.executable, "-c", PROCESS, *files],
+            cwd=tmp_path, env=environment, capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        told = json.loads(finished.stdout)
+        for one in told:
+            assert one["fast"] == pytest.approx(one["slow"], rel=1e-12)
+        return told
+
+    (tmp_path / "mine.py").write_text(MODEL)
+    (tmp_path / "other.py").write_text(MODEL.replace("+ w[0]", "- w[0]"))
+    (tmp_path / "constants.py").write_text("DRIFT = 1.0\nROUND = 2\n")
+    return simulated
 
 
-def test_another_process_loads_what_was_compiled_and_an_edited_model_is_the_new_one(tmp_path):
-    (tmp_path / "model.py").write_text(MODEL)
-    (tmp_path / "constants.py").write_text("DRIFT = 1.0\nSHIFT = 0.5\n")
-    first, second = (simulated(tmp_path, seed) for seed in ("1", "2"))
-    assert first.pop("compiled")
-    assert not second.pop("compiled")
+def test_another_process_loads_what_one_compiled_and_never_for_an_edited_model(models, tmp_path):
+    (first,) = models("mine.py")
+    other, second = models("other.py", "mine.py", hash_seed="2")  # beside another model's code
+    assert [one.pop("compiled") for one in (first, other, second)] == [True, True, False]
     assert first == second
-    told = [first]
+    figures = [first["fast"], other["fast"]]
     for name, old, new in EDITS:
         path = tmp_path / name
         path.write_text(path.read_text().replace(old, new))
-        told.append(simulated(tmp_path, "1"))
-        assert told[-1].pop("compiled")
-        assert told[-1]["fast"] != told[-2]["fast"]
-    for one in told:
-        assert one["fast"] == pytest.approx(one["slow"], rel=1e-12)
+        (edited,) = models("mine.py")
+        assert edited["compiled"]
+        assert edited["fast"] not in figures
+        figures.append(edited["fast"])

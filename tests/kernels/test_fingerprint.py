@@ -1,4 +1,4 @@
-"""What a function is made of, as the cache on disk tells it: two that differ are never taken for one."""
+"""What the cache on disk takes a function for: two that differ are never taken for one."""
 
 import math
 from collections import namedtuple
@@ -79,6 +79,7 @@ A_B, B_A = ([(name, "f8") for name in names] for names in ("ab", "ba"))
         ("h(x)", {"h": njit(ONE)}, {"h": njit(fastmath=True)(ONE)}),
         ("h(x)", {"h": np.sin}, {"h": np.cos}),
         ("h(x)", {"h": math.sin}, {"h": math.cos}),
+        ("h(x)", {"h": np.floor}, {"h": math.floor}),
         ("m.sin(x)", {"m": np}, {"m": math}),
         ("m.C * x", {"m": module_of(C=2.0)}, {"m": module_of(C=3.0)}),
         (
@@ -109,7 +110,7 @@ A_B, B_A = ([(name, "f8") for name in names] for names in ("ab", "ba"))
         *("a global", "two globals", "one of a function inside", "a tuple's entry"),
         *("an array's content", "an array's kind", "an array's shape"),
         *("a helper's body", "a helper's global", "a compiled helper", "a compiler's option"),
-        *("NumPy's function", "the standard library's", "whose function"),
+        *("NumPy's function", "the standard library's", "whose", "whose module"),
         *("a module's attribute", "an inner module's attribute"),
         *("a named tuple's names", "a record's names", "a function of a model that ships"),
     ],

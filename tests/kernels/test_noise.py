@@ -157,9 +157,10 @@ def test_neighbouring_draws_are_uncorrelated():
 
 
 # Within a tile the four words of a block, two of which share a radius, lie LANES apart.
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("lag", [1, LANES, 2 * LANES, 3 * LANES, TILE])
-def test_neighbouring_particles_are_uncorrelated(lag):
-    assert_uncorrelated(cloud("normal")[:, :-lag], cloud("normal")[:, lag:])
+def test_neighbouring_particles_are_uncorrelated(kind, lag):
+    assert_uncorrelated(cloud(kind)[:, :-lag], cloud(kind)[:, lag:])
 
 
 EXTREME = np.array([0, 1, 2**31 - 1, 2**31, WORDS - 2, WORDS - 1], np.uint32)

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from pfdist.kernels import weights
 from pfdist.kernels.weights import IMPOSSIBLE, cumulate, plain_weights, weigh, width
 
 GUARD = -7.0
@@ -40,6 +41,11 @@ def test_weights_are_the_exponentials_with_the_largest_taken_out(highest):
     # The excess is rounded to float32, by 2^-24 of it at most; the polynomial is within 1.2e-7.
     error = -excess * 2.0**-24 + 1.2e-7
     assert (np.abs(weights_of(log_weight) / np.exp(excess) - 1) < error).all()
+
+
+def test_the_polynomial_is_the_exponential():
+    x = -np.concatenate([np.linspace(0, 2, 10**6), np.linspace(2, 87, 10**6)]).astype(np.float32)
+    assert (np.abs(weights._exp(x) / np.exp(x.astype(float)) - 1) < 1.2e-7).all()
 
 
 @pytest.mark.parametrize("highest", [0.0, 12.34, -1e9, 1e300, -1e300])

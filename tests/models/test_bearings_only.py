@@ -12,19 +12,22 @@ from pfdist.particle_filter import filter_draws
 
 MODEL = find_model("bearings_only").load()
 KNOT = 1.852 / 60  # km a minute
-EAST, NORTH, SOUTH = math.pi / 2, 0.0, math.pi
-TURNING = {"observer_speed": 1.0, "first_course": EAST, "second_course": NORTH, "turn": 15.0}
+EAST, SOUTH = math.pi / 2, math.pi
+TURNING = {"observer_speed": 1.0, "first_course": EAST, "second_course": 0.0, "turn": 15.0}
 
 
-def assert_mean(values, expected, errors=4.5):
-    """The mean of independent values lies within so many standard errors."""
-    assert abs(values.mean() - expected) < errors * values.std() / np.sqrt(values.size)
+def assert_mean(values, expected):  # of independent values, within 4.5 standard errors
+    assert abs(values.mean() - expected) < 4.5 * values.std() / np.sqrt(values.size)
 
 
 def test_the_target_starts_at_80_degrees_and_comes_nearer():
     sine, cosine = 0.984807753012208, 0.17364817766693041  # of 80 degrees
     expected = (5 * sine, 5 * cosine, -4 * KNOT * sine, -4 * KNOT * cosine)
     assert MODEL.initial((0.5, 0.0, 0.5, 0.5), MODEL.p) == pytest.approx(expected, rel=1e-12)
+    east, north, *velocity = MODEL.initial((1.0, 2.0, 0.0, 0.5), MODEL.p)
+    farthest = (5 + 2 * math.sqrt(3)) * np.exp(1j * math.radians(83))
+    assert complex(north, east) == pytest.approx(farthest, rel=1e-12)
+    assert math.hypot(*velocity) == pytest.approx((4 - 2 * math.sqrt(3)) * KNOT, rel=1e-12)
 
 
 def test_the_transition_is_gordons():  # x + v + a/2, v + a
@@ -46,10 +49,9 @@ def test_the_bearing_is_clockwise_from_north_where_the_observer_is(t, place):
 
 def test_the_measurement_is_wrapped():
     p = MODEL.with_parameters({"bearing_sd": 0.1}).p
-    behind = (0.0, -1.0, 0.0, 0.0)  # bearing pi
-    assert MODEL.measurement(behind, 0, (0.0,), p) == (SOUTH,)
-    assert MODEL.measurement(behind, 0, (1.0,), p) == pytest.approx((0.1 - SOUTH,), rel=1e-12)
-    assert MODEL.measurement(behind, 0, (-1.0,), p) == pytest.approx((SOUTH - 0.1,), rel=1e-12)
+    for v, bearing in ((0.0, SOUTH), (1.0, 0.1 - SOUTH), (-1.0, SOUTH - 0.1)):
+        measured = MODEL.measurement((0.0, -1.0, 0.0, 0.0), 0, (v,), p)
+        assert measured == pytest.approx((bearing,), rel=1e-12)
 
 
 @pytest.mark.parametrize("sd", [math.radians(1.5), 1.0])
@@ -58,11 +60,11 @@ def test_log_likelihood_is_that_of_a_wrapped_normal_but_for_what_comes_round(y, 
     p = MODEL.with_parameters({"bearing_sd": sd}).p
     bearing = np.linspace(-3.14, 3.14, 101)
     x = (np.sin(bearing), np.cos(bearing), 0.0, 0.0)
-    turns = 2 * np.pi * np.arange(-9, 10)
-    exact = special.logsumexp(stats.norm.logpdf((y - bearing)[:, None] + turns, scale=sd), axis=1)
+    wound = (y - bearing)[:, None] + 2 * np.pi * np.arange(-9, 10)
+    exact = special.logsumexp(stats.norm.logpdf(wound, scale=sd), axis=1)
     difference = exact - stats.norm.logpdf(0.0, scale=sd) - MODEL.log_likelihood((y,), x, 0, p)
-    # Of the other turns the nearest weighs exp(-2 pi (pi - |d|) / sd^2) of this one, all the
-    # others together less; rounding of values up to 0.5 * (pi / sd)^2 = 7200.
+    # The nearest other turn weighs exp(-2 pi (pi - |d|) / sd^2) of this one, the rest of them less;
+    # rounding of values up to 0.5 * (pi / sd)^2 = 7200.
     d = np.abs(np.angle(np.exp(1j * (y - bearing))))
     assert (difference > -1e-11).all()
     assert (difference < np.log1p(2 * np.exp(-2 * np.pi * (np.pi - d) / sd**2)) + 1e-11).all()
@@ -71,8 +73,7 @@ def test_log_likelihood_is_that_of_a_wrapped_normal_but_for_what_comes_round(y, 
 def test_simulated_draws_have_the_moments_of_the_formulas():
     draws = simulate(MODEL.with_parameters({"acceleration_sd": 0.3}), 1, range(100_000), 5)
     x, y, vx, vy = draws.x[:, 0].T
-    mean, sd = math.radians(80), math.radians(1.5)
-    shrink = math.exp(-(sd**2) / 2)
+    mean, shrink = math.radians(80), math.exp(-(math.radians(1.5) ** 2) / 2)
     assert_mean(x, 5 * math.sin(mean) * shrink)
     assert_mean(y, 5 * math.cos(mean) * shrink)
     assert_mean(x**2 + y**2, 5**2 + 2**2)
@@ -83,10 +84,9 @@ def test_simulated_draws_have_the_moments_of_the_formulas():
     assert_mean(vx**2 - vy**2, 0.0)
     pushed = draws.x[:, 1] - np.stack([x + vx, y + vy, vx, vy], axis=1)
     covariance = 0.3**2 * np.kron([[1 / 4, 1 / 2], [1 / 2, 1]], np.eye(2))
-    for i in range(4):
+    for i, j in np.ndindex(4, 4):
         assert_mean(pushed[:, i], 0.0)
-        for j in range(i + 1):
-            assert_mean(pushed[:, i] * pushed[:, j], covariance[i, j])
+        assert_mean(pushed[:, i] * pushed[:, j], covariance[i, j])
     assert (np.abs(draws.y) <= np.pi).all()
 
 

@@ -16,9 +16,8 @@ MU, PHI, SIGMA = -0.87, 0.98, 0.16
 VARIANCE = SIGMA**2 / (1 - PHI**2)  # stationary
 
 
-def assert_mean(values, expected, errors=4.5):
-    """The mean of independent values lies within so many standard errors."""
-    assert abs(values.mean() - expected) < errors * values.std() / np.sqrt(values.size)
+def assert_mean(values, expected):  # of independent values, within 4.5 standard errors
+    assert abs(values.mean() - expected) < 4.5 * values.std() / np.sqrt(values.size)
 
 
 def test_formulas_at_a_point():

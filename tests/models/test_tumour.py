@@ -14,9 +14,8 @@ FILTER = TRUTH.with_parameters({"frequency_sd": 0.005})
 BOX = ((8.8, 24.0), (0.52, 0.84), (-5.8, 5.8))
 
 
-def assert_mean(values, expected, errors=4.5):
-    """The mean of independent values lies within so many standard errors."""
-    assert abs(values.mean() - expected) < errors * values.std() / np.sqrt(values.size)
+def assert_mean(values, expected):  # of independent values, within 4.5 standard errors
+    assert abs(values.mean() - expected) < 4.5 * values.std() / np.sqrt(values.size)
 
 
 @pytest.mark.parametrize(

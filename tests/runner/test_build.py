@@ -1,0 +1,129 @@
+"""From a job to the problem: the filter's model, and the engine."""
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pfdist
+from pfdist import Job, load_job
+from pfdist.cli import main
+from pfdist.errors import CompileError, EngineWarning, ModelError, RunMismatchError
+from pfdist.runner.build import build
+
+OTHER = """
+import numpy as np
+from pfdist import StateSpaceModel
+from pfdist.models.ungm import measurement, log_likelihood, quantity_of_interest, initial
+
+def transition(x, t, w, p):
+    return (FORMULA,)
+
+model = StateSpaceModel(
+    name="other", initial=initial, transition=transition, measurement=measurement,
+    log_likelihood=log_likelihood, quantity_of_interest=QUANTITY, initial_noise=("normal",),
+    process_noise=("normal",), measurement_noise=("normal",),
+    parameters={"initial_sd": 5.0, "process_sd": 1.0, "measurement_sd": 1.0},
+)
+"""
+
+
+def job_with(tmp_path: Path, *lines: str, formula: str = "0.5 * x[0]", quantity: str = "") -> Job:
+    text = OTHER.replace("FORMULA", formula)
+    text = text.replace("QUANTITY", quantity or "quantity_of_interest")
+    (tmp_path / "other.py").write_text(text)
+    small = (Path(__file__).parents[1] / "small.toml").read_text()
+    (tmp_path / "small.toml").write_text("\n".join([small, *lines]))
+    return load_job(tmp_path / "small.toml")
+
+
+def test_without_a_filter_model_the_filter_knows_the_truth(tmp_path: Path) -> None:
+    source = build(job_with(tmp_path, "[model.parameters]", "process_sd = 2.0")).source
+    assert source.filter_model == source.model
+    assert source.make().filter_model.p.process_sd == 2.0
+
+
+def test_the_filters_parameters_are_the_models_but_for_those_that_are_given(tmp_path: Path) -> None:
+    job = job_with(
+        tmp_path,
+        "[model.parameters]",
+        "process_sd = 2.0",
+        "measurement_sd = 3.0",
+        "[model.filter.parameters]",
+        "measurement_sd = 4.0",
+    )
+    problem = build(job).source.make()
+    assert (problem.model.p.process_sd, problem.model.p.measurement_sd) == (2.0, 3.0)
+    assert problem.filter_model is not None
+    p = problem.filter_model.p
+    assert (p.process_sd, p.measurement_sd) == (2.0, 4.0)
+
+
+def test_the_filters_model_may_be_another_one(tmp_path: Path) -> None:
+    right = build(job_with(tmp_path))
+    wrong = build(job_with(tmp_path, "[model.filter]", 'name = "other.py:model"'))
+    assert wrong.source.make().filter_model.name == "other"
+    ids = {built.source.evaluation_id((0, 1), 1, 1) for built in (right, wrong)}
+    assert len(ids) == 2
+    times = [0, 4, 8, 12]
+    believing = pfdist.evaluate(wrong.job, times, draws=200)
+    knowing = pfdist.evaluate(right.job, times, draws=200)
+    difference = believing.mse - knowing.mse
+    assert difference.mean() > 4 * difference.std() / np.sqrt(200)
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        (["[model.filter]", 'name = "ungn"'], "model.name must be one of .*got 'ungn'"),
+        (["[model.filter.parameters]", "sd = 1.0"], "model.filter: .*unknown parameter 'sd'"),
+        (["[model.filter]", 'name = "other.py:model"'], "as many components of z as .* 1, got 2"),
+    ],
+)
+def test_a_filter_model_that_cannot_be_is_refused(
+    lines: list[str], message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(ModelError, match=message):
+        build(job_with(tmp_path, *lines, quantity="lambda x, t, p: (x[0], x[0])"))
+
+
+NEEDS_NUMPY = {"formula": "np.clip(0.5 * x[0], -9, 9)"}
+OWN = ["[model]", 'name = "other.py:model"']
+
+
+def test_what_numba_cannot_compile_is_computed_in_numpy_with_one_warning(tmp_path: Path) -> None:
+    job = job_with(tmp_path, *OWN, **NEEDS_NUMPY)
+    says = r"(?s)cannot be compiled by Numba: .*clip.*other\.py:\d+.*NumPy instead, about 100 times"
+    with pytest.warns(EngineWarning, match=says) as caught:
+        run = pfdist.run(job, tmp_path / "run")
+    assert len(caught) == 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        knowing = pfdist.run(job.with_changes(["filter.engine=numpy"]), tmp_path / "known")
+    assert run.comparison().equals(knowing.comparison())
+    compilable = job_with(tmp_path, *OWN, formula="np.minimum(np.maximum(0.5 * x[0], -9), 9)")
+    compiled = pfdist.run(compilable, tmp_path / "compiled")
+    np.testing.assert_allclose(run.comparison(), compiled.comparison(), rtol=1e-9)
+
+
+def test_a_job_may_insist_on_compiling(tmp_path: Path) -> None:
+    job = job_with(tmp_path, *OWN, **NEEDS_NUMPY).with_changes(["filter.engine=compiled"])
+    with pytest.raises(CompileError, match="clip"):
+        build(job)
+
+
+def test_the_engine_is_part_of_what_a_run_is(tmp_path: Path) -> None:
+    job = job_with(tmp_path)
+    pfdist.run(job.with_changes(["comparison.draws=20"]), tmp_path / "run")
+    with pytest.raises(RunMismatchError, match="engine: compiled -> numpy"):
+        pfdist.run(job.with_changes(["filter.engine=numpy"]), tmp_path / "run")
+
+
+def test_the_command_line_says_it_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    job_with(tmp_path, *OWN, **NEEDS_NUMPY)
+    assert main(["evaluate", str(tmp_path / "small.toml"), "--times", "0,5"]) == 0
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("pfdist: warning: model other cannot be compiled")
