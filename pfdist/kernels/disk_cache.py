@@ -19,8 +19,7 @@ import pickle
 import platform
 import re
 import tempfile
-import types
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -29,15 +28,13 @@ import llvmlite
 import numba
 import numpy as np
 from numba.core.compiler import CompileResult
-from numba.core.registry import CPUDispatcher
 from numba.core.serialize import dumps
 
-from pfdist.kernels.formulas import names_in
+from pfdist.kernels.fingerprint import UnknownContentError, fingerprint
 
 FOLDER_VARIABLE = "PFDIST_CACHE_DIR"
 _DIGEST_BYTES = 16
 _PACKAGE = Path(__file__).parents[1]
-_VERSIONED = ("builtins", "math", "numpy")  # what is in them is told by its name
 
 
 def kept_on_disk(compiled: Any, *compiled_from: Any) -> Callable[..., None]:
@@ -132,106 +129,13 @@ def _folder() -> Path:
 def _hash_of_own_source() -> str:
     """Hash of the source that compiled code is made of."""
     files = sorted((_PACKAGE / "kernels").glob("*.py"))
-    names = ("elementwise.py", "models/base.py", "draws.py", "particle_filter.py")
+    names = ("elementwise.py", "draws.py", "particle_filter.py")
     files += [_PACKAGE / name for name in names]
     return fingerprint(*(file.read_bytes() for file in files))
 
 
 def _versions() -> tuple[str, ...]:
     return (platform.python_version(), numba.__version__, llvmlite.__version__, np.__version__)
-
-
-# --- what a function is made of -----------------------------------------------------------------
-
-
-class UnknownContentError(Exception):
-    """A value whose content cannot be told."""
-
-
-def fingerprint(*values: Any) -> str:
-    """Hash the content of values, functions among them with all that they use.
-
-    Raises
-    ------
-    UnknownContentError
-        One of them, or what it uses, is of a kind whose content cannot be told.
-    """
-    digest = hashlib.blake2b(digest_size=16)
-    for part in _parts(values, frozenset(), []):
-        digest.update(len(part).to_bytes(8, "little") + part)
-    return digest.hexdigest()
-
-
-def _parts(value: Any, names: frozenset[str], seen: list[Any]) -> Iterator[bytes]:
-    """The content of a value as bytes.
-
-    `names` are those that the code around it uses: of a module they are what matters. `seen`
-    are the functions that have been told already, so that one that calls itself ends.
-    """
-    yield type(value).__name__.encode()
-    if value is None or isinstance(value, bool | int | float | complex | str | np.generic):
-        yield repr(value).encode()
-    elif isinstance(value, bytes):
-        yield value
-    elif isinstance(value, np.ndarray) and value.dtype != object:
-        yield from (value.dtype.str.encode(), str(value.shape).encode(), value.tobytes())
-    elif isinstance(value, tuple | list):
-        yield str(len(value)).encode()
-        for entry in value:
-            yield from _parts(entry, names, seen)
-    elif isinstance(value, CPUDispatcher):
-        yield repr(sorted(value.targetoptions.items())).encode()
-        yield from _parts(value.py_func, names, seen)
-    elif isinstance(value, types.FunctionType):
-        yield from _function_parts(value, seen)
-    elif isinstance(value, types.ModuleType):
-        yield from _module_parts(value, names, seen)
-    elif isinstance(value, np.ufunc) or (
-        getattr(value, "__module__", None) in _VERSIONED and hasattr(value, "__name__")
-    ):
-        yield value.__name__.encode()
-    else:
-        raise UnknownContentError(repr(value))
-
-
-def _function_parts(function: types.FunctionType, seen: list[Any]) -> Iterator[bytes]:
-    if function in seen:
-        yield str(seen.index(function)).encode()
-        return
-    seen.append(function)
-    if function.__module__.split(".")[0] in (*_VERSIONED, "pfdist"):
-        yield f"{function.__module__}.{function.__qualname__}".encode()
-        return
-    names = frozenset(names_in(function.__code__))
-    yield from _code_parts(function.__code__, names, seen)
-    keywords = tuple(sorted((function.__kwdefaults__ or {}).items()))
-    yield from _parts((function.__defaults__, keywords), names, seen)
-    for cell in function.__closure__ or ():
-        yield from _parts(cell.cell_contents, names, seen)
-    for name in sorted(names & function.__globals__.keys()):
-        yield name.encode()
-        yield from _parts(function.__globals__[name], names, seen)
-
-
-def _code_parts(code: types.CodeType, names: frozenset[str], seen: list[Any]) -> Iterator[bytes]:
-    yield code.co_code
-    yield from _parts((code.co_names, code.co_varnames, code.co_freevars), names, seen)
-    for constant in code.co_consts:
-        if isinstance(constant, types.CodeType):
-            yield from _code_parts(constant, names, seen)
-        else:
-            yield from _parts(constant, names, seen)
-
-
-def _module_parts(
-    module: types.ModuleType, names: frozenset[str], seen: list[Any]
-) -> Iterator[bytes]:
-    yield module.__name__.encode()
-    if module.__name__.split(".")[0] in (*_VERSIONED, "pfdist"):
-        return
-    for name in sorted(names & module.__dict__.keys()):
-        yield name.encode()
-        yield from _parts(module.__dict__[name], names, seen)
 
 
 _OWN_SOURCE = _hash_of_own_source()  # when it was imported: it may be edited while this runs

@@ -3,7 +3,8 @@
 A call of libm serves one number and takes 5 to 30 ns. These are polynomials without a branch, so
 that LLVM makes vectors of them: 1 to 3 ns. Where a model's formula says ``np.sin`` or ``math.sin``,
 the compiled filter has the one below; the formula on arrays, the plain filter's, has NumPy's. They
-agree within `ULPS` units in the last place, for every argument.
+agree within `ULPS` units in the last place, for every argument but angles beyond `LARGEST_ANGLE`,
+of which no digit is known: these give NaN.
 
 Each polynomial interpolates at the Chebyshev nodes of its interval, closer than half a unit.
 
@@ -25,6 +26,7 @@ from numba.extending import overload
 from pfdist.kernels.arithmetic import fma, inlined
 
 ULPS = 4
+LARGEST_ANGLE = 3.5e15
 
 _LN2, _LN2_REST = 0.6931471805599453, 2.3190468138462996e-17
 _SHIFT = 6755399441055744.0  # 2^52 + 2^51: the low bits of x + _SHIFT are the nearest integer
@@ -74,21 +76,26 @@ def _cosine_part(r):
 def _sin(x):
     turns, r = _quarter_turns(x)
     value = _cosine_part(r) if turns & 1 else _sine_part(r)
-    return -value if turns & 2 else value
+    value = -value if turns & 2 else value
+    value = x if x == 0.0 else value  # keeps the sign of -0
+    return value if abs(x) < LARGEST_ANGLE else math.nan
 
 
 @inlined
 def _cos(x):
     turns, r = _quarter_turns(x)
     value = _sine_part(r) if turns & 1 else _cosine_part(r)
-    return -value if (turns + 1) & 2 else value
+    value = -value if (turns + 1) & 2 else value
+    return value if abs(x) < LARGEST_ANGLE else math.nan
 
 
 @inlined
 def _tan(x):
     turns, r = _quarter_turns(x)
     sine, cosine = _sine_part(r), _cosine_part(r)
-    return -cosine / sine if turns & 1 else sine / cosine
+    value = -cosine / sine if turns & 1 else sine / cosine
+    value = x if x == 0.0 else value
+    return value if abs(x) < LARGEST_ANGLE else math.nan
 
 
 # --- exponentials and logarithms ----------------------------------------------------------------
@@ -124,7 +131,8 @@ def _exp(x):
 
 
 @inlined
-def _log(x):
+def _exponent_and_log(x):
+    """Of x = 2^e m with m in 0.707..1.414: e, and log m."""
     tiny = x < 2.2250738585072014e-308  # without a full mantissa
     bits = np.float64(x * 18014398509481984.0 if tiny else x).view(np.int64)  # times 2^54
     exponent = (bits - 0x3FE6A09E667F3BCD) >> 52
@@ -140,10 +148,33 @@ def _log(x):
     p = fma(p, q, 0.14285714285382226)
     p = fma(p, q, 0.2000000000000047)
     p = fma(p, q, 0.3333333333333333)
-    value = fma(e, _LN2, f - fma(s, fma(-2.0 * q, p, f), -e * _LN2_REST))
+    return e, f - s * fma(-2.0 * q, p, f)
+
+
+@inlined
+def _logarithm(x, value):
+    """The value, but where the logarithm of x has none that is finite."""
     value = x if x == math.inf else value
     value = -math.inf if x == 0.0 else value
     return value if x >= 0.0 else math.nan
+
+
+@inlined
+def _log(x):
+    e, rest = _exponent_and_log(x)
+    return _logarithm(x, fma(e, _LN2, fma(e, _LN2_REST, rest)))
+
+
+@inlined
+def _log2(x):
+    e, rest = _exponent_and_log(x)
+    return _logarithm(x, fma(rest, 1.4426950408889634, e))
+
+
+@inlined
+def _log10(x):
+    e, rest = _exponent_and_log(x)
+    return _logarithm(x, fma(e, 0.3010299956639812, rest * 0.4342944819032518))
 
 
 @inlined
@@ -161,16 +192,6 @@ def _expm1(x):
     small = less * (x / (1.0 if u == 1.0 else _log(u)))
     value = less if abs(x) > 1.0 else small
     return x if u == 1.0 else value
-
-
-@inlined
-def _log2(x):
-    return _log(x) * 1.4426950408889634
-
-
-@inlined
-def _log10(x):
-    return _log(x) * 0.4342944819032518
 
 
 # --- hyperbolic functions -----------------------------------------------------------------------
@@ -261,7 +282,8 @@ def _hypot(x, y):
     low, high = (a, b) if a < b else (b, a)
     ratio = low / (1.0 if high == 0.0 else high)
     value = high * math.sqrt(fma(ratio, ratio, 1.0))
-    return math.inf if high == math.inf else value
+    infinite = (a == math.inf) | (b == math.inf)
+    return math.inf if infinite else value
 
 
 # --- in the place of NumPy's and of the standard library's ---------------------------------------
@@ -310,3 +332,16 @@ ELEMENTARY: dict[str, Callable[..., Any]] = {
     )
 }
 """What a formula has in the place of NumPy's functions, by their names."""
+
+
+def log_to_base(x: Any, base: Any = None) -> Any:
+    """In the place of `math.log`."""
+    return math.log(x) if base is None else math.log(x, base)
+
+
+@overload(log_to_base, jit_options={"forceinline": True})
+def _log_to_base_compiled(x, base=None):
+    log = ELEMENTARY["log"]
+    if isinstance(base, types.NoneType | types.Omitted) or base is None:
+        return lambda x, base=None: log(x)
+    return lambda x, base=None: log(x) / log(base)

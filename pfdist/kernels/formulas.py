@@ -11,8 +11,8 @@ import numpy as np
 from numba import njit
 from numba.core.errors import NumbaError
 
-from pfdist.errors import CompileError, ModelError
-from pfdist.kernels.elementary import ELEMENTARY
+from pfdist.errors import CompileError, ModelError, PfdistError
+from pfdist.kernels.elementary import ELEMENTARY, log_to_base
 
 
 def formula(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -36,7 +36,7 @@ def _seeing(function: Callable[..., Any]) -> Callable[..., Any]:
 
     def seen(value: Any) -> Any:
         if isinstance(value, types.FunctionType) and value is not function:
-            return value if value.__module__.startswith("pfdist.") else formula(value)
+            return value if is_ours(value) else formula(value)
         return _INSTEAD.get(id(value), value)
 
     scope = function.__globals__
@@ -50,6 +50,12 @@ def _seeing(function: Callable[..., Any]) -> Callable[..., Any]:
         function.__defaults__,
         tuple(cells),
     )
+
+
+def is_ours(function: types.FunctionType) -> bool:
+    """Whether it is one of those that a formula may call and that know how they are compiled."""
+    module = function.__module__ or ""
+    return module == "pfdist.elementwise" or module.startswith("pfdist.kernels.")
 
 
 def names_in(code: types.CodeType) -> set[str]:
@@ -67,6 +73,7 @@ def _replaced(module: types.ModuleType, by: Mapping[str, Any]) -> types.ModuleTy
 
 
 _MATH = {name.replace("arc", "a"): function for name, function in ELEMENTARY.items()}
+_MATH["log"] = log_to_base
 _INSTEAD: dict[int, Any] = {
     id(np): _replaced(np, ELEMENTARY),
     id(math): _replaced(math, _MATH),
@@ -78,7 +85,9 @@ _INSTEAD: dict[int, Any] = {
 
 # --- what goes wrong in them --------------------------------------------------------------------
 
-_OURS = re.compile(r"(^|/)pfdist/(kernels/|models/base\.py|draws\.py|particle_filter\.py)")
+_NOT_THEIRS = re.compile(
+    r"(^|/)(numba/|pfdist/(kernels/|models/base\.py|draws\.py|particle_filter\.py))"
+)
 _REASON = re.compile(
     r"^.*(?:Untyped global name|No implementation of function|Unknown attribute|Cannot|cannot"
     r"|Invalid use|Use of unsupported).*$",
@@ -103,13 +112,15 @@ def formulas_of(model: str) -> Iterator[None]:
         text = str(error)
         reason = (_REASON.findall(text) or text.strip().splitlines())[0].strip()
         places = re.findall(r'File "(.*?)", line (\d+)', text)
-        own = [f"{file}:{line}" for file, line in places if not _OURS.search(file)]
-        place = f" ({own[-1]})" if own else ""
+        own = [f"{file}:{line}" for file, line in places if not _NOT_THEIRS.search(file)]
+        place = f" ({own[0]})" if own else ""
         raise CompileError(
             f"model {model} cannot be compiled by Numba: {reason}{place}; formulas may use "
             "operators, NumPy's elementwise functions on numbers, pfdist.where and pfdist.clip"
         ) from error
-    except (ArithmeticError, LookupError, RuntimeError, TypeError, ValueError) as error:
+    except (MemoryError, PfdistError):
+        raise
+    except Exception as error:  # a formula may raise whatever it likes
         raise ModelError(
             f"model {model}: a formula failed: {type(error).__name__}: {error}"
         ) from error

@@ -86,7 +86,7 @@ def _words(stream, draw, t, role, component, block):
 
 @inlined
 def _exponential(word):
-    """-ln u for u = (word + 1/2) / 2^32; error 1.5e-7 of the larger of 1 and the value."""
+    """-ln u for u = (word + 1/2) / 2^32; error 2.2e-7 of the larger of 1 and the value."""
     # A little less than 2^-32: else the highest words would round to u = 1, and -ln u to 0.
     less = np.float32(2.0**-32 * (1.0 - 2.0**-24))
     u = fma(np.float32(word), less, np.float32(2.0**-33))

@@ -204,10 +204,11 @@ def _systematic(cumulative, particles, stream, draw, t, noise, points, ends, anc
 
 @njit(forceinline=True, nogil=True, error_model="numpy")
 def _residual(cumulative, particles, stream, draw, t, noise, points, ends, ancestor):
-    scale = particles / cumulative[particles - 1]
+    total = larger(cumulative[particles - 1], 1e-300)
     before, sure, rest = 0.0, 0, 0.0
     for j in range(particles):
-        expected = (cumulative[j] - before) * scale
+        # In this order a whole number is not missed by a rounding.
+        expected = (cumulative[j] - before) * particles / total
         before = cumulative[j]
         children = math.floor(expected)
         sure += children

@@ -96,10 +96,11 @@ def test_what_is_not_all_inlined_is_compiled_in_each_process(folder):
         lambda data: bytes([data[0] ^ 1]) + data[1:],
         lambda data: data[:5000] + bytes([data[5000] ^ 1]) + data[5001:],
         lambda data: data[:-1] + bytes([data[-1] ^ 128]),
+        lambda data: disk_cache._digest(b"no code") + b"no code",
     ],
     ids=[
         *("empty", "less than a hash", "half", "all but a byte", "a byte too many"),
-        *("a bit of the hash", "a bit in the middle", "the last bit"),
+        *("a bit of the hash", "a bit in the middle", "the last bit", "whole, but no code"),
     ],
 )
 def test_a_file_that_is_not_whole_is_compiled_anew_and_replaced(folder, spoilt):
@@ -170,7 +171,7 @@ import json, sys
 from numba.core.event import install_recorder
 from pfdist import load_model, plain
 from pfdist.draws import simulate
-from pfdist.kernels.disk_cache import fingerprint
+from pfdist.kernels.fingerprint import fingerprint
 
 told = []
 for file in sys.argv[1:]:

@@ -157,7 +157,6 @@ def test_residual_offspring_are_at_least_the_expected_number_rounded_down():
     assert (np.floor(EXPECTED) <= counts_of("residual")).all()
 
 
-@pytest.mark.xfail(strict=True, reason="49/64 times the rounded 64/49 is a little less than 1")
 def test_residual_offspring_are_at_least_the_expected_number_that_is_whole():
     weight = np.full(64, 49 / 64)
     weight[:2] = 1, 34 / 64  # the sum is 49: 62 particles are expected to have one child
