@@ -164,8 +164,9 @@ def _compile(
         noise = np.empty((noise_rows, padded(particles + SPARE)), np.float32)
         log_weight, weight = np.empty(size), np.zeros((2, size), np.float32)
         weight[ALIKE, :particles] = 1.0
-        cumulative, points = np.empty(size + SPARE), np.empty(padded(particles + SPARE))
-        ends, ancestor = np.empty(size, np.uint32), np.zeros(size + 2 * SPARE, np.uint32)
+        cumulative, sums = np.empty(size), np.empty(noise.shape[1])
+        points, shares = np.empty(noise.shape[1], np.uint32), np.empty(noise.shape[1], np.uint32)
+        ancestor = np.zeros(noise.shape[1], np.uint32)
         for d in range(mse.size):
             draw, total_error, here = first + d, 0.0, np.int64(0)
             fill_w0(noise, particles, stream, draw, np.int64(0), FILTER_INITIAL)
@@ -192,7 +193,10 @@ def _compile(
                     total_error = np.inf
                     break
                 if measured[t]:
-                    resample(cumulative, particles, stream, draw, t, noise, points, ends, ancestor)
+                    resample(
+                        cumulative, particles, stream, draw, t, noise,
+                        sums, points, shares, ancestor,
+                    )  # fmt: skip
                     _take(cloud, here, particles, ancestor)
                     here = 1 - here
             mse[d] = total_error / measured.size

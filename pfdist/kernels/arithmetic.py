@@ -1,4 +1,4 @@
-"""What LLVM has to be told: to inline, to multiply and add at once, which number is larger.
+"""What LLVM has to be told: to inline, to multiply and add at once, to compare whole vectors.
 
 The functions marked `inlined` are written once and run twice: compiled on scalars, and as they
 stand on NumPy arrays. This is the only file with LLVM instructions of ours; both are portable.
@@ -8,6 +8,8 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic, overload, register_jitable
+
+LANES = 16  # of a vector of 32-bit numbers
 
 inlined = register_jitable(forceinline=True)  # a call left standing stops vectorisation: 15 times
 
@@ -61,3 +63,42 @@ def larger(a, b):
 @overload(larger, jit_options={"forceinline": True})
 def _larger_compiled(a, b):
     return lambda a, b: _llvm_maxnum(a, b)  # noqa: PLW0108
+
+
+@intrinsic
+def add_ranks(typing_context, weights, first, points, begin, ranks):
+    """Add to the ranks of `LANES` points how many of as many weights lie not above each of them.
+
+    Compiled only: ``add_ranks(weights, first, points, begin, ranks)`` with arrays of uint32. All
+    pairs are compared, a weight with a vector of points at a time; of a loop LLVM makes no such
+    thing.
+    """
+    signature = types.void(weights, types.uintp, points, types.uintp, ranks)
+    word = ir.IntType(32)
+    vector = ir.VectorType(word, LANES)
+
+    def generate(context, builder, signature, arguments):
+        weights, first, points, begin, ranks = arguments
+
+        def address(kind, array, index):
+            return builder.gep(context.make_array(kind)(context, builder, array).data, [index])
+
+        kinds = signature.args
+        weight = address(kinds[0], weights, first)
+        points = builder.bitcast(address(kinds[2], points, begin), vector.as_pointer())
+        ranks = builder.bitcast(address(kinds[4], ranks, begin), vector.as_pointer())
+        point = builder.load(points, align=4)
+        nothing, zeros = ir.Constant(vector, ir.Undefined), ir.Constant(vector, [0] * LANES)
+        sums = [zeros] * 4
+        for lane in range(LANES):
+            one = builder.load(builder.gep(weight, [ir.Constant(ir.IntType(64), lane)]))
+            alike = builder.insert_element(nothing, one, ir.Constant(word, 0))
+            alike = builder.shuffle_vector(alike, nothing, zeros)  # in every lane
+            passed = builder.icmp_unsigned("<=", alike, point)
+            sums[lane % 4] = builder.add(sums[lane % 4], builder.zext(passed, vector))
+        for one in (*sums[1:], builder.load(ranks, align=4)):
+            sums[0] = builder.add(sums[0], one)
+        builder.store(sums[0], ranks, align=4)
+        return context.get_dummy_value()
+
+    return signature, generate

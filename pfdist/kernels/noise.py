@@ -23,7 +23,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from pfdist.kernels.arithmetic import fma, inlined
+from pfdist.kernels.arithmetic import LANES, fma, inlined
 from pfdist.kernels.threefry import threefry4x32
 
 # What a noise is for. The simulation's roles and the filter's never meet in one stream, but
@@ -34,7 +34,6 @@ FILTER_INITIAL, FILTER_PROCESS, RESAMPLING = np.arange(3, 6)
 
 # Particles come in tiles: the four words of each of LANES blocks lie LANES apart, so that the
 # compiled loop over the blocks writes whole vectors.
-LANES = 16
 TILE = 4 * LANES
 
 

@@ -1,7 +1,8 @@
 """Resampling: from cumulative weights to the ancestor of each particle.
 
 A scheme lays P points on (0, 1); the ancestor that belongs to a point u is the first particle
-whose cumulative weight exceeds u times their total.
+whose cumulative weight exceeds u times their total. Both are compared as 32-bit numbers, but in the
+systematic scheme, which counts the points below a weight by a formula.
 
 ============ ================================================================================
 multinomial  the points are independent, and taken in ascending order
@@ -27,15 +28,16 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from pfdist.kernels.arithmetic import inlined, larger
+from pfdist.kernels.arithmetic import LANES, add_ranks, larger
 from pfdist.kernels.noise import FILL, RESAMPLING, padded, variates
-from pfdist.kernels.weights import cumulate
+from pfdist.kernels.weights import cumulate, width
 
-SPARE = 8  # what an array has to spare behind its last particle for sentinels
+SPARE = 3 * LANES  # what an array has to spare behind its last particle: whole vectors are written
 
 _ROW, _COMPONENT = np.uintp(0), np.int64(0)  # of the noise that places the points
-
 _STRETCHES = 4
+_LEAST = 1e-100  # of a total: without any weight there is no ancestor, and no division by 0
+_SHARES = 2.0**32 - 2.0**8  # the whole weight, in units that fit into 32 bits
 _fill_exponentials = FILL["exponential"]
 _fill_uniforms = FILL["uniform"]
 
@@ -44,89 +46,69 @@ _fill_uniforms = FILL["uniform"]
 
 
 @njit(forceinline=True, nogil=True, error_model="numpy")
-def _ascending_points(stream, draw, t, count, total, noise, points):
-    """Put count ordered uniforms on (0, total): sums of exponentials over their last one."""
+def _ascending_points(stream, draw, t, count, noise, sums, points):
+    """Put count ordered uniforms: sums of exponentials over their last one."""
     _fill_exponentials(noise, _ROW, count + 1, stream, draw, t, RESAMPLING, _COMPONENT)
-    cumulate(noise, _ROW, padded(count + 1), points)
-    scale = total / points[count]
+    cumulate(noise, _ROW, padded(count + 1), sums)
+    scale = _SHARES / sums[count]
     for i in range(count):
-        points[i] *= scale
+        points[i] = np.uint32(np.int64(sums[i] * scale))
 
 
 @njit(forceinline=True, nogil=True)
-def _stratified_points(stream, draw, t, count, total, noise, points):
-    """Put a point in each of count equal intervals of (0, total)."""
+def _stratified_points(stream, draw, t, count, noise, points):
+    """Put a point in each of count equal intervals."""
     _fill_uniforms(noise, _ROW, count, stream, draw, t, RESAMPLING, _COMPONENT)
-    scale = total / count
+    scale = _SHARES / count
     for i in range(count):
-        points[i] = (i + np.float64(noise[0, i])) * scale
+        points[i] = np.uint32(np.int64((i + np.float64(noise[0, i])) * scale))
 
 
 # --- from points to ancestors -------------------------------------------------------------------
 
 
-@inlined
-def _step(weights, points, ancestor, j, i):
-    ancestor[i] = j
-    passed = np.uintp(weights[j] <= points[i])
-    return j + passed, i + (np.uintp(1) - passed)
+@njit(forceinline=True, nogil=True, error_model="numpy")
+def _shared(cumulative, total, particles, shares):
+    """Put cumulative weights as shares of the total."""
+    scale = _SHARES / total
+    for j in range(particles):
+        shares[j] = np.uint32(np.int64(cumulative[j] * scale))
 
 
 @njit(forceinline=True, nogil=True)
-def _split(weights, points, count, particles, position):
-    """How many of the first so many in the merged sequence are weights: a bisection."""
-    low = np.uintp(max(0, position - count))
-    left = np.uintp(min(position, particles)) - low
-    while left > np.uintp(0):
-        half = (left + np.uintp(1)) >> np.uintp(1)
-        middle = low + half - np.uintp(1)
-        passed = np.uintp(weights[middle] <= points[np.uintp(position - 1) - middle])
-        low += half * passed
-        left -= half
-    return low
-
-
-@njit(forceinline=True, nogil=True)
-def merged_ancestors(cumulative, particles, points, count, ancestor):
+def merged_ancestors(shares, particles, points, count, ancestor):
     """Ancestors of points in ascending order: the two ascending sequences are merged.
 
-    A step of a merge waits for the one before it, 7 cycles, and to guess how it ends costs more:
-    so the merged sequence is cut into four stretches of one length, walked side by side without
-    a branch. Positive numbers compare as their bits do, which is faster.
+    A merge that takes a step for each number waits for the step before it, 7 cycles. So here a step
+    compares 16 weights with 16 points, each with each, and goes on to the next 16 weights or the
+    next 16 points: 0.7 ns a particle in the place of 3.8.
 
     Parameters
     ----------
-    cumulative : array of float64, (particles + SPARE or more,)
+    shares : array of uint32, (particles + SPARE or more,)
         Cumulative weights; the last one, and what lies behind it, is changed.
     particles : int
-    points : array of float64, (count + SPARE or more,)
-        Below the last cumulative weight; what lies behind the count-th is changed.
+    points : array of uint32, (count + SPARE or more,)
+        What lies behind the count-th is changed.
     count : int
     ancestor : array of uint32, (count + SPARE or more,)
         Receives the ancestors; what lies behind the count-th is scratch.
     """
-    cumulative[particles - 1 : particles + SPARE] = np.inf  # nothing passes the last particle
-    points[count : count + SPARE] = np.finfo(np.float64).max
-    weights, bits = cumulative.view(np.int64), points.view(np.int64)
-    steps = (count + particles - 1) // _STRETCHES
-    j0, j1 = np.uintp(0), _split(weights, bits, count, particles, steps)
-    j2 = _split(weights, bits, count, particles, 2 * steps)
-    j3 = _split(weights, bits, count, particles, 3 * steps)
-    i0, i1 = np.uintp(0), np.uintp(steps) - j1
-    i2, i3 = np.uintp(2 * steps) - j2, np.uintp(3 * steps) - j3
-    begin1, begin2, begin3 = (i1, j1), (i2, j2), (i3, j3)
-    for _ in range(steps):
-        j0, i0 = _step(weights, bits, ancestor, j0, i0)
-        j1, i1 = _step(weights, bits, ancestor, j1, i1)
-        j2, i2 = _step(weights, bits, ancestor, j2, i2)
-        j3, i3 = _step(weights, bits, ancestor, j3, i3)
-    while i3 < count:
-        j3, i3 = _step(weights, bits, ancestor, j3, i3)
-    # A stretch ends by writing where the next one began.
-    for i, j in (begin1, begin2, begin3):
-        while weights[j] <= bits[i]:
-            j += np.uintp(1)  # noqa: PLW2901
-        ancestor[i] = j
+    for j in range(particles - 1, width(particles)):
+        shares[j] = np.uint32(0xFFFFFFFF)  # nothing passes the last particle
+    for i in range(count, width(count)):
+        points[i] = np.uint32(0xFFFFFFFE)
+    for i in range(LANES):
+        ancestor[i] = 0
+    first, begin = np.uintp(0), np.uintp(0)
+    lanes, last = np.uintp(LANES), np.uintp(LANES - 1)
+    while begin < np.uintp(count):
+        for lane in range(lanes):  # if these points are done, all these weights lie below the next
+            ancestor[begin + lanes + lane] = first
+        add_ranks(shares, first, points, begin, ancestor)
+        passed = np.uintp(shares[first + last] <= points[begin + last])
+        first += passed * lanes
+        begin += (np.uintp(1) - passed) * lanes
 
 
 @njit(forceinline=True, nogil=True)
@@ -178,34 +160,36 @@ def expanded(ends, particles, count, marks, ancestor):
 # --- the schemes --------------------------------------------------------------------------------
 
 
-@njit(forceinline=True, nogil=True)
-def _multinomial(cumulative, particles, stream, draw, t, noise, points, ends, ancestor):
-    total = cumulative[particles - 1]
-    _ascending_points(stream, draw, t, particles, total, noise, points)
-    merged_ancestors(cumulative, particles, points, particles, ancestor)
-
-
-@njit(forceinline=True, nogil=True)
-def _stratified(cumulative, particles, stream, draw, t, noise, points, ends, ancestor):
-    total = cumulative[particles - 1]
-    _stratified_points(stream, draw, t, particles, total, noise, points)
-    merged_ancestors(cumulative, particles, points, particles, ancestor)
+@njit(forceinline=True, nogil=True, error_model="numpy")
+def _multinomial(cumulative, particles, stream, draw, t, noise, sums, points, shares, ancestor):
+    _ascending_points(stream, draw, t, particles, noise, sums, points)
+    _shared(cumulative, cumulative[particles - 1], particles, shares)
+    merged_ancestors(shares, particles, points, particles, ancestor)
 
 
 @njit(forceinline=True, nogil=True, error_model="numpy")
-def _systematic(cumulative, particles, stream, draw, t, noise, points, ends, ancestor):
+def _stratified(cumulative, particles, stream, draw, t, noise, sums, points, shares, ancestor):
+    _stratified_points(stream, draw, t, particles, noise, points)
+    _shared(cumulative, cumulative[particles - 1], particles, shares)
+    merged_ancestors(shares, particles, points, particles, ancestor)
+
+
+@njit(forceinline=True, nogil=True, error_model="numpy")
+def _systematic(cumulative, particles, stream, draw, t, noise, sums, points, shares, ancestor):
     _fill_uniforms(noise, _ROW, np.int64(1), stream, draw, t, RESAMPLING, _COMPONENT)
     shift = np.float64(noise[0, 0])
     scale = particles / cumulative[particles - 1]
+    ends = points
     for j in range(particles):  # how many points lie below each cumulative weight
         ends[j] = np.uint32(min(math.ceil(cumulative[j] * scale - shift), particles))
     expanded(ends, particles, particles, noise, ancestor)
 
 
 @njit(forceinline=True, nogil=True, error_model="numpy")
-def _residual(cumulative, particles, stream, draw, t, noise, points, ends, ancestor):
-    total = larger(cumulative[particles - 1], 1e-300)
+def _residual(cumulative, particles, stream, draw, t, noise, sums, points, shares, ancestor):
+    total = larger(cumulative[particles - 1], _LEAST)
     before, sure, rest = 0.0, 0, 0.0
+    ends = points
     for j in range(particles):
         # In this order a whole number is not missed by a rounding.
         expected = (cumulative[j] - before) * particles / total
@@ -218,8 +202,9 @@ def _residual(cumulative, particles, stream, draw, t, noise, points, ends, ances
     expanded(ends, particles, sure, noise, ancestor)
     if sure < particles:
         left, behind = particles - sure, ancestor[sure:]
-        _ascending_points(stream, draw, t, left, rest, noise, points)
-        merged_ancestors(cumulative, particles, points, left, behind)
+        _ascending_points(stream, draw, t, left, noise, sums, points)
+        _shared(cumulative, larger(rest, _LEAST), particles, shares)
+        merged_ancestors(shares, particles, points, left, behind)
 
 
 RESAMPLE: dict[str, Callable[..., Any]] = {
@@ -228,12 +213,12 @@ RESAMPLE: dict[str, Callable[..., Any]] = {
     "systematic": _systematic,
     "residual": _residual,
 }
-"""By scheme, compiled ``resample(cumulative, particles, stream, draw, t, noise, points, ends,
-ancestor)``.
+"""By scheme, compiled ``resample(cumulative, particles, stream, draw, t, noise, sums, points,
+shares, ancestor)``.
 
-cumulative (float64, particles + SPARE or more) is changed; noise (float32, a row or more) and
-points (float64), both padded(particles + SPARE) long, and ends (uint32, particles) are scratch;
-ancestor (uint32, particles + 2 SPARE or more) receives the ancestors.
+cumulative (float64, particles or more) is changed; noise (float32, a row or more), sums (float64),
+points and shares (uint32), all padded(particles + SPARE) long, are scratch; ancestor (uint32,
+particles + SPARE or more) receives the ancestors.
 """
 
 
@@ -270,6 +255,13 @@ def plain_ancestors(
 def _found(weight: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.intp]:
     """Ancestors of points of (0, 1); no weight at all gives any."""
     cumulative = np.cumsum(weight)
+    shares = np.floor(cumulative * (_SHARES / max(cumulative[-1], _LEAST)))
+    found = np.searchsorted(shares, np.floor(points * _SHARES), side="right")
+    return np.minimum(found, weight.size - 1)
+
+
+def _found_exactly(weight: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.intp]:
+    cumulative = np.cumsum(weight)
     found = np.searchsorted(cumulative, points * cumulative[-1], side="right")
     return np.minimum(found, weight.size - 1)
 
@@ -290,7 +282,7 @@ def _plain_stratified(weight, stream, draw, t):
 
 def _plain_systematic(weight, stream, draw, t):
     place = variates("uniform", 1, stream, draw, t, RESAMPLING, 0)
-    return _found(weight, (np.arange(weight.size) + place) / weight.size)
+    return _found_exactly(weight, (np.arange(weight.size) + place) / weight.size)
 
 
 def _plain_residual(weight, stream, draw, t):

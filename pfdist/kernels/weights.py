@@ -8,11 +8,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from pfdist.kernels.arithmetic import fma, inlined, larger
+from pfdist.kernels.arithmetic import LANES, fma, inlined, larger
 
 IMPOSSIBLE = -np.finfo(np.float64).max
 
-_VECTOR = 16
 _CHAINS = 4
 _LEAST = -87.0  # e to the less is 0 here; in float32 it is no normal number below -87.3
 
@@ -23,7 +22,7 @@ def width(particles):
 
     A loop over whole vectors has no rest to be done one by one.
     """
-    return -(-particles // _VECTOR) * _VECTOR
+    return -(-particles // LANES) * LANES
 
 
 @inlined

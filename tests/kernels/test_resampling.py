@@ -20,7 +20,7 @@ MANY = {
     "equal": np.ones(50),
     "random": WEIGHTS,
     "some zero": np.where(WEIGHTS > 0.01, WEIGHTS, 0),
-    "tiny": 1e-300 * WEIGHTS,
+    "tiny": 1e-30 * WEIGHTS,
     "one alone": np.eye(50)[7],
     "few of many": RNG.random(500) ** 20,
     "ties": RNG.choice([0.0, 0.25, 0.5, 0.75, 1.0], 300),
@@ -44,16 +44,19 @@ def untouched(*arounds):
 def compiled_ancestors(scheme, weight, draw, t=3):
     """With arrays that are exactly as long as they must be."""
     count = weight.size
-    cumulative, around_c = guarded(count + SPARE, np.float64)
-    noise, around_n = guarded(padded(count + SPARE), np.float32)
-    points, around_p = guarded(padded(count + SPARE), np.float64)
-    ends, around_e = guarded(count, np.uint32)
-    ancestor, around_a = guarded(count + 2 * SPARE, np.uint32)
-    cumulative[:count] = np.cumsum(weight)
+    cumulative, *around = guarded(count, np.float64)
+    scratch = []
+    for kind in (np.float32, np.float64, np.uint32, np.uint32):
+        array, outside = guarded(padded(count + SPARE), kind)
+        scratch.append(array)
+        around.append(outside)
+    ancestor, outside = guarded(count + SPARE, np.uint32)
+    cumulative[:] = np.cumsum(weight)
+    noise, sums, points, shares = scratch
     RESAMPLE[scheme](
-        cumulative, count, np.uint64(STREAM), draw, t, noise[None], points, ends, ancestor
+        cumulative, count, np.uint64(STREAM), draw, t, noise[None], sums, points, shares, ancestor
     )
-    assert untouched(around_c, around_n, around_p, around_e, around_a)
+    assert untouched(*around, outside)
     return ancestor[:count]
 
 
@@ -205,16 +208,15 @@ def test_a_point_belongs_to_the_first_particle_whose_cumulative_weight_exceeds_i
     particles, count, whole
 ):
     rng = np.random.default_rng(particles + count)
-    weight = rng.integers(0, 3, particles) if whole else rng.random(particles) ** 8
-    cumulative, around_c = guarded(particles + SPARE, np.float64)
-    cumulative[:particles] = np.cumsum(weight) + 0.5 * np.eye(particles)[-1]
-    points, around_p = guarded(count + SPARE, np.float64)
-    points[:count] = np.sort(rng.random(count) * cumulative[particles - 1])
-    if whole:
-        np.floor(points[:count], out=points[:count])
+    weight = rng.integers(0, 3 if whole else 2**32 // particles, particles)
+    shares, around_c = guarded(particles + SPARE, np.uint32)
+    shares[:particles] = np.cumsum(weight)
+    shares[particles - 1] += 1  # the last one lies above every point
+    points, around_p = guarded(count + SPARE, np.uint32)
+    points[:count] = np.sort(rng.integers(0, shares[particles - 1], count))
     ancestor, around_a = guarded(count + SPARE, np.uint32)
-    expected = np.searchsorted(cumulative[:particles], points[:count], side="right")
-    merged_ancestors(cumulative, particles, points, count, ancestor)
+    expected = np.searchsorted(shares[:particles], points[:count], side="right")
+    merged_ancestors(shares, particles, points, count, ancestor)
     np.testing.assert_array_equal(ancestor[:count], expected)
     assert untouched(around_c, around_p, around_a)
 

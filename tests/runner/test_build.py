@@ -1,5 +1,6 @@
 """From a job to the problem: the filter's model, and the engine."""
 
+import time
 import warnings
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pfdist
 from pfdist import Job, load_job
 from pfdist.cli import main
 from pfdist.errors import CompileError, EngineWarning, ModelError, RunMismatchError
+from pfdist.kernels import disk_cache
 from pfdist.runner.build import build
 
 OTHER = """
@@ -111,6 +113,20 @@ def test_a_job_may_insist_on_compiling(tmp_path: Path) -> None:
     job = job_with(tmp_path, *OWN, **NEEDS_NUMPY).with_changes(["filter.engine=compiled"])
     with pytest.raises(CompileError, match="clip"):
         build(job)
+
+
+def test_ray_workers_load_what_the_driver_has_compiled(tmp_path: Path, ray_cluster: None) -> None:
+    def kept() -> dict[str, int]:
+        return {file.name: file.stat().st_ino for file in disk_cache._folder().iterdir()}
+
+    # A formula that nobody has compiled before.
+    job = job_with(tmp_path, *OWN, formula=f"x[0] / 2 + w[0] / {time.time_ns()}")
+    before = kept()
+    build(job)
+    new = kept().items() - before.items()
+    pfdist.run(job, tmp_path / "run", pool="ray", workers=2)
+    assert len(new) >= 2  # the simulation and the filter
+    assert new <= kept().items()  # a worker that compiled would have saved, and so replaced it
 
 
 def test_the_engine_is_part_of_what_a_run_is(tmp_path: Path) -> None:
