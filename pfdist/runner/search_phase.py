@@ -6,7 +6,6 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pandas as pd
 import pyarrow as pa
 from numpy.typing import NDArray
 
@@ -19,8 +18,8 @@ from pfdist.runner.pool import Outcome, Task
 from pfdist.runner.progress import Progress, Report
 from pfdist.store import Store, schema
 
-LEAST_STEPS = 2_000_000  # particle-steps of a task: 7 ms, ten times what handing it over costs
-TASKS_A_WORKER = 4  # in a generation at least, so that the cores end it together
+LEAST_STEPS = 5_000_000  # particle-steps of a task: 7 ms, ten times what handing it over costs
+LAST_EVALUATIONS, LAST_PIECES = 2, 4  # of a generation, for each worker: cut into so many tasks
 
 _EVALUATIONS_AT_ONCE = 200  # read from the store when a phase is published
 
@@ -115,7 +114,7 @@ def _evaluate(
     draws, policy = built.job.evaluation.draws, built.job.evaluation.degenerate_draws
     mse = {request.id: np.full(draws, np.nan) for request in requests}
     missing = {request.id: np.ones(draws, np.bool_) for request in requests}
-    known = collector.store.per_draw(list(mse))
+    known = collector.store.per_draw(list(mse)).to_pandas()
     for id_, rows in known[known["draw"] < draws].groupby("evaluation"):
         mse[str(id_)][rows["draw"]] = rows["mse"]
         missing[str(id_)][rows["draw"]] = False
@@ -141,20 +140,22 @@ def _evaluate(
 def _tasks(
     built: Built, requests: list[_Request], missing: dict[str, NDArray[np.bool_]], workers: int
 ) -> list[Task]:
-    """Cut evaluations into tasks, finer where they are too few to fill the cores."""
+    """Cut evaluations into tasks, the last ones finer, so that the cores end together."""
     draws = built.job.evaluation.draws
-    block = draws
-    if requests:
-        pieces = -(-TASKS_A_WORKER * workers // len(requests))
-        block = max(-(-draws // pieces), built.problem.draws_of(LEAST_STEPS))
-    block = min(block, built.problem.draws_of(TASK_STEPS))
+    whole = min(draws, built.problem.draws_of(TASK_STEPS))
+    least = built.problem.draws_of(LEAST_STEPS)
+    pieces = max(LAST_PIECES, -(-LAST_PIECES * workers // max(1, len(requests))))
+    fine = min(whole, max(-(-draws // pieces), least))
+    tail = len(requests) - LAST_EVALUATIONS * workers
     return [
         Task(
             f"{request.id}:{first}-{last}",
             Work((request.times,), (request.filter_stream,), request.draws_stream, (first, last)),
         )
-        for request in requests
-        for first, last in cut(np.flatnonzero(missing[request.id]).tolist(), block)
+        for position, request in enumerate(requests)
+        for first, last in cut(
+            np.flatnonzero(missing[request.id]).tolist(), whole if position < tail else fine
+        )
     ]
 
 
@@ -213,15 +214,7 @@ def _publish(store: Store, phase: str) -> None:
     rows = rows[rows["phase"] == phase]
     ids = list(dict.fromkeys(rows["evaluation"]))
     starts = range(0, len(ids), _EVALUATIONS_AT_ONCE)
-    pieces = (_per_draw(store, ids[first : first + _EVALUATIONS_AT_ONCE]) for first in starts)
+    pieces = (store.per_draw(ids[first : first + _EVALUATIONS_AT_ONCE]) for first in starts)
     store.publish("draws", phase, pieces)
     table = pa.Table.from_pandas(rows, schema=schema("evaluations"), preserve_index=False)
     store.publish("evaluations", phase, [table])
-
-
-def _per_draw(store: Store, ids: list[str]) -> pa.Table:
-    """Per-draw MSEs in the order of these evaluations."""
-    rows = store.per_draw(ids)
-    rows["evaluation"] = pd.Categorical(rows["evaluation"], categories=ids, ordered=True)
-    rows = rows.sort_values(["evaluation", "draw"]).astype({"evaluation": "object"})
-    return pa.Table.from_pandas(rows, schema=schema("draws"), preserve_index=False)

@@ -141,7 +141,8 @@ def expected_offspring(costs: NDArray[np.float64], sigma_scaling: float) -> NDAr
     living = np.isfinite(costs)
     mean, sd = np.mean(costs[living]), np.std(costs[living])
     offspring = np.zeros_like(costs)
-    excess = (mean - costs[living]) / (sigma_scaling * sd) if sd > 0 else 0.0
+    # Of equal costs sd may be a rounding, and the mean less than any of them.
+    excess = (mean - costs[living]) / (sigma_scaling * sd) if np.ptp(costs[living]) > 0 else 0.0
     offspring[living] = np.maximum(0.0, 1.0 + excess)
     return offspring
 

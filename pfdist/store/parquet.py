@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from pfdist.errors import StoreError
 from pfdist.store import files
-from pfdist.store.schema import KEYS, SCHEMA_VERSION
+from pfdist.store.schema import KEYS, SCHEMA_VERSION, schema
 
 ROWS_IN_A_FILE = {"draws": 1_000_000, "comparison": 50_000}
 _MANY = 1_000_000_000  # rows of the other tables: one file a phase
@@ -129,15 +129,21 @@ class Store:
         pieces = [piece[column].to_numpy() for piece in self._load(table, [column])]
         return np.concatenate([np.empty(0, np.int64), *pieces])
 
-    def per_draw(self, evaluations: Sequence[str]) -> pd.DataFrame:
-        """Rows of the draws table that belong to these evaluations, sorted, each once."""
-        paths = set().union(*(self._files_of_evaluation.get(id_, set()) for id_ in evaluations))
-        wanted = pc.field("evaluation").isin(list(evaluations))
-        frames = [_read_file(path, filters=wanted).to_pandas() for path in sorted(paths)]
-        if not frames:
-            return pd.DataFrame({"evaluation": [], "draw": [], "mse": []})
-        rows: pd.DataFrame = pd.concat(frames)
-        return rows.drop_duplicates(KEYS["draws"]).sort_values(KEYS["draws"], ignore_index=True)
+    def per_draw(self, evaluations: Sequence[str]) -> pa.Table:
+        """Rows of the draws table of these evaluations, in their order and by draw, each once."""
+        ids = list(evaluations)
+        paths = set().union(*(self._files_of_evaluation.get(id_, set()) for id_ in ids))
+        wanted = pc.field("evaluation").isin(ids)
+        found = [_read_file(path, filters=wanted) for path in sorted(paths)]
+        if not found:
+            return schema("draws").empty_table()
+        rows = pa.concat_tables(found)
+        place = pc.index_in(rows["evaluation"], pa.array(ids)).to_numpy()
+        draw = rows["draw"].to_numpy()
+        order = np.lexsort((draw, place))
+        first = np.ones(order.size, np.bool_)
+        first[1:] = (np.diff(place[order]) != 0) | (np.diff(draw[order]) != 0)
+        return rows.take(order[first])
 
     def _parts(self, table: str, phase: str) -> list[Path]:
         return sorted((self.path / "parts").glob(f"{table}/{phase}-*.parquet"))

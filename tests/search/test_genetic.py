@@ -142,3 +142,9 @@ def test_the_killed_are_never_parents(killed: int) -> None:
     told = [_evaluation(dead, np.inf)] * killed + [_evaluation(alive, 1.0)] * (10 - killed)
     population = genetic.ask(genetic.tell(genetic.init(), told), _rng())
     assert set(map(tuple, population.tolist())) == {alive}
+
+
+def test_of_equal_costs_each_expects_one_offspring() -> None:
+    # Whatever the rounding of their mean: that of six numbers often differs from each of them.
+    for cost in np.random.default_rng(1).random(1000) * 50:
+        np.testing.assert_array_equal(expected_offspring(np.full(6, cost), 1.0), 1.0)

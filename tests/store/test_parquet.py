@@ -77,12 +77,18 @@ def test_draws_are_found_by_their_evaluation_in_parts_and_tables(store: Store) -
     )
     store.publish("draws", "random", [_draws("c", 0, 2)])
     for reader in (store, Store(store.path)):
-        rows = reader.per_draw(["a", "c", "unknown"])
-        assert rows.groupby("evaluation")["draw"].apply(list).to_dict() == {
-            "a": [0, 1],
-            "c": [0, 1],
-        }
-        assert reader.per_draw(["unknown"]).empty
+        rows = reader.per_draw(["c", "a", "unknown"])
+        assert rows["evaluation"].to_pylist() == ["c", "c", "a", "a"]
+        assert rows["draw"].to_pylist() == [0, 1, 0, 1]
+        assert reader.per_draw(["unknown"]).num_rows == 0
+
+
+def test_draws_of_an_evaluation_come_in_order_and_each_once(store: Store) -> None:
+    for key, first, last in (("late", 3, 6), ("early", 0, 4), ("again", 2, 5)):
+        store.commit("draws", "genetic", key, _draws("a", first, last))
+    rows = store.per_draw(["a"])
+    assert rows["draw"].to_pylist() == list(range(6))
+    assert rows.equals(_draws("a", 0, 6))
 
 
 def test_rows_between_are_sorted_and_each_once(store: Store) -> None:
