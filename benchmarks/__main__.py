@@ -1,0 +1,71 @@
+"""``python -m benchmarks``: measure, write tables, figures and README."""
+
+import argparse
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import matplotlib as mpl
+
+from benchmarks import kernel, peers, scaling
+from benchmarks.machine import provenance
+from benchmarks.peers import PeerDisagreesError
+from benchmarks.results import Benchmark, save, write_readme
+
+# Peers come last: JAX leaves threads behind, which a process that starts others should not have.
+BENCHMARKS: dict[str, Benchmark] = {"kernel": kernel, "scaling": scaling, "peers": peers}
+FOLDER = Path(__file__).parent / "results"
+
+
+def main() -> int:
+    """Run the command line.
+
+    Returns
+    -------
+    int
+        The exit code: 1 if a peer did another job than ours.
+    """
+    options = _parser().parse_args()
+    mpl.use("Agg")
+    folder = options.results
+    if folder is None:
+        folder = Path(tempfile.mkdtemp(prefix="benchmarks-")) if options.quick else FOLDER
+    for name in [name for name in BENCHMARKS if name in options.names or not options.names]:
+        start = time.perf_counter()
+
+        def say(line: str, name: str = name, start: float = start) -> None:
+            print(f"{name} {time.perf_counter() - start:5.0f} s  {line}", flush=True)  # noqa: T201
+
+        try:
+            tables = BENCHMARKS[name].measure(options.quick, say)
+        except PeerDisagreesError as error:
+            sys.stderr.write(f"benchmarks: {error}\n")
+            return 1
+        save(folder, name, BENCHMARKS[name], tables, provenance())
+        say("done")
+    text = write_readme(folder, BENCHMARKS)
+    print(f"\n{text}\n{folder}")  # noqa: T201
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="benchmarks", description="Measure what pfdist costs.")
+    parser.add_argument(
+        "names", nargs="*", metavar="NAME", type=_name, help=f"{', '.join(BENCHMARKS)} (all)"
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="see that it works: small, into a temporary folder"
+    )
+    parser.add_argument("--results", type=Path, metavar="DIR", help=f"({FOLDER.name} beside this)")
+    return parser
+
+
+def _name(text: str) -> str:
+    if text not in BENCHMARKS:
+        raise argparse.ArgumentTypeError(f"must be one of {', '.join(BENCHMARKS)}, got {text!r}")
+    return text
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,54 @@
+"""How fast plain processes filter side by side: what the machine allows, without a driver.
+
+Two busy cores may be slower than one each: they share power, caches, and maybe more.
+"""
+
+import multiprocessing
+from multiprocessing.queues import Queue
+from multiprocessing.synchronize import Barrier
+from time import perf_counter
+
+from pfdist import load_model
+from pfdist.measurement_times import regular
+from pfdist.monte_carlo import Problem, Work
+
+
+def measure_rate(processes: int, draws: int, seconds: float) -> float:
+    """Particle-steps a second of several processes together.
+
+    Parameters
+    ----------
+    processes : int
+    draws : int
+        Of the paper's problem, a task.
+    seconds : float
+        How long.
+
+    Returns
+    -------
+    float
+    """
+    context = multiprocessing.get_context("spawn")
+    barrier, rates = context.Barrier(processes), context.Queue()
+    started = [
+        context.Process(target=_work, args=(barrier, rates, draws, seconds))
+        for _ in range(processes)
+    ]
+    for process in started:
+        process.start()
+    total = sum(rates.get(timeout=120 + seconds) for _ in started)
+    for process in started:
+        process.join()
+    return float(total)
+
+
+def _work(barrier: Barrier, rates: "Queue[float]", draws: int, seconds: float) -> None:
+    problem = Problem(load_model("ungm"), horizon=60, particles=500)
+    task = Work((regular(60, 21),), (1,), 2, (0, draws))
+    problem(task)  # compiled
+    barrier.wait()
+    start, done = perf_counter(), 0
+    while perf_counter() - start < seconds:
+        problem(task)
+        done += draws * 61 * 500
+    rates.put(done / (perf_counter() - start))

@@ -1,0 +1,234 @@
+"""Our kernel alone: nanoseconds a particle-step on one core, and how they grow.
+
+A particle-step is one particle at one instant: draws x (T + 1) x particles in all.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, replace
+from functools import cache, partial
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from benchmarks.first_call import measure_first_calls
+from benchmarks.measure import Say, one_core, take_turns
+from benchmarks.results import Tables, markdown, with_range
+from pfdist import load_model
+from pfdist.draws import Draws, simulate
+from pfdist.measurement_times import regular
+from pfdist.models.loader import installed_models
+from pfdist.particle_filter import DTYPES, RESAMPLING, filter_draws
+from pfdist.plots.style import COLUMN_INCHES, SERIES
+
+TITLE = "The kernel"
+TABLES: tuple[str, ...] = ("kernel", "first_call")
+
+MODELS = ("ungm", "bearings_only")
+REPEATS = 9
+LEAST_STEPS = 15_000_000  # a measurement: shorter cases are called several times in it
+
+SIZES = {
+    "particles": (50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000),
+    "horizon": (15, 30, 60, 120, 240, 480),
+    "measurement_budget": (2, 11, 21, 31, 61),
+    "draws": (1, 10, 100, 1000, 10_000),
+}
+"""What is varied, one at a time, and over what."""
+
+_PARTS = ("import", "first_call")
+_LABELS = {
+    "particles": "particles $P$",
+    "horizon": "horizon $T$, $N = T/3 + 1$",
+    "measurement_budget": "measurement budget $N$, $T = 60$",
+    "draws": "draws $K$",
+}
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is timed; as it stands, the base case.
+
+    Parameters
+    ----------
+    series : str
+        What is varied: a key of `SIZES`, or ``kind`` for model, resampling and dtype.
+    """
+
+    series: str = "kind"
+    model: str = "ungm"
+    resampling: str = "multinomial"
+    dtype: str = "float64"
+    particles: int = 500
+    horizon: int = 60
+    measurement_budget: int = 21
+    draws: int = 1000
+
+    @property
+    def steps(self) -> int:
+        """Particle-steps of one call."""
+        return self.draws * (self.horizon + 1) * self.particles
+
+    @property
+    def calls(self) -> int:
+        """Calls of one measurement."""
+        return max(1, LEAST_STEPS // self.steps)
+
+
+def cases(quick: bool) -> Iterator[Case]:
+    """Give all that is timed; of `quick` every second size up to the middle."""
+    for model in installed_of(MODELS):
+        for resampling in RESAMPLING:
+            for dtype in DTYPES:
+                yield Case(model=model, resampling=resampling, dtype=dtype)
+    for series, sizes in SIZES.items():
+        for resampling in ("multinomial", "systematic"):
+            for size in sizes[: len(sizes) // 2 + 1 : 2] if quick else sizes:
+                changed: dict[str, Any] = {series: size}
+                case = replace(Case(series, resampling=resampling), **changed)
+                if series == "horizon":
+                    case = replace(case, measurement_budget=size // 3 + 1)
+                if series in ("particles", "horizon"):  # work is kept about the same
+                    case = replace(case, draws=max(1, case.draws * Case().steps // case.steps))
+                yield case
+
+
+def installed_of(names: tuple[str, ...]) -> list[str]:
+    """Those of the models that this version ships."""
+    installed = installed_models()
+    return [name for name in names if name in installed]
+
+
+def measure(quick: bool, say: Say) -> Tables:
+    """Time all cases in turns, and first calls.
+
+    Parameters
+    ----------
+    quick : bool
+        Few cases, two repeats.
+    say : callable
+        Is told how far it is.
+
+    Returns
+    -------
+    dict of DataFrames
+        kernel: a row a case, with ns, ns_median, ns_max, ns_wall a particle-step and repeats;
+        first_call: see `measure_first_calls`.
+    """
+    models = installed_of(MODELS)
+    for name in set(MODELS) - set(models):
+        say(f"{name} is skipped: this version has no such model")
+    repeats = 2 if quick else REPEATS
+    with one_core():
+        functions = {case: _calls(case) for case in cases(quick)}
+        say(f"{len(functions)} cases")
+        timings = take_turns(functions, repeats, say)
+        first_calls = measure_first_calls(models, 1 if quick else 3)
+    rows = [
+        asdict(case) | timing.nanoseconds(case.steps * case.calls) | {"repeats": repeats}
+        for case, timing in timings.items()
+    ]
+    return {"kernel": pd.DataFrame(rows), "first_call": first_calls}
+
+
+def _calls(case: Case) -> Callable[[], None]:
+    model, draws = load_model(case.model), _draws(case.model, case.horizon, case.draws)
+    times = regular(case.horizon, case.measurement_budget)
+    once = partial(
+        filter_draws, model, draws, times, case.particles, 2, case.resampling, dtype=case.dtype
+    )
+
+    def call() -> None:
+        for _ in range(case.calls):
+            once()
+
+    return call
+
+
+@cache
+def _draws(model: str, horizon: int, count: int) -> Draws:
+    return simulate(load_model(model), horizon, range(count), stream=1)
+
+
+def summary(tables: Tables) -> str:
+    """Say in Markdown what a step costs by kind, how it grows, and what the first call costs."""
+    rows = tables["kernel"]
+    kinds = rows[rows["series"] == "kind"]
+    wide = kinds.pivot_table(index=["model", "resampling"], columns="dtype", values="ns")
+    by_kind = markdown(
+        ["ns a particle-step", *DTYPES],
+        (
+            [f"{model}, {resampling}", *(f"{wide.loc[(model, resampling), d]:.2f}" for d in DTYPES)]
+            for model, resampling in kinds[["model", "resampling"]].drop_duplicates().to_numpy()
+        ),
+    )
+    spread = (kinds["ns_median"] / kinds["ns"]).max() - 1
+    busy = max(0.0, (rows["ns_wall"] / rows["ns"]).median() - 1)
+    return "\n\n".join(
+        [
+            f"One core, UNGM, T = 60, 21 regular times, 500 particles, 1,000 draws, unless it says "
+            f"otherwise. Processor time, least of {rows['repeats'].iloc[0]} repeats in turns; the "
+            f"median lies up to {spread:.0%} higher, the least wall time {busy:.0%}.",
+            by_kind,
+            "How it grows (multinomial, float64). Power: time grows as size to it, least squares "
+            "over all sizes.",
+            _growth_table(rows),
+            "The first call of a fresh process, simulation and filter, in seconds: the "
+            "median of processes of their own, on one core; in brackets the least and the largest.",
+            _first_call_table(tables["first_call"]),
+        ]
+    )
+
+
+def _growth_table(rows: pd.DataFrame) -> str:
+    def line(series: str) -> list[str]:
+        of = rows[(rows["series"] == series) & (rows["resampling"] == "multinomial")]
+        pairs = zip(of[series], of["ns"], strict=True)
+        costs = ", ".join(f"{size:,}: {ns:.2f}" for size, ns in pairs)
+        seconds = of["ns"] * of["particles"] * (of["horizon"] + 1)
+        seconds *= of["draws"] if series == "draws" else 1
+        power = np.polyfit(np.log(of[series]), np.log(seconds), 1)[0]
+        return [series.replace("_", " "), costs, f"{power:.2f}"]
+
+    return markdown(["what is varied", "size: ns a particle-step", "power"], map(line, SIZES))
+
+
+def _first_call_table(rows: pd.DataFrame) -> str:
+    return markdown(
+        ["model, cache", "import", "first call"],
+        (
+            [f"{model}, {state}", *(with_range(of[f"{part}_seconds"], ".2f") for part in _PARTS)]
+            for (model, state), of in rows.groupby(["model", "cache"])
+        ),
+    )
+
+
+def plot(tables: Tables) -> Figure:
+    """Draw ns a particle-step against each size."""
+    rows = tables["kernel"]
+    figure = Figure(figsize=(2 * COLUMN_INCHES, 1.3 * COLUMN_INCHES), layout="constrained")
+    panels = figure.subplots(2, 2, sharey=True)
+    for axes, series in zip(panels.flat, SIZES, strict=True):
+        _plot_series(axes, rows[rows["series"] == series], series)
+    for axes in panels[:, 0]:
+        axes.set_ylabel("ns a particle-step")
+    panels[0, 0].legend()
+    return figure
+
+
+def _plot_series(axes: Axes, rows: pd.DataFrame, series: str) -> None:
+    styles = zip(SERIES, "os", rows.groupby("resampling"), strict=False)
+    for colour, marker, (name, of) in styles:
+        axes.plot(of[series], of["ns"], color=colour, marker=marker, ms=2.5, label=name)
+        axes.fill_between(of[series], of["ns"], of["ns_median"], color=colour, alpha=0.2, lw=0)
+    if series != "measurement_budget":
+        axes.set_xscale("log")
+    sizes = sorted(rows[series].unique())
+    if len(sizes) > 6:
+        sizes = sizes[::3]
+    axes.set_xticks(sizes, [f"{size:,}" for size in sizes])
+    axes.minorticks_off()
+    axes.set_xlabel(_LABELS[series])
+    axes.set_ylim(bottom=0)

@@ -1,0 +1,78 @@
+"""What Ray itself costs: its start, and the calls to its workers."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from time import perf_counter
+from typing import Any
+
+import pandas as pd
+
+from benchmarks.measure import Say
+from pfdist.measurement_times import regular
+from pfdist.monte_carlo import Work
+from pfdist.runner.pool import Task
+from pfdist.runner.ray_pool import RayPool
+
+_WORK = Work((regular(60, 21),), (1,), 2, (0, 1000))  # as large as a search's tasks are
+
+
+def measure_ray(repeats: int, calls: int, say: Say) -> pd.DataFrame:
+    """Time a pool of one worker that gives back what it is handed.
+
+    Parameters
+    ----------
+    repeats : int
+        How often Ray is started.
+    calls : int
+        After each start.
+    say : callable
+        Is told how far it is.
+
+    Returns
+    -------
+    DataFrame
+        what (``start``; ``call`` in a stream of tasks; ``round trip`` of one alone), repeat,
+        seconds.
+    """
+    rows = []
+    for repeat in range(repeats):
+        start = perf_counter()
+        with RayPool(_echo, workers=1) as pool:
+            seconds = {"start": perf_counter() - start}
+            tasks = [Task(str(number), _WORK) for number in range(calls)]
+            list(pool.run(tasks[: calls // 10]))
+            start = perf_counter()
+            list(pool.run(tasks))
+            seconds["call"] = (perf_counter() - start) / calls
+            start = perf_counter()
+            for task in tasks:
+                list(pool.run([task]))
+            seconds["round trip"] = (perf_counter() - start) / calls
+        rows += [{"what": what, "repeat": repeat, "seconds": s} for what, s in seconds.items()]
+        say(f"Ray started in {seconds['start']:.1f} s, a call takes {seconds['call'] * 1e3:.2f} ms")
+    return pd.DataFrame(rows)
+
+
+@contextmanager
+def session(cores: int) -> Iterator[None]:
+    """Keep one Ray running: pools join it, so that runs need not start one each."""
+    import ray  # noqa: PLC0415  not before ray_pool, which quietens it
+
+    ray.init(
+        address="local",
+        num_cpus=cores,
+        include_dashboard=False,
+        log_to_driver=False,
+        logging_level="ERROR",
+    )
+    try:
+        yield
+    finally:
+        ray.shutdown()
+
+
+def _echo() -> Callable[[Any], Any]:
+    def give_back(work: Any) -> Any:
+        return work
+
+    return give_back

@@ -1,0 +1,191 @@
+"""A real run's search phase on 1 and 2 workers, by the size of its tasks, and what Ray costs.
+
+Counted is all from the last outcome of the first generation, in which workers start and compile,
+to the last outcome of the last one, and a share of writing the search's tables: what the driver
+does between generations, commits, and workers that wait for a generation's end among it.
+"""
+
+import tempfile
+from contextlib import suppress
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from benchmarks import ray_costs
+from benchmarks.bare_processes import measure_rate
+from benchmarks.measure import Say
+from benchmarks.results import Tables, markdown, with_range
+from pfdist import load_job, open_run, run
+from pfdist.plots.style import BLUE, COLUMN_INCHES, GREY, ORANGE, RED
+from pfdist.runner.progress import Progress
+
+TITLE = "Workers"
+TABLES: tuple[str, ...] = ("scaling", "ray_costs")
+
+JOB = Path(__file__).parents[1] / "jobs" / "paper.toml"
+PAPERS_DRAWS = 1000
+GENERATIONS = {65: 6, 250: 3, PAPERS_DRAWS: 3}  # by the draws of an evaluation, the first included
+REPEATS = 3
+BARE_SECONDS = 2.0
+BARE = "bare processes"
+_KIND = ["draws", "pool"]
+
+
+class _SearchedError(Exception):
+    """Ends a run when its search is done; no error, but the one way out of a run."""
+
+
+def measure(quick: bool, say: Say) -> Tables:
+    """Run the paper's genetic search for a few generations, in every way in turns.
+
+    Parameters
+    ----------
+    quick : bool
+        The smallest tasks alone, once.
+    say : callable
+        Is told how far it is.
+
+    Returns
+    -------
+    dict of DataFrames
+        scaling: a row a run, with repeat, draws, pool, workers, evaluations, task_seconds (the
+        median in a worker), seconds, publishing_seconds, rate in particle-steps a second;
+        ray_costs: see `ray_costs.measure_ray`.
+    """
+    sizes = dict(list(GENERATIONS.items())[:1]) if quick else GENERATIONS
+    costs = ray_costs.measure_ray(1 if quick else 2, 100 if quick else 1000, say)
+    rows: list[dict[str, Any]] = []
+    with ray_costs.session(cores=2):
+        for repeat in range(1 if quick else REPEATS):
+            for draws, generations in sizes.items():
+                for pool, workers in (("serial", 1), ("ray", 1), ("ray", 2)):
+                    found = _search(pool, workers, draws, generations)
+                    rows.append({"repeat": repeat, "draws": draws, **found})
+                    say(f"{pool} {workers}, {draws} draws: {found['rate'] / 1e9:.3f}e9 steps a s")
+            for workers in (1, 2):
+                rate = measure_rate(workers, PAPERS_DRAWS, BARE_SECONDS)
+                about = {"pool": BARE, "workers": workers, "draws": PAPERS_DRAWS}
+                rows.append({"repeat": repeat, **about, "rate": rate})
+                say(f"{BARE} {workers}: {rate / 1e9:.3f}e9 steps a s")
+    return {"scaling": pd.DataFrame(rows), "ray_costs": costs}
+
+
+def _search(pool: str, workers: int, draws: int, generations: int) -> dict[str, Any]:
+    """Run a job up to the end of its search."""
+    search = f"search=[{{method='genetic', population=50, generations={generations}}}]"
+    job = load_job(JOB, [search, f"evaluation.draws={draws}"])
+    warm = end = published = 0.0
+
+    def report(progress: Progress) -> None:
+        nonlocal warm, end, published
+        if progress.phase == "comparison":
+            published = perf_counter()
+            raise _SearchedError
+        end = perf_counter()
+        if progress.generation == 1:
+            warm = end
+
+    with tempfile.TemporaryDirectory(prefix="run-") as folder:
+        with suppress(_SearchedError):
+            run(job, results=folder, pool=pool, workers=workers, report=report)
+        evaluated = open_run(folder).evaluations()["generation"]
+        timings = pd.read_parquet(f"{folder}/tables/timings")["seconds"]
+    counted = int((evaluated > 0).sum())
+    seconds, publishing = end - warm, (published - end) * counted / len(evaluated)
+    steps = counted * draws * (job.problem.horizon + 1) * job.filter.particles
+    return {
+        "pool": pool,
+        "workers": workers,
+        "evaluations": counted,
+        "task_seconds": float(timings.median()),
+        "seconds": seconds,
+        "publishing_seconds": publishing,
+        "rate": steps / (seconds + publishing),
+    }
+
+
+def efficiencies(rows: pd.DataFrame) -> pd.DataFrame:
+    """Parallel efficiency, rate(2) / (2 rate(1)), of each pair of runs side by side.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        The table scaling.
+
+    Returns
+    -------
+    DataFrame
+        draws, pool, repeat, efficiency.
+    """
+    wide = rows.pivot_table(index=["draws", "pool", "repeat"], columns="workers", values="rate")
+    return (wide[2] / (2 * wide[1])).dropna().rename("efficiency").reset_index()
+
+
+def summary(tables: Tables) -> str:
+    """Say in Markdown the rates, the efficiency and what Ray costs."""
+    rows = tables["scaling"]
+    efficiency: dict[Any, pd.Series] = dict(list(efficiencies(rows).groupby(_KIND)["efficiency"]))
+    lines = []
+    for (draws, pool), of in rows.groupby(_KIND):
+        task = of["task_seconds"].min()
+        rates = [with_range(rate, ".3f") for _, rate in (of["rate"] / 1e9).groupby(of["workers"])]
+        lines.append(
+            [
+                f"{draws:,} draws, {pool}",
+                "" if np.isnan(task) else f"{task * 1e3:.1f} ms",  # bare processes have no tasks
+                *rates,
+                *[""] * (2 - len(rates)),
+                with_range(efficiency[draws, pool], ".1%") if (draws, pool) in efficiency else "",
+            ]
+        )
+    costs = tables["ray_costs"].groupby("what")["seconds"].median()
+    header = ["draws an evaluation, pool", "a task", "1 worker", "2 workers", "efficiency"]
+    return (
+        "The search phase of `jobs/paper.toml`, everything but Ray's start and compilation "
+        "counted: 1e9 particle-steps a second, and efficiency, rate(2) / (2 rate(1)). Median of "
+        f"{rows['repeat'].max() + 1} repeats in turns, in brackets the least and the largest. Bare "
+        "processes do the same tasks with nobody to hand them out: what the machine allows.\n\n"
+        f"{markdown(header, lines)}\n\n"
+        f"Ray starts in {costs['start']:.1f} s; a call to a worker costs {costs['call'] * 1e3:.2f} "
+        f"ms in a stream of tasks, and {costs['round trip'] * 1e3:.2f} ms there and back alone."
+    )
+
+
+def plot(tables: Tables) -> Figure:
+    """Draw rates by task size, and the efficiency."""
+    rows = tables["scaling"]
+    figure = Figure(figsize=(2 * COLUMN_INCHES, 0.8 * COLUMN_INCHES), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    kinds = {("serial", 1): ORANGE, ("ray", 1): BLUE, ("ray", 2): RED}
+    for (pool, workers), colour in kinds.items():
+        of = rows[(rows["pool"] == pool) & (rows["workers"] == workers)]
+        rates = of.groupby("draws")["rate"].agg(["median", "min", "max"]) / 1e9
+        name = "serial pool" if pool == "serial" else f"Ray, {workers} worker{'s' * (workers - 1)}"
+        left.plot(rates.index, rates["median"], color=colour, marker="o", ms=2.5, label=name)
+        left.fill_between(rates.index, rates["min"], rates["max"], color=colour, alpha=0.2, lw=0)
+    left.set_ylabel(r"$10^9$ particle-steps a second")
+    left.set_ylim(bottom=0)
+    left.legend()
+    found = efficiencies(rows)
+    kinds_right = (("ray", RED, "search on Ray", 1.0), (BARE, GREY, BARE, 1.07))
+    for pool, colour, name, aside in kinds_right:
+        pairs = 100 * found[found["pool"] == pool].set_index("draws")["efficiency"]
+        each = pairs.groupby("draws").agg(["median", "min", "max"])
+        spread = each["median"] - each["min"], each["max"] - each["median"]
+        places, middle = each.index * aside, each["median"]
+        right.errorbar(places, middle, spread, color=colour, marker="o", ms=3, label=name)
+    right.axhline(100, color=GREY, lw=0.6, ls=":")
+    right.set_ylabel("parallel efficiency, %")
+    right.set_ylim(0, 115)
+    right.legend(loc="lower right")
+    for axes in (left, right):
+        axes.set_xscale("log")
+        sizes = sorted(rows["draws"].unique())
+        axes.set_xticks(sizes, [f"{size:,}" for size in sizes])
+        axes.minorticks_off()
+        axes.set_xlabel("draws an evaluation, $K$")
+    return figure
