@@ -212,6 +212,7 @@ def plot(tables: Tables) -> Figure:
     panels = figure.subplots(2, 2, sharey=True)
     for axes, series in zip(panels.flat, SIZES, strict=True):
         _plot_series(axes, rows[rows["series"] == series], series)
+    panels[0, 0].set_ylim(bottom=0)  # of all, when all is drawn
     for axes in panels[:, 0]:
         axes.set_ylabel("ns a particle-step")
     panels[0, 0].legend()
@@ -231,4 +232,3 @@ def _plot_series(axes: Axes, rows: pd.DataFrame, series: str) -> None:
     axes.set_xticks(sizes, [f"{size:,}" for size in sizes])
     axes.minorticks_off()
     axes.set_xlabel(_LABELS[series])
-    axes.set_ylim(bottom=0)
