@@ -13,7 +13,7 @@
     └── PoolError                   the workers cannot be had
         └── TaskError               a task failed in its worker; carries the traceback
 
-    EngineWarning                   a model is computed in NumPy, because Numba cannot compile it
+    EngineWarning                   a model is computed in NumPy, or compiled code is not kept
 """
 
 
@@ -78,4 +78,4 @@ class TaskError(PoolError):
 
 
 class EngineWarning(UserWarning):
-    """A model is computed in NumPy, because Numba cannot compile it."""
+    """It will take longer: a model is computed in NumPy, or compiled code is not kept."""

@@ -13,10 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from pfdist import plain
 from pfdist.draws import simulate
-from pfdist.errors import ModelError
 from pfdist.measurement_times import Times
 from pfdist.models import StateSpaceModel
-from pfdist.particle_filter import filter_draws
+from pfdist.particle_filter import check_filter, filter_draws
 
 TASK_STEPS = 50_000_000
 """Particle-steps that are done at once: about 0.1 s."""
@@ -65,14 +64,8 @@ class Problem:
     engine: str = "compiled"
 
     def __post_init__(self) -> None:
-        _, *truth = self.model.components
-        _, *believed = (self.filter_model or self.model).components
-        for name, true, got in zip(("y", "z"), truth, believed, strict=True):
-            if true != got:
-                raise ModelError(
-                    f"model.filter must have as many components of {name} as the model "
-                    f"{self.model.name}, {true}, got {got}"
-                )
+        believed = self.filter_model or self.model
+        check_filter(believed, self.model, self.particles, self.resampling, self.dtype)
 
     def compile(self) -> None:
         """Compile what is not yet, by a draw of two instants and one particle.

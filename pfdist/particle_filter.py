@@ -18,6 +18,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from pfdist.draws import Draws
+from pfdist.errors import ModelError
 from pfdist.kernels.components import naming, reader, tuple_of, writer
 from pfdist.kernels.disk_cache import kept_on_disk
 from pfdist.kernels.formulas import formula, formulas_of
@@ -51,7 +52,8 @@ class Filtered:
         numbers.
     estimate, variance : array of float64, (D, T+1, q), or None
         Weighted mean and variance of the particles' z(t), if they were asked for. NaN from the
-        measurement on at which a draw became degenerate.
+        measurement on at which a draw became degenerate, and after the instant at which one
+        became infinite.
     """
 
     mse: NDArray[np.float64]
@@ -100,6 +102,7 @@ def filter_draws(
     ModelError
         A formula cannot be compiled, or failed.
     """
+    check_filter(model, draws.model, particles, resampling, dtype)
     count, instants, quantities = draws.z.shape
     measured = np.zeros(instants, np.bool_)
     measured[list(validated(measurement_times, instants - 1))] = True
@@ -113,6 +116,31 @@ def filter_draws(
             np.array(model.p), np.array(truth.p), mse, estimate, variance,
         )  # fmt: skip
     return Filtered(mse, estimate, variance) if trajectories else Filtered(mse)
+
+
+def check_filter(
+    model: StateSpaceModel, truth: StateSpaceModel, particles: int, resampling: str, dtype: str
+) -> None:
+    """Raise an error if there is no such filter, or it does not fit the truth's draws.
+
+    Raises
+    ------
+    ModelError
+        The filter's model measures, or is asked for, something of another size.
+    ValueError
+        A setting is not one of those allowed.
+    """
+    for component, true, believed in zip("xyz", truth.components, model.components, strict=True):
+        if true != believed and component != "x":
+            raise ModelError(
+                f"model.filter must have as many components of {component} as the model "
+                f"{truth.name}, {true}, got {believed}"
+            )
+    for name, got, allowed in (("resampling", resampling, RESAMPLING), ("dtype", dtype, DTYPES)):
+        if got not in allowed:
+            raise ValueError(f"{name} must be one of {', '.join(allowed)}, got {got!r}")
+    if particles < 1:
+        raise ValueError(f"particles must be at least 1, got {particles}")
 
 
 def _compiled(

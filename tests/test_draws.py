@@ -1,5 +1,7 @@
 """Simulation: the paper's equations, from keyed noise."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -50,3 +52,19 @@ def test_a_simulation_that_explodes_is_an_error_that_says_where(ungm: StateSpace
     )
     with pytest.raises(ModelError, match=r"exploding: a simulation must stay finite, got .* t = 2"):
         simulate(exploding, 5, range(1), 0)
+
+
+SHIFTS = np.array([0.5, -1.0, 2.0])  # f_t of the paper is of t = 0..T-1
+
+
+@pytest.mark.parametrize("engine", [simulate, plain.simulate], ids=["compiled", "plain"])
+def test_the_transition_is_that_of_the_instants_but_the_last(engine, ungm: StateSpaceModel) -> None:
+    shifted = replace(ungm, transition=lambda x, t, w, p: (x[0] + SHIFTS[t],))
+    x = engine(shifted, 3, range(4), 1).x[:, :, 0]
+    np.testing.assert_allclose(np.diff(x), np.tile(SHIFTS, (4, 1)), rtol=1e-12)
+
+
+def test_a_formula_that_raises_is_the_models_fault_also_in_numpy(ungm: StateSpaceModel) -> None:
+    short = replace(ungm, transition=lambda x, t, w, p: (x[0] + SHIFTS[t],))
+    with pytest.raises(ModelError, match="a formula failed: IndexError"):
+        plain.simulate(short, 5, range(2), 1)

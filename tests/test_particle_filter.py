@@ -275,3 +275,29 @@ def test_a_formula_that_does_not_work_is_one_line_with_its_place(
 
 
 TABLE = {"a": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"resampling": "best"}, "resampling must be one of multinomial, .* got 'best'"),
+        ({"dtype": "float16"}, "dtype must be one of float64, float32, got 'float16'"),
+        ({"particles": 0}, "particles must be at least 1, got 0"),
+    ],
+)
+@pytest.mark.parametrize("engine", [filter_draws, plain.filter_draws], ids=["compiled", "plain"])
+def test_a_filter_that_is_none_is_refused(
+    engine: Callable[..., Any], changes: dict[str, Any], message: str, ungm: StateSpaceModel
+) -> None:
+    draws = simulate(ungm, 4, range(2), 0)
+    with pytest.raises(ValueError, match=message):
+        engine(ungm, draws, (1,), **{"particles": 10, "stream": 1, **changes})
+
+
+@pytest.mark.parametrize("engine", [filter_draws, plain.filter_draws], ids=["compiled", "plain"])
+def test_a_filter_of_another_size_is_refused(
+    engine: Callable[..., Any], ungm: StateSpaceModel
+) -> None:
+    draws = simulate(ungm, 4, range(2), 0)
+    with pytest.raises(ModelError, match="as many components of y as the model ungm, 1, got 2"):
+        engine(THREE.as_model(), draws, (1,), 10, 1)

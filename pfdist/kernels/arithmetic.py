@@ -1,7 +1,8 @@
 """What LLVM has to be told: to inline, to multiply and add at once, to compare whole vectors.
 
-The functions marked `inlined` are written once and run twice: compiled on scalars, and as they
-stand on NumPy arrays. This is the only file with LLVM instructions of ours; both are portable.
+The functions marked `inlined` of noise and weights are written once and run twice: compiled on
+scalars, and as they stand on NumPy arrays. This is the only file with LLVM instructions of ours;
+all are portable.
 """
 
 import numpy as np

@@ -19,6 +19,7 @@ import pickle
 import platform
 import re
 import tempfile
+import warnings
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -30,6 +31,7 @@ import numpy as np
 from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
+from pfdist.errors import EngineWarning
 from pfdist.kernels.fingerprint import UnknownContentError, fingerprint
 
 FOLDER_VARIABLE = "PFDIST_CACHE_DIR"
@@ -71,8 +73,9 @@ class _DiskCache:
 
     def load_overload(self, signature: Any, target: Any) -> Any:
         target.refresh()
+        path = self._path(signature, target.codegen())
         try:
-            data = self._path(signature, target.codegen()).read_bytes()
+            data = path.read_bytes() if path else b""
             digest, payload = data[:_DIGEST_BYTES], data[_DIGEST_BYTES:]
             if digest != _digest(payload):
                 return None
@@ -83,10 +86,12 @@ class _DiskCache:
     def save_overload(self, signature: Any, result: Any) -> None:
         if result.library.has_dynamic_globals or not self._is_closed(result.library):
             return
-        payload = dumps(result._reduce())
-        with contextlib.suppress(OSError):  # a full disk costs the next process its time, no more
-            path = self._path(signature, result.codegen)
-            unfinished = path.with_name(f".{path.name}-{os.getpid()}")
+        path = self._path(signature, result.codegen)
+        if path is None:
+            return
+        with contextlib.suppress(Exception):  # a full disk costs the next process its time, no more
+            payload = dumps(result._reduce())
+            unfinished = path.with_name(f".{path.name}-{platform.node()}-{os.getpid()}")
             try:
                 unfinished.write_bytes(_digest(payload) + payload)
                 unfinished.replace(path)
@@ -98,9 +103,10 @@ class _DiskCache:
         defined = re.findall(r"^define [^@\n]*@(\S+?)\(", library.get_llvm_str(), re.MULTILINE)
         return all(self._content in name or name.startswith("NRT_") for name in defined)
 
-    def _path(self, signature: Any, codegen: Any) -> Path:
+    def _path(self, signature: Any, codegen: Any) -> Path | None:
         key = fingerprint(self._content, str(signature), *map(str, codegen.magic_tuple()))
-        return _folder() / key
+        folder = _folder()
+        return folder / key if folder else None
 
 
 def _digest(payload: bytes) -> bytes:
@@ -108,21 +114,24 @@ def _digest(payload: bytes) -> bytes:
 
 
 @cache
-def _folder() -> Path:
-    """The folder, made if need be.
-
-    Raises
-    ------
-    OSError
-        It cannot be made, or belongs to somebody else.
-    """
+def _folder() -> Path | None:
+    """The folder, made if need be; None, with a warning, if it cannot be used."""
     given = os.environ.get(FOLDER_VARIABLE)
     usual = Path(tempfile.gettempdir()) / f"pfdist-{os.getuid()}"
     folder = Path(given).resolve() if given else usual
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    status = folder.lstat()
-    if status.st_uid != os.getuid() or status.st_mode & 0o022:
-        raise PermissionError(f"{folder} must be writable by its owner alone, and this user's")
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        status = folder.lstat()
+        if status.st_uid != os.getuid() or status.st_mode & 0o022:
+            raise PermissionError("it must be this user's, and writable by its owner alone")
+    except OSError as error:
+        warnings.warn(
+            f"compiled code is not kept, so each process compiles for some seconds: {error} "
+            f"({FOLDER_VARIABLE}: {folder})",
+            EngineWarning,
+            stacklevel=2,
+        )
+        return None
     return folder
 
 
@@ -135,7 +144,9 @@ def _hash_of_own_source() -> str:
 
 
 def _versions() -> tuple[str, ...]:
-    return (platform.python_version(), numba.__version__, llvmlite.__version__, np.__version__)
+    libraries = (numba.__version__, llvmlite.__version__, np.__version__)
+    options = (str(numba.config.OPT), str(numba.config.BOUNDSCHECK))
+    return (platform.python_version(), *libraries, *options)
 
 
 _OWN_SOURCE = _hash_of_own_source()  # when it was imported: it may be edited while this runs

@@ -16,12 +16,8 @@ Goldberg, "What every computer scientist should know about floating-point arithm
 """
 
 import math
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
-from numba import types
-from numba.extending import overload
 
 from pfdist.kernels.arithmetic import fma, inlined
 
@@ -73,7 +69,7 @@ def _cosine_part(r):
 
 
 @inlined
-def _sin(x):
+def sin(x):
     turns, r = _quarter_turns(x)
     value = _cosine_part(r) if turns & 1 else _sine_part(r)
     value = -value if turns & 2 else value
@@ -82,7 +78,7 @@ def _sin(x):
 
 
 @inlined
-def _cos(x):
+def cos(x):
     turns, r = _quarter_turns(x)
     value = _sine_part(r) if turns & 1 else _cosine_part(r)
     value = -value if (turns + 1) & 2 else value
@@ -90,7 +86,7 @@ def _cos(x):
 
 
 @inlined
-def _tan(x):
+def tan(x):
     turns, r = _quarter_turns(x)
     sine, cosine = _sine_part(r), _cosine_part(r)
     value = -cosine / sine if turns & 1 else sine / cosine
@@ -107,7 +103,7 @@ def _power_of_two(k):
 
 
 @inlined
-def _exp(x):
+def exp(x):
     limited = 710.0 if x > 710.0 else x  # beyond, the result is infinite or 0 all the same
     limited = -746.0 if x < -746.0 else limited
     shifted = np.float64(fma(limited, 1.4426950408889634, _SHIFT))
@@ -160,36 +156,36 @@ def _logarithm(x, value):
 
 
 @inlined
-def _log(x):
+def log(x):
     e, rest = _exponent_and_log(x)
     return _logarithm(x, fma(e, _LN2, fma(e, _LN2_REST, rest)))
 
 
 @inlined
-def _log2(x):
+def log2(x):
     e, rest = _exponent_and_log(x)
     return _logarithm(x, fma(rest, 1.4426950408889634, e))
 
 
 @inlined
-def _log10(x):
+def log10(x):
     e, rest = _exponent_and_log(x)
     return _logarithm(x, fma(e, 0.3010299956639812, rest * 0.4342944819032518))
 
 
 @inlined
-def _log1p(x):
+def log1p(x):
     u = 1.0 + x
     exact = u == 1.0 or x == math.inf
-    value = _log(u) * (x / (1.0 if exact else u - 1.0))
+    value = log(u) * (x / (1.0 if exact else u - 1.0))
     return x if exact else value
 
 
 @inlined
-def _expm1(x):
-    u = _exp(x)
+def expm1(x):
+    u = exp(x)
     less = u - 1.0
-    small = less * (x / (1.0 if u == 1.0 else _log(u)))
+    small = less * (x / (1.0 if u == 1.0 else log(u)))
     value = less if abs(x) > 1.0 else small
     return x if u == 1.0 else value
 
@@ -198,24 +194,24 @@ def _expm1(x):
 
 
 @inlined
-def _sinh(x):
+def sinh(x):
     a = abs(x)
-    half = _exp(0.5 * a)  # twice, because e^a may be infinite where its half is not
-    e = _expm1(1.0 if a > 1.0 else a)
+    half = exp(0.5 * a)  # twice, because e^a may be infinite where its half is not
+    e = expm1(1.0 if a > 1.0 else a)
     value = 0.5 * half * half - 0.5 / (half * half) if a > 1.0 else 0.5 * (e + e / (e + 1.0))
     return math.copysign(value, x)
 
 
 @inlined
-def _cosh(x):
-    half = _exp(0.5 * abs(x))
+def cosh(x):
+    half = exp(0.5 * abs(x))
     return 0.5 * half * half + 0.5 / (half * half)
 
 
 @inlined
-def _tanh(x):
+def tanh(x):
     a = abs(x)
-    e = _expm1(40.0 if a > 20.0 else 2.0 * a)
+    e = expm1(40.0 if a > 20.0 else 2.0 * a)
     return math.copysign(e / (e + 2.0), x)
 
 
@@ -244,7 +240,7 @@ def _arctan_part(x):
 
 
 @inlined
-def _arctan2(y, x):
+def arctan2(y, x):
     a, b = abs(x), abs(y)
     low, high = (a, b) if a < b else (b, a)
     ratio = low / (1.0 if high == 0.0 else high)
@@ -262,86 +258,25 @@ def _negative(x):
 
 
 @inlined
-def _arctan(x):
-    return _arctan2(x, 1.0)
+def arctan(x):
+    return arctan2(x, 1.0)
 
 
 @inlined
-def _arcsin(x):
-    return _arctan2(x, math.sqrt((1.0 - x) * (1.0 + x)))
+def arcsin(x):
+    return arctan2(x, math.sqrt((1.0 - x) * (1.0 + x)))
 
 
 @inlined
-def _arccos(x):
-    return _arctan2(math.sqrt((1.0 - x) * (1.0 + x)), x)
+def arccos(x):
+    return arctan2(math.sqrt((1.0 - x) * (1.0 + x)), x)
 
 
 @inlined
-def _hypot(x, y):
+def hypot(x, y):
     a, b = abs(x), abs(y)
     low, high = (a, b) if a < b else (b, a)
     ratio = low / (1.0 if high == 0.0 else high)
     value = high * math.sqrt(fma(ratio, ratio, 1.0))
     infinite = (a == math.inf) | (b == math.inf)
     return math.inf if infinite else value
-
-
-# --- in the place of NumPy's and of the standard library's ---------------------------------------
-
-
-def _in_the_place_of(original: np.ufunc, scalar: Callable[..., Any]) -> Callable[..., Any]:
-    """A function that compiles to `scalar` on numbers and to NumPy's own on arrays."""
-    arguments = "xy"[: original.nin]
-    names = ", ".join(arguments)
-    floats = ", ".join(f"float64({name})" for name in arguments)
-    scope: dict[str, Any] = {"scalar": scalar, "original": original, "float64": np.float64}
-    source = (
-        f"def stub({names}):\n    return original({names})\n"
-        f"def on_numbers({names}):\n    return scalar({floats})\n"
-        f"def on_arrays({names}):\n    return original({names})\n"
-        "def chosen(kinds):\n"
-        "    return on_numbers if all(map(is_number, kinds)) else on_arrays\n"
-        f"def overloaded({names}):\n    return chosen(({names},))\n"
-    )
-    scope["is_number"] = lambda kind: isinstance(kind, types.Float | types.Integer | types.Boolean)
-    exec(source, scope)  # noqa: S102  the source is made above, of a number alone
-    overload(scope["stub"], jit_options={"forceinline": True})(scope["overloaded"])
-    return scope["stub"]
-
-
-ELEMENTARY: dict[str, Callable[..., Any]] = {
-    function.__name__: _in_the_place_of(function, scalar)
-    for function, scalar in (
-        (np.sin, _sin),
-        (np.cos, _cos),
-        (np.tan, _tan),
-        (np.exp, _exp),
-        (np.expm1, _expm1),
-        (np.log, _log),
-        (np.log1p, _log1p),
-        (np.log2, _log2),
-        (np.log10, _log10),
-        (np.sinh, _sinh),
-        (np.cosh, _cosh),
-        (np.tanh, _tanh),
-        (np.arcsin, _arcsin),
-        (np.arccos, _arccos),
-        (np.arctan, _arctan),
-        (np.arctan2, _arctan2),
-        (np.hypot, _hypot),
-    )
-}
-"""What a formula has in the place of NumPy's functions, by their names."""
-
-
-def log_to_base(x: Any, base: Any = None) -> Any:
-    """In the place of `math.log`."""
-    return math.log(x) if base is None else math.log(x, base)
-
-
-@overload(log_to_base, jit_options={"forceinline": True})
-def _log_to_base_compiled(x, base=None):
-    log = ELEMENTARY["log"]
-    if isinstance(base, types.NoneType | types.Omitted) or base is None:
-        return lambda x, base=None: log(x)
-    return lambda x, base=None: log(x) / log(base)

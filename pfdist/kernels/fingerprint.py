@@ -40,7 +40,7 @@ def fingerprint(*values: Any) -> str:
     return digest.hexdigest()
 
 
-def _parts(value: Any, names: frozenset[str], seen: list[Any]) -> Iterator[bytes]:
+def _parts(value: Any, names: frozenset[str], seen: list[Any]) -> Iterator[bytes]:  # noqa: C901
     """The content of a value as bytes.
 
     `names` are those that the code around it uses: of a module they are what matters. `seen`
@@ -58,6 +58,8 @@ def _parts(value: Any, names: frozenset[str], seen: list[Any]) -> Iterator[bytes
         for entry in value:
             yield from _parts(entry, names, seen)
     elif isinstance(value, CPUDispatcher):
+        if value.locals or not value._can_compile:  # types that its author has fixed
+            raise UnknownContentError(repr(value))
         yield repr(sorted(value.targetoptions.items())).encode()
         yield from _parts(value.py_func, names, seen)
     elif isinstance(value, types.FunctionType):
@@ -77,7 +79,8 @@ def _function_parts(function: types.FunctionType, seen: list[Any]) -> Iterator[b
         yield str(seen.index(function)).encode()
         return
     seen.append(function)
-    if is_ours(function) or (function.__module__ or "").split(".")[0] in _VERSIONED:
+    home = str(function.__globals__.get("__name__"))  # a decorator may copy another's __module__
+    if is_ours(function) or home.split(".", maxsplit=1)[0] in _VERSIONED:
         yield f"{function.__module__}.{function.__qualname__}".encode()
         return
     names = frozenset(names_in(function.__code__))
@@ -93,6 +96,7 @@ def _function_parts(function: types.FunctionType, seen: list[Any]) -> Iterator[b
 
 def _code_parts(code: types.CodeType, names: frozenset[str], seen: list[Any]) -> Iterator[bytes]:
     yield code.co_code
+    yield f"{code.co_flags} {code.co_argcount} {code.co_kwonlyargcount}".encode()
     yield from _parts((code.co_names, code.co_varnames, code.co_freevars), names, seen)
     for constant in code.co_consts:
         if isinstance(constant, types.CodeType):

@@ -12,14 +12,14 @@ from numba import njit
 from numba.core.errors import NumbaError
 
 from pfdist.errors import CompileError, ModelError, PfdistError
-from pfdist.kernels.elementary import ELEMENTARY, log_to_base
+from pfdist.kernels.overloads import ELEMENTARY, log_to_base
 
 
 def formula(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile a formula.
 
     Functions it calls by their own names are compiled with it, and NumPy's elementary functions
-    are those of `pfdist.kernels.elementary`. Division by zero gives inf or nan as in NumPy: a
+    are those of `pfdist.kernels.overloads`. Division by zero gives inf or nan as in NumPy: a
     branch to raise would stop vectorisation.
     """
     return njit(
@@ -54,7 +54,7 @@ def _seeing(function: Callable[..., Any]) -> Callable[..., Any]:
 
 def is_ours(function: types.FunctionType) -> bool:
     """Whether it is one of those that a formula may call and that know how they are compiled."""
-    module = function.__module__ or ""
+    module = str(function.__globals__.get("__name__"))
     return module == "pfdist.elementwise" or module.startswith("pfdist.kernels.")
 
 

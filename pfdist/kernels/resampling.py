@@ -12,7 +12,7 @@ residual     particle j has floor(P w_j) children; the points of the rest are mu
              what is left of the weights
 ============ ================================================================================
 
-Each has its plain twin.
+Each has its plain twin in `pfdist.kernels.plain_resampling`.
 
 References
 ----------
@@ -26,18 +26,17 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from pfdist.kernels.arithmetic import LANES, add_ranks, larger
-from pfdist.kernels.noise import FILL, RESAMPLING, padded, variates
+from pfdist.kernels.noise import FILL, RESAMPLING, padded
 from pfdist.kernels.weights import cumulate, width
 
 SPARE = 3 * LANES  # what an array has to spare behind its last particle: whole vectors are written
 
 _ROW, _COMPONENT = np.uintp(0), np.int64(0)  # of the noise that places the points
 _STRETCHES = 4
-_LEAST = 1e-100  # of a total: without any weight there is no ancestor, and no division by 0
-_SHARES = 2.0**32 - 2.0**8  # the whole weight, in units that fit into 32 bits
+LEAST_TOTAL = 1e-100  # of a total: without any weight there is no ancestor, and no division by 0
+SHARES = 2.0**32 - 2.0**8  # the whole weight, in units that fit into 32 bits
 _fill_exponentials = FILL["exponential"]
 _fill_uniforms = FILL["uniform"]
 
@@ -50,7 +49,7 @@ def _ascending_points(stream, draw, t, count, noise, sums, points):
     """Put count ordered uniforms: sums of exponentials over their last one."""
     _fill_exponentials(noise, _ROW, count + 1, stream, draw, t, RESAMPLING, _COMPONENT)
     cumulate(noise, _ROW, padded(count + 1), sums)
-    scale = _SHARES / sums[count]
+    scale = SHARES / sums[count]
     for i in range(count):
         points[i] = np.uint32(np.int64(sums[i] * scale))
 
@@ -59,7 +58,7 @@ def _ascending_points(stream, draw, t, count, noise, sums, points):
 def _stratified_points(stream, draw, t, count, noise, points):
     """Put a point in each of count equal intervals."""
     _fill_uniforms(noise, _ROW, count, stream, draw, t, RESAMPLING, _COMPONENT)
-    scale = _SHARES / count
+    scale = SHARES / count
     for i in range(count):
         points[i] = np.uint32(np.int64((i + np.float64(noise[0, i])) * scale))
 
@@ -70,7 +69,7 @@ def _stratified_points(stream, draw, t, count, noise, points):
 @njit(forceinline=True, nogil=True, error_model="numpy")
 def _shared(cumulative, total, particles, shares):
     """Put cumulative weights as shares of the total."""
-    scale = _SHARES / total
+    scale = SHARES / larger(total, LEAST_TOTAL)
     for j in range(particles):
         shares[j] = np.uint32(np.int64(cumulative[j] * scale))
 
@@ -85,10 +84,10 @@ def merged_ancestors(shares, particles, points, count, ancestor):
 
     Parameters
     ----------
-    shares : array of uint32, (particles + SPARE or more,)
-        Cumulative weights; the last one, and what lies behind it, is changed.
+    shares : array of uint32, (width(particles) or more,)
+        Cumulative weights, 2^32 - 2^8 at most; the last one, and what lies behind it, is changed.
     particles : int
-    points : array of uint32, (count + SPARE or more,)
+    points : array of uint32, (width(count) or more,)
         What lies behind the count-th is changed.
     count : int
     ancestor : array of uint32, (count + SPARE or more,)
@@ -178,7 +177,7 @@ def _stratified(cumulative, particles, stream, draw, t, noise, sums, points, sha
 def _systematic(cumulative, particles, stream, draw, t, noise, sums, points, shares, ancestor):
     _fill_uniforms(noise, _ROW, np.int64(1), stream, draw, t, RESAMPLING, _COMPONENT)
     shift = np.float64(noise[0, 0])
-    scale = particles / cumulative[particles - 1]
+    scale = particles / larger(cumulative[particles - 1], LEAST_TOTAL)
     ends = points
     for j in range(particles):  # how many points lie below each cumulative weight
         ends[j] = np.uint32(min(math.ceil(cumulative[j] * scale - shift), particles))
@@ -187,7 +186,7 @@ def _systematic(cumulative, particles, stream, draw, t, noise, sums, points, sha
 
 @njit(forceinline=True, nogil=True, error_model="numpy")
 def _residual(cumulative, particles, stream, draw, t, noise, sums, points, shares, ancestor):
-    total = larger(cumulative[particles - 1], _LEAST)
+    total = larger(cumulative[particles - 1], LEAST_TOTAL)
     before, sure, rest = 0.0, 0, 0.0
     ends = points
     for j in range(particles):
@@ -203,7 +202,7 @@ def _residual(cumulative, particles, stream, draw, t, noise, sums, points, share
     if sure < particles:
         left, behind = particles - sure, ancestor[sure:]
         _ascending_points(stream, draw, t, left, noise, sums, points)
-        _shared(cumulative, larger(rest, _LEAST), particles, shares)
+        _shared(cumulative, rest, particles, shares)
         merged_ancestors(shares, particles, points, left, behind)
 
 
@@ -220,82 +219,3 @@ cumulative (float64, particles or more) is changed; noise (float32, a row or mor
 points and shares (uint32), all padded(particles + SPARE) long, are scratch; ancestor (uint32,
 particles + SPARE or more) receives the ancestors.
 """
-
-
-# --- plain twins --------------------------------------------------------------------------------
-
-
-def plain_ancestors(
-    scheme: str,
-    weight: NDArray[np.float64],
-    stream: int,
-    draw: int | range,
-    t: int,
-) -> NDArray[np.intp]:
-    """Plain twin of `RESAMPLE`.
-
-    Parameters
-    ----------
-    scheme : str
-    weight : array of float64, (P,) or (D, P)
-    stream, t : int
-    draw : int or range, (D,)
-
-    Returns
-    -------
-    array of int, shaped as the weights
-    """
-    ancestors = _PLAIN[scheme]
-    if isinstance(draw, int):
-        return ancestors(weight, stream, draw, t)
-    rows = [ancestors(row, stream, one, t) for row, one in zip(weight, draw, strict=True)]
-    return np.array(rows, np.intp).reshape(weight.shape)
-
-
-def _found(weight: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Ancestors of points of (0, 1); no weight at all gives any."""
-    cumulative = np.cumsum(weight)
-    shares = np.floor(cumulative * (_SHARES / max(cumulative[-1], _LEAST)))
-    found = np.searchsorted(shares, np.floor(points * _SHARES), side="right")
-    return np.minimum(found, weight.size - 1)
-
-
-def _found_exactly(weight: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.intp]:
-    cumulative = np.cumsum(weight)
-    found = np.searchsorted(cumulative, points * cumulative[-1], side="right")
-    return np.minimum(found, weight.size - 1)
-
-
-def _plain_ascending(count: int, stream: int, draw: int, t: int) -> NDArray[np.float64]:
-    sums = np.cumsum(variates("exponential", count + 1, stream, draw, t, RESAMPLING, 0))
-    return sums[:-1] / sums[-1]
-
-
-def _plain_multinomial(weight, stream, draw, t):
-    return _found(weight, _plain_ascending(weight.size, stream, draw, t))
-
-
-def _plain_stratified(weight, stream, draw, t):
-    places = variates("uniform", weight.size, stream, draw, t, RESAMPLING, 0)
-    return _found(weight, (np.arange(weight.size) + places) / weight.size)
-
-
-def _plain_systematic(weight, stream, draw, t):
-    place = variates("uniform", 1, stream, draw, t, RESAMPLING, 0)
-    return _found_exactly(weight, (np.arange(weight.size) + place) / weight.size)
-
-
-def _plain_residual(weight, stream, draw, t):
-    expected = weight.size * weight / max(np.sum(weight), np.finfo(np.float64).tiny)
-    children = np.floor(expected).astype(np.intp)
-    sure = np.repeat(np.arange(weight.size), children)
-    rest = _plain_ascending(weight.size - sure.size, stream, draw, t)
-    return np.concatenate([sure, _found(expected - children, rest)])
-
-
-_PLAIN: dict[str, Callable[..., NDArray[np.intp]]] = {
-    "multinomial": _plain_multinomial,
-    "stratified": _plain_stratified,
-    "systematic": _plain_systematic,
-    "residual": _plain_residual,
-}

@@ -162,7 +162,11 @@ def _filter_model(job: Job, model: ChosenModel) -> ChosenModel:
     """What the filter takes for the truth: the same model, unless [model.filter] names one."""
     section = job.model.filter
     if section.name:
-        return ChosenModel(find_model(section.name, job.path.parent), dict(section.parameters))
+        try:
+            source = find_model(section.name, job.path.parent)
+        except ModelError as error:
+            raise ModelError(f"model.filter: {error}") from error
+        return ChosenModel(source, dict(section.parameters))
     return ChosenModel(model.source, {**model.parameters, **section.parameters})
 
 

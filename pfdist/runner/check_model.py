@@ -4,6 +4,7 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, SupportsIndex
 
@@ -102,7 +103,10 @@ def check_model(
             yield Check(look, *function(model, draws))
         except Exception as error:  # a formula may raise whatever it likes
             yield Check(look, "wrong", f"a formula failed: {type(error).__name__}: {error}")
-    yield from _filtered(Problem(model, horizon, particles, engine=engine))
+    try:
+        yield from _filtered(Problem(model, horizon, particles, engine=engine))
+    except ModelError as error:
+        yield Check("filter", "wrong", str(error))
 
 
 # --- formulas as functions ----------------------------------------------------------------------
@@ -128,6 +132,18 @@ def _calls(model: StateSpaceModel, draws: Draws, t: int) -> dict[str, tuple[Any,
     }
 
 
+def _instants(draws: Draws) -> list[int]:
+    """A few instants, of which each has a following one."""
+    last = draws.x.shape[1] - 2
+    return sorted({0, last // 3, last})
+
+
+def _calls_of(model: StateSpaceModel, draws: Draws) -> Iterator[tuple[str, tuple[Any, ...]]]:
+    """Each formula's name and arguments, at a few instants."""
+    for t in _instants(draws):
+        yield from _calls(model, draws, t).items()
+
+
 def _values(model: StateSpaceModel, name: str, arguments: tuple[Any, ...], size: int) -> Array:
     """What a formula gives, (components, size)."""
     with np.errstate(all="ignore"):
@@ -137,7 +153,7 @@ def _values(model: StateSpaceModel, name: str, arguments: tuple[Any, ...], size:
 
 
 def _pure(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
-    for name, arguments in _calls(model, draws, 0).items():
+    for name, arguments in _calls_of(model, draws):
         before = [np.array(part) for group in arguments[:-1] for part in np.atleast_1d(group)]
         first = _values(model, name, arguments, len(draws.index))
         again = _values(model, name, arguments, len(draws.index))
@@ -155,7 +171,7 @@ def _pure(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
 def _elementwise(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
     """A formula on an array must do to each entry what it does to a number."""
     some = np.linspace(0, len(draws.index) - 1, 10).astype(int)
-    for name, arguments in _calls(model, draws, 0).items():
+    for name, arguments in _calls_of(model, draws):
         together = _values(model, name, arguments, len(draws.index))[:, some]
         alone = [
             _values(model, name, tuple(_entry(part, i) for part in arguments), 1)[:, 0]
@@ -197,23 +213,32 @@ def _compiled_as_in_numpy(model: StateSpaceModel, _: Draws) -> tuple[str, str]:
 def _likelihood(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
     """Compare with what `measurement` gives.
 
-    For y drawn at a state a, and any other state b, the mean of p(y | b) / p(y | a) is 1: the
-    integral of p(y | b). A factor of the likelihood that depends on y alone cancels. b lies so
-    near to a that the ratio has a small variance.
+    For y drawn at a state a, and any other state b at which y is possible, the mean of
+    p(y | b) / p(y | a) is 1: the integral of p(y | b). A factor of the likelihood that depends on y
+    alone cancels. b lies so near to a that the ratio has a small variance.
     """
-    rng, compared = np.random.default_rng(0), 0
-    for t in sorted({0, (draws.x.shape[1] - 1) // 3, draws.x.shape[1] - 1}):
+    rng, compared, apart = np.random.default_rng(0), 0, 0
+    for t in _instants(draws):
         for pair in range(_PAIRS):
             a, other = rng.choice(draws.x[:, t], size=2, replace=False)
             y = _measured(model, a, t, pair)
-            b = _near(model, y, a, other, t)
+            log_likelihood = partial(_log_likelihood, model, y, t)
+            impossible = 1 - np.mean(np.isfinite(log_likelihood(a)))
+            if impossible:
+                return "wrong", (
+                    f"log_likelihood must be finite for y measured at x, got NaN or infinity for "
+                    f"{impossible:.2%} of y measured at x = {_told(a)}, t = {t}"
+                )
+            b = _near(log_likelihood, a, other)
             if b is None:
                 continue
-            ratio = np.exp(_log_ratio(model, y, a, b, t))
-            error = float(np.std(ratio, ddof=1)) / math.sqrt(_MEASUREMENTS)
-            z = (float(np.mean(ratio)) - 1) / error
+            ratio = np.exp(log_likelihood(b) - log_likelihood(a))
+            if not ratio.all():  # what is possible at a is not at b
+                apart += 1
+                continue
             compared += 1
-            if not abs(z) < _LARGEST_Z:
+            error = float(np.std(ratio, ddof=1)) / math.sqrt(_MEASUREMENTS)
+            if not abs(np.mean(ratio) - 1) < _LARGEST_Z * error:
                 states = f"x = {_told(a)} and x = {_told(b)} at t = {t}"
                 return "wrong", (
                     "log_likelihood must be the log-density of measurement, up to a term that does "
@@ -221,6 +246,8 @@ def _likelihood(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
                     f"likelihoods' ratio has the mean {np.mean(ratio):.4f} ± {error:.4f}, not 1 "
                     "(a wrong deviation, or a term left out that depends on x?)"
                 )
+    if apart and not compared:
+        return "note", "it cannot be checked: which y are possible depends on x"
     if not compared:
         return "note", "it does not depend on x where it was looked at"
     return "ok", f"it agrees with measurement at {compared} pairs of states"
@@ -235,24 +262,24 @@ def _measured(model: StateSpaceModel, x: Array, t: int, draw: int) -> tuple[Arra
     return tuple(y)
 
 
-def _log_ratio(model: StateSpaceModel, y: tuple[Array, ...], a: Array, b: Array, t: int) -> Array:
-    at_a, at_b = (
-        _values(model, "log_likelihood", (y, tuple(x.tolist()), t, model.p), _MEASUREMENTS)[0]
-        for x in (a, b)
-    )
-    difference: Array = at_b - at_a
-    return difference
+def _log_likelihood(model: StateSpaceModel, y: tuple[Array, ...], t: int, x: Array) -> Array:
+    values = _values(model, "log_likelihood", (y, tuple(x.tolist()), t, model.p), _MEASUREMENTS)
+    log_likelihood: Array = values[0]
+    return log_likelihood
 
 
-def _near(
-    model: StateSpaceModel, y: tuple[Array, ...], a: Array, other: Array, t: int
-) -> Array | None:
+def _near(log_likelihood: Callable[[Array], Array], a: Array, other: Array) -> Array | None:
     """A state between the two whose log-likelihoods differ by about 1/2; None if none does."""
-    for step in 2.0 ** -np.arange(30):
+    at_a = log_likelihood(a)
+    for step in 2.0 ** (-np.arange(60) / 2):
         b: Array = a + step * (other - a)
-        spread = np.std(_log_ratio(model, y, a, b, t))
-        if spread < 0.5:
-            return b if spread > 1e-6 else None
+        difference = log_likelihood(b) - at_a
+        impossible = np.isneginf(difference)
+        if np.mean(impossible) > 0.5:
+            continue
+        spread = np.std(difference[~impossible])
+        if spread < 0.6:
+            return b if spread > 1e-6 or impossible.any() else None
     return None
 
 

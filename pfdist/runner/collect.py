@@ -2,7 +2,8 @@
 
 import time
 from collections.abc import Callable, Generator, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 
 import pyarrow as pa
 
@@ -14,7 +15,7 @@ from pfdist.store import Store, schema
 COMMIT_SECONDS = 1.0  # at most so much work is lost by a kill, and a task's
 
 
-@dataclass(frozen=True)
+@dataclass
 class Collector:
     """Runs tasks in a pool and commits what they give.
 
@@ -29,6 +30,10 @@ class Collector:
     store: Store
     pool: Pool
     session: str
+    _waiting: list[Outcome] = field(default_factory=list)
+    _commit_waiting: Callable[[list[Outcome]], None] = field(default=lambda outcomes: None)
+    _later: list[Callable[[], None]] = field(default_factory=list)
+    _last: float = field(default_factory=time.monotonic)
 
     def run(
         self,
@@ -36,41 +41,57 @@ class Collector:
         table: str,
         tasks: Iterable[Task],
         rows_of: Callable[[Outcome], pa.Table],
+        *,
+        more_follows: bool = False,
     ) -> Generator[Outcome]:
         """Give outcomes as they come; about once a second, and at the end, commit their rows.
 
         Close the iterator (`contextlib.closing`) and what has come so far is committed, whatever
-        happened.
+        happened. If `more_follows`, another run of the same table, the last rows may wait for it:
+        the workers have nothing to do between two generations, and a commit takes a while.
 
         Raises
         ------
         TaskError
             A task failed. What else was done is committed.
         """
-        waiting: list[Outcome] = []
-        last = time.monotonic()
+        self._commit_waiting = partial(self._commit, phase, table, rows_of)
         try:
             for outcome in self.pool.run(tasks):
-                waiting.append(outcome)
+                self._waiting.append(outcome)
                 if outcome.error is not None:
                     reason = outcome.error.strip().splitlines()[-1].removeprefix("pfdist.errors.")
                     raise TaskError(f"a task of {phase} failed: {reason}", outcome.error)
                 yield outcome
-                if time.monotonic() - last >= COMMIT_SECONDS:
-                    self._commit(phase, table, waiting, rows_of)
-                    waiting, last = [], time.monotonic()
-        finally:
-            self._commit(phase, table, waiting, rows_of)
+                if time.monotonic() - self._last >= COMMIT_SECONDS:
+                    self.flush()
+        except BaseException:
+            self.flush()
+            raise
+        if not more_follows:
+            self.flush()
+
+    def commit_later(self, table: str, phase: str, key: str, rows: pa.Table) -> None:
+        """Commit some rows after those that wait."""
+        self._later.append(partial(self.store.commit, table, phase, key, rows))
+
+    def flush(self) -> None:
+        """Commit what waits."""
+        waiting, self._waiting = self._waiting, []
+        later, self._later = self._later, []
+        if waiting:
+            self._commit_waiting(waiting)
+        for commit in later:
+            commit()
+        self._last = time.monotonic()
 
     def _commit(
         self,
         phase: str,
         table: str,
-        outcomes: list[Outcome],
         rows_of: Callable[[Outcome], pa.Table],
+        outcomes: list[Outcome],
     ) -> None:
-        if not outcomes:
-            return
         key = f"{stream_key([outcome.task.key for outcome in outcomes]):016x}"
         done = [outcome for outcome in outcomes if outcome.error is None]
         if done:

@@ -50,6 +50,7 @@ def drive(built: Built, store: Store, pool: Pool, report: Report) -> None:
         progress = replace(progress, done=sum(searched))
         run_comparison(built, compared_sets(store), collector, progress, report)
     finally:
+        collector.flush()
         for phase in (*built.names[1:], comparison_phase.PHASE):
             _publish_timings(store, phase)
 

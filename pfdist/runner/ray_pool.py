@@ -1,7 +1,8 @@
 """The pool of Ray workers. Ray is a pool here and nothing else, and is named nowhere else.
 
 The workers are long-lived actors: a call to one costs 0.7 ms, a stateless task 2 to 5 ms, and an
-actor compiles its filter once. Each is handed its next task before it has ended the last one.
+actor loads its filter once, or compiles it. Each is handed its next task before it has ended the
+last one.
 """
 
 import logging

@@ -19,7 +19,8 @@ from pfdist.runner.progress import Progress, Report
 from pfdist.store import Store, schema
 
 LEAST_STEPS = 5_000_000  # particle-steps of a task: 7 ms, ten times what handing it over costs
-LAST_EVALUATIONS, LAST_PIECES = 2, 4  # of a generation, for each worker: cut into so many tasks
+LAST_EVALUATIONS = 2  # for each worker: so many at the end of a generation
+LAST_PIECES = 4  # are cut into so many tasks each, so that no core waits long for another
 
 _EVALUATIONS_AT_ONCE = 200  # read from the store when a phase is published
 
@@ -85,13 +86,14 @@ def run_search(
             report(progress)
         if generation not in committed:
             rows = _rows(name, generation, population, requests, evaluations)
-            store.commit("evaluations", name, f"{generation:06d}", rows)
+            collector.commit_later("evaluations", name, f"{generation:06d}", rows)
         told = [evaluations[times] for times in population]
         state, generation = optimiser.tell(state, told), generation + 1
         costs = _finite_costs(told)
         if costs:
             best = optimiser.best(state).cost
             progress = replace(progress, best=best, mean=float(np.mean(costs)))
+    collector.flush()
     _publish(store, name)
     return optimiser.best(state)
 
@@ -114,6 +116,8 @@ def _evaluate(
     draws, policy = built.job.evaluation.draws, built.job.evaluation.degenerate_draws
     mse = {request.id: np.full(draws, np.nan) for request in requests}
     missing = {request.id: np.ones(draws, np.bool_) for request in requests}
+    if built.job.evaluation.noise == "common":  # what is wanted may be what waits to be committed
+        collector.flush()
     known = collector.store.per_draw(list(mse)).to_pandas()
     for id_, rows in known[known["draw"] < draws].groupby("evaluation"):
         mse[str(id_)][rows["draw"]] = rows["mse"]
@@ -127,7 +131,8 @@ def _evaluate(
         if not missing[request.id].any():
             yield finished(of_id.pop(request.id))
     tasks = _tasks(built, list(of_id.values()), missing, collector.pool.workers)
-    with closing(collector.run(phase, "draws", tasks, _draw_rows)) as outcomes:
+    run = collector.run(phase, "draws", tasks, _draw_rows, more_follows=True)
+    with closing(run) as outcomes:
         for outcome in outcomes:
             first, last = outcome.task.work.draws
             id_ = _id_of(outcome.task)

@@ -11,6 +11,7 @@ import pytest
 from numba import njit
 from numba.core.event import install_recorder
 
+from pfdist.errors import EngineWarning
 from pfdist.kernels import disk_cache
 from pfdist.kernels.disk_cache import FOLDER_VARIABLE, kept_on_disk
 
@@ -122,7 +123,8 @@ def works_without():
 def test_a_folder_that_others_may_write_to_is_not_used(folder, mode):
     folder.mkdir()
     folder.chmod(mode)
-    works_without()
+    with pytest.warns(EngineWarning, match="compiled code is not kept"):
+        works_without()
     assert not list(folder.iterdir())
 
 
@@ -132,13 +134,15 @@ def test_a_folder_of_somebody_else_is_not_used(folder, monkeypatch):
     user = os.getuid()
     monkeypatch.setattr(os, "getuid", lambda: user + 1)
     before = only_file(folder).stat()
-    works_without()
+    with pytest.warns(EngineWarning, match="compiled code is not kept"):
+        works_without()
     assert only_file(folder).stat() == before
 
 
 def test_where_no_folder_can_be_nothing_is_kept(folder):
     folder.write_text("a file")
-    works_without()
+    with pytest.warns(EngineWarning, match="compiled code is not kept"):
+        works_without()
     assert folder.read_text() == "a file"
 
 

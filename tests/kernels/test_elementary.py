@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from numba import njit
 
-from pfdist.kernels.elementary import ELEMENTARY, LARGEST_ANGLE, ULPS
+from pfdist.kernels.elementary import LARGEST_ANGLE, ULPS
 from pfdist.kernels.formulas import formula
+from pfdist.kernels.overloads import ELEMENTARY
 
 EXTENDED = np.longdouble
 COUNT = 30_000

@@ -1,5 +1,6 @@
 """What the cache on disk takes a function for: two that differ are never taken for one."""
 
+import functools
 import math
 from collections import namedtuple
 from types import ModuleType
@@ -156,6 +157,7 @@ def not_yet_defined():
         made("def f(x): return C[0] * x", C=np.array([object()])),
         made("def f(x): return C[0].a * x", C=np.zeros(1, [("a", "f8")])),
         made("def f(x): return h(x)", h=vectorize(lambda x: 2 * x)),
+        made("def f(x): return h(x)", h=njit("float64(float64)")(made("def f(x): return x"))),
         not_yet_defined(),
     ],
     ids=[
@@ -166,6 +168,7 @@ def not_yet_defined():
             "an array of objects",
             "an array of records",
             "a compiled ufunc",
+            "a compiled function of fixed types",
         ),
         "a name not yet defined",
     ],
@@ -177,3 +180,14 @@ def test_what_cannot_be_told_is_an_error_of_its_own(function):
 
 def test_modules_that_import_each_other_have_fingerprints():
     assert fingerprint(cyclic()) == fingerprint(cyclic())
+
+
+def test_a_decorator_that_copies_a_name_hides_nothing():
+    def scaled(by):
+        @functools.wraps(math.sin)
+        def f(x):
+            return by * x
+
+        return f
+
+    assert fingerprint(scaled(1.0)) != fingerprint(scaled(2.0))

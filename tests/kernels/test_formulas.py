@@ -14,8 +14,8 @@ from numpy import cos
 
 from pfdist import clip, where
 from pfdist.errors import CompileError, ModelError
-from pfdist.kernels.elementary import ELEMENTARY
 from pfdist.kernels.formulas import formula, formulas_of
+from pfdist.kernels.overloads import ELEMENTARY
 
 FACTOR = 0.25
 PAIR = (2.0, 3.0)

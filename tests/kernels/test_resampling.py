@@ -7,7 +7,8 @@ import pytest
 from scipy import stats
 
 from pfdist.kernels.noise import padded
-from pfdist.kernels.resampling import RESAMPLE, SPARE, expanded, merged_ancestors, plain_ancestors
+from pfdist.kernels.plain_resampling import plain_ancestors
+from pfdist.kernels.resampling import RESAMPLE, SPARE, expanded, merged_ancestors
 
 STREAM = 0x0123456789ABCDEF
 SIZES = [1, 2, 3, 4, 5, 15, 16, 17, 63, 64, 65, 500, 1000]
@@ -191,11 +192,14 @@ def test_particles_of_zero_weight_have_no_offspring(scheme):
 
 @schemes
 @sizes
-def test_without_any_weight_plain_ancestors_are_particles_all_the_same(scheme, particles):
-    # The compiled filter has left the draw by then; the plain one goes on with the others.
-    ancestors = plain_ancestors(scheme, np.zeros(particles), STREAM, 0, 3)
-    assert ancestors.shape == (particles,)
-    assert np.isin(ancestors, np.arange(particles)).all()
+def test_without_any_weight_ancestors_are_particles_all_the_same(scheme, particles):
+    # The compiled filter leaves the draw before that; the plain one goes on with the others.
+    for ancestors in (
+        plain_ancestors(scheme, np.zeros(particles), STREAM, 0, 3),
+        compiled_ancestors(scheme, np.zeros(particles), 0),
+    ):
+        assert ancestors.shape == (particles,)
+        assert np.isin(ancestors, np.arange(particles)).all()
 
 
 # --- the pieces ---

@@ -96,6 +96,21 @@ def test_a_right_model_passes_every_look(tmp_path: Path) -> None:
         ),
         (
             "log_likelihood",
+            "wrong",
+            r"must be finite .* got NaN or infinity for \d+\.\d+% of y",
+            ("-0.5 * ((y[0] - x[0])", "np.log(9 - y[0]) - 0.5 * ((y[0] - x[0])"),
+        ),
+        (
+            "log_likelihood",
+            "note",
+            "which y are possible depends on x",
+            (
+                "-0.5 * ((y[0] - x[0]) / np.exp(0.1 * x[0])) ** 2 - 0.1 * x[0]",
+                "np.log(np.abs(y[0] - x[0]) < 9 * np.exp(0.1 * x[0]))",
+            ),
+        ),
+        (
+            "log_likelihood",
             "note",
             "does not depend on x",
             ("-0.5 * ((y[0] - x[0])", "0 * ((y[0])"),

@@ -1,0 +1,85 @@
+"""The plain twins of the resampling schemes: on weights as they are, by NumPy's search."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pfdist.kernels.noise import RESAMPLING, variates
+from pfdist.kernels.resampling import LEAST_TOTAL, SHARES
+
+
+def plain_ancestors(
+    scheme: str,
+    weight: NDArray[np.float64],
+    stream: int,
+    draw: int | range,
+    t: int,
+) -> NDArray[np.intp]:
+    """Plain twin of `pfdist.kernels.resampling.RESAMPLE`.
+
+    Parameters
+    ----------
+    scheme : str
+    weight : array of float64, (P,) or (D, P)
+    stream, t : int
+    draw : int or range, (D,)
+
+    Returns
+    -------
+    array of int, shaped as the weights
+    """
+    ancestors = _PLAIN[scheme]
+    if isinstance(draw, int):
+        return ancestors(weight, stream, draw, t)
+    rows = [ancestors(row, stream, one, t) for row, one in zip(weight, draw, strict=True)]
+    return np.array(rows, np.intp).reshape(weight.shape)
+
+
+def _found(weight: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Ancestors of points of (0, 1); no weight at all gives any."""
+    cumulative = np.cumsum(weight)
+    shares = np.floor(cumulative * (SHARES / max(cumulative[-1], LEAST_TOTAL)))
+    found = np.searchsorted(shares, np.floor(points * SHARES), side="right")
+    return np.minimum(found, weight.size - 1)
+
+
+def _found_exactly(weight: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.intp]:
+    cumulative = np.cumsum(weight)
+    found = np.searchsorted(cumulative, points * cumulative[-1], side="right")
+    return np.minimum(found, weight.size - 1)
+
+
+def _plain_ascending(count: int, stream: int, draw: int, t: int) -> NDArray[np.float64]:
+    sums = np.cumsum(variates("exponential", count + 1, stream, draw, t, RESAMPLING, 0))
+    return sums[:-1] / sums[-1]
+
+
+def _plain_multinomial(weight, stream, draw, t):
+    return _found(weight, _plain_ascending(weight.size, stream, draw, t))
+
+
+def _plain_stratified(weight, stream, draw, t):
+    places = variates("uniform", weight.size, stream, draw, t, RESAMPLING, 0)
+    return _found(weight, (np.arange(weight.size) + places) / weight.size)
+
+
+def _plain_systematic(weight, stream, draw, t):
+    place = variates("uniform", 1, stream, draw, t, RESAMPLING, 0)
+    return _found_exactly(weight, (np.arange(weight.size) + place) / weight.size)
+
+
+def _plain_residual(weight, stream, draw, t):
+    expected = weight.size * weight / max(np.sum(weight), np.finfo(np.float64).tiny)
+    children = np.floor(expected).astype(np.intp)
+    sure = np.repeat(np.arange(weight.size), children)
+    rest = _plain_ascending(weight.size - sure.size, stream, draw, t)
+    return np.concatenate([sure, _found(expected - children, rest)])
+
+
+_PLAIN: dict[str, Callable[..., NDArray[np.intp]]] = {
+    "multinomial": _plain_multinomial,
+    "stratified": _plain_stratified,
+    "systematic": _plain_systematic,
+    "residual": _plain_residual,
+}
