@@ -144,8 +144,7 @@ def build(job: Job) -> Built:
         dtype=job.filter.dtype,
         engine=job.filter.engine,
     )
-    if source.engine != "numpy":
-        source = replace(source, engine=_compiled_or_numpy(source))
+    source = replace(source, engine=_compiled_or_numpy(source))
     searches = tuple(
         NamedSearch(
             section.name,
@@ -173,10 +172,11 @@ def _filter_model(job: Job, model: ChosenModel) -> ChosenModel:
 def _compiled_or_numpy(source: ProblemSource) -> str:
     """The engine: what cannot be compiled is done in NumPy, unless the job says otherwise.
 
-    It is compiled here and now, so that a model that fails does so before any worker starts, and
-    workers on this machine find it on disk.
+    It is compiled here and now, and workers on this machine find it on disk.
     """
-    problem = replace(source, engine="compiled").make()
+    problem = source.make()  # here, whatever the engine, so that a wrong model is found at once
+    if source.engine == "numpy":
+        return "numpy"
     try:
         problem.compile()
     except CompileError as error:

@@ -150,6 +150,7 @@ def test_where_no_folder_can_be_nothing_is_kept(folder):
 def test_a_folder_that_cannot_be_written_to_is_not_used(folder):
     folder.mkdir(mode=0o500)
     works_without()
+    assert not list(folder.iterdir())
 
 
 def test_on_a_full_disk_nothing_is_kept_nor_left(folder, monkeypatch):

@@ -75,6 +75,7 @@ def test_the_filters_model_may_be_another_one(tmp_path: Path) -> None:
     assert difference.mean() > 4 * difference.std() / np.sqrt(200)
 
 
+@pytest.mark.parametrize("engine", ["auto", "numpy"])
 @pytest.mark.parametrize(
     ("lines", "message"),
     [
@@ -84,10 +85,11 @@ def test_the_filters_model_may_be_another_one(tmp_path: Path) -> None:
     ],
 )
 def test_a_filter_model_that_cannot_be_is_refused(
-    lines: list[str], message: str, tmp_path: Path
+    lines: list[str], message: str, engine: str, tmp_path: Path
 ) -> None:
+    job = job_with(tmp_path, *lines, quantity="lambda x, t, p: (x[0], x[0])")
     with pytest.raises(ModelError, match=message):
-        build(job_with(tmp_path, *lines, quantity="lambda x, t, p: (x[0], x[0])"))
+        build(job.with_changes([f"filter.engine={engine}"]))
 
 
 NEEDS_NUMPY = {"formula": "np.clip(0.5 * x[0], -9, 9)"}
