@@ -1,7 +1,8 @@
-"""The intermittent particle filter, fused and compiled (paper, section 2.1).
+"""The intermittent particle filter (paper, section 2.1).
 
 Sampling importance resampling: particles are propagated by the model, and weighted and resampled
-only at the measurement times. `pfdist.plain` holds the same filter in plain NumPy, for reading.
+only at the measurement times. `pfdist.kernels.fused_filter` compiles it; `pfdist.plain` holds the
+same filter in plain NumPy, for reading.
 
 References
 ----------
@@ -10,21 +11,15 @@ Arulampalam, Maskell, Gordon, Clapp, "A tutorial on particle filters", 2002, alg
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from pfdist.draws import Draws
 from pfdist.errors import ModelError
-from pfdist.kernels.components import naming, reader, tuple_of, writer
-from pfdist.kernels.disk_cache import kept_on_disk
-from pfdist.kernels.formulas import formula, formulas_of
-from pfdist.kernels.noise import FILTER_INITIAL, FILTER_PROCESS, filler, padded
-from pfdist.kernels.resampling import RESAMPLE, SPARE
-from pfdist.kernels.weights import IMPOSSIBLE, cumulate, weigh, width
+from pfdist.kernels.formulas import formulas_of
+from pfdist.kernels.fused_filter import fused_filter
+from pfdist.kernels.resampling import RESAMPLE
 from pfdist.measurement_times import Times, validated
 from pfdist.models import StateSpaceModel
 
@@ -33,11 +28,6 @@ KERNEL_VERSION = 2
 
 RESAMPLING = tuple(RESAMPLE)
 DTYPES = ("float64", "float32")
-
-ALIKE, WEIGHED = (
-    np.uintp(0),
-    np.uintp(1),
-)  # the rows of weights: where nothing is measured, and where something is
 
 
 @dataclass(frozen=True)
@@ -147,7 +137,7 @@ def _compiled(
     model: StateSpaceModel, truth: StateSpaceModel, resampling: str, dtype: str
 ) -> Callable[..., None]:
     formulas = (model.initial, model.transition, model.log_likelihood, model.quantity_of_interest)
-    return _compile(
+    return fused_filter(
         (*formulas, truth.error),
         (model.initial_noise, model.process_noise),
         model.components,
@@ -155,166 +145,3 @@ def _compiled(
         resampling,
         dtype,
     )
-
-
-@lru_cache(maxsize=32)
-def _compile(
-    functions: tuple[Callable[..., Any], ...],
-    noise_kinds: tuple[tuple[str, ...], ...],
-    components: tuple[int, int, int],
-    parameters: tuple[tuple[str, ...], ...],
-    resampling: str,
-    dtype: str,
-) -> Callable[..., None]:
-    """Fuse the formulas of a model and a resampling scheme into one compiled filter.
-
-    Inside, arrays are named and their rows and draws numbered: a part of an array that goes from
-    hand to hand, or two that change names, cost an atomic count each, 0.3 ns a particle in all.
-    """
-    start, propagate, explain = _cloud_steps(functions[:3], noise_kinds, components)
-    average, spread = _moments(functions[3], components)
-    fill_w0, fill_w = map(filler, noise_kinds)
-    noise_rows = max(1, *map(len, noise_kinds))
-    states, _, quantities = components
-    read_z, write_z = reader(quantities, "d, t, c"), writer(quantities, "d, t, c")
-    error_of = formula(functions[4])
-    named, named_truth = map(naming, parameters)
-    resample = RESAMPLE[resampling]
-    kind = np.dtype(dtype).type
-
-    @njit(nogil=True, error_model="numpy")
-    def filter_draws(  # type: ignore[no-untyped-def]
-        stream, first, y, z, measured, particles, parameters, truths, mse, estimate, variance
-    ):
-        p, truth = named(parameters), named_truth(truths)
-        size = width(particles)
-        cloud = np.empty((2, states, size), kind)
-        noise = np.empty((noise_rows, padded(particles + SPARE)), np.float32)
-        log_weight, weight = np.empty(size), np.zeros((2, size), np.float32)
-        weight[ALIKE, :particles] = 1.0
-        cumulative, sums = np.empty(size), np.empty(noise.shape[1])
-        points, shares = np.empty(noise.shape[1], np.uint32), np.empty(noise.shape[1], np.uint32)
-        ancestor = np.zeros(noise.shape[1], np.uint32)
-        for d in range(mse.size):
-            draw, total_error, here = first + d, 0.0, np.int64(0)
-            fill_w0(noise, particles, stream, draw, np.int64(0), FILTER_INITIAL)
-            start(noise, p, cloud)
-            for t in range(measured.size):
-                if t > 0:
-                    fill_w(noise, particles, stream, draw, t - 1, FILTER_PROCESS)
-                    propagate(cloud, here, t - 1, noise, p)
-                    here = 1 - here
-                by, total = ALIKE, float(particles)
-                if measured[t]:
-                    explain(cloud, here, particles, y, d, t, p, log_weight)
-                    weigh(log_weight, weight, WEIGHED)
-                    by, total = WEIGHED, cumulate(weight, WEIGHED, size, cumulative)
-                if total == 0.0:  # degenerate
-                    total_error = np.nan
-                    break
-                mean = average(cloud, here, t, p, weight, by, total)
-                if estimate.size:
-                    write_z(estimate, d, t, mean)
-                    write_z(variance, d, t, spread(cloud, here, t, p, weight, by, total, mean))
-                total_error += error_of(read_z(z, d, t), mean, t, truth)
-                if not total_error < np.inf:
-                    total_error = np.inf
-                    break
-                if measured[t]:
-                    resample(
-                        cumulative, particles, stream, draw, t, noise,
-                        sums, points, shares, ancestor,
-                    )  # fmt: skip
-                    _take(cloud, here, particles, ancestor)
-                    here = 1 - here
-            mse[d] = total_error / measured.size
-
-    return kept_on_disk(
-        filter_draws, functions, noise_kinds, components, parameters, resampling, dtype
-    )
-
-
-def _cloud_steps(
-    functions: tuple[Callable[..., Any], ...],
-    noise_kinds: tuple[tuple[str, ...], ...],
-    components: tuple[int, int, int],
-) -> tuple[Callable[..., None], ...]:
-    """Compile what a model does to a cloud: start, propagate, explain y.
-
-    The cloud is (2, states, particles): what is computed from one half goes to the other.
-    """
-    initial, transition, log_likelihood = map(formula, functions)
-    read_w0, read_w = (reader(len(kinds), "c, i") for kinds in noise_kinds)
-    states, measurements, _ = components
-    read_x, write_x = reader(states, "half, c, i"), writer(states, "half, c, i")
-    read_y = reader(measurements, "d, t, c")
-
-    @njit(forceinline=True, nogil=True, error_model="numpy")
-    def start(noise, p, cloud):  # type: ignore[no-untyped-def]
-        for i in range(cloud.shape[2]):
-            write_x(cloud, 0, i, initial(read_w0(noise, i), p))
-
-    @njit(forceinline=True, nogil=True, error_model="numpy")
-    def propagate(cloud, here, t, noise, p):  # type: ignore[no-untyped-def]
-        for i in range(cloud.shape[2]):
-            x = transition(read_x(cloud, here, i), t, read_w(noise, i), p)
-            write_x(cloud, 1 - here, i, x)
-
-    @njit(forceinline=True, nogil=True, error_model="numpy")
-    def explain(cloud, here, particles, y, d, t, p, out):  # type: ignore[no-untyped-def]
-        measured = read_y(y, d, t)
-        for i in range(out.size):
-            value = log_likelihood(measured, read_x(cloud, here, i), t, p)
-            out[i] = value if abs(value) < np.inf else IMPOSSIBLE
-        for i in range(particles, out.size):
-            out[i] = IMPOSSIBLE
-
-    return start, propagate, explain
-
-
-def _moments(
-    quantity_of_interest: Callable[..., Any], components: tuple[int, int, int]
-) -> tuple[Callable[..., Any], ...]:
-    """Compile the weighted mean and variance of z; a particle of weight 0 does not count.
-
-    Sums that may be added in any order become vectors.
-    """
-    states, _, quantities = components
-    quantity, read_x = formula(quantity_of_interest), reader(states, "half, c, i")
-    add = tuple_of(
-        quantities,
-        "sums, weight, values",
-        "sums[c] + weight * (values[c] if weight > 0.0 else 0.0)",
-        any_order=True,
-    )
-    divided = tuple_of(quantities, "sums, total", "sums[c] / total")
-    squares = tuple_of(quantities, "values, mean", "(values[c] - mean[c]) ** 2")
-    nothing = (0.0,) * quantities
-
-    @njit(forceinline=True, nogil=True, error_model="numpy")
-    def average(cloud, here, t, p, weight, row, total):  # type: ignore[no-untyped-def]
-        sums = nothing
-        for i in range(cloud.shape[2]):
-            z = quantity(read_x(cloud, here, i), t, p)
-            sums = add(sums, weight[row, i], z)
-        return divided(sums, total)
-
-    @njit(forceinline=True, nogil=True, error_model="numpy")
-    def spread(cloud, here, t, p, weight, row, total, mean):  # type: ignore[no-untyped-def]
-        sums = nothing
-        for i in range(cloud.shape[2]):
-            z = quantity(read_x(cloud, here, i), t, p)
-            sums = add(sums, weight[row, i], squares(z, mean))
-        return divided(sums, total)
-
-    return average, spread
-
-
-@njit(forceinline=True, nogil=True)
-def _take(cloud, here, particles, ancestor):  # type: ignore[no-untyped-def]
-    """Copy each particle's ancestor to the other half; what lies behind the last is any one."""
-    for i in range(particles, cloud.shape[2]):
-        ancestor[i] = 0
-    for component in range(cloud.shape[1]):
-        for i in range(cloud.shape[2]):
-            cloud[1 - here, component, i] = cloud[here, component, ancestor[i]]

@@ -138,7 +138,7 @@ def _folder() -> Path | None:
 def _hash_of_own_source() -> str:
     """Hash of the source that compiled code is made of."""
     files = sorted((_PACKAGE / "kernels").glob("*.py"))
-    names = ("elementwise.py", "draws.py", "particle_filter.py")
+    names = ("elementwise.py", "draws.py")
     files += [_PACKAGE / name for name in names]
     return fingerprint(*(file.read_bytes() for file in files))
 

@@ -85,9 +85,7 @@ _INSTEAD: dict[int, Any] = {
 
 # --- what goes wrong in them --------------------------------------------------------------------
 
-_NOT_THEIRS = re.compile(
-    r"(^|/)(numba/|pfdist/(kernels/|models/base\.py|draws\.py|particle_filter\.py))"
-)
+_NOT_THEIRS = re.compile(r"(^|/)(numba/|pfdist/(kernels/|models/base\.py|draws\.py))")
 _REASON = re.compile(
     r"^.*(?:Untyped global name|No implementation of function|Unknown attribute|Cannot|cannot"
     r"|Invalid use|Use of unsupported).*$",
