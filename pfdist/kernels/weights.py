@@ -71,7 +71,7 @@ def plain_weights(log_likelihood: NDArray[np.float64]) -> NDArray[np.float64]:
 def cumulate(values, row, count, cumulative):
     """Cumulative sums of the first values of a row, a multiple of 4; their total is given back.
 
-    A sum waits for the one before it, 1 ns each: so four stretches are summed side by side.
+    A sum waits for the one before it, 1.3 ns each: so four stretches are summed side by side.
     """
     stretch = count // _CHAINS
     a = b = c = d = 0.0
