@@ -1,10 +1,10 @@
 """Elementary functions that a loop over particles can do eight at a time.
 
 A call of libm serves one number and takes 2 to 11 ns. These are polynomials without a branch, so
-that LLVM makes vectors of them: 0.3 to 2.5 ns. Where a model's formula says ``np.sin`` or ``math.sin``,
-the compiled filter has the one below; the formula on arrays, the plain filter's, has NumPy's. They
-agree within `ULPS` units in the last place, for every argument but angles beyond `LARGEST_ANGLE`,
-of which no digit is known: these give NaN.
+that LLVM makes vectors of them: 0.3 to 2.5 ns. Where a model's formula says ``np.sin`` or
+``math.sin``, the compiled filter has the one below; the formula on arrays, the plain filter's, has
+NumPy's. They agree within `ULPS` units in the last place, for every argument but angles beyond
+`LARGEST_ANGLE`, of which no digit is known: these give NaN.
 
 Each polynomial interpolates at the Chebyshev nodes of its interval, closer than half a unit.
 

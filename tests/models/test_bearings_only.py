@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
-from pfdist import plain
 from pfdist.draws import simulate
-from pfdist.measurement_times import regular
 from pfdist.models import find_model
 from pfdist.particle_filter import filter_draws
 
@@ -88,15 +86,6 @@ def test_simulated_draws_have_the_moments_of_the_formulas():
         assert_mean(pushed[:, i], 0.0)
         assert_mean(pushed[:, i] * pushed[:, j], covariance[i, j])
     assert (np.abs(draws.y) <= np.pi).all()
-
-
-@pytest.mark.parametrize("resampling", ["multinomial", "systematic"])
-def test_compiled_and_plain_filter_agree(resampling):
-    draws = simulate(MODEL, 30, range(4), 17)
-    arguments = (MODEL, draws, regular(30, 11), 130, 23, resampling)
-    fast, slow = (f(*arguments, trajectories=True) for f in (filter_draws, plain.filter_draws))
-    np.testing.assert_allclose(fast.mse, slow.mse, rtol=1e-9)
-    np.testing.assert_allclose(fast.estimate, slow.estimate, rtol=1e-9, atol=1e-9)
 
 
 def test_without_measurements_the_expected_mse_is_the_priors_variance():

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pfdist import plain
 from pfdist.draws import simulate
 from pfdist.errors import ModelError
 from pfdist.measurement_times import regular
@@ -51,15 +50,6 @@ def test_simulated_draws_have_the_stationary_moments_at_all_times():
     assert_mean(pushed, 0.0)
     assert_mean(pushed**2, SIGMA**2)
     assert_mean(pushed * (before - MU), 0.0)
-
-
-@pytest.mark.parametrize("resampling", ["multinomial", "systematic"])
-def test_compiled_and_plain_filter_agree(resampling):
-    draws = simulate(MODEL, 60, range(4), 17)
-    arguments = (MODEL, draws, regular(60, 21), 130, 23, resampling)
-    fast, slow = (f(*arguments, trajectories=True) for f in (filter_draws, plain.filter_draws))
-    np.testing.assert_allclose(fast.mse, slow.mse, rtol=1e-9)
-    np.testing.assert_allclose(fast.estimate, slow.estimate, rtol=1e-9, atol=1e-9)
 
 
 def test_without_measurements_the_expected_mse_is_the_variance_of_the_volatility():

@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pfdist import plain
 from pfdist.draws import simulate
 from pfdist.errors import ModelError
 from pfdist.measurement_times import regular
@@ -70,15 +69,6 @@ def test_simulated_draws_have_the_moments_of_the_box_and_of_a_clipped_walk():
         step = a**2 * edges[0] + b**2 * edges[1] + inside + a * at_a - b * at_b
         assert_mean(after - mean, 0.0)
         assert_mean((after - before) ** 2 - sd**2 * step, 0.0)
-
-
-@pytest.mark.parametrize("resampling", ["multinomial", "systematic"])
-def test_compiled_and_plain_filter_agree(resampling):
-    draws = simulate(TRUTH, 30, range(4), 17)
-    arguments = (FILTER, draws, regular(30, 11), 130, 23, resampling)
-    fast, slow = (f(*arguments, trajectories=True) for f in (filter_draws, plain.filter_draws))
-    np.testing.assert_allclose(fast.mse, slow.mse, rtol=1e-9)
-    np.testing.assert_allclose(fast.estimate, slow.estimate, rtol=1e-9, atol=1e-9)
 
 
 # The authors' figures are of 100,000 draws, with 1,000 particles and multinomial resampling. So
