@@ -8,6 +8,7 @@ from pfdist.elementwise import clip, where
 from pfdist.errors import PfdistError
 from pfdist.job import Job, load_job
 from pfdist.models import StateSpaceModel, find_model
+from pfdist.models.linear_gaussian import linear_gaussian
 from pfdist.monte_carlo import Evaluation
 from pfdist.runner.evaluate import evaluate
 from pfdist.runner.run import run
@@ -22,6 +23,7 @@ __all__ = [
     "StateSpaceModel",
     "clip",
     "evaluate",
+    "linear_gaussian",
     "load_job",
     "load_model",
     "open_run",

@@ -59,7 +59,7 @@ class Filter(_Section):
     particles: Annotated[int, Field(ge=1, le=10_000_000)] = 500
     resampling: Literal["multinomial", "stratified", "systematic", "residual"] = "multinomial"
     dtype: Literal["float64", "float32"] = "float64"
-    engine: Literal["auto", "compiled", "numpy"] = "auto"
+    engine: Literal["auto", "compiled", "numpy", "kalman"] = "auto"
 
 
 class EvaluationSection(_Section):

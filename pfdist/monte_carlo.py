@@ -5,14 +5,16 @@ MSE is the same, and so is what is computed from all of them in the order of the
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pfdist import plain
+from pfdist import kalman, plain
 from pfdist.draws import simulate
+from pfdist.errors import ModelError
 from pfdist.measurement_times import Times
 from pfdist.models import StateSpaceModel
 from pfdist.particle_filter import check_filter, filter_draws
@@ -20,8 +22,13 @@ from pfdist.particle_filter import check_filter, filter_draws
 TASK_STEPS = 50_000_000
 """Particle-steps that are done at once: about 0.1 s."""
 
-ENGINES = {"compiled": (simulate, filter_draws), "numpy": (plain.simulate, plain.filter_draws)}
-"""What simulates and filters: the compiled kernel, or NumPy where Numba cannot compile a model."""
+ENGINES = {
+    "compiled": (simulate, filter_draws),
+    "numpy": (plain.simulate, plain.filter_draws),
+    "kalman": (simulate, kalman.filter_draws),
+}
+"""What simulates and filters: the compiled kernel, NumPy where Numba cannot compile a model, or the
+exact filter of a linear-Gaussian one."""
 
 NUMPY_TIMES_SLOWER = 100
 
@@ -47,12 +54,13 @@ class Problem:
         What the filter takes for the truth; by default it is right.
     dtype : {"float64", "float32"}
         What the particles' states are kept in.
-    engine : {"compiled", "numpy"}
+    engine : {"compiled", "numpy", "kalman"}
 
     Raises
     ------
     ModelError
-        The filter's model measures, or is asked for, something of another size.
+        The filter's model measures, or is asked for, something of another size; or the engine is
+        "kalman" and the model not linear-Gaussian, or not the filter's.
     """
 
     model: StateSpaceModel
@@ -66,6 +74,19 @@ class Problem:
     def __post_init__(self) -> None:
         believed = self.filter_model or self.model
         check_filter(believed, self.model, self.particles, self.resampling, self.dtype)
+        if self.exact:
+            if believed != self.model:
+                raise ModelError("filter.engine = 'kalman' needs a filter that knows the truth")
+            kalman.linear_gaussian(self.model, self.horizon)
+
+    @property
+    def exact(self) -> bool:
+        """Whether the expected MSE is known without draws; see `expected_mse`."""
+        return self.engine == "kalman"
+
+    def expected_mse(self, sets: Sequence[Times]) -> NDArray[np.float64]:
+        """Give the exact expected MSE of each set of times, (S,), where the engine knows it."""
+        return kalman.expected_mse(self.model, self.horizon, sets)
 
     def compile(self) -> None:
         """Compile what is not yet, by a draw of two instants and one particle.
@@ -76,6 +97,8 @@ class Problem:
             A formula cannot be compiled, or failed.
         """
         draws = simulate(self.model, 1, range(1), 0)
+        if self.exact:
+            return
         believed = self.filter_model or self.model
         filter_draws(believed, draws, (0,), 1, 0, self.resampling, dtype=self.dtype)
 
@@ -161,11 +184,14 @@ class Evaluation:
     mse : array of float64, (D,)
         Per-draw MSE; NaN for a degenerate draw.
     degenerate_policy : {"kill", "leave_out"}
+    exact : float, optional
+        The expected MSE where it is known without draws.
     """
 
     measurement_times: Times
     mse: NDArray[np.float64]
     degenerate_policy: str = "kill"
+    exact: float | None = None
 
     @property
     def draws(self) -> int:
@@ -180,12 +206,16 @@ class Evaluation:
     @cached_property
     def expected_mse(self) -> float:
         """Mean of the per-draw MSE; what a degenerate draw makes of it is the policy's."""
+        if self.exact is not None:
+            return self.exact
         usable = self._usable
         return float(np.mean(usable)) if usable.size else math.inf
 
     @cached_property
     def standard_error(self) -> float:
         """Standard error of `expected_mse`, infinite where that is or with fewer than 2 draws."""
+        if self.exact is not None:
+            return 0.0
         usable = self._usable
         if usable.size < 2 or not np.isfinite(usable).all():
             return math.inf

@@ -4,7 +4,7 @@ Here only NumPy and the elementwise functions: a model is formulas, and knows ne
 simulation.
 """
 
-from pfdist.models.base import StateSpaceModel
+from pfdist.models.base import StateSpaceModel, squared_error
 from pfdist.models.loader import ModelSource, find_model, installed_models
 
-__all__ = ["ModelSource", "StateSpaceModel", "find_model", "installed_models"]
+__all__ = ["ModelSource", "StateSpaceModel", "find_model", "installed_models", "squared_error"]

@@ -71,6 +71,9 @@ class StateSpaceModel:
     error : callable
         ``(z, estimate, t, p) -> number``, what it costs to believe `estimate` where z is true;
         an MSE is its mean over t. The squared Euclidean norm, unless it is given.
+    linear_gaussian : bool
+        Whether every formula is linear in x and noise, and every noise normal: then
+        ``filter.engine = "kalman"`` computes exactly. What is declared is checked.
 
     Raises
     ------
@@ -91,6 +94,7 @@ class StateSpaceModel:
     parameters: Mapping[str, float] = field(default_factory=dict)
     parameter_ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     error: Callable[..., Any] = squared_error
+    linear_gaussian: bool = False
 
     def __post_init__(self) -> None:
         for name, arguments in _ARGUMENTS.items():

@@ -180,7 +180,7 @@ def _compiled_or_numpy(source: ProblemSource) -> str:
     try:
         problem.compile()
     except CompileError as error:
-        if source.engine == "compiled":
+        if source.engine != "auto":
             raise
         warnings.warn(
             f"{error}: computing in NumPy instead, about {NUMPY_TIMES_SLOWER} times slower "
@@ -189,7 +189,7 @@ def _compiled_or_numpy(source: ProblemSource) -> str:
             stacklevel=4,
         )
         return "numpy"
-    return "compiled"
+    return "compiled" if source.engine == "auto" else source.engine
 
 
 def make_pool(built: Built, execution: Execution) -> Pool:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pfdist import kalman
 from pfdist.draws import Draws
 from pfdist.errors import CompileError, ModelError
 from pfdist.measurement_times import regular
@@ -89,6 +90,8 @@ def check_model(
         "simulate", "ok", f"x, y and z are finite in {_DRAWS} draws of {horizon + 1} instants"
     )
     looks = dict(_LOOKS)
+    if model.linear_gaussian:
+        looks["linear_gaussian"] = _linear_gaussian
     if engine == "numpy":
         del looks["compiled as in NumPy"]
     for look, function in looks.items():
@@ -100,6 +103,14 @@ def check_model(
         yield from _filtered(Problem(model, horizon, particles, engine=engine))
     except ModelError as error:
         yield Check("filter", "wrong", str(error))
+
+
+def _linear_gaussian(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
+    try:
+        kalman.linear_gaussian(model, draws.x.shape[1] - 1)
+    except ModelError as error:
+        return "wrong", str(error)
+    return "ok", "as it declares: filter.engine = 'kalman' computes it exactly"
 
 
 def _filtered(problem: Problem) -> Iterator[Check]:

@@ -47,9 +47,11 @@ def evaluate(
     times = validated(measurement_times, job.problem.horizon, "--times")
     fresh = [times] if job.evaluation.noise == "fresh" else []
     stream = stream_key(job.seed, "evaluate", *fresh)
-    problem = build(job).problem
+    problem, policy = build(job).problem, job.evaluation.degenerate_draws
+    if problem.exact:
+        return Evaluation(times, np.empty(0), policy, float(problem.expected_mse([times])[0]))
     pieces = [
         problem(Work((times,), (stream,), stream, piece)).mse[:, 0]
         for piece in cut(range(job.evaluation.draws), problem.draws_of(TASK_STEPS))
     ]
-    return Evaluation(times, np.concatenate(pieces), job.evaluation.degenerate_draws)
+    return Evaluation(times, np.concatenate(pieces), policy)

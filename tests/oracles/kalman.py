@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist import StateSpaceModel
+from pfdist import StateSpaceModel, linear_gaussian
 
 Array = NDArray[np.float64]
 
@@ -26,34 +26,15 @@ class LinearGaussian:
     b0: Array
 
     def as_model(self) -> StateSpaceModel:
-        """The same as a model of pfdist, its formulas written out from the matrices."""
-
-        def affine(*terms: tuple[Array, str]) -> str:
-            rows = range(len(terms[0][0]))
-            sums = (
-                " + ".join(
-                    f"{matrix[i, j]!r} * {name}[{j}]"
-                    for matrix, name in terms
-                    for j in range(matrix.shape[1])
-                )
-                for i in rows
-            )
-            return f"({''.join(f'{one},' for one in sums)})".replace("np.float64", "")
-
-        errors = " + ".join(
-            f"((y[{i}] - (" + affine((self.c, "x")) + f")[{i}]) / {float(self.d[i, i])!r}) ** 2"
-            for i in range(len(self.c))
-        )
-        return StateSpaceModel(
-            name="linear_gaussian",
-            initial=eval(f"lambda w, p: {affine((self.b0, 'w'))}"),
-            transition=eval(f"lambda x, t, w, p: {affine((self.a, 'x'), (self.b, 'w'))}"),
-            measurement=eval(f"lambda x, t, v, p: {affine((self.c, 'x'), (self.d, 'v'))}"),
-            log_likelihood=eval(f"lambda y, x, t, p: -0.5 * ({errors})"),
-            quantity_of_interest=eval(f"lambda x, t, p: {affine((self.h, 'x'))}"),
-            initial_noise=("normal",) * self.b0.shape[1],
-            process_noise=("normal",) * self.b.shape[1],
-            measurement_noise=("normal",) * self.d.shape[1],
+        """The same as a model of pfdist."""
+        return linear_gaussian(
+            "linear_gaussian",
+            initial_noise=self.b0.tolist(),
+            transition=self.a.tolist(),
+            process_noise=self.b.tolist(),
+            measurement=self.c.tolist(),
+            measurement_noise=self.d.tolist(),
+            quantity_of_interest=self.h.tolist(),
         )
 
 

@@ -1,0 +1,156 @@
+"""Linear-Gaussian models of any dimension, from their matrices; and one whose noise varies.
+
+The model that ships is an oscillator, of which a sensor sees the position now well and now badly:
+measurements are worth most where the noise is least and what they tell is not yet forgotten.
+
+References
+----------
+Anderson, Moore, "Optimal filtering", 1979, chapter 2.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from pfdist.models.base import StateSpaceModel
+
+Matrix = Sequence[Sequence[float]] | Callable[[int], Any]
+Formula = Callable[..., Any]
+
+
+def linear_gaussian(
+    name: str,
+    *,
+    initial_noise: Matrix,
+    transition: Matrix,
+    process_noise: Matrix,
+    measurement: Matrix,
+    measurement_noise: Matrix,
+    quantity_of_interest: Matrix,
+) -> StateSpaceModel:
+    """Make a model of its matrices: x(t+1) = A x(t) + B w(t), y(t) = C x(t) + D v(t), z = H x.
+
+    w and v are standard normal. A matrix is a sequence of rows, or a function of t that gives a
+    tuple of tuples and is made of what any formula may use.
+
+    Parameters
+    ----------
+    name : str
+    initial_noise : matrix, (n, k0)
+        x(0) is this times a standard normal vector.
+    transition : matrix, (n, n)
+        A.
+    process_noise : matrix, (n, k)
+        B.
+    measurement : matrix, (m, n)
+        C.
+    measurement_noise : matrix, (m, m)
+        D; each measurement has its own noise, so nothing but the diagonal may differ from 0.
+    quantity_of_interest : matrix, (q, n)
+        H.
+
+    Returns
+    -------
+    StateSpaceModel
+        It declares itself ``linear_gaussian``.
+
+    Examples
+    --------
+    >>> walk = linear_gaussian("walk", initial_noise=[[5]], transition=[[1]], process_noise=[[1]],
+    ...     measurement=[[1]], measurement_noise=lambda t: ((1 + t % 2,),),
+    ...     quantity_of_interest=[[1]])
+    >>> walk.measurement((3.0,), 1, (0.5,), walk.p)
+    (4.0,)
+    """
+    start, want, look = map(_times, (initial_noise, quantity_of_interest, measurement))
+    move, see = _sum(transition, process_noise), _sum(measurement, measurement_noise)
+    noise, measurements = _function(measurement_noise), _shape(measurement)[0]
+
+    def log_likelihood(y: Any, x: Any, t: Any, p: Any) -> Any:
+        expected, sd, total = look(x, t), noise(t), 0.0
+        for i in range(measurements):
+            total = total - 0.5 * ((y[i] - expected[i]) / sd[i][i]) ** 2
+        return total
+
+    def normal(matrix: Matrix) -> tuple[str, ...]:
+        return ("normal",) * _shape(matrix)[1]
+
+    return StateSpaceModel(
+        name=name,
+        initial=lambda w, p: start(w, 0),
+        transition=lambda x, t, w, p: move(x, w, t),
+        measurement=lambda x, t, v, p: see(x, v, t),
+        log_likelihood=log_likelihood,
+        quantity_of_interest=lambda x, t, p: want(x, t),
+        initial_noise=normal(initial_noise),
+        process_noise=normal(process_noise),
+        measurement_noise=normal(measurement_noise),
+        linear_gaussian=True,
+    )
+
+
+def _function(matrix: Matrix) -> Formula:
+    """Give the matrix as a function of t."""
+    if callable(matrix):
+        return matrix
+    rows = tuple(tuple(float(entry) for entry in row) for row in matrix)
+    return lambda t: rows
+
+
+def _shape(matrix: Matrix) -> tuple[int, int]:
+    rows = _function(matrix)(0)
+    return len(rows), len(rows[0])
+
+
+def _times(matrix: Matrix) -> Formula:
+    """``(x, t) -> matrix(t) x``."""
+    return _stacked([_row(matrix, i) for i in range(_shape(matrix)[0])])
+
+
+def _sum(matrix: Matrix, noise: Matrix) -> Formula:
+    """``(x, w, t) -> matrix(t) x + noise(t) w``."""
+
+    def component(i: int) -> Formula:
+        of_x, of_w = _row(matrix, i), _row(noise, i)
+        return lambda x, w, t: of_x(x, t) + of_w(w, t)
+
+    return _stacked([component(i) for i in range(_shape(matrix)[0])])
+
+
+def _row(matrix: Matrix, i: int) -> Formula:
+    """``(x, t) -> component i of matrix(t) x``."""
+    rows, columns = _function(matrix), _shape(matrix)[1]
+
+    def component(x: Any, t: Any) -> Any:
+        row, total = rows(t)[i], 0.0
+        for j in range(columns):
+            total = total + row[j] * x[j]
+        return total
+
+    return component
+
+
+def _stacked(functions: list[Formula]) -> Formula:
+    """One function that gives the values of several as a tuple; Numba can only join tuples."""
+    *others, last = functions
+    if not others:
+        return lambda *arguments: (last(*arguments),)
+    head = _stacked(others)
+    return lambda *arguments: head(*arguments) + (last(*arguments),)  # noqa: RUF005
+
+
+DAMPING, STEP = 0.02, 0.35  # a period of 18 steps, of which a tenth is lost in five
+
+model = linear_gaussian(
+    "linear_gaussian",
+    initial_noise=((2.0, 0.0), (0.0, 2.0)),
+    transition=(
+        (np.exp(-DAMPING) * np.cos(STEP), np.exp(-DAMPING) * np.sin(STEP)),
+        (-np.exp(-DAMPING) * np.sin(STEP), np.exp(-DAMPING) * np.cos(STEP)),
+    ),
+    process_noise=((0.0,), (0.4,)),
+    measurement=((1.0, 0.0),),
+    measurement_noise=lambda t: ((1.0 + 0.8 * np.sin(0.2 * t),),),
+    quantity_of_interest=((1.0, 0.0),),
+)

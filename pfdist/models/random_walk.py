@@ -1,0 +1,33 @@
+"""A random walk seen through noise, the simplest model there is.
+
+Linear and Gaussian, so its expected MSE is known exactly, and with the same noise at all times
+regular measurements are close to the best.
+
+References
+----------
+Harvey, "Forecasting, structural time series models and the Kalman filter", 1989: the local level
+model.
+"""
+
+import math
+
+from pfdist.models.base import StateSpaceModel
+
+model = StateSpaceModel(
+    name="random_walk",
+    initial=lambda w, p: (p.initial_sd * w[0],),
+    transition=lambda x, t, w, p: (x[0] + p.step_sd * w[0],),
+    measurement=lambda x, t, v, p: (x[0] + p.measurement_sd * v[0],),
+    log_likelihood=lambda y, x, t, p: -0.5 * ((y[0] - x[0]) / p.measurement_sd) ** 2,
+    quantity_of_interest=lambda x, t, p: (x[0],),
+    initial_noise=("normal",),
+    process_noise=("normal",),
+    measurement_noise=("normal",),
+    parameters={"initial_sd": 5.0, "step_sd": 1.0, "measurement_sd": 1.0},
+    parameter_ranges={
+        "initial_sd": (0.0, math.inf),
+        "step_sd": (0.0, math.inf),
+        "measurement_sd": (1e-9, math.inf),
+    },
+    linear_gaussian=True,
+)
