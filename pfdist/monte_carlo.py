@@ -5,32 +5,54 @@ MSE is the same, and so is what is computed from all of them in the order of the
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pfdist import kalman, plain
-from pfdist.draws import simulate
+from pfdist.draws import Draws, simulate
 from pfdist.errors import ModelError
 from pfdist.measurement_times import Times
 from pfdist.models import StateSpaceModel
-from pfdist.particle_filter import check_filter, filter_draws
+from pfdist.particle_filter import Filtered, check_filter, filter_draws, filter_sets
 
-TASK_STEPS = 50_000_000
-"""Particle-steps that are done at once: about 0.1 s."""
+SECONDS_A_STEP = 2e-9
+"""About what a particle-step takes."""
+
+
+class Engine(NamedTuple):
+    """What simulates draws, filters them, and filters them with several sets under one noise."""
+
+    simulate: Callable[..., Draws]
+    filter_draws: Callable[..., Filtered]
+    filter_sets: Callable[..., NDArray[np.float64]]
+
+
+def _one_by_one(filter_draws: Callable[..., Filtered]) -> Callable[..., NDArray[np.float64]]:
+    def filter_sets(
+        model: StateSpaceModel, draws: Draws, sets: Sequence[Times], *settings: Any, **more: Any
+    ) -> NDArray[np.float64]:
+        filtered = [filter_draws(model, draws, times, *settings, **more) for times in sets]
+        return np.stack([one.mse for one in filtered], axis=1)
+
+    return filter_sets
+
 
 ENGINES = {
-    "compiled": (simulate, filter_draws),
-    "numpy": (plain.simulate, plain.filter_draws),
-    "kalman": (simulate, kalman.filter_draws),
+    "compiled": Engine(simulate, filter_draws, filter_sets),
+    "numpy": Engine(plain.simulate, plain.filter_draws, _one_by_one(plain.filter_draws)),
+    "kalman": Engine(simulate, kalman.filter_draws, _one_by_one(kalman.filter_draws)),
 }
-"""What simulates and filters: the compiled kernel, NumPy where Numba cannot compile a model, or the
-exact filter of a linear-Gaussian one."""
+"""The compiled kernel; NumPy, where Numba cannot compile a model; the exact filter of a
+linear-Gaussian one."""
 
 NUMPY_TIMES_SLOWER = 100
+
+_TRAJECTORIES = ("mse", "estimate")
 
 DEGENERATE_POLICIES = ("kill", "leave_out")
 """What one degenerate draw does to an evaluation: ``kill``, the paper's, makes its cost infinite;
@@ -102,33 +124,38 @@ class Problem:
         believed = self.filter_model or self.model
         filter_draws(believed, draws, (0,), 1, 0, self.resampling, dtype=self.dtype)
 
-    def draws_of(self, steps: int, sets: int = 1) -> int:
-        """How many draws, filtered with so many sets, take the time of so many particle-steps."""
+    @property
+    def seconds_a_draw(self) -> float:
+        """About how long it takes to filter a draw; models differ."""
         slower = NUMPY_TIMES_SLOWER if self.engine == "numpy" else 1
-        return max(1, steps // (self.particles * (self.horizon + 1) * sets * slower))
+        return SECONDS_A_STEP * slower * self.particles * (self.horizon + 1)
 
     def __call__(self, work: "Work") -> "Result":
         """Do the work: simulate the draws once and filter them with every set of times."""
-        simulate_draws, filter_with = ENGINES[self.engine]
-        draws = simulate_draws(self.model, self.horizon, range(*work.draws), work.draws_stream)
-        filtered = [
-            filter_with(
-                self.filter_model or self.model,
-                draws,
-                times,
-                self.particles,
-                stream,
-                self.resampling,
-                trajectories=work.trajectories,
-                dtype=self.dtype,
-            )
-            for times, stream in zip(work.measurement_times, work.filter_streams, strict=True)
-        ]
-        mse = np.stack([one.mse for one in filtered], axis=1)
-        if not work.trajectories:
-            return Result(mse)
-        estimates = [one.estimate for one in filtered if one.estimate is not None]
-        return Result(mse, draws.z, draws.y, np.stack(estimates))
+        engine, believed = ENGINES[self.engine], self.filter_model or self.model
+        draws = engine.simulate(self.model, self.horizon, range(*work.draws), work.draws_stream)
+        if work.trajectories:
+            filtered = [
+                engine.filter_draws(
+                    believed, draws, times, self.particles, stream, self.resampling,
+                    trajectories=True, dtype=self.dtype,
+                )
+                for times, stream in zip(work.measurement_times, work.filter_streams, strict=True)
+            ]  # fmt: skip
+            mse, estimates = ([getattr(one, name) for one in filtered] for name in _TRAJECTORIES)
+            return Result(np.stack(mse, axis=1), draws.z, draws.y, np.stack(estimates))
+        values = np.empty((len(draws.index), len(work.measurement_times)))
+        for stream in dict.fromkeys(work.filter_streams):
+            of = [column for column, its in enumerate(work.filter_streams) if its == stream]
+            values[:, of] = engine.filter_sets(
+                believed, draws, [work.measurement_times[column] for column in of],
+                self.particles, stream, self.resampling, dtype=self.dtype,
+            )  # fmt: skip
+        return Result(values)
+
+    def results(self, works: Iterable["Work"]) -> list["Result"]:
+        """Do works one after another: what a task is."""
+        return [self(work) for work in works]
 
 
 @dataclass(frozen=True)
@@ -155,6 +182,11 @@ class Work:
     draws: tuple[int, int]
     trajectories: bool = False
 
+    @property
+    def filtered(self) -> int:
+        """How many draws are filtered, over all sets."""
+        return (self.draws[1] - self.draws[0]) * len(self.measurement_times)
+
 
 @dataclass(frozen=True)
 class Result:
@@ -164,14 +196,15 @@ class Result:
     ----------
     mse : array of float64, (D, S)
         NaN for a degenerate draw.
-    z, y : array of float64, (D, T+1, q) and (D, T+1, m), or None
-    estimates : array of float64, (S, D, T+1, q), or None
+    z, y : array of float64, (D, T+1, q) and (D, T+1, m)
+    estimates : array of float64, (S, D, T+1, q)
+        These three are empty unless trajectories are wanted.
     """
 
     mse: NDArray[np.float64]
-    z: NDArray[np.float64] | None = None
-    y: NDArray[np.float64] | None = None
-    estimates: NDArray[np.float64] | None = None
+    z: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    y: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    estimates: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from pfdist.kernels.components import naming, reader, tuple_of, writer
 from pfdist.kernels.disk_cache import kept_on_disk
@@ -20,6 +21,46 @@ from pfdist.kernels.weights import IMPOSSIBLE, cumulate, weigh, width
 
 # The rows of weights: where nothing is measured, and where something is.
 _ALIKE, _WEIGHED = np.uintp(0), np.uintp(1)
+
+
+PrefixTree = tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.bool_]]
+
+
+def prefix_tree(measured: NDArray[np.bool_]) -> tuple[PrefixTree, NDArray[np.int64]]:
+    """Order sets of times so that a filter goes on from where one has been before.
+
+    Under the same noise, sets that agree up to t have the same cloud up to t. In their order each
+    shares most with the one before it, as words in a dictionary do.
+
+    Parameters
+    ----------
+    measured : array of bool, (S, T+1)
+
+    Returns
+    -------
+    tree : (array of bool, (U, T+1), array of int64, (U,), array of bool, (U, T+1))
+        The sets, in their order and each once; from which time on one differs from those before
+        it; and where its cloud, as it comes to t, is wanted again.
+    place : array of int64, (S,)
+        Of each set in that order.
+
+    Examples
+    --------
+    >>> (_, shared, kept), place = prefix_tree(np.array([[1, 0, 1], [0, 1, 1], [1, 1, 0]], bool))
+    >>> shared, place
+    (array([0, 0, 1]), array([1, 0, 2]))
+    >>> np.argwhere(kept)  # set 1 of the order, at t = 1
+    array([[1, 1]])
+    """
+    ordered, place = np.unique(measured, axis=0, return_inverse=True)
+    shared = np.zeros(len(ordered), np.int64)
+    shared[1:] = np.argmax(ordered[1:] != ordered[:-1], axis=1)
+    kept = np.zeros_like(ordered)
+    for one, time in enumerate(shared):
+        if time > 0:
+            last = np.flatnonzero(shared[:one] <= time)[-1]
+            kept[last, time] = True
+    return (ordered, shared, kept), place.ravel()
 
 
 @lru_cache(maxsize=32)
@@ -50,8 +91,9 @@ def fused_filter(
     Returns
     -------
     callable
-        ``filter_draws(stream, first, y, z, measured, particles, parameters, truths, mse, estimate,
-        variance)`` fills mse (D,), and estimate and variance (D, T+1, q) unless they are empty.
+        ``filter_draws(stream, first, y, z, tree, particles, parameters, truths, mse, estimate,
+        variance)`` fills mse (D, S) of the S sets in a `prefix_tree`, and estimate and variance
+        (D, T+1, q) unless they are empty.
     """
     filter_draw = _filter_draw(functions, noise_kinds, components, resampling)
     named, named_truth = map(naming, parameters)
@@ -60,8 +102,9 @@ def fused_filter(
 
     @njit(nogil=True, error_model="numpy")
     def filter_draws(
-        stream, first, y, z, measured, particles, parameters, truths, mse, estimate, variance
+        stream, first, y, z, tree, particles, parameters, truths, mse, estimate, variance
     ):
+        measured, shared, kept = tree
         p, truth = named(parameters), named_truth(truths)
         size, spacious = width(particles), padded(particles + SPARE)
         cloud = np.empty((2, states, size), kind)
@@ -71,11 +114,14 @@ def fused_filter(
         cumulative, sums = np.empty(size), np.empty(spacious)
         points, shares = np.empty(spacious, np.uint32), np.empty(spacious, np.uint32)
         ancestor = np.zeros(spacious, np.uint32)
-        for d in range(mse.size):
-            mse[d] = filter_draw(
-                stream, first + d, d, y, z, measured, particles, p, truth, estimate, variance,
-                cloud, noise, log_weight, weight, cumulative, sums, points, shares, ancestor,
-            )  # fmt: skip
+        saved, before = np.empty((kept.shape[1], states, size), kind), np.empty(kept.shape[1])
+        for d in range(mse.shape[0]):
+            for s in range(mse.shape[1]):
+                mse[d, s] = filter_draw(
+                    stream, first + d, d, s, y, z, measured, shared, kept, particles, p, truth,
+                    estimate, variance, saved, before, cloud, noise, log_weight, weight,
+                    cumulative, sums, points, shares, ancestor,
+                )  # fmt: skip
 
     return kept_on_disk(
         filter_draws, functions, noise_kinds, components, parameters, resampling, dtype
@@ -88,47 +134,51 @@ def _filter_draw(
     components: tuple[int, int, int],
     resampling: str,
 ) -> Callable[..., float]:
-    """Compile the filter of one draw; it gives the draw's MSE."""
-    start, propagate, explain = _cloud_steps(functions[:3], noise_kinds, components)
+    """Compile the filter of one draw with one set of times; it gives the draw's MSE.
+
+    It goes on from where the set before it was the same, and keeps what a later one goes on from.
+    """
+    begin, propagate, explain = _cloud_steps(functions[:3], noise_kinds, components)
     average, spread = _moments(functions[3], components)
     read_z, write_z = (make(components[2], "d, t, c") for make in (reader, writer))
-    fill_w0, fill_w = map(filler, noise_kinds)
     error_of, resample = formula(functions[4]), RESAMPLE[resampling]
 
     @njit(forceinline=True, nogil=True, error_model="numpy")
     def filter_draw(
-        stream, draw, d, y, z, measured, particles, p, truth, estimate, variance,
-        cloud, noise, log_weight, weight, cumulative, sums, points, shares, ancestor,
+        stream, draw, d, s, y, z, measured, shared, kept, particles, p, truth,
+        estimate, variance, saved, before, cloud, noise, log_weight, weight,
+        cumulative, sums, points, shares, ancestor,
     ):  # fmt: skip
-        error, here = 0.0, np.int64(0)
-        fill_w0(noise, particles, stream, draw, np.int64(0), FILTER_INITIAL)
-        start(noise, p, cloud)
-        for t in range(measured.size):
+        here, instants = np.int64(0), measured.shape[1]
+        error = begin(stream, draw, shared[s], noise, particles, p, cloud, saved, before)
+        if not error < np.inf:
+            return error  # what it shares has ended already
+        for t in range(shared[s], instants):
+            _keep(kept[s, t], cloud, here, saved, t, before, error)
             if t > 0:
-                fill_w(noise, particles, stream, draw, t - 1, FILTER_PROCESS)
-                propagate(cloud, here, t - 1, noise, p)
+                propagate(stream, draw, t - 1, noise, particles, p, cloud, here)
                 here = 1 - here
             by, total = _ALIKE, float(particles)
-            if measured[t]:
+            if measured[s, t]:
                 explain(cloud, here, particles, y, d, t, p, log_weight)
                 weigh(log_weight, weight, _WEIGHED)
                 by, total = _WEIGHED, cumulate(weight, _WEIGHED, log_weight.size, cumulative)
             if total == 0.0:
-                return np.nan  # degenerate
+                return _ended(before, t, np.nan)  # degenerate
             mean = average(cloud, here, t, p, weight, by, total)
             if estimate.size:
                 write_z(estimate, d, t, mean)
                 write_z(variance, d, t, spread(cloud, here, t, p, weight, by, total, mean))
             error += error_of(read_z(z, d, t), mean, t, truth)
             if not error < np.inf:
-                return np.inf
-            if measured[t]:
+                return _ended(before, t, np.inf)
+            if measured[s, t]:
                 resample(
                     cumulative, particles, stream, draw, t, noise, sums, points, shares, ancestor
                 )
                 _take(cloud, here, particles, ancestor)
                 here = 1 - here
-        return error / measured.size
+        return error / instants
 
     return filter_draw
 
@@ -137,24 +187,31 @@ def _cloud_steps(
     functions: tuple[Callable[..., Any], ...],
     noise_kinds: tuple[tuple[str, ...], ...],
     components: tuple[int, int, int],
-) -> tuple[Callable[..., None], ...]:
-    """Compile what a model does to a cloud: start, propagate, explain y.
+) -> tuple[Callable[..., Any], ...]:
+    """Compile what a model does to a cloud: begin, propagate, explain y.
 
     The cloud is (2, states, particles): what is computed from one half goes to the other.
     """
     initial, transition, log_likelihood = map(formula, functions)
+    fill_w0, fill_w = map(filler, noise_kinds)
     read_w0, read_w = (reader(len(kinds), "c, i") for kinds in noise_kinds)
     states, measurements, _ = components
     read_x, write_x = reader(states, "half, c, i"), writer(states, "half, c, i")
     read_y = reader(measurements, "d, t, c")
 
     @njit(forceinline=True, nogil=True, error_model="numpy")
-    def start(noise, p, cloud):
+    def begin(stream, draw, t, noise, particles, p, cloud, saved, before):
+        if t > 0:
+            _copy(saved, t, cloud, 0)
+            return before[t]
+        fill_w0(noise, particles, stream, draw, np.int64(0), FILTER_INITIAL)
         for i in range(cloud.shape[2]):
             write_x(cloud, 0, i, initial(read_w0(noise, i), p))
+        return 0.0
 
     @njit(forceinline=True, nogil=True, error_model="numpy")
-    def propagate(cloud, here, t, noise, p):
+    def propagate(stream, draw, t, noise, particles, p, cloud, here):
+        fill_w(noise, particles, stream, draw, t, FILTER_PROCESS)
         for i in range(cloud.shape[2]):
             x = transition(read_x(cloud, here, i), t, read_w(noise, i), p)
             write_x(cloud, 1 - here, i, x)
@@ -168,7 +225,7 @@ def _cloud_steps(
         for i in range(particles, out.size):
             out[i] = IMPOSSIBLE
 
-    return start, propagate, explain
+    return begin, propagate, explain
 
 
 def _moments(
@@ -207,6 +264,30 @@ def _moments(
         return divided(sums, total)
 
     return average, spread
+
+
+@njit(forceinline=True, nogil=True)
+def _keep(wanted, cloud, here, saved, t, before, error):
+    """Keep the cloud as it comes to t, and the errors before, if a later set goes on from there."""
+    if wanted:
+        before[t] = error
+        _copy(cloud, here, saved, t)
+
+
+@njit(forceinline=True, nogil=True)
+def _ended(before, t, mse):
+    """Say it to the sets that share what follows t."""
+    for later in range(t + 1, before.size):
+        before[later] = mse
+    return mse
+
+
+@njit(forceinline=True, nogil=True)
+def _copy(clouds, one, others, other):
+    """Copy a cloud from one array of them to another."""
+    for component in range(clouds.shape[1]):
+        for i in range(clouds.shape[2]):
+            others[other, component, i] = clouds[one, component, i]
 
 
 @njit(forceinline=True, nogil=True)

@@ -192,9 +192,13 @@ def _compiled_or_numpy(source: ProblemSource) -> str:
     return "compiled" if source.engine == "auto" else source.engine
 
 
+def _worker(source: ProblemSource) -> Callable[[Any], Any]:
+    return source.make().results
+
+
 def make_pool(built: Built, execution: Execution) -> Pool:
     """Make the pool that [execution] names; it starts when it is entered."""
-    make_function: Callable[[], Callable[[Any], Any]] = partial(ProblemSource.make, built.source)
+    make_function = partial(_worker, built.source)
     if execution.pool == "serial":
         return SerialPool(make_function)
     # Here and not above: `--pool serial` then needs no Ray, and starts 0.3 s sooner.

@@ -110,7 +110,9 @@ def _entry(argument: Any, i: int) -> Any:
 def compiled_as_in_numpy(model: StateSpaceModel, _: Draws) -> tuple[str, str]:
     """Simulate two instants both ways: later ones of a chaotic model differ by the last digit."""
     few = range(100)
-    compiled, plain = (ENGINES[engine][0](model, 1, few, 0) for engine in ("compiled", "numpy"))
+    compiled, plain = (
+        ENGINES[engine].simulate(model, 1, few, 0) for engine in ("compiled", "numpy")
+    )
     for name in "xyz":
         one, other = getattr(compiled, name), getattr(plain, name)
         if not np.allclose(one, other, rtol=1e-7, atol=1e-9):

@@ -17,6 +17,7 @@ from pfdist.monte_carlo import ENGINES, NUMPY_TIMES_SLOWER, Problem, Work
 from pfdist.runner.check_formulas import compiled_as_in_numpy, elementwise, likelihood, pure
 
 _DRAWS = 1000
+_SECONDS = 4.0  # for an evaluation of fewer draws, where a thousand take longer
 _LOOKS: dict[str, Callable[[StateSpaceModel, Draws], tuple[str, str]]] = {
     "pure": pure,
     "elementwise": elementwise,
@@ -82,7 +83,7 @@ def check_model(
         yield Check("compile", "wrong", str(error))
         return
     try:
-        draws = ENGINES[engine][0](model, horizon, range(_DRAWS), 0)
+        draws = ENGINES[engine].simulate(model, horizon, range(_DRAWS), 0)
     except ModelError as error:
         yield Check("simulate", "wrong", str(error))
         return
@@ -116,7 +117,7 @@ def _linear_gaussian(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
 def _filtered(problem: Problem) -> Iterator[Check]:
     """What an evaluation costs, and how many draws are degenerate."""
     times = regular(problem.horizon, max(2, (problem.horizon + 1) // 3))
-    draws = min(_DRAWS, problem.draws_of(2 * 10**9))
+    draws = min(_DRAWS, max(1, int(_SECONDS / problem.seconds_a_draw)))
     start = time.perf_counter()
     mse = problem(Work((times,), (3,), 3, (0, draws))).mse[:, 0]
     seconds = (time.perf_counter() - start) * _DRAWS / draws

@@ -1,14 +1,16 @@
 """Have tasks done and commit their rows as they come."""
 
 import time
-from collections.abc import Callable, Generator, Iterable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Generator, Iterable, Iterator
+from dataclasses import astuple, dataclass, field
 from functools import partial
 
 import pyarrow as pa
 
 from pfdist.errors import TaskError
 from pfdist.kernels.noise import stream_key
+from pfdist.monte_carlo import Result, Work
+from pfdist.runner.pace import Pace, bundles
 from pfdist.runner.pool import Outcome, Pool, Task
 from pfdist.store import Store, schema
 
@@ -25,13 +27,17 @@ class Collector:
     pool : Pool
     session : str
         This start of the program, for the timings.
+    pace : Pace
+        What is known of the workers' speed; it learns from what they do.
     """
 
     store: Store
     pool: Pool
     session: str
-    _waiting: list[Outcome] = field(default_factory=list)
-    _commit_waiting: Callable[[list[Outcome]], None] = field(default=lambda outcomes: None)
+    pace: Pace
+    _outcomes: list[Outcome] = field(default_factory=list)
+    _rows: list[pa.Table] = field(default_factory=list)
+    _commit_waiting: Callable[[], None] = field(default=lambda: None)
     _later: list[Callable[[], None]] = field(default_factory=list)
     _last: float = field(default_factory=time.monotonic)
 
@@ -39,12 +45,14 @@ class Collector:
         self,
         phase: str,
         table: str,
-        tasks: Iterable[Task],
-        rows_of: Callable[[Outcome], pa.Table],
+        works: Iterable[Work],
+        rows_of: Callable[[Work, Result], pa.Table],
         *,
         more_follows: bool = False,
-    ) -> Generator[Outcome]:
-        """Give outcomes as they come; about once a second, and at the end, commit their rows.
+    ) -> Generator[tuple[Work, Result]]:
+        """Have works done in tasks, and give pieces of them as they come.
+
+        About once a second, and at the end, their rows are committed.
 
         Close the iterator (`contextlib.closing`) and what has come so far is committed, whatever
         happened. If `more_follows`, another run of the same table, the last rows may wait for it:
@@ -55,14 +63,17 @@ class Collector:
         TaskError
             A task failed. What else was done is committed.
         """
-        self._commit_waiting = partial(self._commit, phase, table, rows_of)
+        self._commit_waiting = partial(self._commit, phase, table)
         try:
-            for outcome in self.pool.run(tasks):
-                self._waiting.append(outcome)
+            for outcome in self.pool.run(self._tasks(table, works)):
+                self._outcomes.append(outcome)
                 if outcome.error is not None:
                     reason = outcome.error.strip().splitlines()[-1].removeprefix("pfdist.errors.")
                     raise TaskError(f"a task of {phase} failed: {reason}", outcome.error)
-                yield outcome
+                self.pace.learn(outcome.task.work, outcome.seconds)
+                pieces = list(zip(outcome.task.work, outcome.value, strict=True))
+                self._rows += [rows_of(work, result) for work, result in pieces]
+                yield from pieces
                 if time.monotonic() - self._last >= COMMIT_SECONDS:
                     self.flush()
         except BaseException:
@@ -71,32 +82,29 @@ class Collector:
         if not more_follows:
             self.flush()
 
+    def _tasks(self, table: str, works: Iterable[Work]) -> Iterator[Task]:
+        for bundle in bundles(works, self.pace.size):
+            yield Task(f"{table}:{stream_key([astuple(work) for work in bundle]):016x}", bundle)
+
     def commit_later(self, table: str, phase: str, key: str, rows: pa.Table) -> None:
         """Commit some rows after those that wait."""
         self._later.append(partial(self.store.commit, table, phase, key, rows))
 
     def flush(self) -> None:
         """Commit what waits."""
-        waiting, self._waiting = self._waiting, []
         later, self._later = self._later, []
-        if waiting:
-            self._commit_waiting(waiting)
+        if self._outcomes:
+            self._commit_waiting()
         for commit in later:
             commit()
         self._last = time.monotonic()
 
-    def _commit(
-        self,
-        phase: str,
-        table: str,
-        rows_of: Callable[[Outcome], pa.Table],
-        outcomes: list[Outcome],
-    ) -> None:
+    def _commit(self, phase: str, table: str) -> None:
+        outcomes, self._outcomes = self._outcomes, []
+        rows, self._rows = self._rows, []
         key = f"{stream_key([outcome.task.key for outcome in outcomes]):016x}"
-        done = [outcome for outcome in outcomes if outcome.error is None]
-        if done:
-            rows = pa.concat_tables([rows_of(outcome) for outcome in done])
-            self.store.commit(table, phase, key, rows)
+        if rows:
+            self.store.commit(table, phase, key, pa.concat_tables(rows))
         self.store.commit("timings", phase, f"{key}-{self.session}", self._timings(phase, outcomes))
 
     def _timings(self, phase: str, outcomes: list[Outcome]) -> pa.Table:

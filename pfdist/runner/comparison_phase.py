@@ -11,16 +11,14 @@ from numpy.typing import NDArray
 
 from pfdist.kernels.noise import stream_key
 from pfdist.measurement_times import Times
-from pfdist.monte_carlo import TASK_STEPS, Work, cut
+from pfdist.monte_carlo import Result, Work, cut
 from pfdist.runner.build import Built
 from pfdist.runner.collect import Collector
-from pfdist.runner.pool import Outcome, Task
 from pfdist.runner.progress import Progress, Report
 from pfdist.store import ROWS_IN_A_FILE, Store, comparison_schema, trajectories_schema
 
 PHASE = "comparison"
 TRAJECTORIES = 100  # draws whose z, y and estimates are kept
-_DRAWS_AT_ONCE = 100_000  # made into tasks: memory stays flat
 
 
 def run_comparison(
@@ -58,22 +56,15 @@ def run_comparison(
     _keep_trajectories(built, work, list(sets), collector)
     schema = comparison_schema(list(sets))
 
-    def rows_of(outcome: Outcome) -> pa.Table:
-        columns = [pa.array(np.arange(*outcome.task.work.draws))]
-        columns += [pa.array(mse, from_pandas=True) for mse in outcome.value.mse.T]
+    def rows_of(piece: Work, result: Result) -> pa.Table:
+        columns = [pa.array(np.arange(*piece.draws))]
+        columns += [pa.array(mse, from_pandas=True) for mse in result.mse.T]
         return pa.Table.from_arrays(columns, schema=schema)
 
-    tasks = (
-        Task(f"{PHASE}:{first}-{last}", replace(work, draws=(first, last)))
-        for start in range(0, draws, _DRAWS_AT_ONCE)
-        for first, last in cut(
-            start + np.flatnonzero(missing[start : start + _DRAWS_AT_ONCE]),
-            built.problem.draws_of(TASK_STEPS, len(sets)),
-        )
-    )
-    with closing(collector.run(PHASE, "comparison", tasks, rows_of)) as outcomes:
-        for outcome in outcomes:
-            first, last = outcome.task.work.draws
+    works = (replace(work, draws=lacking) for lacking in cut(np.flatnonzero(missing), draws))
+    with closing(collector.run(PHASE, "comparison", works, rows_of)) as pieces:
+        for piece, _ in pieces:
+            first, last = piece.draws
             progress = replace(
                 progress,
                 done=progress.done + (last - first) * len(sets),
@@ -100,18 +91,13 @@ def _keep_trajectories(built: Built, work: Work, names: list[str], collector: Co
     missing = np.setdiff1d(np.arange(draws), store.column("trajectories", "draw"))
     _, measurements, quantities = built.problem.model.components
     schema = trajectories_schema(names, quantities, measurements)
-    largest = built.problem.draws_of(TASK_STEPS, len(names))
-    block = min(largest, -(-draws // collector.pool.workers))
-    tasks = [
-        Task(f"trajectories:{first}-{last}", replace(work, draws=(first, last), trajectories=True))
-        for first, last in cut(missing, block)
-    ]
+    works = [replace(work, draws=lacking, trajectories=True) for lacking in cut(missing, draws)]
 
-    def rows_of(outcome: Outcome) -> pa.Table:
-        return pa.table(_trajectory_columns(outcome, names), schema=schema)
+    def rows_of(piece: Work, result: Result) -> pa.Table:
+        return pa.table(_trajectory_columns(piece, result, names), schema=schema)
 
-    with closing(collector.run(PHASE, "trajectories", tasks, rows_of)) as outcomes:
-        for _ in outcomes:
+    with closing(collector.run(PHASE, "trajectories", works, rows_of)) as pieces:
+        for _ in pieces:
             pass
     if store.has_parts("trajectories", PHASE):
         rows = store.read("trajectories")
@@ -119,9 +105,8 @@ def _keep_trajectories(built: Built, work: Work, names: list[str], collector: Co
         store.publish("trajectories", PHASE, [table])
 
 
-def _trajectory_columns(outcome: Outcome, names: list[str]) -> dict[str, Any]:
-    result = outcome.value
-    first, last = outcome.task.work.draws
+def _trajectory_columns(piece: Work, result: Result, names: list[str]) -> dict[str, Any]:
+    first, last = piece.draws
     instants = result.z.shape[1]
     columns: dict[str, Any] = {
         "draw": np.repeat(np.arange(first, last), instants),

@@ -14,6 +14,7 @@ from pfdist.runner import comparison_phase
 from pfdist.runner.build import Built
 from pfdist.runner.collect import Collector
 from pfdist.runner.comparison_phase import run_comparison
+from pfdist.runner.pace import Pace
 from pfdist.runner.pool import Pool
 from pfdist.runner.progress import Progress, Report
 from pfdist.runner.search_phase import run_search
@@ -39,7 +40,8 @@ def drive(built: Built, store: Store, pool: Pool, report: Report) -> None:
     TaskError, PoolError, StoreError
         A task failed, no worker answers, or a file cannot be read or written.
     """
-    collector = Collector(store, pool, uuid.uuid4().hex[:8])
+    pace = Pace(built.problem.seconds_a_draw, pool.workers)
+    collector = Collector(store, pool, uuid.uuid4().hex[:8], pace)
     draws = built.job.evaluation.draws
     searched = [search.optimiser.evaluations * draws for search in built.searches]
     total = sum(searched) + built.job.comparison.draws * len(built.names)

@@ -8,8 +8,9 @@ import numpy as np
 from pfdist.job import Job, load_job
 from pfdist.kernels.noise import stream_key
 from pfdist.measurement_times import validated
-from pfdist.monte_carlo import TASK_STEPS, Evaluation, Work, cut
+from pfdist.monte_carlo import Evaluation, Work, cut
 from pfdist.runner.build import build
+from pfdist.runner.pace import MOST_SECONDS
 
 
 def evaluate(
@@ -50,8 +51,9 @@ def evaluate(
     problem, policy = build(job).problem, job.evaluation.degenerate_draws
     if problem.exact:
         return Evaluation(times, np.empty(0), policy, float(problem.expected_mse([times])[0]))
+    block = max(1, int(MOST_SECONDS / problem.seconds_a_draw))
     pieces = [
         problem(Work((times,), (stream,), stream, piece)).mse[:, 0]
-        for piece in cut(range(job.evaluation.draws), problem.draws_of(TASK_STEPS))
+        for piece in cut(range(job.evaluation.draws), block)
     ]
     return Evaluation(times, np.concatenate(pieces), policy)

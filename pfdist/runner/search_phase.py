@@ -1,9 +1,11 @@
 """One search: ask, evaluate what the store does not hold, commit, tell, until done."""
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -11,28 +13,32 @@ from numpy.typing import NDArray
 
 from pfdist.kernels.noise import generator, stream_key
 from pfdist.measurement_times import Times
-from pfdist.monte_carlo import TASK_STEPS, Evaluation, Work, cut
+from pfdist.monte_carlo import Evaluation, Result, Work, cut
 from pfdist.runner.build import Built, NamedSearch
 from pfdist.runner.collect import Collector
-from pfdist.runner.pool import Outcome, Task
 from pfdist.runner.progress import Progress, Report
 from pfdist.store import Store, schema
-
-LEAST_STEPS = 5_000_000  # particle-steps of a task: 7 ms, ten times what handing it over costs
-LAST_EVALUATIONS = 2  # for each worker: so many at the end of a generation
-LAST_PIECES = 4  # are cut into so many tasks each, so that no core waits long for another
 
 _EVALUATIONS_AT_ONCE = 200  # read from the store when a phase is published
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Request:
-    """An evaluation that is wanted."""
+    """An evaluation that is wanted, and what is known of it."""
 
     id: str
     times: Times
-    draws_stream: int
-    filter_stream: int
+    stream: int  # of truth and filter: their roles keep them apart
+    mse: NDArray[np.float64]
+    missing: NDArray[np.bool_]
+
+    @property
+    def key(self) -> tuple[Times, int]:
+        return self.times, self.stream
+
+    def learn(self, draws: Any, mse: Any) -> None:
+        """Take the MSE of some draws."""
+        self.mse[draws], self.missing[draws] = mse, False
 
 
 def run_search(
@@ -104,81 +110,73 @@ def _finite_costs(evaluations: Iterable[Evaluation]) -> list[float]:
 
 def _request(built: Built, name: str, generation: int, times: Times) -> _Request:
     fresh = [generation, times] if built.job.evaluation.noise == "fresh" else []
-    stream = stream_key(built.job.seed, "search", name, *fresh)
-    # One stream serves truth and filter: their roles keep them apart.
-    return _Request(built.source.evaluation_id(times, stream, stream), times, stream, stream)
+    stream, draws = stream_key(built.job.seed, "search", name, *fresh), built.job.evaluation.draws
+    id_ = built.source.evaluation_id(times, stream, stream)
+    return _Request(id_, times, stream, np.full(draws, np.nan), np.ones(draws, np.bool_))
 
 
 def _evaluate(
     built: Built, phase: str, requests: list[_Request], collector: Collector
 ) -> Iterator[Evaluation]:
     """Evaluate what was asked for, each once, taking from the store what it holds."""
-    draws, policy = built.job.evaluation.draws, built.job.evaluation.degenerate_draws
+    policy = built.job.evaluation.degenerate_draws
     if built.problem.exact:  # in no time, so that neither pool nor store is asked
         costs = built.problem.expected_mse([request.times for request in requests])
         for request, cost in zip(requests, costs, strict=True):
             yield Evaluation(request.times, np.empty(0), policy, float(cost))
         return
-    mse = {request.id: np.full(draws, np.nan) for request in requests}
-    missing = {request.id: np.ones(draws, np.bool_) for request in requests}
+    _recall(built, requests, collector)
+    wanted = {request.key: request for request in requests if request.missing.any()}
+    for request in requests:
+        if request.key not in wanted:
+            yield Evaluation(request.times, request.mse, policy)
+
+    def rows_of(work: Work, result: Result) -> pa.Table:
+        ids = [wanted[key].id for key in _keys(work)]
+        return pa.concat_tables(map(partial(_draw_rows, work.draws), ids, result.mse.T))
+
+    works = _works(list(wanted.values()))
+    run = collector.run(phase, "draws", works, rows_of, more_follows=True)
+    with closing(run) as pieces:
+        for work, result in pieces:
+            for key, mse in zip(_keys(work), result.mse.T, strict=True):
+                request = wanted[key]
+                request.learn(slice(*work.draws), mse)
+                if not request.missing.any():
+                    yield Evaluation(request.times, request.mse, policy)
+
+
+def _recall(built: Built, requests: list[_Request], collector: Collector) -> None:
+    """Learn what the store holds."""
     if built.job.evaluation.noise == "common":  # what is wanted may be what waits to be committed
         collector.flush()
-    known = collector.store.per_draw(list(mse)).to_pandas()
+    of_id, draws = {request.id: request for request in requests}, built.job.evaluation.draws
+    known = collector.store.per_draw(list(of_id)).to_pandas()
     for id_, rows in known[known["draw"] < draws].groupby("evaluation"):
-        mse[str(id_)][rows["draw"]] = rows["mse"]
-        missing[str(id_)][rows["draw"]] = False
+        of_id[str(id_)].learn(rows["draw"], rows["mse"])
 
-    def finished(request: _Request) -> Evaluation:
-        return Evaluation(request.times, mse[request.id], policy)
 
-    of_id = {request.id: request for request in requests}
+def _works(requests: list[_Request]) -> Iterator[Work]:
+    """Put together sets that lack the same draws of one stream: what they share is done once."""
+    together: dict[Any, list[_Request]] = defaultdict(list)
     for request in requests:
-        if not missing[request.id].any():
-            yield finished(of_id.pop(request.id))
-    tasks = _tasks(built, list(of_id.values()), missing, collector.pool.workers)
-    run = collector.run(phase, "draws", tasks, _draw_rows, more_follows=True)
-    with closing(run) as outcomes:
-        for outcome in outcomes:
-            first, last = outcome.task.work.draws
-            id_ = _id_of(outcome.task)
-            mse[id_][first:last] = outcome.value.mse[:, 0]
-            missing[id_][first:last] = False
-            if not missing[id_].any():
-                yield finished(of_id[id_])
+        together[request.stream, request.missing.tobytes()].append(request)
+    for (stream, _), group in together.items():
+        times, streams = tuple(request.times for request in group), (stream,) * len(group)
+        lacking = group[0].missing
+        for draws in cut(np.flatnonzero(lacking), lacking.size):
+            yield Work(times, streams, stream, draws)
 
 
-def _tasks(
-    built: Built, requests: list[_Request], missing: dict[str, NDArray[np.bool_]], workers: int
-) -> list[Task]:
-    """Cut evaluations into tasks, the last ones finer, so that the cores end together."""
-    draws = built.job.evaluation.draws
-    whole = min(draws, built.problem.draws_of(TASK_STEPS))
-    least = built.problem.draws_of(LEAST_STEPS)
-    pieces = max(LAST_PIECES, -(-LAST_PIECES * workers // max(1, len(requests))))
-    fine = min(whole, max(-(-draws // pieces), least))
-    tail = len(requests) - LAST_EVALUATIONS * workers
-    return [
-        Task(
-            f"{request.id}:{first}-{last}",
-            Work((request.times,), (request.filter_stream,), request.draws_stream, (first, last)),
-        )
-        for position, request in enumerate(requests)
-        for first, last in cut(
-            np.flatnonzero(missing[request.id]).tolist(), whole if position < tail else fine
-        )
-    ]
+def _keys(work: Work) -> list[tuple[Times, int]]:
+    return list(zip(work.measurement_times, work.filter_streams, strict=True))
 
 
-def _id_of(task: Task) -> str:
-    return task.key.partition(":")[0]
-
-
-def _draw_rows(outcome: Outcome) -> pa.Table:
-    first, last = outcome.task.work.draws
+def _draw_rows(draws: tuple[int, int], id_: str, mse: NDArray[np.float64]) -> pa.Table:
     columns = [
-        pa.array([_id_of(outcome.task)] * (last - first), pa.string()),
-        pa.array(np.arange(first, last)),
-        pa.array(outcome.value.mse[:, 0], from_pandas=True),
+        pa.array([id_] * mse.size, pa.string()),
+        pa.array(np.arange(*draws)),
+        pa.array(mse, from_pandas=True),
     ]
     return pa.Table.from_arrays(columns, schema=schema("draws"))
 

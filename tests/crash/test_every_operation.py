@@ -9,7 +9,8 @@ import pytest
 import pfdist
 from oracles.bytes_of import hashes
 from pfdist import Job
-from pfdist.runner import collect, comparison_phase, search_phase
+from pfdist.runner import collect, comparison_phase
+from pfdist.runner.pace import Pace
 from pfdist.store import files, parquet
 
 CHANGES = [
@@ -55,9 +56,8 @@ class Operations:
 @pytest.fixture
 def operations(monkeypatch: pytest.MonkeyPatch) -> Operations:
     monkeypatch.setattr(collect, "COMMIT_SECONDS", 0.0)
-    monkeypatch.setattr(comparison_phase, "TASK_STEPS", 13 * 40 * 3 * 30)
+    monkeypatch.setattr(Pace, "size", lambda pace, remaining: 90)
     monkeypatch.setattr(comparison_phase, "TRAJECTORIES", 30)
-    monkeypatch.setattr(search_phase, "TASK_STEPS", 13 * 40 * 25)
     monkeypatch.setitem(parquet.ROWS_IN_A_FILE, "comparison", 50)
     monkeypatch.setitem(parquet.ROWS_IN_A_FILE, "draws", 100)
     # Figures are drawn at the end, from the tables: their names are enough here.

@@ -13,7 +13,8 @@ from oracles.bytes_of import hashes
 from pfdist import Job, load_job
 from pfdist.errors import JobError, PfdistError, RunMismatchError, SearchError, TaskError
 from pfdist.monte_carlo import Problem, Work
-from pfdist.runner import collect, comparison_phase
+from pfdist.runner import collect
+from pfdist.runner.pace import Pace
 from pfdist.runner.pool import Outcome, SerialPool
 from pfdist.store import parquet
 
@@ -28,8 +29,7 @@ def count_draws(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
     def counting(self: SerialPool, tasks: Any) -> Iterator[Outcome]:
         for outcome in do(self, tasks):
-            first, last = outcome.task.work.draws
-            counted.append((last - first) * len(outcome.task.work.measurement_times))
+            counted.append(sum(work.filtered for work in outcome.task.work))
             yield outcome
 
     monkeypatch.setattr(SerialPool, "run", counting)
@@ -98,7 +98,7 @@ def test_a_run_that_failed_goes_on_with_what_is_committed_and_ends_with_the_same
     monkeypatch: pytest.MonkeyPatch,
     count_draws: list[int],
 ) -> None:
-    monkeypatch.setattr(comparison_phase, "TASK_STEPS", 13 * 40 * 3 * 20)  # 20 draws a task
+    monkeypatch.setattr(Pace, "size", lambda pace, remaining: 60)  # 2 evaluations, 20 draws
     monkeypatch.setattr(collect, "COMMIT_SECONDS", 0.0)  # each task is committed
     whole = pfdist.run(small_job, tmp_path / "whole")
     needed = sum(count_draws)
@@ -278,7 +278,7 @@ def test_trajectories_committed_out_of_order_are_completed(
     small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = pfdist.run(small_job, tmp_path / "whole")
-    monkeypatch.setattr(comparison_phase, "TASK_STEPS", 13 * 40 * 3 * 10)  # 10 draws a task
+    monkeypatch.setattr(Pace, "size", lambda pace, remaining: 30)  # 10 draws with 3 sets
     do = SerialPool.run
 
     def backwards_and_killed(self: SerialPool, tasks: Any) -> Iterator[Outcome]:

@@ -1,0 +1,84 @@
+"""Cut work into tasks: long ones while there is much to do, short ones at the end.
+
+What is handed out is a share of what remains, so that all workers end together, whatever their
+number and speed; but never more than a fraction of a second, which is what a kill loses, and
+never so little that handing it over costs more than doing it. The speed is learnt as tasks end.
+
+References
+----------
+Polychronopoulos, Kuck, "Guided self-scheduling: a practical scheduling scheme for parallel
+supercomputers", IEEE Transactions on Computers 36, 1987.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+
+from pfdist.monte_carlo import Work
+
+MOST_SECONDS = 0.3
+LEAST_SECONDS = 0.01  # ten times what handing a task over costs
+_SHARE = 4  # of what remains, a worker's share is cut into so many tasks
+
+
+@dataclass
+class Pace:
+    """How long a filter takes for a draw, as far as is known.
+
+    Parameters
+    ----------
+    seconds : float
+        The first guess.
+    workers : int
+    """
+
+    seconds: float
+    workers: int
+
+    def learn(self, works: Iterable[Work], seconds: float) -> None:
+        """Learn from a task that took so long."""
+        filtered = sum(work.filtered for work in works)
+        if filtered:
+            self.seconds = (self.seconds + seconds / filtered) / 2
+
+    def size(self, remaining: int) -> int:
+        """How many draws to filter in the next task, of so many that remain."""
+        share = remaining * self.seconds / (_SHARE * self.workers)
+        return max(1, round(min(MOST_SECONDS, max(LEAST_SECONDS, share)) / self.seconds))
+
+
+def bundles(works: Iterable[Work], size: Callable[[int], int]) -> Iterator[tuple[Work, ...]]:
+    """Cut works between their draws, and bundle them, as they are asked for.
+
+    Parameters
+    ----------
+    works : iterable of Work
+    size : callable
+        How many draws to filter in the next bundle, of so many that remain.
+
+    Yields
+    ------
+    tuple of Work
+        About so many, but one draw at least.
+
+    Examples
+    --------
+    >>> works = [Work(((0, 3),), (1,), 1, (0, 5)), Work(((1, 2),), (2,), 2, (0, 2))]
+    >>> [[work.draws for work in bundle] for bundle in bundles(works, lambda remaining: 4)]
+    [[(0, 4)], [(4, 5), (0, 2)]]
+    """
+    waiting = list(works)
+    remaining = sum(work.filtered for work in waiting)
+    bundle: list[Work] = []
+    room = size(remaining)
+    for work in waiting:
+        first, last = work.draws
+        while first < last:
+            end = min(last, first + max(1, room // len(work.measurement_times)))
+            bundle.append(replace(work, draws=(first, end)))
+            first, room = end, room - bundle[-1].filtered
+            if room < len(work.measurement_times):
+                yield tuple(bundle)
+                remaining -= sum(piece.filtered for piece in bundle)
+                bundle, room = [], size(remaining)
+    if bundle:
+        yield tuple(bundle)

@@ -1,0 +1,64 @@
+"""Work is cut into tasks that fit: nothing is lost, and none is too long or too short."""
+
+import numpy as np
+import pytest
+
+from pfdist.monte_carlo import Work
+from pfdist.runner.pace import LEAST_SECONDS, MOST_SECONDS, Pace, bundles
+
+
+def work(sets: int, first: int, last: int, stream: int = 0) -> Work:
+    times = tuple((0, 1 + one) for one in range(sets))
+    return Work(times, tuple(range(sets)), stream, (first, last))
+
+
+@pytest.mark.parametrize("size", [1, 2, 7, 50, 1000])
+def test_every_draw_is_handed_out_once_in_its_order(size: int) -> None:
+    works = [work(1, 0, 40, 1), work(3, 5, 30, 2), work(60, 0, 2, 3), work(1, 7, 8, 4)]
+    handed = [piece for bundle in bundles(works, lambda remaining: size) for piece in bundle]
+    for one in works:
+        its = [piece for piece in handed if piece.draws_stream == one.draws_stream]
+        assert [draw for piece in its for draw in range(*piece.draws)] == [*range(*one.draws)]
+        assert {piece.measurement_times for piece in its} == {one.measurement_times}
+
+
+def test_a_bundle_is_as_large_as_it_may_be() -> None:
+    sizes = [
+        sum(piece.filtered for piece in bundle)
+        for bundle in bundles([work(3, 0, 100), work(1, 0, 100)], lambda remaining: 10)
+    ]
+    assert max(sizes) <= 10
+    assert min(sizes[:-1]) > 10 - 3  # another draw of three sets did not fit
+
+
+def test_what_remains_is_told_and_falls_to_nothing() -> None:
+    told: list[int] = []
+
+    def size(remaining: int) -> int:
+        told.append(remaining)
+        return max(1, remaining // 2)
+
+    assert list(bundles([work(1, 0, 100)], size))
+    assert told == [100, 50, 25, 13, 7, 4, 2, 1, 0]
+
+
+@pytest.mark.parametrize("workers", [1, 2, 64])
+def test_workers_end_together(workers: int) -> None:
+    """The next task goes to whoever is free: simulate it, and count the idle time at the end."""
+    pace = Pace(1e-4, workers)
+    free_at = np.zeros(workers)
+    for bundle in bundles([work(1, 0, 1_000_000)], pace.size):
+        seconds = 1e-4 * sum(piece.filtered for piece in bundle)
+        assert LEAST_SECONDS / 2 < seconds <= 1.01 * MOST_SECONDS or free_at.sum() > 99
+        free_at[free_at.argmin()] += seconds
+    assert np.ptp(free_at) <= 2 * LEAST_SECONDS
+    assert free_at.sum() == pytest.approx(100)
+
+
+def test_the_pace_is_learnt() -> None:
+    pace = Pace(1.0, 2)
+    for _ in range(40):
+        pace.learn([work(2, 0, 50)], 0.2)
+    assert pace.seconds == pytest.approx(0.002)
+    assert pace.size(10**9) == pytest.approx(MOST_SECONDS / 0.002)
+    assert Pace(5.0, 2).size(100) == 1
