@@ -18,7 +18,7 @@ DEGENERATE = replace(
 )
 INFINITE = replace(
     load_model("ungm"),
-    quantity_of_interest=lambda x, t, p: (where(abs(x[0]) > 18.0, math.inf, x[0]),),
+    quantity_of_interest=lambda x, t, p: (where(abs(x[0]) > 22.0, math.inf, x[0]),),
 )
 
 
