@@ -8,13 +8,18 @@ from pathlib import Path
 
 import matplotlib as mpl
 
-from benchmarks import kernel, peers, scaling
+from benchmarks import kernel, peers, prefixes, scaling
 from benchmarks.machine import provenance
 from benchmarks.peers import PeerDisagreesError
 from benchmarks.results import Benchmark, save, write_readme
 
 # Peers come last: JAX leaves threads behind, which a process that starts others should not have.
-BENCHMARKS: dict[str, Benchmark] = {"kernel": kernel, "scaling": scaling, "peers": peers}
+BENCHMARKS: dict[str, Benchmark] = {
+    "kernel": kernel,
+    "prefixes": prefixes,
+    "scaling": scaling,
+    "peers": peers,
+}
 FOLDER = Path(__file__).parent / "results"
 
 

@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 from pfdist.monte_carlo import Work
 
 MOST_SECONDS = 0.3
-LEAST_SECONDS = 0.01  # ten times what handing a task over costs
-_SHARE = 4  # of what remains, a worker's share is cut into so many tasks
+LEAST_SECONDS = 0.015  # ten times what handing a task over costs
+_SHARE = 2  # of what remains, so many tasks for each worker: two are in its hands at any time
 
 
 @dataclass

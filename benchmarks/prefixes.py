@@ -1,0 +1,139 @@
+"""What is saved where sets that are evaluated under the same noise agree up to some time.
+
+The sets are those of real searches with ``evaluation.noise = "common"``: each generation's new
+ones are filtered together, as the search does, and one by one.
+"""
+
+import tempfile
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from benchmarks.measure import Say, one_core, take_turns
+from benchmarks.results import Tables, markdown
+from pfdist import load_job, load_model, run
+from pfdist.draws import Draws, simulate
+from pfdist.kernels.fused_filter import prefix_tree
+from pfdist.measurement_times import Times
+from pfdist.particle_filter import filter_draws, filter_sets
+from pfdist.plots.style import COLUMN_INCHES, GREY, SERIES
+
+TITLE = "Prefixes"
+TABLES: tuple[str, ...] = ("prefixes",)
+
+JOB = Path(__file__).parents[1] / "jobs" / "paper.toml"
+EVERY = 4  # generations: so many are timed
+DRAWS = 50
+REPEATS = 5
+
+
+def measure(quick: bool, say: Say) -> Tables:
+    """Run the paper's two searches with common noise, and filter their generations both ways.
+
+    Parameters
+    ----------
+    quick : bool
+        A small search, two repeats.
+    say : callable
+        Is told how far it is.
+
+    Returns
+    -------
+    dict of DataFrames
+        prefixes: a row a search and generation, with sets, steps (the share of particle-steps that
+        remains) and time (the share of processor time).
+    """
+    changes = ["evaluation.noise='common'", "comparison.draws=2"]
+    if quick:
+        changes += ["search.genetic.generations=2", "search.random.evaluations=60"]
+        changes += ["evaluation.draws=20"]
+    job = load_job(JOB, changes)
+    with tempfile.TemporaryDirectory(prefix="run-") as folder:
+        evaluations = run(job, results=folder, pool="serial").evaluations()
+    say(f"{len(evaluations)} evaluations")
+    evaluations = evaluations.drop_duplicates("evaluation")  # what came back was not done again
+    horizon, particles = job.problem.horizon, job.filter.particles
+    draws = simulate(load_model("ungm"), horizon, range(DRAWS), stream=1)
+    evaluations = evaluations[evaluations["generation"] % EVERY == 0]
+    generations: dict[Any, list[Times]] = {
+        key: [tuple(times) for times in of["measurement_times"]]
+        for key, of in evaluations.groupby(["phase", "generation"])
+    }
+    functions: dict[Any, Callable[[], object]] = {}
+    for key, sets in generations.items():
+        functions["alone", key] = partial(_one_by_one, draws, sets, particles)
+        functions["together", key] = partial(filter_sets, draws.model, draws, sets, particles, 2)
+    with one_core():
+        timings = take_turns(functions, 2 if quick else REPEATS, say)
+    rows = [
+        {
+            "search": key[0],
+            "generation": key[1],
+            "sets": len(sets),
+            "steps": _share_of_steps(sets, horizon),
+            "time": min(timings["together", key].processor) / min(timings["alone", key].processor),
+        }
+        for key, sets in generations.items()
+    ]
+    return {"prefixes": pd.DataFrame(rows)}
+
+
+def _one_by_one(draws: Draws, sets: list[Times], particles: int) -> None:
+    for times in sets:
+        filter_draws(draws.model, draws, times, particles, 2)
+
+
+def _share_of_steps(sets: list[Times], horizon: int) -> float:
+    measured = np.zeros((len(sets), horizon + 1), np.bool_)
+    for row, times in zip(measured, sets, strict=True):
+        row[list(times)] = True
+    (_, shared, _), _ = prefix_tree(measured)
+    return float((horizon + 1 - shared).sum() / measured.size)
+
+
+def summary(tables: Tables) -> str:
+    """Say in Markdown what remains of the work."""
+    rows = tables["prefixes"]
+    lines = [
+        [str(search), f"{of['sets'].mean():.0f}", *(_of_all(of, what) for what in ("steps", "time"))]
+        for search, of in rows.groupby("search")
+    ]
+    header = ["search", "sets a generation", "particle-steps that remain", "time that remains"]
+    return (
+        "The paper's searches under common noise: each generation's new sets, filtered together, "
+        "against the same one by one (which gives the same bits).\n\n" + markdown(header, lines)
+    )
+
+
+def _of_all(rows: pd.DataFrame, what: str) -> str:
+    return f"{np.average(rows[what], weights=rows['sets']):.0%}"
+
+
+def plot(tables: Tables) -> Figure:
+    """Draw the time that remains, generation by generation."""
+    rows = tables["prefixes"]
+    figure = Figure(figsize=(COLUMN_INCHES, 0.8 * COLUMN_INCHES), layout="constrained")
+    axes = figure.subplots()
+    for colour, (search, of) in zip(SERIES, rows.groupby("search"), strict=False):
+        axes.plot(
+            of["generation"], 100 * of["steps"], color=colour, ls=":", label=f"{search}, steps"
+        )
+        axes.plot(
+            of["generation"],
+            100 * of["time"],
+            color=colour,
+            marker="o",
+            ms=3,
+            label=f"{search}, time",
+        )
+    axes.axhline(100, color=GREY, lw=0.6, ls=":")
+    axes.set_ylim(0, 115)
+    axes.set_xlabel("generation")
+    axes.set_ylabel("what remains, %")
+    axes.legend()
+    return figure
