@@ -1,9 +1,12 @@
-"""What every model that ships must do."""
+"""What every model that ships must do, and every job file."""
+
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from pfdist import load_model, plain
+import pfdist
+from pfdist import load_job, load_model, plain
 from pfdist.draws import simulate
 from pfdist.measurement_times import regular
 from pfdist.models import installed_models
@@ -11,6 +14,7 @@ from pfdist.particle_filter import filter_draws
 from pfdist.runner.check_model import check_model
 
 SHIPPED = sorted(name for name, (module, _) in installed_models().items() if "pfdist." in module)
+JOBS = sorted((Path(__file__).parents[2] / "jobs").glob("*.toml"))
 BELIEVED = {"tumour": {"frequency_sd": 0.005}}  # by the filter, where that is not the truth
 
 
@@ -31,3 +35,24 @@ def test_check_model_finds_nothing_wrong(name: str) -> None:
     checks = list(check_model(name, horizon=30, particles=100))
     assert [check for check in checks if check.state == "wrong"] == []
     assert checks[-1].name == "an evaluation"
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_there_is_a_job_of_it(name: str) -> None:
+    assert name in {load_job(path).model.name for path in JOBS}
+
+
+@pytest.mark.parametrize("path", JOBS, ids=[path.stem for path in JOBS])
+def test_a_job_is_evaluated_and_runs(path: Path, tmp_path: Path) -> None:
+    small = {"population": 4, "generations": 2, "evaluations": 4}
+    job = load_job(path, ["comparison.draws=50", "evaluation.draws=20", "filter.particles=50"])
+    job = job.with_changes(
+        f"search.{search.name}.{key}={small[key]}"
+        for search in job.search
+        for key in small.keys() & search.settings.keys()
+    )
+    times = regular(job.problem.horizon, job.problem.measurement_budget)
+    assert 0 < pfdist.evaluate(job, times).expected_mse < np.inf
+    run = pfdist.run(job, tmp_path / "run", pool="serial")
+    assert run.state == "finished"
+    assert np.isfinite(run.comparison()).all(axis=None)
