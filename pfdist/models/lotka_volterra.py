@@ -1,0 +1,97 @@
+"""Predators and their prey: a stochastic Lotka-Volterra system by its diffusion approximation.
+
+Three things happen: a prey is born, at the rate birth * prey; a prey is eaten and a predator born,
+at predation * prey * predator; a predator dies, at death * predator. In a short time the number of
+times that each happens is about normal, with mean and variance the rate times that time: the
+chemical Langevin equation. Between two instants, `step` units of time apart, SUBSTEPS such short
+times pass (Euler-Maruyama). Where there are few this approximation fails, so neither population
+falls below one: the last of a species does not die.
+
+The prey alone is counted, in logarithms with normal noise, and the logarithms of both populations
+are wanted: so an error of a tenth counts the same when there are few as when there are many, and
+not the peaks alone. The rates and the first populations are those of Boys et al.; here each first
+population is known to a tenth.
+
+References
+----------
+Boys, Wilkinson, Kirkwood, "Bayesian inference for a discretely observed stochastic kinetic model",
+Statistics and Computing 18, 2008. Golightly, Wilkinson, "Bayesian parameter inference for
+stochastic biochemical network models using particle Markov chain Monte Carlo", Interface Focus 1,
+2011.
+"""
+
+import math
+
+import numpy as np
+
+from pfdist.models.base import StateSpaceModel
+
+SUBSTEPS = 10  # between two instants
+PREY, PREDATORS = 71.0, 79.0  # at first
+FEWEST = 1.0
+
+
+def initial(w, p):
+    return (
+        np.maximum(PREY * np.exp(p.initial_sd * w[0]), FEWEST),
+        np.maximum(PREDATORS * np.exp(p.initial_sd * w[1]), FEWEST),
+    )
+
+
+def happened(mean, w):  # how many times, the normal in place of a Poisson number
+    return mean + np.sqrt(mean) * w
+
+
+def transition(x, t, w, p):
+    prey, predators = x
+    h = p.step / SUBSTEPS
+    for k in range(SUBSTEPS):
+        born = happened(h * p.birth * prey, w[3 * k])
+        eaten = happened(h * p.predation * prey * predators, w[3 * k + 1])
+        died = happened(h * p.death * predators, w[3 * k + 2])
+        prey = np.maximum(prey + born - eaten, FEWEST)
+        predators = np.maximum(predators + eaten - died, FEWEST)
+    return (prey, predators)
+
+
+def measurement(x, t, v, p):
+    return (np.log(x[0]) + p.measurement_sd * v[0],)
+
+
+def log_likelihood(y, x, t, p):
+    return -0.5 * ((y[0] - np.log(x[0])) / p.measurement_sd) ** 2
+
+
+def quantity_of_interest(x, t, p):
+    return (np.log(x[0]), np.log(x[1]))
+
+
+NOT_NEGATIVE = (0.0, math.inf)
+
+model = StateSpaceModel(
+    name="lotka_volterra",
+    initial=initial,
+    transition=transition,
+    measurement=measurement,
+    log_likelihood=log_likelihood,
+    quantity_of_interest=quantity_of_interest,
+    initial_noise=("normal", "normal"),
+    process_noise=("normal",) * (3 * SUBSTEPS),
+    measurement_noise=("normal",),
+    parameters={
+        "birth": 0.5,
+        "predation": 0.0025,
+        "death": 0.3,
+        "step": 1.0,
+        "initial_sd": 0.1,
+        "measurement_sd": 0.1,
+    },
+    parameter_ranges={
+        "birth": NOT_NEGATIVE,
+        "predation": NOT_NEGATIVE,
+        "death": NOT_NEGATIVE,
+        "step": NOT_NEGATIVE,
+        "initial_sd": NOT_NEGATIVE,
+        "measurement_sd": (1e-9, math.inf),
+    },
+)

@@ -1,0 +1,111 @@
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.integrate import solve_ivp
+
+from pfdist.draws import simulate
+from pfdist.errors import ModelError
+from pfdist.measurement_times import regular
+from pfdist.models import find_model
+from pfdist.particle_filter import filter_draws
+
+MODEL = find_model("lorenz63").load()
+SIGMA, RHO, BETA = 10.0, 28.0, 8 / 3
+SUBSTEPS = 10
+START = np.array([1.508870, -1.531271, 25.46091])
+
+
+def velocity(x):  # Lorenz 1963, equations 25 to 27
+    a, b, c = x
+    return np.array([SIGMA * (b - a), RHO * a - b - a * c, a * b - BETA * c])
+
+
+def assert_mean(values, expected):  # of independent values, within 4.5 standard errors
+    assert abs(values.mean() - expected) < 4.5 * values.std() / np.sqrt(values.size)
+
+
+def after(time, x, transitions):
+    """The state that much later without noise, by so many transitions."""
+    p = MODEL.with_parameters({"step": time / transitions}).p
+    for _ in range(transitions):
+        x = MODEL.transition(x, 0, (0.0,) * 3 * SUBSTEPS, p)
+    return np.array(x)
+
+
+def test_a_transition_is_ten_euler_maruyama_steps():
+    p = MODEL.with_parameters({"step": 0.08, "diffusion": 3.0}).p
+    w = np.random.default_rng(1).standard_normal((SUBSTEPS, 3))
+    x = START
+    for pushed in w:
+        x = x + 0.008 * velocity(x) + 3 * np.sqrt(0.008) * pushed
+    following = MODEL.transition(tuple(START), 5, tuple(w.ravel()), p)
+    assert following == pytest.approx(tuple(x), rel=1e-12)
+
+
+@pytest.mark.parametrize("x", [(0.0, 0.0, 0.0), (9.0, 9.0, 27.0), (-9.0, -9.0, 27.0)])
+def test_the_fixed_points_stay_where_they_are(x):  # +-sqrt(beta (rho - 1)), rho - 1
+    p = MODEL.with_parameters({"beta": 3.0}).p
+    assert MODEL.transition(x, 0, (0.0,) * 3 * SUBSTEPS, p) == x
+
+
+def test_without_noise_it_approaches_the_equations_solution_in_the_first_order():
+    exact = solve_ivp(lambda _, x: velocity(x), (0, 0.5), START, "DOP853", rtol=1e-12, atol=1e-12)
+    errors = [np.abs(after(0.5, START, n) - exact.y[:, -1]) for n in (40, 80, 160)]
+    # An error c h + d h^2: the ratio at half the step is 2 + O(h), and the O(h) is halved as well.
+    first, second = errors[0] / errors[1] - 2, errors[1] / errors[2] - 2
+    assert (np.abs(second) < 0.1).all()
+    np.testing.assert_allclose(first / second, 2, atol=0.3)
+
+
+def test_simulated_draws_have_the_moments_of_the_start_and_of_a_short_step():
+    step, diffusion = 1e-6, 2.0
+    short = MODEL.with_parameters({"step": step, "diffusion": diffusion})
+    draws = simulate(short, 1, range(100_000), 5)
+    before, later = draws.x[:, 0].T, draws.x[:, 1].T
+    pushed = (later - before - step * velocity(before)) / (diffusion * np.sqrt(step))
+    for noise in ((before - START[:, None]) / np.sqrt(2), pushed):
+        for i, j in np.ndindex(3, 3):
+            assert_mean(noise[i], 0.0)
+            assert_mean(noise[i] * noise[j], float(i == j))
+
+
+def test_simulated_draws_have_the_stationary_moments_of_the_chain():
+    # After a substep the means of c and of a^2 are what they were, so with h the substep's length
+    # E[ab] = beta E[c] and 2 sigma E[a^2 - ab] = h sigma^2 E[(b - a)^2] + diffusion^2.
+    model = MODEL.with_parameters({"diffusion": 3.0})
+    a, b, c = simulate(model, 300, range(4000), 5).x[:, 150:].transpose(2, 0, 1)
+    assert_mean(np.mean(a * b - BETA * c, axis=1), 0.0)
+    gained = 0.01 * SIGMA**2 * (b - a) ** 2 + 3.0**2
+    assert_mean(np.mean(2 * SIGMA * a * (a - b) - gained, axis=1), 0.0)
+
+
+@pytest.mark.parametrize("y", [-9.0, 0.0, 3.5])
+def test_log_likelihood_is_that_of_the_measurement_up_to_a_constant(y):
+    x = np.linspace(-20, 20, 101)
+    exact = stats.norm.logpdf(y, loc=x, scale=np.sqrt(2))
+    # Rounding of values up to 0.25 * 29^2 = 210.
+    assert np.ptp(MODEL.log_likelihood((y,), (x, 0.0, 0.0), 3, MODEL.p) - exact) < 1e-11
+
+
+def test_the_first_component_is_measured_and_the_state_is_wanted():
+    x = (1.0, 2.0, 3.0)
+    assert MODEL.measurement(x, 4, (-2.0,), MODEL.p) == pytest.approx((1 - 2 * np.sqrt(2),))
+    assert MODEL.quantity_of_interest(x, 4, MODEL.p) == x
+
+
+def test_measurements_help():
+    draws = simulate(MODEL, 30, range(1000), 1)
+    nothing, some, everything = (
+        filter_draws(MODEL, draws, times, 500, 1).mse for times in ((), regular(30, 6), range(31))
+    )
+    for worse, better in ((nothing, some), (some, everything)):
+        gain = worse - better
+        assert gain.mean() > 4.5 * gain.std() / np.sqrt(gain.size)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("step", 0.3), ("diffusion", -0.1), ("measurement_sd", 0.0)]
+)
+def test_a_parameter_has_its_range(name, value):
+    with pytest.raises(ModelError, match=f"{name}.*got {value}"):
+        MODEL.with_parameters({name: value})

@@ -1,0 +1,147 @@
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.integrate import solve_ivp
+
+from pfdist.draws import simulate
+from pfdist.errors import ModelError
+from pfdist.measurement_times import regular
+from pfdist.models import find_model
+from pfdist.particle_filter import filter_draws
+
+MODEL = find_model("lotka_volterra").load()
+BIRTH, PREDATION, DEATH = 0.5, 0.0025, 0.3
+SUBSTEPS = 10
+START = np.array([71.0, 79.0])
+STOICHIOMETRY = np.array([[1, -1, 0], [0, 1, -1]])  # of a birth, a meal and a death
+SILENT = (0.0,) * 3 * SUBSTEPS
+
+
+def rates(x):
+    return np.array([BIRTH * x[0], PREDATION * x[0] * x[1], DEATH * x[1]])
+
+
+def conserved(x):
+    return PREDATION * (x[0] + x[1]) - DEATH * np.log(x[0]) - BIRTH * np.log(x[1])
+
+
+def assert_mean(values, expected):  # of independent values, within 4.5 standard errors
+    assert abs(values.mean() - expected) < 4.5 * values.std() / np.sqrt(values.size)
+
+
+def after(time, x, transitions):
+    """The populations that much later without noise, by so many transitions."""
+    p = MODEL.with_parameters({"step": time / transitions}).p
+    for _ in range(transitions):
+        x = MODEL.transition(x, 0, SILENT, p)
+    return np.array(x)
+
+
+def test_a_transition_is_ten_euler_maruyama_steps_of_the_chemical_langevin_equation():
+    p = MODEL.with_parameters({"step": 2.0}).p
+    w = np.random.default_rng(1).standard_normal((SUBSTEPS, 3))
+    x = START
+    for one in w:
+        x = x + STOICHIOMETRY @ (0.2 * rates(x) + np.sqrt(0.2 * rates(x)) * one)
+    following = MODEL.transition(tuple(START), 5, tuple(w.ravel()), p)
+    assert following == pytest.approx(tuple(x), rel=1e-12)
+
+
+def test_the_equilibrium_stays_where_it_is():
+    x = (DEATH / PREDATION, BIRTH / PREDATION)
+    assert MODEL.transition(x, 0, SILENT, MODEL.p) == pytest.approx(x, rel=1e-12)
+
+
+def assert_first_order(errors):
+    # An error c h + d h^2: the ratio at half the step is 2 + O(h), and the O(h) is halved as well.
+    first, second = errors[0] / errors[1] - 2, errors[1] / errors[2] - 2
+    assert (np.abs(second) < 0.1).all()
+    np.testing.assert_allclose(first / second, 2, atol=0.3)
+
+
+def test_without_noise_it_approaches_the_equations_solution_in_the_first_order():
+    exact = solve_ivp(
+        lambda _, x: STOICHIOMETRY @ rates(x), (0, 10), START, "DOP853", rtol=1e-12, atol=1e-12
+    )
+    assert_first_order([np.abs(after(10, START, n) - exact.y[:, -1]) for n in (50, 100, 200)])
+
+
+def test_without_noise_volterras_integral_is_conserved_up_to_the_first_order():
+    before = conserved(START)
+    assert_first_order([abs(conserved(after(20, START, n)) - before) for n in (200, 400, 800)])
+
+
+def test_simulated_draws_have_the_covariance_of_births_meals_and_deaths():
+    step = 1e-6
+    short = MODEL.with_parameters({"step": step, "initial_sd": 0.0})
+    draws = simulate(short, 1, range(100_000), 5)
+    np.testing.assert_allclose(draws.x[:, 0], np.broadcast_to(START, (100_000, 2)), rtol=1e-12)
+    changed = (draws.x[:, 1] - START - step * (STOICHIOMETRY @ rates(START))).T / np.sqrt(step)
+    covariance = STOICHIOMETRY @ np.diag(rates(START)) @ STOICHIOMETRY.T
+    for i, j in np.ndindex(2, 2):
+        assert_mean(changed[i], 0.0)
+        assert_mean(changed[i] * changed[j], covariance[i, j])
+
+
+def test_without_predation_draws_have_the_moments_of_births_and_of_deaths():
+    # With g = 1 + rate h a substep of length h makes of a mean m and a variance v the mean g m and
+    # the variance g^2 v + |rate| h m:
+    # after n, m = g^n x and v = |rate| h x g^(n-1) (g^n - 1) / (g - 1).
+    alone = MODEL.with_parameters({"predation": 0.0, "initial_sd": 0.0})
+    populations = simulate(alone, 3, range(100_000), 5).x[:, 3].T
+    for start, rate, population in zip(START, (BIRTH, -DEATH), populations, strict=True):
+        growth = 1 + rate / SUBSTEPS
+        mean = start * growth**30
+        variance = start * growth**29 * (growth**30 - 1) * np.sign(rate)
+        assert_mean(population, mean)
+        assert_mean((population - mean) ** 2, variance)
+
+
+def test_a_population_does_not_fall_below_one():
+    few = MODEL.transition((1.5, 1.2), 0, (-9.0, 9.0, 9.0) * SUBSTEPS, MODEL.p)
+    assert few[0] == 1.0
+    assert MODEL.transition((1.5, 1.2), 0, (-9.0, -9.0, 9.0) * SUBSTEPS, MODEL.p)[1] == 1.0
+    wide = MODEL.with_parameters({"initial_sd": 9.0}).p
+    assert MODEL.initial((-9.0, -9.0), wide) == (1.0, 1.0)
+
+
+def test_the_first_populations_have_log_normal_moments():
+    sd = 0.5
+    draws = simulate(MODEL.with_parameters({"initial_sd": sd}), 1, range(100_000), 5)
+    for start, population in zip(START, draws.x[:, 0].T, strict=True):
+        assert_mean(np.log(population), np.log(start))
+        assert_mean((np.log(population) - np.log(start)) ** 2, sd**2)
+        assert_mean(population, start * np.exp(sd**2 / 2))
+
+
+def test_the_logarithm_of_the_prey_is_measured_and_both_are_wanted():
+    x = (np.exp(3.0), np.exp(5.0))
+    assert MODEL.measurement(x, 4, (-2.0,), MODEL.p) == pytest.approx((3 - 2 * 0.1,), rel=1e-12)
+    assert MODEL.quantity_of_interest(x, 4, MODEL.p) == pytest.approx((3.0, 5.0), rel=1e-12)
+
+
+@pytest.mark.parametrize("count", [1.0, 30.0, 300.0])
+def test_log_likelihood_is_that_of_a_log_normal_count_up_to_a_constant(count):
+    prey = np.geomspace(1, 1000, 101)
+    exact = stats.lognorm.logpdf(count, 0.1, scale=prey)
+    value = MODEL.log_likelihood((np.log(count),), (prey, 50.0), 3, MODEL.p)
+    # Rounding of values up to 0.5 * (log(1000) / 0.1)^2 = 2400.
+    assert np.ptp(value - exact) < 1e-11
+
+
+def test_measurements_help():
+    draws = simulate(MODEL, 30, range(1000), 1)
+    nothing, some, everything = (
+        filter_draws(MODEL, draws, times, 500, 1).mse for times in ((), regular(30, 5), range(31))
+    )
+    for worse, better in ((nothing, some), (some, everything)):
+        gain = worse - better
+        assert gain.mean() > 4.5 * gain.std() / np.sqrt(gain.size)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("birth", -0.5), ("step", -1.0), ("measurement_sd", 0.0)]
+)
+def test_a_parameter_has_its_range(name, value):
+    with pytest.raises(ModelError, match=f"{name}.*got {value}"):
+        MODEL.with_parameters({name: value})

@@ -1,0 +1,185 @@
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.linalg import cholesky, expm
+
+from oracles.kalman import LinearGaussian, kalman_filter, riccati_cost
+from pfdist.draws import simulate
+from pfdist.errors import ModelError
+from pfdist.measurement_times import regular
+from pfdist.models import find_model
+from pfdist.particle_filter import filter_draws
+
+MODEL = find_model("xray_tumour").load()
+PACE = 2 * math.pi / 4.0  # radians a second
+SD = np.array([2.0, 5.0, 3.0])  # mm: lateral, longitudinal, vertical
+STATIONARY = np.kron(np.diag([1, PACE**2]), np.diag(SD**2))
+REST = (0.0, 0.0, 0.0)
+
+
+def assert_mean(values, expected):  # of independent values, within 4.5 standard errors
+    assert abs(values.mean() - expected) < 4.5 * values.std() / np.sqrt(values.size)
+
+
+def exact_step(damping, step):
+    """Matrix and covariance of a step of dx = v dt, dv = -(pace^2 x + 2 damping pace v) dt + noise.
+
+    Van Loan's block exponential, "Computing integrals involving the matrix exponential", 1978. The
+    noise that makes sd^2 the stationary variance of x is 4 damping pace^3 sd^2 a second.
+    """
+    drift = np.kron([[0, 1], [-(PACE**2), -2 * damping * PACE]], np.eye(3))
+    noise = np.kron(np.diag([0, 4 * damping * PACE**3]), np.diag(SD**2))
+    block = expm(step * np.block([[-drift, noise], [np.zeros((6, 6)), drift.T]]))
+    forward = block[6:, 6:].T
+    return forward, forward @ block[:6, 6:]
+
+
+@pytest.mark.parametrize(("damping", "step"), [(0.05, 0.25), (0.001, 0.1), (0.7, 2.0)])
+def test_a_step_is_that_of_a_damped_oscillator_pushed_by_white_noise(damping, step):
+    p = MODEL.with_parameters({"damping": damping, "step": step}).p
+    unit, still = np.eye(6), (0.0,) * 6
+    a = np.array([MODEL.transition(tuple(x), 3, still, p) for x in unit]).T
+    b = np.array([MODEL.transition(still, 3, tuple(w), p) for w in unit]).T
+    forward, covariance = exact_step(damping, step)
+    np.testing.assert_allclose(a, forward, rtol=0, atol=1e-12)
+    # Rounding: the noise is what is left of the stationary variances, up to 62, less as much.
+    np.testing.assert_allclose(b @ b.T, covariance, rtol=0, atol=1e-11)
+
+
+def test_simulated_draws_have_the_stationary_covariances_near_and_far():
+    draws = simulate(MODEL, 30, range(100_000), 5)
+    forward = exact_step(0.05, 0.25)[0]
+    for t in (0, 1, 30):
+        covariance = np.linalg.matrix_power(forward, t) @ STATIONARY
+        first, later = draws.x[:, 0].T, draws.x[:, t].T
+        for i, j in np.ndindex(6, 6):
+            assert_mean(later[i], 0.0)
+            assert_mean(later[i] * later[j], STATIONARY[i, j])
+            assert_mean(later[i] * first[j], covariance[i, j])
+    np.testing.assert_array_equal(draws.z, draws.x[:, :, :3])
+
+
+def test_at_the_isocentre_lengths_are_magnified_by_the_ratio_of_the_distances():
+    still = (0.0, 0.0)
+    assert MODEL.measurement((0.0,) * 6, 7, still, MODEL.p) == (0.0, 0.0)
+    seen = MODEL.measurement((10.0, -20.0, 0.0, *REST), 0, still, MODEL.p)
+    assert seen == pytest.approx((15.0, -30.0), rel=1e-12)
+    # Half way to the source it is twice as much.
+    seen = MODEL.measurement((10.0, -20.0, 500.0, *REST), 0, still, MODEL.p)
+    assert seen == pytest.approx((30.0, -60.0), rel=1e-12)
+
+
+def test_the_projection_is_where_the_ray_from_the_source_meets_the_detector():
+    rng = np.random.default_rng(1)
+    for t in (0, 10, 33, 60, 200):
+        angle = math.radians(6) * 0.25 * t
+        towards = np.array([math.sin(angle), 0.0, math.cos(angle)])
+        across, along = np.array([math.cos(angle), 0.0, -math.sin(angle)]), np.array([0, 1, 0])
+        source, position, v = 1000 * towards, rng.normal(scale=100, size=3), rng.normal(size=2)
+        noise = 2.0 * v
+        ray = position - source
+        # On the detector's plane, 500 mm behind the isocentre.
+        there = source + ray * ((-500 - source @ towards) / (ray @ towards))
+        seen = MODEL.measurement((*position, *REST), t, tuple(v), MODEL.p)
+        assert seen == pytest.approx(
+            (there @ across + noise[0], there @ along + noise[1]), rel=1e-11
+        )
+
+
+@pytest.mark.parametrize("sd", [1.0, 0.5])
+def test_log_likelihood_is_that_of_the_measurement_up_to_a_constant(sd):
+    p = MODEL.with_parameters({"measurement_sd": sd}).p
+    position = np.random.default_rng(1).normal(scale=5, size=(3, 101))
+    x = (*position, *REST)
+    seen = np.stack(MODEL.measurement(x, 9, (0.0, 0.0), p))
+    y = np.array([4.0, -7.0])
+    exact = stats.norm.logpdf(y[:, None], loc=seen, scale=sd).sum(axis=0)
+    # Rounding of values up to about 0.5 * (50 / 0.5)^2 = 5000.
+    assert np.ptp(MODEL.log_likelihood(tuple(y), x, 9, p) - exact) < 1e-11
+
+
+def test_without_measurements_the_expected_mse_is_the_variance():
+    particles = 500
+    mse = filter_draws(MODEL, simulate(MODEL, 48, range(5000), 3), (), particles, 1).mse
+    assert_mean(mse, np.sum(SD**2) * (1 + 1 / particles))
+
+
+# --- a source so far away that its rays are parallel: linear and Gaussian ------------------------
+
+# Measured so badly, and so soon forgotten, that many particles differ after thirteen measurements:
+# with the model's own figures they share few ancestors, and 4,000 are too few for these tolerances.
+ANGLE, DAMPING, MEASUREMENT_SD = math.radians(30), 0.3, 6.0
+PARALLEL = MODEL.with_parameters(
+    {
+        "source_axis": 1e12,
+        "source_detector": 1.5e12,
+        "rotation": 0.0,
+        "first_angle": ANGLE,
+        "damping": DAMPING,
+        "measurement_sd": MEASUREMENT_SD,
+    }
+)
+LINEAR = LinearGaussian(
+    a=exact_step(DAMPING, 0.25)[0],
+    b=cholesky(exact_step(DAMPING, 0.25)[1], lower=True),
+    c=1.5 * np.array([[math.cos(ANGLE), 0, -math.sin(ANGLE), 0, 0, 0], [0, 1, 0, 0, 0, 0]]),
+    d=MEASUREMENT_SD * np.eye(2),
+    h=np.eye(3, 6),
+    b0=np.sqrt(STATIONARY),
+)
+
+
+@pytest.mark.parametrize("times", [(0, 3, 4, 9), tuple(range(13))], ids=["some", "all"])
+def test_with_parallel_rays_the_filter_is_the_kalman_filter(times):
+    particles, count = 4000, 100
+    draws = simulate(PARALLEL, 12, range(count), 1)
+    filtered = filter_draws(PARALLEL, draws, times, particles, 2, trajectories=True)
+    exact = [kalman_filter(LINEAR, y, times) for y in draws.y]
+    mean, variance = (np.array(values) for values in zip(*exact, strict=True))
+    # A filter's error over the draws has mean 0, but for a bias of order variance / particles.
+    for estimate, truth, bias in (
+        (filtered.estimate, mean, 5 * np.sqrt(variance) / particles),
+        (filtered.variance, variance, 10 * variance / particles),
+    ):
+        error = estimate - truth
+        standard_error = error.std(axis=0, ddof=1) / np.sqrt(count)
+        assert (np.abs(error.mean(axis=0)) < 4.5 * standard_error + bias[0]).all()
+    # And it is small draw by draw: a tenth of the posterior's standard deviation.
+    rms = np.sqrt(np.mean((filtered.estimate - mean) ** 2, axis=0))
+    assert (rms < 0.1 * np.sqrt(variance[0])).all()
+
+
+def test_with_parallel_rays_the_expected_mse_is_riccatis():
+    times, particles = regular(48, 7), 2000
+    exact = riccati_cost(LINEAR, 48, times)
+    mse = filter_draws(PARALLEL, simulate(PARALLEL, 48, range(2000), 3), times, particles, 1).mse
+    standard_error = mse.std() / np.sqrt(mse.size)
+    assert abs(mse.mean() - exact) < 4.5 * standard_error + 10 * exact / particles
+
+
+# ------------------------------------------------------------------------------------------------
+
+
+def test_images_half_a_breath_apart_miss_the_velocity():
+    draws = simulate(MODEL, 48, range(1000), 1)
+    nothing, half_a_breath, in_groups, everything = (
+        filter_draws(MODEL, draws, times, 1000, 1).mse
+        for times in ((), regular(48, 7), (0, 4, 15, 17, 30, 33, 35), range(49))
+    )
+    for worse, better in (
+        (nothing, half_a_breath),
+        (half_a_breath, in_groups),
+        (in_groups, everything),
+    ):
+        gain = worse - better
+        assert gain.mean() > 4.5 * gain.std() / np.sqrt(gain.size)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("damping", 1.0), ("lateral_sd", -0.1), ("measurement_sd", 0.0)]
+)
+def test_a_parameter_has_its_range(name, value):
+    with pytest.raises(ModelError, match=f"{name}.*got {value}"):
+        MODEL.with_parameters({name: value})
