@@ -100,7 +100,11 @@ def summary(tables: Tables) -> str:
     """Say in Markdown what remains of the work."""
     rows = tables["prefixes"]
     lines = [
-        [str(search), f"{of['sets'].mean():.0f}", *(_of_all(of, what) for what in ("steps", "time"))]
+        [
+            str(search),
+            f"{of['sets'].mean():.0f}",
+            *(_of_all(of, what) for what in ("steps", "time")),
+        ]
         for search, of in rows.groupby("search")
     ]
     header = ["search", "sets a generation", "particle-steps that remain", "time that remains"]

@@ -1,12 +1,11 @@
-"""A real run's search phase on 1 and 2 workers, by the size of its tasks, and what Ray costs.
+"""A real run's search on 1 and 2 workers, by the draws of an evaluation, and what Ray costs.
 
-Counted is all from the last outcome of the first generation, in which workers start and compile,
-to the last outcome of the last one, and a share of writing the search's tables: what the driver
-does between generations, commits, and workers that wait for a generation's end among it.
+Counted is all from the last outcome of the first generation, in which workers start and compile, to
+the last outcome of a short comparison, during which the search's tables are written: what the
+driver does between generations, commits, and workers that wait for a generation's end among it.
 """
 
 import tempfile
-from contextlib import suppress
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -19,8 +18,9 @@ from benchmarks import ray_costs
 from benchmarks.bare_processes import measure_rate
 from benchmarks.measure import Say
 from benchmarks.results import Tables, markdown, with_range
-from pfdist import load_job, open_run, run
+from pfdist import load_job, run
 from pfdist.plots.style import BLUE, COLUMN_INCHES, GREY, ORANGE, RED
+from pfdist.runner.comparison_phase import TRAJECTORIES
 from pfdist.runner.progress import Progress
 
 TITLE = "Workers"
@@ -28,15 +28,12 @@ TABLES: tuple[str, ...] = ("scaling", "ray_costs")
 
 JOB = Path(__file__).parents[1] / "jobs" / "paper.toml"
 PAPERS_DRAWS = 1000
-GENERATIONS = {65: 6, 250: 3, PAPERS_DRAWS: 3}  # by the draws of an evaluation, the first included
-REPEATS = 3
+GENERATIONS = {65: 12, 250: 8, PAPERS_DRAWS: 8}  # by the draws of an evaluation, the first included
+REPEATS = 4
 BARE_SECONDS = 2.0
+COMPARED = 2000  # draws, a thirtieth of the work
 BARE = "bare processes"
 _KIND = ["draws", "pool"]
-
-
-class _SearchedError(Exception):
-    """Ends a run when its search is done; no error, but the one way out of a run."""
 
 
 def measure(quick: bool, say: Say) -> Tables:
@@ -52,8 +49,8 @@ def measure(quick: bool, say: Say) -> Tables:
     Returns
     -------
     dict of DataFrames
-        scaling: a row a run, with repeat, draws, pool, workers, evaluations, task_seconds (the
-        median in a worker), seconds, publishing_seconds, rate in particle-steps a second;
+        scaling: a row a run, with repeat, draws, pool, workers, tasks, task_seconds (the mean in a
+        worker), seconds, rate in particle-steps a second;
         ray_costs: see `ray_costs.measure_ray`.
     """
     sizes = dict(list(GENERATIONS.items())[:1]) if quick else GENERATIONS
@@ -75,36 +72,29 @@ def measure(quick: bool, say: Say) -> Tables:
 
 
 def _search(pool: str, workers: int, draws: int, generations: int) -> dict[str, Any]:
-    """Run a job up to the end of its search."""
+    """Run a job with a short comparison."""
     search = f"search=[{{method='genetic', population=50, generations={generations}}}]"
-    job = load_job(JOB, [search, f"evaluation.draws={draws}"])
-    warm = end = published = 0.0
+    job = load_job(JOB, [search, f"evaluation.draws={draws}", f"comparison.draws={COMPARED}"])
+    warm = end = 0.0
 
     def report(progress: Progress) -> None:
-        nonlocal warm, end, published
-        if progress.phase == "comparison":
-            published = perf_counter()
-            raise _SearchedError
+        nonlocal warm, end
         end = perf_counter()
         if progress.generation == 1:
             warm = end
 
     with tempfile.TemporaryDirectory(prefix="run-") as folder:
-        with suppress(_SearchedError):
-            run(job, results=folder, pool=pool, workers=workers, report=report)
-        evaluated = open_run(folder).evaluations()["generation"]
-        timings = pd.read_parquet(f"{folder}/tables/timings")["seconds"]
-    counted = int((evaluated > 0).sum())
-    seconds, publishing = end - warm, (published - end) * counted / len(evaluated)
-    steps = counted * draws * (job.problem.horizon + 1) * job.filter.particles
+        done = run(job, results=folder, pool=pool, workers=workers, report=report)
+        evaluated, tasks = done.evaluations()["generation"], done.timings()["seconds"]
+    filtered = int((evaluated > 0).sum()) * draws + len(done.names) * (COMPARED + TRAJECTORIES)
+    steps = filtered * (job.problem.horizon + 1) * job.filter.particles
     return {
         "pool": pool,
         "workers": workers,
-        "evaluations": counted,
-        "task_seconds": float(timings.median()),
-        "seconds": seconds,
-        "publishing_seconds": publishing,
-        "rate": steps / (seconds + publishing),
+        "tasks": len(tasks),
+        "task_seconds": float(tasks.mean()),
+        "seconds": end - warm,
+        "rate": steps / (end - warm),
     }
 
 
@@ -145,8 +135,8 @@ def summary(tables: Tables) -> str:
     costs = tables["ray_costs"].groupby("what")["seconds"].median()
     header = ["draws an evaluation, pool", "a task", "1 worker", "2 workers", "efficiency"]
     return (
-        "The search phase of `jobs/paper.toml`, everything but Ray's start and compilation "
-        "counted: 1e9 particle-steps a second, and efficiency, rate(2) / (2 rate(1)). Median of "
+        "The search of `jobs/paper.toml` and a short comparison, everything but Ray's start and "
+        "compilation counted: 1e9 particle-steps a second, and efficiency, rate(2) / (2 rate(1)). Median of "
         f"{rows['repeat'].max() + 1} repeats in turns, in brackets the least and the largest. Bare "
         "processes do the same tasks with nobody to hand them out: what the machine allows.\n\n"
         f"{markdown(header, lines)}\n\n"

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator
-from dataclasses import astuple, dataclass, field
+from dataclasses import dataclass, field
 from functools import partial
 
 import pyarrow as pa
@@ -15,6 +15,14 @@ from pfdist.runner.pool import Outcome, Pool, Task
 from pfdist.store import Store, schema
 
 COMMIT_SECONDS = 1.0  # at most so much work is lost by a kill, and a task's
+
+
+@dataclass
+class _Waiting:
+    """What was done and is not committed yet."""
+
+    outcomes: list[Outcome] = field(default_factory=list)
+    rows: list[pa.Table] = field(default_factory=list)
 
 
 @dataclass
@@ -35,9 +43,7 @@ class Collector:
     pool: Pool
     session: str
     pace: Pace
-    _outcomes: list[Outcome] = field(default_factory=list)
-    _rows: list[pa.Table] = field(default_factory=list)
-    _commit_waiting: Callable[[], None] = field(default=lambda: None)
+    _waiting: dict[tuple[str, str], "_Waiting"] = field(default_factory=dict)
     _later: list[Callable[[], None]] = field(default_factory=list)
     _last: float = field(default_factory=time.monotonic)
 
@@ -55,24 +61,24 @@ class Collector:
         About once a second, and at the end, their rows are committed.
 
         Close the iterator (`contextlib.closing`) and what has come so far is committed, whatever
-        happened. If `more_follows`, another run of the same table, the last rows may wait for it:
-        the workers have nothing to do between two generations, and a commit takes a while.
+        happened. If `more_follows`, another run, the last rows may wait for it: the workers have
+        nothing to do between two generations, and a commit takes a while.
 
         Raises
         ------
         TaskError
             A task failed. What else was done is committed.
         """
-        self._commit_waiting = partial(self._commit, phase, table)
+        waiting = partial(self._waiting.setdefault, (phase, table))
         try:
             for outcome in self.pool.run(self._tasks(table, works)):
-                self._outcomes.append(outcome)
+                waiting(_Waiting()).outcomes.append(outcome)
                 if outcome.error is not None:
                     reason = outcome.error.strip().splitlines()[-1].removeprefix("pfdist.errors.")
                     raise TaskError(f"a task of {phase} failed: {reason}", outcome.error)
                 self.pace.learn(outcome.task.work, outcome.seconds)
                 pieces = list(zip(outcome.task.work, outcome.value, strict=True))
-                self._rows += [rows_of(work, result) for work, result in pieces]
+                waiting(_Waiting()).rows += [rows_of(work, result) for work, result in pieces]
                 yield from pieces
                 if time.monotonic() - self._last >= COMMIT_SECONDS:
                     self.flush()
@@ -84,28 +90,25 @@ class Collector:
 
     def _tasks(self, table: str, works: Iterable[Work]) -> Iterator[Task]:
         for bundle in bundles(works, self.pace.size):
-            yield Task(f"{table}:{stream_key([astuple(work) for work in bundle]):016x}", bundle)
+            yield Task(f"{table}:{stream_key([vars(work) for work in bundle]):016x}", bundle)
 
-    def commit_later(self, table: str, phase: str, key: str, rows: pa.Table) -> None:
-        """Commit some rows after those that wait."""
-        self._later.append(partial(self.store.commit, table, phase, key, rows))
+    def later(self, write: Callable[[], None]) -> None:
+        """Have something written after what waits: while the workers have tasks in their hands."""
+        self._later.append(write)
 
     def flush(self) -> None:
         """Commit what waits."""
         later, self._later = self._later, []
-        if self._outcomes:
-            self._commit_waiting()
-        for commit in later:
-            commit()
+        done, self._waiting = self._waiting, {}
+        for (phase, table), waiting in done.items():
+            key = f"{stream_key([outcome.task.key for outcome in waiting.outcomes]):016x}"
+            if waiting.rows:
+                self.store.commit(table, phase, key, pa.concat_tables(waiting.rows))
+            timings = self._timings(phase, waiting.outcomes)
+            self.store.commit("timings", phase, f"{key}-{self.session}", timings)
+        for write in later:
+            write()
         self._last = time.monotonic()
-
-    def _commit(self, phase: str, table: str) -> None:
-        outcomes, self._outcomes = self._outcomes, []
-        rows, self._rows = self._rows, []
-        key = f"{stream_key([outcome.task.key for outcome in outcomes]):016x}"
-        if rows:
-            self.store.commit(table, phase, key, pa.concat_tables(rows))
-        self.store.commit("timings", phase, f"{key}-{self.session}", self._timings(phase, outcomes))
 
     def _timings(self, phase: str, outcomes: list[Outcome]) -> pa.Table:
         rows = [

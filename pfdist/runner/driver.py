@@ -17,7 +17,7 @@ from pfdist.runner.comparison_phase import run_comparison
 from pfdist.runner.pace import Pace
 from pfdist.runner.pool import Pool
 from pfdist.runner.progress import Progress, Report
-from pfdist.runner.search_phase import run_search
+from pfdist.runner.search_phase import run_search, unpublished
 from pfdist.store import Store, schema
 
 
@@ -47,7 +47,7 @@ def drive(built: Built, store: Store, pool: Pool, report: Report) -> None:
     total = sum(searched) + built.job.comparison.draws * len(built.names)
     progress = Progress(phase=built.names[0], done=0, total=total)
     try:
-        if not store.has("compared"):
+        if not store.has("compared") or unpublished(store, built.names):
             _search(built, collector, progress, report)
         progress = replace(progress, done=sum(searched))
         run_comparison(built, compared_sets(store), collector, progress, report)

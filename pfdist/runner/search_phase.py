@@ -19,6 +19,7 @@ from pfdist.runner.collect import Collector
 from pfdist.runner.progress import Progress, Report
 from pfdist.store import Store, schema
 
+_TABLES = ("evaluations", "draws")
 _EVALUATIONS_AT_ONCE = 200  # read from the store when a phase is published
 
 
@@ -92,15 +93,14 @@ def run_search(
             report(progress)
         if generation not in committed:
             rows = _rows(name, generation, population, requests, evaluations)
-            collector.commit_later("evaluations", name, f"{generation:06d}", rows)
+            collector.later(partial(store.commit, "evaluations", name, f"{generation:06d}", rows))
         told = [evaluations[times] for times in population]
         state, generation = optimiser.tell(state, told), generation + 1
         costs = _finite_costs(told)
         if costs:
             best = optimiser.best(state).cost
             progress = replace(progress, best=best, mean=float(np.mean(costs)))
-    collector.flush()
-    _publish(store, name)
+    collector.later(partial(_publish, store, name))
     return optimiser.best(state)
 
 
@@ -214,9 +214,14 @@ def _committed_generations(store: Store, phase: str) -> set[int]:
     return set(rows.loc[rows["phase"] == phase, "generation"])
 
 
+def unpublished(store: Store, phases: Iterable[str]) -> bool:
+    """Whether a search has parts that are not tables yet."""
+    return any(store.has_parts(table, phase) for phase in phases for table in _TABLES)
+
+
 def _publish(store: Store, phase: str) -> None:
     """Turn the parts of a search into tables; the same again if it was cut short."""
-    if not any(store.has_parts(table, phase) for table in ("evaluations", "draws")):
+    if not unpublished(store, [phase]):
         return
     rows = store.read("evaluations")
     rows = rows[rows["phase"] == phase]
