@@ -28,10 +28,10 @@ TABLES: tuple[str, ...] = ("scaling", "ray_costs")
 
 JOB = Path(__file__).parents[1] / "jobs" / "paper.toml"
 PAPERS_DRAWS = 1000
-GENERATIONS = {65: 12, 250: 8, PAPERS_DRAWS: 8}  # by the draws of an evaluation, the first included
-REPEATS = 4
+GENERATIONS = {65: 12, 250: 8, PAPERS_DRAWS: 25}  # by the draws of an evaluation, the first included
+REPEATS = 3
 BARE_SECONDS = 2.0
-COMPARED = 2000  # draws, a thirtieth of the work
+COMPARED = 2000  # draws: short beside the search
 BARE = "bare processes"
 _KIND = ["draws", "pool"]
 
@@ -136,9 +136,10 @@ def summary(tables: Tables) -> str:
     header = ["draws an evaluation, pool", "a task", "1 worker", "2 workers", "efficiency"]
     return (
         "The search of `jobs/paper.toml` and a short comparison, everything but Ray's start and "
-        "compilation counted: 1e9 particle-steps a second, and efficiency, rate(2) / (2 rate(1)). Median of "
-        f"{rows['repeat'].max() + 1} repeats in turns, in brackets the least and the largest. Bare "
-        "processes do the same tasks with nobody to hand them out: what the machine allows.\n\n"
+        "compilation counted: 1e9 particle-steps a second, and efficiency, rate(2) / (2 rate(1)). "
+        f"Median of {rows['repeat'].max() + 1} repeats in turns, in brackets the least and the "
+        "largest. Bare processes filter the same with nobody to hand out tasks: what the machine "
+        "allows.\n\n"
         f"{markdown(header, lines)}\n\n"
         f"Ray starts in {costs['start']:.1f} s; a call to a worker costs {costs['call'] * 1e3:.2f} "
         f"ms in a stream of tasks, and {costs['round trip'] * 1e3:.2f} ms there and back alone."

@@ -96,13 +96,17 @@ def _keep_trajectories(built: Built, work: Work, names: list[str], collector: Co
     def rows_of(piece: Work, result: Result) -> pa.Table:
         return pa.table(_trajectory_columns(piece, result, names), schema=schema)
 
-    with closing(collector.run(PHASE, "trajectories", works, rows_of)) as pieces:
+    def publish() -> None:
+        if store.has_parts("trajectories", PHASE):
+            rows = store.read("trajectories")
+            table = pa.Table.from_pandas(rows, schema=schema, preserve_index=False)
+            store.publish("trajectories", PHASE, [table])
+
+    run = collector.run(PHASE, "trajectories", works, rows_of, more_follows=True)
+    with closing(run) as pieces:
         for _ in pieces:
             pass
-    if store.has_parts("trajectories", PHASE):
-        rows = store.read("trajectories")
-        table = pa.Table.from_pandas(rows, schema=schema, preserve_index=False)
-        store.publish("trajectories", PHASE, [table])
+    collector.later(publish)
 
 
 def _trajectory_columns(piece: Work, result: Result, names: list[str]) -> dict[str, Any]:

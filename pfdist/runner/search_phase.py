@@ -1,7 +1,7 @@
 """One search: ask, evaluate what the store does not hold, commit, tell, until done."""
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
@@ -92,8 +92,8 @@ def run_search(
             )
             report(progress)
         if generation not in committed:
-            rows = _rows(name, generation, population, requests, evaluations)
-            collector.later(partial(store.commit, "evaluations", name, f"{generation:06d}", rows))
+            rows = partial(_rows, name, generation, population, requests, evaluations)
+            collector.later(partial(_commit, store, name, generation, rows))
         told = [evaluations[times] for times in population]
         state, generation = optimiser.tell(state, told), generation + 1
         costs = _finite_costs(told)
@@ -205,6 +205,10 @@ def _rows(
         for request in requests
     ]
     return pa.Table.from_pylist(rows, schema=schema("evaluations"))
+
+
+def _commit(store: Store, phase: str, generation: int, rows: Callable[[], pa.Table]) -> None:
+    store.commit("evaluations", phase, f"{generation:06d}", rows())
 
 
 def _committed_generations(store: Store, phase: str) -> set[int]:
