@@ -65,15 +65,15 @@ def test_every_distinct_prefix_is_walked_once(seed: int) -> None:
     measured = np.zeros((len(sets), HORIZON + 1), np.bool_)
     for row, times in zip(measured, sets, strict=True):
         row[list(times)] = True
-    (ordered, shared, kept), place = prefix_tree(measured)
+    (ordered, shared, stops), place = prefix_tree(measured)
     np.testing.assert_array_equal(ordered[place], measured)
     prefixes = {row[: t + 1].tobytes() for row in measured for t in range(HORIZON + 1)}
     assert (HORIZON + 1 - shared).sum() == len(prefixes)
     # What a set goes on from was kept last by one that had the same times before.
     slots: dict[int, bytes] = {}
-    for row, begin, keep in zip(ordered, shared, kept, strict=True):
+    for row, begin, stop in zip(ordered, shared, stops, strict=True):
         if begin > 0:
             assert slots[begin] == row[:begin].tobytes()
-        for t in np.flatnonzero(keep):
-            assert t >= begin
+        for t in np.unique(stop[begin:]):
+            assert t > begin
             slots[t] = row[:t].tobytes()

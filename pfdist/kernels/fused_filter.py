@@ -23,7 +23,7 @@ from pfdist.kernels.weights import IMPOSSIBLE, cumulate, weigh, width
 _ALIKE, _WEIGHED = np.uintp(0), np.uintp(1)
 
 
-PrefixTree = tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.bool_]]
+PrefixTree = tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.int64]]
 
 
 def prefix_tree(measured: NDArray[np.bool_]) -> tuple[PrefixTree, NDArray[np.int64]]:
@@ -38,29 +38,31 @@ def prefix_tree(measured: NDArray[np.bool_]) -> tuple[PrefixTree, NDArray[np.int
 
     Returns
     -------
-    tree : (array of bool, (U, T+1), array of int64, (U,), array of bool, (U, T+1))
+    tree : (array of bool, (U, T+1), array of int64, (U,), array of int64, (U, T+1))
         The sets, in their order and each once; from which time on one differs from those before
-        it; and where its cloud, as it comes to t, is wanted again.
+        it; and from each t, the next time at which its cloud, as it comes there, is to be kept.
     place : array of int64, (S,)
         Of each set in that order.
 
     Examples
     --------
-    >>> (_, shared, kept), place = prefix_tree(np.array([[1, 0, 1], [0, 1, 1], [1, 1, 0]], bool))
+    >>> (_, shared, stops), place = prefix_tree(np.array([[1, 0, 1], [0, 1, 1], [1, 1, 0]], bool))
     >>> shared, place
     (array([0, 0, 1]), array([1, 0, 2]))
-    >>> np.argwhere(kept)  # set 1 of the order, at t = 1
-    array([[1, 1]])
+    >>> stops  # set 1 of the order stops at t = 1, the others at the end
+    array([[3, 3, 3],
+           [1, 3, 3],
+           [3, 3, 3]])
     """
     ordered, place = np.unique(measured, axis=0, return_inverse=True)
     shared = np.zeros(len(ordered), np.int64)
     shared[1:] = np.argmax(ordered[1:] != ordered[:-1], axis=1)
-    kept = np.zeros_like(ordered)
+    stops = np.full(ordered.shape, measured.shape[1])
     for one, time in enumerate(shared):
-        if time > 0:
-            last = np.flatnonzero(shared[:one] <= time)[-1]
-            kept[last, time] = True
-    return (ordered, shared, kept), place.ravel()
+        last = np.flatnonzero(shared[:one] <= time)[-1] if time > 0 else one
+        if shared[last] < time:  # else it is kept from before
+            stops[last, :time] = np.minimum(stops[last, :time], time)
+    return (ordered, shared, stops), place.ravel()
 
 
 @lru_cache(maxsize=32)
@@ -104,7 +106,7 @@ def fused_filter(
     def filter_draws(
         stream, first, y, z, tree, particles, parameters, truths, mse, estimate, variance
     ):
-        measured, shared, kept = tree
+        measured, shared, stops = tree
         p, truth = named(parameters), named_truth(truths)
         size, spacious = width(particles), padded(particles + SPARE)
         cloud = np.empty((2, states, size), kind)
@@ -114,11 +116,12 @@ def fused_filter(
         cumulative, sums = np.empty(size), np.empty(spacious)
         points, shares = np.empty(spacious, np.uint32), np.empty(spacious, np.uint32)
         ancestor = np.zeros(spacious, np.uint32)
-        saved, before = np.empty((kept.shape[1], states, size), kind), np.empty(kept.shape[1])
+        instants = measured.shape[1]
+        saved, before = np.empty((instants, states, size), kind), np.empty(instants)
         for d in range(mse.shape[0]):
             for s in range(mse.shape[1]):
                 mse[d, s] = filter_draw(
-                    stream, first + d, d, s, y, z, measured, shared, kept, particles, p, truth,
+                    stream, first + d, d, s, y, z, measured, shared, stops, particles, p, truth,
                     estimate, variance, saved, before, cloud, noise, log_weight, weight,
                     cumulative, sums, points, shares, ancestor,
                 )  # fmt: skip
@@ -136,48 +139,57 @@ def _filter_draw(
 ) -> Callable[..., float]:
     """Compile the filter of one draw with one set of times; it gives the draw's MSE.
 
-    It goes on from where the set before it was the same, and keeps what a later one goes on from.
+    It goes on from where a set before it was the same, and keeps what a later one goes on from.
     """
     begin, propagate, explain = _cloud_steps(functions[:3], noise_kinds, components)
-    average, spread = _moments(functions[3], components)
-    read_z, write_z = (make(components[2], "d, t, c") for make in (reader, writer))
-    error_of, resample = formula(functions[4]), RESAMPLE[resampling]
+    average, record = _moments(functions[3], components)
+    read_z, error_of = reader(components[2], "d, t, c"), formula(functions[4])
+    resample = RESAMPLE[resampling]
 
     @njit(forceinline=True, nogil=True, error_model="numpy")
     def filter_draw(
-        stream, draw, d, s, y, z, measured, shared, kept, particles, p, truth,
+        stream, draw, d, s, y, z, measured, shared, stops, particles, p, truth,
         estimate, variance, saved, before, cloud, noise, log_weight, weight,
         cumulative, sums, points, shares, ancestor,
     ):  # fmt: skip
-        here, instants = np.int64(0), measured.shape[1]
-        error = begin(stream, draw, shared[s], noise, particles, p, cloud, saved, before)
-        if not error < np.inf:
-            return error  # what it shares has ended already
-        for t in range(shared[s], instants):
-            _keep(kept[s, t], cloud, here, saved, t, before, error)
-            if t > 0:
-                propagate(stream, draw, t - 1, noise, particles, p, cloud, here)
-                here = 1 - here
-            by, total = _ALIKE, float(particles)
-            if measured[s, t]:
-                explain(cloud, here, particles, y, d, t, p, log_weight)
-                weigh(log_weight, weight, _WEIGHED)
-                by, total = _WEIGHED, cumulate(weight, _WEIGHED, log_weight.size, cumulative)
-            if total == 0.0:
-                return _ended(before, t, np.nan)  # degenerate
-            mean = average(cloud, here, t, p, weight, by, total)
-            if estimate.size:
-                write_z(estimate, d, t, mean)
-                write_z(variance, d, t, spread(cloud, here, t, p, weight, by, total, mean))
-            error += error_of(read_z(z, d, t), mean, t, truth)
-            if not error < np.inf:
-                return _ended(before, t, np.inf)
-            if measured[s, t]:
-                resample(
-                    cumulative, particles, stream, draw, t, noise, sums, points, shares, ancestor
-                )
-                _take(cloud, here, particles, ancestor)
-                here = 1 - here
+        here, instants, stop = np.int64(0), measured.shape[1], shared[s]
+        error = begin(stream, draw, stop, noise, particles, p, cloud, saved, before)
+        while stop < instants and error < np.inf:
+            first, stop = stop, stops[s, stop]
+            for t in range(first, stop):
+                if t > 0:
+                    propagate(stream, draw, t - 1, noise, particles, p, cloud, here)
+                    here = 1 - here
+                by, total = _ALIKE, float(particles)
+                if measured[s, t]:
+                    explain(cloud, here, particles, y, d, t, p, log_weight)
+                    weigh(log_weight, weight, _WEIGHED)
+                    by, total = _WEIGHED, cumulate(weight, _WEIGHED, log_weight.size, cumulative)
+                if total == 0.0:
+                    return _ended(before, t, np.nan)  # degenerate
+                mean = average(cloud, here, t, p, weight, by, total)
+                record(estimate, variance, d, cloud, here, t, p, weight, by, total, mean)
+                error += error_of(read_z(z, d, t), mean, t, truth)
+                if not error < np.inf:
+                    return _ended(before, t, np.inf)
+                if measured[s, t]:
+                    resample(
+                        cumulative,
+                        particles,
+                        stream,
+                        draw,
+                        t,
+                        noise,
+                        sums,
+                        points,
+                        shares,
+                        ancestor,
+                    )
+                    _take(cloud, here, particles, ancestor)
+                    here = 1 - here
+            if stop < instants:  # in the inner loop it would cost 3 %
+                before[stop] = error
+                _copy(cloud, here, saved, stop)
         return error / instants
 
     return filter_draw
@@ -231,12 +243,13 @@ def _cloud_steps(
 def _moments(
     quantity_of_interest: Callable[..., Any], components: tuple[int, int, int]
 ) -> tuple[Callable[..., Any], ...]:
-    """Compile the weighted mean and variance of z; a particle of weight 0 does not count.
+    """Compile the weighted mean of z, and what records it; a particle of weight 0 does not count.
 
     Sums that may be added in any order become vectors.
     """
     states, _, quantities = components
     quantity, read_x = formula(quantity_of_interest), reader(states, "half, c, i")
+    write_z = writer(quantities, "d, t, c")
     add = tuple_of(
         quantities,
         "sums, weight, values",
@@ -256,22 +269,17 @@ def _moments(
         return divided(sums, total)
 
     @njit(forceinline=True, nogil=True, error_model="numpy")
-    def spread(cloud, here, t, p, weight, row, total, mean):
+    def record(estimate, variance, d, cloud, here, t, p, weight, row, total, mean):
+        if estimate.size == 0:  # nobody asks
+            return
         sums = nothing
         for i in range(cloud.shape[2]):
             z = quantity(read_x(cloud, here, i), t, p)
             sums = add(sums, weight[row, i], squares(z, mean))
-        return divided(sums, total)
+        write_z(estimate, d, t, mean)
+        write_z(variance, d, t, divided(sums, total))
 
-    return average, spread
-
-
-@njit(forceinline=True, nogil=True)
-def _keep(wanted, cloud, here, saved, t, before, error):
-    """Keep the cloud as it comes to t, and the errors before, if a later set goes on from there."""
-    if wanted:
-        before[t] = error
-        _copy(cloud, here, saved, t)
+    return average, record
 
 
 @njit(forceinline=True, nogil=True)
