@@ -3,7 +3,6 @@
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass, field
-from functools import partial
 
 import pyarrow as pa
 
@@ -69,16 +68,16 @@ class Collector:
         TaskError
             A task failed. What else was done is committed.
         """
-        waiting = partial(self._waiting.setdefault, (phase, table))
         try:
             for outcome in self.pool.run(self._tasks(table, works)):
-                waiting(_Waiting()).outcomes.append(outcome)
+                waiting = self._waiting.setdefault((phase, table), _Waiting())
+                waiting.outcomes.append(outcome)
                 if outcome.error is not None:
                     reason = outcome.error.strip().splitlines()[-1].removeprefix("pfdist.errors.")
                     raise TaskError(f"a task of {phase} failed: {reason}", outcome.error)
                 self.pace.learn(outcome.task.work, outcome.seconds)
                 pieces = list(zip(outcome.task.work, outcome.value, strict=True))
-                waiting(_Waiting()).rows += [rows_of(work, result) for work, result in pieces]
+                waiting.rows += [rows_of(work, result) for work, result in pieces]
                 yield from pieces
                 if time.monotonic() - self._last >= COMMIT_SECONDS:
                     self.flush()

@@ -25,7 +25,7 @@ measurement_budget = 8
 [filter]
 particles = 100
 [evaluation]
-draws = 400
+draws = 4000
 [[search]]
 method = "genetic"
 population = 10
