@@ -28,7 +28,7 @@ TABLES: tuple[str, ...] = ("scaling", "ray_costs")
 
 JOB = Path(__file__).parents[1] / "jobs" / "paper.toml"
 PAPERS_DRAWS = 1000
-GENERATIONS = {
+GENERATIONS = {250: 8, PAPERS_DRAWS: 25}  # by an evaluation's draws, the first included
     65: 12,
     250: 8,
     PAPERS_DRAWS: 25,
