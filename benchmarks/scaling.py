@@ -29,10 +29,6 @@ TABLES: tuple[str, ...] = ("scaling", "ray_costs")
 JOB = Path(__file__).parents[1] / "jobs" / "paper.toml"
 PAPERS_DRAWS = 1000
 GENERATIONS = {250: 8, PAPERS_DRAWS: 25}  # by an evaluation's draws, the first included
-    65: 12,
-    250: 8,
-    PAPERS_DRAWS: 25,
-}  # by the draws of an evaluation, the first included
 REPEATS = 3
 BARE_SECONDS = 2.0
 COMPARED = 2000  # draws: short beside the search
