@@ -18,7 +18,7 @@ from benchmarks.measure import Say, one_core, take_turns
 from benchmarks.results import Tables, markdown
 from pfdist import load_job, load_model, run
 from pfdist.draws import Draws, simulate
-from pfdist.kernels.fused_filter import prefix_tree
+from pfdist.kernels.prefixes import plan
 from pfdist.measurement_times import Times
 from pfdist.particle_filter import filter_draws, filter_sets
 from pfdist.plots.style import COLUMN_INCHES, GREY, SERIES
@@ -89,11 +89,8 @@ def _one_by_one(draws: Draws, sets: list[Times], particles: int) -> None:
 
 
 def _share_of_steps(sets: list[Times], horizon: int) -> float:
-    measured = np.zeros((len(sets), horizon + 1), np.bool_)
-    for row, times in zip(measured, sets, strict=True):
-        row[list(times)] = True
-    (_, shared, _), _ = prefix_tree(measured)
-    return float((horizon + 1 - shared).sum() / measured.size)
+    planned, _ = plan(tuple(sets), horizon + 1)
+    return float((planned.ends - planned.begins).sum() / (len(sets) * (horizon + 1)))
 
 
 def summary(tables: Tables) -> str:

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from pfdist.draws import Draws
 from pfdist.errors import ModelError
 from pfdist.kernels.formulas import formulas_of
-from pfdist.kernels.fused_filter import fused_filter, prefix_tree
+from pfdist.kernels.fused_filter import fused_filter
+from pfdist.kernels.prefixes import plan
 from pfdist.kernels.resampling import RESAMPLE
 from pfdist.measurement_times import Times, validated
 from pfdist.models import StateSpaceModel
@@ -106,18 +107,28 @@ def filter_sets(
     stream: int,
     resampling: str = "multinomial",
     dtype: str = "float64",
+    ends: Sequence[int] | None = None,
 ) -> NDArray[np.float64]:
     """Filter draws with several sets of measurement times, all under the same noise.
 
     What two sets share from t = 0 on is done once: so it takes less time than one by one, and
-    gives the same bits. Parameters and errors as of `filter_draws`.
+    gives the same bits. Other parameters and errors as of `filter_draws`.
+
+    Parameters
+    ----------
+    sets : sequence of tuples of int, (S,)
+    ends : sequence of int, (S,), optional
+        The last instant that is wanted of each set: its errors up to there are added up. T for
+        all, unless it is given.
 
     Returns
     -------
     array of float64, (D, S)
-        What `filter_draws` gives as mse, a column a set.
+        Sum of the errors up to each set's end, over T + 1: what `filter_draws` gives as mse where
+        the end is T.
     """
-    return _filter(model, draws, sets, particles, stream, resampling, dtype, np.empty((2, 0, 0, 0)))
+    nothing = np.empty((2, 0, 0, 0))
+    return _filter(model, draws, sets, particles, stream, resampling, dtype, nothing, ends)
 
 
 def _filter(
@@ -129,19 +140,19 @@ def _filter(
     resampling: str,
     dtype: str,
     moments: NDArray[np.float64],
+    ends: Sequence[int] | None = None,
 ) -> NDArray[np.float64]:
     """Fill estimate and variance, unless they are empty, and give the mse, (D, S)."""
     check_filter(model, draws.model, particles, resampling, dtype)
     count, instants, _ = draws.z.shape
-    measured = np.zeros((len(sets), instants), np.bool_)
-    for row, times in zip(measured, sets, strict=True):
-        row[list(validated(times, instants - 1))] = True
-    tree, place = prefix_tree(measured)
-    mse, truth = np.empty((count, len(tree[0]))), draws.model
+    last = [instants - 1] * len(sets) if ends is None else ends
+    checked = [validated(times, end) for times, end in zip(sets, last, strict=True)]
+    planned, place = plan(tuple(checked), instants, tuple(end + 1 for end in last))
+    mse, truth = np.empty((count, len(planned.measured))), draws.model
     with formulas_of(model.name):
         _compiled(model, truth, resampling, dtype)(
-            np.uint64(stream), draws.index.start, draws.y, draws.z, tree, particles,
-            np.array(model.p), np.array(truth.p), mse, *moments,
+            np.uint64(stream), draws.index.start, draws.y, draws.z, tuple(planned), planned.clouds,
+            particles, np.array(model.p), np.array(truth.p), mse, *moments,
         )  # fmt: skip
     return mse[:, place]
 

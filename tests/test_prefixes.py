@@ -8,7 +8,7 @@ import pytest
 
 from pfdist import StateSpaceModel, load_model, where
 from pfdist.draws import simulate
-from pfdist.kernels.fused_filter import prefix_tree
+from pfdist.kernels.prefixes import plan
 from pfdist.particle_filter import filter_draws, filter_sets
 
 HORIZON = 12
@@ -60,20 +60,53 @@ def test_a_draw_that_ended_has_ended_for_all_that_share_it(
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_every_distinct_prefix_is_walked_once(seed: int) -> None:
-    sets = random_sets(30, seed)
-    measured = np.zeros((len(sets), HORIZON + 1), np.bool_)
-    for row, times in zip(measured, sets, strict=True):
-        row[list(times)] = True
-    (ordered, shared, stops), place = prefix_tree(measured)
-    np.testing.assert_array_equal(ordered[place], measured)
-    prefixes = {row[: t + 1].tobytes() for row in measured for t in range(HORIZON + 1)}
-    assert (HORIZON + 1 - shared).sum() == len(prefixes)
-    # What a set goes on from was kept last by one that had the same times before.
-    slots: dict[int, bytes] = {}
-    for row, begin, stop in zip(ordered, shared, stops, strict=True):
+@pytest.mark.parametrize("with_ends", [False, True])
+def test_every_distinct_prefix_is_walked_once(with_ends: bool, seed: int) -> None:
+    sets, instants = random_sets(30, seed), HORIZON + 1
+    rng = np.random.default_rng(seed)
+    ends = [instants] * len(sets)
+    if with_ends:
+        ends = [int(rng.integers(max(times, default=0) + 1, instants + 1)) for times in sets]
+    planned, place = plan(tuple(sets), instants, tuple(ends))
+    words = [tuple(t in times for t in range(end)) for times, end in zip(sets, ends, strict=True)]
+    ordered = list(zip(planned.measured, planned.ends, strict=True))
+    assert [tuple(row[:end].tolist()) for row, end in (ordered[k] for k in place)] == words
+    prefixes = {word[: t + 1] for word in words for t in range(len(word))}
+    assert (planned.ends - planned.begins).sum() == len(prefixes)
+    # What a set goes on from is in its place: kept by one with the same times before, and not
+    # overwritten since.
+    kept: dict[int, tuple[bool, ...]] = {}
+    for one, (row, end) in enumerate(ordered):
+        stop = begin = int(planned.begins[one])
         if begin > 0:
-            assert slots[begin] == row[:begin].tobytes()
-        for t in np.unique(stop[begin:]):
-            assert t > begin
-            slots[t] = row[:t].tobytes()
+            assert kept[int(planned.sources[one])] == tuple(row[:begin].tolist())
+        while stop < end:
+            stop = int(planned.stops[one, stop])
+            assert begin < stop <= end
+            if planned.slots[one, stop] >= 0:
+                kept[int(planned.slots[one, stop])] = tuple(row[:stop].tolist())
+    assert len(kept) <= planned.clouds
+
+
+def test_what_is_wanted_up_to_an_end_is_the_sum_of_the_errors_up_to_there() -> None:
+    model, times = load_model("ungm"), (0, 3, 7)
+    draws = simulate(model, HORIZON, range(5), 3)
+    estimate = filter_draws(model, draws, times, 70, 9, trajectories=True).estimate
+    assert estimate is not None
+    errors = np.cumsum((draws.z - estimate)[:, :, 0] ** 2, axis=1) / (HORIZON + 1)
+    cases = [
+        ((), 0),
+        ((0,), 0),
+        ((0,), 2),
+        ((0, 3), 3),
+        ((0, 3), 6),
+        ((0, 3, 7), 7),
+        ((0, 3, 7), 12),
+    ]
+    sets, ends = zip(*cases, strict=True)
+    upto = filter_sets(model, draws, sets, 70, 9, ends=ends)
+    blind = filter_draws(model, draws, (), 70, 9, trajectories=True).estimate
+    assert blind is not None
+    nothing = (draws.z - blind)[:, 0, 0] ** 2 / (HORIZON + 1)
+    np.testing.assert_allclose(upto[:, 0], nothing, rtol=1e-12)
+    np.testing.assert_allclose(upto[:, 1:], errors[:, list(ends[1:])], rtol=1e-12)

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from pfdist.kernels.components import naming, reader, tuple_of, writer
 from pfdist.kernels.disk_cache import kept_on_disk
@@ -21,48 +20,6 @@ from pfdist.kernels.weights import IMPOSSIBLE, cumulate, weigh, width
 
 # The rows of weights: where nothing is measured, and where something is.
 _ALIKE, _WEIGHED = np.uintp(0), np.uintp(1)
-
-
-PrefixTree = tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.int64]]
-
-
-def prefix_tree(measured: NDArray[np.bool_]) -> tuple[PrefixTree, NDArray[np.int64]]:
-    """Order sets of times so that a filter goes on from where one has been before.
-
-    Under the same noise, sets that agree up to t have the same cloud up to t. In their order each
-    shares most with the one before it, as words in a dictionary do.
-
-    Parameters
-    ----------
-    measured : array of bool, (S, T+1)
-
-    Returns
-    -------
-    tree : (array of bool, (U, T+1), array of int64, (U,), array of int64, (U, T+1))
-        The sets, in their order and each once; from which time on one differs from those before
-        it; and from each t, the next time at which its cloud, as it comes there, is to be kept.
-    place : array of int64, (S,)
-        Of each set in that order.
-
-    Examples
-    --------
-    >>> (_, shared, stops), place = prefix_tree(np.array([[1, 0, 1], [0, 1, 1], [1, 1, 0]], bool))
-    >>> shared, place
-    (array([0, 0, 1]), array([1, 0, 2]))
-    >>> stops  # set 1 of the order stops at t = 1, the others at the end
-    array([[3, 3, 3],
-           [1, 3, 3],
-           [3, 3, 3]])
-    """
-    ordered, place = np.unique(measured, axis=0, return_inverse=True)
-    shared = np.zeros(len(ordered), np.int64)
-    shared[1:] = np.argmax(ordered[1:] != ordered[:-1], axis=1)
-    stops = np.full(ordered.shape, measured.shape[1])
-    for one, time in enumerate(shared):
-        last = np.flatnonzero(shared[:one] <= time)[-1] if time > 0 else one
-        if shared[last] < time:  # else it is kept from before
-            stops[last, :time] = np.minimum(stops[last, :time], time)
-    return (ordered, shared, stops), place.ravel()
 
 
 @lru_cache(maxsize=32)
@@ -93,9 +50,10 @@ def fused_filter(
     Returns
     -------
     callable
-        ``filter_draws(stream, first, y, z, tree, particles, parameters, truths, mse, estimate,
-        variance)`` fills mse (D, S) of the S sets in a `prefix_tree`, and estimate and variance
-        (D, T+1, q) unless they are empty.
+        ``filter_draws(stream, first, y, z, plan, clouds, particles, parameters, truths, mse,
+        estimate, variance)`` fills mse (D, U), the errors up to each set's end over T + 1, as
+        `pfdist.kernels.prefixes.plan` has the sets; and estimate and variance (D, T+1, q) of one
+        set, unless they are empty.
     """
     filter_draw = _filter_draw(functions, noise_kinds, components, resampling)
     named, named_truth = map(naming, parameters)
@@ -104,9 +62,8 @@ def fused_filter(
 
     @njit(nogil=True, error_model="numpy")
     def filter_draws(
-        stream, first, y, z, tree, particles, parameters, truths, mse, estimate, variance
+        stream, first, y, z, plan, clouds, particles, parameters, truths, mse, estimate, variance
     ):
-        measured, shared, stops = tree
         p, truth = named(parameters), named_truth(truths)
         size, spacious = width(particles), padded(particles + SPARE)
         cloud = np.empty((2, states, size), kind)
@@ -116,12 +73,11 @@ def fused_filter(
         cumulative, sums = np.empty(size), np.empty(spacious)
         points, shares = np.empty(spacious, np.uint32), np.empty(spacious, np.uint32)
         ancestor = np.zeros(spacious, np.uint32)
-        instants = measured.shape[1]
-        saved, before = np.empty((instants, states, size), kind), np.empty(instants)
+        saved, before = np.empty((clouds, states, size), kind), np.empty(clouds)
         for d in range(mse.shape[0]):
             for s in range(mse.shape[1]):
                 mse[d, s] = filter_draw(
-                    stream, first + d, d, s, y, z, measured, shared, stops, particles, p, truth,
+                    stream, first + d, d, s, y, z, plan, particles, p, truth,
                     estimate, variance, saved, before, cloud, noise, log_weight, weight,
                     cumulative, sums, points, shares, ancestor,
                 )  # fmt: skip
@@ -148,13 +104,14 @@ def _filter_draw(
 
     @njit(forceinline=True, nogil=True, error_model="numpy")
     def filter_draw(
-        stream, draw, d, s, y, z, measured, shared, stops, particles, p, truth,
+        stream, draw, d, s, y, z, plan, particles, p, truth,
         estimate, variance, saved, before, cloud, noise, log_weight, weight,
         cumulative, sums, points, shares, ancestor,
     ):  # fmt: skip
-        here, instants, stop = np.int64(0), measured.shape[1], shared[s]
-        error = begin(stream, draw, stop, noise, particles, p, cloud, saved, before)
-        while stop < instants and error < np.inf:
+        measured, begins, ends, sources, stops, slots = plan
+        here, stop = np.int64(0), begins[s]
+        error = begin(stream, draw, stop, sources[s], noise, particles, p, cloud, saved, before)
+        while stop < ends[s] and error < np.inf:
             first, stop = stop, stops[s, stop]
             for t in range(first, stop):
                 if t > 0:
@@ -166,12 +123,12 @@ def _filter_draw(
                     weigh(log_weight, weight, _WEIGHED)
                     by, total = _WEIGHED, cumulate(weight, _WEIGHED, log_weight.size, cumulative)
                 if total == 0.0:
-                    return _ended(before, t, np.nan)  # degenerate
+                    return _ended(before, slots, s, t, np.nan)  # degenerate
                 mean = average(cloud, here, t, p, weight, by, total)
                 record(estimate, variance, d, cloud, here, t, p, weight, by, total, mean)
                 error += error_of(read_z(z, d, t), mean, t, truth)
                 if not error < np.inf:
-                    return _ended(before, t, np.inf)
+                    return _ended(before, slots, s, t, np.inf)
                 if measured[s, t]:
                     resample(
                         cumulative,
@@ -187,10 +144,10 @@ def _filter_draw(
                     )
                     _take(cloud, here, particles, ancestor)
                     here = 1 - here
-            if stop < instants:  # in the inner loop it would cost 3 %
-                before[stop] = error
-                _copy(cloud, here, saved, stop)
-        return error / instants
+            if slots[s, stop] >= 0:  # in the inner loop it would cost 3 %
+                before[slots[s, stop]] = error
+                _copy(cloud, here, saved, slots[s, stop])
+        return _mean(error, measured.shape[1], before, slots, s, stop)
 
     return filter_draw
 
@@ -212,10 +169,10 @@ def _cloud_steps(
     read_y = reader(measurements, "d, t, c")
 
     @njit(forceinline=True, nogil=True, error_model="numpy")
-    def begin(stream, draw, t, noise, particles, p, cloud, saved, before):
+    def begin(stream, draw, t, source, noise, particles, p, cloud, saved, before):
         if t > 0:
-            _copy(saved, t, cloud, 0)
-            return before[t]
+            _copy(saved, source, cloud, 0)
+            return before[source]
         fill_w0(noise, particles, stream, draw, np.int64(0), FILTER_INITIAL)
         for i in range(cloud.shape[2]):
             write_x(cloud, 0, i, initial(read_w0(noise, i), p))
@@ -283,11 +240,18 @@ def _moments(
 
 
 @njit(forceinline=True, nogil=True)
-def _ended(before, t, mse):
+def _ended(before, slots, s, t, mse):
     """Say it to the sets that share what follows t."""
-    for later in range(t + 1, before.size):
-        before[later] = mse
+    for later in range(t + 1, slots.shape[1]):
+        if slots[s, later] >= 0:
+            before[slots[s, later]] = mse
     return mse
+
+
+@njit(forceinline=True, nogil=True)
+def _mean(error, instants, before, slots, s, stop):
+    """Of the errors, or what became of what the set shares."""
+    return error / instants if error < np.inf else _ended(before, slots, s, stop, error)
 
 
 @njit(forceinline=True, nogil=True)
