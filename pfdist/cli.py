@@ -5,23 +5,35 @@ import ast
 import contextlib
 import dataclasses
 import json
+import os
 import signal
 import sys
 import time
 import warnings
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from types import FrameType
 from typing import Any
 
 import pfdist
 from pfdist.analysis import finite, open_run
 from pfdist.display import Display, print_check, print_summary
-from pfdist.errors import EngineWarning, MeasurementTimesError, ModelError, PfdistError, TaskError
+from pfdist.errors import (
+    EngineWarning,
+    MeasurementTimesError,
+    ModelError,
+    PfdistError,
+    PoolError,
+    StoreError,
+    TaskError,
+)
 from pfdist.job import load_job
 from pfdist.models import find_model, installed_models
 from pfdist.plots import draw_figures
 from pfdist.runner.check_model import check_model
+from pfdist.runner.doctor import examine
 from pfdist.runner.evaluate import evaluate
+from pfdist.runner.repair import repair_run, verify_run
 from pfdist.runner.run import run
 
 _EPILOG = (
@@ -51,6 +63,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     _preempted.clear()
     for number in (signal.SIGTERM, signal.SIGUSR1):
         signal.signal(number, _preempt)
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not ignored, as by nohup
+        signal.signal(signal.SIGINT, _interrupt)
     try:
         with _warnings_as_lines():
             options.command(options)
@@ -74,6 +88,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("pfdist: not enough memory: fewer draws or particles need less", file=sys.stderr)
         return 1
     return 0
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    signal.signal(signal.SIGINT, lambda *_: os._exit(130))  # asked twice: at once
+    raise KeyboardInterrupt
 
 
 def _preempt(number: int, frame: FrameType | None) -> None:
@@ -108,6 +127,7 @@ def _run(options: argparse.Namespace) -> None:
             pool=options.pool,
             workers=options.workers,
             address=options.address,
+            fork=options.fork,
             report=display.report,
             say=display.say,
         )
@@ -144,6 +164,34 @@ def _evaluate(options: argparse.Namespace) -> None:
 def _plot(options: argparse.Namespace) -> None:
     for file in draw_figures(open_run(options.run)):
         print(file)
+
+
+def _verify(options: argparse.Namespace) -> None:
+    path = Path(options.run)
+    damages = list(verify_run(path))
+    for damage in damages:
+        print(f"{path / damage.path} {damage.what}")
+    if damages:
+        raise StoreError(f"{path}: {len(damages)} wrong; `pfdist repair {path}` says what to do")
+    print(f"{path}: every file is what was committed, every row and key is there")
+
+
+def _repair(options: argparse.Namespace) -> None:
+    lines = list(repair_run(Path(options.run)))
+    print("\n".join(lines) or f"{options.run}: nothing to repair")
+
+
+def _doctor(options: argparse.Namespace) -> None:
+    findings = []
+    for finding in examine(Path(options.results), options.address):
+        findings.append(finding)
+        if not options.json:
+            print_check(finding)
+    if options.json:
+        _print_json({"checks": [dataclasses.asdict(finding) for finding in findings]})
+    wrong = [finding.name for finding in findings if finding.state == "wrong"]
+    if wrong:
+        raise PoolError(f"not fit for a run: {', '.join(wrong)}")
 
 
 def _models(options: argparse.Namespace) -> None:
@@ -213,6 +261,9 @@ def _parser() -> argparse.ArgumentParser:
         metavar="DIR",
         help="the run's own folder (default: results/<the job file's stem>)",
     )
+    one.add_argument(
+        "--fork", metavar="NEW", help="start another run there, from what --results has evaluated"
+    )
     one.add_argument("--pool", choices=["ray", "serial"], help="where tasks are done (ray)")
     one.add_argument("--workers", type=int, metavar="N", help="how many (all cores)")
     one.add_argument("--address", help="of a Ray cluster to join (a local one is started)")
@@ -232,6 +283,17 @@ def _parser() -> argparse.ArgumentParser:
 
     one = command("plot", _plot, "Draw the figures of a run from its tables.")
     one.add_argument("run", metavar="RUN", help="a run's folder")
+
+    one = command("verify", _verify, "Look at every byte, row and key of a run.")
+    one.add_argument("run", metavar="RUN", help="a run's folder")
+
+    one = command("repair", _repair, "Move damaged files of a run to quarantine.")
+    one.add_argument("run", metavar="RUN", help="a run's folder")
+
+    one = command("doctor", _doctor, "Say whether this machine is fit for a run.")
+    one.add_argument("--results", default="results", metavar="DIR", help="where runs go (results)")
+    one.add_argument("--address", default="", help="of a Ray cluster, whose nodes are looked at")
+    _add_json(one)
 
     one = command("check-model", _check_model, "Find what is wrong with a model.")
     one.add_argument(

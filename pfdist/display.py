@@ -82,6 +82,12 @@ class Display:
             parts.append(f"best {state.best:.2f}")
         if state.mean is not None and state.generations:
             parts.append(f"mean {state.mean:.2f}")
+        for found in state.found[:1]:
+            mean, half = found.mean_relative_gain, (found.interval[1] - found.interval[0]) / 2
+            parts.append(
+                f"{found.name} gains {100 * mean:.2f} ± {100 * half:.2f} %, "
+                f"positive {100 * found.positive_fraction:.1f} %"
+            )
         if rate:
             parts.append(f"{rate:,.{1 if rate < 100 else 0}f} {unit}/s")
         return "  ".join(parts)

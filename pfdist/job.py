@@ -108,10 +108,17 @@ _SEARCHES: dict[str, type[_Search]] = {"genetic": GeneticSearch, "random": Rando
 Search = Annotated[GeneticSearch | RandomSearch, Field(discriminator="method")]
 
 
+class Until(_Section):
+    """When a comparison has draws enough."""
+
+    half_width: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.0
+
+
 class Comparison(_Section):
     """The found times against the reference, on the same fresh draws."""
 
     draws: Annotated[int, Field(ge=2, le=100_000_000)] = 100_000
+    until: Until = Until()
     reference: Literal["regular"] = REFERENCE
 
 
@@ -121,6 +128,7 @@ class Execution(_Section):
     pool: Literal["ray", "serial"] = "ray"
     workers: Annotated[int, Field(ge=0)] = 0
     address: str = ""
+    failures: Annotated[int, Field(ge=0)] = 3
 
 
 class Job(_Section):

@@ -3,7 +3,28 @@
 Reads tables alone: no Ray, no model, no kernel.
 """
 
-from pfdist.analysis.gains import GainSummary, relative_gain, summarise_gain
+from pfdist.analysis.gains import (
+    BIN,
+    BLOCK,
+    EDGES,
+    Comparison,
+    Gain,
+    GainSummary,
+    relative_gain,
+    summarise_gain,
+)
 from pfdist.analysis.tables import Run, finite, open_run
 
-__all__ = ["GainSummary", "Run", "finite", "open_run", "relative_gain", "summarise_gain"]
+__all__ = [
+    "BIN",
+    "BLOCK",
+    "EDGES",
+    "Comparison",
+    "Gain",
+    "GainSummary",
+    "Run",
+    "finite",
+    "open_run",
+    "relative_gain",
+    "summarise_gain",
+]

@@ -1,14 +1,32 @@
-"""Gains over the reference, draw by draw and of the means (paper, section 3)."""
+"""Gains over the reference, draw by draw and of the means (paper, section 3).
 
-from dataclasses import dataclass
+Statistics are accumulated block by block, so that memory does not grow with the draws: moments by
+Chan's rule, and a histogram of fixed bins, from which the quantiles are.
+
+References
+----------
+Chan, Golub, LeVeque, "Updating formulae and a pairwise algorithm for computing sample variances",
+1979. Wilson, "Probable inference, the law of succession, and statistical inference", 1927.
+"""
+
+import math
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+Array = NDArray[np.float64]
 Interval = tuple[float, float]
 CONFIDENCE = 0.95
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+BIN = 0.001
+BLOCK = 10_000
+"""Draws that are added at a time, everywhere: another block would give other last digits."""
+
+EDGES = np.arange(-10_000, 1001) * BIN
+"""Of the histogram's bins. A relative gain is at most 1, unless a model's own error is negative;
+what lies below -10 or above 1 is counted apart."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +48,7 @@ class GainSummary:
     gain_of_means : float
         1 - E[mse] / E[mse_reference], without that bias.
     quantiles : dict of float to float
-        Of the relative gain.
+        Of the relative gain, to 0.001; -inf below -10, inf above 1.
     """
 
     draws: int
@@ -42,45 +60,167 @@ class GainSummary:
     quantiles: dict[float, float]
 
 
-def relative_gain(mse: NDArray[np.float64], reference: NDArray[np.float64]) -> NDArray[np.float64]:
+def relative_gain(mse: Array, reference: Array) -> Array:
     """Relative gain of each draw, 1 - mse / reference; NaN where either is degenerate."""
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         return 1.0 - mse / reference
 
 
-def summarise_gain(mse: NDArray[np.float64], reference: NDArray[np.float64]) -> GainSummary:
+@dataclass
+class Moments:
+    """Count, mean and sum of squared deviations of what was added so far."""
+
+    count: int = 0
+    mean: float = math.nan
+    squares: float = 0.0
+
+    def add(self, values: Array) -> None:
+        """Add a block; blocks in the same order give the same bits."""
+        if not values.size:
+            return
+        with np.errstate(invalid="ignore", over="ignore"):
+            mean = float(np.mean(values))
+            squares = float(np.sum((values - mean) ** 2))
+        if not self.count:
+            self.count, self.mean, self.squares = values.size, mean, squares
+            return
+        count, apart = self.count + values.size, mean - self.mean
+        self.squares += squares + apart * apart * self.count * values.size / count
+        with_infinities = not math.isfinite(apart)
+        self.mean = self.mean + mean if with_infinities else self.mean + apart * values.size / count
+        self.count = count
+
+    @property
+    def standard_error(self) -> float:
+        """Of the mean; NaN with fewer than two values, or infinite ones."""
+        if self.count < 2:
+            return math.nan
+        return math.sqrt(self.squares / (self.count - 1) / self.count)
+
+
+@dataclass
+class Gain:
+    """The gain of one set of times over the reference, as far as it was added."""
+
+    relative: Moments = field(default_factory=Moments)
+    mse: Moments = field(default_factory=Moments)
+    reference: Moments = field(default_factory=Moments)
+    positive: int = 0
+    below: int = 0
+    above: int = 0  # 1, where a model's own error may be negative
+    counts: NDArray[np.int64] = field(default_factory=lambda: np.zeros(EDGES.size - 1, np.int64))
+
+    def add(self, mse: Array, reference: Array) -> None:
+        """Add a block of draws.
+
+        Parameters
+        ----------
+        mse, reference : array of float64, (D,)
+            Per-draw MSE on the same draws; NaN for a degenerate draw.
+        """
+        gain = relative_gain(mse, reference)
+        usable = ~np.isnan(gain)  # degenerate with either set; or both errors 0, or both infinite
+        gain = gain[usable]
+        self.relative.add(gain)
+        self.mse.add(mse[usable])
+        self.reference.add(reference[usable])
+        self.positive += int(np.sum(gain > 0))
+        self.below += int(np.sum(gain < EDGES[0]))
+        self.above += int(np.sum(gain > EDGES[-1]))
+        self.counts += np.histogram(gain, EDGES)[0]
+
+    @property
+    def interval(self) -> Interval:
+        """Of the mean relative gain."""
+        mean, error = self.relative.mean, self.relative.standard_error
+        if not (math.isfinite(mean) and math.isfinite(error)):
+            return (math.nan, math.nan)
+        if error == 0.0:
+            return (mean, mean)
+        low, high = stats.t.interval(CONFIDENCE, self.relative.count - 1, mean, error)
+        return float(low), float(high)
+
+    def quantile(self, share: float) -> float:
+        """Gain below which a share of the draws lies: `numpy.quantile`, but for a bin's width."""
+        rank = share * (self.relative.count - 1)
+        low, high = self._sorted(math.floor(rank)), self._sorted(math.ceil(rank))
+        if low == high or math.isinf(low):
+            return low
+        return low + (high - low) * (rank - math.floor(rank))
+
+    def _sorted(self, place: int) -> float:
+        """The gain at a place in their order, as if a bin's lay evenly in it."""
+        if place < self.below:
+            return -math.inf
+        if place >= self.relative.count - self.above:
+            return math.inf
+        upto = self.below + np.cumsum(self.counts)
+        number = int(np.searchsorted(upto, place, side="right"))
+        inside = 1.0 - (upto[number] - place - 0.5) / self.counts[number]
+        return float(EDGES[number] + BIN * inside)
+
+    def summary(self) -> GainSummary:
+        """Summarise what was added; NaN where there are too few draws for a figure."""
+        count = self.relative.count
+        if not count:
+            nothing = (np.nan, np.nan)
+            return GainSummary(0, np.nan, nothing, np.nan, nothing, np.nan, {})
+        positive = stats.binomtest(self.positive, count)
+        wilson = positive.proportion_ci(CONFIDENCE, method="wilson")
+        return GainSummary(
+            draws=count,
+            mean_relative_gain=self.relative.mean,
+            mean_relative_gain_interval=self.interval,
+            positive_fraction=float(positive.statistic),
+            positive_fraction_interval=(float(wilson.low), float(wilson.high)),
+            gain_of_means=float(
+                relative_gain(np.array(self.mse.mean), np.array(self.reference.mean))
+            ),
+            quantiles={share: self.quantile(share) for share in QUANTILES},
+        )
+
+
+@dataclass
+class Comparison:
+    """What is known of all sets that are compared.
+
+    Parameters
+    ----------
+    names : list of str
+        The reference first.
+    """
+
+    names: list[str]
+    draws: int = 0
+    mse: dict[str, Moments] = field(init=False)
+    gains: dict[str, Gain] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.mse = {name: Moments() for name in self.names}
+        self.gains = {name: Gain() for name in self.names[1:]}
+
+    def add(self, block: Array) -> None:
+        """Add a block of draws, (D, S): per-draw MSE, NaN for a degenerate one."""
+        self.draws += len(block)
+        for name, column in zip(self.names, block.T, strict=True):
+            self.mse[name].add(column[~np.isnan(column)])
+        for name, column in zip(self.names[1:], block.T[1:], strict=True):
+            self.gains[name].add(column, block[:, 0])
+
+    def half_width(self) -> float:
+        """Largest half width of the intervals of the mean relative gains."""
+        widths = [(high - low) / 2 for low, high in (gain.interval for gain in self.gains.values())]
+        return math.inf if any(map(math.isnan, widths)) else max(widths)
+
+
+def summarise_gain(mse: Array, reference: Array) -> GainSummary:
     """Summarise the gain over all draws that have one.
 
     Parameters
     ----------
     mse, reference : array of float64, (D,)
         Per-draw MSE on the same draws; NaN for a degenerate draw.
-
-    Returns
-    -------
-    GainSummary
-        NaN where there are too few draws for a figure.
     """
-    gain = relative_gain(mse, reference)
-    usable = ~np.isnan(gain)  # degenerate with either set; or both errors 0, or both infinite
-    mse, reference, gain = mse[usable], reference[usable], gain[usable]
-    count = gain.size
-    if not count:
-        nothing = (np.nan, np.nan)
-        return GainSummary(0, np.nan, nothing, np.nan, nothing, np.nan, {})
-    mean = float(np.mean(gain))
-    interval = (np.nan, np.nan)
-    if count > 1 and np.isfinite(mean):
-        interval = stats.t.interval(CONFIDENCE, count - 1, mean, stats.sem(gain))
-    quantiles = np.quantile(gain, QUANTILES, method="inverted_cdf")  # also of infinite gains
-    positive = stats.binomtest(int(np.sum(gain > 0)), count)
-    wilson = positive.proportion_ci(CONFIDENCE, method="wilson")
-    return GainSummary(
-        draws=count,
-        mean_relative_gain=mean,
-        mean_relative_gain_interval=(float(interval[0]), float(interval[1])),
-        positive_fraction=float(positive.statistic),
-        positive_fraction_interval=(float(wilson.low), float(wilson.high)),
-        gain_of_means=float(1.0 - np.mean(mse) / np.mean(reference)),
-        quantiles=dict(zip(QUANTILES, quantiles.tolist(), strict=True)),
-    )
+    gain = Gain()
+    gain.add(mse, reference)
+    return gain.summary()

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy import stats
 
-from pfdist.analysis.gains import relative_gain, summarise_gain
+from pfdist.analysis.gains import BLOCK, Comparison, relative_gain
 from pfdist.store import Store, read_run
 
 
@@ -54,9 +53,15 @@ class Run:
         """One row a task: seconds, worker, node, failures."""
         return self._store.read("timings")
 
-    def gains(self) -> pd.DataFrame:
-        """One row a draw: draw, and gain_<name> for every set but the reference."""
-        rows = self.comparison()
+    def gains(self, draws: int | None = None) -> pd.DataFrame:
+        """One row a draw: draw, and gain_<name> for every set but the reference.
+
+        Parameters
+        ----------
+        draws : int, optional
+            The first so many alone.
+        """
+        rows = self._store.read("comparison", draws)
         gains: dict[str, Any] = {"draw": rows["draw"]}
         for name in self.names[1:]:
             gains[f"gain_{name}"] = relative_gain(
@@ -74,13 +79,29 @@ class Run:
         """``searching``, ``comparing`` or ``finished``."""
         if not self._store.has("compared"):
             return "searching"
-        compared = self.draws_compared == self.job["comparison"]["draws"]
-        return "finished" if compared and not self._store.has_parts() else "comparing"
+        if self._store.has_parts() or self._store.manifest.lost():
+            return "comparing"
+        enough = self.draws_compared == self.job["comparison"]["draws"] or self._narrow
+        return "finished" if enough else "comparing"
+
+    @property
+    def _narrow(self) -> bool:
+        """Whether the intervals are as narrow as the job wants them."""
+        half_width = self.job["comparison"].get("until", {}).get("half_width", 0.0)
+        return bool(half_width > 0 and self.statistics().half_width() <= half_width)
+
+    def statistics(self) -> Comparison:
+        """Accumulate the comparison block by block: memory does not grow with its draws."""
+        found = Comparison(self.names)
+        last = self._store.present("comparison", "draw").size
+        for rows in self._store.blocks("comparison", "draw", BLOCK, last):
+            found.add(np.stack([rows[f"mse_{name}"].to_numpy() for name in self.names], axis=1))
+        return found
 
     @property
     def draws_compared(self) -> int:
         """How many draws every set has filtered."""
-        return np.unique(self._store.column("comparison", "draw")).size
+        return int(self._store.present("comparison", "draw").sum())
 
     def summary(self) -> dict[str, Any]:
         """Say how far the run is, and what it has found.
@@ -94,30 +115,29 @@ class Run:
             `GainSummary`. Fractions, not per cent; what is infinite or unknown is None.
         """
         has = self._store.has
+        compares = has("compared") and has("comparison")
         evaluations = int(self.evaluations()["copies"].sum()) if has("evaluations") else 0
         return {
             "state": self.state,
             "run": str(self.path),
             "evaluations": evaluations,
             "draws_compared": self.draws_compared,
-            "results": finite(self._results()) if has("comparison") else {},
+            "results": finite(self._results(self.statistics())) if compares else {},
         }
 
-    def _results(self) -> dict[str, Any]:
-        rows, results = self.comparison(), {}
-        reference = rows[f"mse_{self.names[0]}"].to_numpy()
+    def _results(self, statistics: Comparison) -> dict[str, Any]:
+        results: dict[str, Any] = {}
         for entry in self.compared().to_dict("records"):
-            mse = rows[f"mse_{entry['name']}"].to_numpy()
-            usable = mse[~np.isnan(mse)]
+            mse = statistics.mse[entry["name"]]
             result = {
                 "measurement_times": [int(time) for time in entry["measurement_times"]],
-                "expected_mse": float(np.mean(usable)) if usable.size else math.nan,
-                "standard_error": float(stats.sem(usable)) if usable.size > 1 else math.nan,
-                "degenerate_draws": int(mse.size - usable.size),
+                "expected_mse": mse.mean,
+                "standard_error": mse.standard_error,
+                "degenerate_draws": statistics.draws - mse.count,
                 "search_cost": float(entry["search_cost"]),
             }
             if entry["name"] != self.names[0]:
-                gain = asdict(summarise_gain(mse, reference))
+                gain = asdict(statistics.gains[entry["name"]].summary())
                 gain["quantiles"] = {str(key): value for key, value in gain["quantiles"].items()}
                 result |= {"gain_draws": gain.pop("draws"), **gain}
             results[str(entry["name"])] = result

@@ -121,6 +121,12 @@ class Built:
         return self.source.make()
 
     @property
+    def model_files(self) -> list[str]:
+        """Files that were run to make the models, unless they are an installed package's."""
+        sources = {self.source.model.source, self.source.filter_model.source}
+        return sorted(source.path for source in sources if not source.package)
+
+    @property
     def names(self) -> list[str]:
         """What is compared: the reference first, then the searches."""
         return [self.job.comparison.reference, *(search.name for search in self.searches)]
@@ -193,7 +199,10 @@ def _compiled_or_numpy(source: ProblemSource) -> str:
 
 
 def _worker(source: ProblemSource) -> Callable[[Any], Any]:
-    return source.make().results
+    problem = source.make()
+    if source.engine != "numpy":
+        problem.compile()  # before there is a task, which has its time to be done in
+    return problem.results
 
 
 def make_pool(built: Built, execution: Execution) -> Pool:

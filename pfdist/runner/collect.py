@@ -14,6 +14,7 @@ from pfdist.runner.pool import Outcome, Pool, Task
 from pfdist.store import Store, schema
 
 COMMIT_SECONDS = 1.0  # at most so much work is lost by a kill, and a task's
+COMMIT_ROWS = 100_000  # and so many wait in memory, however fast a model is
 
 
 @dataclass
@@ -36,12 +37,16 @@ class Collector:
         This start of the program, for the timings.
     pace : Pace
         What is known of the workers' speed; it learns from what they do.
+    failures : int
+        How many tasks may fail, and are done once more.
     """
 
     store: Store
     pool: Pool
     session: str
     pace: Pace
+    failures: int = 0
+    _failures: int = 0
     _waiting: dict[tuple[str, str], "_Waiting"] = field(default_factory=dict)
     _later: list[Callable[[], None]] = field(default_factory=list)
     _last: float = field(default_factory=time.monotonic)
@@ -57,7 +62,7 @@ class Collector:
     ) -> Generator[tuple[Work, Result]]:
         """Have works done in tasks, and give pieces of them as they come.
 
-        About once a second, and at the end, their rows are committed.
+        About once a second, or where they are many, and at the end their rows are committed.
 
         Close the iterator (`contextlib.closing`) and what has come so far is committed, whatever
         happened. If `more_follows`, another run, the last rows may wait for it: the workers have
@@ -66,30 +71,44 @@ class Collector:
         Raises
         ------
         TaskError
-            A task failed. What else was done is committed.
+            One task too many failed. What else was done is committed.
         """
+        todo: Iterable[Task] = self._tasks(table, works)
         try:
-            for outcome in self.pool.run(self._tasks(table, works)):
-                waiting = self._waiting.setdefault((phase, table), _Waiting())
-                waiting.outcomes.append(outcome)
-                if outcome.error is not None:
-                    reason = outcome.error.strip().splitlines()[-1].removeprefix("pfdist.errors.")
-                    raise TaskError(f"a task of {phase} failed: {reason}", outcome.error)
-                self.pace.learn(outcome.task.work, outcome.seconds)
-                pieces = list(zip(outcome.task.work, outcome.value, strict=True))
-                waiting.rows += [rows_of(work, result) for work, result in pieces]
-                yield from pieces
-                if time.monotonic() - self._last >= COMMIT_SECONDS:
-                    self.flush()
+            while todo:
+                failed: list[Task] = []
+                for outcome in self.pool.run(todo):
+                    waiting = self._waiting.setdefault((phase, table), _Waiting())
+                    waiting.outcomes.append(outcome)
+                    if outcome.error is not None:
+                        self._count_failure(phase, outcome.error)
+                        failed.append(outcome.task)
+                        continue
+                    self.pace.learn(outcome.task.work, outcome.seconds)
+                    pieces = list(zip(outcome.task.work, outcome.value, strict=True))
+                    waiting.rows += [rows_of(work, result) for work, result in pieces]
+                    yield from pieces
+                    late = time.monotonic() - self._last >= COMMIT_SECONDS
+                    if late or sum(rows.num_rows for rows in waiting.rows) >= COMMIT_ROWS:
+                        self.flush()
+                todo = failed
         except BaseException:
             self.flush()
             raise
         if not more_follows:
             self.flush()
 
+    def _count_failure(self, phase: str, error: str) -> None:
+        self._failures += 1
+        if self._failures > self.failures:
+            reason = error.strip().splitlines()[-1].removeprefix("pfdist.errors.")
+            times = f"{self._failures} times, the last: " if self._failures > 1 else ""
+            raise TaskError(f"a task of {phase} failed: {times}{reason}", error)
+
     def _tasks(self, table: str, works: Iterable[Work]) -> Iterator[Task]:
         for bundle in bundles(works, self.pace.size):
-            yield Task(f"{table}:{stream_key([vars(work) for work in bundle]):016x}", bundle)
+            key = f"{table}:{stream_key([vars(work) for work in bundle]):016x}"
+            yield Task(key, bundle, self.pace.expected(bundle))
 
     def later(self, write: Callable[[], None]) -> None:
         """Have something written after what waits: while the workers have tasks in their hands."""

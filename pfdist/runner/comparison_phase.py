@@ -9,12 +9,14 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from pfdist.analysis import BLOCK, Comparison
+from pfdist.errors import StoreError
 from pfdist.kernels.noise import stream_key
 from pfdist.measurement_times import Times
 from pfdist.monte_carlo import Result, Work, cut
 from pfdist.runner.build import Built
 from pfdist.runner.collect import Collector
-from pfdist.runner.progress import Progress, Report
+from pfdist.runner.progress import Found, Progress, Report
 from pfdist.store import ROWS_IN_A_FILE, Store, comparison_schema, trajectories_schema
 
 PHASE = "comparison"
@@ -46,13 +48,18 @@ def run_comparison(
         A task failed, no worker answers, or a file cannot be read or written.
     """
     store, draws = collector.store, built.job.comparison.draws
-    missing = np.ones(draws, np.bool_)
-    missing[store.column("comparison", "draw")] = False
-    done = int(draws - missing.sum())
+    present = np.zeros(draws, np.bool_)
+    committed = store.present("comparison", "draw")[:draws]
+    present[: committed.size] = committed
+    done = int(present.sum())
     progress = replace(progress, phase=PHASE, done=progress.done + done * len(sets))
     progress = replace(progress, evaluations=done, generation=0, generations=0)
-    report(progress)
     work = _work(built, sets)
+    known = _Known(list(sets), draws, built.job.comparison.until.half_width)
+    for rows in store.blocks("comparison", "draw", BLOCK, draws):
+        known.learn(rows)
+    progress = replace(progress, found=known.found)
+    report(progress)
     _keep_trajectories(built, work, list(sets), collector)
     schema = comparison_schema(list(sets))
 
@@ -61,17 +68,89 @@ def run_comparison(
         columns += [pa.array(mse, from_pandas=True) for mse in result.mse.T]
         return pa.Table.from_arrays(columns, schema=schema)
 
-    works = (replace(work, draws=lacking) for lacking in cut(np.flatnonzero(missing), draws))
-    with closing(collector.run(PHASE, "comparison", works, rows_of)) as pieces:
-        for piece, _ in pieces:
-            first, last = piece.draws
-            progress = replace(
-                progress,
-                done=progress.done + (last - first) * len(sets),
-                evaluations=progress.evaluations + last - first,
-            )
-            report(progress)
-    _publish(store, draws)
+    works = (
+        replace(work, draws=lacking)
+        for first in range(0, draws, BLOCK)
+        for lacking in cut(first + np.flatnonzero(~present[first : first + BLOCK]), BLOCK)
+    )
+    if not known.enough:
+        with closing(collector.run(PHASE, "comparison", works, rows_of)) as pieces:
+            for piece, result in pieces:
+                known.learn(rows_of(piece, result))
+                progress = replace(
+                    progress,
+                    done=progress.done + piece.filtered,
+                    evaluations=progress.evaluations + len(result.mse),
+                    found=known.found,
+                )
+                report(progress)
+                if known.enough:
+                    break
+    report(replace(progress, total=progress.done))  # fewer, if they were enough
+    _publish(store, known.enough or draws)
+
+
+class _Known:
+    """What is known from the blocks of draws up to the first gap, whatever order they came in.
+
+    Parameters
+    ----------
+    names : list of str
+        The reference first.
+    draws : int
+        All that are wanted: the last block is a shorter one.
+    half_width : float
+        Of the widest interval, at which there are draws enough; 0 for never.
+    """
+
+    def __init__(self, names: list[str], draws: int, half_width: float) -> None:
+        self._statistics, self._draws, self._half_width = Comparison(names), draws, half_width
+        self._waiting: dict[int, _Block] = {}
+        self.enough = 0  # draws, once there are so many
+
+    @property
+    def found(self) -> tuple[Found, ...]:
+        """The gains so far."""
+        return tuple(
+            Found(name, gain.relative.mean, gain.interval, gain.positive / gain.relative.count)
+            for name, gain in self._statistics.gains.items()
+            if gain.relative.count
+        )
+
+    def learn(self, rows: pa.Table) -> None:
+        """Take rows of draws; of a block whole, and all before it, the statistics are made."""
+        draws = rows["draw"].to_numpy()
+        values = np.stack([rows[name].to_numpy() for name in rows.column_names[1:]], axis=1)
+        for number in np.unique(draws // BLOCK).tolist():
+            its = draws // BLOCK == number
+            if number not in self._waiting:
+                size = min(BLOCK, self._draws - number * BLOCK)
+                self._waiting[number] = _Block(size, values.shape[1])
+            self._waiting[number].take(draws[its] - number * BLOCK, values[its])
+        while not self.enough and (following := self._next()) is not None:
+            self._statistics.add(following)
+            if self._half_width and self._statistics.half_width() <= self._half_width:
+                self.enough = self._statistics.draws
+
+    def _next(self) -> NDArray[np.float64] | None:
+        number = self._statistics.draws // BLOCK
+        if number in self._waiting and not self._waiting[number].lacks:
+            return self._waiting.pop(number).values
+        return None
+
+
+class _Block:
+    """Draws of a block, as they come."""
+
+    def __init__(self, draws: int, sets: int) -> None:
+        self.values, self.missing = np.empty((draws, sets)), np.ones(draws, np.bool_)
+
+    @property
+    def lacks(self) -> bool:
+        return bool(self.missing.any())
+
+    def take(self, places: NDArray[np.int64], values: NDArray[np.float64]) -> None:
+        self.values[places], self.missing[places] = values, False
 
 
 def _work(built: Built, sets: Mapping[str, Times]) -> Work:
@@ -88,7 +167,7 @@ def _work(built: Built, sets: Mapping[str, Times]) -> Work:
 def _keep_trajectories(built: Built, work: Work, names: list[str], collector: Collector) -> None:
     """Filter the first draws once more, keeping what the figures show."""
     store, draws = collector.store, min(TRAJECTORIES, built.job.comparison.draws)
-    missing = np.setdiff1d(np.arange(draws), store.column("trajectories", "draw"))
+    missing = np.setdiff1d(np.arange(draws), np.flatnonzero(store.present("trajectories", "draw")))
     _, measurements, quantities = built.problem.model.components
     schema = trajectories_schema(names, quantities, measurements)
     works = [replace(work, draws=lacking, trajectories=True) for lacking in cut(missing, draws)]
@@ -133,9 +212,10 @@ def _by_component(name: str, values: NDArray[np.float64]) -> dict[str, pa.Array]
 def _publish(store: Store, draws: int) -> None:
     """Turn parts into tables, as many draws at a time as make a file."""
     if store.has_parts("comparison", PHASE):
+        if not store.present("comparison", "draw")[:draws].all():
+            raise StoreError(
+                f"{store.path} lacks draws that were committed: is another driver at work there? "
+                "Run the same command again"
+            )
         rows = ROWS_IN_A_FILE["comparison"]
-        pieces = (
-            store.rows_between("comparison", "draw", first, min(first + rows, draws))
-            for first in range(0, draws, rows)
-        )
-        store.publish("comparison", PHASE, pieces)
+        store.publish("comparison", PHASE, store.blocks("comparison", "draw", rows, draws))

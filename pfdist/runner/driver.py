@@ -3,6 +3,7 @@
 import math
 import uuid
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import pandas as pd
@@ -19,6 +20,10 @@ from pfdist.runner.pool import Pool
 from pfdist.runner.progress import Progress, Report
 from pfdist.runner.search_phase import run_search, unpublished
 from pfdist.store import Store, schema
+
+FORKED = "forked-from"
+"""Phase of the rows that were taken from another run; those that are wanted are published."""
+COMPARED = "search"
 
 
 def drive(built: Built, store: Store, pool: Pool, report: Report) -> None:
@@ -40,17 +45,25 @@ def drive(built: Built, store: Store, pool: Pool, report: Report) -> None:
     TaskError, PoolError, StoreError
         A task failed, no worker answers, or a file cannot be read or written.
     """
+    failures = built.job.execution.failures
     pace = Pace(built.problem.seconds_a_draw, pool.workers)
-    collector = Collector(store, pool, uuid.uuid4().hex[:8], pace)
+    collector = Collector(store, pool, uuid.uuid4().hex[:8], pace, failures)
     draws = built.job.evaluation.draws
     searched = [search.optimiser.evaluations * draws for search in built.searches]
     total = sum(searched) + built.job.comparison.draws * len(built.names)
     progress = Progress(phase=built.names[0], done=0, total=total)
     try:
-        if not store.has("compared") or unpublished(store, built.names):
-            _search(built, collector, progress, report)
+        lost = store.manifest.lost()  # to be computed again
+        has = store.has("compared") and not store.has_parts("compared")
+        if lost or not has or unpublished(store, built.names):
+            sets = _search(built, collector, progress, report)
+        else:
+            sets = compared_sets(store)
         progress = replace(progress, done=sum(searched))
-        run_comparison(built, compared_sets(store), collector, progress, report)
+        run_comparison(built, sets, collector, progress, report)
+        collector.flush()
+        store.publish("draws", FORKED, [])
+        store.manifest.forget_lost()
     finally:
         collector.flush()
         for phase in (*built.names[1:], comparison_phase.PHASE):
@@ -66,8 +79,10 @@ def compared_sets(store: Store) -> dict[str, Times]:
     }
 
 
-def _search(built: Built, collector: Collector, progress: Progress, report: Report) -> None:
-    """Run every search and publish what is to be compared."""
+def _search(
+    built: Built, collector: Collector, progress: Progress, report: Report
+) -> dict[str, Times]:
+    """Run every search and give what is to be compared."""
     problem = built.job.problem
     reference = regular(problem.horizon, problem.measurement_budget)
     rows: list[dict[str, Any]] = [
@@ -94,7 +109,14 @@ def _search(built: Built, collector: Collector, progress: Progress, report: Repo
     for position, row in enumerate(rows):
         row["position"] = position
     table = pa.Table.from_pylist(rows, schema=schema("compared"))
-    collector.store.publish("compared", "search", [table])
+    # After what the searches have yet to write: from then on they are taken to be done.
+    collector.later(partial(_publish_compared, collector.store, table))
+    return {row["name"]: row["measurement_times"] for row in rows}
+
+
+def _publish_compared(store: Store, table: pa.Table) -> None:
+    store.commit("compared", COMPARED, "sets", table)  # that it is seen to be cut short
+    store.publish("compared", COMPARED, [table])
 
 
 def _publish_timings(store: Store, phase: str) -> None:

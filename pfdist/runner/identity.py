@@ -1,10 +1,11 @@
 """What a run is, and whether the folder at hand holds that run."""
 
+import contextlib
 import os
 import platform
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -12,43 +13,100 @@ from typing import Any
 
 from pfdist.errors import RunMismatchError, StoreError
 from pfdist.job import Job, job_toml
+from pfdist.kernels.noise import stream_key
 from pfdist.particle_filter import KERNEL_VERSION
 from pfdist.runner.build import Built
-from pfdist.store import SCHEMA_VERSION, Store, holds_run, read_run, write_job, write_run
+from pfdist.store import (
+    ABOUT,
+    SCHEMA_VERSION,
+    Damage,
+    Store,
+    confirm,
+    held,
+    holds_run,
+    is_identity,
+    read_run,
+    write_job,
+    write_run,
+)
 
 _LIBRARIES = ("numpy", "scipy", "numba", "ray", "pandas", "pyarrow", "matplotlib")
 
 
-def open_store(path: Path, built: Built) -> Store:
-    """Open a run's folder for computing: make it, or check that it holds this run.
+@contextlib.contextmanager
+def opened(path: Path, built: Built, say: Callable[[str], Any]) -> Iterator[Store]:
+    """Hold a run's folder for computing: make it, or check that it holds this run.
+
+    Files that are not what was committed go to quarantine, and are computed again.
 
     Parameters
     ----------
     path : Path
     built : Built
+    say : callable
+        Is told, in a line each, of what was damaged.
 
     Raises
     ------
     RunMismatchError
         It holds a run of something else.
     StoreError
-        It cannot be read or written, or holds other things than a run.
+        Another process computes it, it cannot be read or written, or holds other things than a run.
     """
-    identity, store = _identity(built), Store(path)
-    if not holds_run(path):
+    store, identity = Store(path), _identity(built)
+    known = is_identity(path, _key(identity, built.job))
+    if not known and not holds_run(path):
         _check_free(path)
-        write_job(path, job_toml(built.job.identity()))
-        write_run(path, {**identity, "provenance": _provenance(built.job)})
-    else:
-        run, job = read_run(path)
-        before = {"job": job} | {key: run.get(key) for key in identity}
-        now = {"job": built.job.identity(), **identity}
-        committed = int(store.column("comparison", "draw").max(initial=-1)) + 1
-        _check_same(path, before, now, committed)
-        if job != built.job.identity():  # comparison.draws is another
-            write_job(path, job_toml(built.job.identity()))
-    store.sweep()
-    return store
+    with held(path):
+        damages = list(store.manifest.damages()) if store.manifest.exists() else []
+        about = [damage for damage in damages if str(damage.path) in ABOUT]
+        if about and not known:
+            raise StoreError(
+                f"{path / about[0].path} {about[0].what}, and this job is not the one that the "
+                "run was started with: nothing was touched; that job, run again, makes it anew"
+            )
+        # Is it this run's? Before that no file is touched; nor are damaged tables read.
+        committed = _committed(store, damages)
+        if all((path / name).exists() for name in ABOUT) and not about:
+            _check_same(store, built.job, identity, committed)
+        elif known and built.job.comparison.draws < committed:
+            draws = built.job.comparison.draws
+            raise _mismatch(path, [f"comparison.draws: {committed} committed -> {draws}"])
+        store.sweep()
+        _quarantine(store, damages, say)
+        _write_about(path, built.job, identity)
+        yield store
+
+
+def _quarantine(store: Store, damages: list[Damage], say: Callable[[str], Any]) -> None:
+    for damage in damages:
+        place = store.manifest.quarantine(damage)
+        moved = f"it is now {place}, and " if place else ""
+        say(f"{store.path / damage.path} {damage.what}: {moved}what is lacking is made again")
+
+
+def _committed(store: Store, damages: list[Damage]) -> int:
+    damaged = {store.path / damage.path for damage in damages}
+    return store.present("comparison", "draw", without=damaged).size
+
+
+def _write_about(path: Path, job: Job, identity: dict[str, Any]) -> None:
+    """Write job.toml and run.json where they are not, or of fewer draws."""
+    key = _key(identity, job)
+    if not holds_run(path):
+        write_job(path, job_toml(job.identity()))
+        write_run(path, {**identity, "provenance": _provenance(job)}, key)
+    elif not (path / "job.toml").exists() or read_run(path)[1] != job.identity():
+        write_job(path, job_toml(job.identity()))
+    confirm(path, key)
+
+
+def _key(identity: Mapping[str, Any], job: Job) -> str:
+    """Hash what may not change while a run goes on."""
+    fixed = job.identity()
+    for changing in ("draws", "until"):
+        del fixed["comparison"][changing]
+    return f"{stream_key(identity, fixed):016x}"
 
 
 def _identity(built: Built) -> dict[str, Any]:
@@ -65,8 +123,8 @@ def _identity(built: Built) -> dict[str, Any]:
 def _check_free(path: Path) -> None:
     if path.exists() and not path.is_dir():
         raise StoreError(f"--results must be a folder, got the file {path}")
-    # job.toml alone is what a start leaves that was killed before it wrote run.json.
-    strange = {entry.name for entry in path.glob("[!.]*")} - {"job.toml"}
+    # These are what a start leaves that was killed before it wrote run.json.
+    strange = {entry.name for entry in path.glob("[!.]*")} - {"job.toml", "manifest"}
     if strange:
         raise StoreError(
             f"--results must be a new folder, an empty one or a run's, got {path} "
@@ -74,21 +132,41 @@ def _check_free(path: Path) -> None:
         )
 
 
-def _check_same(path: Path, before: dict[str, Any], now: dict[str, Any], committed: int) -> None:
-    old, new = dict(_flat(before)), dict(_flat(now))
+def _check_same(store: Store, job: Job, identity: dict[str, Any], committed: int) -> None:
+    run, its = read_run(store.path)
+    old = dict(_flat({"job": its, **{name: run.get(name) for name in identity}}))
+    new = dict(_flat({"job": job.identity(), **identity}))
     differences = []
     for key in sorted(old.keys() | new.keys()):
         was, is_ = old.get(key, "nothing"), new.get(key, "nothing")
-        if was == is_ or (key == "job.comparison.draws" and is_ >= committed):
+        if was == is_ or _may_change(key, was, is_, committed):
             continue
         if key == "job.comparison.draws":
             was = f"{committed} committed"
         differences.append(f"{key.removeprefix('job.')}: {was} -> {is_}")
     if differences:
-        raise RunMismatchError(
-            f"{path} holds another run (give --results another folder): the run's -> this one's",
-            tuple(differences),
+        raise _mismatch(store.path, differences)
+    if not store.manifest.exists():
+        raise StoreError(
+            f"{store.path} has lost its folder manifest, which says what its files must hold: put "
+            "it back, or give --results another folder"
         )
+
+
+def _mismatch(path: Path, differences: list[str]) -> RunMismatchError:
+    return RunMismatchError(
+        f"{path} holds another run (give --results another folder): the run's -> this one's",
+        tuple(differences),
+    )
+
+
+def _may_change(key: str, was: Any, is_: Any, committed: int) -> bool:
+    """Whether a run goes on all the same: with more draws, or until its intervals are narrower."""
+    if "nothing" in (was, is_):
+        return False
+    if key == "job.comparison.until.half_width":
+        return bool(is_ < was)
+    return bool(key == "job.comparison.draws" and is_ >= committed)
 
 
 def _flat(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:

@@ -33,16 +33,25 @@ class Pace:
 
     seconds: float
     workers: int
+    learnt: bool = False
 
     def learn(self, works: Iterable[Work], seconds: float) -> None:
         """Learn from a task that took so long."""
         filtered = sum(work.filtered for work in works)
         if filtered:
             self.seconds = (self.seconds + seconds / filtered) / 2
+            self.learnt = True
+
+    def expected(self, works: Iterable[Work]) -> float:
+        """Seconds that a task should take."""
+        return self.seconds * sum(work.filtered for work in works)
 
     def size(self, remaining: int) -> int:
-        """How many draws to filter in the next task, of so many that remain."""
-        share = remaining * self.seconds / (_SHARE * self.workers)
+        """How many draws to filter in the next task, of so many that remain.
+
+        The first tasks are short: a model may be a hundred times slower than is thought.
+        """
+        share = remaining * self.seconds / (_SHARE * self.workers) if self.learnt else 0.0
         return max(1, round(min(MOST_SECONDS, max(LEAST_SECONDS, share)) / self.seconds))
 
 

@@ -20,10 +20,13 @@ class Task:
         Says what it is: the same key, the same work.
     work : object
         The argument of the pool's function, which is pure.
+    seconds : float
+        How long it should take, as far as is known.
     """
 
     key: str
     work: Any
+    seconds: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,25 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
+class Found:
+    """What a comparison has found of a set of times so far.
+
+    Parameters
+    ----------
+    name : str
+    mean_relative_gain : float
+    interval : (float, float)
+        Its, 95 %.
+    positive_fraction : float
+    """
+
+    name: str
+    mean_relative_gain: float
+    interval: tuple[float, float]
+    positive_fraction: float
+
+
+@dataclass(frozen=True)
 class Progress:
     """How far a run is.
 
@@ -22,6 +41,8 @@ class Progress:
         Cost of the set the search would return now.
     mean : float or None
         Mean cost of the last finished generation.
+    found : tuple of Found
+        Of the comparison, a set each but the reference.
     """
 
     phase: str
@@ -32,6 +53,7 @@ class Progress:
     generations: int = 0
     best: float | None = None
     mean: float | None = None
+    found: tuple[Found, ...] = ()
 
 
 Report = Callable[[Progress], None]

@@ -5,35 +5,53 @@ actor loads its filter once, or compiles it. Each is handed its next task before
 last one.
 """
 
+import contextlib
 import logging
 import os
+import platform
 import signal
 import socket
+import tempfile
 import threading
+import time
 import warnings
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
-from itertools import cycle, islice
+from dataclasses import dataclass, field
+from importlib.metadata import version
 from typing import Any, Self
 
 # Before Ray is imported: its defaults speak of themselves on standard error and to their makers.
 os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
 os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+# Answers of more bytes go through Ray's object store, for which a driver may wait for ever.
+os.environ.setdefault("RAY_max_direct_call_object_size", f"{8 * 1024**2}")
 
 import ray
-from ray.exceptions import RayError
+from ray.exceptions import RayActorError, RayError
+from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
 from pfdist.errors import PoolError
+from pfdist.runner.cores import usable_cores
 from pfdist.runner.pool import Outcome, Task, do
+from pfdist.runner.processes import end, family
 
 IN_FLIGHT = 2  # tasks a worker: the one it does and the one that waits for it
 DEATHS = 3  # of workers that had a task, before the task is given up
-PATIENCE_SECONDS = 600.0  # a task takes seconds; when none ends in this time, none will
+SILENCES = 2  # likewise, of workers that did not answer
+PATIENCE_SECONDS = 15.0  # a worker is taken for lost when it is silent for so long, and for
+PATIENCE_TIMES = 20  # so many times what its task should take
+LOOK_SECONDS = 1.0  # between two looks for those that are silent
+STILL_SECONDS = 5.0  # without a look: this process itself was stopped, or had other things to do
+ANSWER_SECONDS = 45.0  # when all are silent for so long, nobody will answer
+FETCH_SECONDS = 10.0
 START_SECONDS = 120.0
 CONNECT_SECONDS = 10.0
-_ONE_THREAD = {
+STOP_SECONDS = 5.0
+LONGEST_FOLDER = 40  # a socket's path has 107 characters, of which Ray needs 65
+_ENVIRONMENT = {
     f"{library}_NUM_THREADS": "1" for library in ("OMP", "MKL", "OPENBLAS", "NUMBA", "NUMEXPR")
-}
+} | {name: os.environ[name] for name in ("RAY_max_direct_call_object_size",)}
 _OBJECT_STORE_BYTES = 100 * 1024**2  # outcomes are kilobytes
 
 
@@ -42,11 +60,45 @@ class _Worker:
     def __init__(self, make_function: Callable[[], Callable[[Any], Any]]) -> None:
         self._function = make_function()
 
-    def ready(self) -> bool:
-        return True
+    def about(self) -> dict[str, Any]:
+        """Say who this is; it is the first to be answered."""
+        return _about()
 
     def do(self, task: Task) -> Outcome:
         return do(self._function, task)
+
+
+def _about() -> dict[str, Any]:
+    return {
+        "host": platform.node(),
+        "python": platform.python_version(),
+        "pfdist": version("pfdist"),
+    }
+
+
+@dataclass(eq=False)
+class _Slot:
+    """A place for a worker: the one that has it now, and what it has been handed.
+
+    Nothing is handed to a worker that has not said who it is: it may never start, as on a cluster
+    that has lost a node.
+    """
+
+    actor: Any
+    about: Any  # the answer to `_Worker.about`, until it has come
+    tasks: dict[Any, Task] = field(default_factory=dict)
+    heard: float = field(default_factory=time.monotonic)
+
+    @property
+    def calls(self) -> list[Any]:
+        """Answers that it owes."""
+        return [*self.tasks, *([] if self.about is None else [self.about])]
+
+    @property
+    def patience(self) -> float:
+        """Seconds it may be silent."""
+        expected = max((task.seconds for task in self.tasks.values()), default=0.0)
+        return max(PATIENCE_SECONDS, PATIENCE_TIMES * expected)
 
 
 class RayPool:
@@ -77,7 +129,7 @@ class RayPool:
         self._make_function = make_function
         self._address = address
         self._started = False
-        self._actors: list[Any] = []
+        self._slots: list[_Slot] = []
         self.workers = workers
 
     def __enter__(self) -> Self:
@@ -85,8 +137,8 @@ class RayPool:
             self._connect()
             if not self.workers:
                 self.workers = max(1, int(ray.cluster_resources().get("CPU", 1)))
-            self._actors = [self._new_worker() for _ in range(self.workers)]
-            ray.get([actor.ready.remote() for actor in self._actors], timeout=START_SECONDS)
+            self._slots = [self._new_slot() for _ in range(self.workers)]
+            self._wait_for_all()
         except (RayError, OSError, RuntimeError, ValueError) as error:
             self.__exit__()
             reason = str(error).strip().splitlines()
@@ -95,64 +147,130 @@ class RayPool:
                 f"{reason[-1] if reason else type(error).__name__}; "
                 "--pool serial computes the same without Ray"
             ) from error
+        except BaseException:
+            self.__exit__()
+            raise
         return self
 
     def __exit__(self, *_: object) -> None:
+        slots, self._slots = self._slots, []
         if self._started:
-            ray.shutdown()  # the workers go with it
             self._started = False
+            _shut_down(local=not self._address)  # the workers go with it
         elif ray.is_initialized():
-            for actor in self._actors:
-                ray.kill(actor)
-        self._actors = []
+            for slot in slots:
+                _end(slot.actor)
+
+    def _wait_for_all(self) -> None:
+        """Wait until all have said who they are; some may die before they do."""
+        deadline, deaths = time.monotonic() + START_SECONDS, 0
+        while coming := {slot.about: slot for slot in self._slots if slot.about is not None}:
+            ready, _ = ray.wait(list(coming), timeout=max(0.0, deadline - time.monotonic()))
+            slot = coming[ready[0]] if ready else next(iter(coming.values()))
+            try:
+                _check_versions([ray.get(slot.about, timeout=0 if not ready else FETCH_SECONDS)])
+                slot.about = None
+            except RayActorError:
+                deaths += 1
+                if deaths >= DEATHS:
+                    raise
+                self._slots[self._slots.index(slot)] = self._new_slot()
 
     def run(self, tasks: Iterable[Task]) -> Iterator[Outcome]:
         """Give the outcomes as the workers end their tasks, with a bounded number in flight.
 
-        A worker that dies is replaced and what it had is done again.
+        A worker that dies, or is silent for too long, is replaced, and what it had is done again;
+        should it answer after all, nobody listens.
 
         Raises
         ------
         PoolError
             No worker answers.
         """
-        waiting: dict[Any, tuple[Task, int, Any]] = {}
-        deaths: Counter[str] = Counter()
+        self._todo, self._again = iter(tasks), deque[Task]()
+        self._lost, self._last_loss = Counter[str](), ""
+        self._looked = self._heard = time.monotonic()
+        for slot in self._slots:
+            slot.tasks = {}  # of a run that was broken off
+        while self._hand_out() or any(slot.tasks for slot in self._slots):
+            ready, _ = ray.wait(self._calls, num_returns=1, timeout=LOOK_SECONDS)
+            if ready:
+                yield from self._take(ready[0])
+            yield from self._give_up_the_silent()
 
-        def submit(task: Task, slot: int) -> None:
-            actor = self._actors[slot]
-            waiting[actor.do.remote(task)] = (task, slot, actor)
+    def _hand_out(self) -> bool:
+        """Hand tasks to all who can take one; give whether there may be more."""
+        for depth in range(IN_FLIGHT):
+            for slot in self._slots:
+                if slot.about is None and len(slot.tasks) <= depth:
+                    task = self._again.popleft() if self._again else next(self._todo, None)
+                    if task is None:
+                        return False
+                    if not slot.tasks:
+                        slot.heard = time.monotonic()
+                    slot.tasks[slot.actor.do.remote(task)] = task
+        return True
 
-        todo = iter(tasks)
-        slots = cycle(range(self.workers))
-        for slot, task in zip(islice(slots, IN_FLIGHT * self.workers), todo, strict=False):
-            submit(task, slot)
-        while waiting:
-            ready, _ = ray.wait(list(waiting), num_returns=1, timeout=PATIENCE_SECONDS)
-            if not ready:
-                raise PoolError(
-                    f"no worker has ended a task in {PATIENCE_SECONDS:.0f} s; "
-                    "run the same command again to go on from what is committed"
-                )
-            task, slot, actor = waiting.pop(ready[0])
-            try:
-                outcome: Outcome = ray.get(ready[0], timeout=PATIENCE_SECONDS)
-            except RayError as error:
-                deaths[task.key] += 1
-                if self._actors[slot] is actor:
-                    self._actors[slot] = self._new_worker()
-                if deaths[task.key] < DEATHS:
-                    submit(task, slot)
-                    continue
-                outcome = Outcome(task, None, 0.0, "", "", f"{type(error).__name__}: {error}")
-            following = next(todo, None)
-            if following is not None:
-                submit(following, slot)
-            yield outcome
+    def _take(self, call: Any) -> Iterator[Outcome]:
+        """Take an answer."""
+        slot = next(slot for slot in self._slots if call in slot.calls)
+        try:
+            answer = ray.get(call, timeout=FETCH_SECONDS)
+        except RayError as error:
+            yield from self._replace(slot, f"{type(error).__name__}: {error}", DEATHS)
+            return
+        slot.heard = self._heard = time.monotonic()
+        if call is slot.about:
+            slot.about = None
+            _check_versions([answer])
+        else:
+            del slot.tasks[call]
+            yield answer
 
-    def _new_worker(self) -> Any:
-        options = _Worker.options(runtime_env={"env_vars": _ONE_THREAD})  # type: ignore[attr-defined]
-        return options.remote(self._make_function)
+    def _give_up_the_silent(self) -> Iterator[Outcome]:
+        """Replace workers that should have answered long ago."""
+        now = time.monotonic()
+        if now - self._looked > STILL_SECONDS:  # nothing here moved: it says nothing of the workers
+            self._heard = now
+            for slot in self._slots:
+                slot.heard = now
+        self._looked = now
+        for slot in list(self._slots):
+            if slot.tasks and now - slot.heard > slot.patience and _silent(slot.calls):
+                why = f"TimeoutError: no answer in {now - slot.heard:.0f} s"
+                yield from self._replace(slot, why, SILENCES)
+        patience = max(ANSWER_SECONDS, *(2 * slot.patience for slot in self._slots))
+        if now - self._heard > patience and _silent(self._calls):
+            raise PoolError(
+                f"no worker has answered for {now - self._heard:.0f} s{self._last_loss}; run the "
+                "same command again to go on from what is committed"
+            )
+
+    def _replace(self, slot: _Slot, why: str, most: int) -> Iterator[Outcome]:
+        """Put another worker in the place of one that is lost, and have done again what it had.
+
+        What it was doing may have been its end: a task that has cost so many workers is given up.
+        """
+        self._last_loss = f" (the last was lost by {why.splitlines()[0]})"
+        _end(slot.actor)
+        self._slots[self._slots.index(slot)] = self._new_slot()
+        tasks = list(slot.tasks.values())
+        self._again.extend(tasks[1:])
+        for task in tasks[:1]:
+            self._lost[task.key] += 1
+            if self._lost[task.key] < most:
+                self._again.appendleft(task)
+            else:
+                yield Outcome(task, None, 0.0, "", "", why)
+
+    @property
+    def _calls(self) -> list[Any]:
+        return [call for slot in self._slots for call in slot.calls]
+
+    def _new_slot(self) -> _Slot:
+        options = _Worker.options(runtime_env={"env_vars": _ENVIRONMENT})  # type: ignore[attr-defined]
+        actor = options.remote(self._make_function)
+        return _Slot(actor, actor.about.remote())
 
     def _connect(self) -> None:
         if ray.is_initialized():
@@ -164,7 +282,8 @@ class RayPool:
         else:
             options |= {
                 "address": "local",
-                "num_cpus": self.workers or len(os.sched_getaffinity(0)),
+                "num_cpus": self.workers or usable_cores(),
+                "_temp_dir": _short_folder(),
                 "num_gpus": 0,
                 "include_dashboard": False,
                 "object_store_memory": _OBJECT_STORE_BYTES,
@@ -176,6 +295,88 @@ class RayPool:
         self._started = True
         if threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGTERM, before)  # Ray takes it for itself, and exits with 1
+
+
+@ray.remote(num_cpus=0)  # type: ignore[untyped-decorator]
+def _about_node() -> dict[str, Any]:
+    return _about()
+
+
+def describe_nodes(address: str) -> list[dict[str, Any]]:
+    """Ask every node of an existing cluster for its host, Python and pfdist.
+
+    Raises
+    ------
+    PoolError
+        The cluster, or one of its nodes, does not answer.
+    """
+    joined = not ray.is_initialized()
+    try:
+        _check_reachable(address)
+        if joined:
+            ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
+        calls = [
+            _about_node.options(
+                scheduling_strategy=NodeAffinitySchedulingStrategy(node["NodeID"], soft=False)
+            ).remote()
+            for node in ray.nodes()
+            if node["Alive"]
+        ]
+        nodes: list[dict[str, Any]] = ray.get(calls, timeout=START_SECONDS)
+    except (RayError, OSError, RuntimeError, ValueError) as error:
+        reason = str(error).strip().splitlines() or [type(error).__name__]
+        raise PoolError(f"the Ray cluster at {address!r} does not answer: {reason[-1]}") from error
+    finally:
+        if joined and ray.is_initialized():
+            _shut_down(local=False)
+    return nodes
+
+
+def _short_folder() -> str | None:
+    """Where Ray keeps its sockets, if its own choice has too long a path for them."""
+    folder = os.environ.get("RAY_TMPDIR") or tempfile.gettempdir()
+    return None if len(folder) <= LONGEST_FOLDER else f"/tmp/pfdist-ray-{os.getuid()}"  # noqa: S108
+
+
+def _check_versions(abouts: Iterable[dict[str, Any]]) -> None:
+    for about in abouts:
+        if about["pfdist"] != version("pfdist"):
+            raise PoolError(
+                f"every node must have pfdist {version('pfdist')}, got {about['pfdist']} on "
+                f"{about['host']}: install the same version there"
+            )
+
+
+def _silent(calls: list[Any]) -> bool:
+    """Whether none is answered: what waits to be taken is an answer."""
+    return not ray.wait(calls, timeout=0)[0]
+
+
+def _end(actor: Any) -> None:
+    """End a worker, though it may be stopped."""
+
+    def kill() -> None:
+        with contextlib.suppress(RayError, ValueError):
+            ray.kill(actor)
+
+    _within(STOP_SECONDS, kill)
+
+
+def _shut_down(*, local: bool) -> None:
+    """Leave a cluster; end one that this process has started, though its servers may be stopped."""
+    session = ray.get_runtime_context().get_session_name()
+    ours = family(os.getpid(), session) if local else []
+    shutdown = _within(STOP_SECONDS, ray.shutdown)
+    end(ours)
+    shutdown.join(STOP_SECONDS)
+
+
+def _within(seconds: float, function: Callable[[], Any]) -> threading.Thread:
+    """Call a function that may never return, and wait for it so long."""
+    thread = threading.Thread(target=function, daemon=True)
+    thread.start()
+    thread.join(seconds)
+    return thread
 
 
 def _check_reachable(address: str) -> None:

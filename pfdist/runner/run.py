@@ -10,9 +10,10 @@ from pfdist.errors import JobError
 from pfdist.job import Job, load_job
 from pfdist.plots import draw_figures, figure_files, remove_figures
 from pfdist.runner.build import build, make_pool
-from pfdist.runner.driver import drive
-from pfdist.runner.identity import open_store
+from pfdist.runner.driver import FORKED, drive
+from pfdist.runner.identity import opened
 from pfdist.runner.progress import Report
+from pfdist.store import Store, read_run
 
 
 def run(
@@ -22,6 +23,7 @@ def run(
     workers: int | None = None,
     *,
     address: str | None = None,
+    fork: str | Path | None = None,
     report: Report = lambda progress: None,
     say: Callable[[str], Any] = lambda line: None,
 ) -> Run:
@@ -39,10 +41,13 @@ def run(
         In the place of the job's execution.workers; 0 takes all cores.
     address : str, optional
         Of a Ray cluster to join.
+    fork : str or Path, optional
+        The folder of a new run, of a job that differs from that of `results`: evaluations of which
+        nothing differs are taken from there.
     report : callable, optional
         Is told of the progress, a `pfdist.runner.progress.Progress` at a time.
     say : callable, optional
-        Is told, in one line, when the pool is ready.
+        Is told, in a line each, when the pool is ready, and which files were damaged.
 
     Returns
     -------
@@ -63,18 +68,24 @@ def run(
             f"{job.execution.workers}, address = {job.execution.address!r}; pool 'ray' takes both"
         )
     path = Path("results") / job.path.stem if results is None else Path(results)
+    origin, path = (None, path) if fork is None else (Store(path), Path(fork))
+    if origin is not None:
+        read_run(origin.path)  # or there is nothing to start from
     built = build(job)
-    store = open_store(path, built)
-    finished = open_run(path).state == "finished"
-    if not finished:
-        remove_figures(path)  # of fewer draws, or drawn on the way
-        start = perf_counter()
-        with make_pool(built, job.execution) as entered:
-            say(_ready(job.execution.pool, entered.workers, perf_counter() - start))
-            drive(built, store, entered, report)
-    done = open_run(path)
-    if not all(file.exists() for file in figure_files(done)):
-        draw_figures(done)
+    with opened(path, built, say) as store:
+        if open_run(path).state != "finished":
+            remove_figures(path)  # of fewer draws, or drawn on the way
+            if origin is not None:
+                store.adopt(origin, FORKED)
+            for file in built.model_files:
+                say(f"the model is what {file} says")
+            start = perf_counter()
+            with make_pool(built, job.execution) as entered:
+                say(_ready(job.execution.pool, entered.workers, perf_counter() - start))
+                drive(built, store, entered, report)
+        done = open_run(path)
+        if not all(file.exists() for file in figure_files(done)):
+            draw_figures(done)
     return done
 
 

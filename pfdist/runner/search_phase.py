@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from pfdist.errors import StoreError
 from pfdist.kernels.noise import generator, stream_key
 from pfdist.measurement_times import Times
 from pfdist.monte_carlo import Evaluation, Result, Work, cut
@@ -229,9 +230,21 @@ def _publish(store: Store, phase: str) -> None:
         return
     rows = store.read("evaluations")
     rows = rows[rows["phase"] == phase]
-    ids = list(dict.fromkeys(rows["evaluation"]))
-    starts = range(0, len(ids), _EVALUATIONS_AT_ONCE)
-    pieces = (store.per_draw(ids[first : first + _EVALUATIONS_AT_ONCE]) for first in starts)
-    store.publish("draws", phase, pieces)
+    wanted = dict(zip(rows["evaluation"], rows["draws"], strict=True))
+    store.publish("draws", phase, _draws_of(store, wanted))
     table = pa.Table.from_pandas(rows, schema=schema("evaluations"), preserve_index=False)
     store.publish("evaluations", phase, [table])
+
+
+def _draws_of(store: Store, wanted: dict[str, int]) -> Iterator[pa.Table]:
+    """Give the rows of so many draws of each evaluation, or none: their parts are to be removed."""
+    ids = list(wanted)
+    for first in range(0, len(ids), _EVALUATIONS_AT_ONCE):
+        some = ids[first : first + _EVALUATIONS_AT_ONCE]
+        rows = store.per_draw(some)
+        if rows.num_rows != sum(wanted[id_] for id_ in some):
+            raise StoreError(
+                f"{store.path} lacks draws that were committed: is another driver at work there? "
+                "Run the same command again"
+            )
+        yield rows

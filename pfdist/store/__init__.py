@@ -4,19 +4,42 @@ Only this package touches a run's files. It knows tables, columns and keys; what
 search is the driver's.
 """
 
-from pfdist.store.folder import holds_run, read_run, write_job, write_run
+from pfdist.store.files import remove as remove_file
+from pfdist.store.files import write_file
+from pfdist.store.folder import (
+    ABOUT,
+    confirm,
+    holds_run,
+    is_identity,
+    read_run,
+    write_job,
+    write_run,
+)
+from pfdist.store.lock import check_not_held, held
+from pfdist.store.manifest import Damage
 from pfdist.store.parquet import ROWS_IN_A_FILE, Store
 from pfdist.store.schema import SCHEMA_VERSION, comparison_schema, schema, trajectories_schema
+from pfdist.store.verify import lacking_evaluations, verify
 
 __all__ = [
+    "ABOUT",
     "ROWS_IN_A_FILE",
     "SCHEMA_VERSION",
+    "Damage",
     "Store",
+    "check_not_held",
     "comparison_schema",
+    "confirm",
+    "held",
     "holds_run",
+    "is_identity",
+    "lacking_evaluations",
     "read_run",
+    "remove_file",
     "schema",
     "trajectories_schema",
+    "verify",
+    "write_file",
     "write_job",
     "write_run",
 ]

@@ -7,7 +7,11 @@ from typing import Any
 
 from pfdist.errors import StoreError
 from pfdist.store import files
+from pfdist.store.manifest import FOLDER, Manifest
 from pfdist.store.schema import SCHEMA_VERSION
+
+ABOUT = ("job.toml", "run.json")
+_IDENTITY = f"{FOLDER}/identity"
 
 
 def holds_run(path: Path) -> bool:
@@ -20,12 +24,44 @@ def holds_run(path: Path) -> bool:
 
 def write_job(path: Path, toml: str) -> None:
     """Write the resolved job."""
-    files.write_text(path / "job.toml", toml)
+    _write(path / "job.toml", toml)
 
 
-def write_run(path: Path, run: dict[str, Any]) -> None:
-    """Write identity and provenance."""
-    files.write_text(path / "run.json", json.dumps(run, indent=2) + "\n")
+def write_run(path: Path, run: dict[str, Any], identity: str) -> None:
+    """Write identity and provenance, and a hash of the identity that outlives the file."""
+    _keep_identity(path, identity)
+    _write(path / "run.json", json.dumps(run, indent=2) + "\n")
+
+
+def is_identity(path: Path, identity: str) -> bool:
+    """Whether this is the hash that a run's identity had when it was started."""
+    return (path / _IDENTITY / identity).exists()
+
+
+def confirm(path: Path, identity: str) -> None:
+    """Say that job.toml and run.json are what they are to be: a kill may have come in between."""
+    _keep_identity(path, identity)
+    manifest = Manifest(path)
+    for name in ABOUT:
+        try:
+            stamp = f"0-{files.digest(path / name)}"
+        except OSError as error:
+            raise StoreError(f"cannot read {path / name}: {error.strerror}") from error
+        manifest.settle(path / name, stamp, manifest.expect(path / name, stamp))
+
+
+def _keep_identity(path: Path, identity: str) -> None:
+    files.touch(path / _IDENTITY / identity)
+    for other in (path / _IDENTITY).glob("*"):  # of a start that was cut short
+        if other.name != identity:
+            files.remove(other)
+
+
+def _write(path: Path, text: str) -> None:
+    manifest, prepared = Manifest(path.parent), files.prepare_text(path.parent, text)
+    before = manifest.expect(path, prepared.stamp)
+    files.give_name(prepared, path, replace=True)
+    manifest.settle(path, prepared.stamp, before)
 
 
 def read_run(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -2,34 +2,38 @@
 
 ::
 
-    parts/<table>/<phase>-<key>.parquet      committed one by one, gone when their phase is done
+    parts/<table>/<phase>-<key>.<rows>-<SHA-256>.parquet
+                                             committed one by one, gone when their phase is done
     tables/<table>/<phase>-00000.parquet     published: sorted, cut at fixed counts
+    manifest/tables/<table>/<phase>-00000.parquet/<rows>-<SHA-256>
+                                             what a published file must hold
 
 A reader sees both as one. A phase may be published again and again with the same outcome, so a
 process may die at any instant of it.
 """
 
-import contextlib
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from functools import cached_property
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from functools import cached_property, partial
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from pfdist.errors import StoreError
 from pfdist.store import files
+from pfdist.store.manifest import Manifest
 from pfdist.store.schema import KEYS, SCHEMA_VERSION, schema
 
 ROWS_IN_A_FILE = {"draws": 1_000_000, "comparison": 50_000}
 _MANY = 1_000_000_000  # rows of the other tables: one file a phase
 _ATTEMPTS = 5
+Found = TypeVar("Found")
 
 
 class Store:
@@ -45,6 +49,7 @@ class Store:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self.manifest = Manifest(path)
 
     # --- writing ------------------------------------------------------------------------------
 
@@ -63,9 +68,13 @@ class Store:
             Says what the rows are.
         rows : pyarrow.Table
         """
-        path = self.path / "parts" / table / f"{phase}-{key}.parquet"
-        files.write_table(path, rows)
-        if table == "draws":
+        folder = self.path / "parts" / table
+        path = next(folder.glob(f"{phase}-{key}.*.parquet"), None)
+        if path is None:
+            prepared = files.prepare_table(folder, rows)
+            path = folder / f"{phase}-{key}.{prepared.stamp}.parquet"
+            files.give_name(prepared, path, replace=False)
+        if table == "draws":  # even if it was there: another driver may have committed it
             self._index(path, rows)
 
     def publish(self, table: str, phase: str, pieces: Iterable[pa.Table]) -> None:
@@ -81,22 +90,28 @@ class Store:
         pieces : iterable of pyarrow.Table
             All rows of the phase in their order, in pieces of any sizes.
         """
+        settled = []
         for number, rows in enumerate(cut_rows(pieces, ROWS_IN_A_FILE.get(table, _MANY))):
             path = self.path / "tables" / table / f"{phase}-{number:05d}.parquet"
-            files.write_table(path, rows.combine_chunks(), replace=True)
+            prepared = files.prepare_table(path.parent, rows.combine_chunks())
+            before = self.manifest.expect(path, prepared.stamp)
+            files.give_name(prepared, path, replace=True)
+            settled.append((path, prepared.stamp, before))
             if table == "draws":
                 self._index(path, rows)
+        for path, stamp, before in settled:
+            self.manifest.settle(path, stamp, before)
         for path in self._parts(table, phase):
             files.remove(path)
-            if table == "draws":
-                for holders in self._files_of_evaluation.values():
-                    holders.discard(path)
+            for holders in self.__dict__.get("_files_of_evaluation", {}).values():
+                holders.discard(path)
 
     # --- reading ------------------------------------------------------------------------------
 
-    def read(self, table: str) -> pd.DataFrame:
-        """Read a whole table, parts and published files as one, sorted by key."""
-        pieces = self._load(table)
+    def read(self, table: str, draws: int | None = None) -> pd.DataFrame:
+        """Read a table, parts and published files as one, sorted by key; or its first draws."""
+        wanted = None if draws is None else pc.field("draw") < draws
+        pieces = self._load(table, filters=wanted)
         if not pieces:
             raise StoreError(f"the run {self.path} has no table {table!r} yet")
         frame: pd.DataFrame = pd.concat([piece.to_pandas() for piece in pieces])
@@ -110,31 +125,64 @@ class Store:
         """Whether a phase, or the run, has rows that are not published yet."""
         return bool(self._parts(table, phase))
 
-    def rows_between(self, table: str, column: str, first: int, last: int) -> pa.Table | None:
-        """Rows, parts and published, whose column lies in first..last-1; sorted, each once."""
-        paths = self._files(table)
-        if not paths:
-            return None
-        bounds = (pc.field(column) >= first) & (pc.field(column) < last)
-        found = _guarded(
-            paths[0], lambda: ds.dataset([str(path) for path in paths]).to_table(filter=bounds)
-        ).sort_by(column)
-        values = found[column].to_numpy()
-        keep = np.ones(len(values), bool)
-        keep[1:] = values[1:] != values[:-1]
-        return found.filter(pa.array(keep))
+    def blocks(self, table: str, column: str, rows: int, last: int) -> Iterator[pa.Table]:
+        """Give the rows whose column lies in 0..last-1, so many of its values at a time.
 
-    def column(self, table: str, column: str) -> NDArray[np.int64]:
-        """One integer column of all files of a table, in no order and perhaps repeated."""
-        pieces = [piece[column].to_numpy() for piece in self._load(table, [column])]
-        return np.concatenate([np.empty(0, np.int64), *pieces])
+        They are sorted, each comes once, and a block without any is passed over. Of all files
+        only those are read that reach into a block, so that memory does not grow with the table.
+        """
+        spans: list[tuple[Path, int, int]] | None = None
+
+        def look(first: int) -> pa.Table | None:
+            nonlocal spans
+            spans = self._spans(table, column) if spans is None else spans
+            try:
+                return _between(spans, column, first, min(first + rows, last))
+            except FileNotFoundError:
+                spans = None
+                raise
+
+        for first in range(0, last, rows):
+            block = self._again(partial(look, first))
+            if block is not None:
+                yield block
+
+    def pieces(self, table: str, columns: list[str]) -> Iterator[pa.Table]:
+        """Some columns of a table, a file at a time; rows may come twice."""
+        for path in self._files(table):
+            yield _read_file(path, columns)
+
+    def present(self, table: str, column: str, without: Container[Path] = ()) -> NDArray[np.bool_]:
+        """Which values a column of counts has, up to its largest: a byte each.
+
+        Parameters
+        ----------
+        table, column : str
+        without : container of Path
+            Files that are not looked at.
+        """
+
+        def look() -> NDArray[np.bool_]:
+            found = np.zeros(0, np.bool_)
+            for path in self._files(table):
+                if path not in without:
+                    values = _read_file(path, [column])[column].to_numpy()
+                    found = np.pad(found, (0, max(0, int(values.max(initial=-1)) + 1 - found.size)))
+                    found[values] = True
+            return found
+
+        return self._again(look)
 
     def per_draw(self, evaluations: Sequence[str]) -> pa.Table:
         """Rows of the draws table of these evaluations, in their order and by draw, each once."""
         ids = list(evaluations)
-        paths = set().union(*(self._files_of_evaluation.get(id_, set()) for id_ in ids))
         wanted = pc.field("evaluation").isin(ids)
-        found = [_read_file(path, filters=wanted) for path in sorted(paths)]
+
+        def look() -> list[pa.Table]:
+            paths = set().union(*(self._files_of_evaluation.get(id_, set()) for id_ in ids))
+            return [_read_file(path, filters=wanted) for path in sorted(paths)]
+
+        found = self._again(look)
         if not found:
             return schema("draws").empty_table()
         rows = pa.concat_tables(found)
@@ -145,6 +193,23 @@ class Store:
         first[1:] = (np.diff(place[order]) != 0) | (np.diff(draw[order]) != 0)
         return rows.take(order[first])
 
+    def adopt(self, other: "Store", phase: str) -> None:
+        """Commit all per-draw rows of another run, under a phase of their own.
+
+        An evaluation's id says all that its draws depend on, so they are found as if computed here.
+        """
+        wrong = set()
+        if other.manifest.exists():
+            wrong = {other.path / damage.path for damage in other.manifest.damages()}
+
+        def copy() -> None:
+            for path in other._files("draws"):
+                if path not in wrong:
+                    rows = _read_file(path).cast(schema("draws"))  # an older version's, too
+                    self.commit("draws", phase, path.stem.replace(".", "-"), rows)
+
+        self._again(copy)
+
     def _parts(self, table: str, phase: str) -> list[Path]:
         return sorted((self.path / "parts").glob(f"{table}/{phase}-*.parquet"))
 
@@ -154,11 +219,33 @@ class Store:
         tables = sorted((self.path / "tables" / table).glob("[!.]*.parquet"))
         return tables + parts
 
-    def _load(self, table: str, columns: list[str] | None = None) -> list[pa.Table]:
-        """Read all files of a table, again from the start if one was published meanwhile."""
+    def _load(
+        self,
+        table: str,
+        columns: list[str] | None = None,
+        filters: pc.Expression | None = None,
+    ) -> list[pa.Table]:
+        """Read all files of a table."""
+        return self._again(
+            lambda: [_read_file(path, columns, filters) for path in self._files(table)]
+        )
+
+    def _spans(self, table: str, column: str) -> list[tuple[Path, int, int]]:
+        """Files of a table, and the smallest and largest value of a column in each."""
+        spans = []
+        for path in self._files(table):
+            values = _read_file(path, [column])[column].to_numpy()
+            if values.size:
+                spans.append((path, int(values.min()), int(values.max())))
+        return spans
+
+    def _again(self, look: Callable[[], Found]) -> Found:
+        """Look, and again from the start if a file was published meanwhile."""
         for _ in range(_ATTEMPTS):
-            with contextlib.suppress(FileNotFoundError):
-                return [_read_file(path, columns) for path in self._files(table)]
+            try:
+                return look()
+            except FileNotFoundError:
+                self.__dict__.pop("_files_of_evaluation", None)  # what it knew has moved
         raise StoreError(f"the run {self.path} changes faster than it can be read: try again")
 
     @cached_property
@@ -171,8 +258,9 @@ class Store:
         return index
 
     def _index(self, path: Path, rows: pa.Table) -> None:
-        for id_ in rows["evaluation"].unique().to_pylist():
-            self._files_of_evaluation[id_].add(path)
+        if "_files_of_evaluation" in self.__dict__:  # else it will be read
+            for id_ in rows["evaluation"].unique().to_pylist():
+                self._files_of_evaluation[id_].add(path)
 
 
 def cut_rows(pieces: Iterable[pa.Table], count: int) -> Iterator[pa.Table]:
@@ -190,6 +278,21 @@ def cut_rows(pieces: Iterable[pa.Table], count: int) -> Iterator[pa.Table]:
         yield pa.concat_tables(waiting)
 
 
+def _between(
+    spans: list[tuple[Path, int, int]], column: str, first: int, last: int
+) -> pa.Table | None:
+    bounds = (pc.field(column) >= first) & (pc.field(column) < last)
+    reach = [path for path, least, most in spans if least < last and most >= first]
+    pieces = [_read_file(path, filters=bounds) for path in reach]
+    if not pieces:
+        return None
+    found = pa.concat_tables(pieces).sort_by(column)
+    values = found[column].to_numpy()
+    keep = np.ones(len(values), bool)
+    keep[1:] = values[1:] != values[:-1]
+    return found.filter(pa.array(keep))
+
+
 def _guarded(path: Path, read: Callable[[], pa.Table]) -> pa.Table:
     try:
         return read()
@@ -197,14 +300,24 @@ def _guarded(path: Path, read: Callable[[], pa.Table]) -> pa.Table:
         raise
     except (OSError, pa.ArrowInvalid) as error:
         reason = str(error).splitlines()[0]
-        raise StoreError(f"cannot read {path}: {reason}") from error
+        raise StoreError(
+            f"cannot read {path}: {reason}; the job, run again, makes it anew if it is damaged"
+        ) from error
 
 
 def _read_file(
     path: Path, columns: list[str] | None = None, filters: pc.Expression | None = None
 ) -> pa.Table:
     table = _guarded(
-        path, lambda: pq.read_table(path, columns=columns, filters=filters, partitioning=None)
+        path,
+        lambda: pq.read_table(
+            path,
+            columns=columns,
+            filters=filters,
+            partitioning=None,
+            use_threads=False,  # each would keep memory of its own
+            page_checksum_verification=True,
+        ),
     )
     version = int((table.schema.metadata or {}).get(b"pfdist_schema_version", b"0"))
     if version > SCHEMA_VERSION:

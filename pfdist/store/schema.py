@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import pyarrow as pa
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 _MSE = "square of z's unit"
 
@@ -18,7 +18,7 @@ KEYS: dict[str, list[str]] = {
     "compared": ["position"],
     "comparison": ["draw"],
     "trajectories": ["draw", "t"],
-    "timings": ["phase", "task", "session"],
+    "timings": ["phase", "task", "session", "seconds"],
 }
 """What identifies a row of each table."""
 

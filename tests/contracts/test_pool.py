@@ -1,12 +1,17 @@
 """What every pool keeps to: one contract, one test."""
 
-import tempfile
+import os
+import signal
+import threading
+import time
 from collections.abc import Callable, Iterator
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from pfdist.errors import PoolError
 from pfdist.runner.pool import Pool, SerialPool, Task
 
 # A pool's function is made in its workers, which need not know this file.
@@ -79,27 +84,140 @@ def test_ray_workers_have_one_thread_each(ray_cluster: None) -> None:
     assert {outcome.task.key: outcome.value for outcome in outcomes} == dict.fromkeys(names, "1")
 
 
-def test_a_ray_worker_that_dies_is_replaced_and_its_tasks_are_done(ray_cluster: None) -> None:
+def test_a_run_that_is_broken_off_leaves_the_pool_to_the_next(
+    make_pool: Callable[[Any], Pool],
+) -> None:
+    with make_pool(SQUARE) as pool:
+        broken_off = pool.run(_tasks(50))
+        next(broken_off)
+        broken_off.close()
+        again = list(pool.run(Task(f"again {number}", number) for number in range(5)))
+    assert sorted(outcome.value for outcome in again) == [0, 1, 4, 9, 16]
+    assert all(outcome.task.key.startswith("again") for outcome in again)
+
+
+# --- what befalls workers -------------------------------------------------------------------------
+
+
+def _faulty(fault: str, *, times: int) -> str:
+    """Source of a function of (number, folder): number 3 meets a fault, so many times."""
+    return f"""
+import os, pathlib, signal, time
+
+def function(work):
+    number, folder = work
+    if number == 3 and len(os.listdir(folder)) < {times}:
+        (pathlib.Path(folder) / str(os.getpid())).touch()
+        {fault}
+    return number
+"""
+
+
+def _made(source: str) -> Callable[[], Any]:
+    """What makes the function in a worker, which does not know this file."""
+    return partial(eval, f"(lambda scope: (exec({source!r}, scope), scope['function'])[1])({{}})")
+
+
+def _tasks_in(folder: Path, count: int) -> list[Task]:
+    return [Task(f"task {number}", (number, str(folder))) for number in range(count)]
+
+
+def _gone(process: int) -> bool:
+    try:
+        state = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return True
+    return state == "Z"
+
+
+KILL = "os.kill(os.getpid(), signal.SIGKILL)"
+STOP = "os.kill(os.getpid(), signal.SIGSTOP)"
+LOOP = "while True: pass"
+ALWAYS = 1000
+
+
+@pytest.fixture
+def impatient(ray_cluster: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing here takes longer than a moment."""
+    from pfdist.runner import ray_pool
+
+    monkeypatch.setattr(ray_pool, "PATIENCE_SECONDS", 3.0)  # the machine may be busy
+    monkeypatch.setattr(ray_pool, "LOOK_SECONDS", 0.1)
+
+
+@pytest.mark.parametrize("fault", [KILL, STOP, pytest.param(LOOP, marks=pytest.mark.crash)])
+def test_a_ray_worker_that_is_lost_is_replaced_and_its_tasks_are_done(
+    fault: str, impatient: None, tmp_path: Path
+) -> None:
     from pfdist.runner.ray_pool import RayPool
 
-    # Task 3 kills its worker, the first time it is tried.
-    kill_once = (
-        "lambda work: (__import__('pathlib').Path(work[1]).mkdir(), "
-        "__import__('os').kill(__import__('os').getpid(), 9)) "
-        "if work[0] == 3 and not __import__('pathlib').Path(work[1]).exists() else work[0]"
-    )
-    with tempfile.TemporaryDirectory() as folder, RayPool(partial(eval, kill_once), 2) as pool:
-        tasks = [Task(f"task {k}", (k, f"{folder}/died")) for k in range(12)]
-        outcomes = list(pool.run(tasks))
-    assert sorted(outcome.value for outcome in outcomes) == list(range(12))
+    with RayPool(_made(_faulty(fault, times=1)), 2) as pool:
+        outcomes = list(pool.run(_tasks_in(tmp_path, 12)))
+        assert sorted(outcome.value for outcome in outcomes) == list(range(12))
+        (lost,) = (int(file.name) for file in tmp_path.iterdir())
+        _until(lambda: _gone(lost))  # it cannot wake up and answer twice
 
 
-def test_a_task_that_kills_every_worker_is_given_up_with_an_error(ray_cluster: None) -> None:
-    from pfdist.runner.ray_pool import RayPool
+@pytest.mark.parametrize("fault", [KILL, pytest.param(STOP, marks=pytest.mark.crash)])
+def test_a_task_that_costs_every_worker_is_given_up_with_an_error(
+    fault: str, impatient: None, tmp_path: Path
+) -> None:
+    from pfdist.runner import ray_pool
 
-    kill = "lambda work: __import__('os').kill(__import__('os').getpid(), 9) if work == 1 else work"
-    with RayPool(partial(eval, kill), 2) as pool:
-        outcomes = {outcome.task.work: outcome for outcome in pool.run(_tasks(6))}
-    assert "died" in outcomes[1].error
-    # A neighbour that waited behind it three times may be given up with it; no other is.
-    assert sum(outcome.error is None for outcome in outcomes.values()) >= 4
+    with ray_pool.RayPool(_made(_faulty(fault, times=ALWAYS)), 2) as pool:
+        outcomes = {outcome.task.work[0]: outcome for outcome in pool.run(_tasks_in(tmp_path, 8))}
+    words = "died" if fault == KILL else "no answer in"
+    assert words in outcomes.pop(3).error
+    assert {number: outcome.value for number, outcome in outcomes.items()} == {
+        number: number for number in (0, 1, 2, 4, 5, 6, 7)
+    }
+    most = ray_pool.DEATHS if fault == KILL else ray_pool.SILENCES
+    assert len(list(tmp_path.iterdir())) == most
+
+
+def test_when_no_worker_answers_the_pool_says_so_and_nothing_hangs(
+    impatient: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from pfdist.runner import ray_pool
+
+    monkeypatch.setattr(ray_pool, "ANSWER_SECONDS", 4.0)
+    stop_all = _faulty(STOP, times=ALWAYS).replace("number == 3", "True")
+    # Those that are to replace the stopped ones stop too, before they have said who they are.
+    stop_all += f"if os.listdir({str(tmp_path)!r}): function((3, {str(tmp_path)!r}))"
+    with ray_pool.RayPool(_made(stop_all), 2) as pool:
+        start = time.monotonic()
+        with pytest.raises(PoolError, match=r"no worker has answered for \d s .*no answer in"):
+            list(pool.run(_tasks_in(tmp_path, 8)))
+        assert time.monotonic() - start < 10
+    assert time.monotonic() - start < 20
+    for file in tmp_path.iterdir():
+        _until(lambda: _gone(int(file.name)))  # noqa: B023
+
+
+@pytest.mark.crash
+def test_workers_that_stood_still_with_everything_else_are_kept(
+    impatient: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A batch system suspends a job: all its processes, for a while."""
+    from pfdist.runner import ray_pool
+
+    monkeypatch.setattr(ray_pool, "STILL_SECONDS", 1.0)
+    who = _made("import os, time\ndef function(work): time.sleep(0.05); return os.getpid()")
+    with ray_pool.RayPool(who, 2) as pool:
+        run = pool.run(_tasks(60))
+        workers = {next(run).value for _ in range(10)}
+        for worker in workers:
+            os.kill(worker, signal.SIGSTOP)
+        time.sleep(3 * ray_pool.PATIENCE_SECONDS)
+        for worker in workers:  # they wake up a moment after this process
+            threading.Timer(0.3, os.kill, [worker, signal.SIGCONT]).start()
+        rest = [outcome.value for outcome in run]
+    assert len(rest) == 50
+    assert set(rest) <= workers
+
+
+def _until(reached: Callable[[], bool], seconds: float = 30.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not reached():
+        assert time.monotonic() < deadline, f"not reached in {seconds:.0f} s"
+        time.sleep(0.05)

@@ -1,91 +1,138 @@
-"""Ended before and after every single file operation of a run, and run again: the same bytes."""
+"""Ended, or failed, at every single file operation of a run, and run again: the same bytes."""
 
+import shutil
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import pytest
+from matplotlib.figure import Figure
 
 import pfdist
 from oracles.bytes_of import hashes
+from oracles.counted import committed_draws, count_draws
+from oracles.file_layer import Ended, FileLayer
 from pfdist import Job
+from pfdist.errors import StoreError
 from pfdist.runner import collect, comparison_phase
 from pfdist.runner.pace import Pace
-from pfdist.store import files, parquet
+from pfdist.runner.repair import verify_run
+from pfdist.store import parquet
 
+PROMISE = "no half file is ever read as whole"
 CHANGES = [
     "search.genetic.generations=2",
     "search.genetic.population=4",
     "search.random.evaluations=3",
     "evaluation.draws=40",
+    "comparison.draws=120",
 ]
-
-
-class Ended(BaseException):
-    """Stands for a kill: nothing handles it, and no file is touched any more."""
-
-
-class Operations:
-    """Counts the writes and removals of a run, and ends it at one of them."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.count, self.last = 0, -1
-        for name in ("_write", "remove"):
-            monkeypatch.setattr(files, name, self._counted(getattr(files, name)))
-        monkeypatch.setattr(files, "_flush", lambda path, mode: None)  # slow, and seen elsewhere
-
-    def _counted(self, operation: Callable[..., None]) -> Callable[..., None]:
-        def counted(*arguments: Any, **options: Any) -> None:
-            self._tick()
-            operation(*arguments, **options)
-            self._tick()
-
-        return counted
-
-    def _tick(self) -> None:
-        if self.count == self.last:
-            raise Ended  # and again at every later one, as in a process that is gone
-        self.count += 1
-
-    def run(self, job: Job, path: Path, last: int = -1) -> int:
-        self.count, self.last = 0, last
-        pfdist.run(job, path)
-        return self.count
+FAULTS = {"ended": Ended, "ENOSPC": StoreError, "EIO": StoreError}
+SAYS = r"cannot (write|remove|move|lock) [^\n]*: (No space left on device|Input/output error); what"
+SAYS += r" was committed is kept, run the same command again once this is mended$"
 
 
 @pytest.fixture
-def operations(monkeypatch: pytest.MonkeyPatch) -> Operations:
+def layer(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> FileLayer:
     monkeypatch.setattr(collect, "COMMIT_SECONDS", 0.0)
     monkeypatch.setattr(Pace, "size", lambda pace, remaining: 90)
     monkeypatch.setattr(comparison_phase, "TRAJECTORIES", 30)
     monkeypatch.setitem(parquet.ROWS_IN_A_FILE, "comparison", 50)
     monkeypatch.setitem(parquet.ROWS_IN_A_FILE, "draws", 100)
-    # Figures are drawn at the end, from the tables: their names are enough here.
+    return FileLayer(monkeypatch, tmp_path)
+
+
+@pytest.fixture
+def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    # They are drawn at the end, from the tables, and have a test of their own.
     monkeypatch.setattr("pfdist.runner.run.draw_figures", lambda run: [])
     monkeypatch.setattr("pfdist.runner.run.figure_files", lambda run: [])
-    return Operations(monkeypatch)
+
+
+def _fresh(job: Job, path: Path) -> Job:
+    return job
+
+
+def _grown(job: Job, path: Path) -> Job:
+    pfdist.run(job, path)
+    return job.with_changes(["comparison.draws=170"])
+
+
+def _damaged(job: Job, path: Path) -> Job:
+    """A finished run with a bit flipped, a file deleted, and an entry of its manifest gone."""
+    pfdist.run(job, path)
+    first, second = sorted((path / "tables" / "draws").glob("genetic-*"))[:2]
+    first.write_bytes(bytes([first.read_bytes()[0] ^ 1]) + first.read_bytes()[1:])
+    second.unlink()
+    shutil.rmtree(path / "manifest/tables/comparison/comparison-00001.parquet")
+    (path / "job.toml").write_text("seed = 2")
+    return job
+
+
+@pytest.mark.usefixtures("no_figures")
+@pytest.mark.parametrize("step", [17, pytest.param(1, marks=pytest.mark.crash)])
+@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("begin", [_fresh, _grown, _damaged])
+def test_a_run_that_goes_wrong_at_any_file_operation_ends_with_the_same_bytes(
+    begin: Callable[[Job, Path], Job],
+    fault: str,
+    step: int,
+    small_job: Job,
+    tmp_path: Path,
+    layer: FileLayer,
+    monkeypatch: pytest.MonkeyPatch,
+    record_property: Callable[[str, object], None],
+) -> None:
+    counted = count_draws(monkeypatch)
+    job = begin(small_job.with_changes(CHANGES), tmp_path / "begun")
+    (tmp_path / "begun").mkdir(exist_ok=True)
+    untouched = shutil.copytree(tmp_path / "begun", tmp_path / "whole")
+    count = layer.run(partial(pfdist.run, job, untouched))
+    whole, needed = hashes(untouched), committed_draws(untouched)
+    assert count > 50
+    for at in range(0, count, step):
+        path, said = shutil.copytree(tmp_path / "begun", tmp_path / f"{at}"), []
+        with pytest.raises(FAULTS[fault], match=None if fault == "ended" else SAYS):
+            layer.run(partial(pfdist.run, job, path, say=said.append), fault, at)
+        where = f"{fault} at operation {at} of {count}"
+        committed = committed_draws(path) if begin is not _damaged else None
+        if (path / "run.json").exists() and begin is not _damaged:
+            pfdist.open_run(path).summary()  # whoever asks how far it is gets an answer
+        counted.clear()
+        pfdist.run(job, path, say=said.append)
+        assert hashes(path) == whole, where
+        assert committed is None or sum(counted) == needed - committed, where
+        assert not list(path.glob("parts/**/*.parquet")), where
+        assert not list(verify_run(path)), where
+        if begin is not _damaged:  # to be killed is no damage
+            assert not (path / "quarantine").exists(), where
+            assert not [line for line in said if "ready" not in line], where
+        shutil.rmtree(path)
+    record_property("faults", f"{PROMISE}: {len(range(0, count, step))}")
 
 
 @pytest.mark.parametrize("step", [7, pytest.param(1, marks=pytest.mark.crash)])
-@pytest.mark.parametrize("grown", [False, True], ids=["fresh", "growing"])
-def test_a_run_ended_at_any_file_operation_ends_with_the_same_bytes(
-    grown: bool, step: int, small_job: Job, tmp_path: Path, operations: Operations
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_figure_is_there_whole_or_not_at_all(
+    fault: str,
+    step: int,
+    small_job: Job,
+    tmp_path: Path,
+    layer: FileLayer,
+    monkeypatch: pytest.MonkeyPatch,
+    record_property: Callable[[str, object], None],
 ) -> None:
-    job = small_job.with_changes([*CHANGES, "comparison.draws=120"])
-    larger = job.with_changes(["comparison.draws=170"]) if grown else job
-
-    def start(path: Path) -> Path:
-        if grown:
-            operations.run(job, path)
-        return path
-
-    count = operations.run(larger, start(tmp_path / "whole"))
-    whole = hashes(tmp_path / "whole")
-    assert count > (20 if grown else 100)
-    for last in range(0, count, step):
-        path = start(tmp_path / f"{last}")
-        with pytest.raises(Ended):
-            operations.run(larger, path, last)
-        operations.run(larger, path)
-        assert hashes(path) == whole, f"ended at operation {last} of {count}"
-        assert not list(path.glob("parts/**/*.parquet")), f"ended at operation {last} of {count}"
+    monkeypatch.setattr(Figure, "savefig", lambda figure, path, **options: path.write_text("it"))
+    run = pfdist.run(small_job.with_changes(CHANGES), tmp_path / "run")
+    again = partial(pfdist.run, small_job.with_changes(CHANGES), run.path)
+    shutil.rmtree(run.path / "figures")
+    count = layer.run(again)
+    whole = hashes(run.path)
+    assert count > 30
+    for at in range(0, count, step):
+        shutil.rmtree(run.path / "figures")
+        with pytest.raises(FAULTS[fault]):
+            layer.run(again, fault, at)
+        again()
+        assert hashes(run.path) == whole, f"{fault} at operation {at} of {count}"
+    record_property("faults", f"{PROMISE}: {len(range(0, count, step))}")

@@ -1,17 +1,23 @@
 """Ended by a signal in either phase and run again: the same bytes."""
 
+import contextlib
 import itertools
+import os
+import random
+import shutil
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 
 import pfdist
+from crash.runs import finish, running
 from oracles.bytes_of import hashes
 from pfdist import Job
 from pfdist.cli import main
@@ -36,32 +42,11 @@ evaluations = 40
 [comparison]
 draws = 60_000
 """
-PATIENCE_SECONDS = 120.0
+KILLED = "a run killed at any instant and started again ends with the same bytes"
+ONCE = "nothing committed is computed again; a crash loses at most 5 s of work"
+MOST_LOST_SECONDS = 5.0
 
-
-def _start(job: Path, run: Path, pool: str) -> subprocess.Popen[bytes]:
-    command = [sys.executable, "-m", "pfdist", "run", job, "--results", run, "--pool", pool]
-    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-
-
-def _finish(job: Path, run: Path, pool: str) -> dict[str, str]:
-    process = _start(job, run, pool)
-    assert process.wait(PATIENCE_SECONDS) == 0
-    return hashes(run)
-
-
-def _kill_when(process: subprocess.Popen[bytes], reached: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + PATIENCE_SECONDS
-    while not reached():
-        assert process.poll() is None, "the run ended before it could be killed"
-        assert time.monotonic() < deadline, "the run never got so far"
-        time.sleep(0.005)
-    process.send_signal(signal.SIGKILL)
-    assert process.wait(PATIENCE_SECONDS) == -signal.SIGKILL
-
-
-def _parts(run: Path, table: str) -> int:
-    return len(list((run / "parts" / table).glob("[!.]*.parquet")))
+Record = Callable[[str, object], None]
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +58,7 @@ def job(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def never_killed(job: Path) -> dict[str, str]:
-    whole = _finish(job, job.with_name("never killed"), "serial")
+    whole = finish(job, job.with_name("never killed"), "--pool", "serial")
     assert "tables/comparison/comparison-00001.parquet" in whole
     return whole
 
@@ -90,13 +75,152 @@ def test_a_run_killed_in_a_phase_ends_with_the_same_bytes(
     job: Path,
     never_killed: dict[str, str],
     tmp_path: Path,
+    record_property: Record,
 ) -> None:
     run = tmp_path / "run"
     for parts, table in phases:
-        _kill_when(_start(job, run, pool), lambda: _parts(run, parts) >= 1)  # noqa: B023
+        with running(job, run, "--pool", pool) as one:
+            one.wait_for(lambda: one.parts(parts))  # noqa: B023
+            one.kill()
         assert not (run / "tables" / table).exists()  # it was in the midst of the phase
-    assert _finish(job, run, pool) == never_killed
-    assert not list(run.rglob(".*"))
+    assert finish(job, run, "--pool", pool) == never_killed
+    assert not list(run.rglob(".*.tmp"))
+    record_property("faults", f"{KILLED}: {len(phases)}")
+
+
+@pytest.mark.crash
+def test_a_run_on_ray_killed_at_any_instant_ends_with_the_same_bytes(
+    job: Path, never_killed: dict[str, str], tmp_path: Path, record_property: Record
+) -> None:
+    rng, kills = random.Random(1), 0
+    with running(job, tmp_path / "whole", "--pool", "ray") as one:
+        one.wait_for(lambda: one.parts("timings"))
+        start = time.monotonic()
+        assert one.wait() == 0
+        lasts = time.monotonic() - start
+    while kills < 20:
+        run = tmp_path / f"{kills}"
+        with running(job, run, "--pool", "ray") as one:
+            one.wait_for(lambda: one.parts("timings"))
+            time.sleep(rng.uniform(0, lasts))
+            if not one.kill():
+                continue
+        assert finish(job, run, "--pool", "serial") == never_killed
+        kills += 1
+    record_property("faults", f"{KILLED}: {kills}")
+
+
+# --- at any instant of a small serial run ---------------------------------------------------------
+
+
+class Forks:
+    """Runs of one job that start at once; see `forks.py`."""
+
+    def __init__(self, job: Path) -> None:
+        script = Path(__file__).with_name("forks.py")
+        self._folder = job.parent
+        self._server = subprocess.Popen(
+            [sys.executable, script, job],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
+        )  # fmt: skip
+        assert self._server.stdin is not None
+        assert self._server.stdout is not None
+        self._ask, self._answers = self._server.stdin, self._server.stdout
+
+    def close(self) -> None:
+        self._ask.close()
+        self._server.wait()
+        self._answers.close()
+
+    def run(self, run: Path, log: str, kill_after: float | None = None) -> int:
+        """Compute a run, or begin to; give the exit code."""
+        print(run, run.with_name(log), file=self._ask, flush=True)
+        process = int(self._answers.readline())
+        if kill_after is not None:
+            time.sleep(kill_after)
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(process, signal.SIGKILL)
+        return int(self._answers.readline())
+
+
+@pytest.fixture
+def make_forks() -> Iterator[Callable[[Path], Forks]]:
+    with contextlib.ExitStack() as stack:
+
+        def make(job: Path) -> Forks:
+            forks = Forks(job)
+            stack.callback(forks.close)
+            return forks
+
+        yield make
+
+
+def _logged(log: Path) -> tuple[int, float]:
+    """Draws that were filtered, and in how many seconds."""
+    lines = [line.split() for line in log.read_text().splitlines()] if log.exists() else []
+    return sum(int(draws) for draws, _ in lines), sum(float(seconds) for _, seconds in lines)
+
+
+def _committed(run: Path) -> int:
+    """Draws filtered of which the result is committed."""
+    counts = []
+    for table, key in (
+        ("draws", ["evaluation", "draw"]), ("comparison", ["draw"]), ("trajectories", ["draw"]),
+    ):  # fmt: skip
+        files = list(run.glob(f"*/{table}/[!.]*.parquet"))
+        rows = [pd.read_parquet(file) for file in files]
+        sets = sum(name.startswith(("mse_", "estimate_")) for name in rows[0]) if rows else 0
+        counts.append(len(pd.concat(rows).drop_duplicates(key)) * max(sets, 1) if rows else 0)
+    return sum(counts)
+
+
+@pytest.mark.parametrize("kills", [5, pytest.param(200, marks=pytest.mark.crash)])
+def test_a_run_killed_at_any_instant_ends_with_the_same_bytes_and_computes_nothing_again(
+    kills: int,
+    small_job: Job,
+    tmp_path: Path,
+    make_forks: Callable[[Path], Forks],
+    record_property: Record,
+) -> None:
+    rng, forks, killed = random.Random(0), make_forks(small_job.path), 0
+    assert forks.run(tmp_path / "first", "first.log") == 0
+    start = time.monotonic()
+    assert forks.run(tmp_path / "whole", "whole.log") == 0
+    lasts, whole = time.monotonic() - start, hashes(tmp_path / "whole")
+    needed, _ = _logged(tmp_path / "whole.log")
+    assert needed == _committed(tmp_path / "whole")
+    while killed < kills:
+        run, instant = tmp_path / f"{killed}", rng.uniform(0, lasts)
+        if forks.run(run, "killed.log", kill_after=instant) == 0:
+            shutil.rmtree(run)
+            continue  # it was faster
+        committed = _committed(run)
+        assert forks.run(run, f"{killed}.log") == 0
+        assert hashes(run) == whole, f"killed after {instant:.3f} s"
+        assert not list(run.rglob(".*.tmp"))
+        assert _logged(tmp_path / f"{killed}.log")[0] == needed - committed
+        shutil.rmtree(run)
+        killed += 1
+    record_property("faults", f"{KILLED}: {kills}")
+    record_property("faults", f"{ONCE}: {kills}")
+
+
+@pytest.mark.crash
+def test_a_kill_loses_at_most_five_seconds_of_work(
+    tmp_path: Path, make_forks: Callable[[Path], Forks], record_property: Record
+) -> None:
+    job = tmp_path / "long.toml"
+    job.write_text(JOB.replace("60_000", "250_000"))
+    forks, rng, losses = make_forks(job), random.Random(2), []
+    for kill in range(10):
+        run, log = tmp_path / f"{kill}", f"{kill}.log"
+        after = MOST_LOST_SECONDS + rng.uniform(1, 6)
+        assert forks.run(run, log, kill_after=after) == -signal.SIGKILL
+        draws, seconds = _logged(tmp_path / log)
+        assert seconds > MOST_LOST_SECONDS  # so much could be lost
+        losses.append(seconds * (1 - _committed(run) / draws))
+    assert max(losses) < MOST_LOST_SECONDS, losses
+    record_property("faults", f"{ONCE}: {len(losses)}")
 
 
 @pytest.mark.parametrize(("state", "sets", "task"), [("searching", 1, 7), ("comparing", 3, 2)])

@@ -2,8 +2,10 @@
 
 import numpy as np
 import pandas as pd
+import pytest
 from matplotlib.figure import Figure
 
+from pfdist.analysis import Gain
 from pfdist.plots.cost import plot_cost
 from pfdist.plots.gain_histogram import plot_gain_histogram
 from pfdist.plots.one_draw import plot_one_draw, typical_draw
@@ -72,14 +74,23 @@ def test_the_draw_shown_is_the_one_nearest_to_the_mean_gain() -> None:
 
 
 def test_the_histogram_counts_the_draws_and_marks_zero_mean_and_fraction() -> None:
-    gain = np.random.default_rng(1).normal(0.25, 0.3, 5000)
+    relative = np.random.default_rng(1).normal(0.25, 0.2, 5000).clip(max=1)
+    gain = Gain()
+    gain.add(1 - relative, np.ones(5000))
     axes = _axes()
-    plot_gain_histogram(axes, gain, "genetic", 0.25, 0.8)
+    plot_gain_histogram(axes, gain, "genetic")
     area = sum(patch.get_width() * patch.get_height() for patch in axes.patches)
-    assert abs(area - 1) < 1e-9
+    below = np.sum(100 * relative < axes.patches[0].get_x())
+    assert area == pytest.approx(1 - below / 5000)  # of all draws, those that are left out too
+    edges = [patch.get_x() for patch in axes.patches]
+    edges.append(edges[-1] + axes.patches[0].get_width())
+    heights = [patch.get_height() for patch in axes.patches]
+    counts, _ = np.histogram(100 * relative, edges)
+    np.testing.assert_allclose(heights, counts / 5000 / np.diff(edges), atol=1e-9)
     assert _lines(axes)["no gain"][0] == [0.0, 0.0]
     text = " ".join(entry.get_text() for entry in axes.get_legend().get_texts())
-    assert "mean 25.0 %" in text
-    assert "80.0 %" in text
+    assert f"mean {100 * relative.mean():.1f} %" in text
+    assert f"{100 * np.mean(relative > 0):.1f} %" in text
     assert "5,000 draws" in text
-    assert "5 of them below" in text  # the lowest thousandth
+    assert f"{below} of them below" in text
+    assert 1 <= below <= 5  # the lowest thousandth, but for those in its bin

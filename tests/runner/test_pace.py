@@ -45,7 +45,7 @@ def test_what_remains_is_told_and_falls_to_nothing() -> None:
 @pytest.mark.parametrize("workers", [1, 2, 64])
 def test_workers_end_together(workers: int) -> None:
     """The next task goes to whoever is free: simulate it, and count the idle time at the end."""
-    pace = Pace(1e-4, workers)
+    pace = Pace(1e-4, workers, learnt=True)
     free_at = np.zeros(workers)
     for bundle in bundles([work(1, 0, 1_000_000)], pace.size):
         seconds = 1e-4 * sum(piece.filtered for piece in bundle)
@@ -62,3 +62,7 @@ def test_the_pace_is_learnt() -> None:
     assert pace.seconds == pytest.approx(0.002)
     assert pace.size(10**9) == pytest.approx(MOST_SECONDS / 0.002)
     assert Pace(5.0, 2).size(100) == 1
+
+
+def test_nothing_is_risked_on_a_first_guess() -> None:
+    assert Pace(1e-4, 2).size(10**9) == LEAST_SECONDS / 1e-4

@@ -1,5 +1,7 @@
 """A run: what it computes, that it goes on, and that it is the same however it was computed."""
 
+import math
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,6 +16,7 @@ from pfdist import Job, load_job
 from pfdist.errors import JobError, PfdistError, RunMismatchError, SearchError, TaskError
 from pfdist.monte_carlo import Problem, Work
 from pfdist.runner import collect
+from pfdist.runner.build import build
 from pfdist.runner.pace import Pace
 from pfdist.runner.pool import Outcome, SerialPool
 from pfdist.store import parquet
@@ -100,6 +103,7 @@ def test_a_run_that_failed_goes_on_with_what_is_committed_and_ends_with_the_same
 ) -> None:
     monkeypatch.setattr(Pace, "size", lambda pace, remaining: 60)  # 2 evaluations, 20 draws
     monkeypatch.setattr(collect, "COMMIT_SECONDS", 0.0)  # each task is committed
+    small_job = small_job.with_changes(["execution.failures=0"])
     whole = pfdist.run(small_job, tmp_path / "whole")
     needed = sum(count_draws)
     count_draws.clear()
@@ -259,6 +263,7 @@ def test_tables_without_what_says_whose_they_are_are_left_alone(
 ) -> None:
     run = pfdist.run(small_job, tmp_path / "run")
     (run.path / "run.json").unlink()
+    shutil.rmtree(run.path / "manifest")
     with pytest.raises(PfdistError, match=r"--results must be .*parts, tables"):
         pfdist.run(small_job, run.path)
 
@@ -295,3 +300,30 @@ def test_trajectories_committed_out_of_order_are_completed(
     again = pfdist.run(small_job, tmp_path / "run")
     assert again.trajectories()["draw"].nunique() == 100
     assert hashes(again.path) == hashes(whole.path)
+
+
+def test_a_finished_run_of_the_papers_job_holds_fewer_than_60_files(
+    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def parts(job: Job) -> dict[str, list[int]]:
+        """How many files the rows of a job's large tables are cut into."""
+        rows = [
+            search.optimiser.evaluations * job.evaluation.draws for search in build(job).searches
+        ]
+        cut = parquet.ROWS_IN_A_FILE
+        return {
+            "draws": [math.ceil(count / cut["draws"]) for count in rows],
+            "comparison": [math.ceil(job.comparison.draws / cut["comparison"])],
+        }
+
+    paper = parts(load_job(ROOT / "jobs" / "paper.toml"))
+    monkeypatch.setitem(parquet.ROWS_IN_A_FILE, "draws", 400)
+    monkeypatch.setitem(parquet.ROWS_IN_A_FILE, "comparison", 100)
+    job = small_job.with_changes(["search.random.evaluations=24"])
+    run = pfdist.run(job, tmp_path / "run")
+    assert [len(small_job.search), sum(paper["comparison"])] == [2, 2]
+    for table, files in parts(job).items():
+        assert len(list((run.path / "tables" / table).iterdir())) == sum(files)
+        assert files >= paper[table]
+    # tables, what the manifest says of each, figures: all there is
+    assert len([path for path in run.path.rglob("*") if path.is_file()]) < 60

@@ -1,6 +1,11 @@
 """The store: committed is committed, once, and parts and tables read as one."""
 
+import os
+import re
+import socket
+import subprocess
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -9,7 +14,14 @@ import pyarrow.parquet as pq
 import pytest
 
 from pfdist.errors import StoreError
-from pfdist.store import SCHEMA_VERSION, Store, comparison_schema, schema, trajectories_schema
+from pfdist.store import (
+    SCHEMA_VERSION,
+    Store,
+    comparison_schema,
+    parquet,
+    schema,
+    trajectories_schema,
+)
 from pfdist.store.parquet import cut_rows
 from pfdist.store.schema import TABLES
 
@@ -91,11 +103,39 @@ def test_draws_of_an_evaluation_come_in_order_and_each_once(store: Store) -> Non
     assert rows.equals(_draws("a", 0, 6))
 
 
-def test_rows_between_are_sorted_and_each_once(store: Store) -> None:
-    for first, last in ((10, 20), (0, 10), (5, 15)):
+def test_blocks_are_sorted_and_have_each_row_once(store: Store) -> None:
+    for first, last in ((10, 20), (0, 10), (5, 15), (31, 40)):
         store.commit("comparison", "comparison", f"{first}", _compared(first, last))
-    rows = store.rows_between("comparison", "draw", 3, 17)
-    assert rows["draw"].to_pylist() == list(range(3, 17))
+    blocks = [rows["draw"].to_pylist() for rows in store.blocks("comparison", "draw", 7, 36)]
+    assert blocks == [
+        list(range(7)), list(range(7, 14)), list(range(14, 20)), list(range(31, 35)), [35],
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("read", ["read", "present", "blocks", "per_draw"])
+def test_parts_that_become_tables_while_they_are_read_are_read_all_the_same(
+    store: Store, read: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for first in (0, 3):
+        store.commit("draws", "genetic", f"{first}", _draws("a", first, first + 3))
+    readers = {
+        "read": lambda: len(store.read("draws")),
+        "present": lambda: store.present("draws", "draw").sum(),
+        "blocks": lambda: sum(rows.num_rows for rows in store.blocks("draws", "draw", 2, 6)),
+        "per_draw": lambda: store.per_draw(["a"]).num_rows,
+    }
+    known = Store(store.path)
+    assert known.per_draw(["a"]).num_rows == 6  # it has an index now, of parts
+    opened, writer = parquet._read_file, Store(store.path)
+
+    def published_in_between(path: Path, *arguments: Any, **options: Any) -> pa.Table:
+        if writer.has_parts():
+            writer.publish("draws", "genetic", [_draws("a", 0, 6)])
+        return opened(path, *arguments, **options)
+
+    monkeypatch.setattr(parquet, "_read_file", published_in_between)
+    assert readers[read]() == 6
+    assert known.per_draw(["a"]).num_rows == 6
 
 
 def test_publishing_removes_only_the_parts_of_its_phase(store: Store) -> None:
@@ -110,19 +150,28 @@ def test_publishing_removes_only_the_parts_of_its_phase(store: Store) -> None:
 def test_nothing_but_whole_tables_lies_in_a_tables_folder(store: Store) -> None:
     store.publish("draws", "genetic", [_draws("a", 0, 5)])
     store.commit("draws", "genetic", "key", _draws("a", 0, 5))
-    files = [path.name for path in store.path.rglob("*") if path.is_file()]
-    assert sorted(files) == ["genetic-00000.parquet", "genetic-key.parquet"]
+    files = [path.name for path in store.path.rglob("*.parquet") if path.is_file()]
+    assert len(files) == 2
+    assert sorted(re.sub(r"\.\d+-[0-9a-f]{64}", "", name) for name in files) == [
+        "genetic-00000.parquet",
+        "genetic-key.parquet",
+    ]
     # anybody reads them, with nothing of pfdist
     assert len(pd.read_parquet(store.path / "tables" / "draws")) == 5
 
 
 def test_what_a_killed_process_left_half_written_is_swept_and_never_read(store: Store) -> None:
     store.publish("draws", "genetic", [_draws("a", 0, 5)])
-    half = store.path / "tables" / "draws" / ".genetic-00001.parquet.0123.tmp"
-    half.write_bytes(b"PAR1 torn")
-    assert len(store.read("draws")) == len(pd.read_parquet(half.parent)) == 5
+    dead = subprocess.Popen(["true"])
+    dead.wait()
+    folder, host = store.path / "tables" / "draws", socket.gethostname().replace(".", "_")
+    names = {"dead": f"{host}-{dead.pid}", "alive": f"{host}-{os.getpid()}", "far": "elsewhere-1"}
+    halves = {whose: folder / f".{name}.{'0' * 32}.tmp" for whose, name in names.items()}
+    for half in halves.values():
+        half.write_bytes(b"PAR1 torn")
+    assert len(store.read("draws")) == len(pd.read_parquet(folder)) == 5
     store.sweep()
-    assert not half.exists()
+    assert [whose for whose, half in halves.items() if half.exists()] == ["alive", "far"]
 
 
 def test_identical_tables_are_identical_bytes(tmp_path: Path) -> None:
@@ -177,7 +226,8 @@ def test_every_column_says_its_unit_and_every_table_its_version(store: Store) ->
     for table in TABLES:
         columns = variable.get(table) or schema(table)
         store.commit(table, "phase", "key", columns.empty_table())
-        read = pq.read_schema(store.path / "parts" / table / "phase-key.parquet")
+        (path,) = (store.path / "parts" / table).glob("phase-key.*.parquet")
+        read = pq.read_schema(path)
         assert read.metadata[b"pfdist_schema_version"] == str(SCHEMA_VERSION).encode()
         assert read.metadata[b"table"] == table.encode()
         for column in read:

@@ -1,0 +1,134 @@
+"""Whether a machine is fit for a run: what would else go wrong hours later."""
+
+import os
+import platform
+import shutil
+import socket
+import tempfile
+from collections.abc import Callable, Iterator
+from importlib.metadata import version
+from pathlib import Path
+
+from filelock import FileLock
+
+from pfdist.errors import PfdistError
+from pfdist.runner.check_model import Check
+from pfdist.runner.cores import limits, usable_cores
+
+LEAST_MEMORY = 1.5e9  # Ray takes 0.5e9, the driver and a worker 0.3e9 each
+LEAST_SHARED = 1.5e8  # Ray's object store takes 1e8
+LEAST_RAY = (2, 52)  # CVE-2025-62593
+
+Finding = tuple[str, str]
+
+
+def examine(results: Path, address: str = "") -> Iterator[Check]:
+    """Look at what a run needs.
+
+    Parameters
+    ----------
+    results : Path
+        Where runs are to lie.
+    address : str
+        Of a Ray cluster whose nodes are looked at too.
+
+    Yields
+    ------
+    Check
+    """
+    looks: dict[str, Callable[[], Finding]] = {
+        "cores": _cores,
+        "memory": _memory,
+        "shared memory": _shared_memory,
+        "Ray": _ray,
+        "ports": _ports,
+        "results folder": lambda: _results(results),
+    }
+    for name, look in looks.items():
+        try:
+            yield Check(name, *look())
+        except OSError as error:
+            yield Check(name, "wrong", f"{error.strerror or error}")
+    if address:
+        yield from _nodes(address)
+
+
+def _cores() -> Finding:
+    said = ", ".join(f"{name} {count}" for name, count in limits().items())
+    return "ok", f"{usable_cores()} for workers ({said}; the host has {os.cpu_count()})"
+
+
+def _memory() -> Finding:
+    lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+    free = 1024 * int(dict(line.split(":") for line in lines)["MemAvailable"].split()[0])
+    for file in ("memory.max", "memory/memory.limit_in_bytes"):
+        limit = Path("/sys/fs/cgroup") / file
+        if limit.exists() and (text := limit.read_text(encoding="ascii").strip()).isdecimal():
+            free = min(free, int(text))
+    return _enough(free, LEAST_MEMORY, "a run wants", "fewer workers need less")
+
+
+def _shared_memory() -> Finding:
+    free = shutil.disk_usage("/dev/shm").free  # noqa: S108  looked at, not written to
+    return _enough(free, LEAST_SHARED, "Ray wants", "start the container with --shm-size=1g")
+
+
+def _enough(free: float, least: float, who: str, what: str) -> Finding:
+    if free < least:
+        return "wrong", f"{free / 1e9:.2f} GB, and {who} {least / 1e9:.2f}: {what}"
+    return "ok", f"{free / 1e9:.2f} GB free"
+
+
+def _ray() -> Finding:
+    found = version("ray")
+    if tuple(int(part) for part in found.split(".")[:2]) < LEAST_RAY:
+        return (
+            "wrong",
+            f"{found}: pages of a browser may run code here (CVE-2025-62593), 2.52 mends it",
+        )
+    return "ok", found
+
+
+def _ports() -> Finding:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        with socket.create_connection(("127.0.0.1", port), timeout=5):
+            return "ok", "a port of this machine can be opened and reached"
+
+
+def _results(results: Path) -> Finding:
+    """Try what the store needs of a file system, in a folder of its own."""
+    results.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=results, prefix=".doctor-") as folder:
+        one, other = Path(folder) / "one", Path(folder) / "other"
+        with one.open("w", encoding="ascii") as file:
+            file.write("written")
+            file.flush()
+            os.fsync(file.fileno())
+        os.link(one, other)
+        one.replace(other)
+        with FileLock(other, blocking=False):
+            pass
+    free = shutil.disk_usage(results).free
+    text = f"{results}: files can be flushed, linked and locked, {free / 1e9:.1f} GB free"
+    return ("ok" if free > LEAST_MEMORY else "note"), text
+
+
+def _nodes(address: str) -> Iterator[Check]:
+    # Here and not above: without a cluster nothing of this needs Ray.
+    from pfdist.runner.ray_pool import describe_nodes  # noqa: PLC0415
+
+    here = {"python": platform.python_version(), "pfdist": version("pfdist")}
+    try:
+        nodes = describe_nodes(address)
+    except PfdistError as error:
+        yield Check("cluster", "wrong", str(error))
+        return
+    for node in nodes:
+        differs = [
+            f"{what} {node[what]}, and {mine} here"
+            for what, mine in here.items()
+            if node[what] != mine
+        ]
+        text = "; ".join(differs) or f"Python {node['python']}, pfdist {node['pfdist']}"
+        yield Check(f"node {node['host']}", "wrong" if differs else "ok", text)

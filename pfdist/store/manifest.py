@@ -1,0 +1,168 @@
+"""What every committed file of a run must hold.
+
+What lies under ``parts/`` says so in its name. For the rest the folder ``manifest/`` has, for each
+file, a folder of empty files: ``manifest/<the file's path>/<rows>-<SHA-256>``. Names cannot be half
+written. A file that is about to get its name has ``<rows>-<SHA-256>.new`` before, so that one
+which is not there yet is told from one that is gone; where it replaces another, it may be either.
+"""
+
+import errno
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from pfdist.errors import StoreError
+from pfdist.store import files
+
+FOLDER, QUARANTINE = "manifest", "quarantine"
+_STAMP = re.compile(r"\d+-[0-9a-f]{64}")
+_NEW = ".new"
+_UNKNOWN = f"0-{'0' * 64}"
+_PUBLISHED = re.compile(r"[a-z][a-z0-9_]*-\d{5}\.parquet")
+
+
+@dataclass(frozen=True)
+class Damage:
+    """A file that is not what was committed.
+
+    Parameters
+    ----------
+    path : Path
+        Relative to the run's folder.
+    what : str
+        What is wrong with it.
+    """
+
+    path: Path
+    what: str
+
+
+class Manifest:
+    """What is expected of the files of one run.
+
+    Parameters
+    ----------
+    folder : Path
+        The run's.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def exists(self) -> bool:
+        """Whether there is one: runs of schema version 1 have none."""
+        return (self._folder / FOLDER).is_dir()
+
+    def expect(self, path: Path, stamp: str) -> list[Path]:
+        """Say what a file is going to hold, before it gets its name.
+
+        Returns
+        -------
+        list of Path
+            What was said of it before: it is for `settle` to remove.
+        """
+        entry = self._entry(path)
+        before = [other for other in entry.glob("*") if other.name != stamp]
+        if not (entry / stamp).exists():
+            files.touch(entry / f"{stamp}{_NEW}")
+        return before
+
+    def settle(self, path: Path, stamp: str, before: list[Path]) -> None:
+        """Say that a file has its name now, and what was said before no longer holds."""
+        entry = self._entry(path)
+        files.touch(entry / stamp)
+        for other in (*before, entry / f"{stamp}{_NEW}"):
+            files.remove(other)
+
+    def forget_lost(self) -> None:
+        """Expect no more what is not there, once all was made that can be made again."""
+        for path in self.lost():
+            for entry in self._entry(self._folder / path).glob("*"):
+                files.remove(entry)
+
+    def lost(self) -> list[Path]:
+        """Files that are expected and not there, relative to the run's folder."""
+        return sorted(path for path in self._entries() if not (self._folder / path).exists())
+
+    def stamps(self) -> dict[Path, set[str]]:
+        """What each file may hold, by its path relative to the run's folder."""
+        return {
+            path: {name.removesuffix(_NEW) for name in names}
+            for path, names in self._entries().items()
+        }
+
+    def damages(self) -> Iterator[Damage]:
+        """Read every file of the run and give those that are not what was committed.
+
+        Raises
+        ------
+        StoreError
+            A file cannot be read.
+        """
+        entries, stamps = self._entries(), self.stamps()
+        present = {file.relative_to(self._folder) for file in self._files()}
+        for path in sorted(present | entries.keys()):
+            if path not in present:
+                if any(not name.endswith(_NEW) for name in entries[path]):
+                    yield Damage(path, "is missing")
+                continue
+            expected = {_own_stamp(path)} if path.parts[0] == "parts" else stamps.get(path, set())
+            if not any(map(_STAMP.fullmatch, expected)):
+                yield Damage(path, "is not a file of this run")
+                continue
+            try:
+                digest = files.digest(self._folder / path)
+            except FileNotFoundError:  # published meanwhile
+                continue
+            except OSError as error:
+                if error.errno != errno.EIO:  # the disk's fault, and not that of who asks
+                    raise StoreError(f"cannot read {path}: {error.strerror}") from error
+                yield Damage(path, f"cannot be read: {error.strerror}")
+                continue
+            if digest not in {stamp.partition("-")[2] for stamp in expected}:
+                yield Damage(path, "is not what was committed: its SHA-256 differs")
+
+    def quarantine(self, damage: Damage) -> Path | None:
+        """Move a damaged file out of the way, never delete it; give its new place, if it was there.
+
+        It is expected from now on, if it is one that the run could have made.
+        """
+        path, folder = self._folder / damage.path, self._folder / QUARANTINE / damage.path.parent
+        if not path.exists():
+            return None
+        if damage.path.parts[0] == "tables" and _PUBLISHED.fullmatch(path.name):
+            files.touch(self._entry(path) / _UNKNOWN)
+        place, number = folder / path.name, 1
+        while place.exists():
+            place, number = folder / f"{path.name}.{number}", number + 1
+        files.move(path, place)
+        return place
+
+    def _entry(self, path: Path) -> Path:
+        return self._folder / FOLDER / path.relative_to(self._folder)
+
+    def _entries(self) -> dict[Path, set[str]]:
+        found: dict[Path, set[str]] = {}
+        root = self._folder / FOLDER
+        try:
+            for entry in root.rglob("*"):
+                if _STAMP.fullmatch(entry.name.removesuffix(_NEW)):
+                    found.setdefault(entry.parent.relative_to(root), set()).add(entry.name)
+        except OSError as error:
+            raise StoreError(f"cannot read {root}: {error.strerror}") from error
+        return found
+
+    def _files(self) -> Iterator[Path]:
+        for name in ("job.toml", "run.json"):
+            if (self._folder / name).exists():
+                yield self._folder / name
+        for folder in ("parts", "tables"):
+            for path in (self._folder / folder).rglob("*"):
+                if path.is_file() and not files.is_temporary(path):
+                    yield path
+
+
+def _own_stamp(path: Path) -> str:
+    """What the name of a part says it holds."""
+    return path.name.removesuffix(".parquet").rpartition(".")[2]

@@ -1,0 +1,107 @@
+"""Runs in processes of their own, for tests that end them."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from oracles.bytes_of import hashes
+from pfdist.runner.processes import Process, end, family
+
+PATIENCE_SECONDS = 180.0
+GONE_SECONDS = 10.0  # after which nothing of a program that has ended may live
+
+
+class Running:
+    """``pfdist run`` in a process of its own, whose processes are known.
+
+    It does not outlive the test, nor do its workers.
+    """
+
+    def __init__(self, job: Path, run: Path, *options: str, **environment: str) -> None:
+        command = [sys.executable, "-m", "pfdist", "run", job, "--results", run, *options]
+        self.run, self._errors = run, run.with_name(f"{run.name}.stderr")
+        with self._errors.open("ab") as errors:
+            self.process = subprocess.Popen(
+                command,
+                stdout=subprocess.DEVNULL,
+                stderr=errors,
+                env=os.environ | environment,
+                start_new_session=True,  # as a job of a shell
+            )
+
+    def family(self, word: str = "") -> list[Process]:
+        """Processes below it, from those of its children whose command has a word in it."""
+        return family(self.process.pid, word)
+
+    def workers(self) -> list[Process]:
+        """Its Ray workers that have a task in their hands or wait for one."""
+        return [one for one in self.family("raylet") if "ray::_Worker" in command_of(one)]
+
+    def wait_for(self, reached: Callable[[], object]) -> None:
+        """Wait until something is reached while it runs."""
+        until(lambda: self.process.poll() is not None or reached())
+        assert self.process.poll() is None, f"it ended before it got so far: {self.said[-3:]}"
+
+    def parts(self, table: str) -> int:
+        """How many commits of a table are not published yet."""
+        return len(list((self.run / "parts" / table).glob("[!.]*.parquet")))
+
+    def kill(self) -> bool:
+        """End it at once; give whether it still ran."""
+        self.process.kill()
+        return self.process.wait() == -signal.SIGKILL
+
+    def wait(self) -> int:
+        """Give its exit code."""
+        return self.process.wait(PATIENCE_SECONDS)
+
+    @property
+    def said(self) -> list[str]:
+        """Lines on standard error."""
+        return self._errors.read_text().splitlines()
+
+
+@contextmanager
+def running(job: Path, run: Path, *options: str, **environment: str) -> Iterator[Running]:
+    """Start a run; when the test is over, whatever way, nothing of it is left."""
+    one = Running(job, run, *options, **environment)
+    try:
+        yield one
+    finally:
+        left = one.family()
+        one.process.kill()
+        one.process.wait()
+        end(left)
+
+
+def finish(job: Path, run: Path, *options: str) -> dict[str, str]:
+    """Run it to its end, and give the hashes of what it has made."""
+    with running(job, run, *options) as one:
+        assert one.wait() == 0, one.said[-3:]
+    return hashes(run)
+
+
+def until(reached: Callable[[], object], seconds: float = PATIENCE_SECONDS) -> None:
+    """Wait until something is reached."""
+    deadline = time.monotonic() + seconds
+    while not reached():
+        assert time.monotonic() < deadline, f"not reached in {seconds:.0f} s"
+        time.sleep(0.005)
+
+
+def command_of(process: Process) -> str:
+    """A process's command, or how it calls itself; empty once it has ended."""
+    try:
+        return Path(f"/proc/{process.id}/cmdline").read_text(errors="replace")
+    except OSError:
+        return ""
+
+
+def all_gone(processes: list[Process]) -> bool:
+    """Whether none of these lives; of one that is dead and not buried the command is empty."""
+    return not any(map(command_of, processes))

@@ -1,0 +1,36 @@
+"""What was computed, and what is committed: together all that a run needs, and nothing twice."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pfdist.runner.pool import Outcome, SerialPool
+from pfdist.store import Store
+
+SETS = 3  # that the small job compares
+
+
+def count_draws(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Count how many draws each task of the serial pool filters, from now on."""
+    counted: list[int] = []
+    do = SerialPool.run
+
+    def counting(self: SerialPool, tasks: Any) -> Iterator[Outcome]:
+        for outcome in do(self, tasks):
+            counted.append(sum(work.filtered for work in outcome.task.work))
+            yield outcome
+
+    monkeypatch.setattr(SerialPool, "run", counting)
+    return counted
+
+
+def committed_draws(run: Path) -> int:
+    """How many filtered draws a run of the small job holds, over all its tables and parts."""
+    store = Store(run)
+    searched = len(store.read("draws")) if store.has("draws") else 0
+    compared = sum(
+        int(store.present(table, "draw").sum()) for table in ("comparison", "trajectories")
+    )
+    return searched + SETS * compared

@@ -1,0 +1,97 @@
+"""A file system that goes wrong at one operation of a run: its process is gone, or it says so."""
+
+import errno
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import pytest
+
+from pfdist.store import files
+
+
+class Ended(BaseException):
+    """Stands for a kill: nothing handles it, and no file is touched any more."""
+
+
+class FileLayer:
+    """Counts what is done to files, and goes wrong where it is told to.
+
+    A write that goes wrong leaves half a file.
+
+    Parameters
+    ----------
+    monkeypatch : pytest.MonkeyPatch
+    folder : Path
+        What is done elsewhere, as in the cache of compiled code, goes its way.
+    """
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+        self.count, self._folder, self._at = 0, folder, -1
+        self._fault: str | None = None
+        for place, name, needs_space in (
+            (pq, "write_table", True),
+            (Path, "write_text", True),
+            (Path, "touch", True),
+            (Path, "mkdir", True),
+            (os, "link", True),
+            (os, "replace", False),
+            (os, "unlink", False),
+        ):
+            operation = getattr(place, name)
+            monkeypatch.setattr(place, name, self._counted(operation, needs_space))
+        # What a flush does is for the disk; here it can only go wrong, and takes no time.
+        monkeypatch.setattr(files, "_flush", self._counted(lambda path, mode: None, True))
+
+    def run(self, act: Callable[[], Any], fault: str | None = None, at: int = -1) -> int:
+        """Act, with a fault at one operation; give how many there were.
+
+        Parameters
+        ----------
+        act : callable
+        fault : {"ended", "ENOSPC", "EIO"}, optional
+            Once ended all is; a disk stays full; a failure to read or write comes once.
+        at : int
+            The operation.
+        """
+        self.count, self._fault, self._at = 0, fault, at
+        try:
+            act()
+        finally:
+            self._fault = None
+        return self.count
+
+    def _counted(self, operation: Callable[..., Any], needs_space: bool) -> Callable[..., Any]:
+        def counted(*arguments: Any, **options: Any) -> Any:
+            paths = [Path(one) for one in arguments if isinstance(one, str | os.PathLike)]
+            if not paths[0].is_relative_to(self._folder):
+                return operation(*arguments, **options)
+            self.count += 1
+            wrong = self._wrong(needs_space)
+            if wrong is None:
+                return operation(*arguments, **options)
+            if operation.__name__.startswith("write_") and not isinstance(wrong, Again):
+                fault, self._fault = self._fault, None  # what the operation itself does is real
+                operation(*arguments, **options)
+                self._fault = fault
+                os.truncate(paths[0], paths[0].stat().st_size // 2)
+            raise wrong
+
+        return counted
+
+    def _wrong(self, needs_space: bool) -> BaseException | None:
+        number = self.count - 1
+        if self._fault is None or number < self._at:
+            return None
+        if self._fault == "ended":
+            return Ended() if number == self._at else Again()
+        code = getattr(errno, self._fault)
+        if number == self._at or (self._fault == "ENOSPC" and needs_space):
+            return OSError(code, os.strerror(code))
+        return None
+
+
+class Again(Ended):
+    """Once more, after the end."""

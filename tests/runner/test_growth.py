@@ -1,0 +1,237 @@
+"""A run that grows, stops early or is forked computes only the new, and gives the same bytes."""
+
+import random
+from collections.abc import Callable, Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import pfdist
+from oracles.bytes_of import hashes
+from oracles.counted import SETS, count_draws
+from pfdist import Job
+from pfdist.cli import main
+from pfdist.errors import RunMismatchError
+from pfdist.runner.pace import Pace
+from pfdist.runner.pool import Outcome, SerialPool
+from pfdist.runner.progress import Progress
+
+BLOCK, MOST = 50, 430
+
+
+@pytest.fixture(autouse=True)
+def _small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    for place in ("pfdist.analysis.tables.BLOCK", "pfdist.runner.comparison_phase.BLOCK"):
+        monkeypatch.setattr(place, BLOCK)
+    monkeypatch.setattr(Pace, "size", lambda pace, remaining: BLOCK * SETS)
+    monkeypatch.setattr("pfdist.runner.run.draw_figures", lambda run: [])
+    monkeypatch.setattr("pfdist.runner.run.figure_files", lambda run: [])
+
+
+@pytest.fixture
+def all_draws(small_job: Job, tmp_path: Path) -> pfdist.Run:
+    return pfdist.run(small_job.with_changes([f"comparison.draws={MOST}"]), tmp_path / "all")
+
+
+def _half_widths(run: pfdist.Run) -> dict[int, float]:
+    """The larger half width of the two gains after so many draws, as a textbook has it."""
+    gains = run.gains().drop(columns="draw")
+    return {
+        draws: max(stats.sem(gains[name][:draws]) * stats.t.ppf(0.975, draws - 1) for name in gains)
+        for draws in (*range(BLOCK, MOST, BLOCK), MOST)
+    }
+
+
+def _until(job: Job, half_width: float, draws: int = MOST) -> Job:
+    return job.with_changes(
+        [f"comparison.until.half_width={half_width}", f"comparison.draws={draws}"]
+    )
+
+
+def test_a_comparison_stops_at_the_first_block_after_which_it_is_narrow_enough(
+    small_job: Job, all_draws: pfdist.Run, tmp_path: Path
+) -> None:
+    widths = _half_widths(all_draws)
+    for wanted in (150, 300, MOST):
+        half_width = widths[wanted] * (1 + 1e-9)
+        first = min(draws for draws, width in widths.items() if width <= half_width)
+        run = pfdist.run(_until(small_job, half_width), tmp_path / f"{wanted}")
+        assert run.state == "finished"
+        assert run.comparison().equals(all_draws.comparison()[:first])
+    assert pfdist.run(_until(small_job, 1e-9), tmp_path / "never").draws_compared == MOST
+
+
+def test_where_every_gain_is_the_same_all_draws_are_compared_unless_it_is_said(
+    small_job: Job, tmp_path: Path
+) -> None:
+    changes = ["model.name=random_walk", "filter.engine=kalman", "problem.measurement_budget=13"]
+    job = small_job.with_changes([*changes, "search.random.evaluations=1"])
+    run = pfdist.run(job, tmp_path / "run")  # all instants: every set is the regular one
+    assert (run.gains().drop(columns="draw") == 0).all(axis=None)
+    assert run.draws_compared == 250
+    until = job.with_changes(["comparison.until.half_width=0.001"])
+    assert pfdist.run(until, tmp_path / "until").draws_compared == BLOCK
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_where_it_stops_does_not_depend_on_order_or_kills(
+    seed: int,
+    small_job: Job,
+    all_draws: pfdist.Run,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    job = _until(small_job, _half_widths(all_draws)[200] * (1 + 1e-9))
+    whole = pfdist.run(job, tmp_path / "whole")
+    assert whole.draws_compared <= 200
+    chance, do = random.Random(seed), SerialPool.run
+
+    def in_disorder(self: SerialPool, tasks: Any) -> Iterator[Outcome]:
+        tasks = iter(tasks)
+        while some := list(islice(tasks, 8)):
+            chance.shuffle(some)
+            for outcome in do(self, some):
+                if chance.random() < 0.1:
+                    raise KeyboardInterrupt
+                yield outcome
+
+    monkeypatch.setattr(SerialPool, "run", in_disorder)
+    monkeypatch.setattr(Pace, "size", lambda pace, remaining: chance.randrange(30, 200))
+    kills = 0
+    while True:
+        try:
+            pfdist.run(job, tmp_path / "run")
+            break
+        except KeyboardInterrupt:
+            kills += 1
+    assert kills > 0
+    assert hashes(tmp_path / "run") == hashes(whole.path)
+
+
+def test_narrower_goes_on_with_only_new_draws_and_wider_is_refused(
+    small_job: Job, all_draws: pfdist.Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    widths = _half_widths(all_draws)
+    wide, narrow = widths[100] * (1 + 1e-9), widths[300] * (1 + 1e-9)
+    at_once = pfdist.run(_until(small_job, narrow), tmp_path / "at once")
+    run = pfdist.run(_until(small_job, wide), tmp_path / "run")
+    before, counted = run.draws_compared, count_draws(monkeypatch)
+    pfdist.run(_until(small_job, narrow), run.path)
+    assert sum(counted) == (at_once.draws_compared - before) * SETS > 0
+    assert hashes(run.path) == hashes(at_once.path)
+    with pytest.raises(RunMismatchError, match=r"comparison\.until\.half_width: \S+ -> \S+$"):
+        pfdist.run(_until(small_job, wide), run.path)
+    never = pfdist.run(_until(small_job, 0.0), run.path)
+    assert never.comparison().equals(all_draws.comparison())
+
+
+def test_more_draws_and_until_are_the_same_as_at_once(
+    small_job: Job, all_draws: pfdist.Run, tmp_path: Path
+) -> None:
+    half_width = _half_widths(all_draws)[300] * (1 + 1e-9)
+    at_once = pfdist.run(_until(small_job, half_width), tmp_path / "at once")
+    pfdist.run(_until(small_job, half_width, draws=130), tmp_path / "run")
+    run = pfdist.run(_until(small_job, half_width), tmp_path / "run")
+    assert 130 < run.draws_compared <= 300
+    assert hashes(run.path) == hashes(at_once.path)
+
+
+@pytest.mark.parametrize("half_width", [0.0, 0.1])
+def test_what_is_shown_at_the_end_is_what_the_summary_says(
+    half_width: float, small_job: Job, tmp_path: Path
+) -> None:
+    seen: list[Progress] = []
+    job = _until(small_job, half_width)
+    run = pfdist.run(job, tmp_path / "run", report=seen.append)
+    results = run.summary()["results"]
+    assert [found.name for found in seen[-1].found] == ["genetic", "random"]
+    for found in seen[-1].found:
+        result = results[found.name]
+        assert found.mean_relative_gain == result["mean_relative_gain"]
+        assert list(found.interval) == result["mean_relative_gain_interval"]
+        assert found.positive_fraction == result["positive_fraction"]
+    assert seen[-1].done == seen[-1].total
+    assert len({state.found for state in seen}) > 2  # it is shown as it comes
+
+
+def test_a_kill_in_the_midst_shows_what_was_found_before(small_job: Job, tmp_path: Path) -> None:
+    def stop(progress: Progress) -> None:
+        if progress.evaluations >= 200 and progress.phase == "comparison":
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        pfdist.run(small_job, tmp_path / "run", report=stop)
+    seen: list[Progress] = []
+    known = pfdist.open_run(tmp_path / "run").summary()
+    assert (known["state"], known["draws_compared"]) == ("comparing", 200)
+    pfdist.run(small_job, tmp_path / "run", report=seen.append)
+    first = next(state for state in seen if state.found)
+    assert first.evaluations == 200
+    assert first.found[0].mean_relative_gain == known["results"]["genetic"]["mean_relative_gain"]
+
+
+def _tree(run: Path) -> dict[Path, bytes]:
+    return {path.relative_to(run): path.read_bytes() for path in run.rglob("*") if path.is_file()}
+
+
+def _damage(run: Path) -> None:
+    (file,) = run.glob("tables/draws/genetic-*")
+    content = file.read_bytes()
+    file.write_bytes(content[:100] + bytes([content[100] ^ 4]) + content[101:])
+
+
+@pytest.mark.parametrize("killed", [False, True])
+@pytest.mark.parametrize("damage", [None, _damage])
+def test_a_fork_computes_only_what_is_new_and_ends_as_a_run_from_nothing(
+    damage: Callable[[Path], None] | None,
+    killed: bool,
+    small_job: Job,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    old, new = tmp_path / "old", tmp_path / "new"
+    known = set(pfdist.run(small_job, old).evaluations()["evaluation"])
+    counted = count_draws(monkeypatch)
+    longer = small_job.with_changes(["search.genetic.generations=6"])
+    nothing = pfdist.run(longer, tmp_path / "nothing")
+    from_nothing = sum(counted)
+    if damage is not None:
+        damage(old)
+        known &= set(nothing.evaluations().query("phase == 'random'")["evaluation"])
+    before = _tree(old)
+    counted.clear()
+    if killed:
+
+        def stop(progress: Progress) -> None:
+            if progress.phase == "random":
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            pfdist.run(longer, old, fork=new, report=stop)
+    run = pfdist.run(longer, old, fork=new)
+    same = known & set(run.evaluations()["evaluation"])
+    assert len(same) == len(known) >= 10  # earlier generations, and all random trials
+    assert sum(counted) == from_nothing - len(same) * small_job.evaluation.draws
+    assert hashes(new) == hashes(nothing.path)
+    assert _tree(old) == before
+    assert pfdist.run(longer, old, fork=new).state == "finished"
+    assert pfdist.run(longer, new).state == "finished"  # it stands on its own
+
+
+def test_the_command_line_forks(small_job: Job, tmp_path: Path) -> None:
+    old, new = str(tmp_path / "old"), str(tmp_path / "new")
+    command = ["run", str(small_job.path), "--results", old]
+    assert main(command) == 0
+    change = ["--set", "search.genetic.generations=5"]
+    assert main([*command, *change]) == 1
+    assert main([*command, *change, "--fork", new]) == 0
+    assert (
+        np.unique(pfdist.open_run(new).evaluations().query("phase == 'genetic'").generation).size
+        == 5
+    )
+    assert main([*command, "--fork", new]) == 1  # another job's
+    assert main(["run", str(small_job.path), "--results", str(tmp_path / "no"), "--fork", new]) == 1
