@@ -2,6 +2,7 @@
 
 import logging
 import sys
+from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,6 +13,19 @@ from pfdist import Job, StateSpaceModel, load_job, load_model
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(Path(__file__).parent))  # for `from oracles.kalman import ...`
 
+PROMISES = (
+    "a run killed at any instant and started again ends with the same bytes as one never killed",
+    "nothing committed is computed again; a crash loses at most 5 s of work",
+    "no half file is ever read as whole",
+    "damage is found",
+    "one worker or a node dies: the run goes on",
+    "nothing hangs",
+    "a model that fails does not end the run silently, nor retry for ever",
+    "two drivers on one run",
+    "Ctrl-C",
+    "memory is flat",
+    "old results stay readable",
+)
 SMALL_JOB = (Path(__file__).parent / "small.toml").read_text()
 
 
@@ -43,3 +57,42 @@ def ray_cluster() -> Iterator[None]:
     )
     yield
     ray_pool.ray.shutdown()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Let `pytest -m crash` run the whole table, and so what is quick enough to run always."""
+    if config.option.markexpr == "crash":
+        for item in items:
+            if item.get_closest_marker("fault"):
+                item.add_marker("crash")
+
+
+def pytest_terminal_summary(
+    terminalreporter: pytest.TerminalReporter, config: pytest.Config
+) -> None:
+    """Say for each promise how many faults `pytest -m crash` has injected, and what became of it.
+
+    A test says so with ``record_property("faults", f"{promise}: {how many}")``.
+    """
+    if config.option.markexpr != "crash":
+        return
+    faults: dict[str, int] = defaultdict(int)
+    outcomes: dict[str, list[str]] = defaultdict(list)
+    broken: list[str] = []
+    for outcome in ("passed", "failed", "error"):
+        for report in terminalreporter.stats.get(outcome, []):
+            broken += [report.nodeid] if outcome != "passed" else []
+            for name, value in report.user_properties:
+                if name == "faults" and (outcome != "passed" or report.when == "call"):
+                    said, _, count = value.rpartition(": ")
+                    promise = next((one for one in PROMISES if one.startswith(said)), said)
+                    faults[promise] += int(count)
+                    outcomes[promise].append(outcome)
+    terminalreporter.section("faults injected")
+    for promise in dict.fromkeys([*PROMISES, *faults]):
+        kept = "kept" if set(outcomes[promise]) == {"passed"} else "BROKEN"
+        state = kept if outcomes[promise] else "no test"
+        terminalreporter.line(f"{faults[promise]:7,} faults  {state:7}  {promise}")
+    for test in broken:
+        terminalreporter.line(f"BROKEN by {test}")

@@ -47,6 +47,7 @@ class Collector:
     pace: Pace
     failures: int = 0
     _failures: int = 0
+    _commits: int = 0
     _waiting: dict[tuple[str, str], "_Waiting"] = field(default_factory=dict)
     _later: list[Callable[[], None]] = field(default_factory=list)
     _last: float = field(default_factory=time.monotonic)
@@ -123,7 +124,8 @@ class Collector:
             if waiting.rows:
                 self.store.commit(table, phase, key, pa.concat_tables(waiting.rows))
             timings = self._timings(phase, waiting.outcomes)
-            self.store.commit("timings", phase, f"{key}-{self.session}", timings)
+            self._commits += 1  # what failed fails again: the same tasks, and other timings
+            self.store.commit("timings", phase, f"{key}-{self.session}-{self._commits}", timings)
         for write in later:
             write()
         self._last = time.monotonic()

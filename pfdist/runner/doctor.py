@@ -13,11 +13,15 @@ from filelock import FileLock
 
 from pfdist.errors import PfdistError
 from pfdist.runner.check_model import Check
+from pfdist.runner.control_group import settings
 from pfdist.runner.cores import limits, usable_cores
 
 LEAST_MEMORY = 1.5e9  # Ray takes 0.5e9, the driver and a worker 0.3e9 each
 LEAST_SHARED = 1.5e8  # Ray's object store takes 1e8
+LEAST_DISK = 1e9  # a comparison of a million draws takes 0.05e9
 LEAST_RAY = (2, 52)  # CVE-2025-62593
+
+_MEMORY = Path("/proc/meminfo")
 
 Finding = tuple[str, str]
 
@@ -48,7 +52,8 @@ def examine(results: Path, address: str = "") -> Iterator[Check]:
         try:
             yield Check(name, *look())
         except OSError as error:
-            yield Check(name, "wrong", f"{error.strerror or error}")
+            where = f"{error.filename}: " if error.filename else ""
+            yield Check(name, "wrong", f"{where}{error.strerror or error}")
     if address:
         yield from _nodes(address)
 
@@ -59,12 +64,11 @@ def _cores() -> Finding:
 
 
 def _memory() -> Finding:
-    lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+    lines = _MEMORY.read_text(encoding="ascii").splitlines()
     free = 1024 * int(dict(line.split(":") for line in lines)["MemAvailable"].split()[0])
-    for file in ("memory.max", "memory/memory.limit_in_bytes"):
-        limit = Path("/sys/fs/cgroup") / file
-        if limit.exists() and (text := limit.read_text(encoding="ascii").strip()).isdecimal():
-            free = min(free, int(text))
+    for name in ("memory.max", "memory.limit_in_bytes"):
+        limits = (int(text) for (text,) in settings("memory", name) if text.isdecimal())
+        free = min(free, *limits, free)
     return _enough(free, LEAST_MEMORY, "a run wants", "fewer workers need less")
 
 
@@ -97,28 +101,37 @@ def _ports() -> Finding:
 
 
 def _results(results: Path) -> Finding:
-    """Try what the store needs of a file system, in a folder of its own."""
-    results.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=results, prefix=".doctor-") as folder:
-        one, other = Path(folder) / "one", Path(folder) / "other"
-        with one.open("w", encoding="ascii") as file:
-            file.write("written")
-            file.flush()
-            os.fsync(file.fileno())
-        os.link(one, other)
-        one.replace(other)
-        with FileLock(other, blocking=False):
-            pass
-    free = shutil.disk_usage(results).free
-    text = f"{results}: files can be flushed, linked and locked, {free / 1e9:.1f} GB free"
-    return ("ok" if free > LEAST_MEMORY else "note"), text
+    """Try what the store needs of a file system, where runs are to lie."""
+    folder = next(one for one in (results.absolute(), *results.absolute().parents) if one.is_dir())
+    doing = "written"
+    try:
+        with tempfile.TemporaryDirectory(dir=folder, prefix=".doctor-") as temporary:
+            one, other = Path(temporary) / "one", Path(temporary) / "other"
+            with one.open("w", encoding="ascii") as file:
+                file.write("written")
+                file.flush()
+                doing = "flushed (fsync)"
+                os.fsync(file.fileno())
+            doing = "given a second name (a hard link)"
+            os.link(one, other)
+            doing = "replaced"
+            one.replace(other)
+            doing = "locked (flock)"
+            with FileLock(other, blocking=False):
+                pass
+    except (OSError, NotImplementedError) as error:
+        reason = getattr(error, "strerror", None) or error
+        return "wrong", f"files in {folder} cannot be {doing}: {reason}; runs must lie elsewhere"
+    free = shutil.disk_usage(folder).free
+    text = f"{folder}: files can be flushed, linked and locked, {free / 1e9:.1f} GB free"
+    return ("ok" if free > LEAST_DISK else "note"), text
 
 
 def _nodes(address: str) -> Iterator[Check]:
     # Here and not above: without a cluster nothing of this needs Ray.
     from pfdist.runner.ray_pool import describe_nodes  # noqa: PLC0415
 
-    here = {"python": platform.python_version(), "pfdist": version("pfdist")}
+    here = {"Python": platform.python_version(), "pfdist": version("pfdist")}
     try:
         nodes = describe_nodes(address)
     except PfdistError as error:
@@ -126,9 +139,9 @@ def _nodes(address: str) -> Iterator[Check]:
         return
     for node in nodes:
         differs = [
-            f"{what} {node[what]}, and {mine} here"
+            f"{what} {node[what.lower()]}, and {mine} here: every node must have the same"
             for what, mine in here.items()
-            if node[what] != mine
+            if node[what.lower()] != mine
         ]
         text = "; ".join(differs) or f"Python {node['python']}, pfdist {node['pfdist']}"
         yield Check(f"node {node['host']}", "wrong" if differs else "ok", text)

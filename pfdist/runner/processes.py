@@ -29,9 +29,18 @@ class Process:
     parent: int = field(compare=False)
 
 
-def family(parent: int, word: str) -> list[Process]:
-    """Give the children of a process in whose command a word stands, and all that is below them."""
-    everyone = list(_everyone())
+def family(parent: int, word: str = "", but: Iterable[Process] = ()) -> list[Process]:
+    """Give the processes below a process.
+
+    Parameters
+    ----------
+    parent : int
+    word : str
+        Children in whose command it does not stand are left out, with all that is below them.
+    but : iterable of Process
+        Are left out likewise.
+    """
+    everyone = set(_everyone()).difference(but)
     found = [one for one in everyone if one.parent == parent and word in _command(one)]
     for one in found:  # it grows as it is walked
         found += [child for child in everyone if child.parent == one.id]

@@ -9,16 +9,13 @@ import contextlib
 import logging
 import os
 import platform
-import signal
-import socket
-import tempfile
-import threading
 import time
 import warnings
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any, Self
 
 # Before Ray is imported: its defaults speak of themselves on standard error and to their makers.
@@ -34,10 +31,11 @@ from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 from pfdist.errors import PoolError
 from pfdist.runner.cores import usable_cores
 from pfdist.runner.pool import Outcome, Task, do
-from pfdist.runner.processes import end, family
+from pfdist.runner.precautions import check_reachable, own_sigterm, short_folder, within
+from pfdist.runner.processes import Process, end, family
 
 IN_FLIGHT = 2  # tasks a worker: the one it does and the one that waits for it
-DEATHS = 3  # of workers that had a task, before the task is given up
+DEATHS = 3  # of workers that had a task and no other, before the task is given up
 SILENCES = 2  # likewise, of workers that did not answer
 PATIENCE_SECONDS = 15.0  # a worker is taken for lost when it is silent for so long, and for
 PATIENCE_TIMES = 20  # so many times what its task should take
@@ -46,9 +44,7 @@ STILL_SECONDS = 5.0  # without a look: this process itself was stopped, or had o
 ANSWER_SECONDS = 45.0  # when all are silent for so long, nobody will answer
 FETCH_SECONDS = 10.0
 START_SECONDS = 120.0
-CONNECT_SECONDS = 10.0
 STOP_SECONDS = 5.0
-LONGEST_FOLDER = 40  # a socket's path has 107 characters, of which Ray needs 65
 _ENVIRONMENT = {
     f"{library}_NUM_THREADS": "1" for library in ("OMP", "MKL", "OPENBLAS", "NUMBA", "NUMEXPR")
 } | {name: os.environ[name] for name in ("RAY_max_direct_call_object_size",)}
@@ -87,6 +83,7 @@ class _Slot:
     actor: Any
     about: Any  # the answer to `_Worker.about`, until it has come
     tasks: dict[Any, Task] = field(default_factory=dict)
+    room: int = IN_FLIGHT  # for so many tasks
     heard: float = field(default_factory=time.monotonic)
 
     @property
@@ -129,6 +126,7 @@ class RayPool:
         self._make_function = make_function
         self._address = address
         self._started = False
+        self._before: list[Process] = []
         self._slots: list[_Slot] = []
         self.workers = workers
 
@@ -156,7 +154,7 @@ class RayPool:
         slots, self._slots = self._slots, []
         if self._started:
             self._started = False
-            _shut_down(local=not self._address)  # the workers go with it
+            _shut_down([] if self._address else self._servers())  # the workers go with it
         elif ray.is_initialized():
             for slot in slots:
                 _end(slot.actor)
@@ -187,11 +185,11 @@ class RayPool:
         PoolError
             No worker answers.
         """
-        self._todo, self._again = iter(tasks), deque[Task]()
+        self._todo, self._again = iter(tasks), deque[Task]()  # the latter each alone
         self._lost, self._last_loss = Counter[str](), ""
         self._looked = self._heard = time.monotonic()
         for slot in self._slots:
-            slot.tasks = {}  # of a run that was broken off
+            slot.tasks, slot.room = {}, IN_FLIGHT  # there may have been a run that was broken off
         while self._hand_out() or any(slot.tasks for slot in self._slots):
             ready, _ = ray.wait(self._calls, num_returns=1, timeout=LOOK_SECONDS)
             if ready:
@@ -202,13 +200,15 @@ class RayPool:
         """Hand tasks to all who can take one; give whether there may be more."""
         for depth in range(IN_FLIGHT):
             for slot in self._slots:
-                if slot.about is None and len(slot.tasks) <= depth:
-                    task = self._again.popleft() if self._again else next(self._todo, None)
-                    if task is None:
-                        return False
-                    if not slot.tasks:
-                        slot.heard = time.monotonic()
-                    slot.tasks[slot.actor.do.remote(task)] = task
+                if slot.about is not None or len(slot.tasks) > depth or depth >= slot.room:
+                    continue
+                alone = not slot.tasks and bool(self._again)
+                task = self._again.popleft() if alone else next(self._todo, None)
+                if task is None:
+                    return False
+                if not slot.tasks:
+                    slot.heard, slot.room = time.monotonic(), 1 if alone else IN_FLIGHT
+                slot.tasks[slot.actor.do.remote(task)] = task
         return True
 
     def _take(self, call: Any) -> Iterator[Outcome]:
@@ -249,23 +249,27 @@ class RayPool:
     def _replace(self, slot: _Slot, why: str, most: int) -> Iterator[Outcome]:
         """Put another worker in the place of one that is lost, and have done again what it had.
 
-        What it was doing may have been its end: a task that has cost so many workers is given up.
+        One of these may have been its end, and it is not known which: an answer dies with the
+        worker that was about to send it. So each is done again alone, and given up when it has
+        cost so many workers alone.
         """
         self._last_loss = f" (the last was lost by {why.splitlines()[0]})"
         _end(slot.actor)
         self._slots[self._slots.index(slot)] = self._new_slot()
-        tasks = list(slot.tasks.values())
-        self._again.extend(tasks[1:])
-        for task in tasks[:1]:
-            self._lost[task.key] += 1
+        for task in slot.tasks.values():
+            self._lost[task.key] += len(slot.tasks) == 1
             if self._lost[task.key] < most:
-                self._again.appendleft(task)
+                self._again.append(task)
             else:
-                yield Outcome(task, None, 0.0, "", "", why)
+                yield Outcome(task, None, time.monotonic() - slot.heard, "", "", why)
 
     @property
     def _calls(self) -> list[Any]:
         return [call for slot in self._slots for call in slot.calls]
+
+    def _servers(self) -> list[Process]:
+        """Servers of the cluster that this process has started, and their workers."""
+        return family(os.getpid(), str(Path(ray.__file__).parent), self._before)
 
     def _new_slot(self) -> _Slot:
         options = _Worker.options(runtime_env={"env_vars": _ENVIRONMENT})  # type: ignore[attr-defined]
@@ -277,24 +281,22 @@ class RayPool:
             return
         options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
         if self._address:
-            _check_reachable(self._address)
+            check_reachable(self._address)
             options["address"] = self._address
         else:
             options |= {
                 "address": "local",
                 "num_cpus": self.workers or usable_cores(),
-                "_temp_dir": _short_folder(),
+                "_temp_dir": short_folder(),
                 "num_gpus": 0,
                 "include_dashboard": False,
                 "object_store_memory": _OBJECT_STORE_BYTES,
             }
-        before = signal.getsignal(signal.SIGTERM)
-        with warnings.catch_warnings():
+        self._before = family(os.getpid())
+        self._started = True
+        with own_sigterm(), warnings.catch_warnings():
             warnings.simplefilter("ignore", FutureWarning)
             ray.init(**options)
-        self._started = True
-        if threading.current_thread() is threading.main_thread():
-            signal.signal(signal.SIGTERM, before)  # Ray takes it for itself, and exits with 1
 
 
 @ray.remote(num_cpus=0)  # type: ignore[untyped-decorator]
@@ -312,7 +314,7 @@ def describe_nodes(address: str) -> list[dict[str, Any]]:
     """
     joined = not ray.is_initialized()
     try:
-        _check_reachable(address)
+        check_reachable(address)
         if joined:
             ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
         calls = [
@@ -328,14 +330,8 @@ def describe_nodes(address: str) -> list[dict[str, Any]]:
         raise PoolError(f"the Ray cluster at {address!r} does not answer: {reason[-1]}") from error
     finally:
         if joined and ray.is_initialized():
-            _shut_down(local=False)
+            _shut_down()
     return nodes
-
-
-def _short_folder() -> str | None:
-    """Where Ray keeps its sockets, if its own choice has too long a path for them."""
-    folder = os.environ.get("RAY_TMPDIR") or tempfile.gettempdir()
-    return None if len(folder) <= LONGEST_FOLDER else f"/tmp/pfdist-ray-{os.getuid()}"  # noqa: S108
 
 
 def _check_versions(abouts: Iterable[dict[str, Any]]) -> None:
@@ -359,28 +355,11 @@ def _end(actor: Any) -> None:
         with contextlib.suppress(RayError, ValueError):
             ray.kill(actor)
 
-    _within(STOP_SECONDS, kill)
+    within(STOP_SECONDS, kill)
 
 
-def _shut_down(*, local: bool) -> None:
-    """Leave a cluster; end one that this process has started, though its servers may be stopped."""
-    session = ray.get_runtime_context().get_session_name()
-    ours = family(os.getpid(), session) if local else []
-    shutdown = _within(STOP_SECONDS, ray.shutdown)
-    end(ours)
+def _shut_down(servers: Iterable[Process] = ()) -> None:
+    """Leave a cluster, and end its servers: they may be stopped, or have been starting."""
+    shutdown = within(STOP_SECONDS, ray.shutdown)
+    end(servers)
     shutdown.join(STOP_SECONDS)
-
-
-def _within(seconds: float, function: Callable[[], Any]) -> threading.Thread:
-    """Call a function that may never return, and wait for it so long."""
-    thread = threading.Thread(target=function, daemon=True)
-    thread.start()
-    thread.join(seconds)
-    return thread
-
-
-def _check_reachable(address: str) -> None:
-    """Ray itself waits for minutes where nobody listens."""
-    host, colon, port = address.removeprefix("ray://").rpartition(":")
-    if colon and port.isdigit():
-        socket.create_connection((host, int(port)), timeout=CONNECT_SECONDS).close()

@@ -18,6 +18,7 @@ import matplotlib.pyplot as plt
 from pfdist import load_job
 from pfdist.cli import main
 from pfdist.monte_carlo import Problem, Work
+from pfdist.plots import figures
 from pfdist.runner.build import build
 
 
@@ -32,6 +33,7 @@ def compute(job: str, run: str, log: str) -> int:
             return result
 
         Problem.__call__ = logged  # type: ignore[method-assign]
+        figures.FORMATS = ("svg",)  # they take longer than the rest of a small run
         return main(["run", job, "--results", run, "--pool", "serial"])
 
 

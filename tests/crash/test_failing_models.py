@@ -1,0 +1,212 @@
+"""Models that raise, loop or take all memory: it stands in `timings`, and has an end."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import pfdist
+from crash.runs import running
+from oracles.bytes_of import hashes
+from pfdist import Job
+from pfdist.cli import main
+from pfdist.kernels.noise import TRUTH_MEASUREMENT, stream_key, variates
+from pfdist.runner import comparison_phase
+
+FAILS = "a model that fails does not end the run silently, nor retry for ever"
+DRAW, DRAWS = 30, 60  # the one that the fault is in, and how many are compared
+SMALL = [
+    "evaluation.draws=10",
+    "search.genetic.generations=1",
+    "search.random.evaluations=1",
+    f"comparison.draws={DRAWS}",
+]  # NumPy takes its time
+MODEL = """
+import dataclasses
+import resource
+from pathlib import Path
+
+import numpy as np
+
+from pfdist.models.ungm import model as ungm
+
+FLAG = Path({flag!r})
+
+
+def limited():
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    limits = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + 2**28, limits[1]))
+    try:
+        unlimited()
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, limits)
+
+
+def unlimited(most=2**33):
+    blocks = []
+    while sum(block.nbytes for block in blocks) < most:
+        blocks.append(np.ones(2**21))
+    raise RuntimeError("nobody has stopped this")
+
+
+def measurement(x, t, v, p):
+    if np.any({condition}):
+        {fault}
+    return ungm.measurement(x, t, v, p)
+
+
+model = dataclasses.replace(ungm, measurement=measurement)
+"""
+RAISE = 'raise RuntimeError("no such state")'
+RAISE_ONCE = 'if not FLAG.exists(): FLAG.touch(); raise RuntimeError("no such state")'
+LOOP = "while True: pass"
+
+Record = Callable[[str, object], None]
+Make = Callable[..., list[str]]
+
+
+@pytest.fixture
+def command(small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Make:
+    """What runs a job whose model has a fault, in one draw of the comparison or in all."""
+
+    monkeypatch.setattr(comparison_phase, "TRAJECTORIES", 10)  # the fault is in none of these
+
+    def make(fault: str, run: Path, *options: str, always: bool = False) -> list[str]:
+        draws = stream_key(small_job.seed, "comparison", "draws")
+        of_draw = variates("normal", 1, draws, np.array([DRAW]), 3, TRUTH_MEASUREMENT, 0).item()
+        condition = "t == 3" if always else f"v[0] == {of_draw!r}"
+        text = MODEL.format(flag=str(tmp_path / "flag"), condition=condition, fault=fault)
+        small_job.path.with_name("mine.py").write_text(text)
+        changes = ["--set", 'model.name="mine.py:model"', 'filter.engine="numpy"', *SMALL]
+        return ["run", str(small_job.path), "--results", str(run), *changes, *options]
+
+    return make
+
+
+@pytest.fixture(params=["serial", "ray"])
+def pool(request: pytest.FixtureRequest) -> str:
+    if request.param == "ray":
+        request.getfixturevalue("ray_cluster")
+    return str(request.param)
+
+
+def _failures(run: Path) -> list[str]:
+    rows = pfdist.open_run(run).timings()
+    assert rows["failures"].equals(rows["error"].notna().astype(rows["failures"].dtype))
+    return rows["error"].dropna().tolist()
+
+
+def _compared(run: Path) -> set[int]:
+    files = run.glob("*/comparison/[!.]*.parquet")
+    return set(pd.concat(pd.read_parquet(file, columns=["draw"]) for file in files)["draw"])
+
+
+@pytest.mark.fault
+def test_one_draw_that_fails_ends_the_run_after_all_others_with_its_traceback(
+    pool: str,
+    command: Make,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    record_property: Record,
+) -> None:
+    run = tmp_path / "run"
+    assert main(command(RAISE, run, "--pool", pool)) == 1
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith("pfdist: a task of comparison failed: 4 times, the last: ")
+    assert "no such state" in last
+    errors = _failures(run)
+    assert len(errors) == 4  # execution.failures, and the one that was too many
+    for error in errors:
+        assert "Traceback" in error
+        assert "mine.py" in error
+        assert "RuntimeError: no such state" in error
+    lacking = sorted(set(range(DRAWS)) - _compared(run))
+    assert DRAW in lacking
+    assert lacking == list(range(lacking[0], lacking[-1] + 1))  # one task
+    record_property("faults", f"{FAILS}: {len(errors)}")
+
+
+@pytest.mark.fault
+def test_a_draw_that_fails_once_is_done_again_and_the_run_ends_with_the_same_bytes(
+    pool: str, command: Make, tmp_path: Path, record_property: Record
+) -> None:
+    assert main(command(RAISE_ONCE, tmp_path / "run", "--pool", pool)) == 0
+    assert len(_failures(tmp_path / "run")) == 1
+    assert main(command(RAISE_ONCE, tmp_path / "whole", "--pool", "serial")) == 0
+    assert not _failures(tmp_path / "whole")
+    assert hashes(tmp_path / "run") == hashes(tmp_path / "whole")
+    record_property("faults", f"{FAILS}: 1")
+
+
+@pytest.mark.fault
+@pytest.mark.parametrize("failures", [0, 5])
+def test_a_model_that_always_fails_is_tried_so_often_and_no_more(
+    failures: int, pool: str, command: Make, tmp_path: Path, record_property: Record
+) -> None:
+    options = ["--set", f"execution.failures={failures}", "--pool", pool]
+    assert main(command(RAISE, tmp_path / "run", *options, always=True)) == 1
+    assert len(_failures(tmp_path / "run")) == failures + 1
+    record_property("faults", f"{FAILS}: {failures + 1}")
+
+
+@pytest.mark.crash
+def test_a_draw_that_never_ends_fails(
+    ray_cluster: None,
+    command: Make,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    record_property: Record,
+) -> None:
+    from pfdist.runner import ray_pool
+
+    monkeypatch.setattr(ray_pool, "PATIENCE_SECONDS", 3.0)
+    options = ["--set", "execution.failures=1", "--pool", "ray"]
+    assert main(command(LOOP, tmp_path / "run", *options)) == 1
+    errors = _failures(tmp_path / "run")
+    assert len(errors) == 2
+    assert all("no answer in" in error for error in errors)
+    assert DRAW not in _compared(tmp_path / "run")
+    record_property("faults", f"{FAILS}: {len(errors) * ray_pool.SILENCES}")
+
+
+@pytest.mark.fault
+def test_a_draw_that_takes_all_memory_it_may_have_fails_with_its_traceback(
+    pool: str, command: Make, tmp_path: Path, record_property: Record
+) -> None:
+    options = ["--set", "execution.failures=1", "--pool", pool]
+    assert main(command("limited()", tmp_path / "run", *options)) == 1
+    errors = _failures(tmp_path / "run")
+    assert len(errors) == 2
+    assert all("MemoryError" in error for error in errors)
+    assert all("mine.py" in error for error in errors)
+    record_property("faults", f"{FAILS}: {len(errors)}")
+
+
+@pytest.mark.crash
+def test_a_draw_that_takes_all_memory_there_is_fails_when_ray_ends_its_worker(
+    command: Make, tmp_path: Path, small_job: Job, record_property: Record
+) -> None:
+    lines = dict(line.split(":") for line in Path("/proc/meminfo").read_text().splitlines())
+    total, free = (int(lines[key].split()[0]) for key in ("MemTotal", "MemAvailable"))
+    if free < 6 * 1024**2:
+        pytest.skip("too little memory to take of")
+    threshold = 1 - (free - 3 * 1024**2) / total  # Ray's memory monitor ends workers from there on
+    options = ["--set", "execution.failures=0", "--pool", "ray", "--workers", "2"]
+    words = command("unlimited()", tmp_path / "run", *options)[4:]
+    monitor = {
+        "RAY_memory_usage_threshold": f"{threshold:.3f}",
+        "RAY_memory_monitor_refresh_ms": "50",
+    }
+    start = time.monotonic()
+    with running(small_job.path, tmp_path / "run", *words, **monitor) as one:
+        assert one.wait() == 1
+    assert time.monotonic() - start < 120
+    assert one.said[-1].startswith("pfdist: a task of comparison failed: ")
+    (error,) = _failures(tmp_path / "run")
+    assert "memory" in error
+    assert "nobody has stopped this" not in error
+    record_property("faults", f"{FAILS}: 3")

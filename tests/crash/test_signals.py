@@ -1,0 +1,107 @@
+"""Asked to end, by a person or by a batch system: what is done is kept, and nobody waits long."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from crash.runs import GONE_SECONDS, PATIENCE_SECONDS, all_gone, finish, running, until
+from pfdist import Job
+
+ASKED = "Ctrl-C"
+NOTICE_SECONDS = 20.0  # what a batch system gives
+
+Record = Callable[[str, object], None]
+
+# As a terminal or a batch script starts it: SIGINT is not ignored.
+SLOW_TO_LEAVE = """
+import signal, sys, time
+from pfdist.cli import main
+from pfdist.monte_carlo import Problem
+from pfdist.runner.pool import SerialPool
+
+def leave(*_):
+    print("leaving", flush=True)
+    time.sleep(600)
+
+def forever(*_):
+    print("computing", flush=True)
+    time.sleep(600)
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+SerialPool.__exit__, Problem.__call__ = leave, forever
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.fault
+def test_the_second_ctrl_c_ends_at_once_what_the_first_cannot(
+    small_job: Job, tmp_path: Path, record_property: Record
+) -> None:
+    command = [
+        sys.executable,
+        "-c",
+        SLOW_TO_LEAVE,
+        "run",
+        small_job.path,
+        "--results",
+        tmp_path / "run",
+    ]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "computing\n"
+        process.send_signal(signal.SIGINT)
+        assert process.stdout.readline() == "leaving\n"
+        time.sleep(0.5)
+        assert process.poll() is None
+        process.send_signal(signal.SIGINT)
+        assert process.wait(2.0) == 130
+    assert finish(small_job.path, tmp_path / "run") == finish(small_job.path, tmp_path / "whole")
+    record_property("faults", f"{ASKED}: 2")
+
+
+@pytest.mark.fault
+@pytest.mark.parametrize(
+    ("number", "code"),
+    [
+        (signal.SIGTERM, 75),
+        pytest.param(signal.SIGUSR1, 75, marks=pytest.mark.crash),
+        pytest.param(signal.SIGINT, 130, marks=pytest.mark.crash),
+    ],
+)
+def test_a_run_on_ray_that_is_asked_to_end_does_so_soon_and_leaves_nothing(
+    number: signal.Signals, code: int, small_job: Job, tmp_path: Path, record_property: Record
+) -> None:
+    job = small_job.path
+    job.write_text(job.read_text().replace("draws = 250", "draws = 1_000_000"))
+    run = tmp_path / "run"
+    with running(job, run, "--pool", "ray") as one:
+        one.wait_for(lambda: one.parts("comparison"))
+        everything, start = one.family(), time.monotonic()
+        os.killpg(one.process.pid, number)  # the whole group, as a terminal or a batch system
+        assert one.wait() == code
+        assert time.monotonic() - start < NOTICE_SECONDS
+        assert "the same command goes on from there" in one.said[-1]
+        until(lambda: all_gone(everything), GONE_SECONDS)
+    record_property("faults", f"{ASKED}: 1")
+
+
+@pytest.mark.crash
+@pytest.mark.parametrize("after", [0.5, 2.0, 4.0])
+def test_a_run_that_is_asked_to_end_while_ray_starts_does_so(
+    after: float, small_job: Job, tmp_path: Path, record_property: Record
+) -> None:
+    with running(small_job.path, tmp_path / "run", "--pool", "ray") as one:
+        one.wait_for((tmp_path / "run" / "run.json").exists)
+        time.sleep(after)
+        everything = one.family()
+        one.process.send_signal(signal.SIGTERM)
+        assert one.process.wait(PATIENCE_SECONDS) in {0, 75}
+        until(lambda: all_gone(everything), GONE_SECONDS)
+    assert finish(small_job.path, tmp_path / "run") == finish(small_job.path, tmp_path / "whole")
+    record_property("faults", f"{ASKED}: 1")
