@@ -4,11 +4,12 @@ import argparse
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib as mpl
 
-from benchmarks import kernel, peers, prefixes, scaling
+from benchmarks import estimators, kernel, peers, prefixes, scaling, search
 from benchmarks.machine import provenance
 from benchmarks.peers import PeerDisagreesError
 from benchmarks.results import Benchmark, save, write_readme
@@ -17,21 +18,28 @@ from benchmarks.results import Benchmark, save, write_readme
 BENCHMARKS: dict[str, Benchmark] = {
     "kernel": kernel,
     "prefixes": prefixes,
+    "estimators": estimators,
     "scaling": scaling,
+    "search": search,
     "peers": peers,
 }
 FOLDER = Path(__file__).parent / "results"
 
 
-def main() -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        By default the process's own.
 
     Returns
     -------
     int
         The exit code: 1 if a peer did another job than ours.
     """
-    options = _parser().parse_args()
+    options = _parser().parse_args(arguments)
     mpl.use("Agg")
     folder = options.results
     if folder is None:

@@ -10,7 +10,7 @@ from time import perf_counter
 
 from pfdist import load_model
 from pfdist.measurement_times import regular
-from pfdist.monte_carlo import Problem, Work
+from pfdist.monte_carlo import Estimation, Problem, Work
 
 
 def measure_rate(processes: int, draws: int, seconds: float) -> float:
@@ -43,8 +43,8 @@ def measure_rate(processes: int, draws: int, seconds: float) -> float:
 
 
 def _work(barrier: Barrier, rates: "Queue[float]", draws: int, seconds: float) -> None:
-    problem = Problem(load_model("ungm"), horizon=60, particles=500)
-    task = Work((regular(60, 21),), (1,), 2, (0, draws))
+    problem = Problem(load_model("ungm"), horizon=60)
+    task = Work((regular(60, 21),), (60,), (1,), 2, (0, draws), Estimation(500))
     problem(task)  # compiled
     barrier.wait()
     start, done = perf_counter(), 0

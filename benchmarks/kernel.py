@@ -18,6 +18,7 @@ from benchmarks.measure import Say, one_core, take_turns
 from benchmarks.results import Tables, markdown, with_range
 from pfdist import load_model
 from pfdist.draws import Draws, simulate
+from pfdist.kernels.resampling import SORTED
 from pfdist.measurement_times import regular
 from pfdist.models.loader import installed_models
 from pfdist.particle_filter import DTYPES, RESAMPLING, filter_draws
@@ -80,7 +81,7 @@ class Case:
 def cases(quick: bool) -> Iterator[Case]:
     """Give all that is timed; of `quick` every second size up to the middle."""
     for model in installed_of(MODELS):
-        for resampling in RESAMPLING:
+        for resampling in _fitting(model):
             for dtype in DTYPES:
                 yield Case(model=model, resampling=resampling, dtype=dtype)
     for series, sizes in SIZES.items():
@@ -93,6 +94,12 @@ def cases(quick: bool) -> Iterator[Case]:
                 if series in ("particles", "horizon"):  # work is kept about the same
                     case = replace(case, draws=max(1, case.draws * Case().steps // case.steps))
                 yield case
+
+
+def _fitting(model: str) -> list[str]:
+    """Schemes that a model's state allows."""
+    scalar = load_model(model).components[0] == 1
+    return [scheme for scheme in RESAMPLING if scalar or scheme not in SORTED]
 
 
 def installed_of(names: tuple[str, ...]) -> list[str]:

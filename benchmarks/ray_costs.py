@@ -9,11 +9,13 @@ import pandas as pd
 
 from benchmarks.measure import Say
 from pfdist.measurement_times import regular
-from pfdist.monte_carlo import Work
+from pfdist.monte_carlo import Estimation, Work
 from pfdist.runner.pool import Task
 from pfdist.runner.ray_pool import RayPool
 
-_WORK = Work((regular(60, 21),), (1,), 2, (0, 1000))  # as large as a search's tasks are
+_WORK = Work(
+    (regular(60, 21),), (60,), (1,), 2, (0, 1000), Estimation(500)
+)  # as large as a search's tasks are
 
 
 def measure_ray(repeats: int, calls: int, say: Say) -> pd.DataFrame:

@@ -10,7 +10,9 @@ from pfdist.job import Job, load_job
 from pfdist.models import StateSpaceModel, find_model
 from pfdist.models.linear_gaussian import linear_gaussian
 from pfdist.monte_carlo import Evaluation
+from pfdist.runner.budget import budget
 from pfdist.runner.evaluate import evaluate
+from pfdist.runner.plan import plan
 from pfdist.runner.run import run
 
 __version__ = version("pfdist")
@@ -21,12 +23,14 @@ __all__ = [
     "PfdistError",
     "Run",
     "StateSpaceModel",
+    "budget",
     "clip",
     "evaluate",
     "linear_gaussian",
     "load_job",
     "load_model",
     "open_run",
+    "plan",
     "run",
     "where",
 ]

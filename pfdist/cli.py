@@ -10,16 +10,17 @@ import signal
 import sys
 import time
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
 import pfdist
 from pfdist.analysis import finite, open_run
-from pfdist.display import Display, print_check, print_summary
+from pfdist.display import Display, print_check, print_summary, print_why
 from pfdist.errors import (
     EngineWarning,
+    JobError,
     MeasurementTimesError,
     ModelError,
     PfdistError,
@@ -27,14 +28,18 @@ from pfdist.errors import (
     StoreError,
     TaskError,
 )
-from pfdist.job import load_job
+from pfdist.job import PLANNER, SEARCHES, load_job
 from pfdist.models import find_model, installed_models
 from pfdist.plots import draw_figures
-from pfdist.runner.check_model import check_model
+from pfdist.runner.budget import DRAWS as BUDGET_DRAWS
+from pfdist.runner.budget import budget
+from pfdist.runner.check_model import Check, check_model
 from pfdist.runner.doctor import examine
 from pfdist.runner.evaluate import evaluate
+from pfdist.runner.plan import plan
 from pfdist.runner.repair import repair_run, verify_run
 from pfdist.runner.run import run
+from pfdist.runner.why import DRAWS, why
 
 _EPILOG = (
     "Exit codes: 0 done, 1 an error, 2 a misuse, 130 interrupted by Ctrl-C, "
@@ -75,7 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
     except KeyboardInterrupt:
         ended = "asked to end" if _preempted else "interrupted"
-        go_on = f"; {_GO_ON}" if options.command is _run else ""
+        go_on = f"; {_GO_ON}" if options.command in (_run, _plan, _budget) else ""
         print(f"pfdist: {ended}{go_on}", file=sys.stderr)
         return 75 if _preempted else 130
     except BrokenPipeError:  # the reader of our output has gone, as `head` does
@@ -119,19 +124,49 @@ def _one_line(error: PfdistError) -> str:
 
 
 def _run(options: argparse.Namespace) -> None:
-    job = load_job(options.job, options.set)
     with Display() as display:
         finished = run(
-            job,
-            results=options.results,
-            pool=options.pool,
-            workers=options.workers,
-            address=options.address,
-            fork=options.fork,
-            report=display.report,
-            say=display.say,
+            load_job(options.job, options.set), fork=options.fork, **_settings(options, display)
         )
     _print_run(finished.summary(), options)
+
+
+def _plan(options: argparse.Namespace) -> None:
+    with Display() as display:
+        finished = plan(
+            load_job(options.job, options.set), search=options.search, **_settings(options, display)
+        )
+    _print_run(finished.summary(), options)
+
+
+def _budget(options: argparse.Namespace) -> None:
+    numbers, target = _range(options.measurements), options.target
+    with Display() as display:
+        finished = budget(
+            load_job(options.job, options.set),
+            numbers,
+            draws=options.draws,
+            target=target,
+            **_settings(options, display),
+        )
+    reached = {} if target is None else {"target": target, "reached": finished.reaching(target)}
+    _print_run(finished.summary() | reached, options)
+
+
+def _range(text: str) -> tuple[int, int]:
+    least, _, most = text.partition(":")
+    if not (least.isdecimal() and most.isdecimal() and 2 <= int(least) <= int(most)):
+        raise JobError(
+            "--measurements must be two numbers A:B with 2 <= A <= B, for instance 5:41, "
+            f"got {text!r}"
+        )
+    return int(least), int(most)
+
+
+def _settings(options: argparse.Namespace, display: Display) -> dict[str, Any]:
+    """What a command that computes is told besides its job."""
+    chosen = {name: getattr(options, name) for name in ("results", "pool", "workers", "address")}
+    return {**chosen, "report": display.report, "say": display.say}
 
 
 def _status(options: argparse.Namespace) -> None:
@@ -166,6 +201,15 @@ def _plot(options: argparse.Namespace) -> None:
         print(file)
 
 
+def _why(options: argparse.Namespace) -> None:
+    with Display() as display:
+        found = why(options.run, options.draws, report=display.report, say=display.say).as_json()
+    if options.json:
+        _print_json(found)
+        return
+    print_why(found)
+
+
 def _verify(options: argparse.Namespace) -> None:
     path = Path(options.run)
     damages = list(verify_run(path))
@@ -182,14 +226,7 @@ def _repair(options: argparse.Namespace) -> None:
 
 
 def _doctor(options: argparse.Namespace) -> None:
-    findings = []
-    for finding in examine(Path(options.results), options.address):
-        findings.append(finding)
-        if not options.json:
-            print_check(finding)
-    if options.json:
-        _print_json({"checks": [dataclasses.asdict(finding) for finding in findings]})
-    wrong = [finding.name for finding in findings if finding.state == "wrong"]
+    wrong = _print_checks(examine(Path(options.results), options.address), options)
     if wrong:
         raise PoolError(f"not fit for a run: {', '.join(wrong)}")
 
@@ -206,16 +243,22 @@ def _models(options: argparse.Namespace) -> None:
 
 
 def _check_model(options: argparse.Namespace) -> None:
-    checks = []
-    for check in check_model(options.name, options.horizon, options.particles):
-        checks.append(check)
+    checks = check_model(options.name, options.horizon, options.particles)
+    wrong = _print_checks(checks, options)
+    if wrong:
+        raise ModelError(f"{options.name}: wrong: {', '.join(wrong)}")
+
+
+def _print_checks(checks: Iterable[Check], options: argparse.Namespace) -> list[str]:
+    """Print them as they come, or as one object; give the names of those that are wrong."""
+    done = []
+    for check in checks:
+        done.append(check)
         if not options.json:
             print_check(check)
     if options.json:
-        _print_json({"checks": [dataclasses.asdict(check) for check in checks]})
-    wrong = [check.name for check in checks if check.state == "wrong"]
-    if wrong:
-        raise ModelError(f"{options.name}: wrong: {', '.join(wrong)}")
+        _print_json({"checks": [dataclasses.asdict(check) for check in done]})
+    return [check.name for check in done if check.state == "wrong"]
 
 
 def _times(text: str) -> list[int]:
@@ -256,18 +299,26 @@ def _parser() -> argparse.ArgumentParser:
 
     one = command("run", _run, "Run a job, or go on with its run where it stopped.")
     _add_job(one)
-    one.add_argument(
-        "--results",
-        metavar="DIR",
-        help="the run's own folder (default: results/<the job file's stem>)",
-    )
+    _add_computing(one, "results/<the job file's stem>")
     one.add_argument(
         "--fork", metavar="NEW", help="start another run there, from what --results has evaluated"
     )
-    one.add_argument("--pool", choices=["ray", "serial"], help="where tasks are done (ray)")
-    one.add_argument("--workers", type=int, metavar="N", help="how many (all cores)")
-    one.add_argument("--address", help="of a Ray cluster to join (a local one is started)")
     _add_json(one)
+
+    one = command("plan", _plan, "Find measurement times for a job's problem and prove them.")
+    _add_job(one)
+    _add_computing(one, "results/<the job file's stem>-plan")
+    one.add_argument(
+        "--search",
+        choices=list(SEARCHES),
+        default=PLANNER,
+        metavar="METHOD",
+        help=f"one of {', '.join(SEARCHES)}; with its defaults ({PLANNER})",
+    )
+    _add_json(one)
+
+    summary = "Say how the error falls with the number of measurements, and how many are enough."
+    _add_budget(command("budget", _budget, summary))
 
     one = command("status", _status, "Say how far a run is and what it has found.")
     one.add_argument("run", metavar="RUN", help="a run's folder")
@@ -283,6 +334,13 @@ def _parser() -> argparse.ArgumentParser:
 
     one = command("plot", _plot, "Draw the figures of a run from its tables.")
     one.add_argument("run", metavar="RUN", help="a run's folder")
+
+    one = command("why", _why, "Say what each measurement of a finished run is worth, and draw it.")
+    one.add_argument("run", metavar="RUN", help="a run's folder; its model is run again")
+    one.add_argument(
+        "--draws", type=int, default=DRAWS, metavar="K", help=f"how many, of their own ({DRAWS})"
+    )
+    _add_json(one)
 
     one = command("verify", _verify, "Look at every byte, row and key of a run.")
     one.add_argument("run", metavar="RUN", help="a run's folder")
@@ -309,6 +367,23 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _add_budget(parser: argparse.ArgumentParser) -> None:
+    _add_job(parser)
+    parser.add_argument(
+        "--measurements", required=True, metavar="A:B", help="from how many to how many"
+    )
+    parser.add_argument("--target", type=float, metavar="X", help="an expected MSE to be reached")
+    parser.add_argument(
+        "--draws",
+        type=int,
+        default=BUDGET_DRAWS,
+        metavar="K",
+        help=f"on which all are compared ({BUDGET_DRAWS})",
+    )
+    _add_computing(parser, "results/<the job file's stem>-budget")
+    _add_json(parser)
+
+
 def _count(text: str) -> int:
     if not (text.isdecimal() and 1 <= int(text) <= 32_000):
         raise argparse.ArgumentTypeError(f"must be an integer in 1..32000, got {text!r}")
@@ -325,6 +400,15 @@ def _add_job(parser: argparse.ArgumentParser) -> None:
         metavar="KEY=VALUE",
         help="change keys of the job, for instance seed=3 search.genetic.generations=5",
     )
+
+
+def _add_computing(parser: argparse.ArgumentParser, results: str) -> None:
+    parser.add_argument(
+        "--results", metavar="DIR", help=f"the run's own folder (default: {results})"
+    )
+    parser.add_argument("--pool", choices=["ray", "serial"], help="where tasks are done (ray)")
+    parser.add_argument("--workers", type=int, metavar="N", help="how many (all cores)")
+    parser.add_argument("--address", help="of a Ray cluster to join (a local one is started)")
 
 
 def _add_json(parser: argparse.ArgumentParser) -> None:

@@ -1,5 +1,6 @@
 """What a person sees: the progress of a run, and summaries."""
 
+import math
 import sys
 import time
 from types import TracebackType
@@ -35,7 +36,7 @@ class Display:
         self._live = self._console.is_terminal
         self._task: Any = None
         self._phase = ""
-        self._phase_start, self._last_line = (0.0, 0, 0), 0.0
+        self._phase_start, self._last_line = (0.0, 0, 0.0), 0.0
 
     def __enter__(self) -> Self:
         return self
@@ -61,7 +62,7 @@ class Display:
         line = self._line(state, now)
         if self._live:
             if self._task is None:
-                self._task = self._bar.add_task(line, total=state.total, completed=state.done)
+                self._task = self._bar.add_task(line, total=state.total, completed=int(state.done))
                 self._bar.start()
             self._bar.update(self._task, completed=state.done, description=line)
         elif now - self._last_line >= LINE_SECONDS or state.done == state.total:
@@ -127,6 +128,8 @@ def _summary_text(summary: dict[str, Any], files: str) -> str:
         f"{summary['run']}: {summary['state']}, {summary['evaluations']:,} evaluations, "
         f"{summary['draws_compared']:,} draws compared"
     ]
+    if any("kind" in result for result in summary["results"].values()):
+        return "\n".join([*lines, *_budget_lines(summary), "", files])
     for name, result in summary["results"].items():
         times = ", ".join(map(str, result["measurement_times"]))
         lines += ["", f"{name}: measure at t = {times}"]
@@ -137,19 +140,121 @@ def _summary_text(summary: dict[str, Any], files: str) -> str:
         if result["degenerate_draws"]:
             lines.append(f"  degenerate draws      {result['degenerate_draws']:,} (left out)")
         if result["search_cost"] is not None:
-            lines.append(f"  the search believed   {_number(result['search_cost'])}")
+            lines.append(_believed(result))
         if "mean_relative_gain" in result:
             lines += _gain_lines(result)
+        if "gain_over_itself" in result:
+            lines.append(
+                f"  gain over itself      {_percent(result['gain_over_itself'])}  "
+                f"(95 %: {_interval(result['gain_over_itself_interval'])}): what the filters' "
+                "noise alone does to a mean relative gain"
+            )
     return "\n".join([*lines, "", files])
 
 
+def _budget_lines(summary: dict[str, Any]) -> list[str]:
+    """Tell what each number of measurements costs, and how many reach a target."""
+    results = summary["results"].values()
+    lines = [
+        "",
+        f"expected MSE on fresh draws (95 %)\n{'N':>5}  {'regular times':>31}  found times",
+    ]
+    for number in sorted({one["measurements"] for one in results}):
+        its = {one["kind"]: one for one in results if one["measurements"] == number}
+        cells = [_cost_cell(its[kind]) for kind in ("regular", "found") if kind in its]
+        lines.append(f"{number:>5}  {'  '.join(f'{cell:>31}' for cell in cells)}".rstrip())
+    for kind in ("regular", "found"):
+        worse = [
+            f"N = {one['measurements']} than with {one['worse_than']}"
+            for one in results
+            if one["kind"] == kind and one["worse_than"] is not None
+        ]
+        lines += [f"{kind} times are worse with {'; '.join(worse)}"] if worse else []
+    for kind, its in summary.get("reached", {}).items():
+        lines += ["", _reached(kind, its, summary["target"])]
+        if its["measurement_times"] is not None and kind == "found":
+            lines.append(f"  measure at t = {', '.join(map(str, its['measurement_times']))}")
+    return lines
+
+
+def _cost_cell(result: dict[str, Any]) -> str:
+    cost, low, high = (_number(result[key]) for key in ("expected_mse", "low", "high"))
+    return f"{cost} ({low} to {high})"
+
+
+def _reached(kind: str, its: dict[str, Any], target: float) -> str:
+    if its["measurements"] is None:
+        return f"{kind} times reach {target:g} with no number of measurements that was tried"
+    low, high = ("more" if bound is None else str(bound) for bound in its["interval"])
+    line = f"{kind} times reach {target:g} with N = {its['measurements']} (95 %: {low} to {high})"
+    others = ", ".join(map(str, its["larger_that_do_not"]))
+    return line + (f", but not with N = {others}" if others else "")
+
+
+def print_why(found: dict[str, Any]) -> None:
+    """Print what each measurement is worth on standard output.
+
+    Parameters
+    ----------
+    found : dict
+        As `pfdist.runner.why.Why.as_json` gives it.
+    """
+    drawn = f"on {found['draws']:,} draws that chose nothing; ± standard error"
+    draws = drawn if found["draws"] else "exact"
+    lines = []
+    for name, its in found["sets"].items():
+        mse, error = its["expected_mse"], its["standard_error"]
+        margin = f" ± {_number(error)}" if found["draws"] else ""
+        decimals = min(12, max(0, 5 - math.ceil(math.log10(abs(mse))))) if mse else 3
+        lines += [
+            f"{name}: expected MSE {_number(mse)}{margin} ({draws})",
+            "  by how much it rises if a measurement is",
+            f"  {'t':>5}  {'removed':>17}  {'one earlier':>17}  {'one later':>17}",
+        ]
+        for row in its["measurements"]:
+            rises = [
+                _rise(row[change], row[f"{change}_error"], decimals)
+                for change in ("removed", "earlier", "later")
+            ]
+            lines.append(f"  {row['t']:>5}  {'  '.join(f'{rise:>17}' for rise in rises)}".rstrip())
+        lines.append("")
+    print("\n".join(lines + found["figures"]))  # noqa: T201  its output
+
+
+def _rise(mean: float | None, error: float | None, decimals: int) -> str:
+    """Say nothing where there is no such instant, or another measurement is there."""
+    if mean is None or error is None:
+        return ""
+    return f"{mean:+.{decimals}f}" + (f" ± {error:.{decimals}f}" if error else "")
+
+
+def _believed(result: dict[str, Any]) -> str:
+    """Say what the search believed, and how far that is from the truth (winner's curse)."""
+    line = f"  the search believed   {_number(result['search_cost'])} "
+    line += f"± {_number(result['search_standard_error'])}"
+    excess = result["search_excess"]
+    if excess is not None:
+        side = "below" if excess < 0 else "above"
+        why = "its draws chose the set" if result["search_standard_error"] != 0.0 else "exact"
+        line += f", {_percent(abs(excess))} {side} the fresh cost ({why}"
+        own = [f"{key} = {its}" for key, its in result["search_estimation"].items()]
+        line += f"; {', '.join(own)})" if own else ")"
+    return line
+
+
 def _gain_lines(result: dict[str, Any]) -> list[str]:
+    quartiles = [result["quantiles"].get(share) for share in ("0.25", "0.5", "0.75")]
+    low, high = result["mean_log10_ratio_interval"]
     return [
         f"  mean relative gain    {_percent(result['mean_relative_gain'])}  "
         f"(95 %: {_interval(result['mean_relative_gain_interval'])})",
         f"  positive gains        {_percent(result['positive_fraction'])} of draws  "
         f"(95 %: {_interval(result['positive_fraction_interval'])})",
-        f"  gain of means         {_percent(result['gain_of_means'])}",
+        f"  quartiles             {', '.join(map(_percent, quartiles))}",
+        f"  gain of means         {_percent(result['gain_of_means'])}  "
+        f"(95 %: {_interval(result['gain_of_means_interval'])})",
+        f"  mean log10 of ratio   {_log10(result['mean_log10_ratio'])}  "
+        f"(95 %: {_log10(low)} to {_log10(high)})",
     ]
 
 
@@ -159,6 +264,10 @@ def _number(value: float | None) -> str:
 
 def _percent(fraction: float | None) -> str:
     return "unknown" if fraction is None else f"{100 * fraction:.2f} %"
+
+
+def _log10(value: float | None) -> str:
+    return "unknown" if value is None else f"{value:.4f}"
 
 
 def _interval(interval: list[float | None]) -> str:

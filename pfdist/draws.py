@@ -47,6 +47,11 @@ class Draws:
         """Give some of the draws."""
         return Draws(self.model, self.index[which], self.x[which], self.y[which], self.z[which])
 
+    def upto(self, end: int) -> "Draws":
+        """Give the same draws up to an instant."""
+        t = slice(end + 1)
+        return Draws(self.model, self.index, self.x[:, t], self.y[:, t], self.z[:, t])
+
 
 def simulate(model: StateSpaceModel, horizon: int, index: range, stream: int) -> Draws:
     """Simulate some draws of a stream.

@@ -3,19 +3,26 @@
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, Self
+from typing import Annotated, Any, Final, Literal, Self, get_args
 
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
-from pfdist.errors import JobError
+from pfdist.errors import JobError, MeasurementTimesError
+from pfdist.feasible import Feasible
+from pfdist.problem import ProblemSection
 
 REFERENCE: Final = "regular"
+PLANNER: Final = "survivors"
+AUTO: Final = "auto"
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=40)]
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
+Resampling = Literal["multinomial", "stratified", "systematic", "residual", "sorted_systematic"]
+Estimator = Literal["squared_error", "filter_variance", "two_filters"]
 
 
 class _Section(BaseModel):
@@ -37,27 +44,11 @@ class Model(_Section):
     filter: FilterModel = FilterModel()
 
 
-class ProblemSection(_Section):
-    """How long, and how many measurements."""
-
-    horizon: Annotated[int, Field(ge=1, le=32_000)]
-    measurement_budget: Annotated[int, Field(ge=2)]
-
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
-        if self.measurement_budget > self.horizon + 1:
-            raise ValueError(
-                f"problem.measurement_budget must be at most horizon + 1 = {self.horizon + 1}, "
-                f"got {self.measurement_budget}"
-            )
-        return self
-
-
 class Filter(_Section):
     """The particle filter."""
 
     particles: Annotated[int, Field(ge=1, le=10_000_000)] = 500
-    resampling: Literal["multinomial", "stratified", "systematic", "residual"] = "multinomial"
+    resampling: Resampling = "multinomial"
     dtype: Literal["float64", "float32"] = "float64"
     engine: Literal["auto", "compiled", "numpy", "kalman"] = "auto"
 
@@ -68,22 +59,45 @@ class EvaluationSection(_Section):
     draws: Annotated[int, Field(ge=2, le=10_000_000)] = 1000
     noise: Literal["fresh", "common"] = "fresh"
     degenerate_draws: Literal["kill", "leave_out"] = "kill"
+    estimator: Estimator = "squared_error"
+
+
+class SearchEvaluation(_Section):
+    """How a search's own evaluations differ from [evaluation] and [filter]."""
+
+    draws: Annotated[int, Field(ge=2, le=10_000_000)] | None = None
+    noise: Literal["fresh", "common"] | None = None
+    particles: Annotated[int, Field(ge=1, le=10_000_000)] | None = None
+    resampling: Resampling | None = None
+    estimator: Estimator | Literal["auto"] | None = None
+
+
+class CommonEvaluation(SearchEvaluation):
+    """What a search takes that compares sets under common noise, if it is given nothing else."""
+
+    draws: Annotated[int, Field(ge=2, le=10_000_000)] = 300
+    noise: Literal["fresh", "common"] = "common"
+    particles: Annotated[int, Field(ge=1, le=10_000_000)] = 100
+    resampling: Resampling = "systematic"
+    estimator: Estimator | Literal["auto"] = AUTO
 
 
 class _Search(_Section):
     name: Name = ""
+    evaluation: SearchEvaluation = SearchEvaluation()
+    polish: bool = False
 
     @model_validator(mode="before")
     @classmethod
     def _named_after_its_method(cls, data: Any) -> Any:
-        if isinstance(data, dict) and "name" not in data:
-            return {**data, "name": data.get("method")}
+        if isinstance(data, dict) and "method" in data and "name" not in data:
+            return {**data, "name": data["method"]}
         return data
 
     @property
     def settings(self) -> dict[str, Any]:
         """The hyper-parameters of the optimiser."""
-        return self.model_dump(exclude={"name", "method"})
+        return self.model_dump(exclude={"name", "method", "evaluation", "polish"})
 
 
 class GeneticSearch(_Search):
@@ -104,8 +118,74 @@ class RandomSearch(_Search):
     evaluations: Annotated[int, Field(ge=1)] = 1250
 
 
-_SEARCHES: dict[str, type[_Search]] = {"genetic": GeneticSearch, "random": RandomSearch}
-Search = Annotated[GeneticSearch | RandomSearch, Field(discriminator="method")]
+class SurvivorSearch(_Search):
+    """The survivor dynamic programme, which `pfdist plan` takes."""
+
+    method: Literal["survivors"] = "survivors"
+    name: Name = "survivors"
+    evaluation: CommonEvaluation = CommonEvaluation()
+    polish: bool = True
+    survivors: Annotated[int, Field(ge=1)] = 2
+    by_previous: bool = False
+
+
+class NeighbourSearch(_Search):
+    """Greedy, by one time more or less a step; or exchange of one time for another."""
+
+    method: Literal["greedy_forward", "greedy_backward", "exchange"]
+    evaluation: CommonEvaluation = CommonEvaluation()
+
+
+class AnnealingSearch(_Search):
+    """Simulated annealing, a few chains side by side."""
+
+    method: Literal["annealing"]
+    evaluation: CommonEvaluation = CommonEvaluation()
+    chains: Annotated[int, Field(ge=1)] = 4
+    steps: Annotated[int, Field(ge=1)] = 500
+    coldest: Annotated[float, Field(gt=0.0, le=1.0)] = 0.03
+
+
+class CrossEntropySearch(_Search):
+    """The cross-entropy method."""
+
+    method: Literal["cross_entropy"]
+    evaluation: CommonEvaluation = CommonEvaluation()
+    population: Annotated[int, Field(ge=1)] = 100
+    generations: Annotated[int, Field(ge=1)] = 50
+    elite: Annotated[float, Field(gt=0.0, le=1.0)] = 0.1
+    smoothing: Annotated[float, Field(gt=0.0, le=1.0)] = 0.4
+
+
+class ExhaustiveSearch(_Search):
+    """Every set, where they are few."""
+
+    method: Literal["exhaustive"]
+    evaluation: CommonEvaluation = CommonEvaluation()
+    limit: Annotated[int, Field(ge=1)] = 100_000
+
+
+SEARCHES: dict[str, type[_Search]] = {
+    "genetic": GeneticSearch,
+    "random": RandomSearch,
+    "survivors": SurvivorSearch,
+    "greedy_forward": NeighbourSearch,
+    "greedy_backward": NeighbourSearch,
+    "exchange": NeighbourSearch,
+    "annealing": AnnealingSearch,
+    "cross_entropy": CrossEntropySearch,
+    "exhaustive": ExhaustiveSearch,
+}
+Search = Annotated[
+    GeneticSearch
+    | RandomSearch
+    | SurvivorSearch
+    | NeighbourSearch
+    | AnnealingSearch
+    | CrossEntropySearch
+    | ExhaustiveSearch,
+    Field(discriminator="method"),
+]
 
 
 class Until(_Section):
@@ -120,6 +200,13 @@ class Comparison(_Section):
     draws: Annotated[int, Field(ge=2, le=100_000_000)] = 100_000
     until: Until = Until()
     reference: Literal["regular"] = REFERENCE
+
+
+class Budget(_Section):
+    """For which numbers of measurements times are wanted, which `pfdist budget` asks."""
+
+    least: Annotated[int, Field(ge=2)]
+    most: Annotated[int, Field(ge=2)]
 
 
 class Execution(_Section):
@@ -139,8 +226,9 @@ class Job(_Section):
     problem: ProblemSection
     filter: Filter = Filter()
     evaluation: EvaluationSection = EvaluationSection()
-    search: tuple[Search, ...] = Field(min_length=1, strict=False)
+    search: tuple[Search, ...] = Field(default=(SurvivorSearch(),), min_length=1, strict=False)
     comparison: Comparison = Comparison()
+    budget: Budget | None = None
     execution: Execution = Execution()
     _path: Path = PrivateAttr(default=Path("job.toml"))
 
@@ -155,6 +243,29 @@ class Job(_Section):
             )
         return self
 
+    @model_validator(mode="after")
+    def _has_sets_of_every_number(self) -> Self:
+        if self.budget is None:
+            return self
+        least, most = self.budget.least, self.budget.most
+        if least > most:
+            raise ValueError(f"budget.least must be at most budget.most = {most}, got {least}")
+        if not self.problem.feasible.counted:
+            raise ValueError("budget needs problem.measurement_budget, got problem.total_cost")
+        if any(search.method != PLANNER for search in self.search) or len(self.search) > 1:
+            methods = ", ".join(search.method for search in self.search)
+            raise ValueError(f"budget needs one search of method {PLANNER!r}, got {methods}")
+        for number in (least, most):
+            try:
+                self.feasible(number)
+            except MeasurementTimesError as error:
+                raise ValueError(f"budget of {number} measurements: {error}") from error
+        return self
+
+    def feasible(self, measurement_budget: int) -> Feasible:
+        """The sets of so many measurements that may be chosen."""
+        return replace(self.problem.feasible, measurement_budget=measurement_budget)
+
     @property
     def path(self) -> Path:
         """The job file: a model's path is relative to its folder, a run is named after it."""
@@ -162,11 +273,30 @@ class Job(_Section):
 
     def with_changes(self, overrides: Iterable[str]) -> "Job":
         """Give the job with some keys changed, as ``key=value``; see `load_job`."""
-        return _validated(self.model_dump(mode="json"), self.path, overrides)
+        return _validated(self.model_dump(mode="json", exclude_none=True), self.path, overrides)
+
+    def planned(self, method: str) -> "Job":
+        """Give the job with one search, of this method and with its defaults, for all it has."""
+        data = self.model_dump(mode="json", exclude_none=True)
+        return _validated(data | {"search": [{"method": method}]}, self.path, [])
+
+    def budgeted(self, least: int, most: int, draws: int) -> "Job":
+        """Give the job of finding and comparing times for every number of measurements."""
+        data = self.planned(PLANNER).model_dump(mode="json", exclude_none=True)
+        data["search"][0]["polish"] = False
+        data |= {"budget": {"least": least, "most": most}, "comparison": {"draws": draws}}
+        # Whatever one number it was that the job is for, the run is the same.
+        same = [f"problem.measurement_budget={most}"]
+        return _validated(data, self.path, []).with_changes(same)
+
+    @property
+    def names_its_searches(self) -> bool:
+        """Whether there is a [[search]], or the default is taken."""
+        return "search" in self.model_fields_set
 
     def identity(self) -> dict[str, Any]:
         """What a run of this job is: everything but [execution]."""
-        return self.model_dump(mode="json", exclude={"execution"})
+        return self.model_dump(mode="json", exclude={"execution"}, exclude_none=True)
 
 
 def load_job(path: str | Path, overrides: Iterable[str] = ()) -> Job:
@@ -272,7 +402,7 @@ def _sentence(error: ErrorDetails) -> str:
         return f"{key} must be given"
     if kind in ("union_tag_invalid", "union_tag_not_found"):
         method = got.get("method") if isinstance(got, dict) else got
-        return f"search.method must be one of {', '.join(map(repr, _SEARCHES))}, got {method!r}"
+        return f"search.method must be one of {', '.join(map(repr, SEARCHES))}, got {method!r}"
     if key == "search":
         return f"search must be one or more [[search]] sections, got {got!r}"
     if kind == "value_error":
@@ -285,12 +415,13 @@ def _sentence(error: ErrorDetails) -> str:
 def _allowed_keys(section: str) -> list[str]:
     """The keys of a section; a search's goes by its method."""
     if section.startswith("search."):
-        return list(_SEARCHES[section.removeprefix("search.")].model_fields)
+        return list(SEARCHES[section.removeprefix("search.")].model_fields)
     if not section:
         return list(Job.model_fields)
     kind: Any = Job
     for part in section.split("."):
-        kind = kind.model_fields[part].annotation
+        annotation = kind.model_fields[part].annotation
+        kind = next(iter(get_args(annotation)), annotation)  # an optional section, or one
         if not (isinstance(kind, type) and issubclass(kind, BaseModel)):
             return []
     return list(kind.model_fields)

@@ -97,8 +97,12 @@ def linear_gaussian(model: StateSpaceModel, horizon: int) -> LinearGaussian:
         )
 
 
-def expected_mse(model: StateSpaceModel, horizon: int, sets: Sequence[Times]) -> Array:
+def expected_mse(
+    model: StateSpaceModel, horizon: int, sets: Sequence[Times], ends: Sequence[int] | None = None
+) -> Array:
     """Exact expected MSE of the Kalman filter with each set of times, (S,): no draws are needed.
+
+    Where `ends` are given, each set's errors count up to its own alone; the sum is over T + 1.
 
     Raises
     ------
@@ -110,13 +114,13 @@ def expected_mse(model: StateSpaceModel, horizon: int, sets: Sequence[Times]) ->
     for row, times in zip(measured, sets, strict=True):
         row[list(validated(times, horizon))] = True
     covariance = np.repeat(_square(matrices.initial.matrix)[None], len(sets), axis=0)
-    total = np.zeros(len(sets))
+    total, last = np.zeros(len(sets)), np.array([horizon] * len(sets) if ends is None else ends)
     for t in range(horizon + 1):
         here = measured[:, t]
         gain, seen = _gain(covariance[here], matrices.measurement[t])
         covariance[here] -= gain @ seen @ covariance[here]
         h = matrices.quantity_of_interest[t].matrix
-        total += np.trace(h @ covariance @ h.T, axis1=1, axis2=2)
+        total += (t <= last) * np.trace(h @ covariance @ h.T, axis1=1, axis2=2)
         if t < horizon:
             covariance = _propagated(covariance, matrices.transition[t])
     return total / (horizon + 1)

@@ -118,3 +118,66 @@ def random(
         )
     order = rng.permuted(np.tile(np.arange(horizon + 1), (sets, 1)), axis=1)
     return np.sort(order[:, :measurement_budget], axis=1)
+
+
+def nearest(wanted: Times, usable: Times, required: Times, spacing: int) -> Times:
+    """Give as many usable times as near to those wanted as can be.
+
+    Parameters
+    ----------
+    wanted : tuple of int, (N,)
+        Sorted.
+    usable : tuple of int
+        Sorted.
+    required : tuple of int
+        Those of them that must be taken; the others are no nearer to them than the spacing.
+    spacing : int
+        Least difference of two times.
+
+    Returns
+    -------
+    tuple of int, (N,)
+        Sorted; the sum of the distances to those wanted, one by one, is the least. Of several such
+        sets, that whose last time is the earliest, then the last but one, and so on.
+
+    Raises
+    ------
+    MeasurementTimesError
+        There are not so many usable times that are far enough from each other.
+
+    References
+    ----------
+    Bellman, "Dynamic programming", 1957.
+
+    Examples
+    --------
+    >>> nearest((0, 5, 10), usable=(1, 2, 3, 4, 6, 8, 9), required=(), spacing=3)
+    (1, 4, 9)
+    """
+    times, last = np.array(usable), len(usable) - 1
+    taken = np.isin(times, required).nonzero()[0].tolist()
+    # Those that may come before each: far enough away, with no required one left out between them.
+    stops = np.searchsorted(times, times - spacing, side="right").tolist()
+    starts = [max((i for i in taken if i < place), default=0) for place in range(len(times))]
+    first_taken, last_taken = (taken[0], taken[-1]) if taken else (last, 0)
+    distance = np.full(len(times), np.inf)
+    before: list[list[int]] = []
+    for number, time in enumerate(wanted):
+        here = np.abs(times - time).astype(np.float64)
+        if number == 0:
+            here[first_taken + 1 :] = np.inf
+        else:
+            before.append([])
+            for place, (start, stop) in enumerate(zip(starts, stops, strict=True)):
+                best = start + int(distance[start:stop].argmin()) if start < stop else -1
+                before[-1].append(best)
+                here[place] += distance[best] if best >= 0 else np.inf
+        distance = here
+    if wanted and not np.isfinite(distance[last_taken:]).any():
+        raise MeasurementTimesError(
+            f"there must be {len(wanted)} usable times at least {spacing} apart, got {usable}"
+        )
+    places = [last_taken + int(distance[last_taken:].argmin())] if wanted else []
+    for previous in reversed(before):
+        places.append(previous[places[-1]])
+    return tuple(int(times[place]) for place in reversed(places))

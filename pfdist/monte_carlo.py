@@ -6,9 +6,9 @@ MSE is the same, and so is what is computed from all of them in the order of the
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,9 +16,19 @@ from numpy.typing import ArrayLike, NDArray
 from pfdist import kalman, plain
 from pfdist.draws import Draws, simulate
 from pfdist.errors import ModelError
+from pfdist.estimators import one_by_one
+from pfdist.kernels.noise import stream_key
+from pfdist.kernels.prefixes import plan
 from pfdist.measurement_times import Times
 from pfdist.models import StateSpaceModel
-from pfdist.particle_filter import Filtered, check_filter, filter_draws, filter_sets
+from pfdist.particle_filter import (
+    Filtered,
+    check_filter,
+    check_fits,
+    filter_draws,
+    filter_sets,
+    filter_streams,
+)
 
 SECONDS_A_STEP = 2e-9
 """About what a particle-step takes."""
@@ -32,20 +42,10 @@ class Engine(NamedTuple):
     filter_sets: Callable[..., NDArray[np.float64]]
 
 
-def _one_by_one(filter_draws: Callable[..., Filtered]) -> Callable[..., NDArray[np.float64]]:
-    def filter_sets(
-        model: StateSpaceModel, draws: Draws, sets: Sequence[Times], *settings: Any, **more: Any
-    ) -> NDArray[np.float64]:
-        filtered = [filter_draws(model, draws, times, *settings, **more) for times in sets]
-        return np.stack([one.mse for one in filtered], axis=1)
-
-    return filter_sets
-
-
 ENGINES = {
     "compiled": Engine(simulate, filter_draws, filter_sets),
-    "numpy": Engine(plain.simulate, plain.filter_draws, _one_by_one(plain.filter_draws)),
-    "kalman": Engine(simulate, kalman.filter_draws, _one_by_one(kalman.filter_draws)),
+    "numpy": Engine(plain.simulate, plain.filter_draws, one_by_one(plain.filter_draws)),
+    "kalman": Engine(simulate, kalman.filter_draws, one_by_one(kalman.filter_draws)),
 }
 """The compiled kernel; NumPy, where Numba cannot compile a model; the exact filter of a
 linear-Gaussian one."""
@@ -60,8 +60,34 @@ DEGENERATE_POLICIES = ("kill", "leave_out")
 
 
 @dataclass(frozen=True)
+class Estimation:
+    """How the error of one draw is estimated.
+
+    Parameters
+    ----------
+    particles : int
+        P.
+    resampling : {"multinomial", "stratified", "systematic", "residual", "sorted_systematic"}
+    estimator : {"squared_error", "filter_variance", "two_filters"}
+        See `pfdist.estimators`.
+    """
+
+    particles: int
+    resampling: str = "multinomial"
+    estimator: str = "squared_error"
+
+    @property
+    def steps_an_instant(self) -> int:
+        """Particle-steps of one instant, of all filters."""
+        return self.particles * len(filter_streams(0, self.estimator))
+
+
+_ANY = Estimation(particles=1)
+
+
+@dataclass(frozen=True)
 class Problem:
-    """A model, a horizon and the filter that is to follow it.
+    """A model and a horizon, and what the filter takes for the truth.
 
     Parameters
     ----------
@@ -69,9 +95,6 @@ class Problem:
         The truth: it draws x, y and z, and says what an error costs.
     horizon : int
         T.
-    particles : int
-        P.
-    resampling : {"multinomial", "stratified", "systematic", "residual"}
     filter_model : StateSpaceModel, optional
         What the filter takes for the truth; by default it is right.
     dtype : {"float64", "float32"}
@@ -87,30 +110,63 @@ class Problem:
 
     model: StateSpaceModel
     horizon: int
-    particles: int
-    resampling: str = "multinomial"
     filter_model: StateSpaceModel | None = None
     dtype: str = "float64"
     engine: str = "compiled"
 
     def __post_init__(self) -> None:
-        believed = self.filter_model or self.model
-        check_filter(believed, self.model, self.particles, self.resampling, self.dtype)
+        check_fits(self.believed, self.model)
         if self.exact:
-            if believed != self.model:
+            if self.believed != self.model:
                 raise ModelError("filter.engine = 'kalman' needs a filter that knows the truth")
             kalman.linear_gaussian(self.model, self.horizon)
+
+    @property
+    def believed(self) -> StateSpaceModel:
+        """What the filter takes for the truth."""
+        return self.filter_model or self.model
 
     @property
     def exact(self) -> bool:
         """Whether the expected MSE is known without draws; see `expected_mse`."""
         return self.engine == "kalman"
 
-    def expected_mse(self, sets: Sequence[Times]) -> NDArray[np.float64]:
-        """Give the exact expected MSE of each set of times, (S,), where the engine knows it."""
-        return kalman.expected_mse(self.model, self.horizon, sets)
+    def expected_mse(
+        self, sets: Sequence[Times], ends: Sequence[int] | None = None
+    ) -> NDArray[np.float64]:
+        """Give the exact expected MSE of each set of times, (S,), where the engine knows it.
 
-    def compile(self) -> None:
+        `ends` are the last instants whose errors count, T for all unless given.
+        """
+        return kalman.expected_mse(self.model, self.horizon, sets, ends)
+
+    @property
+    def cheapest_estimator(self) -> str:
+        """The estimator whose draws differ least, of those that this problem allows."""
+        by = replace(_ANY, estimator="filter_variance")
+        try:
+            self.check(by)
+        except ModelError:
+            return _ANY.estimator
+        return by.estimator
+
+    def check(self, estimation: Estimation) -> None:
+        """Raise an error if an error cannot be estimated so.
+
+        Of an exact engine any estimate is exact: what it is made of changes nothing.
+
+        Raises
+        ------
+        ModelError
+            The estimator or the resampling does not fit the model, or what the filter takes for it.
+        """
+        by = estimation
+        if not self.exact:
+            check_filter(
+                self.believed, self.model, by.particles, by.resampling, self.dtype, by.estimator
+            )
+
+    def compile(self, estimation: Estimation) -> None:
         """Compile what is not yet, by a draw of two instants and one particle.
 
         Raises
@@ -119,25 +175,29 @@ class Problem:
             A formula cannot be compiled, or failed.
         """
         draws = simulate(self.model, 1, range(1), 0)
-        if self.exact:
-            return
-        believed = self.filter_model or self.model
-        filter_draws(believed, draws, (0,), 1, 0, self.resampling, dtype=self.dtype)
+        if not self.exact:
+            filter_draws(self.believed, draws, (0,), 1, 0, estimation.resampling, dtype=self.dtype)
 
     @property
-    def seconds_a_draw(self) -> float:
-        """About how long it takes to filter a draw; models differ."""
-        slower = NUMPY_TIMES_SLOWER if self.engine == "numpy" else 1
-        return SECONDS_A_STEP * slower * self.particles * (self.horizon + 1)
+    def seconds_a_step(self) -> float:
+        """About how long a particle-step takes; models differ."""
+        return SECONDS_A_STEP * (NUMPY_TIMES_SLOWER if self.engine == "numpy" else 1)
 
     def __call__(self, work: "Work") -> "Result":
-        """Do the work: simulate the draws once and filter them with every set of times."""
-        engine, believed = ENGINES[self.engine], self.filter_model or self.model
+        """Do the work: simulate the draws once and filter them with every set of times.
+
+        Raises
+        ------
+        ModelError
+            As of `check`, or a formula failed.
+        """
+        engine, by = ENGINES[self.engine], work.estimation
+        self.check(by)
         draws = engine.simulate(self.model, self.horizon, range(*work.draws), work.draws_stream)
         if work.trajectories:
             filtered = [
                 engine.filter_draws(
-                    believed, draws, times, self.particles, stream, self.resampling,
+                    self.believed, draws, times, by.particles, stream, by.resampling,
                     trajectories=True, dtype=self.dtype,
                 )
                 for times, stream in zip(work.measurement_times, work.filter_streams, strict=True)
@@ -145,11 +205,11 @@ class Problem:
             mse, estimates = ([getattr(one, name) for one in filtered] for name in _TRAJECTORIES)
             return Result(np.stack(mse, axis=1), draws.z, draws.y, np.stack(estimates))
         values = np.empty((len(draws.index), len(work.measurement_times)))
-        for stream in dict.fromkeys(work.filter_streams):
-            of = [column for column, its in enumerate(work.filter_streams) if its == stream]
+        for stream, of in _columns(work.filter_streams).items():
             values[:, of] = engine.filter_sets(
-                believed, draws, [work.measurement_times[column] for column in of],
-                self.particles, stream, self.resampling, dtype=self.dtype,
+                self.believed, draws, [work.measurement_times[column] for column in of],
+                by.particles, stream, by.resampling, self.dtype,
+                [work.ends[column] for column in of], by.estimator,
             )  # fmt: skip
         return Result(values)
 
@@ -166,26 +226,61 @@ class Work:
     ----------
     measurement_times : tuple of tuples of int
         S sets.
+    ends : tuple of int, (S,)
+        Last instant of each set whose error counts.
     filter_streams : tuple of int, (S,)
         Key of each filter's noise.
     draws_stream : int
         Key of the draws.
     draws : (int, int)
         First draw, and the one after the last.
+    estimation : Estimation
     trajectories : bool
         Whether z, y and the estimates are wanted.
     """
 
     measurement_times: tuple[Times, ...]
+    ends: tuple[int, ...]
     filter_streams: tuple[int, ...]
     draws_stream: int
     draws: tuple[int, int]
+    estimation: Estimation
     trajectories: bool = False
 
     @property
     def filtered(self) -> int:
         """How many draws are filtered, over all sets."""
         return (self.draws[1] - self.draws[0]) * len(self.measurement_times)
+
+    @property
+    def steps_a_draw(self) -> int:
+        """Particle-steps of one draw: what sets share is done once."""
+        instants = _instants(self.measurement_times, self.ends, self.filter_streams)
+        return instants * self.estimation.steps_an_instant
+
+    @property
+    def steps(self) -> int:
+        """Particle-steps."""
+        return (self.draws[1] - self.draws[0]) * self.steps_a_draw
+
+
+def _columns(streams: Sequence[int]) -> dict[int, list[int]]:
+    """Sets that have each stream."""
+    return {
+        stream: [column for column, its in enumerate(streams) if its == stream]
+        for stream in dict.fromkeys(streams)
+    }
+
+
+@lru_cache(maxsize=64)
+def _instants(sets: tuple[Times, ...], ends: tuple[int, ...], streams: tuple[int, ...]) -> int:
+    """Instants that are filtered in all."""
+    total = 0
+    for of in _columns(streams).values():
+        stops = tuple(ends[column] + 1 for column in of)
+        planned, _ = plan(tuple(sets[column] for column in of), max(stops), stops)
+        total += int(np.sum(planned.ends - planned.begins))
+    return total
 
 
 @dataclass(frozen=True)
@@ -219,12 +314,15 @@ class Evaluation:
     degenerate_policy : {"kill", "leave_out"}
     exact : float, optional
         The expected MSE where it is known without draws.
+    end : int, optional
+        Last instant whose errors count, if it is not T.
     """
 
     measurement_times: Times
     mse: NDArray[np.float64]
     degenerate_policy: str = "kill"
     exact: float | None = None
+    end: int | None = None
 
     @property
     def draws(self) -> int:
@@ -264,6 +362,41 @@ class Evaluation:
         if self.degenerate_draws and self.degenerate_policy == "kill":
             return np.empty(0)
         return self.mse[~np.isnan(self.mse)]
+
+
+class SearchEvaluation(Evaluation):
+    """On draws that a search chooses by: its cost is never reported as a set's own."""
+
+
+class ShortlistEvaluation(Evaluation):
+    """On the draws that decide between what searches have found, and on no other."""
+
+
+E = TypeVar("E", bound=Evaluation)
+
+
+@dataclass(frozen=True)
+class Purpose(Generic[E]):
+    """What draws are for. Different purposes have different keys, so they share no draw.
+
+    Parameters
+    ----------
+    name : str
+    evaluation : type
+        Of what is estimated from them: what one purpose needs is not taken for another's.
+    """
+
+    name: str
+    evaluation: type[E]
+
+    def stream(self, seed: int, *what: Any) -> int:
+        """Key of the noise for something under this purpose."""
+        return stream_key(seed, self.name, *what)
+
+
+SEARCH = Purpose("search", SearchEvaluation)
+SHORTLIST = Purpose("shortlist", ShortlistEvaluation)
+REPORT = Purpose("comparison", Evaluation)
 
 
 def cut(draws: ArrayLike, block: int) -> list[tuple[int, int]]:

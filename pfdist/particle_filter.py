@@ -19,10 +19,12 @@ from pfdist.draws import Draws
 from pfdist.errors import ModelError
 from pfdist.kernels.formulas import formulas_of
 from pfdist.kernels.fused_filter import fused_filter
+from pfdist.kernels.moments import ESTIMATORS
+from pfdist.kernels.noise import stream_key
 from pfdist.kernels.prefixes import plan
-from pfdist.kernels.resampling import RESAMPLE
+from pfdist.kernels.resampling import RESAMPLE, SORTED
 from pfdist.measurement_times import Times, validated
-from pfdist.models import StateSpaceModel
+from pfdist.models import StateSpaceModel, squared_error
 
 KERNEL_VERSION = 2
 """Counts the changes after which the same keys give other figures; part of a run's identity."""
@@ -76,7 +78,7 @@ def filter_draws(
         P.
     stream : int
         Key of the filter's noise, 64 bits.
-    resampling : {"multinomial", "stratified", "systematic", "residual"}
+    resampling : {"multinomial", "stratified", "systematic", "residual", "sorted_systematic"}
     trajectories : bool
         Whether estimate and variance are wanted.
     dtype : {"float64", "float32"}
@@ -94,8 +96,8 @@ def filter_draws(
         A formula cannot be compiled, or failed.
     """
     kept = np.full((2, *draws.z.shape) if trajectories else (2, 0, 0, 0), np.nan)
-    sets = [measurement_times]
-    mse = _filter(model, draws, sets, particles, stream, resampling, dtype, kept)[:, 0]
+    sets, by = [measurement_times], ESTIMATORS[0]
+    mse = _filter(model, draws, sets, particles, stream, resampling, dtype, by, kept)[:, 0]
     return Filtered(mse, *kept) if trajectories else Filtered(mse)
 
 
@@ -108,6 +110,7 @@ def filter_sets(
     resampling: str = "multinomial",
     dtype: str = "float64",
     ends: Sequence[int] | None = None,
+    estimator: str = ESTIMATORS[0],
 ) -> NDArray[np.float64]:
     """Filter draws with several sets of measurement times, all under the same noise.
 
@@ -120,6 +123,8 @@ def filter_sets(
     ends : sequence of int, (S,), optional
         The last instant that is wanted of each set: its errors up to there are added up. T for
         all, unless it is given.
+    estimator : {"squared_error", "filter_variance", "two_filters"}
+        What stands for the error of an instant; see `pfdist.estimators`.
 
     Returns
     -------
@@ -127,8 +132,13 @@ def filter_sets(
         Sum of the errors up to each set's end, over T + 1: what `filter_draws` gives as mse where
         the end is T.
     """
-    nothing = np.empty((2, 0, 0, 0))
-    return _filter(model, draws, sets, particles, stream, resampling, dtype, nothing, ends)
+    no = np.empty((2, 0, 0, 0))
+    return _filter(model, draws, sets, particles, stream, resampling, dtype, estimator, no, ends)
+
+
+def filter_streams(stream: int, estimator: str) -> list[int]:
+    """Keys of the noise of each filter that an estimator takes; the first is the given one."""
+    return [stream, stream_key(stream, "second filter")][: 2 if estimator == "two_filters" else 1]
 
 
 def _filter(
@@ -139,35 +149,33 @@ def _filter(
     stream: int,
     resampling: str,
     dtype: str,
+    estimator: str,
     moments: NDArray[np.float64],
     ends: Sequence[int] | None = None,
 ) -> NDArray[np.float64]:
     """Fill estimate and variance, unless they are empty, and give the mse, (D, S)."""
-    check_filter(model, draws.model, particles, resampling, dtype)
+    check_filter(model, draws.model, particles, resampling, dtype, estimator)
     count, instants, _ = draws.z.shape
     last = [instants - 1] * len(sets) if ends is None else ends
     checked = [validated(times, end) for times, end in zip(sets, last, strict=True)]
     planned, place = plan(tuple(checked), instants, tuple(end + 1 for end in last))
     mse, truth = np.empty((count, len(planned.measured))), draws.model
+    streams = np.array(filter_streams(stream, estimator), np.uint64)
     with formulas_of(model.name):
         _compiled(model, truth, resampling, dtype)(
-            np.uint64(stream), draws.index.start, draws.y, draws.z, tuple(planned), planned.clouds,
-            particles, np.array(model.p), np.array(truth.p), mse, *moments,
+            streams, draws.index.start, draws.y, draws.z, tuple(planned), planned.clouds, particles,
+            ESTIMATORS.index(estimator), np.array(model.p), np.array(truth.p), mse, *moments,
         )  # fmt: skip
     return mse[:, place]
 
 
-def check_filter(
-    model: StateSpaceModel, truth: StateSpaceModel, particles: int, resampling: str, dtype: str
-) -> None:
-    """Raise an error if there is no such filter, or it does not fit the truth's draws.
+def check_fits(model: StateSpaceModel, truth: StateSpaceModel) -> None:
+    """Raise an error if a filter's model does not fit the truth's draws.
 
     Raises
     ------
     ModelError
-        The filter's model measures, or is asked for, something of another size.
-    ValueError
-        A setting is not one of those allowed.
+        It measures, or is asked for, something of another size.
     """
     for component, true, believed in zip("xyz", truth.components, model.components, strict=True):
         if true != believed and component != "x":
@@ -175,11 +183,56 @@ def check_filter(
                 f"model.filter must have as many components of {component} as the model "
                 f"{truth.name}, {true}, got {believed}"
             )
-    for name, got, allowed in (("resampling", resampling, RESAMPLING), ("dtype", dtype, DTYPES)):
+
+
+def check_filter(
+    model: StateSpaceModel,
+    truth: StateSpaceModel,
+    particles: int,
+    resampling: str,
+    dtype: str,
+    estimator: str = ESTIMATORS[0],
+) -> None:
+    """Raise an error if there is no such filter, or it does not fit the truth's draws.
+
+    Raises
+    ------
+    ModelError
+        As of `check_fits`, or a setting does not fit the model.
+    ValueError
+        A setting is not one of those allowed.
+    """
+    check_fits(model, truth)
+    for name, got, allowed in (
+        ("resampling", resampling, RESAMPLING),
+        ("dtype", dtype, DTYPES),
+        ("estimator", estimator, ESTIMATORS),
+    ):
         if got not in allowed:
             raise ValueError(f"{name} must be one of {', '.join(allowed)}, got {got!r}")
+    if resampling in SORTED and model.components[0] != 1:
+        raise ModelError(
+            f"resampling = {resampling!r} needs a model with a scalar state, got {model.name} with "
+            f"{model.components[0]} components of x"
+        )
+    if estimator != ESTIMATORS[0]:
+        _check_estimator(model, truth, estimator)
     if particles < 1:
         raise ValueError(f"particles must be at least 1, got {particles}")
+
+
+def _check_estimator(model: StateSpaceModel, truth: StateSpaceModel, estimator: str) -> None:
+    """Raise an error unless the particles' variance is what their mean errs by on average."""
+    if model != truth:
+        raise ModelError(
+            f"evaluation.estimator = {estimator!r} needs a filter that knows the truth, got one "
+            f"with another model or other parameters (model.filter); allowed: {ESTIMATORS[0]!r}"
+        )
+    if truth.error is not squared_error:
+        raise ModelError(
+            f"evaluation.estimator = {estimator!r} needs an error that is the squared Euclidean "
+            f"norm, got model {truth.name}, which has one of its own; allowed: {ESTIMATORS[0]!r}"
+        )
 
 
 def _compiled(

@@ -20,6 +20,8 @@ from pfdist.kernels.noise import (
     variates,
 )
 from pfdist.kernels.plain_resampling import plain_ancestors
+from pfdist.kernels.resampling import SORTED
+from pfdist.kernels.sorting import plain_order
 from pfdist.kernels.weights import plain_weights
 from pfdist.measurement_times import Times, validated
 from pfdist.models import StateSpaceModel
@@ -102,6 +104,8 @@ def _filter(
         if t in times:
             y = tuple(draws.y[:, t, k, None] for k in range(draws.y.shape[2]))
             weight = plain_weights(_like(model.log_likelihood(y, x, t, model.p), cloud))
+            if resampling in SORTED:
+                x, weight = _in_line(x, weight)
             degenerate = alive & ~weight.any(axis=1)
             total[degenerate], alive[degenerate] = np.nan, False
         share = weight / weight.sum(axis=1, keepdims=True)
@@ -118,6 +122,12 @@ def _filter(
             ancestors = plain_ancestors(resampling, weight, stream, draws.index, t)
             x = tuple(np.take_along_axis(component, ancestors, axis=1) for component in x)
     return total / instants, mean, variance
+
+
+def _in_line(x: tuple[Array, ...], weight: Array) -> tuple[tuple[Array, ...], Array]:
+    """Particles in the order of their states."""
+    order = plain_order(x[0], weight)
+    return (np.take_along_axis(x[0], order, axis=1),), np.take_along_axis(weight, order, axis=1)
 
 
 def _noise(

@@ -41,6 +41,13 @@ def small_job(tmp_path: Path) -> Job:
     return load_job(path)
 
 
+@pytest.fixture
+def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are drawn at the end, from the tables, and take longer than all else of a small run."""
+    monkeypatch.setattr("pfdist.runner.run.draw_figures", lambda run: [])
+    monkeypatch.setattr("pfdist.runner.run.figure_files", lambda run: [])
+
+
 @pytest.fixture(scope="session")
 def ray_cluster() -> Iterator[None]:
     """Two CPUs, for all tests of this process that want Ray."""
@@ -73,12 +80,13 @@ def pytest_terminal_summary(
 ) -> None:
     """Say for each promise how many faults `pytest -m crash` has injected, and what became of it.
 
-    A test says so with ``record_property("faults", f"{promise}: {how many}")``.
+    A test says so with ``record_property("faults", f"{promise}: {how many}")``. If one breaks, all
+    promises of its file are in doubt.
     """
     if config.option.markexpr != "crash":
         return
     faults: dict[str, int] = defaultdict(int)
-    outcomes: dict[str, list[str]] = defaultdict(list)
+    promises: dict[str, set[str]] = defaultdict(set)  # that a file's tests are about
     broken: list[str] = []
     for outcome in ("passed", "failed", "error"):
         for report in terminalreporter.stats.get(outcome, []):
@@ -88,11 +96,17 @@ def pytest_terminal_summary(
                     said, _, count = value.rpartition(": ")
                     promise = next((one for one in PROMISES if one.startswith(said)), said)
                     faults[promise] += int(count)
-                    outcomes[promise].append(outcome)
+                    promises[_file(report.nodeid)].add(promise)
+    in_doubt = {promise for test in broken for promise in promises[_file(test)]}
     terminalreporter.section("faults injected")
     for promise in dict.fromkeys([*PROMISES, *faults]):
-        kept = "kept" if set(outcomes[promise]) == {"passed"} else "BROKEN"
-        state = kept if outcomes[promise] else "no test"
+        state = "BROKEN" if promise in in_doubt else "kept" if faults[promise] else "no test"
         terminalreporter.line(f"{faults[promise]:7,} faults  {state:7}  {promise}")
     for test in broken:
         terminalreporter.line(f"BROKEN by {test}")
+    lost = "nothing was lost" if not broken else f"{len(broken)} tests say that something was lost"
+    terminalreporter.line(f"{sum(faults.values()):7,} faults in all; {lost}")
+
+
+def _file(test: str) -> str:
+    return test.partition("::")[0]

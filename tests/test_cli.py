@@ -49,6 +49,11 @@ def test_run_and_status_print_the_same_json_and_nothing_else(
         "positive_fraction",
         "positive_fraction_interval",
         "gain_of_means",
+        "gain_of_means_interval",
+        "mean_log10_ratio",
+        "mean_log10_ratio_interval",
+        "quantiles",
+        "search_excess",
     }
     assert both <= set(regular)
     assert both | gains <= set(genetic)
@@ -71,6 +76,10 @@ def test_the_summary_says_what_a_person_wants_to_know(
         "mean relative gain",
         "positive gains",
         "gain of means",
+        "quartiles",
+        "mean log10 of ratio",
+        "the fresh cost (its draws chose the set)",
+        "gain over itself",
         "95 %",
         f"tables: {finished}/tables",
         f"figures: {finished}/figures",
@@ -146,6 +155,8 @@ def test_models_lists_every_model_with_a_line(capsys: pytest.CaptureFixture[str]
         ("status {job}", "holds no run"),
         ("status nowhere", "nowhere holds no run: there is no run.json"),
         ("plot nowhere", "nowhere holds no run"),
+        ("why nowhere", "nowhere holds no run"),
+        ("why {run} --draws 1", r"draws must be at least 2, got 1 \(--draws\)"),
     ],
 )
 def test_every_mistake_is_one_line_and_exit_code_1(
@@ -189,3 +200,26 @@ def test_without_a_terminal_progress_is_plain_lines(
     assert lines[0].startswith("Serial pool is ready: 1 worker")
     assert lines[-1].startswith("100.0 %  comparison  250 draws")
     assert "\x1b" not in "".join(lines)  # no escape codes
+    found = pfdist.open_run(tmp_path / "run").summary()["results"]["genetic"]
+    low, high = found["mean_relative_gain_interval"]
+    assert (
+        f"genetic gains {100 * found['mean_relative_gain']:.2f} ± {50 * (high - low):.2f} %, "
+        f"positive {100 * found['positive_fraction']:.1f} %"
+    ) in lines[-1]
+
+
+def test_to_read_a_run_runs_no_code_of_it(
+    small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model, flag, run = tmp_path / "mine.py", tmp_path / "flag", tmp_path / "run"
+    model.write_text(f"open({str(flag)!r}, 'w').close()\nfrom pfdist.models.ungm import model\n")
+    command = ["run", str(small_job.path), "--results", str(run)]
+    assert main([*command, "--set", 'model.name="mine.py:model"']) == 0
+    assert f"the model is what {model} says\n" in capsys.readouterr().err
+    flag.unlink()  # to compute, the model's file was run
+    for reads in ("status", "plot", "verify", "repair"):
+        assert main([reads, str(run)]) == 0
+    assert not flag.exists()
+    files = [path for path in run.rglob("*") if path.is_file() and path.name != ".lock"]
+    kinds = {path.suffix for path in files if path.stat().st_size}
+    assert kinds == {".toml", ".json", ".parquet", ".png", ".svg"}

@@ -6,7 +6,9 @@ from typing import get_args
 import pytest
 
 from pfdist.errors import JobError
+from pfdist.feasible import Feasible
 from pfdist.job import EvaluationSection, Filter, job_toml, load_job
+from pfdist.kernels.moments import ESTIMATORS
 from pfdist.monte_carlo import DEGENERATE_POLICIES
 from pfdist.particle_filter import RESAMPLING
 
@@ -57,6 +59,19 @@ def test_the_papers_job_is_the_papers_experiment():  # Paper, sections 2.4 and 3
     assert (genetic["sigma_scaling"], trials["evaluations"]) == (1.0, 50 * 25)
 
 
+@pytest.mark.parametrize("cost", ["[1, 1, 1, 1, 2, 2, 2, 2, 2, 2, 3]", "{0-3=1, 4-9=2, 10=3}"])
+def test_constraints_are_spelt_as_times_or_as_ranges(write, cost):
+    lines = ["forbidden = ['4-6', 8]", "required = [3]", f"cost = {cost}", "total_cost = 7"]
+    problem = load_job(write("measurement_budget = 3", "\n".join(lines))).problem
+    assert problem.feasible == Feasible(
+        10, None, (4, 5, 6, 8), (3,), cost=(1, 1, 1, 1, 2, 2, 2, 2, 2, 2, 3), total_cost=7
+    )
+
+
+def test_what_is_not_constrained_is_no_part_of_what_a_run_is(write):
+    assert load_job(write()).identity()["problem"] == {"horizon": 10, "measurement_budget": 3}
+
+
 def test_a_search_is_named_after_its_method_unless_it_has_a_name(write):
     job = load_job(write('method = "random"', 'method = "genetic"\nname = "second"'))
     assert [search.name for search in job.search] == ["genetic", "second"]
@@ -71,21 +86,42 @@ MISTAKES = [
     ("seed = 1", "seed = 1\nsed = 2", r"unknown key 'sed', allowed: seed, model, problem"),
     ("[filter]", "[filter]\nparticle = 9", r"'particle' in \[filter\], allowed: particles, res"),
     ("[filter]", "[filter]\nparticles = 0", r"filter\.particles must .* 1, got 0 "),
-    ("[filter]", "[filter]\nresampling = 'x'", r"resampling .* 'systematic' or 'residual', got"),
+    (
+        "[filter]",
+        "[filter]\nresampling = 'x'",
+        r"resampling .* 'residual' or 'sorted_systematic', got",
+    ),
     ("[model]", "[model]\nparameters = {sd = '1'}", r"model\.parameters\.sd .* number, got '1' "),
     ("horizon = 10", "horizon = 0", r"problem\.horizon must .* 1, got 0 "),
     ("budget = 3", "budget = 1", r"problem\.measurement_budget must .* 2, got 1 "),
     ("budget = 3", "budget = 12", r"measurement_budget must .* horizon \+ 1 = 11, got 12 "),
+    ("measurement_budget = 3", "", r"problem\.measurement_budget must be given, or problem\.cost"),
+    ("budget = 3", "budget = 3\ntotal_cost = 9", r"measurement_budget or a total_cost, got meas"),
+    ("budget = 3", "budget = 3\nrequired = 5", r"problem\.required must be a list .* got 5 "),
+    ("budget = 3", "budget = 3\nrequired = [1.5]", r"required must name times, .* got 1\.5 "),
+    ("budget = 3", "budget = 3\nrequired = ['3-1']", r"required must have ranges .* got '3-1' "),
+    ("budget = 3", "budget = 3\nforbidden = ['8-11']", r"forbidden must .* 0\.\.10, got 11 "),
+    ("budget = 3", "budget = 3\nminimum_spacing = 6", r"at most 2, .*_spacing = 6, got 3 "),
+    ("measurement_budget = 3", "cost = 2", r"problem\.cost must be a list .* got 2 "),
+    ("measurement_budget = 3", "cost = ['2']", r"problem\.cost must be whole .* got '2' "),
+    (
+        "measurement_budget = 3",
+        "cost = {'0-9' = 1}\ntotal_cost = 3",
+        r"once, got none for 10",
+    ),
+    ("measurement_budget = 3", "cost = {'0-9' = 1, 9 = 2}\ntotal_cost = 3", r"once, got 9 twice"),
+    ("measurement_budget = 3", "cost = {'0-11' = 1}\ntotal_cost = 3", r"once, got 11 of a horizon"),
     ("[evaluation]", "[evaluation]\nnoise = 'new'", r"\.noise .* 'fresh' or 'common', got 'new' "),
     ("[evaluation]", "[evaluation]\ndegenerate_draws = 1", r"'kill' or 'leave_out', got 1 "),
+    ("[evaluation]", "[evaluation]\nestimator = 'x'", r"\.estimator .* or 'two_filters', got 'x' "),
     ("[comparison]", "[comparison]\ndraws = 1", r"comparison\.draws must .* 2, got 1 "),
     (
         "[execution]",
         "[execution]\npool = 'dask'",
         r"execution\.pool must .* 'ray' or 'serial', got",
     ),
-    ('"genetic"', '"genetics"', r"search\.method must .* 'genetic', 'random', got 'genetics' "),
-    ('method = "random"', "", r"search\.method must .* 'genetic', 'random', got None "),
+    ('"genetic"', '"genetics"', r"search\.method must .* 'genetic', 'random', .*got 'genetics' "),
+    ('method = "random"', "", r"search\.method must .* 'genetic', 'random', .*got None "),
     ('"genetic"', '"genetic"\npop = 9', r"'pop' in \[search\.genetic\], allowed: .*, population,"),
     ('"genetic"', '"genetic"\npopulation = 7', r"\.population must .* multiple of 2, got 7 "),
     ('"genetic"', '"genetic"\nmutation_probability = 1.5', r"_probability must .* 1, got 1\.5 "),
@@ -95,6 +131,14 @@ MISTAKES = [
     ('"random"', '"genetic"', r"search: every name .* got 'genetic' twice"),
     ("seed = 1", "seed = ", r"must be TOML, .* line 2"),
 ]
+
+
+def test_what_a_search_is_given_of_its_evaluation_leaves_its_other_defaults(write):
+    for method in ("annealing", "exchange", "survivors"):
+        (search,) = load_job(
+            write(), [f"search=[{{method='{method}', evaluation={{draws=50}}}}]"]
+        ).search
+        assert (search.evaluation.draws, search.evaluation.noise) == (50, "common")
 
 
 @pytest.mark.parametrize(("old", "new", "message"), MISTAKES)
@@ -163,7 +207,7 @@ def test_identity_is_everything_but_the_execution(write):
     assert load_job(path, ["filter.particles=9"]).identity() != here.identity()
 
 
-@pytest.mark.parametrize("name", ["paper", "quick"])
+@pytest.mark.parametrize("name", ["paper", "quick", "constrained"])
 def test_identity_survives_being_written_as_toml(name, tmp_path):
     identity = load_job(JOBS / f"{name}.toml", ["model.parameters.process_sd=2"]).identity()
     written = tmp_path / "job.toml"
@@ -177,6 +221,7 @@ def test_identity_survives_being_written_as_toml(name, tmp_path):
     [
         (Filter, "resampling", RESAMPLING),
         (EvaluationSection, "degenerate_draws", DEGENERATE_POLICIES),
+        (EvaluationSection, "estimator", ESTIMATORS),
     ],
 )
 def test_the_job_allows_what_the_program_has(section, key, names):

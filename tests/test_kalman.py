@@ -144,11 +144,11 @@ def test_what_is_declared_is_checked(case: str) -> None:
     changes, message = NOT_LINEAR[case]
     model = replace(load_model("random_walk"), **changes)
     with pytest.raises(ModelError, match=message):
-        Problem(model, 12, 1, engine="kalman")
+        Problem(model, 12, engine="kalman")
 
 
 def test_the_filter_must_know_the_truth() -> None:
     model = load_model("random_walk")
     wrong = model.with_parameters({"step_sd": 2.0})
     with pytest.raises(ModelError, match="knows the truth"):
-        Problem(model, 12, 1, filter_model=wrong, engine="kalman")
+        Problem(model, 12, filter_model=wrong, engine="kalman")

@@ -1,13 +1,13 @@
 import math
 from fractions import Fraction
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
 import pytest
 from scipy import stats
 
 from pfdist.errors import MeasurementTimesError
-from pfdist.measurement_times import random, regular, validated
+from pfdist.measurement_times import nearest, random, regular, validated
 
 
 @pytest.mark.parametrize("horizon", [1, 2, 3, 5, 10, 37, 60, 101])
@@ -86,3 +86,33 @@ def test_random_times_depend_on_their_generator_alone():
     first, again, other = (random(60, 21, 5, np.random.default_rng(g)) for g in (1, 1, 2))
     assert (first == again).all()
     assert (first != other).any()
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_the_nearest_times_are_those_of_the_least_sum_of_distances(seed):
+    rng = np.random.default_rng(seed)
+    spacing, number = rng.integers(1, 4), rng.integers(1, 4)
+    required = tuple(np.sort(rng.choice(12, rng.integers(0, 2), replace=False)).tolist())
+    usable = tuple(
+        t for t in range(12) if t in required or not any(abs(t - r) < spacing for r in required)
+    )
+    wanted = tuple(np.sort(rng.choice(12, number, replace=False)).tolist())
+
+    def distance(times):
+        return sum(abs(a - b) for a, b in zip(times, wanted, strict=True))
+
+    possible = [
+        times
+        for times in combinations(usable, number)
+        if set(required) <= set(times) and all(b - a >= spacing for a, b in pairwise(times))
+    ]
+    least = min(map(distance, possible))
+    best = [times for times in possible if distance(times) == least]
+    assert nearest(wanted, usable, required, spacing) == min(best, key=lambda times: times[::-1])
+
+
+def test_too_few_usable_times_are_an_error():
+    with pytest.raises(
+        MeasurementTimesError, match=r"3 usable times at least 4 apart, got \(1, 2, 9"
+    ):
+        nearest((0, 5, 10), (1, 2, 9), (), 4)

@@ -2,13 +2,15 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from oracles.kalman import SCALAR, TRACKING, LinearGaussian, riccati_cost
 from pfdist import StateSpaceModel
-from pfdist.monte_carlo import Evaluation, Problem, Work, cut
+from pfdist.measurement_times import Times
+from pfdist.monte_carlo import Estimation, Evaluation, Problem, Work, cut
 
 
 def _evaluation(mse: list[float], policy: str = "kill") -> Evaluation:
@@ -20,6 +22,10 @@ def test_expected_mse_and_its_standard_error() -> None:
     assert evaluation.expected_mse == evaluation.cost == 3.0
     assert evaluation.standard_error == pytest.approx(math.sqrt(7.0 / 3.0))  # sd^2 = 7, D = 3
     assert (evaluation.draws, evaluation.degenerate_draws) == (3, 0)
+
+
+def _work(sets: tuple[Times, ...], horizon: int, particles: int, draws: tuple[int, int]) -> Work:
+    return Work(sets, (horizon,) * 2, (5, 6), 4, draws, Estimation(particles))
 
 
 def test_one_degenerate_draw_kills_an_individual() -> None:
@@ -34,23 +40,23 @@ def test_left_out_a_degenerate_draw_leaves_the_mean_of_the_others() -> None:
 
 
 def test_the_estimate_does_not_depend_on_how_the_draws_are_cut(ungm: StateSpaceModel) -> None:
-    problem = Problem(ungm, 20, 64)
+    problem = Problem(ungm, 20)
 
     def mse(first: int, last: int) -> np.ndarray:
-        return problem(Work(((3, 7), (1, 2)), (5, 6), 4, (first, last))).mse
+        return problem(_work(((3, 7), (1, 2)), 20, 64, (first, last))).mse
 
     np.testing.assert_array_equal(mse(0, 40), np.concatenate([mse(0, 7), mse(7, 40)]))
 
 
 def test_sets_compared_share_their_draws_and_not_their_filters_noise(ungm: StateSpaceModel) -> None:
     same_set = ((3, 7, 11),) * 2
-    mse = Problem(ungm, 20, 200)(Work(same_set, (5, 6), 4, (0, 400))).mse
+    mse = Problem(ungm, 20)(_work(same_set, 20, 200, (0, 400))).mse
     assert (mse[:, 0] != mse[:, 1]).all()
     assert np.corrcoef(mse.T)[0, 1] > 0.9
 
 
 def test_trajectories_are_those_of_the_draws(ungm: StateSpaceModel) -> None:
-    result = Problem(ungm, 9, 30)(Work(((3,), (1, 2)), (5, 6), 4, (0, 5), trajectories=True))
+    result = Problem(ungm, 9)(replace(_work(((3,), (1, 2)), 9, 30, (0, 5)), trajectories=True))
     error = (result.z[None] - result.estimates) ** 2  # (S, D, T+1, q)
     np.testing.assert_allclose(error.sum(axis=3).mean(axis=2).T, result.mse)
 
@@ -62,11 +68,12 @@ def test_brute_force_finds_the_set_with_the_least_riccati_cost(
     system: LinearGaussian, horizon: int, budget: int
 ) -> None:
     particles, draws = 200, 1500
-    problem = Problem(system.as_model(), horizon, particles, "systematic")
+    problem = Problem(system.as_model(), horizon)
     sets = list(itertools.combinations(range(horizon + 1), budget))
     exact = np.array([riccati_cost(system, horizon, times) for times in sets])
     # Common draws and filter noise for all sets: the comparison is paired.
-    mse = problem(Work(tuple(sets), (1,) * len(sets), 2, (0, draws))).mse
+    by, alike = Estimation(particles, "systematic"), (1,) * len(sets)
+    mse = problem(Work(tuple(sets), (horizon,) * len(sets), alike, 2, (0, draws), by)).mse
     assert sets[mse.mean(axis=0).argmin()] == sets[exact.argmin()]
     # The filter's own noise adds a few times 1/particles of the variance to the error.
     standard_error = mse.std(axis=0) / math.sqrt(draws)

@@ -4,6 +4,7 @@ import json
 import re
 import shlex
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,9 @@ from pfdist.cli import main
 from pfdist.errors import RunMismatchError
 from pfdist.store import SCHEMA_VERSION
 
+pytestmark = [pytest.mark.fault, pytest.mark.usefixtures("no_figures")]
+Record = Callable[[str, object], None]
+PROMISE = "old results stay readable"
 ASSET = Path(__file__).parent / "assets" / "schema-1"
 
 
@@ -31,7 +35,7 @@ def _content(run: Path) -> dict[Path, bytes]:
     }
 
 
-def test_its_figures_are_what_they_were(old: Path) -> None:
+def test_its_figures_are_what_they_were(old: Path, record_property: Record) -> None:
     run = pfdist.open_run(old)
     summary = run.summary()
     assert (summary["state"], summary["evaluations"], summary["draws_compared"]) == (
@@ -47,45 +51,56 @@ def test_its_figures_are_what_they_were(old: Path) -> None:
     assert gains["gain_genetic"].mean() == pytest.approx(-0.03524811607630332, rel=1e-12)
     assert gains["gain_genetic"].quantile(0.75) == pytest.approx(0.396, abs=0.001)
     assert (len(gains), len(run.draws()), len(run.trajectories())) == (250, 34 * 30, 100 * 13)
+    record_property("faults", f"{PROMISE}: 1")
 
 
-def test_its_status_and_figures_are_made(old: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_its_status_and_figures_are_made(
+    old: Path, capsys: pytest.CaptureFixture[str], record_property: Record
+) -> None:
     assert main(["status", str(old), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["results"]["random"]["gain_draws"] == 250
     assert main(["plot", str(old)]) == 0
     assert len(capsys.readouterr().out.splitlines()) == 10
+    record_property("faults", f"{PROMISE}: 1")
 
 
 @pytest.mark.parametrize("command", ["verify", "repair"])
 def test_that_it_kept_no_checksums_is_said(
-    command: str, old: Path, capsys: pytest.CaptureFixture[str]
+    command: str, old: Path, capsys: pytest.CaptureFixture[str], record_property: Record
 ) -> None:
     assert main([command, str(old)]) == 1
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert "schema version 1, which kept no checksums: it can be read, but not verified" in error
+    record_property("faults", f"{PROMISE}: 1")
 
 
-def test_going_on_with_it_is_refused_with_the_difference_and_moves_nothing(old: Path) -> None:
+def test_going_on_with_it_is_refused_with_the_difference_and_moves_nothing(
+    old: Path, record_property: Record
+) -> None:
     before = _content(old)
     job = load_job(Path(__file__).with_name("small.toml"))
     for wanted in (job, job.with_changes(["comparison.draws=430"])):
         with pytest.raises(RunMismatchError, match=f"schema_version: 1 -> {SCHEMA_VERSION}"):
             pfdist.run(wanted, old)
     assert _content(old) == before
+    record_property("faults", f"{PROMISE}: 1")
 
 
-def test_another_run_is_started_from_it_and_it_stays_as_it_is(old: Path, tmp_path: Path) -> None:
+def test_another_run_is_started_from_it_and_it_stays_as_it_is(
+    old: Path, tmp_path: Path, record_property: Record
+) -> None:
     before = _content(old)
     job = load_job(Path(__file__).with_name("small.toml"), ["comparison.draws=20"])
     forked = pfdist.run(job, old, fork=tmp_path / "new")
     assert hashes(forked.path) == hashes(pfdist.run(job, tmp_path / "nothing").path)
     assert _content(old) == before
+    record_property("faults", f"{PROMISE}: 1")
 
 
 @pytest.mark.parametrize("command", ["status {run}", "plot {run}", "run {job} --results {run}"])
 def test_a_newer_run_is_refused_with_a_sentence(
-    command: str, old: Path, capsys: pytest.CaptureFixture[str]
+    command: str, old: Path, capsys: pytest.CaptureFixture[str], record_property: Record
 ) -> None:
     run = json.loads((old / "run.json").read_text())
     (old / "run.json").write_text(json.dumps({**run, "schema_version": SCHEMA_VERSION + 1}))
@@ -97,3 +112,4 @@ def test_a_newer_run_is_refused_with_a_sentence(
         capsys.readouterr().err,
     )
     assert _content(old) == before
+    record_property("faults", f"{PROMISE}: 1")

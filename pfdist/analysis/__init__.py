@@ -3,6 +3,7 @@
 Reads tables alone: no Ray, no model, no kernel.
 """
 
+from pfdist.analysis.budget import reaching
 from pfdist.analysis.gains import (
     BIN,
     BLOCK,
@@ -13,6 +14,7 @@ from pfdist.analysis.gains import (
     relative_gain,
     summarise_gain,
 )
+from pfdist.analysis.moments import Moments
 from pfdist.analysis.tables import Run, finite, open_run
 
 __all__ = [
@@ -22,9 +24,11 @@ __all__ = [
     "Comparison",
     "Gain",
     "GainSummary",
+    "Moments",
     "Run",
     "finite",
     "open_run",
+    "reaching",
     "relative_gain",
     "summarise_gain",
 ]

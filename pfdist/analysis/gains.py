@@ -1,12 +1,11 @@
 """Gains over the reference, draw by draw and of the means (paper, section 3).
 
-Statistics are accumulated block by block, so that memory does not grow with the draws: moments by
-Chan's rule, and a histogram of fixed bins, from which the quantiles are.
+Statistics are accumulated block by block, so that memory does not grow with the draws: moments,
+and a histogram of fixed bins, from which the quantiles are.
 
 References
 ----------
-Chan, Golub, LeVeque, "Updating formulae and a pairwise algorithm for computing sample variances",
-1979. Wilson, "Probable inference, the law of succession, and statistical inference", 1927.
+Wilson, "Probable inference, the law of succession, and statistical inference", 1927.
 """
 
 import math
@@ -16,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-Array = NDArray[np.float64]
-Interval = tuple[float, float]
-CONFIDENCE = 0.95
+from pfdist.analysis.moments import CONFIDENCE, UNKNOWN, Array, Interval, Moments, Pairs
+
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 BIN = 0.001
 BLOCK = 10_000
@@ -47,6 +45,14 @@ class GainSummary:
         95 %, Wilson's.
     gain_of_means : float
         1 - E[mse] / E[mse_reference], without that bias.
+    gain_of_means_interval : (float, float)
+        95 %, Fieller's: both means are of the same draws.
+    mean_log10_ratio : float
+        Mean of log10(mse / mse_reference): unlike a relative gain it only changes sign where the
+        two change places, and half the error weighs as much as twice. NaN where an error is
+        negative, as a model's own may be.
+    mean_log10_ratio_interval : (float, float)
+        95 %, Student's t.
     quantiles : dict of float to float
         Of the relative gain, to 0.001; -inf below -10, inf above 1.
     """
@@ -57,6 +63,9 @@ class GainSummary:
     positive_fraction: float
     positive_fraction_interval: Interval
     gain_of_means: float
+    gain_of_means_interval: Interval
+    mean_log10_ratio: float
+    mean_log10_ratio_interval: Interval
     quantiles: dict[float, float]
 
 
@@ -66,36 +75,21 @@ def relative_gain(mse: Array, reference: Array) -> Array:
         return 1.0 - mse / reference
 
 
-@dataclass
-class Moments:
-    """Count, mean and sum of squared deviations of what was added so far."""
+def gain_over_itself(mse: Array, again: Array) -> Moments:
+    """Accumulate the relative gain of a set over itself, filtered under other noise.
 
-    count: int = 0
-    mean: float = math.nan
-    squares: float = 0.0
+    Its mean is what the filters' noise alone does to a mean relative gain. As either may stand in
+    the other's place, the mean of both gains is taken, -(mse - again)^2 / (2 mse again): its
+    expectation is that of one, and its error far smaller.
 
-    def add(self, values: Array) -> None:
-        """Add a block; blocks in the same order give the same bits."""
-        if not values.size:
-            return
-        with np.errstate(invalid="ignore", over="ignore"):
-            mean = float(np.mean(values))
-            squares = float(np.sum((values - mean) ** 2))
-        if not self.count:
-            self.count, self.mean, self.squares = values.size, mean, squares
-            return
-        count, apart = self.count + values.size, mean - self.mean
-        self.squares += squares + apart * apart * self.count * values.size / count
-        with_infinities = not math.isfinite(apart)
-        self.mean = self.mean + mean if with_infinities else self.mean + apart * values.size / count
-        self.count = count
-
-    @property
-    def standard_error(self) -> float:
-        """Of the mean; NaN with fewer than two values, or infinite ones."""
-        if self.count < 2:
-            return math.nan
-        return math.sqrt(self.squares / (self.count - 1) / self.count)
+    Parameters
+    ----------
+    mse, again : array of float64, (D,)
+        Per-draw MSE on the same draws; NaN for a degenerate draw.
+    """
+    both, moments = (relative_gain(mse, again) + relative_gain(again, mse)) / 2, Moments()
+    moments.add(both[~np.isnan(both)])
+    return moments
 
 
 @dataclass
@@ -103,8 +97,8 @@ class Gain:
     """The gain of one set of times over the reference, as far as it was added."""
 
     relative: Moments = field(default_factory=Moments)
-    mse: Moments = field(default_factory=Moments)
-    reference: Moments = field(default_factory=Moments)
+    log10_ratio: Moments = field(default_factory=Moments)
+    errors: Pairs = field(default_factory=Pairs)  # mse and reference
     positive: int = 0
     below: int = 0
     above: int = 0  # 1, where a model's own error may be negative
@@ -122,8 +116,9 @@ class Gain:
         usable = ~np.isnan(gain)  # degenerate with either set; or both errors 0, or both infinite
         gain = gain[usable]
         self.relative.add(gain)
-        self.mse.add(mse[usable])
-        self.reference.add(reference[usable])
+        self.errors.add(mse[usable], reference[usable])
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            self.log10_ratio.add(np.log10(mse[usable] / reference[usable]))
         self.positive += int(np.sum(gain > 0))
         self.below += int(np.sum(gain < EDGES[0]))
         self.above += int(np.sum(gain > EDGES[-1]))
@@ -132,13 +127,7 @@ class Gain:
     @property
     def interval(self) -> Interval:
         """Of the mean relative gain."""
-        mean, error = self.relative.mean, self.relative.standard_error
-        if not (math.isfinite(mean) and math.isfinite(error)):
-            return (math.nan, math.nan)
-        if error == 0.0:
-            return (mean, mean)
-        low, high = stats.t.interval(CONFIDENCE, self.relative.count - 1, mean, error)
-        return float(low), float(high)
+        return self.relative.interval
 
     def quantile(self, share: float) -> float:
         """Gain below which a share of the draws lies: `numpy.quantile`, but for a bin's width."""
@@ -163,19 +152,22 @@ class Gain:
         """Summarise what was added; NaN where there are too few draws for a figure."""
         count = self.relative.count
         if not count:
-            nothing = (np.nan, np.nan)
-            return GainSummary(0, np.nan, nothing, np.nan, nothing, np.nan, {})
+            nothing = (math.nan, UNKNOWN)
+            return GainSummary(0, *nothing, *nothing, *nothing, *nothing, {})
         positive = stats.binomtest(self.positive, count)
         wilson = positive.proportion_ci(CONFIDENCE, method="wilson")
+        mean, mean_reference = np.array(self.errors.x.mean), np.array(self.errors.y.mean)
+        low, high = self.errors.ratio_interval
         return GainSummary(
             draws=count,
             mean_relative_gain=self.relative.mean,
             mean_relative_gain_interval=self.interval,
             positive_fraction=float(positive.statistic),
             positive_fraction_interval=(float(wilson.low), float(wilson.high)),
-            gain_of_means=float(
-                relative_gain(np.array(self.mse.mean), np.array(self.reference.mean))
-            ),
+            gain_of_means=float(relative_gain(mean, mean_reference)),
+            gain_of_means_interval=(1.0 - high, 1.0 - low),
+            mean_log10_ratio=self.log10_ratio.mean,
+            mean_log10_ratio_interval=self.log10_ratio.interval,
             quantiles={share: self.quantile(share) for share in QUANTILES},
         )
 

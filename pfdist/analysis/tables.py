@@ -1,6 +1,7 @@
 """A run as DataFrames and as a summary."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import asdict
 from functools import cached_property
 from pathlib import Path
@@ -8,8 +9,11 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 
-from pfdist.analysis.gains import BLOCK, Comparison, relative_gain
+from pfdist.analysis.budget import budget_table, reaching
+from pfdist.analysis.gains import BLOCK, Comparison, gain_over_itself, relative_gain
+from pfdist.errors import StoreError
 from pfdist.store import Store, read_run
 
 
@@ -44,6 +48,10 @@ class Run:
     def comparison(self) -> pd.DataFrame:
         """One row a draw: draw, and mse_<name> for every set compared."""
         return self._store.read("comparison")
+
+    def repeated(self) -> pd.DataFrame:
+        """One row a draw, of the first ones: the reference's MSE under other noise."""
+        return self._store.read("repeated")
 
     def trajectories(self) -> pd.DataFrame:
         """z, y and every filter's estimate over time, for the first draws of the comparison."""
@@ -93,10 +101,48 @@ class Run:
     def statistics(self) -> Comparison:
         """Accumulate the comparison block by block: memory does not grow with its draws."""
         found = Comparison(self.names)
-        last = self._store.present("comparison", "draw").size
-        for rows in self._store.blocks("comparison", "draw", BLOCK, last):
+        for rows in self._blocks():
             found.add(np.stack([rows[f"mse_{name}"].to_numpy() for name in self.names], axis=1))
         return found
+
+    def _blocks(self) -> Iterator[pa.Table]:
+        last = self._store.present("comparison", "draw").size
+        return self._store.blocks("comparison", "draw", BLOCK, last)
+
+    @property
+    def has_budget(self) -> bool:
+        """Whether it has times of several numbers of measurements."""
+        return "budget" in self.job
+
+    def budget(self) -> pd.DataFrame:
+        """One row a kind of times, ``regular`` or ``found``, and number of measurements.
+
+        Columns kind, measurements, name, measurement_times, expected_mse (on fresh draws),
+        standard_error, low and high (of its 95 % interval), degenerate_draws, search_cost and
+        search_standard_error (what the search believed), and worse_than: of the same kind, the best
+        number of fewer measurements, where it is better by a 95 % interval of the difference.
+        """
+        if not self.has_budget:
+            raise StoreError(f"{self.path} has times of one number of measurements alone")
+        reference = self.job["comparison"]["reference"]
+        return budget_table(self.compared(), self.statistics(), self._blocks(), reference)
+
+    def reaching(self, target: float) -> dict[str, dict[str, Any]]:
+        """Give the least number of measurements whose expected MSE is at most a target.
+
+        Parameters
+        ----------
+        target : float
+
+        Returns
+        -------
+        dict
+            Of ``regular`` and of ``found`` times: measurements (None if none of those tried
+            reaches it) and its interval (the least number whose 95 % interval reaches it, and the
+            least whose interval lies below it), measurement_times, and larger_that_do_not (of
+            regular times more are not always better).
+        """
+        return reaching(self.budget(), target)
 
     @property
     def draws_compared(self) -> int:
@@ -111,37 +157,82 @@ class Run:
         dict
             ``state``, ``run``, ``evaluations`` (copies counted), ``draws_compared`` and
             ``results``: by name, measurement_times, expected_mse, standard_error,
-            degenerate_draws and search_cost, and for all but the reference the fields of
-            `GainSummary`. Fractions, not per cent; what is infinite or unknown is None.
+            degenerate_draws, search_cost and search_standard_error; for the reference
+            gain_over_itself (see `pfdist.analysis.gains.gain_over_itself`) with its interval and
+            draws; for the others search_excess (search_cost over expected_mse, less 1),
+            search_estimation (how its estimate differs, draws aside) and the fields of
+            `GainSummary`.
+            Fractions, not per cent; what is infinite or unknown is None. Of a run for several
+            numbers of measurements the results are the rows of `budget`.
         """
-        has = self._store.has
-        compares = has("compared") and has("comparison")
+        has, results = self._store.has, {}
+        if has("compared") and has("comparison"):
+            results = self._budget_results() if self.has_budget else self._results()
         evaluations = int(self.evaluations()["copies"].sum()) if has("evaluations") else 0
         return {
             "state": self.state,
             "run": str(self.path),
             "evaluations": evaluations,
             "draws_compared": self.draws_compared,
-            "results": finite(self._results(self.statistics())) if compares else {},
+            "results": finite(results),
         }
 
-    def _results(self, statistics: Comparison) -> dict[str, Any]:
-        results: dict[str, Any] = {}
+    def _budget_results(self) -> dict[str, Any]:
+        rows = self.budget().to_dict("records")
+        return {
+            str(row.pop("name")): row
+            | {"worse_than": None if pd.isna(row["worse_than"]) else row["worse_than"]}
+            for row in rows
+        }
+
+    def _results(self) -> dict[str, Any]:
+        results, statistics = dict[str, Any](), self.statistics()
         for entry in self.compared().to_dict("records"):
             mse = statistics.mse[entry["name"]]
-            result = {
+            result: dict[str, Any] = {
                 "measurement_times": [int(time) for time in entry["measurement_times"]],
                 "expected_mse": mse.mean,
                 "standard_error": mse.standard_error,
                 "degenerate_draws": statistics.draws - mse.count,
                 "search_cost": float(entry["search_cost"]),
+                "search_standard_error": float(entry["search_standard_error"]),
             }
-            if entry["name"] != self.names[0]:
+            if entry["name"] == self.names[0]:
+                result |= self._over_itself()
+            else:
+                comparable = mse.mean != 0.0 and math.isfinite(mse.mean)
+                excess = result["search_cost"] / mse.mean - 1.0 if comparable else math.nan
+                result["search_excess"] = excess
+                result["search_estimation"] = self._own_estimation(entry["name"])
                 gain = asdict(statistics.gains[entry["name"]].summary())
                 gain["quantiles"] = {str(key): value for key, value in gain["quantiles"].items()}
                 result |= {"gain_draws": gain.pop("draws"), **gain}
             results[str(entry["name"])] = result
         return results
+
+    def _over_itself(self) -> dict[str, Any]:
+        """What the filters' noise does to a gain, where the reference was filtered twice."""
+        if not self._store.has("repeated"):  # an older run
+            return {}
+        again = self.repeated()
+        last = int(again["draw"].max()) + 1
+        both = again.merge(self._store.read("comparison", last), on="draw")
+        found = gain_over_itself(both[f"mse_{self.names[0]}"].to_numpy(), both["mse"].to_numpy())
+        return {
+            "gain_over_itself": found.mean,
+            "gain_over_itself_interval": found.interval,
+            "gain_over_itself_draws": found.count,
+        }
+
+    def _own_estimation(self, name: str) -> dict[str, Any]:
+        """How a search estimates otherwise than the comparison."""
+        own = {one["name"]: one.get("evaluation", {}) for one in self.job["search"]}
+        others = {**self.job["filter"], **self.job["evaluation"]}
+        return {
+            key: value
+            for key, value in own[name].items()
+            if key not in ("draws", "noise") and value != others.get(key)
+        }
 
 
 def open_run(path: str | Path) -> Run:

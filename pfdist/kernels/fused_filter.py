@@ -11,11 +11,13 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from pfdist.kernels.components import naming, reader, tuple_of, writer
+from pfdist.kernels.components import naming, reader, writer
 from pfdist.kernels.disk_cache import kept_on_disk
 from pfdist.kernels.formulas import formula
+from pfdist.kernels.moments import SQUARED_ERROR, moments, recorders
 from pfdist.kernels.noise import FILTER_INITIAL, FILTER_PROCESS, filler, padded
-from pfdist.kernels.resampling import RESAMPLE, SPARE
+from pfdist.kernels.resampling import RESAMPLE, SORTED, SPARE
+from pfdist.kernels.sorting import DIGITS, sort_by_state
 from pfdist.kernels.weights import IMPOSSIBLE, cumulate, weigh, width
 
 # The rows of weights: where nothing is measured, and where something is.
@@ -50,20 +52,22 @@ def fused_filter(
     Returns
     -------
     callable
-        ``filter_draws(stream, first, y, z, plan, clouds, particles, parameters, truths, mse,
-        estimate, variance)`` fills mse (D, U), the errors up to each set's end over T + 1, as
+        ``filter_draws(streams, first, y, z, plan, clouds, particles, estimator, parameters, truths,
+        mse, estimate, variance)`` fills mse (D, U), the errors up to each set's end over T + 1, as
         `pfdist.kernels.prefixes.plan` has the sets; and estimate and variance (D, T+1, q) of one
-        set, unless they are empty.
+        set, unless they are empty. streams (uint64) holds each filter's key, estimator the place in
+        `pfdist.kernels.moments.ESTIMATORS`.
     """
     filter_draw = _filter_draw(functions, noise_kinds, components, resampling)
     named, named_truth = map(naming, parameters)
     rows, kind = max(1, *map(len, noise_kinds)), np.dtype(dtype).type
-    states = components[0]
+    states, _, quantities = components
 
     @njit(nogil=True, error_model="numpy")
     def filter_draws(
-        stream, first, y, z, plan, clouds, particles, parameters, truths, mse, estimate, variance
-    ):
+        streams, first, y, z, plan, clouds, particles, estimator, parameters, truths,
+        mse, estimate, variance,
+    ):  # fmt: skip
         p, truth = named(parameters), named_truth(truths)
         size, spacious = width(particles), padded(particles + SPARE)
         cloud = np.empty((2, states, size), kind)
@@ -72,15 +76,18 @@ def fused_filter(
         weight[_ALIKE, :particles] = 1.0
         cumulative, sums = np.empty(size), np.empty(spacious)
         points, shares = np.empty(spacious, np.uint32), np.empty(spacious, np.uint32)
-        ancestor = np.zeros(spacious, np.uint32)
+        ancestor, counts = np.zeros(spacious, np.uint32), np.empty((2, DIGITS), np.uint32)
         saved, before = np.empty((clouds, states, size), kind), np.empty(clouds)
+        others = np.empty((mse.shape[1] if streams.size > 1 else 0, y.shape[1], quantities))
         for d in range(mse.shape[0]):
-            for s in range(mse.shape[1]):
-                mse[d, s] = filter_draw(
-                    stream, first + d, d, s, y, z, plan, particles, p, truth,
-                    estimate, variance, saved, before, cloud, noise, log_weight, weight,
-                    cumulative, sums, points, shares, ancestor,
-                )  # fmt: skip
+            for k in range(streams.size):
+                for s in range(mse.shape[1]):
+                    of_filter = filter_draw(
+                        streams[k], k, first + d, d, s, y, z, plan, particles, estimator, p, truth,
+                        estimate, variance, others, saved, before, cloud, noise, log_weight, weight,
+                        cumulative, sums, points, shares, ancestor, counts,
+                    )  # fmt: skip
+                    mse[d, s] = of_filter if k == 0 else mse[d, s] + of_filter
 
     return kept_on_disk(
         filter_draws, functions, noise_kinds, components, parameters, resampling, dtype
@@ -98,18 +105,22 @@ def _filter_draw(
     It goes on from where a set before it was the same, and keeps what a later one goes on from.
     """
     begin, propagate, explain = _cloud_steps(functions[:3], noise_kinds, components)
-    average, record = _moments(functions[3], components)
+    average, spread = moments(functions[3], components)
     read_z, error_of = reader(components[2], "d, t, c"), formula(functions[4])
+    record, cost_of = recorders(functions[4], components[2])
     resample = RESAMPLE[resampling]
+    in_line = sort_by_state if resampling in SORTED else _as_it_is
 
     @njit(forceinline=True, nogil=True, error_model="numpy")
     def filter_draw(
-        stream, draw, d, s, y, z, plan, particles, p, truth,
-        estimate, variance, saved, before, cloud, noise, log_weight, weight,
-        cumulative, sums, points, shares, ancestor,
+        stream, k, draw, d, s, y, z, plan, particles, estimator, p, truth,
+        estimate, variance, others, saved, before, cloud, noise, log_weight, weight,
+        cumulative, sums, points, shares, ancestor, counts,
     ):  # fmt: skip
         measured, begins, ends, sources, stops, slots = plan
         here, stop = np.int64(0), begins[s]
+        by_error = estimator == SQUARED_ERROR
+        by_error_alone = by_error and estimate.size == 0
         error = begin(stream, draw, stop, sources[s], noise, particles, p, cloud, saved, before)
         while stop < ends[s] and error < np.inf:
             first, stop = stop, stops[s, stop]
@@ -121,12 +132,19 @@ def _filter_draw(
                 if measured[s, t]:
                     explain(cloud, here, particles, y, d, t, p, log_weight)
                     weigh(log_weight, weight, _WEIGHED)
+                    here = in_line(
+                        cloud, here, particles, weight, _WEIGHED, log_weight,
+                        counts, points, shares, ancestor,
+                    )  # fmt: skip
                     by, total = _WEIGHED, cumulate(weight, _WEIGHED, log_weight.size, cumulative)
                 if total == 0.0:
                     return _ended(before, slots, s, t, np.nan)  # degenerate
                 mean = average(cloud, here, t, p, weight, by, total)
-                record(estimate, variance, d, cloud, here, t, p, weight, by, total, mean)
-                error += error_of(read_z(z, d, t), mean, t, truth)
+                if not by_error_alone:
+                    variances = spread(cloud, here, t, p, weight, by, total, mean)
+                    record(estimate, variance, d, t, mean, variances)
+                    error += cost_of(estimator, k, others, s, t, mean, variances, truth)
+                error += error_of(read_z(z, d, t), mean, t, truth) if by_error else 0.0
                 if not error < np.inf:
                     return _ended(before, slots, s, t, np.inf)
                 if measured[s, t]:
@@ -144,9 +162,7 @@ def _filter_draw(
                     )
                     _take(cloud, here, particles, ancestor)
                     here = 1 - here
-            if slots[s, stop] >= 0:  # in the inner loop it would cost 3 %
-                before[slots[s, stop]] = error
-                _copy(cloud, here, saved, slots[s, stop])
+            _keep(error, cloud, here, before, saved, slots, s, stop)  # further in it costs 3 %
         return _mean(error, measured.shape[1], before, slots, s, stop)
 
     return filter_draw
@@ -197,46 +213,12 @@ def _cloud_steps(
     return begin, propagate, explain
 
 
-def _moments(
-    quantity_of_interest: Callable[..., Any], components: tuple[int, int, int]
-) -> tuple[Callable[..., Any], ...]:
-    """Compile the weighted mean of z, and what records it; a particle of weight 0 does not count.
-
-    Sums that may be added in any order become vectors.
-    """
-    states, _, quantities = components
-    quantity, read_x = formula(quantity_of_interest), reader(states, "half, c, i")
-    write_z = writer(quantities, "d, t, c")
-    add = tuple_of(
-        quantities,
-        "sums, weight, values",
-        "sums[c] + weight * (values[c] if weight > 0.0 else 0.0)",
-        any_order=True,
-    )
-    divided = tuple_of(quantities, "sums, total", "sums[c] / total")
-    squares = tuple_of(quantities, "values, mean", "(values[c] - mean[c]) ** 2")
-    nothing = (0.0,) * quantities
-
-    @njit(forceinline=True, nogil=True, error_model="numpy")
-    def average(cloud, here, t, p, weight, row, total):
-        sums = nothing
-        for i in range(cloud.shape[2]):
-            z = quantity(read_x(cloud, here, i), t, p)
-            sums = add(sums, weight[row, i], z)
-        return divided(sums, total)
-
-    @njit(forceinline=True, nogil=True, error_model="numpy")
-    def record(estimate, variance, d, cloud, here, t, p, weight, row, total, mean):
-        if estimate.size == 0:  # nobody asks
-            return
-        sums = nothing
-        for i in range(cloud.shape[2]):
-            z = quantity(read_x(cloud, here, i), t, p)
-            sums = add(sums, weight[row, i], squares(z, mean))
-        write_z(estimate, d, t, mean)
-        write_z(variance, d, t, divided(sums, total))
-
-    return average, record
+@njit(forceinline=True, nogil=True)
+def _as_it_is(
+    cloud, here, particles, weight, row, log_weight, counts, keys, half_sorted, order
+):  # fmt: skip
+    """Sort nothing; see `sort_by_state`."""
+    return here
 
 
 @njit(forceinline=True, nogil=True)
@@ -246,6 +228,14 @@ def _ended(before, slots, s, t, mse):
         if slots[s, later] >= 0:
             before[slots[s, later]] = mse
     return mse
+
+
+@njit(forceinline=True, nogil=True)
+def _keep(error, cloud, here, before, saved, slots, s, stop):
+    """Keep what sets that share what lies before stop go on from."""
+    if slots[s, stop] >= 0:
+        before[slots[s, stop]] = error
+        _copy(cloud, here, saved, slots[s, stop])
 
 
 @njit(forceinline=True, nogil=True)

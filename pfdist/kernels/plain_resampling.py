@@ -82,4 +82,5 @@ _PLAIN: dict[str, Callable[..., NDArray[np.intp]]] = {
     "stratified": _plain_stratified,
     "systematic": _plain_systematic,
     "residual": _plain_residual,
+    "sorted_systematic": _plain_systematic,
 }

@@ -4,13 +4,15 @@ A scheme lays P points on (0, 1); the ancestor that belongs to a point u is the 
 whose cumulative weight exceeds u times their total. Both are compared as 32-bit numbers, but in the
 systematic scheme, which counts the points below a weight by a formula.
 
-============ ================================================================================
-multinomial  the points are independent, and taken in ascending order
-stratified   one point in each of P equal intervals, independent
-systematic   one point in each of P equal intervals, all at the same place in theirs
-residual     particle j has floor(P w_j) children; the points of the rest are multinomial in
-             what is left of the weights
-============ ================================================================================
+================= ===========================================================================
+multinomial       the points are independent, and taken in ascending order
+stratified        one point in each of P equal intervals, independent
+systematic        one point in each of P equal intervals, all at the same place in theirs
+residual          particle j has floor(P w_j) children; the points of the rest are multinomial
+                  in what is left of the weights
+sorted_systematic systematic, when the particles stand in line by their states, which are
+                  scalar (`pfdist.kernels.sorting`)
+================= ===========================================================================
 
 Each has its plain twin in `pfdist.kernels.plain_resampling`.
 
@@ -211,6 +213,7 @@ RESAMPLE: dict[str, Callable[..., Any]] = {
     "stratified": _stratified,
     "systematic": _systematic,
     "residual": _residual,
+    "sorted_systematic": _systematic,
 }
 """By scheme, compiled ``resample(cumulative, particles, stream, draw, t, noise, sums, points,
 shares, ancestor)``.
@@ -219,3 +222,6 @@ cumulative (float64, particles or more) is changed; noise (float32, a row or mor
 points and shares (uint32), all padded(particles + SPARE) long, are scratch; ancestor (uint32,
 particles + SPARE or more) receives the ancestors.
 """
+
+SORTED = ("sorted_systematic",)
+"""Schemes that want particles in line by their states."""

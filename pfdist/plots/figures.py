@@ -5,23 +5,33 @@ from functools import partial
 from pathlib import Path
 
 import matplotlib as mpl
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pfdist.analysis import Gain, Run
 from pfdist.errors import StoreError
+from pfdist.plots.budget import plot_budget
 from pfdist.plots.cost import plot_cost
 from pfdist.plots.gain_histogram import plot_gain_histogram
 from pfdist.plots.one_draw import plot_one_draw, typical_draw
 from pfdist.plots.style import COLUMN_INCHES, STYLE
+from pfdist.plots.why import plot_profile, plot_removals, plot_shifts
 from pfdist.store import remove_file, write_file
+
+_Plots = dict[str, tuple[float, Callable[[Axes], None]]]  # height in inches, and what draws it
 
 FORMATS = ("png", "svg")
 ONE_BY_ONE = {"random"}  # methods without populations
 
 
 def figure_files(run: Run) -> list[Path]:
-    """List the files of a run's figures: the searches' cost, and two for each search."""
+    """List the files of a run's figures: the searches' cost, and two for each search.
+
+    Of a run for several numbers of measurements it is one, of the cost of each.
+    """
+    if run.has_budget:
+        return [run.path / "figures" / f"budget.{kind}" for kind in FORMATS]
     names = ["cost", *(f"{kind}-{name}" for name in run.names[1:] for kind in ("draw", "gain"))]
     return [run.path / "figures" / f"{name}.{kind}" for name in names for kind in FORMATS]
 
@@ -33,12 +43,14 @@ def remove_figures(path: Path) -> None:
             remove_file(file)
 
 
-def draw_figures(run: Run) -> list[Path]:
+def draw_figures(run: Run, target: float | None = None) -> list[Path]:
     """Draw the paper's figures from the tables of a run, into its folder ``figures``.
 
     Parameters
     ----------
     run : Run
+    target : float, optional
+        An expected MSE, which the figure of a run for several numbers of measurements shows.
 
     Returns
     -------
@@ -53,13 +65,7 @@ def draw_figures(run: Run) -> list[Path]:
     """
     if run.state == "searching" or not run.draws_compared:
         raise StoreError(f"{run.path} has no compared draws yet: run the job on, then plot")
-    known = run.statistics()
-    plots: dict[str, tuple[float, Callable[[Axes], None]]] = {
-        "cost": (2.4, partial(_cost, run, known.mse[run.names[0]].mean))
-    }
-    for name, gain in known.gains.items():
-        plots[f"draw-{name}"] = (2.6, partial(_draw, run, name, gain.relative.mean))
-        plots[f"gain-{name}"] = (2.3, partial(_gain, gain, name))
+    plots = _budget_plot(run, target) if run.has_budget else _plots(run)
     files = figure_files(run)
     with mpl.rc_context(STYLE):
         for name, (height, plot) in plots.items():
@@ -70,6 +76,50 @@ def draw_figures(run: Run) -> list[Path]:
     return files
 
 
+def _budget_plot(run: Run, target: float | None) -> _Plots:
+    return {"budget": (2.6, partial(plot_budget, table=run.budget(), target=target))}
+
+
+def _plots(run: Run) -> _Plots:
+    known = run.statistics()
+    plots: _Plots = {"cost": (2.4, partial(_cost, run, known.mse[run.names[0]].mean))}
+    for name, gain in known.gains.items():
+        plots[f"draw-{name}"] = (2.6, partial(_draw, run, name, gain.relative.mean))
+        plots[f"gain-{name}"] = (2.3, partial(_gain, gain, name))
+    return plots
+
+
+def draw_why(run: Run, profile: pd.DataFrame, measurements: pd.DataFrame) -> list[Path]:
+    """Draw why the times of every search are what they are, beside the reference's.
+
+    Parameters
+    ----------
+    run : Run
+    profile, measurements : DataFrame
+        As of `pfdist.runner.why.Why`.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+    """
+    files, (reference, *searches) = [], run.names
+    with mpl.rc_context(STYLE):
+        for name in searches:
+            figure, both = (
+                Figure(figsize=(COLUMN_INCHES, 5.2), layout="constrained"),
+                (reference, name),
+            )
+            above, middle, below = figure.subplots(3, sharex=True)
+            plot_profile(above, profile, both)
+            plot_removals(middle, measurements, both)
+            plot_shifts(below, measurements, both)
+            for kind in FORMATS:
+                files.append(run.path / "figures" / f"why-{name}.{kind}")
+                write_file(files[-1], partial(_save, figure, kind))
+    return files
+
+
 def _save(figure: Figure, kind: str, path: Path) -> None:
     # No date in the file: the same figure is the same bytes.
     figure.savefig(path, format=kind, metadata={"Date": None} if kind == "svg" else None)
@@ -77,7 +127,11 @@ def _save(figure: Figure, kind: str, path: Path) -> None:
 
 def _cost(run: Run, regular: float, axes: Axes) -> None:
     one_by_one = {search["name"] for search in run.job["search"] if search["method"] in ONE_BY_ONE}
-    plot_cost(axes, run.evaluations(), one_by_one, regular)
+    evaluations = run.evaluations()
+    searched = evaluations["phase"].isin(run.names)  # what a race says is no search's cost
+    if "end" in evaluations:  # nor is that of a part of the horizon
+        searched &= evaluations["end"] == run.job["problem"]["horizon"]
+    plot_cost(axes, evaluations[searched], one_by_one, regular)
 
 
 def _draw(run: Run, name: str, mean: float, axes: Axes) -> None:

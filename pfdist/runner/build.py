@@ -11,15 +11,10 @@ from pfdist.job import Execution, Job
 from pfdist.kernels.noise import stream_key
 from pfdist.measurement_times import Times
 from pfdist.models import ModelSource, StateSpaceModel, find_model
-from pfdist.monte_carlo import NUMPY_TIMES_SLOWER, Problem
+from pfdist.monte_carlo import NUMPY_TIMES_SLOWER, Estimation, Problem
 from pfdist.particle_filter import KERNEL_VERSION
 from pfdist.runner.pool import Pool, SerialPool
-from pfdist.search import GeneticAlgorithm, Optimiser, RandomTrials
-
-_OPTIMISERS: dict[str, Callable[..., Optimiser]] = {
-    "genetic": GeneticAlgorithm,
-    "random": RandomTrials,
-}
+from pfdist.runner.searches import NamedSearch, Settings, named_search
 
 
 @dataclass(frozen=True)
@@ -52,17 +47,18 @@ class ProblemSource:
     Parameters
     ----------
     model, filter_model : ChosenModel
-    horizon, particles : int
-    resampling, dtype, engine : str
+    horizon : int
+    dtype, engine : str
+    estimations : tuple of Estimation
+        Those that are wanted, the comparison's first.
     """
 
     model: ChosenModel
     filter_model: ChosenModel
     horizon: int
-    particles: int
-    resampling: str
     dtype: str
     engine: str
+    estimations: tuple[Estimation, ...]
 
     def make(self) -> Problem:
         """Load the models and give the problem, which is the function a worker applies."""
@@ -71,40 +67,34 @@ class ProblemSource:
             filter_model = self.filter_model.load()
         except ModelError as error:
             raise ModelError(f"model.filter: {error}") from error
-        return Problem(
-            model,
-            self.horizon,
-            self.particles,
-            self.resampling,
-            filter_model,
-            self.dtype,
-            self.engine,
-        )
+        problem = Problem(model, self.horizon, filter_model, self.dtype, self.engine)
+        for estimation in self.estimations:
+            problem.check(estimation)
+        return problem
 
-    def evaluation_id(self, times: Times, draws_stream: int, filter_stream: int) -> str:
+    def compiled(self) -> Problem:
+        """The same with all that it needs compiled."""
+        problem = self.make()
+        if self.engine != "numpy":
+            for estimation in self.estimations:
+                problem.compile(estimation)
+        return problem
+
+    def evaluation_id(self, times: Times, end: int, stream: int, estimation: Estimation) -> str:
         """Hash all that the per-draw MSE of these times depends on."""
         key = stream_key(
             KERNEL_VERSION,
             self.model.content,
             self.filter_model.content,
             self.horizon,
-            self.particles,
-            self.resampling,
             self.dtype,
             self.engine,
+            vars(estimation),
             times,
-            draws_stream,
-            filter_stream,
+            end,
+            stream,
         )
         return f"{key:016x}"
-
-
-@dataclass(frozen=True)
-class NamedSearch:
-    """An optimiser under its name in the tables."""
-
-    name: str
-    optimiser: Optimiser
 
 
 @dataclass(frozen=True)
@@ -127,9 +117,35 @@ class Built:
         return sorted(source.path for source in sources if not source.package)
 
     @property
+    def phases(self) -> list[str]:
+        """Phases of the searches."""
+        return [phase for search in self.searches for phase in search.phases]
+
+    @property
+    def references(self) -> dict[str, Times]:
+        """Measurement times with which those found are compared, by name: for each N its own."""
+        reference, numbers = self.job.comparison.reference, self.numbers
+        if not numbers:
+            return {reference: self.job.problem.feasible.regular()}
+        return {self.named(reference, n): self.job.feasible(n).regular() for n in numbers}
+
+    @property
+    def numbers(self) -> range:
+        """Numbers of measurements for which times are wanted; empty if for one, or money, alone."""
+        budget = self.job.budget
+        return range(0) if budget is None else range(budget.least, budget.most + 1)
+
+    @property
     def names(self) -> list[str]:
-        """What is compared: the reference first, then the searches."""
-        return [self.job.comparison.reference, *(search.name for search in self.searches)]
+        """What is compared: the references first, then what the searches find."""
+        found = [search.name for search in self.searches]
+        if self.numbers:
+            found = [self.named(name, number) for name in found for number in self.numbers]
+        return [*self.references, *found]
+
+    def named(self, name: str, number: int) -> str:
+        """Name of a set of so many measurements, where there are sets of several numbers."""
+        return f"{name}_{number:0{len(str(self.job.problem.horizon + 1))}}"
 
 
 def build(job: Job) -> Built:
@@ -138,29 +154,23 @@ def build(job: Job) -> Built:
     Raises
     ------
     ModelError
-        The model cannot be loaded, or a parameter is unknown or out of its range.
+        The model cannot be loaded, a parameter is unknown or out of its range, or an estimator or
+        a resampling does not fit.
     """
     model = ChosenModel(find_model(job.model.name, job.path.parent), dict(job.model.parameters))
     source = ProblemSource(
         model=model,
         filter_model=_filter_model(job, model),
         horizon=job.problem.horizon,
-        particles=job.filter.particles,
-        resampling=job.filter.resampling,
         dtype=job.filter.dtype,
         engine=job.filter.engine,
+        estimations=(Settings.of(job).estimation,),
     )
-    source = replace(source, engine=_compiled_or_numpy(source))
-    searches = tuple(
-        NamedSearch(
-            section.name,
-            _OPTIMISERS[section.method](
-                job.problem.horizon, job.problem.measurement_budget, **section.settings
-            ),
-        )
-        for section in job.search
-    )
-    return Built(job, source, searches)
+    cheapest = source.make().cheapest_estimator
+    searches = tuple(named_search(job, section, cheapest) for section in job.search)
+    wanted = (settings.estimation for search in searches for settings in search.all_settings)
+    source = replace(source, estimations=tuple(dict.fromkeys([*source.estimations, *wanted])))
+    return Built(job, replace(source, engine=_compiled_or_numpy(source)), searches)
 
 
 def _filter_model(job: Job, model: ChosenModel) -> ChosenModel:
@@ -180,11 +190,8 @@ def _compiled_or_numpy(source: ProblemSource) -> str:
 
     It is compiled here and now, and workers on this machine find it on disk.
     """
-    problem = source.make()  # here, whatever the engine, so that a wrong model is found at once
-    if source.engine == "numpy":
-        return "numpy"
     try:
-        problem.compile()
+        source.compiled()  # whatever the engine, so that a wrong model is found at once
     except CompileError as error:
         if source.engine != "auto":
             raise
@@ -199,10 +206,8 @@ def _compiled_or_numpy(source: ProblemSource) -> str:
 
 
 def _worker(source: ProblemSource) -> Callable[[Any], Any]:
-    problem = source.make()
-    if source.engine != "numpy":
-        problem.compile()  # before there is a task, which has its time to be done in
-    return problem.results
+    # Compiled before there is a task, which has its time to be done in.
+    return source.compiled().results
 
 
 def make_pool(built: Built, execution: Execution) -> Pool:

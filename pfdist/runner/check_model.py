@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ from pfdist.draws import Draws
 from pfdist.errors import CompileError, ModelError
 from pfdist.measurement_times import regular
 from pfdist.models import StateSpaceModel, find_model
-from pfdist.monte_carlo import ENGINES, NUMPY_TIMES_SLOWER, Problem, Work
+from pfdist.monte_carlo import ENGINES, NUMPY_TIMES_SLOWER, Estimation, Problem, Work
 from pfdist.runner.check_formulas import compiled_as_in_numpy, elementwise, likelihood, pure
 
 _DRAWS = 1000
@@ -72,9 +72,9 @@ def check_model(
         return
     sizes = f"{states} of x, {measurements} of y, {quantities} of z"
     yield Check("load", "ok", f"{model.name}: components {sizes}")
-    engine = "compiled"
+    engine, estimation = "compiled", Estimation(particles)
     try:
-        Problem(model, horizon, particles).compile()
+        Problem(model, horizon).compile(estimation)
         yield Check("compile", "ok", "Numba compiles every formula")
     except CompileError as error:
         engine = "numpy"
@@ -101,7 +101,7 @@ def check_model(
         except Exception as error:  # a formula may raise whatever it likes
             yield Check(look, "wrong", f"a formula failed: {type(error).__name__}: {error}")
     try:
-        yield from _filtered(Problem(model, horizon, particles, engine=engine))
+        yield from _filtered(Problem(model, horizon, engine=engine), estimation)
     except ModelError as error:
         yield Check("filter", "wrong", str(error))
 
@@ -114,16 +114,20 @@ def _linear_gaussian(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
     return "ok", "as it declares: filter.engine = 'kalman' computes it exactly"
 
 
-def _filtered(problem: Problem) -> Iterator[Check]:
+def _filtered(problem: Problem, estimation: Estimation) -> Iterator[Check]:
     """What an evaluation costs, and how many draws are degenerate."""
     times = regular(problem.horizon, max(2, (problem.horizon + 1) // 3))
-    draws = min(_DRAWS, max(1, int(_SECONDS / problem.seconds_a_draw)))
+    work = Work((times,), (problem.horizon,), (3,), 3, (0, 1), estimation)
+    seconds_a_draw = problem.seconds_a_step * work.steps_a_draw
+    draws = min(_DRAWS, max(1, int(_SECONDS / seconds_a_draw)))
     start = time.perf_counter()
-    mse = problem(Work((times,), (3,), 3, (0, draws))).mse[:, 0]
+    mse = problem(replace(work, draws=(0, draws))).mse[:, 0]
     seconds = (time.perf_counter() - start) * _DRAWS / draws
     usable = mse[~np.isnan(mse)]
     share = 1 - usable.size / draws
-    text = f"{share:.2%} of draws with {len(times)} regular times and {problem.particles} particles"
+    text = (
+        f"{share:.2%} of draws with {len(times)} regular times and {estimation.particles} particles"
+    )
     yield Check("degenerate draws", "note" if share else "ok", text)
     if usable.size > 1 and np.isfinite(usable).all():
         error = np.std(usable, ddof=1) / math.sqrt(usable.size)

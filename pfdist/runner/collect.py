@@ -39,6 +39,8 @@ class Collector:
         What is known of the workers' speed; it learns from what they do.
     failures : int
         How many tasks may fail, and are done once more.
+    resumed : bool
+        Whether the store held rows when the session began.
     """
 
     store: Store
@@ -46,6 +48,7 @@ class Collector:
     session: str
     pace: Pace
     failures: int = 0
+    resumed: bool = True
     _failures: int = 0
     _commits: int = 0
     _waiting: dict[tuple[str, str], "_Waiting"] = field(default_factory=dict)
@@ -108,7 +111,7 @@ class Collector:
 
     def _tasks(self, table: str, works: Iterable[Work]) -> Iterator[Task]:
         for bundle in bundles(works, self.pace.size):
-            key = f"{table}:{stream_key([vars(work) for work in bundle]):016x}"
+            key = f"{table}:{stream_key([repr(work) for work in bundle]):016x}"
             yield Task(key, bundle, self.pace.expected(bundle))
 
     def later(self, write: Callable[[], None]) -> None:

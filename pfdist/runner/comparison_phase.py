@@ -1,8 +1,9 @@
 """The comparison: every set of times filters the same fresh draws, never those that chose it."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,16 +12,22 @@ from numpy.typing import NDArray
 
 from pfdist.analysis import BLOCK, Comparison
 from pfdist.errors import StoreError
-from pfdist.kernels.noise import stream_key
 from pfdist.measurement_times import Times
-from pfdist.monte_carlo import Result, Work, cut
+from pfdist.monte_carlo import REPORT, Estimation, Result, Work, cut
 from pfdist.runner.build import Built
 from pfdist.runner.collect import Collector
 from pfdist.runner.progress import Found, Progress, Report
-from pfdist.store import ROWS_IN_A_FILE, Store, comparison_schema, trajectories_schema
+from pfdist.store import (
+    ROWS_IN_A_FILE,
+    Store,
+    comparison_schema,
+    schema,
+    trajectories_schema,
+)
 
 PHASE = "comparison"
 TRAJECTORIES = 100  # draws whose z, y and estimates are kept
+REPEATED = 2000  # draws that the reference filters twice
 
 
 def run_comparison(
@@ -52,21 +59,23 @@ def run_comparison(
     committed = store.present("comparison", "draw")[:draws]
     present[: committed.size] = committed
     done = int(present.sum())
-    progress = replace(progress, phase=PHASE, done=progress.done + done * len(sets))
-    progress = replace(progress, evaluations=done, generation=0, generations=0)
     work = _work(built, sets)
+    progress = replace(progress, phase=PHASE, done=progress.done + done * work.steps_a_draw)
+    progress = replace(progress, evaluations=done, generation=0, generations=0)
     known = _Known(list(sets), draws, built.job.comparison.until.half_width)
     for rows in store.blocks("comparison", "draw", BLOCK, draws):
         known.learn(rows)
-    progress = replace(progress, found=known.found)
+    progress = replace(progress, found=() if built.numbers else known.found)
     report(progress)
-    _keep_trajectories(built, work, list(sets), collector)
-    schema = comparison_schema(list(sets))
+    if not built.numbers:  # one reference, and sets to show beside it
+        _keep_trajectories(built, work, list(sets), collector)
+        _repeat_reference(built, work, collector)
+    kept = comparison_schema(list(sets))
 
     def rows_of(piece: Work, result: Result) -> pa.Table:
         columns = [pa.array(np.arange(*piece.draws))]
         columns += [pa.array(mse, from_pandas=True) for mse in result.mse.T]
-        return pa.Table.from_arrays(columns, schema=schema)
+        return pa.Table.from_arrays(columns, schema=kept)
 
     works = (
         replace(work, draws=lacking)
@@ -79,9 +88,9 @@ def run_comparison(
                 known.learn(rows_of(piece, result))
                 progress = replace(
                     progress,
-                    done=progress.done + piece.filtered,
+                    done=progress.done + piece.steps,
                     evaluations=progress.evaluations + len(result.mse),
-                    found=known.found,
+                    found=() if built.numbers else known.found,
                 )
                 report(progress)
                 if known.enough:
@@ -155,40 +164,81 @@ class _Block:
 
 def _work(built: Built, sets: Mapping[str, Times]) -> Work:
     """The same draws for all sets, and for each the noise of its own filter."""
-    seed = built.job.seed
+    job = built.job
     return Work(
         measurement_times=tuple(sets.values()),
-        filter_streams=tuple(stream_key(seed, PHASE, "filter", name) for name in sets),
-        draws_stream=stream_key(seed, PHASE, "draws"),
+        ends=(job.problem.horizon,) * len(sets),
+        filter_streams=tuple(REPORT.stream(job.seed, "filter", name) for name in sets),
+        draws_stream=REPORT.stream(job.seed, "draws"),
         draws=(0, 0),
+        # By the squared error, however the searches estimate it.
+        estimation=Estimation(job.filter.particles, job.filter.resampling),
     )
+
+
+def steps(built: Built) -> int:
+    """How many particle-steps the whole comparison takes."""
+    job = built.job
+    instants = len(built.names) * (job.problem.horizon + 1)
+    return job.comparison.draws * job.filter.particles * instants
 
 
 def _keep_trajectories(built: Built, work: Work, names: list[str], collector: Collector) -> None:
     """Filter the first draws once more, keeping what the figures show."""
-    store, draws = collector.store, min(TRAJECTORIES, built.job.comparison.draws)
-    missing = np.setdiff1d(np.arange(draws), np.flatnonzero(store.present("trajectories", "draw")))
     _, measurements, quantities = built.problem.model.components
-    schema = trajectories_schema(names, quantities, measurements)
-    works = [replace(work, draws=lacking, trajectories=True) for lacking in cut(missing, draws)]
+    kept = trajectories_schema(names, quantities, measurements)
+    draws, work = min(TRAJECTORIES, built.job.comparison.draws), replace(work, trajectories=True)
+    columns = partial(_trajectory_columns, names)
+    _keep_first("trajectories", kept, draws, work, columns, collector)
+
+
+def _repeat_reference(built: Built, work: Work, collector: Collector) -> None:
+    """Filter the first draws with the reference once more, under other noise.
+
+    So is measured what the filters' noise alone does to a relative gain.
+    """
+    job = built.job
+    again = REPORT.stream(job.seed, "filter", job.comparison.reference, "again")
+    sets, ends = work.measurement_times[:1], work.ends[:1]
+    work = replace(work, measurement_times=sets, ends=ends, filter_streams=(again,))
+
+    def columns(piece: Work, result: Result) -> dict[str, Any]:
+        mse = pa.array(result.mse[:, 0], from_pandas=True)
+        return {"draw": np.arange(*piece.draws), "mse": mse}
+
+    draws = min(REPEATED, job.comparison.draws)
+    _keep_first("repeated", schema("repeated"), draws, work, columns, collector)
+
+
+def _keep_first(
+    table: str,
+    kept: pa.Schema,
+    draws: int,
+    work: Work,
+    columns: Callable[[Work, Result], dict[str, Any]],
+    collector: Collector,
+) -> None:
+    """Fill a table with what is made of the first draws, where it lacks some."""
+    store = collector.store
+    missing = np.setdiff1d(np.arange(draws), np.flatnonzero(store.present(table, "draw")))
+    works = [replace(work, draws=lacking) for lacking in cut(missing, draws)]
 
     def rows_of(piece: Work, result: Result) -> pa.Table:
-        return pa.table(_trajectory_columns(piece, result, names), schema=schema)
+        return pa.table(columns(piece, result), schema=kept)
 
     def publish() -> None:
-        if store.has_parts("trajectories", PHASE):
-            rows = store.read("trajectories")
-            table = pa.Table.from_pandas(rows, schema=schema, preserve_index=False)
-            store.publish("trajectories", PHASE, [table])
+        if store.has_parts(table, PHASE):
+            rows = pa.Table.from_pandas(store.read(table), schema=kept, preserve_index=False)
+            store.publish(table, PHASE, [rows])
 
-    run = collector.run(PHASE, "trajectories", works, rows_of, more_follows=True)
+    run = collector.run(PHASE, table, works, rows_of, more_follows=True)
     with closing(run) as pieces:
         for _ in pieces:
             pass
     collector.later(publish)
 
 
-def _trajectory_columns(piece: Work, result: Result, names: list[str]) -> dict[str, Any]:
+def _trajectory_columns(names: list[str], piece: Work, result: Result) -> dict[str, Any]:
     first, last = piece.draws
     instants = result.z.shape[1]
     columns: dict[str, Any] = {

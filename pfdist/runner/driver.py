@@ -1,6 +1,5 @@
 """The driver: search phases, then the comparison. It knows a pool and a store, and no Ray."""
 
-import math
 import uuid
 from dataclasses import replace
 from functools import partial
@@ -10,7 +9,7 @@ import pandas as pd
 import pyarrow as pa
 
 from pfdist.errors import SearchError
-from pfdist.measurement_times import Times, regular
+from pfdist.measurement_times import Times
 from pfdist.runner import comparison_phase
 from pfdist.runner.build import Built
 from pfdist.runner.collect import Collector
@@ -18,7 +17,7 @@ from pfdist.runner.comparison_phase import run_comparison
 from pfdist.runner.pace import Pace
 from pfdist.runner.pool import Pool
 from pfdist.runner.progress import Progress, Report
-from pfdist.runner.search_phase import run_search, unpublished
+from pfdist.runner.search_phase import run_search, steps, unpublished
 from pfdist.store import Store, schema
 
 FORKED = "forked-from"
@@ -46,27 +45,26 @@ def drive(built: Built, store: Store, pool: Pool, report: Report) -> None:
         A task failed, no worker answers, or a file cannot be read or written.
     """
     failures = built.job.execution.failures
-    pace = Pace(built.problem.seconds_a_draw, pool.workers)
-    collector = Collector(store, pool, uuid.uuid4().hex[:8], pace, failures)
-    draws = built.job.evaluation.draws
-    searched = [search.optimiser.evaluations * draws for search in built.searches]
-    total = sum(searched) + built.job.comparison.draws * len(built.names)
-    progress = Progress(phase=built.names[0], done=0, total=total)
+    pace = Pace(built.problem.seconds_a_step, pool.workers)
+    collector = Collector(store, pool, uuid.uuid4().hex[:8], pace, failures, store.has("draws"))
+    searched = sum(steps(built, search) for search in built.searches)
+    total = searched + comparison_phase.steps(built)
+    progress = Progress(phase=built.names[0], done=0.0, total=total)
     try:
         lost = store.manifest.lost()  # to be computed again
         has = store.has("compared") and not store.has_parts("compared")
-        if lost or not has or unpublished(store, built.names):
+        if lost or not has or unpublished(store, built.phases):
             sets = _search(built, collector, progress, report)
         else:
             sets = compared_sets(store)
-        progress = replace(progress, done=sum(searched))
+        progress = replace(progress, done=searched)
         run_comparison(built, sets, collector, progress, report)
         collector.flush()
         store.publish("draws", FORKED, [])
         store.manifest.forget_lost()
     finally:
         collector.flush()
-        for phase in (*built.names[1:], comparison_phase.PHASE):
+        for phase in (*built.phases, comparison_phase.PHASE):
             _publish_timings(store, phase)
 
 
@@ -83,29 +81,29 @@ def _search(
     built: Built, collector: Collector, progress: Progress, report: Report
 ) -> dict[str, Times]:
     """Run every search and give what is to be compared."""
-    problem = built.job.problem
-    reference = regular(problem.horizon, problem.measurement_budget)
     rows: list[dict[str, Any]] = [
-        {"name": built.job.comparison.reference, "measurement_times": reference}
+        {"name": name, "measurement_times": times} for name, times in built.references.items()
     ]
     for search in built.searches:
-        best = run_search(built, search, collector, progress, report)
-        if not math.isfinite(best.cost):
+        winners = run_search(built, search, collector, progress, report)
+        progress = replace(progress, done=progress.done + steps(built, search))
+        rows += [
+            {
+                "name": name,
+                "measurement_times": winner.measurement_times,
+                "search_cost": winner.believed.cost,
+                "search_standard_error": winner.believed.standard_error,
+            }
+            for name, winner in winners.items()
+        ]
+    found = {row["name"] for row in rows}
+    for name in built.names:
+        if name not in found:
             raise SearchError(
-                f"search {search.name}: every set of times that it ended with had a degenerate "
+                f"search {name}: every set of times that it ended with had a degenerate "
                 f"draw (a measurement no particle can explain); more particles than "
                 f"{built.job.filter.particles} help, or evaluation.degenerate_draws = 'leave_out'"
             )
-        work = search.optimiser.evaluations * built.job.evaluation.draws
-        progress = replace(progress, done=progress.done + work)
-        rows.append(
-            {
-                "name": search.name,
-                "measurement_times": best.measurement_times,
-                "search_cost": best.cost,
-                "search_standard_error": best.standard_error,
-            }
-        )
     for position, row in enumerate(rows):
         row["position"] = position
     table = pa.Table.from_pylist(rows, schema=schema("compared"))

@@ -1,6 +1,7 @@
 """Evaluate one set of measurement times in process."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from pfdist.measurement_times import validated
 from pfdist.monte_carlo import Evaluation, Work, cut
 from pfdist.runner.build import build
 from pfdist.runner.pace import MOST_SECONDS
+from pfdist.runner.searches import Settings
 
 
 def evaluate(
@@ -51,9 +53,13 @@ def evaluate(
     problem, policy = build(job).problem, job.evaluation.degenerate_draws
     if problem.exact:
         return Evaluation(times, np.empty(0), policy, float(problem.expected_mse([times])[0]))
-    block = max(1, int(MOST_SECONDS / problem.seconds_a_draw))
+    settings = Settings.of(job)
+    whole = Work(
+        (times,), (problem.horizon,), (stream,), stream, (0, settings.draws), settings.estimation
+    )
+    block = max(1, int(MOST_SECONDS / problem.seconds_a_step / whole.steps_a_draw))
     pieces = [
-        problem(Work((times,), (stream,), stream, piece)).mse[:, 0]
-        for piece in cut(range(job.evaluation.draws), block)
+        problem(replace(whole, draws=piece)).mse[:, 0]
+        for piece in cut(range(settings.draws), block)
     ]
     return Evaluation(times, np.concatenate(pieces), policy)

@@ -188,6 +188,7 @@ def _provenance(job: Job) -> dict[str, Any]:
     return {
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": sys.argv,
+        "folder": str(job.path.parent.absolute()),  # what a model's path is relative to
         "python": platform.python_version(),
         "libraries": {name: version(name) for name in _LIBRARIES},
         "machine": {

@@ -22,7 +22,7 @@ _SHARE = 2  # of what remains, so many tasks for each worker: two are in its han
 
 @dataclass
 class Pace:
-    """How long a filter takes for a draw, as far as is known.
+    """How long a particle-step takes, as far as is known.
 
     Parameters
     ----------
@@ -37,17 +37,15 @@ class Pace:
 
     def learn(self, works: Iterable[Work], seconds: float) -> None:
         """Learn from a task that took so long."""
-        filtered = sum(work.filtered for work in works)
-        if filtered:
-            self.seconds = (self.seconds + seconds / filtered) / 2
-            self.learnt = True
+        self.seconds = (self.seconds + seconds / sum(work.steps for work in works)) / 2
+        self.learnt = True
 
     def expected(self, works: Iterable[Work]) -> float:
         """Seconds that a task should take."""
-        return self.seconds * sum(work.filtered for work in works)
+        return self.seconds * sum(work.steps for work in works)
 
     def size(self, remaining: int) -> int:
-        """How many draws to filter in the next task, of so many that remain.
+        """How many particle-steps to do in the next task, of so many that remain.
 
         The first tasks are short: a model may be a hundred times slower than is thought.
         """
@@ -62,32 +60,34 @@ def bundles(works: Iterable[Work], size: Callable[[int], int]) -> Iterator[tuple
     ----------
     works : iterable of Work
     size : callable
-        How many draws to filter in the next bundle, of so many that remain.
+        How many particle-steps to do in the next bundle, of so many that remain.
 
     Yields
     ------
     tuple of Work
-        About so many, but one draw at least.
+        About so much, but one draw at least.
 
     Examples
     --------
-    >>> works = [Work(((0, 3),), (1,), 1, (0, 5)), Work(((1, 2),), (2,), 2, (0, 2))]
-    >>> [[work.draws for work in bundle] for bundle in bundles(works, lambda remaining: 4)]
+    >>> from pfdist.monte_carlo import Estimation
+    >>> of = Estimation(particles=10)  # of 10 instants: 100 particle-steps a draw
+    >>> works = [Work(((0, 3),), (9,), (1,), 1, (0, draws), of) for draws in (5, 2)]
+    >>> [[work.draws for work in bundle] for bundle in bundles(works, lambda remaining: 400)]
     [[(0, 4)], [(4, 5), (0, 2)]]
     """
     waiting = list(works)
-    remaining = sum(work.filtered for work in waiting)
+    remaining = sum(work.steps for work in waiting)
     bundle: list[Work] = []
     room = size(remaining)
     for work in waiting:
         first, last = work.draws
         while first < last:
-            end = min(last, first + max(1, room // len(work.measurement_times)))
+            end = min(last, first + max(1, room // work.steps_a_draw))
             bundle.append(replace(work, draws=(first, end)))
-            first, room = end, room - bundle[-1].filtered
-            if room < len(work.measurement_times):
+            first, room = end, room - bundle[-1].steps
+            if room < work.steps_a_draw:
                 yield tuple(bundle)
-                remaining -= sum(piece.filtered for piece in bundle)
+                remaining -= sum(piece.steps for piece in bundle)
                 bundle, room = [], size(remaining)
     if bundle:
         yield tuple(bundle)

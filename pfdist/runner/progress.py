@@ -31,8 +31,8 @@ class Progress:
     ----------
     phase : str
         A search's name, or ``comparison``.
-    done, total : int
-        Draws filtered, over all phases and sets of times: the measure of work.
+    done, total : float
+        Particle-steps, over all phases and sets of times, as far as they can be foreseen.
     evaluations : int
         Evaluations finished in this phase, copies counted; in the comparison, draws.
     generation, generations : int
@@ -46,8 +46,8 @@ class Progress:
     """
 
     phase: str
-    done: int
-    total: int
+    done: float
+    total: float
     evaluations: int = 0
     generation: int = 0
     generations: int = 0

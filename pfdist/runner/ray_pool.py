@@ -9,6 +9,7 @@ import contextlib
 import logging
 import os
 import platform
+import threading
 import time
 import warnings
 from collections import Counter, deque
@@ -41,7 +42,7 @@ PATIENCE_SECONDS = 15.0  # a worker is taken for lost when it is silent for so l
 PATIENCE_TIMES = 20  # so many times what its task should take
 LOOK_SECONDS = 1.0  # between two looks for those that are silent
 STILL_SECONDS = 5.0  # without a look: this process itself was stopped, or had other things to do
-ANSWER_SECONDS = 45.0  # when all are silent for so long, nobody will answer
+ANSWER_SECONDS = 40.0  # when all are silent for so long, nobody will answer
 FETCH_SECONDS = 10.0
 START_SECONDS = 120.0
 STOP_SECONDS = 5.0
@@ -156,8 +157,9 @@ class RayPool:
             self._started = False
             _shut_down([] if self._address else self._servers())  # the workers go with it
         elif ray.is_initialized():
-            for slot in slots:
-                _end(slot.actor)
+            deadline = time.monotonic() + STOP_SECONDS
+            for ending in [_end(slot.actor) for slot in slots]:
+                ending.join(max(0.0, deadline - time.monotonic()))
 
     def _wait_for_all(self) -> None:
         """Wait until all have said who they are; some may die before they do."""
@@ -217,6 +219,8 @@ class RayPool:
         try:
             answer = ray.get(call, timeout=FETCH_SECONDS)
         except RayError as error:
+            if slot.tasks:  # it had said who it is: such deaths are few
+                self._heard = time.monotonic()
             yield from self._replace(slot, f"{type(error).__name__}: {error}", DEATHS)
             return
         slot.heard = self._heard = time.monotonic()
@@ -234,7 +238,6 @@ class RayPool:
             self._heard = now
             for slot in self._slots:
                 slot.heard = now
-        self._looked = now
         for slot in list(self._slots):
             if slot.tasks and now - slot.heard > slot.patience and _silent(slot.calls):
                 why = f"TimeoutError: no answer in {now - slot.heard:.0f} s"
@@ -245,6 +248,7 @@ class RayPool:
                 f"no worker has answered for {now - self._heard:.0f} s{self._last_loss}; run the "
                 "same command again to go on from what is committed"
             )
+        self._looked = time.monotonic()
 
     def _replace(self, slot: _Slot, why: str, most: int) -> Iterator[Outcome]:
         """Put another worker in the place of one that is lost, and have done again what it had.
@@ -294,9 +298,25 @@ class RayPool:
             }
         self._before = family(os.getpid())
         self._started = True
-        with own_sigterm(), warnings.catch_warnings():
+        with own_sigterm(), _loopback(not self._address), warnings.catch_warnings():
             warnings.simplefilter("ignore", FutureWarning)
             ray.init(**options)
+
+
+@contextlib.contextmanager
+def _loopback(alone: bool) -> Iterator[None]:
+    """Have the servers of a cluster that is this machine alone hear nobody else.
+
+    They do what they are told, whoever says it. Ray has it so where it builds no clusters, on macOS
+    and Windows.
+    """
+    constants, name = ray._private.ray_constants, "ENABLE_RAY_CLUSTER"
+    before = getattr(constants, name, True)
+    setattr(constants, name, before and not alone)
+    try:
+        yield
+    finally:
+        setattr(constants, name, before)
 
 
 @ray.remote(num_cpus=0)  # type: ignore[untyped-decorator]
@@ -348,14 +368,14 @@ def _silent(calls: list[Any]) -> bool:
     return not ray.wait(calls, timeout=0)[0]
 
 
-def _end(actor: Any) -> None:
-    """End a worker, though it may be stopped."""
+def _end(actor: Any) -> threading.Thread:
+    """End a worker, though it may be stopped; whoever is asked to may be stopped too."""
 
     def kill() -> None:
         with contextlib.suppress(RayError, ValueError):
             ray.kill(actor)
 
-    within(STOP_SECONDS, kill)
+    return within(0.0, kill)
 
 
 def _shut_down(servers: Iterable[Process] = ()) -> None:

@@ -1,27 +1,87 @@
-"""One search: ask, evaluate what the store does not hold, commit, tell, until done."""
+"""One search: ask, evaluate what the store does not hold, commit, tell, until done; then its race.
 
+What a search has found runs in a race on draws of another key, whose winner is compared.
+"""
+
+import math
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
 from pfdist.errors import StoreError
-from pfdist.kernels.noise import generator, stream_key
+from pfdist.kernels.noise import generator
 from pfdist.measurement_times import Times
-from pfdist.monte_carlo import Evaluation, Result, Work, cut
-from pfdist.runner.build import Built, NamedSearch
+from pfdist.monte_carlo import (
+    SEARCH,
+    SHORTLIST,
+    Evaluation,
+    Purpose,
+    Result,
+    SearchEvaluation,
+    ShortlistEvaluation,
+    Work,
+    cut,
+)
+from pfdist.runner.build import Built
 from pfdist.runner.collect import Collector
 from pfdist.runner.progress import Progress, Report
+from pfdist.runner.searches import NamedSearch, Settings
+from pfdist.search import Candidate, Exchange, Optimiser, Race
+from pfdist.search.base import FINALISTS
 from pfdist.store import Store, schema
 
 _TABLES = ("evaluations", "draws")
+_UNPOLISHED = 2  # that race all the same
+_REACH = 2.5  # mean gaps: how far an exchange that polishes moves a time
 _EVALUATIONS_AT_ONCE = 200  # read from the store when a phase is published
+
+E = TypeVar("E", bound=Evaluation)
+
+
+@dataclass(frozen=True)
+class _Phase(Generic[E]):
+    """An optimiser at work: what its draws are for, and how it evaluates.
+
+    `evaluated` holds per-draw MSE of this session by id, where a set may be wanted again.
+    """
+
+    name: str
+    optimiser: Optimiser[E]
+    purpose: Purpose[E]
+    settings: Settings
+    built: Built
+    evaluated: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+
+    def steps(self) -> float:
+        """About how many particle-steps it takes."""
+        settings, instants = self.settings, self.built.job.problem.horizon + 1
+        a_draw = settings.estimation.steps_an_instant * instants
+        return self.optimiser.evaluations * settings.draws * a_draw
+
+    def request(self, candidate: Candidate, generation: int) -> "_Request":
+        """What is to be known of a candidate."""
+        times, end, draws = candidate
+        fresh = [] if self.settings.common_noise else [generation, times]
+        stream = self.purpose.stream(self.built.job.seed, self.name, *fresh)
+        last = self.built.job.problem.horizon if end is None else end
+        estimation, draws = self.settings.estimation, draws or self.settings.draws
+        id_ = self.built.source.evaluation_id(times, last, stream, estimation)
+        return _Request(
+            id_, candidate, last, stream, np.full(draws, np.nan), np.ones(draws, np.bool_)
+        )
+
+    def evaluation(self, request: "_Request", exact: float | None = None) -> E:
+        """Give what was asked for."""
+        times, end, _ = request.candidate
+        policy = self.settings.degenerate_policy
+        return self.purpose.evaluation(times, request.mse, policy, exact, end)
 
 
 @dataclass
@@ -29,24 +89,40 @@ class _Request:
     """An evaluation that is wanted, and what is known of it."""
 
     id: str
-    times: Times
+    candidate: Candidate
+    end: int
     stream: int  # of truth and filter: their roles keep them apart
     mse: NDArray[np.float64]
     missing: NDArray[np.bool_]
 
     @property
-    def key(self) -> tuple[Times, int]:
-        return self.times, self.stream
+    def key(self) -> tuple[Times, int, int]:
+        return self.candidate.measurement_times, self.end, self.stream
 
     def learn(self, draws: Any, mse: Any) -> None:
         """Take the MSE of some draws."""
         self.mse[draws], self.missing[draws] = mse, False
 
 
+@dataclass(frozen=True)
+class Winner:
+    """What a search returns: times, and what the search believed of them.
+
+    Parameters
+    ----------
+    measurement_times : tuple of int
+    believed : SearchEvaluation
+        On the draws that chose them.
+    """
+
+    measurement_times: Times
+    believed: SearchEvaluation
+
+
 def run_search(
     built: Built, search: NamedSearch, collector: Collector, progress: Progress, report: Report
-) -> Evaluation:
-    """Run a search to its end, replaying what the store holds.
+) -> dict[str, Winner]:
+    """Run a search to its end and let what it has found race, replaying what the store holds.
 
     Parameters
     ----------
@@ -59,125 +135,188 @@ def run_search(
 
     Returns
     -------
-    Evaluation
-        What the search returns.
+    dict of str to Winner
+        By the name under which it is compared: one, or one for each number of measurements. None
+        where every set that it ended with had a degenerate draw.
 
     Raises
     ------
     TaskError, PoolError, StoreError
         A task failed, no worker answers, or a file cannot be read or written.
     """
-    optimiser, name, store = search.optimiser, search.name, collector.store
+
+    def run(phase: _Phase[E]) -> Sequence[E]:
+        nonlocal progress
+        found = _run(phase, collector, progress, report)
+        progress = replace(progress, done=progress.done + phase.steps())
+        return [one for one in found if np.isfinite(one.cost)]
+
+    found = run(_searching(built, search))
+    if built.numbers:  # nothing is to be decided between
+        return {
+            built.named(search.name, len(one.measurement_times)): Winner(one.measurement_times, one)
+            for one in sorted(found, key=lambda one: len(one.measurement_times))
+        }
+    if found and search.polishing:
+        polished = run(_polishing(built, search, found[0].measurement_times))
+        found = [*polished[: FINALISTS - _UNPOLISHED], *found[:_UNPOLISHED]]
+    believed = {one.measurement_times: one for one in found}
+    best = next(iter(believed), None)
+    if len(believed) > 1:
+        best = run(_racing(built, search, tuple(believed)))[0].measurement_times
+    return {} if best is None else {search.name: Winner(best, believed[best])}
+
+
+def steps(built: Built, search: NamedSearch) -> float:
+    """About how many particle-steps a search takes, with all that follows it."""
+    start = built.job.problem.feasible.regular()
+    phases = [_searching(built, search)]
+    if search.polishing:
+        phases.append(_polishing(built, search, start))
+    return sum(phase.steps() for phase in phases)
+
+
+def _searching(built: Built, search: NamedSearch) -> _Phase[SearchEvaluation]:
+    return _Phase(search.name, search.optimiser, SEARCH, search.settings, built)
+
+
+def _polishing(built: Built, search: NamedSearch, start: Times) -> _Phase[SearchEvaluation]:
+    """Exchanges, on draws of their own: those of the search flatter what it has found."""
+    feasible, settings = built.job.problem.feasible, search.polishing or search.settings
+    reach = math.ceil(_REACH * (feasible.horizon + 1) / len(start))
+    exchange = Exchange(feasible, settings.draws, start, reach)
+    return _Phase(search.polish, exchange, SEARCH, settings, built)
+
+
+def _racing(
+    built: Built, search: NamedSearch, sets: tuple[Times, ...]
+) -> _Phase[ShortlistEvaluation]:
+    race = Race(sets, search.racing.draws)
+    return _Phase(search.shortlist, race, SHORTLIST, search.racing, built)
+
+
+def _run(phase: _Phase[E], collector: Collector, progress: Progress, report: Report) -> Sequence[E]:
+    """Run an optimiser to its end and give its finalists."""
+    optimiser, name, store = phase.optimiser, phase.name, collector.store
     committed = _committed_generations(store, name)
-    draws = built.job.evaluation.draws
     state, generation = optimiser.init(), 0
+    share, start = phase.steps() / max(1, optimiser.generations), progress.done
     progress = replace(progress, phase=name, generation=1, generations=optimiser.generations)
     report(progress)
     while not optimiser.done(state):
-        rng = generator(built.job.seed, "search", name, generation)
-        population = [tuple(row) for row in optimiser.ask(state, rng).tolist()]
-        copies = Counter(population)
-        requests = [_request(built, name, generation, times) for times in copies]
-        evaluations: dict[Times, Evaluation] = {}
-        for evaluation in _evaluate(built, name, requests, collector):
-            evaluations[evaluation.measurement_times] = evaluation
-            count = copies[evaluation.measurement_times]
+        rng = generator(phase.built.job.seed, "search", name, generation)
+        asked = list(optimiser.ask(state, rng))
+        copies = Counter(asked)
+        requests = [phase.request(candidate, generation) for candidate in copies]
+        evaluations: dict[Candidate, E] = {}
+        for candidate, evaluation in _evaluate(phase, requests, collector):
+            evaluations[candidate] = evaluation
             if progress.mean is None:  # nothing better to show yet
                 costs = _finite_costs(evaluations.values())
                 progress = replace(progress, best=min(costs, default=None))
+            part = min(generation + len(evaluations) / len(copies), optimiser.generations)
             progress = replace(
                 progress,
-                done=progress.done + count * draws,
-                evaluations=progress.evaluations + count,
+                done=start + share * part,
+                evaluations=progress.evaluations + copies[candidate],
                 generation=generation + 1,
+                generations=max(generation + 1, optimiser.generations),
             )
             report(progress)
         if generation not in committed:
-            rows = partial(_rows, name, generation, population, requests, evaluations)
+            rows = partial(_rows, name, generation, asked, requests, evaluations)
             collector.later(partial(_commit, store, name, generation, rows))
-        told = [evaluations[times] for times in population]
+        told = [evaluations[candidate] for candidate in asked]
         state, generation = optimiser.tell(state, told), generation + 1
-        costs = _finite_costs(told)
+        costs, finalists = _finite_costs(told), optimiser.finalists(state)
         if costs:
-            best = optimiser.best(state).cost
+            best = finalists[0].cost if finalists else None
             progress = replace(progress, best=best, mean=float(np.mean(costs)))
     collector.later(partial(_publish, store, name))
-    return optimiser.best(state)
+    return optimiser.finalists(state)
 
 
 def _finite_costs(evaluations: Iterable[Evaluation]) -> list[float]:
     return [evaluation.cost for evaluation in evaluations if np.isfinite(evaluation.cost)]
 
 
-def _request(built: Built, name: str, generation: int, times: Times) -> _Request:
-    fresh = [generation, times] if built.job.evaluation.noise == "fresh" else []
-    stream, draws = stream_key(built.job.seed, "search", name, *fresh), built.job.evaluation.draws
-    id_ = built.source.evaluation_id(times, stream, stream)
-    return _Request(id_, times, stream, np.full(draws, np.nan), np.ones(draws, np.bool_))
-
-
 def _evaluate(
-    built: Built, phase: str, requests: list[_Request], collector: Collector
-) -> Iterator[Evaluation]:
+    phase: _Phase[E], requests: list[_Request], collector: Collector
+) -> Iterator[tuple[Candidate, E]]:
     """Evaluate what was asked for, each once, taking from the store what it holds."""
-    policy = built.job.evaluation.degenerate_draws
-    if built.problem.exact:  # in no time, so that neither pool nor store is asked
-        costs = built.problem.expected_mse([request.times for request in requests])
+    problem = phase.built.problem
+    if problem.exact:  # in no time, so that neither pool nor store is asked
+        sets = [request.candidate.measurement_times for request in requests]
+        costs = problem.expected_mse(sets, [request.end for request in requests])
         for request, cost in zip(requests, costs, strict=True):
-            yield Evaluation(request.times, np.empty(0), policy, float(cost))
+            request.mse = np.empty(0)
+            yield request.candidate, phase.evaluation(request, float(cost))
         return
-    _recall(built, requests, collector)
+    _recall(phase, requests, collector)
     wanted = {request.key: request for request in requests if request.missing.any()}
     for request in requests:
         if request.key not in wanted:
-            yield Evaluation(request.times, request.mse, policy)
+            yield request.candidate, phase.evaluation(request)
 
     def rows_of(work: Work, result: Result) -> pa.Table:
-        ids = [wanted[key].id for key in _keys(work)]
-        return pa.concat_tables(map(partial(_draw_rows, work.draws), ids, result.mse.T))
+        return _draw_rows([wanted[key].id for key in _keys(work)], work.draws, result.mse)
 
-    works = _works(list(wanted.values()))
-    run = collector.run(phase, "draws", works, rows_of, more_follows=True)
+    works = _works(list(wanted.values()), phase.settings)
+    run = collector.run(phase.name, "draws", works, rows_of, more_follows=True)
     with closing(run) as pieces:
         for work, result in pieces:
             for key, mse in zip(_keys(work), result.mse.T, strict=True):
                 request = wanted[key]
                 request.learn(slice(*work.draws), mse)
                 if not request.missing.any():
-                    yield Evaluation(request.times, request.mse, policy)
+                    yield request.candidate, phase.evaluation(request)
 
 
-def _recall(built: Built, requests: list[_Request], collector: Collector) -> None:
-    """Learn what the store holds."""
-    if built.job.evaluation.noise == "common":  # what is wanted may be what waits to be committed
-        collector.flush()
-    of_id, draws = {request.id: request for request in requests}, built.job.evaluation.draws
-    known = collector.store.per_draw(list(of_id)).to_pandas()
-    for id_, rows in known[known["draw"] < draws].groupby("evaluation"):
-        of_id[str(id_)].learn(rows["draw"], rows["mse"])
+def _recall(phase: _Phase[E], requests: list[_Request], collector: Collector) -> None:
+    """Learn what was evaluated before: in this session, or in one whose rows the store holds."""
+    of_id = {request.id: request for request in requests}
+    for id_ in of_id.keys() & phase.evaluated.keys():
+        known = phase.evaluated[id_][: of_id[id_].mse.size]
+        of_id[id_].learn(slice(known.size), known)
+    strange = [id_ for id_ in of_id if id_ not in phase.evaluated]
+    if collector.resumed and strange:
+        for id_, rows in collector.store.per_draw(strange).to_pandas().groupby("evaluation"):
+            request = of_id[str(id_)]
+            wanted = rows[rows["draw"] < request.mse.size]
+            request.learn(wanted["draw"], wanted["mse"])
+    if phase.settings.common_noise:  # or nothing is wanted twice
+        for id_, request in of_id.items():
+            if id_ not in phase.evaluated or phase.evaluated[id_].size < request.mse.size:
+                phase.evaluated[id_] = request.mse
 
 
-def _works(requests: list[_Request]) -> Iterator[Work]:
+def _works(requests: list[_Request], settings: Settings) -> Iterator[Work]:
     """Put together sets that lack the same draws of one stream: what they share is done once."""
     together: dict[Any, list[_Request]] = defaultdict(list)
     for request in requests:
         together[request.stream, request.missing.tobytes()].append(request)
     for (stream, _), group in together.items():
-        times, streams = tuple(request.times for request in group), (stream,) * len(group)
         lacking = group[0].missing
         for draws in cut(np.flatnonzero(lacking), lacking.size):
-            yield Work(times, streams, stream, draws)
+            yield Work(
+                measurement_times=tuple(request.candidate.measurement_times for request in group),
+                ends=tuple(request.end for request in group),
+                filter_streams=(stream,) * len(group),
+                draws_stream=stream,
+                draws=draws,
+                estimation=settings.estimation,
+            )
 
 
-def _keys(work: Work) -> list[tuple[Times, int]]:
-    return list(zip(work.measurement_times, work.filter_streams, strict=True))
+def _keys(work: Work) -> list[tuple[Times, int, int]]:
+    return list(zip(work.measurement_times, work.ends, work.filter_streams, strict=True))
 
 
-def _draw_rows(draws: tuple[int, int], id_: str, mse: NDArray[np.float64]) -> pa.Table:
+def _draw_rows(ids: list[str], draws: tuple[int, int], mse: NDArray[np.float64]) -> pa.Table:
     columns = [
-        pa.array([id_] * mse.size, pa.string()),
-        pa.array(np.arange(*draws)),
-        pa.array(mse, from_pandas=True),
+        pa.array(np.repeat(ids, len(mse)), pa.string()),
+        pa.array(np.tile(np.arange(*draws), len(ids))),
+        pa.array(mse.T.ravel(), from_pandas=True),
     ]
     return pa.Table.from_arrays(columns, schema=schema("draws"))
 
@@ -185,23 +324,24 @@ def _draw_rows(draws: tuple[int, int], id_: str, mse: NDArray[np.float64]) -> pa
 def _rows(
     phase: str,
     generation: int,
-    population: list[Times],
+    asked: list[Candidate],
     requests: list[_Request],
-    evaluations: dict[Times, Evaluation],
+    evaluations: dict[Candidate, Any],
 ) -> pa.Table:
-    copies = Counter(population)
+    copies = Counter(asked)
     rows = [
         {
             "evaluation": request.id,
             "phase": phase,
             "generation": generation,
-            "individual": population.index(request.times),
-            "copies": copies[request.times],
-            "measurement_times": request.times,
-            "expected_mse": evaluations[request.times].expected_mse,
-            "standard_error": evaluations[request.times].standard_error,
-            "draws": evaluations[request.times].draws,
-            "degenerate_draws": evaluations[request.times].degenerate_draws,
+            "individual": asked.index(request.candidate),
+            "copies": copies[request.candidate],
+            "measurement_times": request.candidate.measurement_times,
+            "end": request.end,
+            "expected_mse": evaluations[request.candidate].expected_mse,
+            "standard_error": evaluations[request.candidate].standard_error,
+            "draws": evaluations[request.candidate].draws,
+            "degenerate_draws": evaluations[request.candidate].degenerate_draws,
         }
         for request in requests
     ]
@@ -230,7 +370,8 @@ def _publish(store: Store, phase: str) -> None:
         return
     rows = store.read("evaluations")
     rows = rows[rows["phase"] == phase]
-    wanted = dict(zip(rows["evaluation"], rows["draws"], strict=True))
+    most = rows.groupby("evaluation", sort=False)["draws"].max()
+    wanted = {str(id_): int(draws) for id_, draws in most.items()}
     store.publish("draws", phase, _draws_of(store, wanted))
     table = pa.Table.from_pandas(rows, schema=schema("evaluations"), preserve_index=False)
     store.publish("evaluations", phase, [table])

@@ -4,8 +4,31 @@ Here only NumPy: an optimiser never evaluates anything and keeps no generator; i
 explicit and its choices come from the generator it is handed.
 """
 
-from pfdist.search.base import Optimiser
+from pfdist.search.annealing import Annealing
+from pfdist.search.base import Candidate, Optimiser, SearchOptimiser
+from pfdist.search.budgets import Budgets
+from pfdist.search.cross_entropy import CrossEntropy
+from pfdist.search.exchange import Exchange
+from pfdist.search.exhaustive import Exhaustive
 from pfdist.search.genetic import GeneticAlgorithm
+from pfdist.search.greedy import GreedyBackward, GreedyForward
+from pfdist.search.race import Race
 from pfdist.search.random_trials import RandomTrials
+from pfdist.search.survivors import Survivors
 
-__all__ = ["GeneticAlgorithm", "Optimiser", "RandomTrials"]
+__all__ = [
+    "Annealing",
+    "Budgets",
+    "Candidate",
+    "CrossEntropy",
+    "Exchange",
+    "Exhaustive",
+    "GeneticAlgorithm",
+    "GreedyBackward",
+    "GreedyForward",
+    "Optimiser",
+    "Race",
+    "RandomTrials",
+    "SearchOptimiser",
+    "Survivors",
+]

@@ -1,15 +1,45 @@
 """The contract of a search."""
 
-from collections.abc import Sequence
-from typing import Any, Protocol
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pfdist.monte_carlo import Evaluation
+from pfdist.measurement_times import Times
+from pfdist.monte_carlo import Evaluation, SearchEvaluation
 
 
-class Optimiser(Protocol):
+class Candidate(NamedTuple):
+    """What a search wants to know the cost of.
+
+    Parameters
+    ----------
+    measurement_times : tuple of int
+        Sorted.
+    end : int, optional
+        Last instant whose errors count, if it is not T.
+    draws : int, optional
+        On so many of the first draws, if not on as many as an evaluation has.
+    """
+
+    measurement_times: Times
+    end: int | None = None
+    draws: int | None = None
+
+
+FINALISTS = 8
+"""At most so many sets of a search are tried on fresh draws."""
+
+E = TypeVar("E", bound=Evaluation)
+
+
+def best_of(evaluations: Iterable[E]) -> tuple[E, ...]:
+    """Give the best different sets, the best first, as many as are tried on fresh draws."""
+    each = {one.measurement_times: one for one in evaluations}
+    return tuple(sorted(each.values(), key=lambda one: one.cost)[:FINALISTS])
+
+
+class Optimiser(Protocol[E]):
     """A search as a pure function: it asks for evaluations and is told their outcome.
 
     An optimiser is frozen; whatever changes is in the state, which the caller keeps. The same
@@ -18,23 +48,26 @@ class Optimiser(Protocol):
 
     @property
     def generations(self) -> int:
-        """How often it will ask."""
+        """About how often it will ask."""
 
     @property
-    def evaluations(self) -> int:
-        """How many sets of times it will ask for, copies counted."""
+    def evaluations(self) -> float:
+        """About how many whole evaluations its work amounts to."""
 
     def init(self) -> Any:
         """Give the state before the first asking."""
 
-    def ask(self, state: Any, rng: np.random.Generator) -> NDArray[np.int64]:
-        """Give the sets of measurement times to evaluate, (P, N), each row sorted."""
+    def ask(self, state: Any, rng: np.random.Generator) -> Sequence[Candidate]:
+        """Give what is to be evaluated."""
 
-    def tell(self, state: Any, evaluations: Sequence[Evaluation]) -> Any:
-        """Give the state after the P sets last asked for were evaluated, in their order."""
+    def tell(self, state: Any, evaluations: Sequence[E]) -> Any:
+        """Give the state after what was last asked for is evaluated, in its order."""
 
     def done(self, state: Any) -> bool:
         """Whether the search has ended."""
 
-    def best(self, state: Any) -> Evaluation:
-        """Give the evaluation of the set that the search returns."""
+    def finalists(self, state: Any) -> Sequence[E]:
+        """Give what the search has found, the best first: fresh draws decide between them."""
+
+
+SearchOptimiser = Optimiser[SearchEvaluation]

@@ -11,6 +11,8 @@ It does as the paper says. The authors' MATLAB departs from it in ways that are 
 4. it evaluates one population more than generations; here as many as generations, the first of
    them random.
 
+Where measurement times are constrained, a child that breaks a constraint is repaired.
+
 References
 ----------
 Mitchell, "An introduction to genetic algorithms", 1998 (stochastic universal sampling, sigma
@@ -24,8 +26,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.measurement_times import random
-from pfdist.monte_carlo import Evaluation
+from pfdist.feasible import Feasible
+from pfdist.monte_carlo import SearchEvaluation
+from pfdist.search.base import Candidate
 
 
 @dataclass(frozen=True)
@@ -35,24 +38,21 @@ class GeneticState:
     Parameters
     ----------
     evaluated_generations : int
-    evaluations : tuple of Evaluation
+    evaluations : tuple of SearchEvaluation
         One an individual, copies repeated.
     """
 
     evaluated_generations: int = 0
-    evaluations: tuple[Evaluation, ...] = ()
+    evaluations: tuple[SearchEvaluation, ...] = ()
 
 
 @dataclass(frozen=True)
 class GeneticAlgorithm:
-    """Genetic algorithm on sets of a fixed number of measurement times.
+    """Genetic algorithm on sets of measurement times.
 
     Parameters
     ----------
-    horizon : int
-        T.
-    measurement_budget : int
-        N.
+    feasible : Feasible
     population : int
         Even.
     generations : int
@@ -66,8 +66,7 @@ class GeneticAlgorithm:
         offspring. The paper's sigma coefficient, 1.
     """
 
-    horizon: int
-    measurement_budget: int
+    feasible: Feasible
     population: int
     generations: int
     crossover_probability: float
@@ -83,14 +82,14 @@ class GeneticAlgorithm:
         """Give the state before the first asking."""
         return GeneticState()
 
-    def ask(self, state: GeneticState, rng: np.random.Generator) -> NDArray[np.int64]:
+    def ask(self, state: GeneticState, rng: np.random.Generator) -> list[Candidate]:
         """Give the next population: select, cross over, mutate; the first is random.
 
         If every individual was killed there are no parents, and the next population is random.
         """
         costs = np.array([evaluation.cost for evaluation in state.evaluations])
         if not np.isfinite(costs).any():
-            return random(self.horizon, self.measurement_budget, self.population, rng)
+            return [Candidate(times) for times in self.feasible.random(self.population, rng)]
         offspring = expected_offspring(costs, self.sigma_scaling)
         parents = rng.permutation(stochastic_universal_sampling(offspring, self.population, rng))
         population = [state.evaluations[parent].measurement_times for parent in parents]
@@ -100,9 +99,10 @@ class GeneticAlgorithm:
                 children.extend(count_preserving_crossover(set(a), set(b), rng))
             else:
                 children.extend([set(a), set(b)])
-        return np.array([sorted(self._mutate(child, rng)) for child in children], dtype=np.int64)
+        mutated = [self._mutate(child, rng) for child in children]
+        return [Candidate(self.feasible.repair(child, rng)) for child in mutated]
 
-    def tell(self, state: GeneticState, evaluations: Sequence[Evaluation]) -> GeneticState:
+    def tell(self, state: GeneticState, evaluations: Sequence[SearchEvaluation]) -> GeneticState:
         """Take the evaluated population in the place of the last."""
         return GeneticState(state.evaluated_generations + 1, tuple(evaluations))
 
@@ -110,15 +110,15 @@ class GeneticAlgorithm:
         """Whether all generations were evaluated."""
         return state.evaluated_generations >= self.generations
 
-    def best(self, state: GeneticState) -> Evaluation:
+    def finalists(self, state: GeneticState) -> list[SearchEvaluation]:
         """Give the best individual of the last generation, as evaluated there."""
-        return min(state.evaluations, key=lambda evaluation: evaluation.cost)
+        return sorted(state.evaluations, key=lambda evaluation: evaluation.cost)[:1]
 
     def _mutate(self, individual: set[int], rng: np.random.Generator) -> set[int]:
         """Replace each gene, with the mutation probability, by a time that is not in the set."""
         genes = np.array(sorted(individual))
         for gene in genes[rng.random(genes.size) < self.mutation_probability]:
-            absent = sorted(set(range(self.horizon + 1)) - individual)
+            absent = sorted(set(self.feasible.allowed) - individual)
             if absent:
                 individual = (individual - {int(gene)}) | {int(rng.choice(absent))}
         return individual
@@ -178,18 +178,18 @@ def count_preserving_crossover(
     Parameters
     ----------
     a, b : set of int
-        Of the same size.
     rng : numpy.random.Generator
 
     Returns
     -------
     tuple of two sets of int
-        Of the parents' size.
+        Each of its parent's size.
     """
     only_a, only_b = sorted(a - b), sorted(b - a)
-    if not only_a:
+    most = min(len(only_a), len(only_b))
+    if not most:
         return set(a), set(b)
-    swaps = int(rng.integers(1, len(only_a), endpoint=True))
+    swaps = int(rng.integers(1, most, endpoint=True))
     from_a = {int(time) for time in rng.permutation(only_a)[:swaps]}
     from_b = {int(time) for time in rng.permutation(only_b)[:swaps]}
     return (a - from_a) | from_b, (b - from_b) | from_a

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pfdist.measurement_times import random
-from pfdist.monte_carlo import Evaluation
+from pfdist.feasible import Feasible
+from pfdist.monte_carlo import SearchEvaluation
+from pfdist.search.base import Candidate
 
 _BATCH = 250  # asked for at once: enough to fill the cores, few enough to keep memory flat
 
@@ -17,7 +17,7 @@ class RandomState:
     """What random trials know so far: how many were evaluated, and the best of them."""
 
     evaluated: int = 0
-    best: Evaluation | None = None
+    best: SearchEvaluation | None = None
 
 
 @dataclass(frozen=True)
@@ -26,14 +26,12 @@ class RandomTrials:
 
     Parameters
     ----------
-    horizon : int
-    measurement_budget : int
+    feasible : Feasible
     evaluations : int
         How many sets are tried.
     """
 
-    horizon: int
-    measurement_budget: int
+    feasible: Feasible
     evaluations: int
 
     @property
@@ -45,12 +43,12 @@ class RandomTrials:
         """Give the state before the first asking."""
         return RandomState()
 
-    def ask(self, state: RandomState, rng: np.random.Generator) -> NDArray[np.int64]:
+    def ask(self, state: RandomState, rng: np.random.Generator) -> list[Candidate]:
         """Give the next sets of measurement times."""
         sets = min(_BATCH, self.evaluations - state.evaluated)
-        return random(self.horizon, self.measurement_budget, sets, rng)
+        return [Candidate(times) for times in self.feasible.random(sets, rng)]
 
-    def tell(self, state: RandomState, evaluations: Sequence[Evaluation]) -> RandomState:
+    def tell(self, state: RandomState, evaluations: Sequence[SearchEvaluation]) -> RandomState:
         """Count the evaluations and keep the best."""
         known = [] if state.best is None else [state.best]
         best = min([*known, *evaluations], key=lambda evaluation: evaluation.cost)
@@ -60,8 +58,6 @@ class RandomTrials:
         """Whether all trials were made."""
         return state.evaluated >= self.evaluations
 
-    def best(self, state: RandomState) -> Evaluation:
+    def finalists(self, state: RandomState) -> list[SearchEvaluation]:
         """Give the best of all trials."""
-        if state.best is None:
-            raise ValueError("nothing was evaluated yet")
-        return state.best
+        return [] if state.best is None else [state.best]

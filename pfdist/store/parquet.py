@@ -12,6 +12,7 @@ A reader sees both as one. A phase may be published again and again with the sam
 process may die at any instant of it.
 """
 
+import time
 from collections import defaultdict
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from functools import cached_property, partial
@@ -32,7 +33,7 @@ from pfdist.store.schema import KEYS, SCHEMA_VERSION, schema
 
 ROWS_IN_A_FILE = {"draws": 1_000_000, "comparison": 50_000}
 _MANY = 1_000_000_000  # rows of the other tables: one file a phase
-_ATTEMPTS = 5
+_ATTEMPTS, _PAUSE_SECONDS = 50, 0.02  # another driver may be publishing what is read
 Found = TypeVar("Found")
 
 
@@ -246,6 +247,7 @@ class Store:
                 return look()
             except FileNotFoundError:
                 self.__dict__.pop("_files_of_evaluation", None)  # what it knew has moved
+                time.sleep(_PAUSE_SECONDS)
         raise StoreError(f"the run {self.path} changes faster than it can be read: try again")
 
     @cached_property

@@ -17,6 +17,7 @@ KEYS: dict[str, list[str]] = {
     "draws": ["evaluation", "draw"],
     "compared": ["position"],
     "comparison": ["draw"],
+    "repeated": ["draw"],
     "trajectories": ["draw", "t"],
     "timings": ["phase", "task", "session", "seconds"],
 }
@@ -45,6 +46,7 @@ _SCHEMAS = {
         _column("individual", pa.int32(), "", "index of the first copy in its population"),
         _column("copies", pa.int32(), "", "how many of the population are this set"),
         _TIMES,
+        _column("end", pa.int16(), "t", "last instant whose errors count, over T + 1"),
         _column("expected_mse", pa.float64(), _MSE, "inf: killed for a degenerate draw"),
         _column("standard_error", pa.float64(), _MSE, "of expected_mse"),
         _column("draws", pa.int32(), "", "draws filtered"),
@@ -61,6 +63,10 @@ _SCHEMAS = {
         _TIMES,
         _column("search_cost", pa.float64(), _MSE, "what the search believed; null: reference"),
         _column("search_standard_error", pa.float64(), _MSE, "of search_cost"),
+    ],
+    "repeated": [
+        _column("draw", pa.int64(), "", "index of the draw, as in comparison"),
+        _column("mse", pa.float64(), _MSE, "of the reference under other noise; null: degenerate"),
     ],
     "timings": [
         _column("phase", pa.string(), "", "a search's name, or comparison"),

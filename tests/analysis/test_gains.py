@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pfdist.analysis import BIN, EDGES, Comparison, Gain, relative_gain, summarise_gain
-from pfdist.analysis.gains import QUANTILES, Moments
+from pfdist.analysis import BIN, EDGES, Comparison, Gain, Moments, relative_gain, summarise_gain
+from pfdist.analysis.gains import QUANTILES, gain_over_itself
 
 Array = np.ndarray
 
@@ -49,16 +49,81 @@ def test_the_interval_of_the_mean_covers_as_often_as_it_says() -> None:
     assert abs(covered / runs - 0.95) < 4 * np.sqrt(0.95 * 0.05 / runs)
 
 
+def test_the_gain_of_means_interval_ends_where_a_paired_test_says_so() -> None:
+    # Fieller, 1954: the ratios r for which the mean of mse - r reference may be 0.
+    rng = np.random.default_rng(1)
+    reference = rng.lognormal(3, 1, 40)
+    mse = reference * rng.lognormal(-0.3, 0.4, 40)
+    for gain in summarise_gain(mse, reference).gain_of_means_interval:
+        assert stats.ttest_1samp(mse - (1 - gain) * reference, 0.0).pvalue == pytest.approx(0.05)
+
+
+def test_the_gain_of_means_interval_covers_as_often_as_it_says() -> None:
+    rng, runs, covered = np.random.default_rng(2), 1000, 0
+    covariance = [[4.0, 2.0], [2.0, 9.0]]  # the mean of 30 references errs by a quarter
+    for _ in range(runs):
+        mse, reference = rng.multivariate_normal([1.6, 2.0], covariance, 30).T
+        low, high = summarise_gain(mse, reference).gain_of_means_interval
+        covered += low < 0.2 < high
+    assert abs(covered / runs - 0.95) < 4 * np.sqrt(0.95 * 0.05 / runs)
+
+
+def test_a_reference_that_may_be_0_bounds_no_gain_of_means() -> None:
+    mse, reference = np.array([1.0, 2.0, 3.0]), np.array([-1.0, 0.1, 1.0])
+    assert summarise_gain(mse, reference).gain_of_means_interval == (-np.inf, np.inf)
+
+
+def test_a_set_gains_nothing_over_the_very_same() -> None:
+    mse = np.random.default_rng(1).lognormal(3, 1, 100)
+    summary = summarise_gain(mse, mse)
+    assert summary.gain_of_means_interval == pytest.approx((0.0, 0.0), abs=1e-12)
+    assert summary.mean_log10_ratio_interval == (0.0, 0.0)
+
+
+def test_the_log_ratio_of_a_lognormal_is_its_mean_and_changes_sign_with_the_two() -> None:
+    rng = np.random.default_rng(3)
+    reference = rng.lognormal(3, 1, 5000)
+    mse = reference * 10 ** rng.normal(-0.15, 0.2, 5000)
+    there, back = summarise_gain(mse, reference), summarise_gain(reference, mse)
+    assert abs(there.mean_log10_ratio + 0.15) < 4 * 0.2 / np.sqrt(5000)
+    low, high = there.mean_log10_ratio_interval
+    half = stats.t.ppf(0.975, 4999) * 0.2 / np.sqrt(5000)
+    assert (high - low) / 2 == pytest.approx(half, rel=4 / np.sqrt(2 * 5000))
+    assert back.mean_log10_ratio == pytest.approx(-there.mean_log10_ratio)
+    assert back.mean_log10_ratio_interval == pytest.approx((-high, -low))
+
+
+def test_noise_gives_a_set_a_negative_gain_over_itself() -> None:
+    # E[1 - a/b] = 1 - exp(sd^2) where log a and log b err independently by sd
+    rng, sd = np.random.default_rng(4), 0.05
+    truth = rng.lognormal(3, 0.4, 5000)
+    mse, again = (truth * np.exp(rng.normal(0, sd, 5000)) for _ in range(2))
+    mse[7], again[8] = np.nan, np.nan
+    found = gain_over_itself(mse, again)
+    assert found.count == 4998
+    assert abs(found.mean - (1 - np.exp(sd**2))) < 4 * found.standard_error
+    one_way = summarise_gain(mse, again).mean_relative_gain_interval
+    low, high = found.interval
+    assert high - low < (one_way[1] - one_way[0]) / 10
+    assert high < 0
+
+
 def test_no_draws_give_no_figures() -> None:
     summary = summarise_gain(np.array([np.nan]), np.array([1.0]))
     assert summary.draws == 0
     assert np.isnan(summary.mean_relative_gain)
+    assert np.isnan(summary.gain_of_means_interval).all()
+    one = summarise_gain(np.array([1.0]), np.array([2.0]))
+    assert (one.draws, one.gain_of_means, one.mean_log10_ratio) == (1, 0.5, np.log10(0.5))
+    assert np.isnan([*one.gain_of_means_interval, *one.mean_log10_ratio_interval]).all()
 
 
 def test_an_infinite_error_makes_the_mean_infinite_and_the_fraction_count_it() -> None:
     summary = summarise_gain(np.array([1.0, np.inf]), np.array([2.0, 2.0]))
     assert summary.mean_relative_gain == summary.gain_of_means == -np.inf
     assert summary.positive_fraction == 0.5
+    assert summary.mean_log10_ratio == np.inf
+    assert np.isnan([*summary.gain_of_means_interval, *summary.mean_log10_ratio_interval]).all()
 
 
 def _blocks(values: Array, size: int) -> list[Array]:
@@ -89,8 +154,21 @@ def test_blocks_give_what_numpy_and_scipy_give_on_the_whole(
     known, close = accumulated.summary(), {"rtol": 1e-12, "atol": 1e-12}
     np.testing.assert_allclose(known.mean_relative_gain, gain.mean(), **close)
     np.testing.assert_allclose(accumulated.relative.standard_error, stats.sem(gain), **close)
-    np.testing.assert_allclose(accumulated.mse.standard_error, stats.sem(mse), **close)
+    np.testing.assert_allclose(accumulated.errors.x.standard_error, stats.sem(mse), **close)
     np.testing.assert_allclose(known.gain_of_means, 1 - mse.mean() / reference.mean(), **close)
+    at_once = summarise_gain(mse, reference)
+    np.testing.assert_allclose(
+        known.gain_of_means_interval, at_once.gain_of_means_interval, rtol=1e-9, atol=1e-9
+    )
+    covariance = accumulated.errors.products / (count - 1)
+    scale = np.std(mse) * np.std(reference)
+    assert abs(covariance - np.cov(mse, reference)[0, 1]) <= 1e-12 * scale
+    if (gain < 1).all():  # else an error is 0
+        ratios = np.log10(mse / reference)
+        np.testing.assert_allclose(known.mean_log10_ratio, ratios.mean(), **close)
+        np.testing.assert_allclose(
+            accumulated.log10_ratio.standard_error, stats.sem(ratios), **close
+        )
     if gain.std():
         whole = stats.ttest_1samp(gain, 0.0).confidence_interval(0.95)
         np.testing.assert_allclose(known.mean_relative_gain_interval, whole, rtol=1e-9, atol=1e-12)

@@ -164,8 +164,8 @@ def test_a_ray_worker_that_is_lost_is_replaced_and_its_tasks_are_done(
     record_property("faults", f"{DIES if fault == KILL else HANGS}: 1")
 
 
-@pytest.mark.fault
-@pytest.mark.parametrize("fault", [KILL, pytest.param(STOP, marks=pytest.mark.crash)])
+@pytest.mark.crash
+@pytest.mark.parametrize("fault", [KILL, STOP])
 def test_a_task_that_costs_every_worker_is_given_up_with_an_error(
     fault: str, impatient: None, tmp_path: Path, record_property: Record
 ) -> None:
@@ -203,6 +203,35 @@ def test_when_no_worker_answers_the_pool_says_so_and_nothing_hangs(
     stopped = [int(file.name) for file in tmp_path.iterdir()]
     _until(lambda: all(map(_gone, stopped)))
     record_property("faults", f"{HANGS}: {len(stopped)}")
+
+
+@pytest.mark.crash
+def test_nobody_listens_to_an_answer_that_comes_too_late(
+    impatient: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, record_property: Record
+) -> None:
+    from pfdist.runner import ray_pool
+
+    end, kept = ray_pool._end, []
+
+    def keep(actor: Any) -> threading.Thread:
+        kept.append(actor)
+        return threading.Timer(0.0, int)
+
+    late = tmp_path / "late"
+    fault = _faulty(f"time.sleep(6); pathlib.Path({str(late)!r}).touch()", times=1)
+    monkeypatch.setattr(ray_pool, "_end", keep)
+    outcomes, seen_late = [], 0
+    (tmp_path / "folder").mkdir()
+    with ray_pool.RayPool(_made(fault.replace("return", "time.sleep(0.5); return")), 1) as pool:
+        for outcome in pool.run(_tasks_in(tmp_path / "folder", 20)):
+            outcomes.append(outcome.value)
+            seen_late += late.exists()
+        (lost, *_) = kept
+        monkeypatch.setattr(ray_pool, "_end", end)
+        end(lost).join()
+    assert sorted(outcomes) == list(range(20))
+    assert seen_late > 3  # it had answered long before the end
+    record_property("faults", f"{HANGS}: 1")
 
 
 @pytest.mark.crash

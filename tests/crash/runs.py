@@ -13,6 +13,13 @@ from oracles.bytes_of import hashes
 from pfdist.runner.processes import Process, end, family
 
 PATIENCE_SECONDS = 180.0
+# As a terminal starts it: a shell's background jobs, as CI may be, have SIGINT ignored.
+PROGRAM = """
+import signal, sys
+from pfdist.cli import main
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sys.exit(main(sys.argv[1:]))
+"""
 GONE_SECONDS = 10.0  # after which nothing of a program that has ended may live
 
 
@@ -23,7 +30,7 @@ class Running:
     """
 
     def __init__(self, job: Path, run: Path, *options: str, **environment: str) -> None:
-        command = [sys.executable, "-m", "pfdist", "run", job, "--results", run, *options]
+        command = [sys.executable, "-c", PROGRAM, "run", job, "--results", run, *options]
         self.run, self._errors = run, run.with_name(f"{run.name}.stderr")
         with self._errors.open("ab") as errors:
             self.process = subprocess.Popen(

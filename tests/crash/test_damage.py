@@ -13,7 +13,7 @@ import pytest
 
 import pfdist
 from oracles.bytes_of import hashes
-from oracles.counted import committed_draws, count_draws
+from oracles.counted import A_DRAW, committed_draws, count_draws
 from oracles.file_layer import Ended, FileLayer
 from pfdist import Job, load_job
 from pfdist.cli import main
@@ -33,13 +33,16 @@ CHANGES = [
 ]
 STATES = ["finished", "comparing", "searching"]
 
+Record = Callable[[str, object], None]
+
 
 @pytest.fixture(scope="module", autouse=True)
 def _small_files() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(collect, "COMMIT_SECONDS", 0.0)
-        patch.setattr(Pace, "size", lambda pace, remaining: 90)
+        patch.setattr(Pace, "size", lambda pace, remaining: 90 * A_DRAW)
         patch.setattr(comparison_phase, "TRAJECTORIES", 20)
+        patch.setattr(comparison_phase, "REPEATED", 10)
         patch.setitem(parquet.ROWS_IN_A_FILE, "comparison", 50)
         patch.setitem(parquet.ROWS_IN_A_FILE, "draws", 100)
         patch.setattr("pfdist.runner.run.draw_figures", lambda run: [])
@@ -95,6 +98,14 @@ def _named(run: Path) -> list[Path]:
     return [damage.path for damage in verify_run(run)]
 
 
+def _alone(run: Path, file: Path, folder: Path) -> Path:
+    """One file of a run, and what its manifest says of it: what is looked at 40,000 times."""
+    (folder / file).parent.mkdir(parents=True)
+    shutil.copy(run / file, folder / file)
+    shutil.copytree(run / "manifest" / file, folder / "manifest" / file)
+    return folder
+
+
 def _committed_without(file: Path) -> int:
     """How many draws a run holds if this file of it is not counted."""
     run = next(folder for folder in file.parents if (folder / "manifest").exists())
@@ -112,25 +123,31 @@ def _run_again(job: Job, run: Path) -> list[str]:
 
 
 @pytest.mark.parametrize("step", [50, pytest.param(1, marks=pytest.mark.crash)])
-def test_a_file_cut_short_at_any_byte_is_named(
+def test_a_file_cut_short_at_any_byte_is_named_and_made_again(
     step: int,
+    job: Job,
     runs: dict[str, Path],
     tmp_path: Path,
-    record_property: Callable[[str, object], None],
+    record_property: Record,
 ) -> None:
     run, faults = shutil.copytree(runs["finished"], tmp_path / "run"), 0
     assert _named(run) == []
     tables = sorted((run / "tables").iterdir())
-    assert len(tables) == 6
+    assert len(tables) == 7
     for table in tables:
         last = max(table.iterdir())
-        whole = last.read_bytes()
+        file, whole = last.relative_to(run), last.read_bytes()
+        alone = _alone(run, file, tmp_path / table.name)
         for size in range(0, len(whole), step):
-            last.write_bytes(whole[:size])
-            assert _named(run) == [last.relative_to(run)], size
+            (alone / file).write_bytes(whole[:size])
+            assert _named(alone) == [file], size
             faults += 1
-        last.write_bytes(whole)
+        last.write_bytes((alone / file).read_bytes())
+        assert _named(run) == [file]
+        _run_again(job, run)
+        assert table.name == "timings" or last.read_bytes() == whole
     assert _named(run) == []
+    assert hashes(run) == hashes(runs["finished"])
     record_property("faults", f"{PROMISE}: {faults}")
 
 
@@ -143,7 +160,7 @@ def test_a_bit_flipped_in_any_file_is_named_and_what_is_lost_and_only_that_is_ma
     runs: dict[str, Path],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    record_property: Callable[[str, object], None],
+    record_property: Record,
 ) -> None:
     counted, chance = count_draws(monkeypatch), random.Random(1)
     whole, needed = hashes(runs["finished"]), committed_draws(runs["finished"])
@@ -165,12 +182,18 @@ def test_a_bit_flipped_in_any_file_is_named_and_what_is_lost_and_only_that_is_ma
     record_property("faults", f"{PROMISE}: {len(committed_files) * flips}")
 
 
+@pytest.mark.fault
 def test_a_file_that_is_deleted_is_named_and_made_again(
-    job: Job, runs: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    job: Job,
+    runs: dict[str, Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    record_property: Record,
 ) -> None:
     counted, whole = count_draws(monkeypatch), hashes(runs["finished"])
     needed = committed_draws(runs["finished"])
-    for file in (file for file in _files(runs["finished"]) if file.name != "run.json"):
+    committed_files = [file for file in _files(runs["finished"]) if file.name != "run.json"]
+    for file in committed_files:
         run = shutil.copytree(runs["finished"], tmp_path / "run")
         (run / file).unlink()
         assert _named(run) == [file]
@@ -182,13 +205,15 @@ def test_a_file_that_is_deleted_is_named_and_made_again(
         assert sum(counted) == needed - committed
         assert _named(run) == []
         shutil.rmtree(run)
+    record_property("faults", f"{PROMISE}: {len(committed_files)}")
 
 
+@pytest.mark.fault
 def test_a_deleted_entry_makes_its_file_a_stranger_and_is_made_again(
-    job: Job, runs: dict[str, Path], tmp_path: Path
+    job: Job, runs: dict[str, Path], tmp_path: Path, record_property: Record
 ) -> None:
-    whole = hashes(runs["finished"])
-    for file in _files(runs["finished"]):
+    whole, committed_files = hashes(runs["finished"]), _files(runs["finished"])
+    for file in committed_files:
         run = shutil.copytree(runs["finished"], tmp_path / "run")
         shutil.rmtree(run / "manifest" / file)
         assert [str(damage.path) for damage in verify_run(run)] == [str(file)]
@@ -198,10 +223,16 @@ def test_a_deleted_entry_makes_its_file_a_stranger_and_is_made_again(
         assert hashes(run) == whole
         assert _named(run) == []
         shutil.rmtree(run)
+    record_property("faults", f"{PROMISE}: {len(committed_files)}")
 
 
+@pytest.mark.fault
 def test_a_file_that_the_disk_cannot_read_is_named_and_made_again(
-    job: Job, runs: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    job: Job,
+    runs: dict[str, Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    record_property: Record,
 ) -> None:
     run, digest = shutil.copytree(runs["finished"], tmp_path / "run"), files.digest
     file = Path("tables/draws/genetic-00001.parquet")
@@ -218,17 +249,21 @@ def test_a_file_that_the_disk_cannot_read_is_named_and_made_again(
     assert f"{run / file} cannot be read: Input/output error" in line
     assert hashes(run) == hashes(runs["finished"])
     assert _named(run) == []
+    record_property("faults", f"{PROMISE}: 1")
 
 
-def test_rows_are_counted(runs: dict[str, Path], tmp_path: Path) -> None:
+@pytest.mark.fault
+def test_rows_are_counted(runs: dict[str, Path], tmp_path: Path, record_property: Record) -> None:
     run = shutil.copytree(runs["finished"], tmp_path / "run")
     file = Path("tables/comparison/comparison-00002.parquet")
     (entry,) = (run / "manifest" / file).iterdir()
     assert entry.name.startswith("20-")
     entry.rename(entry.with_name(entry.name.replace("20-", "21-", 1)))
     assert _named(run) == [file]
+    record_property("faults", f"{PROMISE}: 1")
 
 
+@pytest.mark.fault
 @pytest.mark.parametrize(
     "stranger",
     [
@@ -245,6 +280,7 @@ def test_a_strangers_file_is_named_and_moved_and_nothing_is_computed(
     runs: dict[str, Path],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
+    record_property: Record,
 ) -> None:
     run, counted = shutil.copytree(runs["finished"], tmp_path / "run"), count_draws(monkeypatch)
     (run / stranger).write_bytes(b"what somebody else put here")
@@ -257,10 +293,12 @@ def test_a_strangers_file_is_named_and_moved_and_nothing_is_computed(
     assert pfdist.open_run(run).state == "finished"
     assert _named(run) == []
     assert _run_again(job, run) == []
+    record_property("faults", f"{PROMISE}: 1")
 
 
+@pytest.mark.fault
 def test_what_is_damaged_twice_is_kept_twice(
-    job: Job, runs: dict[str, Path], tmp_path: Path
+    job: Job, runs: dict[str, Path], tmp_path: Path, record_property: Record
 ) -> None:
     run = shutil.copytree(runs["finished"], tmp_path / "run")
     file = Path("tables/draws/genetic-00000.parquet")
@@ -270,10 +308,16 @@ def test_what_is_damaged_twice_is_kept_twice(
         _run_again(job, run)
     assert {path.read_bytes() for path in (run / "quarantine" / file).parent.iterdir()} == set(kept)
     assert hashes(run) == hashes(runs["finished"])
+    record_property("faults", f"{PROMISE}: {len(kept)}")
 
 
+@pytest.mark.fault
 def test_repair_moves_what_is_damaged_and_says_what_going_on_will_compute(
-    job: Job, runs: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    job: Job,
+    runs: dict[str, Path],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    record_property: Record,
 ) -> None:
     run = shutil.copytree(runs["finished"], tmp_path / "run")
     wrong = ["tables/draws/random-00000.parquet", "tables/comparison/comparison-00001.parquet"]
@@ -304,10 +348,12 @@ def test_repair_moves_what_is_damaged_and_says_what_going_on_will_compute(
     assert main(["verify", str(run)]) == 0
     assert main(["repair", str(run)]) == 0
     assert "nothing to repair" in capsys.readouterr().out
+    record_property("faults", f"{PROMISE}: {len(wrong)}")
 
 
+@pytest.mark.fault
 def test_a_damaged_job_grows_all_the_same_and_does_not_shrink(
-    job: Job, runs: dict[str, Path], tmp_path: Path
+    job: Job, runs: dict[str, Path], tmp_path: Path, record_property: Record
 ) -> None:
     larger, fewer = (job.with_changes([f"comparison.draws={draws}"]) for draws in (170, 100))
     at_once = pfdist.run(larger, tmp_path / "at once")
@@ -319,6 +365,7 @@ def test_a_damaged_job_grows_all_the_same_and_does_not_shrink(
     assert _tree(run) == before
     _run_again(larger, run)
     assert hashes(run) == hashes(at_once.path)
+    record_property("faults", f"{PROMISE}: 1")
 
 
 BREAK: dict[str, Callable[[Path], object]] = {
@@ -333,10 +380,11 @@ BREAK: dict[str, Callable[[Path], object]] = {
 }
 
 
+@pytest.mark.fault
 @pytest.mark.parametrize("what", BREAK)
 @pytest.mark.parametrize("state", STATES)
 def test_another_job_moves_nothing(
-    state: str, what: str, job: Job, runs: dict[str, Path], tmp_path: Path
+    state: str, what: str, job: Job, runs: dict[str, Path], tmp_path: Path, record_property: Record
 ) -> None:
     run = shutil.copytree(runs[state], tmp_path / "run")
     BREAK[what](run)
@@ -344,10 +392,12 @@ def test_another_job_moves_nothing(
     with pytest.raises(StoreError):
         _run_again(job.with_changes(["seed=2"]), run)
     assert _tree(run) == before
+    record_property("faults", f"{PROMISE}: 1")
 
 
+@pytest.mark.fault
 def test_without_its_manifest_a_run_says_so_and_moves_nothing(
-    job: Job, runs: dict[str, Path], tmp_path: Path
+    job: Job, runs: dict[str, Path], tmp_path: Path, record_property: Record
 ) -> None:
     run = shutil.copytree(runs["finished"], tmp_path / "run")
     shutil.rmtree(run / "manifest")
@@ -356,10 +406,12 @@ def test_without_its_manifest_a_run_says_so_and_moves_nothing(
         with pytest.raises(StoreError, match="has lost its folder manifest"):
             act(run)
     assert _tree(run) == before
+    record_property("faults", f"{PROMISE}: 1")
 
 
+@pytest.mark.fault
 def test_a_run_that_lost_what_says_whose_it_is_is_known_by_its_manifest(
-    job: Job, runs: dict[str, Path], tmp_path: Path
+    job: Job, runs: dict[str, Path], tmp_path: Path, record_property: Record
 ) -> None:
     run = shutil.copytree(runs["finished"], tmp_path / "run")
     shutil.rmtree(run / "manifest" / "identity")
@@ -369,3 +421,4 @@ def test_a_run_that_lost_what_says_whose_it_is_is_known_by_its_manifest(
     assert len(_run_again(job, run)) == 2
     assert hashes(run) == hashes(runs["finished"])
     assert pfdist.open_run(run).state == "finished"
+    record_property("faults", f"{PROMISE}: 3")

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 import pfdist
 from oracles.bytes_of import hashes
-from oracles.counted import committed_draws, count_draws
+from oracles.counted import A_DRAW, committed_draws, count_draws
 from oracles.file_layer import Ended, FileLayer
 from pfdist import Job
 from pfdist.errors import StoreError
@@ -23,9 +23,9 @@ PROMISE = "no half file is ever read as whole"
 CHANGES = [
     "search.genetic.generations=2",
     "search.genetic.population=4",
-    "search.random.evaluations=3",
-    "evaluation.draws=40",
-    "comparison.draws=120",
+    "search.random.evaluations=2",
+    "evaluation.draws=30",
+    "comparison.draws=80",
 ]
 FAULTS = {"ended": Ended, "ENOSPC": StoreError, "EIO": StoreError}
 SAYS = r"cannot (write|remove|move|lock) [^\n]*: (No space left on device|Input/output error); what"
@@ -35,18 +35,12 @@ SAYS += r" was committed is kept, run the same command again once this is mended
 @pytest.fixture
 def layer(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> FileLayer:
     monkeypatch.setattr(collect, "COMMIT_SECONDS", 0.0)
-    monkeypatch.setattr(Pace, "size", lambda pace, remaining: 90)
+    monkeypatch.setattr(Pace, "size", lambda pace, remaining: 150 * A_DRAW)
     monkeypatch.setattr(comparison_phase, "TRAJECTORIES", 30)
+    monkeypatch.setattr(comparison_phase, "REPEATED", 10)
     monkeypatch.setitem(parquet.ROWS_IN_A_FILE, "comparison", 50)
-    monkeypatch.setitem(parquet.ROWS_IN_A_FILE, "draws", 100)
+    monkeypatch.setitem(parquet.ROWS_IN_A_FILE, "draws", 120)
     return FileLayer(monkeypatch, tmp_path)
-
-
-@pytest.fixture
-def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    # They are drawn at the end, from the tables, and have a test of their own.
-    monkeypatch.setattr("pfdist.runner.run.draw_figures", lambda run: [])
-    monkeypatch.setattr("pfdist.runner.run.figure_files", lambda run: [])
 
 
 def _fresh(job: Job, path: Path) -> Job:
@@ -55,7 +49,7 @@ def _fresh(job: Job, path: Path) -> Job:
 
 def _grown(job: Job, path: Path) -> Job:
     pfdist.run(job, path)
-    return job.with_changes(["comparison.draws=170"])
+    return job.with_changes(["comparison.draws=110"])
 
 
 def _damaged(job: Job, path: Path) -> Job:
@@ -70,7 +64,7 @@ def _damaged(job: Job, path: Path) -> Job:
 
 
 @pytest.mark.usefixtures("no_figures")
-@pytest.mark.parametrize("step", [17, pytest.param(1, marks=pytest.mark.crash)])
+@pytest.mark.parametrize("step", [29, pytest.param(1, marks=pytest.mark.crash)])
 @pytest.mark.parametrize("fault", FAULTS)
 @pytest.mark.parametrize("begin", [_fresh, _grown, _damaged])
 def test_a_run_that_goes_wrong_at_any_file_operation_ends_with_the_same_bytes(

@@ -16,6 +16,7 @@ from pfdist.cli import main
 from pfdist.kernels.noise import TRUTH_MEASUREMENT, stream_key, variates
 from pfdist.runner import comparison_phase
 
+pytestmark = pytest.mark.usefixtures("no_figures")
 FAILS = "a model that fails does not end the run silently, nor retry for ever"
 DRAW, DRAWS = 30, 60  # the one that the fault is in, and how many are compared
 SMALL = [
@@ -73,7 +74,8 @@ Make = Callable[..., list[str]]
 def command(small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Make:
     """What runs a job whose model has a fault, in one draw of the comparison or in all."""
 
-    monkeypatch.setattr(comparison_phase, "TRAJECTORIES", 10)  # the fault is in none of these
+    for few in ("TRAJECTORIES", "REPEATED"):
+        monkeypatch.setattr(comparison_phase, few, 10)  # the fault is in none of these
 
     def make(fault: str, run: Path, *options: str, always: bool = False) -> list[str]:
         draws = stream_key(small_job.seed, "comparison", "draws")

@@ -1,14 +1,24 @@
-"""Ten times as many draws take no more memory."""
+"""Ten times as many draws take no more memory, and are the same whether at once or in two goes."""
 
 import re
+import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+import pfdist
+from crash.runs import running
+from oracles.bytes_of import hashes
+from oracles.counted import count_draws
+from pfdist import load_job
+
 PROMISE = "memory is flat"
+FEW, MANY = 100_000, 1_000_000
+SETS = 2  # regular times, and those of one search
 JOB = """
 seed = 1
 [problem]
@@ -26,37 +36,95 @@ pool = "serial"
 """
 # The peak is of this process alone: getrusage would count its parent's, before it became another.
 PROGRAM = """
-import re, sys
+import sys
 from pathlib import Path
 from pfdist.cli import main
 assert main(sys.argv[1:]) == 0
-print(re.search(r"VmHWM:\\s+(\\d+) kB", Path("/proc/self/status").read_text())[0])
+print(Path("/proc/self/status").read_text())
 """
+PEAK = re.compile(r"^VmHWM:\s+(\d+) kB$", re.MULTILINE)
+
+Peaks = dict[str, float]
+
+
+@pytest.fixture(scope="module")
+def job(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("job") / "tiny.toml"
+    path.write_text(JOB)
+    return path
 
 
 def _peak_megabytes(*arguments: object) -> float:
     command = [sys.executable, "-c", PROGRAM, *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
-    assert done.returncode == 0, done.stderr[-2000:]
-    found = re.search(r"VmHWM:\s+(\d+) kB$", done.stdout)
-    assert found
+    found = PEAK.search(done.stdout)
+    assert found, done.stderr[-2000:]
     return int(found[1]) / 1024
 
 
-@pytest.mark.crash
-def test_a_million_draws_take_as_much_memory_as_a_hundred_thousand(
-    tmp_path: Path, record_property: Callable[[str, object], None]
-) -> None:
-    job = tmp_path / "tiny.toml"
-    job.write_text(JOB)
-    peaks: dict[int, dict[str, float]] = {}
-    for draws in (100_000, 1_000_000):
-        run = tmp_path / f"{draws}"
+@pytest.fixture(scope="module")
+def serial_peaks(job: Path) -> dict[int, Peaks]:
+    """Megabytes of each command, by the number of draws; the runs lie beside the job."""
+    peaks: dict[int, Peaks] = {}
+    for draws in (FEW, MANY):
+        run = job.with_name(f"{draws}")
         options = ["--results", run, "--set", f"comparison.draws={draws}"]
         peaks[draws] = {"run": _peak_megabytes("run", job, *options)}  # summary and figures too
         for command in ("status", "plot", "verify"):
             peaks[draws][command] = _peak_megabytes(command, run)
-    few, many = peaks.values()
-    for command, peak in few.items():
-        assert many[command] < 1.1 * peak, (command, peaks)
-    record_property("faults", f"{PROMISE}: {len(few)}")
+    return peaks
+
+
+def _assert_flat(peaks: dict[int, Peaks]) -> None:
+    for whose, peak in peaks[FEW].items():
+        assert peaks[MANY][whose] < 1.1 * peak, (whose, peaks)
+
+
+@pytest.mark.crash
+def test_a_million_draws_take_as_much_memory_as_a_hundred_thousand(
+    serial_peaks: dict[int, Peaks], record_property: Callable[[str, object], None]
+) -> None:
+    _assert_flat(serial_peaks)
+    record_property("faults", f"{PROMISE}: {len(serial_peaks[MANY])}")
+
+
+@pytest.mark.crash
+def test_on_ray_too_for_the_driver_and_its_workers(
+    job: Path, tmp_path: Path, record_property: Callable[[str, object], None]
+) -> None:
+    peaks: dict[int, Peaks] = {}
+    for draws in (FEW, MANY):
+        options = ["--pool", "ray", "--workers", "1", "--set", f"comparison.draws={draws}"]
+        peaks[draws] = {}
+        with running(job, tmp_path / f"{draws}", *options) as one:
+            while one.process.poll() is None:
+                processes = {one.process.pid: "driver"}
+                processes |= {worker.id: "worker" for worker in one.workers()}
+                for process, whose in processes.items():
+                    found = PEAK.search(_status(process))
+                    if found:
+                        peaks[draws][whose] = int(found[1]) / 1024
+                time.sleep(0.02)
+            assert one.wait() == 0, one.said[-3:]
+    assert set(peaks[MANY]) == {"driver", "worker"}
+    _assert_flat(peaks)
+    record_property("faults", f"{PROMISE}: {len(peaks[MANY])}")
+
+
+def _status(process: int) -> str:
+    try:
+        return Path(f"/proc/{process}/status").read_text()
+    except OSError:  # it has ended meanwhile
+        return ""
+
+
+@pytest.mark.crash
+@pytest.mark.usefixtures("serial_peaks")
+def test_a_hundred_thousand_draws_grow_to_a_million_with_only_the_new(
+    job: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = shutil.copytree(job.with_name(f"{FEW}"), tmp_path / "run")
+    counted = count_draws(monkeypatch)
+    pfdist.run(load_job(job, [f"comparison.draws={MANY}"]), run)
+    assert sum(counted) == SETS * (MANY - FEW)
+    assert hashes(run) == hashes(job.with_name(f"{MANY}"))

@@ -20,6 +20,7 @@ from pfdist.cli import main
 from pfdist.errors import StoreError
 from pfdist.runner.repair import verify_run
 
+pytestmark = pytest.mark.usefixtures("no_figures")
 PROMISE = "two drivers on one run"
 PATIENCE_SECONDS = 120
 
@@ -34,7 +35,8 @@ pfdist.run(sys.argv[1], sys.argv[2], report=report)
 # A file system without locks, that takes its time; and as many commits as there are tasks.
 WITHOUT_LOCKS = """
 import errno, fcntl, random, sys, time, pfdist
-from pfdist.runner import collect, pace
+from pfdist.runner import collect, pace, run
+run.draw_figures = run.figure_files = lambda run: []
 from pfdist.store import files
 def no_locks(*_):
     raise OSError(errno.ENOLCK, "No locks available")
@@ -44,7 +46,7 @@ def slow(path, mode):
     flush(path, mode)
     time.sleep(chance.random() * 0.01)
 files._flush = slow
-collect.COMMIT_SECONDS, pace.Pace.size = 0.0, lambda pace, remaining: 60
+collect.COMMIT_SECONDS, pace.Pace.size = 0.0, lambda pace, remaining: 60 * 520
 pfdist.run(sys.argv[1], sys.argv[2])
 """
 
@@ -64,18 +66,21 @@ def first(small_job: Job, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
         process.kill()
 
 
+@pytest.mark.fault
 def test_the_second_driver_is_refused_at_once_and_told_who_holds_the_run(
     first: subprocess.Popen[str],
     small_job: Job,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
+    record_property: Callable[[str, object], None],
 ) -> None:
     run = str(tmp_path / "run")
-    for command in (
+    commands = (
         ["run", str(small_job.path), "--results", run],
         ["repair", run],
         ["verify", run],
-    ):
+    )
+    for command in commands:
         begun = time.monotonic()
         assert main(command) == 1
         assert time.monotonic() - begun < 20  # building the job included
@@ -88,8 +93,10 @@ def test_the_second_driver_is_refused_at_once_and_told_who_holds_the_run(
         assert told, error
         assert 0 <= (datetime.now(UTC) - datetime.fromisoformat(told[1])).total_seconds() < 100
     assert main(["status", run]) == 0  # who only reads is not refused
+    record_property("faults", f"{PROMISE}: {len(commands)}")
 
 
+@pytest.mark.fault
 def test_after_kill_9_the_second_driver_starts_without_hand_work(
     first: subprocess.Popen[str],
     small_job: Job,

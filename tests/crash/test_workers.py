@@ -1,18 +1,24 @@
 """Workers, nodes and servers of Ray that die, stop or vanish in the midst of a run."""
 
+import contextlib
 import os
 import random
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from ipaddress import IPv4Address, IPv6Address, ip_address
 from pathlib import Path
 
 import pytest
 
+import pfdist
 from crash.runs import GONE_SECONDS, Running, all_gone, command_of, finish, running, until
 from oracles.bytes_of import hashes
+from pfdist import Job
+from pfdist.runner.processes import Process, family
+from pfdist.runner.progress import Progress
 
 DIES = "one worker or a node dies: the run goes on"
 HANGS = "nothing hangs"
@@ -32,7 +38,9 @@ evaluations = 10
 draws = {draws}
 """
 TWO = ("--pool", "ray", "--workers", "2")
-RAY_SECONDS = 90.0  # in which a run whose Ray does not answer has ended
+RAY_SECONDS = 60.0  # in which a run whose Ray does not answer has ended
+
+RAYLET, GCS, WORKER = "raylet/raylet", "gcs_server", "ray::_Worker"
 
 Record = Callable[[str, object], None]
 
@@ -61,23 +69,42 @@ def _is_comparing(one: Running) -> bool:
     return one.parts("comparison") > 0 and len(one.workers()) == 2
 
 
-@pytest.mark.parametrize(
-    ("kills", "draws"), [(2, 15_000), pytest.param(20, 500_000, marks=pytest.mark.crash)]
-)
-def test_a_run_whose_workers_are_killed_ends_with_the_same_bytes(
-    kills: int, draws: int, make_job: Callable[[int], Path], tmp_path: Path, record_property: Record
+@pytest.mark.fault
+@pytest.mark.usefixtures("no_figures", "ray_cluster")
+def test_a_worker_that_is_killed_in_each_phase_makes_no_difference(
+    small_job: Job, tmp_path: Path, record_property: Record
 ) -> None:
-    job, rng, killed = make_job(draws), random.Random(0), set()
+    killed = {}
+
+    def kill(progress: Progress) -> None:
+        if progress.evaluations and progress.phase not in killed:
+            workers = [one for one in family(os.getpid()) if WORKER in command_of(one)]
+            killed[progress.phase] = workers[0]
+            os.kill(workers[0].id, signal.SIGKILL)
+
+    job = small_job.with_changes(["comparison.draws=20000"])
+    run = pfdist.run(job, tmp_path / "run", pool="ray", workers=2, report=kill)
+    assert set(killed) == {"genetic", "random", "comparison"}
+    assert hashes(run.path) == hashes(pfdist.run(job, tmp_path / "whole", pool="serial").path)
+    record_property("faults", f"{DIES}: {len(killed)}")
+
+
+@pytest.mark.crash
+def test_a_run_whose_workers_are_killed_ends_with_the_same_bytes(
+    make_job: Callable[[int], Path], tmp_path: Path, record_property: Record
+) -> None:
+    job, rng, kills, killed = make_job(800_000), random.Random(0), 20, set[Process]()
     with running(job, tmp_path / "run", *TWO) as one:
         while len(killed) < kills:
-            one.wait_for(lambda: set(one.workers()) - killed)
+            commits = one.parts("timings")  # it must come on, too
+            one.wait_for(lambda: one.parts("timings") > commits and set(one.workers()) - killed)  # noqa: B023
             time.sleep(rng.uniform(0, 0.5))  # it has begun, or waits, or has ended something
-            worker = rng.choice([worker for worker in one.workers() if worker not in killed])
-            os.kill(worker.id, signal.SIGKILL)
-            killed.add(worker)
+            for worker in set(one.workers()) - killed:
+                os.kill(worker.id, signal.SIGKILL)
+                killed.add(worker)
         assert one.wait() == 0, one.said[-3:]
     assert hashes(tmp_path / "run") == _whole(job)
-    record_property("faults", f"{DIES}: {kills}")
+    record_property("faults", f"{DIES}: {len(killed)}")
 
 
 @pytest.mark.crash
@@ -95,9 +122,6 @@ def test_a_run_whose_workers_are_stopped_ends_with_the_same_bytes(
         until(lambda: all_gone(workers), GONE_SECONDS)
     assert hashes(tmp_path / "run") == _whole(job)
     record_property("faults", f"{HANGS}: {len(workers)}")
-
-
-RAYLET, GCS, WORKER = "raylet/raylet", "gcs_server", "ray::_Worker"
 
 
 @pytest.mark.crash
@@ -166,9 +190,41 @@ def test_a_run_whose_nodes_vanish_ends_with_the_same_bytes(
             ask("remove")  # from now on there are fewer cores than workers are wanted
             assert one.process.poll() is None
             assert one.wait() == 0, one.said[-3:]
+        ask("add")  # it is not the run's, and goes on
         cluster.stdin.close()
     assert hashes(tmp_path / "run") == _whole(job)
     record_property("faults", f"{DIES}: 3")
+
+
+def _listening(processes: Iterable[int]) -> Iterator[IPv4Address | IPv6Address]:
+    """Addresses at which these wait for connections; see proc(5)."""
+    sockets = set()
+    for process in processes:
+        for handle in Path(f"/proc/{process}/fd").glob("*"):
+            with contextlib.suppress(OSError):  # it is closed, or the process gone
+                sockets.add(str(handle.readlink()))
+    for table in ("tcp", "tcp6"):
+        for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
+            _, local, _, state, *rest = line.split()
+            if state == "0A" and f"socket:[{rest[5]}]" in sockets:
+                address = bytes.fromhex(local.partition(":")[0])
+                words = range(0, len(address), 4)  # each in the machine's own order
+                found = ip_address(b"".join(address[k : k + 4][::-1] for k in words))
+                yield getattr(found, "ipv4_mapped", None) or found
+
+
+@pytest.mark.crash
+def test_ray_that_a_run_has_started_is_heard_on_this_machine_alone(
+    make_job: Callable[[int], Path], tmp_path: Path
+) -> None:
+    with running(make_job(100_000), tmp_path / "run", *TWO) as one:
+        one.wait_for(lambda: _is_comparing(one))
+        found = set(_listening([one.process.pid, *(process.id for process in one.family())]))
+        commands = [command_of(process) for process in one.family()]
+    assert found
+    assert all(address.is_loopback for address in found), found
+    dashboards = [command for command in commands if "dashboard.py" in command]
+    assert all("--disable-frontend" in command for command in dashboards)  # there are no pages
 
 
 @pytest.mark.crash

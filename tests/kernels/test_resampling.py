@@ -125,6 +125,7 @@ PROBABILITIES = {
     "stratified": in_each_stratum(),
     "systematic": REST[:, None],
     "residual": np.tile(REST[:, None] / LEFT, LEFT),
+    "sorted_systematic": REST[:, None],  # of particles that stand in line already
 }
 
 
@@ -145,8 +146,9 @@ def test_multinomial_offspring_are_multinomial_in_the_weights():
     assert stats.chisquare(counts, RESAMPLINGS * EXPECTED).pvalue > 1e-3
 
 
-def test_systematic_offspring_are_the_expected_number_rounded_down_or_up():
-    counts = counts_of("systematic")
+@pytest.mark.parametrize("scheme", ["systematic", "sorted_systematic"])
+def test_systematic_offspring_are_the_expected_number_rounded_down_or_up(scheme):
+    counts = counts_of(scheme)
     assert (np.floor(EXPECTED) <= counts).all()
     assert (counts <= np.ceil(EXPECTED)).all()
 
@@ -168,7 +170,7 @@ def test_residual_offspring_are_at_least_the_expected_number_that_is_whole():
 
 
 @sizes
-@pytest.mark.parametrize("scheme", ["stratified", "systematic", "residual"])
+@pytest.mark.parametrize("scheme", ["stratified", "systematic", "residual", "sorted_systematic"])
 def test_each_of_equal_particles_is_kept_once(scheme, particles):
     for draw in range(50):
         assert (offspring(scheme, np.ones(particles), draw) == 1).all()

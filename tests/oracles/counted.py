@@ -9,7 +9,8 @@ import pytest
 from pfdist.runner.pool import Outcome, SerialPool
 from pfdist.store import Store
 
-SETS = 3  # that the small job compares
+SETS = 3  # that the small job compares; it filters the first draws of the comparison once more
+A_DRAW = 13 * 40  # particle-steps of one of its draws with one set
 
 
 def count_draws(monkeypatch: pytest.MonkeyPatch) -> list[int]:
@@ -33,4 +34,4 @@ def committed_draws(run: Path) -> int:
     compared = sum(
         int(store.present(table, "draw").sum()) for table in ("comparison", "trajectories")
     )
-    return searched + SETS * compared
+    return searched + SETS * compared + int(store.present("repeated", "draw").sum())

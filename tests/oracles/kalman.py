@@ -1,7 +1,8 @@
 """Kalman filter with intermittent measurements: the exact filter of a linear-Gaussian model."""
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +62,18 @@ def riccati_cost(model: LinearGaussian, horizon: int, measurement_times: Collect
     """The exact expected MSE: the variances do not depend on what is measured."""
     nothing = np.zeros((horizon + 1, len(model.c)))
     return float(np.mean(np.sum(kalman_filter(model, nothing, measurement_times)[1], axis=1)))
+
+
+def prefix_costs(model: LinearGaussian, horizon: int) -> Callable[[tuple[int, ...], int], float]:
+    """Give the function of times and an end: the variances up to there, over T + 1."""
+    nothing = np.zeros((horizon + 1, len(model.c)))
+
+    @cache
+    def cost(times: tuple[int, ...], end: int) -> float:
+        _, variances = kalman_filter(model, nothing, times)
+        return float(variances[: end + 1].sum() / (horizon + 1))
+
+    return cost
 
 
 # Position and velocity with one process noise, position measured, position and their sum wanted:

@@ -9,6 +9,7 @@ from pfdist.analysis import Gain
 from pfdist.plots.cost import plot_cost
 from pfdist.plots.gain_histogram import plot_gain_histogram
 from pfdist.plots.one_draw import plot_one_draw, typical_draw
+from pfdist.plots.why import plot_profile, plot_removals, plot_shifts
 
 EVALUATIONS = pd.DataFrame(
     [
@@ -94,3 +95,49 @@ def test_the_histogram_counts_the_draws_and_marks_zero_mean_and_fraction() -> No
     assert "5,000 draws" in text
     assert f"{below} of them below" in text
     assert 1 <= below <= 5  # the lowest thousandth, but for those in its bin
+
+
+def test_a_profile_shows_the_error_its_band_and_the_instants_measured() -> None:
+    profile = pd.DataFrame(
+        {
+            "name": ["regular"] * 3 + ["found"] * 3,
+            "t": [0, 1, 2] * 2,
+            "measured": [True, False, True, False, True, False],
+            "error": [1.0, 5.0, 2.0, 3.0, 1.0, 2.0],
+            "standard_error": [0.1] * 6,
+        }
+    )
+    axes = _axes()
+    plot_profile(axes, profile, ("regular", "found"))
+    lines = {line.get_label(): line for line in axes.get_lines()}
+    regular, found = lines["regular, mean 2.667"], lines["found, mean 2"]
+    assert np.asarray(regular.get_ydata()).tolist() == [1.0, 5.0, 2.0]
+    assert np.asarray(found.get_ydata()).tolist() == [3.0, 1.0, 2.0]
+    assert [list(line.get_markevery()) for line in (regular, found)] == [[0, 2], [1]]
+    band = axes.collections[0].get_paths()[0].vertices[:, 1]
+    assert (band.min(), band.max()) == pytest.approx((1 - 0.196, 5 + 0.196))
+
+
+def test_a_measurements_worth_is_a_stem_and_its_shifts_are_triangles_with_intervals() -> None:
+    measurements = pd.DataFrame(
+        {
+            "name": ["regular", "found", "found"],
+            "t": [0, 1, 4],
+            "removed": [2.0, 1.0, -0.5],
+            "removed_error": [0.1, 0.2, 0.3],
+            "earlier": [np.nan, 0.5, 0.25],
+            "earlier_error": [np.nan, 0.1, 0.1],
+            "later": [-1.0, np.nan, 0.75],
+            "later_error": [0.1, np.nan, 0.1],
+        }
+    )
+    axes = _axes()
+    plot_removals(axes, measurements, ("regular", "found"))
+    stems = [segment.tolist() for segment in axes.collections[2].get_segments()]
+    assert stems == [[[1.0, 0.0], [1.0, 1.0]], [[4.0, 0.0], [4.0, -0.5]]]
+    bars = np.stack(axes.collections[3].get_segments())[:, :, 1]
+    np.testing.assert_allclose(bars, [[1 - 0.392, 1 + 0.392], [-0.5 - 0.588, -0.5 + 0.588]])
+    axes = _axes()
+    plot_shifts(axes, measurements, ("regular", "found"))
+    shown = {(line.get_marker(), *np.asarray(line.get_ydata())) for line in axes.get_lines()}
+    assert {("<", 0.5, 0.25), (">", -1.0), (">", 0.75)} <= shown

@@ -12,8 +12,10 @@ from pfdist import Job, load_job
 from pfdist.cli import main
 from pfdist.errors import CompileError, EngineWarning, ModelError, RunMismatchError
 from pfdist.kernels import disk_cache
+from pfdist.monte_carlo import Estimation
 from pfdist.runner.build import build
 
+pytestmark = pytest.mark.usefixtures("no_figures")
 OTHER = """
 import numpy as np
 from pfdist import StateSpaceModel
@@ -66,7 +68,7 @@ def test_the_filters_model_may_be_another_one(tmp_path: Path) -> None:
     right = build(job_with(tmp_path))
     wrong = build(job_with(tmp_path, "[model.filter]", 'name = "other.py:model"'))
     assert wrong.source.make().filter_model.name == "other"
-    ids = {built.source.evaluation_id((0, 1), 1, 1) for built in (right, wrong)}
+    ids = {built.source.evaluation_id((0, 1), 12, 1, Estimation(40)) for built in (right, wrong)}
     assert len(ids) == 2
     times = [0, 4, 8, 12]
     believing = pfdist.evaluate(wrong.job, times, draws=200)
@@ -90,6 +92,53 @@ def test_a_filter_model_that_cannot_be_is_refused(
     job = job_with(tmp_path, *lines, quantity="lambda x, t, p: (x[0], x[0])")
     with pytest.raises(ModelError, match=message):
         build(job.with_changes([f"filter.engine={engine}"]))
+
+
+@pytest.mark.parametrize("engine", ["auto", "numpy"])
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (["evaluation.estimator=two_filters"], "'two_filters' needs a filter that knows the truth"),
+        (["search.genetic.evaluation.estimator=filter_variance"], "'filter_variance' needs a filt"),
+        (["model.name=bearings_only", "filter.resampling=sorted_systematic"], "a scalar state"),
+        (
+            ["model.name=bearings_only", "search.random.evaluation.resampling=sorted_systematic"],
+            "sc",
+        ),
+    ],
+)
+def test_an_estimator_or_a_resampling_that_does_not_fit_is_refused(
+    changes: list[str], message: str, engine: str, tmp_path: Path
+) -> None:
+    wrong = [] if "bearings" in changes[0] else ["model.filter.parameters.process_sd=2"]
+    job = job_with(tmp_path).with_changes([*wrong, *changes, f"filter.engine={engine}"])
+    with pytest.raises(ModelError, match=message):
+        build(job)
+
+
+def test_a_search_and_its_race_have_its_estimator_and_its_job_the_others(tmp_path: Path) -> None:
+    changes = ["evaluation.estimator=filter_variance", "search.random.evaluation.particles=9"]
+    changes += ["search.random.evaluation.estimator=two_filters"]
+    genetic, trials = build(job_with(tmp_path).with_changes(changes)).searches
+    assert genetic.settings.estimation == genetic.racing.estimation
+    assert genetic.racing.estimation == Estimation(40, "multinomial", "filter_variance")
+    assert trials.settings.estimation == Estimation(9, "multinomial", "two_filters")
+    assert trials.racing.estimation == Estimation(40, "multinomial", "two_filters")
+
+
+def test_searches_estimate_as_they_like_and_the_comparison_by_the_squared_error(
+    tmp_path: Path,
+) -> None:
+    job = job_with(tmp_path)
+    paper = pfdist.run(job, tmp_path / "paper")
+    other = pfdist.run(job.with_changes(["evaluation.estimator=two_filters"]), tmp_path / "other")
+    regular = [run.comparison()["mse_regular"] for run in (paper, other)]
+    np.testing.assert_array_equal(*regular)
+    # Of the same draws, the truth's own chance is gone.
+    first, second = (run.evaluations()["standard_error"].mean() for run in (paper, other))
+    assert second < 0.8 * first
+    ids = [set(run.evaluations()["evaluation"]) for run in (paper, other)]
+    assert not ids[0] & ids[1]
 
 
 NEEDS_NUMPY = {"formula": "np.clip(0.5 * x[0], -9, 9)"}

@@ -12,7 +12,7 @@ from scipy import stats
 
 import pfdist
 from oracles.bytes_of import hashes
-from oracles.counted import SETS, count_draws
+from oracles.counted import A_DRAW, SETS, count_draws
 from pfdist import Job
 from pfdist.cli import main
 from pfdist.errors import RunMismatchError
@@ -24,12 +24,10 @@ BLOCK, MOST = 50, 430
 
 
 @pytest.fixture(autouse=True)
-def _small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+def _small_blocks(monkeypatch: pytest.MonkeyPatch, no_figures: None) -> None:
     for place in ("pfdist.analysis.tables.BLOCK", "pfdist.runner.comparison_phase.BLOCK"):
         monkeypatch.setattr(place, BLOCK)
-    monkeypatch.setattr(Pace, "size", lambda pace, remaining: BLOCK * SETS)
-    monkeypatch.setattr("pfdist.runner.run.draw_figures", lambda run: [])
-    monkeypatch.setattr("pfdist.runner.run.figure_files", lambda run: [])
+    monkeypatch.setattr(Pace, "size", lambda pace, remaining: BLOCK * SETS * A_DRAW)
 
 
 @pytest.fixture
@@ -100,7 +98,7 @@ def test_where_it_stops_does_not_depend_on_order_or_kills(
                 yield outcome
 
     monkeypatch.setattr(SerialPool, "run", in_disorder)
-    monkeypatch.setattr(Pace, "size", lambda pace, remaining: chance.randrange(30, 200))
+    monkeypatch.setattr(Pace, "size", lambda pace, remaining: chance.randrange(30, 200) * A_DRAW)
     kills = 0
     while True:
         try:

@@ -3,13 +3,15 @@
 import numpy as np
 import pytest
 
-from pfdist.monte_carlo import Work
+from pfdist.monte_carlo import Estimation, Work
 from pfdist.runner.pace import LEAST_SECONDS, MOST_SECONDS, Pace, bundles
 
 
 def work(sets: int, first: int, last: int, stream: int = 0) -> Work:
-    times = tuple((0, 1 + one) for one in range(sets))
-    return Work(times, tuple(range(sets)), stream, (first, last))
+    """Of one instant and particle: a particle-step a set and draw."""
+    times = ((0,),) * sets
+    of = Estimation(particles=1)
+    return Work(times, (0,) * sets, tuple(range(sets)), stream, (first, last), of)
 
 
 @pytest.mark.parametrize("size", [1, 2, 7, 50, 1000])
@@ -24,7 +26,7 @@ def test_every_draw_is_handed_out_once_in_its_order(size: int) -> None:
 
 def test_a_bundle_is_as_large_as_it_may_be() -> None:
     sizes = [
-        sum(piece.filtered for piece in bundle)
+        sum(piece.steps for piece in bundle)
         for bundle in bundles([work(3, 0, 100), work(1, 0, 100)], lambda remaining: 10)
     ]
     assert max(sizes) <= 10
@@ -48,7 +50,7 @@ def test_workers_end_together(workers: int) -> None:
     pace = Pace(1e-4, workers, learnt=True)
     free_at = np.zeros(workers)
     for bundle in bundles([work(1, 0, 1_000_000)], pace.size):
-        seconds = 1e-4 * sum(piece.filtered for piece in bundle)
+        seconds = 1e-4 * sum(piece.steps for piece in bundle)
         assert LEAST_SECONDS / 2 < seconds <= 1.01 * MOST_SECONDS or free_at.sum() > 99
         free_at[free_at.argmin()] += seconds
     assert np.ptp(free_at) <= 2 * LEAST_SECONDS

@@ -1,27 +1,26 @@
 """A run: what it computes, that it goes on, and that it is the same however it was computed."""
 
-import math
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
 
 import pfdist
 from oracles.bytes_of import hashes
+from oracles.counted import A_DRAW
 from pfdist import Job, load_job
 from pfdist.errors import JobError, PfdistError, RunMismatchError, SearchError, TaskError
 from pfdist.monte_carlo import Problem, Work
 from pfdist.runner import collect
-from pfdist.runner.build import build
 from pfdist.runner.pace import Pace
 from pfdist.runner.pool import Outcome, SerialPool
 from pfdist.store import parquet
 
 ROOT = Path(__file__).parents[2]
+pytestmark = pytest.mark.usefixtures("no_figures")
 
 
 @pytest.fixture
@@ -101,7 +100,7 @@ def test_a_run_that_failed_goes_on_with_what_is_committed_and_ends_with_the_same
     monkeypatch: pytest.MonkeyPatch,
     count_draws: list[int],
 ) -> None:
-    monkeypatch.setattr(Pace, "size", lambda pace, remaining: 60)  # 2 evaluations, 20 draws
+    monkeypatch.setattr(Pace, "size", lambda pace, remaining: 60 * A_DRAW)
     monkeypatch.setattr(collect, "COMMIT_SECONDS", 0.0)  # each task is committed
     small_job = small_job.with_changes(["execution.failures=0"])
     whole = pfdist.run(small_job, tmp_path / "whole")
@@ -149,7 +148,7 @@ def test_more_draws_of_comparison_compute_only_the_new_and_give_the_same_bytes(
     pfdist.run(small_job, tmp_path / "grown")
     count_draws.clear()
     grown = pfdist.run(larger, tmp_path / "grown")
-    assert sum(count_draws) == (430 - 250) * 3
+    assert sum(count_draws) == (430 - 250) * (3 + 1)  # the reference twice
     assert hashes(grown.path) == hashes(at_once.path)
     assert grown.summary()["draws_compared"] == 430
 
@@ -210,12 +209,6 @@ def test_a_search_that_kills_everything_says_so(small_job: Job, tmp_path: Path) 
     assert np.isinf(rows["expected_mse"]).all()
 
 
-def test_a_folder_with_other_things_is_left_alone(small_job: Job, tmp_path: Path) -> None:
-    (tmp_path / "thesis.tex").write_text("do not touch")
-    with pytest.raises(PfdistError, match=r"--results must be .*thesis\.tex"):
-        pfdist.run(small_job, tmp_path)
-
-
 def test_the_serial_pool_has_one_worker(small_job: Job, tmp_path: Path) -> None:
     with pytest.raises(JobError, match="one worker in this process, got workers = 4"):
         pfdist.run(small_job, tmp_path / "run", workers=4)
@@ -226,27 +219,8 @@ def test_progress_counts_all_work_once(small_job: Job, tmp_path: Path) -> None:
     pfdist.run(small_job, tmp_path / "run", report=seen.append)
     done = [state.done for state in seen]
     assert done == sorted(done)
-    assert seen[-1].done == seen[-1].total == (6 * 4 + 10) * 30 + 250 * 3
+    assert seen[-1].done == seen[-1].total == ((6 * 4 + 10) * 30 + 250 * 3) * A_DRAW
     assert {state.phase for state in seen} == {"genetic", "random", "comparison"}
-
-
-def test_the_tables_are_read_with_pandas_alone(small_job: Job, tmp_path: Path) -> None:
-    run = pfdist.run(small_job, tmp_path / "run")
-    rows = pd.read_parquet(tmp_path / "run" / "tables" / "comparison")
-    pd.testing.assert_frame_equal(rows, run.comparison())
-
-
-def test_figures_are_drawn_again_when_the_run_has_grown(small_job: Job, tmp_path: Path) -> None:
-    run = pfdist.run(small_job, tmp_path / "run")
-    figure = run.path / "figures" / "gain-genetic.svg"
-    before = figure.read_bytes()
-    pfdist.run(small_job, tmp_path / "run")
-    assert figure.read_bytes() == before
-    pfdist.run(small_job.with_changes(["comparison.draws=430"]), tmp_path / "run")
-    assert figure.read_bytes() != before
-    figure.unlink()
-    pfdist.run(small_job.with_changes(["comparison.draws=430"]), tmp_path / "run")
-    assert figure.exists()
 
 
 def test_the_order_of_the_searches_is_part_of_what_a_run_is(small_job: Job, tmp_path: Path) -> None:
@@ -283,7 +257,7 @@ def test_trajectories_committed_out_of_order_are_completed(
     small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = pfdist.run(small_job, tmp_path / "whole")
-    monkeypatch.setattr(Pace, "size", lambda pace, remaining: 30)  # 10 draws with 3 sets
+    monkeypatch.setattr(Pace, "size", lambda pace, remaining: 30 * A_DRAW)
     do = SerialPool.run
 
     def backwards_and_killed(self: SerialPool, tasks: Any) -> Iterator[Outcome]:
@@ -300,30 +274,3 @@ def test_trajectories_committed_out_of_order_are_completed(
     again = pfdist.run(small_job, tmp_path / "run")
     assert again.trajectories()["draw"].nunique() == 100
     assert hashes(again.path) == hashes(whole.path)
-
-
-def test_a_finished_run_of_the_papers_job_holds_fewer_than_60_files(
-    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def parts(job: Job) -> dict[str, list[int]]:
-        """How many files the rows of a job's large tables are cut into."""
-        rows = [
-            search.optimiser.evaluations * job.evaluation.draws for search in build(job).searches
-        ]
-        cut = parquet.ROWS_IN_A_FILE
-        return {
-            "draws": [math.ceil(count / cut["draws"]) for count in rows],
-            "comparison": [math.ceil(job.comparison.draws / cut["comparison"])],
-        }
-
-    paper = parts(load_job(ROOT / "jobs" / "paper.toml"))
-    monkeypatch.setitem(parquet.ROWS_IN_A_FILE, "draws", 400)
-    monkeypatch.setitem(parquet.ROWS_IN_A_FILE, "comparison", 100)
-    job = small_job.with_changes(["search.random.evaluations=24"])
-    run = pfdist.run(job, tmp_path / "run")
-    assert [len(small_job.search), sum(paper["comparison"])] == [2, 2]
-    for table, files in parts(job).items():
-        assert len(list((run.path / "tables" / table).iterdir())) == sum(files)
-        assert files >= paper[table]
-    # tables, what the manifest says of each, figures: all there is
-    assert len([path for path in run.path.rglob("*") if path.is_file()]) < 60

@@ -1,12 +1,14 @@
 """The genetic algorithm does what the paper's section 2.4 says."""
 
 import itertools
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy import stats
 
-from pfdist.monte_carlo import Evaluation
+from pfdist.feasible import Feasible
+from pfdist.monte_carlo import SearchEvaluation
 from pfdist.search import GeneticAlgorithm
 from pfdist.search.genetic import (
     count_preserving_crossover,
@@ -15,10 +17,9 @@ from pfdist.search.genetic import (
 )
 
 
-def _genetic(**changes: float) -> GeneticAlgorithm:
+def _genetic(**changes: Any) -> GeneticAlgorithm:
     settings = {
-        "horizon": 20,
-        "measurement_budget": 5,
+        "feasible": Feasible(20, 5),
         "population": 10,
         "generations": 3,
         "crossover_probability": 1.0,
@@ -28,8 +29,8 @@ def _genetic(**changes: float) -> GeneticAlgorithm:
     return GeneticAlgorithm(**{**settings, **changes})
 
 
-def _evaluation(times: tuple[int, ...], cost: float) -> Evaluation:
-    return Evaluation(times, np.array([np.nan] if np.isinf(cost) else [cost]))
+def _evaluation(times: tuple[int, ...], cost: float) -> SearchEvaluation:
+    return SearchEvaluation(times, np.array([np.nan] if np.isinf(cost) else [cost]))
 
 
 def _rng(seed: int = 1) -> np.random.Generator:
@@ -87,6 +88,15 @@ def test_crossover_keeps_the_number_and_swaps_only_where_the_parents_differ() ->
     assert min(swapped) == 1
 
 
+def test_crossover_of_parents_of_different_sizes_keeps_the_size_of_each() -> None:
+    a, b = {1, 2, 3, 4, 9}, {4, 6}
+    for seed in range(50):
+        child_a, child_b = count_preserving_crossover(a, b, _rng(seed))
+        assert (len(child_a), len(child_b)) == (5, 2)
+        assert sorted([*child_a, *child_b]) == sorted([*a, *b])
+        assert child_a != a
+
+
 def test_crossover_of_equal_parents_gives_them_back() -> None:
     assert count_preserving_crossover({1, 2}, {1, 2}, _rng()) == ({1, 2}, {1, 2})
 
@@ -95,7 +105,7 @@ def test_mutation_replaces_each_gene_with_its_probability_by_an_absent_time() ->
     genetic = _genetic(mutation_probability=0.1, crossover_probability=0.0, population=2000)
     times = (2, 5, 8, 11, 20)
     state = genetic.tell(genetic.init(), [_evaluation(times, 1.0)] * 2000)
-    population = genetic.ask(state, _rng())
+    population = np.array([one.measurement_times for one in genetic.ask(state, _rng())])
     assert all(len(set(row)) == 5 for row in population.tolist())
     genes = population.size
     replaced = genes - np.isin(population, times).sum()
@@ -109,10 +119,10 @@ def test_mutation_replaces_each_gene_with_its_probability_by_an_absent_time() ->
 
 
 def test_a_set_of_all_times_has_nothing_to_mutate_into() -> None:
-    genetic = _genetic(horizon=4, mutation_probability=1.0)
+    genetic = _genetic(feasible=Feasible(4, 5), mutation_probability=1.0)
     times = (0, 1, 2, 3, 4)
     state = genetic.tell(genetic.init(), [_evaluation(times, 1.0)] * 10)
-    assert set(map(tuple, genetic.ask(state, _rng()).tolist())) == {times}
+    assert {one.measurement_times for one in genetic.ask(state, _rng())} == {times}
 
 
 def test_it_returns_the_best_of_the_last_generation_with_the_cost_it_got() -> None:
@@ -121,18 +131,19 @@ def test_it_returns_the_best_of_the_last_generation_with_the_cost_it_got() -> No
     for generation in range(3):
         assert not genetic.done(state)
         population = genetic.ask(state, _rng(generation))
-        told = [_evaluation(tuple(row), next(costs)) for row in population.tolist()]
+        told = [_evaluation(one.measurement_times, next(costs)) for one in population]
         state = genetic.tell(state, told)
     assert genetic.done(state)
-    assert genetic.best(state) is told[0]
-    assert genetic.best(state).cost == 21.0
+    (best,) = genetic.finalists(state)
+    assert best is told[0]
+    assert best.cost == 21.0
 
 
 def test_if_all_are_killed_the_next_population_is_random() -> None:
     genetic = _genetic()
     state = genetic.tell(genetic.init(), [_evaluation((0, 1, 2, 3, 4), np.inf)] * 10)
     population = genetic.ask(state, _rng())
-    np.testing.assert_array_equal(population, genetic.ask(genetic.init(), _rng()))
+    assert population == genetic.ask(genetic.init(), _rng())
 
 
 @pytest.mark.parametrize("killed", [1, 5, 9])
@@ -141,7 +152,7 @@ def test_the_killed_are_never_parents(killed: int) -> None:
     dead, alive = (0, 1, 2, 3, 4), (10, 11, 12, 13, 14)
     told = [_evaluation(dead, np.inf)] * killed + [_evaluation(alive, 1.0)] * (10 - killed)
     population = genetic.ask(genetic.tell(genetic.init(), told), _rng())
-    assert set(map(tuple, population.tolist())) == {alive}
+    assert {one.measurement_times for one in population} == {alive}
 
 
 def test_of_equal_costs_each_expects_one_offspring() -> None:

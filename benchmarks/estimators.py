@@ -1,0 +1,196 @@
+"""What cheaper estimates of the expected MSE save, and what they cost.
+
+On the paper's problem, for two good sets that differ in one time by one instant: a search must tell
+such apart. All is common to them, draws and noise. Draws of each particle number are the same for
+all estimators and schemes, so that biases are differences of pairs.
+"""
+
+import math
+from functools import partial
+from typing import Any
+
+import pandas as pd
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from benchmarks.measure import Say, one_core, take_turns
+from benchmarks.results import Tables, markdown
+from pfdist import load_model
+from pfdist.draws import simulate
+from pfdist.kernels.moments import ESTIMATORS
+from pfdist.particle_filter import filter_sets, filter_streams
+from pfdist.plots.style import COLUMN_INCHES, GREY, SERIES
+
+TITLE = "Estimators"
+TABLES: tuple[str, ...] = ("estimators",)
+
+HORIZON = 60
+GOOD = (1, 2, 3, 7, 11, 12, 16, 19, 20, 23, 24, 32, 33, 37, 41, 44, 45, 49, 53, 54, 58)
+NEAR = tuple(15 if t == 16 else t for t in GOOD)
+SCHEMES = ("multinomial", "systematic", "sorted_systematic")
+PARTICLES = (100, 200, 500)
+DRAWS = 20_000
+MARKS: dict[int, Any] = {
+    count: {"marker": "o", "ms": 5, "ls": "", "fillstyle": style, "mfcalt": "white"}
+    for count, style in zip(PARTICLES, ("none", "left", "full"), strict=True)
+}
+TIMED_STEPS = 10_000_000  # particle-steps of one measurement
+REPEATS = 7
+PRECISION = 0.1  # of a difference: half a percent of the cost
+
+
+def measure(quick: bool, say: Say) -> Tables:
+    """Estimate both sets by every estimator and scheme, and time one of them.
+
+    Parameters
+    ----------
+    quick : bool
+        A twentieth of the draws, two repeats.
+    say : callable
+        Is told how far it is.
+
+    Returns
+    -------
+    dict of DataFrames
+        estimators: a row a particle number, estimator and scheme, with filters; ns_wall, ns,
+        ns_median and ns_max a particle-step; cost and sd of a draw; bias against the squared error
+        by the same scheme, relative, and its standard error; difference of the two sets, its
+        standard error, and sd of a draw's; difference_bias against the squared error's, and its
+        standard error; saved_cost and saved_difference, the variance at equal work of squared_error
+        with multinomial resampling over that of this one; and milliseconds, of one set's filters
+        until the difference is known to a standard error of PRECISION.
+    """
+    model, rows = load_model("ungm"), []
+    for particles in PARTICLES:
+        draws = simulate(model, HORIZON, range(DRAWS // 20 if quick else DRAWS), 1)
+        timed = draws[: max(1, TIMED_STEPS // (particles * (HORIZON + 1)))]
+        turns: dict[Any, Any] = {}
+        found: dict[Any, Any] = {}
+        for estimator in ESTIMATORS:
+            for scheme in SCHEMES:
+                of = partial(filter_sets, model, particles=particles, stream=2, resampling=scheme)
+                turns[estimator, scheme] = partial(of, timed, [GOOD], estimator=estimator)
+                found[estimator, scheme] = of(draws, [GOOD, NEAR], estimator=estimator)
+                say(f"{particles} particles, {estimator}, {scheme}")
+        with one_core():
+            timings = take_turns(turns, 2 if quick else REPEATS, say)
+        for (estimator, scheme), mse in found.items():
+            filters = len(filter_streams(0, estimator))
+            steps = len(timed.index) * (HORIZON + 1) * particles * filters
+            rows.append(
+                {"particles": particles, "estimator": estimator, "resampling": scheme}
+                | {"filters": filters}
+                | timings[estimator, scheme].nanoseconds(steps)
+                | _statistics(mse, found["squared_error", scheme])
+            )
+    table = pd.DataFrame(rows)
+    work = table["ns"] * table["filters"]
+    for what, sd in (("cost", table["sd"]), ("difference", table["sd_difference"])):
+        spent = work * sd**2
+        first = spent.groupby(table["particles"]).transform("first")
+        table[f"saved_{what}"] = first / spent
+    draws_wanted = (table["sd_difference"] / PRECISION) ** 2
+    wanted = draws_wanted * (HORIZON + 1) * table["particles"]
+    table["milliseconds"] = wanted * work * 1e-6
+    return {"estimators": table}
+
+
+def _statistics(mse: Any, squared_error: Any) -> dict[str, float]:
+    """Of estimates of both sets, (D, 2)."""
+    root = math.sqrt(len(mse))
+    bias = (mse - squared_error)[:, 0] / squared_error[:, 0].mean()
+    apart = mse[:, 1] - mse[:, 0]
+    wrong = apart - (squared_error[:, 1] - squared_error[:, 0])
+    return {
+        "cost": float(mse[:, 0].mean()),
+        "sd": float(mse[:, 0].std(ddof=1)),
+        "bias": float(bias.mean()),
+        "bias_error": float(bias.std(ddof=1) / root),
+        "difference": float(apart.mean()),
+        "difference_error": float(apart.std(ddof=1) / root),
+        "sd_difference": float(apart.std(ddof=1)),
+        "difference_bias": float(wrong.mean()),
+        "difference_bias_error": float(wrong.std(ddof=1) / root),
+    }
+
+
+def summary(tables: Tables) -> str:
+    """Say in Markdown what is saved, and at what bias."""
+    lines = []
+    for row in _rows(tables):
+        itself = row["estimator"] == "squared_error"
+        lines.append(
+            [
+                f"{row['particles']}, {row['estimator']}, {row['resampling']}",
+                f"{row['ns'] * row['filters']:.2f}",
+                f"{row['sd']:.2f}",
+                f"{row['sd_difference']:.2f}",
+                "" if itself else f"{100 * row['bias']:+.1f} ± {100 * row['bias_error']:.1f}",
+                ""
+                if itself
+                else f"{row['difference_bias']:+.3f} ± {row['difference_bias_error']:.3f}",
+                f"{row['saved_cost']:.1f}",
+                f"{row['saved_difference']:.2f}",
+                f"{row['milliseconds']:.1f}",
+            ]
+        )
+    header = [
+        "particles, estimator, resampling",
+        "ns a particle",
+        "sd of a draw",
+        "sd of a draw's difference",
+        "bias, %",
+        "bias of the difference",
+        "saved, one cost",
+        "saved, a difference",
+        f"ms to ± {PRECISION}",
+    ]
+    return (
+        "Two good sets of the paper's problem that differ in one time by one instant, under common "
+        "draws and noise. ns a particle and instant, of both filters where there are two. Biases "
+        "are against the squared error by the same scheme with as many particles. Saved: variance "
+        "at equal work of squared_error with multinomial resampling and as many particles, over "
+        "this one's. The last column: how long one set's filters run until the difference is known "
+        "to that standard error. ± is one standard error.\n\n" + markdown(header, lines)
+    )
+
+
+def _rows(tables: Tables) -> list[dict[str, Any]]:
+    names = tables["estimators"].columns
+    return [dict(zip(names, row, strict=True)) for row in tables["estimators"].to_numpy()]
+
+
+def plot(tables: Tables) -> Figure:
+    """Draw the variance saved at equal work, of one cost and of a difference."""
+    figure = Figure(figsize=(COLUMN_INCHES, 1.25 * COLUMN_INCHES), layout="constrained")
+    panels = figure.subplots(2, sharex=True)
+    colours = dict(zip(SCHEMES, SERIES, strict=False))
+    for axes, of, title in zip(
+        panels, ("cost", "difference"), ("one cost", "difference of two sets"), strict=True
+    ):
+        for row in _rows(tables):
+            scheme, size = SCHEMES.index(row["resampling"]), PARTICLES.index(row["particles"])
+            axes.plot(
+                ESTIMATORS.index(row["estimator"]) + 0.22 * (scheme - 1) + 0.06 * (size - 1),
+                row[f"saved_{of}"],
+                color=colours[row["resampling"]],
+                **MARKS[row["particles"]],
+            )
+        axes.axhline(1, color=GREY, lw=0.6, ls=":")
+        axes.set_yscale("log")
+        ticks = (0.5, 1, 2, 5, 10) if of == "cost" else (0.5, 1, 2, 4)
+        axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
+        axes.minorticks_off()
+        axes.set_ylabel("variance saved at equal work")
+        axes.set_title(title)
+    panels[1].set_xticks(range(len(ESTIMATORS)), [name.replace("_", " ") for name in ESTIMATORS])
+    handles = [
+        Line2D([], [], color=colour, label=scheme.replace("_", " "), **MARKS[PARTICLES[-1]])
+        for scheme, colour in colours.items()
+    ]
+    handles += [
+        Line2D([], [], color=GREY, label=f"{count} particles", **mark)
+        for count, mark in MARKS.items()
+    ]
+    panels[0].legend(handles=handles, loc="upper left")
+    return figure

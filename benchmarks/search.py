@@ -1,0 +1,282 @@
+"""All searches on four problems: how far from the best known they end, and after how much work.
+
+What is counted is all that a search does, its shortlist included. What it found is then filtered
+with fresh draws beside all else that was found for the problem, and beside the sets in
+``best_known.csv``; the best of them, by a race on other draws, is what the excess is measured from.
+
+The whole takes half an hour on two cores. Each search's row is kept in ``results/search.csv`` as it
+ends, and not made again: to measure a search anew, delete its rows.
+"""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from benchmarks.measure import Say
+from benchmarks.results import Tables, markdown
+from benchmarks.search_runs import fresh_costs, search
+from pfdist import Job, load_job
+from pfdist.job import Execution
+from pfdist.kernels.noise import stream_key
+from pfdist.measurement_times import Times
+from pfdist.plots.style import BLUE, COLUMN_INCHES, GREEN, GREY, ORANGE, RED
+from pfdist.runner.build import build, make_pool
+
+TITLE = "Searches"
+TABLES: tuple[str, ...] = ("search", "search_sets")
+
+HERE = Path(__file__).parent
+KEPT = HERE / "results" / "search.csv"
+SEEDS = 5
+ROUNDS = 40  # of fresh draws at most, where standard errors are not yet small
+
+PROBLEMS: dict[str, list[str]] = {
+    "paper": [],
+    "tumour": [],
+    "linear_gaussian": [],
+    "linear_gaussian, short": ["problem.horizon=25", "problem.measurement_budget=5"],
+}
+"""Jobs that ship, and what is changed in them."""
+EXACT = ("linear_gaussian", "linear_gaussian, short")  # where draws are no part of the work
+SHORT = ("linear_gaussian, short",)  # where every set can be tried
+SMALL = ["problem.horizon=14", "problem.measurement_budget=4", "evaluation.draws=50"]
+
+
+def _common(method: str, *draws: int, **settings: Any) -> list[dict[str, Any]]:
+    common = {"noise": "common", "particles": 100, "resampling": "systematic"}
+    return [
+        {"method": method, **settings, "evaluation": {"draws": each, **common}} for each in draws
+    ]
+
+
+SEARCHES: dict[str, list[dict[str, Any]]] = {
+    "survivors": [{"method": "survivors", "survivors": m} for m in (1, 2, 4)],
+    "greedy forward": _common("greedy_forward", 150, 600),
+    "greedy backward": _common("greedy_backward", 150, 600),
+    "exchange": _common("exchange", 150, 600),
+    "annealing": [{"method": "annealing", "steps": steps} for steps in (125, 500)],
+    "cross-entropy": [{"method": "cross_entropy", "population": sets} for sets in (40, 100)],
+    "random trials": [
+        *_common("random", 300, evaluations=300),
+        *_common("random", 300, evaluations=1250),
+    ],
+    "genetic, common noise": _common("genetic", 150, 600),
+    "genetic, as in the paper": [{"method": "genetic"}],
+    "exhaustive": [{"method": "exhaustive"}],
+}
+"""Of each search one or more ways, which differ in how much work they do."""
+BY_CHANCE = ("annealing", "cross-entropy", "random trials", "genetic, as in the paper")
+"""Searches that the seed changes even where costs are exact."""
+
+LOOKS = {
+    "survivors": (RED, "o"),
+    "greedy forward": (BLUE, "^"),
+    "greedy backward": (BLUE, "v"),
+    "exchange": (GREEN, "s"),
+    "annealing": (ORANGE, "D"),
+    "cross-entropy": (ORANGE, "P"),
+    "random trials": (GREY, "X"),
+    "genetic, common noise": (GREY, "*"),
+    "genetic, as in the paper": ("black", "*"),
+    "exhaustive": ("black", "h"),
+}
+
+
+def measure(quick: bool, say: Say) -> Tables:
+    """Run every search that has no row yet, then filter all that was found with fresh draws.
+
+    Parameters
+    ----------
+    quick : bool
+        Small problems, one seed, the first way of each search; nothing is kept.
+    say : callable
+        Is told how far it is.
+
+    Returns
+    -------
+    dict of DataFrames
+        search: a row a run, with problem, search, way, seed, job (a hash of what was run), steps,
+        seconds, believed, times;
+        search_sets: a row a set, with problem and what `fresh_costs` gives.
+    """
+    rows, sets = [], []
+    for problem in PROBLEMS:
+        jobs = _jobs(problem, quick)
+        built = build(jobs[0][1])
+        execution = Execution(pool="serial" if quick or problem in EXACT else "ray")
+        with make_pool(built, execution) as pool:
+            for about, job in jobs:
+                row = None if quick else _kept(about)
+                if row is None:
+                    found = search(job, pool)
+                    row = {**about, **found, "times": _text(found["times"])}
+                    say(" ".join(str(row[key]) for key in ("problem", "search", "way", "seed")))
+                    if not quick:
+                        _keep(row)
+                rows.append(row)
+            texts = [row["times"] for row in rows if row["problem"] == problem]
+            texts = list(dict.fromkeys([*texts, *(() if quick else _best_known(problem))]))
+            fresh = fresh_costs(built, pool, list(map(_times, texts)), 2 if quick else ROUNDS)
+            sets.append(fresh.assign(problem=problem, times=texts))
+            say(f"{problem}: {len(texts)} sets on fresh draws")
+    return {"search": pd.DataFrame(rows), "search_sets": pd.concat(sets)}
+
+
+def _jobs(problem: str, quick: bool) -> list[tuple[dict[str, Any], Job]]:
+    """All runs of a problem."""
+    file = HERE.parent / "jobs" / f"{problem.partition(',')[0]}.toml"
+    changes = [*PROBLEMS[problem], "comparison.draws=2", *(SMALL if quick else [])]
+    jobs = []
+    for seed in range(1, 2 if quick else SEEDS + 1):
+        for name in SEARCHES:
+            if seed > 1 and problem in EXACT and name not in BY_CHANCE:
+                continue
+            ways = _ways(problem, name)
+            for settings in ways[: 1 if quick else None]:
+                job = load_job(file, [*changes, f"seed={seed}", f"search=[{_toml(settings)}]"])
+                about = {"problem": problem, "search": name, "way": _label(settings, ways)}
+                key = f"{stream_key(job.identity()):016x}"
+                jobs.append(({**about, "seed": seed, "job": key}, job))
+    return jobs
+
+
+def _ways(problem: str, name: str) -> list[dict[str, Any]]:
+    if name == "exhaustive" and problem not in SHORT:
+        return []
+    if problem not in EXACT:
+        return SEARCHES[name]
+    if name == "genetic, common noise":  # there is no noise
+        return []
+    ways = [{k: v for k, v in way.items() if k != "evaluation"} for way in SEARCHES[name]]
+    return [way for place, way in enumerate(ways) if way not in ways[:place]]
+
+
+def _label(way: dict[str, Any], ways: list[dict[str, Any]]) -> str:
+    """What sets one way apart from the others."""
+    here, *others = ({**one, **one.get("evaluation", {})} for one in (way, *ways))
+    keys = [key for key in here if key != "evaluation" and any(here[key] != o[key] for o in others)]
+    return ", ".join(f"{key} = {here[key]}" for key in keys)
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key} = {_toml(its)}" for key, its in value.items()) + "}"
+    return json.dumps(value)
+
+
+def _kept(about: dict[str, Any]) -> dict[str, Any] | None:
+    if not KEPT.exists():
+        return None
+    rows = pd.read_csv(KEPT, comment="#")
+    same = rows[(rows["job"] == about["job"]) & (rows["search"] == about["search"])]
+    return {**same.iloc[-1].to_dict(), **about} if len(same) else None
+
+
+def _keep(row: dict[str, Any]) -> None:
+    KEPT.parent.mkdir(exist_ok=True)
+    pd.DataFrame([row]).to_csv(KEPT, mode="a", header=not KEPT.exists(), index=False)
+
+
+def _best_known(problem: str) -> list[str]:
+    rows = pd.read_csv(HERE / "best_known.csv", comment="#")
+    return list(rows.loc[rows["problem"] == problem, "times"])
+
+
+def _text(times: Times) -> str:
+    return " ".join(map(str, times))
+
+
+def _times(text: str) -> Times:
+    return tuple(map(int, text.split()))
+
+
+def _found(tables: Tables) -> pd.DataFrame:
+    """Means and ranges over the seeds, a row a way of a search."""
+    rows = tables["search"].merge(tables["search_sets"], on=["problem", "times"])
+    believed = 100 * (rows["believed"] / rows["cost"] - 1)
+    rows = rows.assign(believed=believed, way=rows["way"].fillna(""))
+    of = rows.groupby(["problem", "search", "way"], sort=False)
+    found = of[["steps", "excess", "believed"]].mean()
+    return found.join(of["excess"].agg(["min", "max", "size"])).reset_index()
+
+
+def summary(tables: Tables) -> str:
+    """Say in Markdown what each search found, and at what cost."""
+    found, sets = _found(tables), tables["search_sets"]
+    parts = [
+        "Excess over the best set known, in per cent of its cost: mean over the seeds, in brackets "
+        "the least and the largest; measured on fresh draws common to all sets of a problem, with "
+        f"standard errors of at most {sets['excess_error'].max():.2f}. Work is that of the whole "
+        "search and its shortlist, in particle-steps; where the Kalman filter knows each cost, in "
+        "its steps. Believed is by how much the cost that the search has seen differs from that on "
+        "fresh draws: the winner's curse, and the bias of 100 particles where it took so few."
+    ]
+    for problem in found["problem"].unique():
+        of = found[found["problem"] == problem].set_index(["search", "way"])
+        best = sets[(sets["problem"] == problem) & sets["best"]].iloc[0]
+        lines = [
+            [
+                ", ".join(filter(None, name)),
+                f"{row['size']:.0f}",
+                f"{row['steps']:.2g}",
+                f"{row['excess']:.2f} ({row['min']:.2f} to {row['max']:.2f})",
+                f"{row['believed']:+.1f}",
+            ]
+            for name, row in of.iterrows()
+        ]
+        header = [problem, "seeds", "work", "excess, %", "believed, %"]
+        parts.append(
+            f"{markdown(header, lines)}\n\nBest known: {best['times']}; expected MSE "
+            f"{best['cost']:.5g} ± {best['standard_error']:.2g}."
+        )
+    return "\n\n".join(parts)
+
+
+def plot(tables: Tables) -> Figure:
+    """Draw excess against work, mean and range over the seeds, a panel a problem."""
+    found = _found(tables)
+    problems = list(found["problem"].unique())
+    size = (2 * COLUMN_INCHES, 1.8 * COLUMN_INCHES)
+    figure = Figure(figsize=size, layout="constrained")
+    for axes, problem in zip(figure.subplots(2, 2).flat, problems, strict=True):
+        _panel(axes, found[found["problem"] == problem])
+        axes.set_title(problem)
+        axes.set_xlabel("steps of the Kalman filter" if problem in EXACT else "particle-steps")
+        axes.set_ylabel("excess over the best known, %")
+    handles = {
+        label: handle
+        for axes in figure.axes
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+    shown = [name for name in LOOKS if name in handles]
+    figure.legend([handles[name] for name in shown], shown, loc="outside lower center", ncols=4)
+    return figure
+
+
+def _panel(axes: Axes, found: pd.DataFrame) -> None:
+    for name, (colour, marker) in LOOKS.items():
+        of = found[found["search"] == name].sort_values("steps")
+        if len(of):
+            spread = of["excess"] - of["min"], of["max"] - of["excess"]
+            axes.errorbar(
+                of["steps"], of["excess"], spread, label=name, color=colour, marker=marker,
+                ms=5 if marker == "*" else 3.5, lw=0.7, elinewidth=0.6, capsize=1.5,
+            )  # fmt: skip
+    axes.set_xscale("log")
+    axes.set_yscale("symlog", linthresh=1, linscale=0.6)
+    ticks = [0, 0.5, 1, 2, 5, 10, 20, 50]
+    axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
+    axes.set_yticks([], minor=True)
+    axes.set_ylim(min(-0.3, 1.3 * found["min"].min()), max(1.0, 1.3 * found["max"].max()))
+    axes.grid(axis="y", lw=0.3, color=GREY, alpha=0.4)
+
+
+if __name__ == "__main__":
+    from benchmarks.__main__ import main
+
+    sys.exit(main(["search", *sys.argv[1:]]))

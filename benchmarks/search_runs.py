@@ -1,0 +1,195 @@
+"""One search of a problem, with its work counted, and what found sets cost on fresh draws."""
+
+import tempfile
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from time import perf_counter
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from pfdist import Job
+from pfdist.errors import TaskError
+from pfdist.measurement_times import Times
+from pfdist.monte_carlo import REPORT, SHORTLIST, Work
+from pfdist.runner.build import Built, build
+from pfdist.runner.driver import compared_sets, drive
+from pfdist.runner.pool import Outcome, Pool, Task
+from pfdist.runner.searches import Settings
+from pfdist.search import Race
+from pfdist.store import Store
+
+STANDARD_ERROR = 0.12  # per cent, of an excess
+ROUND = 5000  # draws
+RACE_DRAWS = 1000  # of the first round
+STEPS_A_TASK = 200_000_000
+
+Array = NDArray[np.float64]
+
+
+@dataclass
+class Counting:
+    """A pool that counts the particle-steps of searches.
+
+    Parameters
+    ----------
+    pool : Pool
+        Entered.
+    steps : int
+    """
+
+    pool: Pool
+    steps: int = 0
+
+    def __post_init__(self) -> None:
+        self.workers = self.pool.workers
+
+    def run(self, tasks: Iterable[Task]) -> Iterator[Outcome]:
+        """Give the outcomes as they come."""
+        for outcome in self.pool.run(tasks):
+            if outcome.task.key.startswith("draws:"):  # and not the comparison's
+                self.steps += sum(work.steps for work in outcome.task.work)
+            yield outcome
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        pass
+
+
+def search(job: Job, pool: Pool) -> dict[str, Any]:
+    """Run a job's one search and its shortlist.
+
+    Parameters
+    ----------
+    job : Job
+        With next to no comparison.
+    pool : Pool
+        Entered, of the same problem.
+
+    Returns
+    -------
+    dict
+        steps: particle-steps, or with the exact engine steps of the Kalman filter; seconds;
+        believed: the cost that the search reports; times.
+    """
+    built, counting = build(job), Counting(pool)
+    (name,) = (section.name for section in job.search)
+    with tempfile.TemporaryDirectory(prefix="run-") as folder:
+        store, start = Store(Path(folder)), perf_counter()
+        drive(built, store, counting, lambda progress: None)
+        seconds = perf_counter() - start
+        rows, compared = store.read("evaluations"), store.read("compared").set_index("name")
+        steps = int((rows["end"] + 1).sum()) if built.problem.exact else counting.steps
+        believed, times = compared.loc[name, "search_cost"], compared_sets(store)[name]
+    return {"steps": steps, "seconds": seconds, "believed": believed, "times": times}
+
+
+def fresh_costs(built: Built, pool: Pool, sets: Sequence[Times], rounds: int) -> pd.DataFrame:
+    """Find the best of some sets in a race, and what each costs more than it, on other draws.
+
+    All are filtered with the same draws and noise, until the standard error of the excess is small.
+
+    Parameters
+    ----------
+    built : Built
+    pool : Pool
+        Entered, of the same problem.
+    sets : sequence of tuples of int
+        S different ones.
+    rounds : int
+        Of 5,000 draws, at most.
+
+    Returns
+    -------
+    DataFrame
+        A row a set: times, cost, standard_error, excess and excess_error (both per cent of the
+        best set's cost), draws, best (whether it won the race).
+    """
+    if built.problem.exact:
+        costs = built.problem.expected_mse(sets)
+        excess = 100 * (costs / costs.min() - 1)
+        rows = {"cost": costs, "standard_error": 0.0, "excess": excess, "excess_error": 0.0}
+        return pd.DataFrame({"times": sets, **rows, "draws": 0, "best": excess == 0})
+    best = _winner(built, pool, sets)
+    known = {times: np.empty(0) for times in sets}
+    for number in range(rounds):
+        wanted = [times for times, mse in known.items() if _is_open(mse, known[best])]
+        if not wanted:
+            break
+        draws = (number * ROUND, (number + 1) * ROUND)
+        wanted = list(dict.fromkeys([best, *wanted]))
+        mse = _filtered(built, pool, wanted, REPORT.stream(built.job.seed), draws)
+        for times, column in zip(wanted, mse.T, strict=True):
+            known[times] = np.append(known[times], column)
+    return pd.DataFrame([_row(times, mse, known[best]) for times, mse in known.items()]).assign(
+        best=[times == best for times in known]
+    )
+
+
+def _winner(built: Built, pool: Pool, sets: Sequence[Times]) -> Times:
+    race, stream = Race(tuple(sets), RACE_DRAWS), SHORTLIST.stream(built.job.seed)
+    state, rng = race.init(), np.random.default_rng(0)
+    while not race.done(state):
+        asked = race.ask(state, rng)
+        mse = _filtered(
+            built, pool, [one.measurement_times for one in asked], stream, (0, state.draws)
+        )
+        columns = zip(asked, mse.T, strict=True)
+        told = [SHORTLIST.evaluation(one.measurement_times, column) for one, column in columns]
+        state = race.tell(state, told)
+    return race.finalists(state)[0].measurement_times
+
+
+def _filtered(
+    built: Built, pool: Pool, sets: Sequence[Times], stream: int, draws: tuple[int, int]
+) -> Array:
+    """Per-draw MSE of each set, (D, S)."""
+    work = Work(
+        measurement_times=tuple(sets),
+        ends=(built.job.problem.horizon,) * len(sets),
+        filter_streams=(stream,) * len(sets),
+        draws_stream=stream,
+        draws=draws,
+        estimation=Settings.of(built.job).estimation,
+    )
+    size, (first, last) = max(1, STEPS_A_TASK // work.steps_a_draw), draws
+    pieces = [replace(work, draws=(d, min(last, d + size))) for d in range(first, last, size)]
+    mse = np.empty((last - first, len(sets)))
+    for outcome in pool.run([Task(f"fresh:{piece.draws}", (piece,)) for piece in pieces]):
+        if outcome.error is not None:
+            raise TaskError("a task on fresh draws failed", outcome.error)
+        (piece,), (result,) = outcome.task.work, outcome.value
+        mse[piece.draws[0] - first : piece.draws[1] - first] = result.mse
+    return mse
+
+
+def _is_open(mse: Array, best: Array) -> bool:
+    if mse.size < ROUND:
+        return True
+    of_best = best[: mse.size]
+    error = np.nanstd(mse - of_best) / np.sqrt(mse.size) / np.nanmean(of_best)
+    return bool(100 * error > STANDARD_ERROR)
+
+
+def _row(times: Times, mse: Array, best: Array) -> dict[str, Any]:
+    of_best, root = best[: mse.size], np.sqrt(mse.size)
+    apart, scale = mse - of_best, 100 / np.nanmean(of_best)
+    return {
+        "times": times,
+        "cost": np.nanmean(mse),
+        "standard_error": np.nanstd(mse) / root,
+        "excess": scale * np.nanmean(apart),
+        "excess_error": scale * np.nanstd(apart) / root,
+        "draws": mse.size,
+    }

@@ -1,0 +1,83 @@
+"""What is computed of a weighted cloud: mean and variance of z, and what an instant costs."""
+
+from collections.abc import Callable
+from typing import Any
+
+from numba import njit
+
+from pfdist.kernels.components import reader, tuple_of, writer
+from pfdist.kernels.formulas import formula
+
+ESTIMATORS = ("squared_error", "filter_variance", "two_filters")
+"""What an instant costs: the error of the estimate; the variance of the particles' z, summed over
+its components; or with two independent filters the mean of their variances and the squared distance
+of their estimates. They go by their places."""
+
+SQUARED_ERROR = 0
+
+
+def moments(
+    quantity_of_interest: Callable[..., Any], components: tuple[int, int, int]
+) -> tuple[Callable[..., Any], ...]:
+    """Compile the weighted mean of z, and its variance.
+
+    A particle of weight 0 does not count. Sums that may be added in any order become vectors.
+    """
+    states, _, quantities = components
+    quantity, read_x = formula(quantity_of_interest), reader(states, "half, c, i")
+    add = tuple_of(
+        quantities,
+        "sums, weight, values",
+        "sums[c] + weight * (values[c] if weight > 0.0 else 0.0)",
+        any_order=True,
+    )
+    divided = tuple_of(quantities, "sums, total", "sums[c] / total")
+    squares = tuple_of(quantities, "values, mean", "(values[c] - mean[c]) ** 2")
+    nothing = (0.0,) * quantities
+
+    @njit(forceinline=True, nogil=True, error_model="numpy")
+    def average(cloud, here, t, p, weight, row, total):
+        sums = nothing
+        for i in range(cloud.shape[2]):
+            z = quantity(read_x(cloud, here, i), t, p)
+            sums = add(sums, weight[row, i], z)
+        return divided(sums, total)
+
+    @njit(forceinline=True, nogil=True, error_model="numpy")
+    def spread(cloud, here, t, p, weight, row, total, mean):
+        sums = nothing
+        for i in range(cloud.shape[2]):
+            z = quantity(read_x(cloud, here, i), t, p)
+            sums = add(sums, weight[row, i], squares(z, mean))
+        return divided(sums, total)
+
+    return average, spread
+
+
+def recorders(error: Callable[..., Any], quantities: int) -> tuple[Callable[..., Any], ...]:
+    """Compile what records mean and variance, and what an instant costs by them.
+
+    Of two filters each gives half of its variance; the first one leaves its mean to the second.
+    """
+    error_of = formula(error)
+    write_z = writer(quantities, "d, t, c")
+    read_other, write_other = (make(quantities, "s, t, c") for make in (reader, writer))
+
+    @njit(forceinline=True, nogil=True, error_model="numpy")
+    def record(estimate, variance, d, t, mean, variances):
+        if estimate.size > 0:  # somebody asks
+            write_z(estimate, d, t, mean)
+            write_z(variance, d, t, variances)
+
+    @njit(forceinline=True, nogil=True, error_model="numpy")
+    def cost_of(estimator, k, others, s, t, mean, variances, truth):
+        total = 0.0
+        for one in variances:
+            total += one
+        if others.size > 0:
+            total *= 0.5
+            total += error_of(read_other(others, s, t), mean, t, truth) if k > 0 else 0.0
+            write_other(others, s, t, mean)
+        return total if estimator != SQUARED_ERROR else 0.0
+
+    return record, cost_of

@@ -1,0 +1,108 @@
+"""Particles in the order of their states: under common noise what is resampled is then smooth.
+
+Systematic resampling gives a particle's place in line a child. In line by state, clouds that differ
+a little have children that differ a little; in any other order, a weight that changes moves
+all that stand behind it.
+
+The line is as exact as `LEVELS` steps from the least state with a weight to the largest: those
+of one level stand as they stood. A radix sort of two digits is then enough.
+
+References
+----------
+Malik, Pitt, "Particle filters for continuous likelihood evaluation and maximisation", Journal of
+Econometrics 165, 2011. Gerber, Chopin, "Sequential quasi Monte Carlo", Journal of the Royal
+Statistical Society B 77, 2015.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from pfdist.kernels.arithmetic import larger
+
+_BITS = 7
+LEVELS = 2 ** (2 * _BITS)
+DIGITS = 2**_BITS
+
+_NONE = -np.finfo(np.float64).max
+_LOW, _HIGH = np.uintp(0), np.uintp(1)
+
+
+@njit(forceinline=True, nogil=True, error_model="numpy")
+def sort_by_state(
+    cloud, here, particles, weight, row, log_weight, counts, keys, half_sorted, order
+):
+    """Put a cloud and its weights in line, and say in which half it is then.
+
+    Parameters
+    ----------
+    cloud : array of float, (2, 1, width(particles))
+    here, particles : int
+    weight : array of float32, (rows, width(particles))
+    row : int
+    log_weight : array of float64, (width(particles),)
+        Scratch.
+    counts : array of uint32, (2, DIGITS)
+        Scratch.
+    keys, half_sorted, order : arrays of uint32, (width(particles) or more,)
+        Scratch; order receives who stands where.
+    """
+    high, depth = _NONE, _NONE  # the largest state, and the largest negative one
+    for i in range(cloud.shape[2]):
+        x = np.float64(cloud[here, 0, i] if weight[row, i] > 0.0 else np.nan)
+        # With abs(x), `and`, or -inf for none it is not vectorised: 1 to 4 ns in the place of 0.1.
+        high = larger(high, x if x < np.inf else _NONE)
+        depth = larger(depth, -x if x > -np.inf else _NONE)
+    low = -depth
+    scale = (LEVELS - 1) / (high - low)
+    for i in range(cloud.shape[2]):
+        level = (np.float64(cloud[here, 0, i]) - low) * scale
+        level = level if level > 0.0 else 0.0  # also what is not a number
+        level = level if level < LEVELS - 1.0 else LEVELS - 1.0
+        keys[i] = np.uint32(np.int64(level))
+    _radix_sorted(keys, particles, counts, half_sorted, order)
+    for i in range(particles, cloud.shape[2]):
+        order[i] = 0
+    for i in range(cloud.shape[2]):
+        cloud[1 - here, 0, i] = cloud[here, 0, order[i]]
+        log_weight[i] = weight[row, order[i]]
+    for i in range(particles):
+        weight[row, i] = np.float32(log_weight[i])
+    return 1 - here
+
+
+@njit(forceinline=True, nogil=True)
+def _radix_sorted(keys, particles, counts, half_sorted, order):
+    """Sort by the low digit, then by the high one; what is alike stays as it stood."""
+    mask, bits = np.uint32(DIGITS - 1), np.uint32(_BITS)
+    for digit in range(DIGITS):
+        counts[_LOW, digit] = 0
+        counts[_HIGH, digit] = 0
+    for i in range(particles):
+        counts[_LOW, keys[i] & mask] += np.uint32(1)
+        counts[_HIGH, keys[i] >> bits] += np.uint32(1)
+    first_low, first_high = np.uint32(0), np.uint32(0)
+    for digit in range(DIGITS):
+        many_low, many_high = counts[_LOW, digit], counts[_HIGH, digit]
+        counts[_LOW, digit], counts[_HIGH, digit] = first_low, first_high
+        first_low, first_high = np.uint32(first_low + many_low), np.uint32(first_high + many_high)
+    for i in range(particles):
+        digit = keys[i] & mask
+        half_sorted[counts[_LOW, digit]] = i
+        counts[_LOW, digit] += np.uint32(1)
+    for place in range(particles):
+        i = half_sorted[place]
+        digit = keys[i] >> bits
+        order[counts[_HIGH, digit]] = i
+        counts[_HIGH, digit] += np.uint32(1)
+
+
+def plain_order(state: NDArray[np.float64], weight: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Plain twin: who stands where, along the last axis."""
+    counted = (weight > 0.0) & np.isfinite(state)
+    low = np.where(counted, state, -_NONE).min(axis=-1, keepdims=True)
+    high = np.where(counted, state, _NONE).max(axis=-1, keepdims=True)
+    with np.errstate(all="ignore"):
+        level = (state - low) * ((LEVELS - 1) / (high - low))
+        level = np.where(level > 0.0, np.minimum(level, LEVELS - 1.0), 0.0)
+    return np.argsort(level.astype(np.int64), axis=-1, kind="stable")

@@ -1,0 +1,113 @@
+"""Why measurement times are what they are: the error over time, and what measurements are worth.
+
+Of two sets the reference is blue and its markers are hollow, the other red and filled.
+"""
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from pfdist.plots.style import BLUE, GREY, RED
+
+Array = NDArray[np.float64]
+
+_BAND = 1.96  # standard errors: 95 %
+_STYLES: tuple[dict[str, Any], ...] = (
+    {"color": BLUE, "ls": (0, (4, 1.5)), "mfc": "white", "mew": 0.6},
+    {"color": RED, "ls": "-", "mfc": RED, "mew": 0.6},
+)
+_SIZE = 2.8  # of a marker
+
+
+def plot_profile(axes: Axes, profile: pd.DataFrame, names: tuple[str, str]) -> None:
+    """Draw the expected error over time with its 95 % band, and when each of two sets measures.
+
+    Parameters
+    ----------
+    axes : matplotlib Axes
+    profile : DataFrame
+        Columns name, t, measured, error and standard_error, as of `pfdist.runner.why.Why`.
+    names : (str, str)
+        Of the two sets, the reference first.
+    """
+    for name, style in zip(names, _STYLES, strict=True):
+        rows = profile[profile["name"] == name]
+        t, error = rows["t"].to_numpy(), rows["error"].to_numpy()
+        half = _BAND * rows["standard_error"].to_numpy()
+        axes.fill_between(t, error - half, error + half, color=style["color"], alpha=0.2, lw=0)
+        label = f"{name}, mean {error.mean():.4g}"
+        at = np.flatnonzero(rows["measured"])
+        axes.plot(t, error, marker="o", markevery=at, ms=_SIZE, lw=0.9, label=label, **style)
+    axes.set_ylim(bottom=0)
+    axes.set_ylabel("expected error $e(t)$")
+    _legend(axes, title="markers: measured there")
+
+
+def plot_removals(axes: Axes, measurements: pd.DataFrame, names: tuple[str, str]) -> None:
+    """Draw by how much the expected MSE rises without each measurement, with 95 % intervals.
+
+    Parameters
+    ----------
+    axes : matplotlib Axes
+    measurements : DataFrame
+        Columns name, t, removed and removed_error, as of `pfdist.runner.why.Why`.
+    names : (str, str)
+        Of the two sets, the reference first.
+    """
+    for name, style in zip(names, _STYLES, strict=True):
+        rows = measurements[measurements["name"] == name]
+        t, rise = rows["t"].to_numpy(), rows["removed"].to_numpy()
+        axes.vlines(t, 0.0, rise, color=style["color"], lw=0.7)
+        _intervals(axes, t, rise, rows["removed_error"].to_numpy(), "o", style)
+        axes.plot([], [], "o", ms=_SIZE, label=name, **style | {"ls": ""})
+    _zero(axes)
+    axes.set_ylabel("MSE rise, removed")
+    _legend(axes)
+
+
+def plot_shifts(axes: Axes, measurements: pd.DataFrame, names: tuple[str, str]) -> None:
+    """Draw by how much the expected MSE rises where each measurement is made one instant off.
+
+    Parameters
+    ----------
+    axes : matplotlib Axes
+    measurements : DataFrame
+        Columns name, t, earlier, later and their errors, as of `pfdist.runner.why.Why`.
+    names : (str, str)
+        Of the two sets, the reference first.
+    """
+    for change, marker, aside in (("earlier", "<", -0.3), ("later", ">", 0.3)):
+        for name, style in zip(names, _STYLES, strict=True):
+            rows = measurements[measurements["name"] == name].dropna(subset=change)
+            t, rise = rows["t"].to_numpy() + aside, rows[change].to_numpy()
+            _intervals(axes, t, rise, rows[f"{change}_error"].to_numpy(), marker, style)
+        axes.plot([], [], marker, color=GREY, ms=_SIZE, label=f"one instant {change}")
+    _zero(axes)
+    axes.set_ylabel("MSE rise, shifted")
+    axes.set_xlabel("$t$")
+    _legend(axes)
+
+
+def _intervals(
+    axes: Axes, t: Array, rise: Array, error: Array, marker: str, style: dict[str, Any]
+) -> None:
+    half = _BAND * error
+    axes.errorbar(t, rise, half, marker=marker, ms=_SIZE, elinewidth=0.6, **style | {"ls": ""})
+
+
+def _zero(axes: Axes) -> None:
+    axes.axhline(0.0, color=GREY, lw=0.6, zorder=0)
+
+
+def _legend(axes: Axes, title: str = "") -> None:
+    axes.legend(
+        ncols=2,
+        loc="lower center",
+        bbox_to_anchor=(0.5, 0.98),
+        borderaxespad=0.2,
+        title=title or None,
+        title_fontsize=7,
+    )

@@ -1,0 +1,58 @@
+"""Say how the expected MSE falls with the number of measurements, and how many are enough."""
+
+from pathlib import Path
+from typing import Any
+
+from pfdist.analysis import Run
+from pfdist.job import Job, load_job
+from pfdist.plots import draw_figures
+from pfdist.runner.run import run
+
+DRAWS = 4000
+
+
+def budget(
+    job: Job | str | Path,
+    measurements: tuple[int, int],
+    results: str | Path | None = None,
+    draws: int = DRAWS,
+    target: float | None = None,
+    **options: Any,
+) -> Run:
+    """Find times for every number of measurements, and compare them with regular times.
+
+    One survivor programme finds the times of all numbers; all of them, and the regular times of
+    each, then filter the same fresh draws.
+
+    Parameters
+    ----------
+    job : Job, str or Path
+        A job, or the path of its file. Its searches and its measurement budget are left aside.
+    measurements : (int, int)
+        Least and largest number of measurements.
+    results : str or Path, optional
+        The run's own folder; by default ``results/<the job file's stem>-budget``.
+    draws : int
+        On which they are compared; more of them go on with a run.
+    target : float, optional
+        An expected MSE that the figure shows, and the least number that reaches it; `Run.reaching`
+        gives the figures.
+    options : optional
+        As `pfdist.run` takes them.
+
+    Returns
+    -------
+    Run
+        Its `Run.budget` has a row for each number and kind of times.
+
+    Raises
+    ------
+    PfdistError
+        As `pfdist.run`.
+    """
+    job = job if isinstance(job, Job) else load_job(job)
+    results = Path("results") / f"{job.path.stem}-budget" if results is None else results
+    done = run(job.budgeted(*measurements, draws), results, **options)
+    if target is not None:
+        draw_figures(done, target)
+    return done

@@ -1,0 +1,149 @@
+"""From the sections [[search]] to optimisers, and to how each evaluates."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from pfdist.job import AUTO, Job, Search, SearchEvaluation
+from pfdist.monte_carlo import Estimation
+from pfdist.search import (
+    Annealing,
+    Budgets,
+    CrossEntropy,
+    Exchange,
+    Exhaustive,
+    GeneticAlgorithm,
+    GreedyBackward,
+    GreedyForward,
+    RandomTrials,
+    SearchOptimiser,
+    Survivors,
+)
+
+
+def _of_any_draws(optimiser: Callable[..., SearchOptimiser]) -> Callable[..., SearchOptimiser]:
+    return lambda feasible, draws, **settings: optimiser(feasible, **settings)
+
+
+OPTIMISERS: dict[str, Callable[..., SearchOptimiser]] = {
+    "annealing": _of_any_draws(Annealing),
+    "cross_entropy": _of_any_draws(CrossEntropy),
+    "exchange": Exchange,
+    "exhaustive": _of_any_draws(Exhaustive),
+    "genetic": _of_any_draws(GeneticAlgorithm),
+    "greedy_backward": _of_any_draws(GreedyBackward),
+    "greedy_forward": _of_any_draws(GreedyForward),
+    "random": _of_any_draws(RandomTrials),
+    "survivors": _of_any_draws(Survivors),
+}
+
+_POLISH_DRAWS = 4096  # at most
+_RACE_DRAWS = 1000  # of the first round
+_NOTHING_OWN = SearchEvaluation()
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How sets of times are evaluated.
+
+    Parameters
+    ----------
+    draws : int
+        K.
+    common_noise : bool
+        Whether all sets have the same draws and noise.
+    degenerate_policy : str
+    estimation : Estimation
+    """
+
+    draws: int
+    common_noise: bool
+    degenerate_policy: str
+    estimation: Estimation
+
+    @classmethod
+    def of(cls, job: Job, own: SearchEvaluation = _NOTHING_OWN, cheapest: str = AUTO) -> "Settings":
+        """The job's, but for what a search has of its own; `cheapest` stands for "auto"."""
+        estimator = own.estimator or job.evaluation.estimator
+        return cls(
+            own.draws or job.evaluation.draws,
+            (own.noise or job.evaluation.noise) == "common",
+            job.evaluation.degenerate_draws,
+            Estimation(
+                own.particles or job.filter.particles,
+                own.resampling or job.filter.resampling,
+                cheapest if estimator == AUTO else estimator,
+            ),
+        )
+
+
+@dataclass(frozen=True)
+class NamedSearch:
+    """An optimiser under its name in the tables, and how it evaluates.
+
+    Parameters
+    ----------
+    name : str
+    optimiser : SearchOptimiser
+    settings : Settings
+        Of the search.
+    polishing : Settings or None
+        Of the exchanges that polish the best it has found, if there are to be any.
+    racing : Settings
+        Of the race between what was found.
+    """
+
+    name: str
+    optimiser: SearchOptimiser
+    settings: Settings
+    polishing: Settings | None
+    racing: Settings
+
+    @property
+    def polish(self) -> str:
+        """Name of the phase of exchanges."""
+        return f"{self.name}.polish"
+
+    @property
+    def shortlist(self) -> str:
+        """Name of the phase that decides between what was found."""
+        return f"{self.name}.shortlist"
+
+    @property
+    def phases(self) -> tuple[str, ...]:
+        """Names of all that there may be."""
+        return self.name, self.polish, self.shortlist
+
+    @property
+    def all_settings(self) -> tuple[Settings, ...]:
+        """Of all phases."""
+        return self.settings, self.racing  # what polishes estimates as the search
+
+
+def named_search(job: Job, section: Search, cheapest: str) -> NamedSearch:
+    """Make the optimiser of a section, and find out how it evaluates.
+
+    Parameters
+    ----------
+    job : Job
+    section : Search
+    cheapest : str
+        The estimator that "auto" stands for.
+    """
+    settings = Settings.of(job, section.evaluation, cheapest)
+    polishing = replace(settings, draws=_POLISH_DRAWS, common_noise=True)
+    # It is for the job's own filter that the race decides.
+    estimation = replace(settings.estimation, particles=job.filter.particles)
+    if job.budget is None:
+        optimiser = OPTIMISERS[section.method](
+            job.problem.feasible, settings.draws, **section.settings
+        )
+    else:
+        most = job.feasible(job.budget.most)
+        optimiser = Budgets(most, job.budget.least, **section.settings)
+    return NamedSearch(
+        section.name,
+        optimiser,
+        settings,
+        polishing if section.polish and job.budget is None else None,
+        replace(settings, draws=_RACE_DRAWS, common_noise=True, estimation=estimation),
+    )

@@ -1,0 +1,83 @@
+"""Exhaustive search: every set is tried. For small problems, and to test other searches."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import islice
+
+import numpy as np
+
+from pfdist.errors import JobError
+from pfdist.feasible import Feasible
+from pfdist.monte_carlo import SearchEvaluation
+from pfdist.search.base import Candidate, best_of
+
+_BATCH = 500  # asked for at once: in their order neighbours share much, and memory stays flat
+
+
+@dataclass(frozen=True)
+class ExhaustiveState:
+    """How many sets were tried, and the best of them."""
+
+    tried: int = 0
+    best: tuple[SearchEvaluation, ...] = ()
+
+
+@dataclass(frozen=True)
+class Exhaustive:
+    """Try every set, in the order of words in a dictionary.
+
+    Parameters
+    ----------
+    feasible : Feasible
+    limit : int
+        How many sets there may be.
+
+    Raises
+    ------
+    JobError
+        There are more.
+    """
+
+    feasible: Feasible
+    limit: int
+
+    def __post_init__(self) -> None:
+        if self.feasible.size > self.limit:
+            raise JobError(
+                f"search.exhaustive: the problem must have at most limit = {self.limit:,} sets of "
+                f"measurement times, got {self.feasible.size:,}; any other method tries fewer"
+            )
+
+    @property
+    def generations(self) -> int:
+        """How often it will ask."""
+        return -(-self.feasible.size // _BATCH)
+
+    @property
+    def evaluations(self) -> int:
+        """How many sets there are."""
+        return self.feasible.size
+
+    def init(self) -> ExhaustiveState:
+        """Give the state before the first asking."""
+        return ExhaustiveState()
+
+    def ask(self, state: ExhaustiveState, rng: np.random.Generator) -> list[Candidate]:
+        """Give the next sets."""
+        following = islice(self.feasible.every(), state.tried, state.tried + _BATCH)
+        return [Candidate(times) for times in following]
+
+    def tell(
+        self, state: ExhaustiveState, evaluations: Sequence[SearchEvaluation]
+    ) -> ExhaustiveState:
+        """Keep the best."""
+        best = best_of([*state.best, *evaluations])
+        return ExhaustiveState(state.tried + len(evaluations), best)
+
+    def done(self, state: ExhaustiveState) -> bool:
+        """Whether all were tried."""
+        return state.tried >= self.feasible.size
+
+    def finalists(self, state: ExhaustiveState) -> tuple[SearchEvaluation, ...]:
+        """Give the best of all."""
+        return state.best

@@ -1,0 +1,116 @@
+"""What every search keeps to where measurement times are constrained: one contract, one test."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from oracles.kalman import TRACKING
+from pfdist import kalman
+from pfdist.feasible import Feasible
+from pfdist.job import SEARCHES
+from pfdist.measurement_times import Times
+from pfdist.monte_carlo import SearchEvaluation
+from pfdist.runner.searches import OPTIMISERS
+from pfdist.search import Candidate
+from pfdist.search.base import SearchOptimiser
+
+HORIZON, DRAWS = 12, 20
+PRICES = (1, 3, 2) * 4 + (1,)
+CONSTRAINTS = {
+    "forbidden": Feasible(HORIZON, 4, forbidden=(0, 3, 4, 5, 9)),
+    "required": Feasible(HORIZON, 4, required=(6, 7)),
+    "spacing": Feasible(HORIZON, 4, minimum_spacing=3),
+    "cost": Feasible(HORIZON, cost=PRICES, total_cost=8),
+    "together": Feasible(
+        HORIZON, None, forbidden=(2,), required=(8,), minimum_spacing=2, cost=PRICES, total_cost=7
+    ),
+}
+METHODS = list(SEARCHES)
+SMALL = {
+    "evaluations": 60, "population": 20, "generations": 12, "mutation_probability": 0.1,
+    "steps": 40,
+}  # fmt: skip
+EXACT = {"survivors", "exhaustive"}  # here, that is: what a search finds is the best there is
+ON_THE_WAY = {"greedy_forward", "greedy_backward"}  # they ask for smaller sets too, or for larger
+
+MODEL = TRACKING.as_model()
+
+
+def _optimiser(method: str, feasible: Feasible) -> SearchOptimiser:
+    settings = SEARCHES[method](method=method).settings
+    small = {key: SMALL.get(key, value) for key, value in settings.items()}
+    return OPTIMISERS[method](feasible, DRAWS, **small)
+
+
+def _costs(asked: list[Candidate]) -> list[float]:
+    ends = [HORIZON if one.end is None else one.end for one in asked]
+    sets = [one.measurement_times for one in asked]
+    costs: list[float] = kalman.expected_mse(MODEL, HORIZON, sets, ends).tolist()
+    return costs
+
+
+@cache
+def _searched(method: str, constraint: str) -> tuple[list[Candidate], list[SearchEvaluation]]:
+    optimiser = _optimiser(method, CONSTRAINTS[constraint])
+    state, asked = optimiser.init(), []
+    assert optimiser.generations > 0
+    assert optimiser.evaluations > 0
+    while not optimiser.done(state):
+        rng = np.random.Generator(np.random.Philox([1, len(asked)]))
+        now = list(optimiser.ask(state, rng))
+        asked += now
+        state = optimiser.tell(
+            state,
+            [
+                SearchEvaluation(one.measurement_times, np.empty(0), exact=cost, end=one.end)
+                for one, cost in zip(now, _costs(now), strict=True)
+            ],
+        )
+    return asked, list(optimiser.finalists(state))
+
+
+@cache
+def _every(constraint: str) -> dict[Times, float]:
+    every = list(CONSTRAINTS[constraint].every())
+    return dict(zip(every, _costs([Candidate(times) for times in every]), strict=True))
+
+
+def _nested(one: Times, other: Times) -> bool:
+    return set(one) <= set(other) or set(other) <= set(one)
+
+
+both = pytest.mark.parametrize(
+    ("method", "constraint"), [(one, other) for one in METHODS for other in CONSTRAINTS]
+)
+
+
+@both
+def test_whole_sets_that_it_asks_for_are_feasible(method: str, constraint: str) -> None:
+    asked, _ = _searched(method, constraint)
+    every = _every(constraint)
+    for times in {one.measurement_times for one in asked if one.end is None}:
+        if method in ON_THE_WAY:
+            assert any(_nested(times, whole) for whole in every)
+        else:
+            assert times in every
+
+
+@both
+def test_a_feasible_set_begins_with_what_it_asks_for_up_to_an_end(
+    method: str, constraint: str
+) -> None:
+    asked, _ = _searched(method, constraint)
+    begun = {one.measurement_times for one in asked if one.end is not None}
+    assert begun <= {whole[: k + 1] for whole in _every(constraint) for k in range(len(whole))}
+
+
+@both
+def test_what_it_finds_is_feasible_and_good(method: str, constraint: str) -> None:
+    _, found = _searched(method, constraint)
+    every = _every(constraint)
+    assert {one.measurement_times for one in found} <= every.keys()
+    share = 0.5 if method in ON_THE_WAY else 0.1  # a step that is best by itself may lead astray
+    assert found[0].cost <= np.quantile(list(every.values()), share)
+    if method in EXACT:
+        assert found[0].cost == pytest.approx(min(every.values()), rel=1e-12)

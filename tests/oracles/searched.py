@@ -1,0 +1,49 @@
+"""Searches run to their ends where the cost is a function of the times, and an odd problem."""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from pfdist.feasible import Feasible
+from pfdist.measurement_times import Times
+from pfdist.monte_carlo import SearchEvaluation
+from pfdist.search import SearchOptimiser
+
+
+def states(
+    optimiser: SearchOptimiser, cost: Callable[[Times], float], seed: int = 1
+) -> Iterator[Any]:
+    """Give the state after each asking."""
+    state, rng = optimiser.init(), np.random.default_rng(seed)
+    while not optimiser.done(state):
+        asked = optimiser.ask(state, rng)
+        told = [
+            SearchEvaluation(one.measurement_times, np.empty(0), exact=cost(one.measurement_times))
+            for one in asked
+        ]
+        state = optimiser.tell(state, told)
+        yield state
+
+
+def last(optimiser: SearchOptimiser, cost: Callable[[Times], float], seed: int = 1) -> Any:
+    """Give the last state."""
+    *_, state = states(optimiser, cost, seed)
+    return state
+
+
+class EvenTimes(Feasible):
+    """Even times alone may be measured: of all sets of so many times, next to none."""
+
+    def random(self, sets: int, rng: np.random.Generator) -> list[Times]:
+        half = Feasible(self.horizon // 2, self.measurement_budget)
+        return [tuple(2 * time for time in times) for times in half.random(sets, rng)]
+
+    def accepts(self, times: Times) -> bool:
+        return super().accepts(times) and not any(time % 2 for time in times)
+
+    def exchanges(self, times: Times, reach: int | None = None) -> list[Times]:
+        return [one for one in super().exchanges(times, reach) if self.accepts(one)]
+
+    def additions(self, times: Times) -> list[Times]:
+        return [one for one in super().additions(times) if not any(time % 2 for time in one)]

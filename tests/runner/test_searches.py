@@ -1,0 +1,62 @@
+"""Every search, from its section in a job to what it returns, where costs are known exactly."""
+
+from pathlib import Path
+
+import pytest
+
+from pfdist.job import Execution, load_job
+from pfdist.runner.build import build, make_pool
+from pfdist.runner.driver import compared_sets, drive
+from pfdist.store import Store
+
+JOB = """
+seed = 1
+[model]
+name = "linear_gaussian"
+[problem]
+horizon = 12
+measurement_budget = 3
+[filter]
+engine = "kalman"
+[comparison]
+draws = 2
+"""
+METHODS = {
+    "annealing": "steps = 30",
+    "cross_entropy": "",
+    "exchange": "",
+    "exhaustive": "",
+    "genetic": "",
+    "greedy_backward": "",
+    "greedy_forward": "",
+    "random": "evaluations = 20",
+    "survivors": "",
+}
+DO_NOT_GUESS = ("exchange", "exhaustive", "survivors")
+
+
+@pytest.fixture(scope="module")
+def costs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, float]:
+    folder: Path = tmp_path_factory.mktemp("searches")
+    sections = [f'[[search]]\nmethod = "{name}"\n{keys}\n' for name, keys in METHODS.items()]
+    (folder / "job.toml").write_text(JOB + "".join(sections))
+    built, store = build(load_job(folder / "job.toml")), Store(folder / "run")
+    with make_pool(built, Execution(pool="serial")) as pool:
+        drive(built, store, pool, lambda progress: None)
+    sets = compared_sets(store)
+    return dict(zip(sets, built.problem.expected_mse(list(sets.values())), strict=True))
+
+
+def test_no_search_finds_better_than_all_sets_have(costs: dict[str, float]) -> None:
+    assert set(costs) == {"regular", *METHODS}
+    assert min(costs.values()) == costs["exhaustive"]
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_a_search_finds_better_than_regular_times(costs: dict[str, float], name: str) -> None:
+    assert costs[name] < costs["regular"]
+
+
+@pytest.mark.parametrize("name", DO_NOT_GUESS)
+def test_the_best_set_of_a_small_problem_is_found(costs: dict[str, float], name: str) -> None:
+    assert costs[name] == costs["exhaustive"]
