@@ -1,6 +1,8 @@
 """What every model that ships must do, and every job file."""
 
+from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,11 +18,24 @@ from pfdist.runner.check_model import check_model
 
 SHIPPED = sorted(name for name, (module, _) in installed_models().items() if "pfdist." in module)
 JOBS = sorted((Path(__file__).parents[2] / "jobs").glob("*.toml"))
+STEMS = [path.stem for path in JOBS]
 SCHEMES = sorted({(job.model.name, job.filter.resampling) for job in map(load_job, JOBS)})
+QUICK = {"ungm", "ungm_gordon", "tumour"}  # the others are compiled by `pytest -m zoo`
 BELIEVED = {"tumour": {"frequency_sd": 0.005}}  # by the filter, where that is not the truth
 
 
-@pytest.mark.parametrize(("name", "resampling"), SCHEMES)
+def _by_model(cases: Iterable[Any], model_of: Callable[[Any], str]) -> list[Any]:
+    """Mark what the default suite has no time for."""
+    quick = {True: (), False: (pytest.mark.zoo,)}
+    return [
+        pytest.param(
+            *(case if isinstance(case, tuple) else (case,)), marks=quick[model_of(case) in QUICK]
+        )
+        for case in cases
+    ]
+
+
+@pytest.mark.parametrize(("name", "resampling"), _by_model(SCHEMES, lambda case: case[0]))
 def test_compiled_and_plain_filter_agree(name: str, resampling: str) -> None:
     truth = load_model(name)
     draws = simulate(truth, 30, range(4), 17)
@@ -31,7 +46,7 @@ def test_compiled_and_plain_filter_agree(name: str, resampling: str) -> None:
     np.testing.assert_allclose(fast.estimate, slow.estimate, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.parametrize("name", _by_model(SHIPPED, str))
 def test_check_model_finds_nothing_wrong(name: str) -> None:
     checks = list(check_model(name, horizon=30, particles=100))
     assert [check for check in checks if check.state == "wrong"] == []
@@ -43,7 +58,7 @@ def test_there_is_a_job_of_it(name: str) -> None:
     assert name in {load_job(path).model.name for path in JOBS}
 
 
-@pytest.mark.parametrize("path", JOBS, ids=[path.stem for path in JOBS])
+@pytest.mark.parametrize("path", _by_model(JOBS, lambda path: load_job(path).model.name), ids=STEMS)
 def test_a_job_is_evaluated_and_runs(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

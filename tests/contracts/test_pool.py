@@ -150,7 +150,9 @@ def impatient(ray_cluster: None, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.fault
-@pytest.mark.parametrize("fault", [KILL, STOP, pytest.param(LOOP, marks=pytest.mark.crash)])
+@pytest.mark.parametrize(
+    "fault", [KILL, *(pytest.param(each, marks=pytest.mark.crash) for each in (STOP, LOOP))]
+)
 def test_a_ray_worker_that_is_lost_is_replaced_and_its_tasks_are_done(
     fault: str, impatient: None, tmp_path: Path, record_property: Record
 ) -> None:

@@ -67,11 +67,12 @@ def never_killed(job: Path) -> dict[str, str]:
 SEARCHING, COMPARING = ("draws", "compared"), ("comparison", "comparison")
 
 
+@pytest.mark.crash
 @pytest.mark.parametrize(
     ("pool", "phases"),
     [
-        pytest.param("serial", [SEARCHING, COMPARING], marks=pytest.mark.crash),
-        pytest.param("ray", [COMPARING], marks=pytest.mark.fault),
+        ("serial", [SEARCHING, COMPARING]),
+        ("ray", [COMPARING]),
     ],
 )
 def test_a_run_killed_in_a_phase_ends_with_the_same_bytes(

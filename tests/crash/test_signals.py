@@ -69,13 +69,13 @@ def test_the_second_ctrl_c_ends_at_once_what_the_first_cannot(
     record_property("faults", f"{ASKED}: 2")
 
 
-@pytest.mark.fault
+@pytest.mark.crash
 @pytest.mark.parametrize(
     ("number", "code"),
     [
         (signal.SIGTERM, 75),
-        pytest.param(signal.SIGUSR1, 75, marks=pytest.mark.crash),
-        pytest.param(signal.SIGINT, 130, marks=pytest.mark.crash),
+        (signal.SIGUSR1, 75),
+        (signal.SIGINT, 130),
     ],
 )
 def test_a_run_on_ray_that_is_asked_to_end_does_so_soon_and_leaves_nothing(
