@@ -1,5 +1,6 @@
 """Estimates of a draw's MSE by what the filter knows: their means, their bits, their limits."""
 
+import contextlib
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -188,8 +189,13 @@ def test_what_does_not_fit_is_refused(
 
 
 @pytest.mark.parametrize("engine", ["compiled", "numpy"])
-def test_the_squared_error_is_always_allowed(engine: str) -> None:
-    Problem(NORM, 5, replace(NORM, name="another"), engine=engine).check(Estimation(10))
+def test_the_squared_error_alone_is_always_allowed(engine: str) -> None:
+    problem, allowed = Problem(NORM, 5, replace(NORM, name="another"), engine=engine), []
+    for estimator in ESTIMATORS:
+        with contextlib.suppress(ModelError):
+            problem.check(Estimation(10, estimator=estimator))
+            allowed.append(estimator)
+    assert allowed == ["squared_error"]
 
 
 @others

@@ -278,9 +278,9 @@ def _recall(phase: _Phase[E], requests: list[_Request], collector: Collector) ->
     for id_ in of_id.keys() & phase.evaluated.keys():
         known = phase.evaluated[id_][: of_id[id_].mse.size]
         of_id[id_].learn(slice(known.size), known)
-    strange = [id_ for id_ in of_id if id_ not in phase.evaluated]
-    if collector.resumed and strange:
-        for id_, rows in collector.store.per_draw(strange).to_pandas().groupby("evaluation"):
+    lacking = [id_ for id_, request in of_id.items() if request.missing.any()]
+    if collector.resumed and lacking:
+        for id_, rows in collector.store.per_draw(lacking).to_pandas().groupby("evaluation"):
             request = of_id[str(id_)]
             wanted = rows[rows["draw"] < request.mse.size]
             request.learn(wanted["draw"], wanted["mse"])

@@ -10,7 +10,7 @@ import pytest
 
 import pfdist
 from oracles.bytes_of import hashes
-from oracles.counted import A_DRAW
+from oracles.counted import A_DRAW, count_draws
 from pfdist import Job, load_job
 from pfdist.errors import JobError, PfdistError, RunMismatchError, SearchError, TaskError
 from pfdist.monte_carlo import Problem, Work
@@ -23,19 +23,10 @@ ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.usefixtures("no_figures")
 
 
-@pytest.fixture
-def count_draws(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+@pytest.fixture(name="count_draws")
+def _count_draws(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """How many draws each task of the serial pool filtered."""
-    counted: list[int] = []
-    do = SerialPool.run
-
-    def counting(self: SerialPool, tasks: Any) -> Iterator[Outcome]:
-        for outcome in do(self, tasks):
-            counted.append(sum(work.filtered for work in outcome.task.work))
-            yield outcome
-
-    monkeypatch.setattr(SerialPool, "run", counting)
-    return counted
+    return count_draws(monkeypatch)
 
 
 def test_the_tables_hold_every_evaluation_and_every_draw(small_job: Job, tmp_path: Path) -> None:
@@ -92,8 +83,18 @@ def test_pools_and_numbers_of_workers_give_the_same_bytes(
     assert serial == one == two
 
 
-@pytest.mark.parametrize("stop_after", [3, 25, 40])
+# The survivors are polished on more and more draws, of which a session before did the first.
+SURVIVORS = [
+    "search=[{method='survivors', evaluation={draws=20, resampling='multinomial'}}]",
+    "comparison.draws=20",
+]
+
+
+@pytest.mark.parametrize(
+    ("changes", "stop_after"), [([], 3), ([], 25), ([], 40), (SURVIVORS, 250), (SURVIVORS, 330)]
+)
 def test_a_run_that_failed_goes_on_with_what_is_committed_and_ends_with_the_same_bytes(
+    changes: list[str],
     stop_after: int,
     small_job: Job,
     tmp_path: Path,
@@ -102,7 +103,7 @@ def test_a_run_that_failed_goes_on_with_what_is_committed_and_ends_with_the_same
 ) -> None:
     monkeypatch.setattr(Pace, "size", lambda pace, remaining: 60 * A_DRAW)
     monkeypatch.setattr(collect, "COMMIT_SECONDS", 0.0)  # each task is committed
-    small_job = small_job.with_changes(["execution.failures=0"])
+    small_job = small_job.with_changes(["execution.failures=0", *changes])
     whole = pfdist.run(small_job, tmp_path / "whole")
     needed = sum(count_draws)
     count_draws.clear()
