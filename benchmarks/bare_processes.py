@@ -10,7 +10,8 @@ from time import perf_counter
 
 from pfdist import load_model
 from pfdist.measurement_times import regular
-from pfdist.monte_carlo import Estimation, Problem, Work
+from pfdist.monte_carlo import Problem
+from pfdist.work import Estimation, Work
 
 
 def measure_rate(processes: int, draws: int, seconds: float) -> float:

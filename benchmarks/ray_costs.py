@@ -9,9 +9,9 @@ import pandas as pd
 
 from benchmarks.measure import Say
 from pfdist.measurement_times import regular
-from pfdist.monte_carlo import Estimation, Work
 from pfdist.runner.pool import Task
 from pfdist.runner.ray_pool import RayPool
+from pfdist.work import Estimation, Work
 
 _WORK = Work(
     (regular(60, 21),), (60,), (1,), 2, (0, 1000), Estimation(500)

@@ -6,10 +6,10 @@ from pathlib import Path
 from pfdist.analysis import Run, open_run
 from pfdist.elementwise import clip, where
 from pfdist.errors import PfdistError
+from pfdist.evaluation import Evaluation
 from pfdist.job import Job, load_job
 from pfdist.models import StateSpaceModel, find_model
 from pfdist.models.linear_gaussian import linear_gaussian
-from pfdist.monte_carlo import Evaluation
 from pfdist.runner.budget import budget
 from pfdist.runner.evaluate import evaluate
 from pfdist.runner.plan import plan

@@ -16,8 +16,9 @@ from pfdist.errors import ModelError
 from pfdist.estimators import filter_variance, two_filters
 from pfdist.kernels.moments import ESTIMATORS
 from pfdist.measurement_times import Times, regular
-from pfdist.monte_carlo import ENGINES, Estimation, Problem, Work
+from pfdist.monte_carlo import ENGINES, Problem
 from pfdist.particle_filter import filter_draws, filter_sets, filter_streams
+from pfdist.work import Estimation, Work
 
 HORIZON = 12
 UNGM = load_model("ungm")

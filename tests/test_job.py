@@ -6,10 +6,10 @@ from typing import get_args
 import pytest
 
 from pfdist.errors import JobError
+from pfdist.evaluation import DEGENERATE_POLICIES
 from pfdist.feasible import Feasible
 from pfdist.job import EvaluationSection, Filter, job_toml, load_job
 from pfdist.kernels.moments import ESTIMATORS
-from pfdist.monte_carlo import DEGENERATE_POLICIES
 from pfdist.particle_filter import RESAMPLING
 
 JOBS = Path(__file__).parents[1] / "jobs"

@@ -9,8 +9,10 @@ import pytest
 
 from oracles.kalman import SCALAR, TRACKING, LinearGaussian, riccati_cost
 from pfdist import StateSpaceModel
+from pfdist.evaluation import Evaluation
 from pfdist.measurement_times import Times
-from pfdist.monte_carlo import Estimation, Evaluation, Problem, Work, cut
+from pfdist.monte_carlo import Problem
+from pfdist.work import Estimation, Work, cut
 
 
 def _evaluation(mse: list[float], policy: str = "kill") -> Evaluation:

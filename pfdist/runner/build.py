@@ -11,10 +11,11 @@ from pfdist.job import Execution, Job
 from pfdist.kernels.noise import stream_key
 from pfdist.measurement_times import Times
 from pfdist.models import ModelSource, StateSpaceModel, find_model
-from pfdist.monte_carlo import NUMPY_TIMES_SLOWER, Estimation, Problem
+from pfdist.monte_carlo import NUMPY_TIMES_SLOWER, Problem
 from pfdist.particle_filter import KERNEL_VERSION
 from pfdist.runner.pool import Pool, SerialPool
 from pfdist.runner.searches import NamedSearch, Settings, named_search
+from pfdist.work import Estimation
 
 
 @dataclass(frozen=True)

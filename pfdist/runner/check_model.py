@@ -13,8 +13,9 @@ from pfdist.draws import Draws
 from pfdist.errors import CompileError, ModelError
 from pfdist.measurement_times import regular
 from pfdist.models import StateSpaceModel, find_model
-from pfdist.monte_carlo import ENGINES, NUMPY_TIMES_SLOWER, Estimation, Problem, Work
+from pfdist.monte_carlo import ENGINES, NUMPY_TIMES_SLOWER, Problem
 from pfdist.runner.check_formulas import compiled_as_in_numpy, elementwise, likelihood, pure
+from pfdist.work import Estimation, Work
 
 _DRAWS = 1000
 _SECONDS = 4.0  # for an evaluation of fewer draws, where a thousand take longer

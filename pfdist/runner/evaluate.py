@@ -6,13 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
+from pfdist.evaluation import Evaluation
 from pfdist.job import Job, load_job
 from pfdist.kernels.noise import stream_key
 from pfdist.measurement_times import validated
-from pfdist.monte_carlo import Evaluation, Work, cut
 from pfdist.runner.build import build
 from pfdist.runner.pace import MOST_SECONDS
 from pfdist.runner.searches import Settings
+from pfdist.work import Work, cut
 
 
 def evaluate(

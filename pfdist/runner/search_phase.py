@@ -16,19 +16,16 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from pfdist.errors import StoreError
-from pfdist.kernels.noise import generator
-from pfdist.measurement_times import Times
-from pfdist.monte_carlo import (
+from pfdist.evaluation import (
     SEARCH,
     SHORTLIST,
     Evaluation,
     Purpose,
-    Result,
     SearchEvaluation,
     ShortlistEvaluation,
-    Work,
-    cut,
 )
+from pfdist.kernels.noise import generator
+from pfdist.measurement_times import Times
 from pfdist.runner.build import Built
 from pfdist.runner.collect import Collector
 from pfdist.runner.progress import Progress, Report
@@ -36,6 +33,7 @@ from pfdist.runner.searches import NamedSearch, Settings
 from pfdist.search import Candidate, Exchange, Optimiser, Race
 from pfdist.search.base import FINALISTS
 from pfdist.store import Store, schema
+from pfdist.work import Result, Work, cut
 
 _TABLES = ("evaluations", "draws")
 _UNPOLISHED = 2  # that race all the same

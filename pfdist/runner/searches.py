@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from pfdist.job import AUTO, Job, Search, SearchEvaluation
-from pfdist.monte_carlo import Estimation
 from pfdist.search import (
     Annealing,
     Budgets,
@@ -18,6 +17,7 @@ from pfdist.search import (
     SearchOptimiser,
     Survivors,
 )
+from pfdist.work import Estimation
 
 
 def _of_any_draws(optimiser: Callable[..., SearchOptimiser]) -> Callable[..., SearchOptimiser]:

@@ -15,15 +15,17 @@ from numpy.typing import NDArray
 
 from pfdist.analysis import Moments, Run, finite, open_run
 from pfdist.errors import JobError, RunMismatchError, StoreError
+from pfdist.evaluation import Evaluation, Purpose
 from pfdist.job import load_job
 from pfdist.measurement_times import Times
-from pfdist.monte_carlo import Evaluation, Problem, Purpose, Work, cut
+from pfdist.monte_carlo import Problem
 from pfdist.plots import draw_why
 from pfdist.runner.build import Built, build
 from pfdist.runner.pace import MOST_SECONDS
 from pfdist.runner.progress import Progress, Report
 from pfdist.runner.searches import Settings
 from pfdist.store import read_run
+from pfdist.work import Work, cut
 
 WHY = Purpose("why", Evaluation)
 DRAWS = 2000

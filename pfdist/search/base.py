@@ -5,8 +5,8 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
+from pfdist.evaluation import Evaluation, SearchEvaluation
 from pfdist.measurement_times import Times
-from pfdist.monte_carlo import Evaluation, SearchEvaluation
 
 
 class Candidate(NamedTuple):

@@ -26,8 +26,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pfdist.evaluation import SearchEvaluation
 from pfdist.feasible import Feasible
-from pfdist.monte_carlo import SearchEvaluation
 from pfdist.search.base import Candidate
 
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pfdist.monte_carlo import Evaluation
+from pfdist.evaluation import Evaluation
 
 
 class Difference(NamedTuple):

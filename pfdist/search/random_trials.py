@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pfdist.evaluation import SearchEvaluation
 from pfdist.feasible import Feasible
-from pfdist.monte_carlo import SearchEvaluation
 from pfdist.search.base import Candidate
 
 _BATCH = 250  # asked for at once: enough to fill the cores, few enough to keep memory flat

@@ -26,9 +26,9 @@ from functools import cached_property
 
 import numpy as np
 
+from pfdist.evaluation import SearchEvaluation
 from pfdist.feasible import Feasible
 from pfdist.measurement_times import Times
-from pfdist.monte_carlo import SearchEvaluation
 from pfdist.search.base import Candidate, best_of
 
 GAPS = 3.0  # mean ones: the largest that is tried at first

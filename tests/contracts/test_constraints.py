@@ -7,10 +7,10 @@ import pytest
 
 from oracles.kalman import TRACKING
 from pfdist import kalman
+from pfdist.evaluation import SearchEvaluation
 from pfdist.feasible import Feasible
 from pfdist.job import SEARCHES
 from pfdist.measurement_times import Times
-from pfdist.monte_carlo import SearchEvaluation
 from pfdist.runner.searches import OPTIMISERS
 from pfdist.search import Candidate
 from pfdist.search.base import SearchOptimiser

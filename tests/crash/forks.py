@@ -17,9 +17,10 @@ import matplotlib.pyplot as plt
 
 from pfdist import load_job
 from pfdist.cli import main
-from pfdist.monte_carlo import Problem, Work
+from pfdist.monte_carlo import Problem
 from pfdist.plots import figures
 from pfdist.runner.build import build
+from pfdist.work import Work
 
 
 def compute(job: str, run: str, log: str) -> int:

@@ -21,7 +21,8 @@ from crash.runs import finish, running
 from oracles.bytes_of import hashes
 from pfdist import Job
 from pfdist.cli import main
-from pfdist.monte_carlo import Problem, Work
+from pfdist.monte_carlo import Problem
+from pfdist.work import Work
 
 JOB = """
 seed = 5

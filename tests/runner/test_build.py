@@ -12,8 +12,8 @@ from pfdist import Job, load_job
 from pfdist.cli import main
 from pfdist.errors import CompileError, EngineWarning, ModelError, RunMismatchError
 from pfdist.kernels import disk_cache
-from pfdist.monte_carlo import Estimation
 from pfdist.runner.build import build
+from pfdist.work import Estimation
 
 pytestmark = pytest.mark.usefixtures("no_figures")
 OTHER = """

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from pfdist.monte_carlo import Estimation, Work
 from pfdist.runner.pace import LEAST_SECONDS, MOST_SECONDS, Pace, bundles
+from pfdist.work import Estimation, Work
 
 
 def work(sets: int, first: int, last: int, stream: int = 0) -> Work:

@@ -13,11 +13,12 @@ from oracles.bytes_of import hashes
 from oracles.counted import A_DRAW, count_draws
 from pfdist import Job, load_job
 from pfdist.errors import JobError, PfdistError, RunMismatchError, SearchError, TaskError
-from pfdist.monte_carlo import Problem, Work
+from pfdist.monte_carlo import Problem
 from pfdist.runner import collect
 from pfdist.runner.pace import Pace
 from pfdist.runner.pool import Outcome, SerialPool
 from pfdist.store import parquet
+from pfdist.work import Work
 
 ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.usefixtures("no_figures")

@@ -12,10 +12,11 @@ from oracles.bytes_of import hashes
 from pfdist import Job, kalman
 from pfdist.cli import main
 from pfdist.errors import JobError, PfdistError, RunMismatchError, StoreError
-from pfdist.monte_carlo import REPORT, SEARCH, SHORTLIST, Work
+from pfdist.evaluation import REPORT, SEARCH, SHORTLIST
 from pfdist.runner.build import Settings, build
 from pfdist.runner.repair import verify_run
 from pfdist.runner.why import CHANGES, WHY, why
+from pfdist.work import Work
 
 RANDOM = "search.random.evaluations=3"
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from pfdist.evaluation import SearchEvaluation
 from pfdist.feasible import Feasible
-from pfdist.monte_carlo import SearchEvaluation
 from pfdist.search import GeneticAlgorithm
 from pfdist.search.genetic import (
     count_preserving_crossover,

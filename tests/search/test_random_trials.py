@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from pfdist.evaluation import SearchEvaluation
 from pfdist.feasible import Feasible
-from pfdist.monte_carlo import SearchEvaluation
 from pfdist.search import RandomTrials
 
 

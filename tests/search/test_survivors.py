@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from oracles.kalman import SCALAR, THREE, TRACKING, LinearGaussian, riccati_cost
+from pfdist.evaluation import SearchEvaluation
 from pfdist.feasible import Feasible
 from pfdist.measurement_times import Times
-from pfdist.monte_carlo import SearchEvaluation
 from pfdist.search import Survivors
 from pfdist.search.survivors import SurvivorState
 
