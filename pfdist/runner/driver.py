@@ -17,7 +17,8 @@ from pfdist.runner.comparison_phase import run_comparison
 from pfdist.runner.pace import Pace
 from pfdist.runner.pool import Pool
 from pfdist.runner.progress import Progress, Report
-from pfdist.runner.search_phase import run_search, steps, unpublished
+from pfdist.runner.search_phase import run_search, steps
+from pfdist.runner.search_tables import unpublished
 from pfdist.store import Store, schema
 
 FORKED = "forked-from"

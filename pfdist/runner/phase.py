@@ -1,0 +1,263 @@
+"""An optimiser at work: ask, evaluate what the store does not hold, commit, tell, until done."""
+
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from pfdist.evaluation import Evaluation, Purpose
+from pfdist.kernels.noise import generator
+from pfdist.measurement_times import Times
+from pfdist.runner.build import Built
+from pfdist.runner.collect import Collector
+from pfdist.runner.progress import Progress, Report
+from pfdist.runner.search_tables import commit_generation, committed_generations, publish_search
+from pfdist.runner.searches import Settings
+from pfdist.search import Candidate, Optimiser
+from pfdist.store import schema
+from pfdist.work import Result, Work, cut
+
+E = TypeVar("E", bound=Evaluation)
+
+
+@dataclass(frozen=True)
+class Phase(Generic[E]):
+    """An optimiser at work: what its draws are for, and how it evaluates.
+
+    Parameters
+    ----------
+    name : str
+        In the tables.
+    optimiser : Optimiser
+    purpose : Purpose
+    settings : Settings
+    built : Built
+    evaluated : dict of str to array of float64
+        Per-draw MSE of this session by id, where a set may be wanted again.
+    """
+
+    name: str
+    optimiser: Optimiser[E]
+    purpose: Purpose[E]
+    settings: Settings
+    built: Built
+    evaluated: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+
+    def steps(self) -> float:
+        """About how many particle-steps it takes."""
+        settings, instants = self.settings, self.built.job.problem.horizon + 1
+        a_draw = settings.estimation.steps_an_instant * instants
+        return self.optimiser.evaluations * settings.draws * a_draw
+
+    def request(self, candidate: Candidate, generation: int) -> "_Request":
+        """What is to be known of a candidate."""
+        times, end, draws = candidate
+        fresh = [] if self.settings.common_noise else [generation, times]
+        stream = self.purpose.stream(self.built.job.seed, self.name, *fresh)
+        last = self.built.job.problem.horizon if end is None else end
+        estimation, draws = self.settings.estimation, draws or self.settings.draws
+        id_ = self.built.source.evaluation_id(times, last, stream, estimation)
+        return _Request(
+            id_, candidate, last, stream, np.full(draws, np.nan), np.ones(draws, np.bool_)
+        )
+
+    def evaluation(self, request: "_Request", exact: float | None = None) -> E:
+        """Give what was asked for."""
+        times, end, _ = request.candidate
+        policy = self.settings.degenerate_policy
+        return self.purpose.evaluation(times, request.mse, policy, exact, end)
+
+
+@dataclass
+class _Request:
+    """An evaluation that is wanted, and what is known of it."""
+
+    id: str
+    candidate: Candidate
+    end: int
+    stream: int  # of truth and filter: their roles keep them apart
+    mse: NDArray[np.float64]
+    missing: NDArray[np.bool_]
+
+    @property
+    def key(self) -> tuple[Times, int, int]:
+        return self.candidate.measurement_times, self.end, self.stream
+
+    def learn(self, draws: Any, mse: Any) -> None:
+        """Take the MSE of some draws."""
+        self.mse[draws], self.missing[draws] = mse, False
+
+
+def run_phase(
+    phase: Phase[E], collector: Collector, progress: Progress, report: Report
+) -> Sequence[E]:
+    """Run an optimiser to its end, replaying what the store holds, and give its finalists.
+
+    Parameters
+    ----------
+    phase : Phase
+    collector : Collector
+    progress : Progress
+        How far the run was before.
+    report : callable
+
+    Raises
+    ------
+    TaskError, PoolError, StoreError
+        A task failed, no worker answers, or a file cannot be read or written.
+    """
+    optimiser, name, store = phase.optimiser, phase.name, collector.store
+    committed = committed_generations(store, name)
+    state, generation = optimiser.init(), 0
+    share, start = phase.steps() / max(1, optimiser.generations), progress.done
+    progress = replace(progress, phase=name, generation=1, generations=optimiser.generations)
+    report(progress)
+    while not optimiser.done(state):
+        rng = generator(phase.built.job.seed, "search", name, generation)
+        asked = list(optimiser.ask(state, rng))
+        copies = Counter(asked)
+        requests = [phase.request(candidate, generation) for candidate in copies]
+        evaluations: dict[Candidate, E] = {}
+        for candidate, evaluation in _evaluate(phase, requests, collector):
+            evaluations[candidate] = evaluation
+            if progress.mean is None:  # nothing better to show yet
+                costs = _finite_costs(evaluations.values())
+                progress = replace(progress, best=min(costs, default=None))
+            part = min(generation + len(evaluations) / len(copies), optimiser.generations)
+            progress = replace(
+                progress,
+                done=start + share * part,
+                evaluations=progress.evaluations + copies[candidate],
+                generation=generation + 1,
+                generations=max(generation + 1, optimiser.generations),
+            )
+            report(progress)
+        if generation not in committed:
+            rows = partial(_rows, name, generation, asked, requests, evaluations)
+            collector.later(partial(commit_generation, store, name, generation, rows))
+        told = [evaluations[candidate] for candidate in asked]
+        state, generation = optimiser.tell(state, told), generation + 1
+        costs, finalists = _finite_costs(told), optimiser.finalists(state)
+        if costs:
+            best = finalists[0].cost if finalists else None
+            progress = replace(progress, best=best, mean=float(np.mean(costs)))
+    collector.later(partial(publish_search, store, name))
+    return optimiser.finalists(state)
+
+
+def _finite_costs(evaluations: Iterable[Evaluation]) -> list[float]:
+    return [evaluation.cost for evaluation in evaluations if np.isfinite(evaluation.cost)]
+
+
+def _evaluate(
+    phase: Phase[E], requests: list[_Request], collector: Collector
+) -> Iterator[tuple[Candidate, E]]:
+    """Evaluate what was asked for, each once, taking from the store what it holds."""
+    problem = phase.built.problem
+    if problem.exact:  # in no time, so that neither pool nor store is asked
+        sets = [request.candidate.measurement_times for request in requests]
+        costs = problem.expected_mse(sets, [request.end for request in requests])
+        for request, cost in zip(requests, costs, strict=True):
+            request.mse = np.empty(0)
+            yield request.candidate, phase.evaluation(request, float(cost))
+        return
+    _recall(phase, requests, collector)
+    wanted = {request.key: request for request in requests if request.missing.any()}
+    for request in requests:
+        if request.key not in wanted:
+            yield request.candidate, phase.evaluation(request)
+
+    def rows_of(work: Work, result: Result) -> pa.Table:
+        return _draw_rows([wanted[key].id for key in _keys(work)], work.draws, result.mse)
+
+    works = _works(list(wanted.values()), phase.settings)
+    run = collector.run(phase.name, "draws", works, rows_of, more_follows=True)
+    with closing(run) as pieces:
+        for work, result in pieces:
+            for key, mse in zip(_keys(work), result.mse.T, strict=True):
+                request = wanted[key]
+                request.learn(slice(*work.draws), mse)
+                if not request.missing.any():
+                    yield request.candidate, phase.evaluation(request)
+
+
+def _recall(phase: Phase[E], requests: list[_Request], collector: Collector) -> None:
+    """Learn what was evaluated before: in this session, or in one whose rows the store holds."""
+    of_id = {request.id: request for request in requests}
+    for id_ in of_id.keys() & phase.evaluated.keys():
+        known = phase.evaluated[id_][: of_id[id_].mse.size]
+        of_id[id_].learn(slice(known.size), known)
+    lacking = [id_ for id_, request in of_id.items() if request.missing.any()]
+    if collector.resumed and lacking:
+        for id_, rows in collector.store.per_draw(lacking).to_pandas().groupby("evaluation"):
+            request = of_id[str(id_)]
+            wanted = rows[rows["draw"] < request.mse.size]
+            request.learn(wanted["draw"], wanted["mse"])
+    if phase.settings.common_noise:  # or nothing is wanted twice
+        for id_, request in of_id.items():
+            if id_ not in phase.evaluated or phase.evaluated[id_].size < request.mse.size:
+                phase.evaluated[id_] = request.mse
+
+
+def _works(requests: list[_Request], settings: Settings) -> Iterator[Work]:
+    """Put together sets that lack the same draws of one stream: what they share is done once."""
+    together: dict[Any, list[_Request]] = defaultdict(list)
+    for request in requests:
+        together[request.stream, request.missing.tobytes()].append(request)
+    for (stream, _), group in together.items():
+        lacking = group[0].missing
+        for draws in cut(np.flatnonzero(lacking), lacking.size):
+            yield Work(
+                measurement_times=tuple(request.candidate.measurement_times for request in group),
+                ends=tuple(request.end for request in group),
+                filter_streams=(stream,) * len(group),
+                draws_stream=stream,
+                draws=draws,
+                estimation=settings.estimation,
+            )
+
+
+def _keys(work: Work) -> list[tuple[Times, int, int]]:
+    return list(zip(work.measurement_times, work.ends, work.filter_streams, strict=True))
+
+
+def _draw_rows(ids: list[str], draws: tuple[int, int], mse: NDArray[np.float64]) -> pa.Table:
+    columns = [
+        pa.array(np.repeat(ids, len(mse)), pa.string()),
+        pa.array(np.tile(np.arange(*draws), len(ids))),
+        pa.array(mse.T.ravel(), from_pandas=True),
+    ]
+    return pa.Table.from_arrays(columns, schema=schema("draws"))
+
+
+def _rows(
+    phase: str,
+    generation: int,
+    asked: list[Candidate],
+    requests: list[_Request],
+    evaluations: dict[Candidate, Any],
+) -> pa.Table:
+    copies = Counter(asked)
+    rows = [
+        {
+            "evaluation": request.id,
+            "phase": phase,
+            "generation": generation,
+            "individual": asked.index(request.candidate),
+            "copies": copies[request.candidate],
+            "measurement_times": request.candidate.measurement_times,
+            "end": request.end,
+            "expected_mse": evaluations[request.candidate].expected_mse,
+            "standard_error": evaluations[request.candidate].standard_error,
+            "draws": evaluations[request.candidate].draws,
+            "degenerate_draws": evaluations[request.candidate].degenerate_draws,
+        }
+        for request in requests
+    ]
+    return pa.Table.from_pylist(rows, schema=schema("evaluations"))

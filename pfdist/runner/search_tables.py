@@ -1,0 +1,58 @@
+"""The tables of a search: its evaluations, generation by generation, and their draws."""
+
+from collections.abc import Callable, Iterable, Iterator
+
+import pyarrow as pa
+
+from pfdist.errors import StoreError
+from pfdist.store import Store, schema
+
+_TABLES = ("evaluations", "draws")
+_EVALUATIONS_AT_ONCE = 200  # read from the store when a phase is published
+
+
+def commit_generation(
+    store: Store, phase: str, generation: int, rows: Callable[[], pa.Table]
+) -> None:
+    """Commit the rows of evaluations that a generation asked for."""
+    store.commit("evaluations", phase, f"{generation:06d}", rows())
+
+
+def committed_generations(store: Store, phase: str) -> set[int]:
+    """Give the generations of a phase that are committed."""
+    if not store.has("evaluations"):
+        return set()
+    rows = store.read("evaluations")
+    return set(rows.loc[rows["phase"] == phase, "generation"])
+
+
+def unpublished(store: Store, phases: Iterable[str]) -> bool:
+    """Whether a search has parts that are not tables yet."""
+    return any(store.has_parts(table, phase) for phase in phases for table in _TABLES)
+
+
+def publish_search(store: Store, phase: str) -> None:
+    """Turn the parts of a search into tables; the same again if it was cut short."""
+    if not unpublished(store, [phase]):
+        return
+    rows = store.read("evaluations")
+    rows = rows[rows["phase"] == phase]
+    most = rows.groupby("evaluation", sort=False)["draws"].max()
+    wanted = {str(id_): int(draws) for id_, draws in most.items()}
+    store.publish("draws", phase, _draws_of(store, wanted))
+    table = pa.Table.from_pandas(rows, schema=schema("evaluations"), preserve_index=False)
+    store.publish("evaluations", phase, [table])
+
+
+def _draws_of(store: Store, wanted: dict[str, int]) -> Iterator[pa.Table]:
+    """Give the rows of so many draws of each evaluation, or none: their parts are to be removed."""
+    ids = list(wanted)
+    for first in range(0, len(ids), _EVALUATIONS_AT_ONCE):
+        some = ids[first : first + _EVALUATIONS_AT_ONCE]
+        rows = store.per_draw(some)
+        if rows.num_rows != sum(wanted[id_] for id_ in some):
+            raise StoreError(
+                f"{store.path} lacks draws that were committed: is another driver at work there? "
+                "Run the same command again"
+            )
+        yield rows
