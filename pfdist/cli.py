@@ -28,7 +28,7 @@ from pfdist.errors import (
     StoreError,
     TaskError,
 )
-from pfdist.job import PLANNER, SEARCHES, load_job
+from pfdist.job import load_job
 from pfdist.models import find_model, installed_models
 from pfdist.plots import draw_figures
 from pfdist.runner.budget import DRAWS as BUDGET_DRAWS
@@ -40,6 +40,7 @@ from pfdist.runner.plan import plan
 from pfdist.runner.repair import repair_run, verify_run
 from pfdist.runner.run import run
 from pfdist.runner.why import DRAWS, why
+from pfdist.search_sections import PLANNER, SEARCHES
 
 _EPILOG = (
     "Exit codes: 0 done, 1 an error, 2 a misuse, 130 interrupted by Ctrl-C, "

@@ -8,43 +8,41 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self, get_args
 
 import tomli_w
-from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError, model_validator
+from pydantic import BaseModel, Field, PrivateAttr, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
 from pfdist.errors import JobError, MeasurementTimesError
 from pfdist.feasible import Feasible
 from pfdist.problem import ProblemSection
+from pfdist.search_sections import (
+    PLANNER,
+    SEARCHES,
+    Estimator,
+    Resampling,
+    Search,
+    Section,
+    SurvivorSearch,
+)
 
 REFERENCE: Final = "regular"
-PLANNER: Final = "survivors"
-AUTO: Final = "auto"
-
-Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=40)]
-Probability = Annotated[float, Field(ge=0.0, le=1.0)]
-Resampling = Literal["multinomial", "stratified", "systematic", "residual", "sorted_systematic"]
-Estimator = Literal["squared_error", "filter_variance", "two_filters"]
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
-
-
-class FilterModel(_Section):
+class FilterModel(Section):
     """What the filter takes for the truth: another model, or the same with other parameters."""
 
     name: str = ""
-    parameters: dict[str, float] = {}
+    parameters: dict[str, float] = Field(default_factory=dict)
 
 
-class Model(_Section):
+class Model(Section):
     """The system: a model that ships, an entry point, or ``path/file.py:object``."""
 
     name: str = "ungm"
-    parameters: dict[str, float] = {}
+    parameters: dict[str, float] = Field(default_factory=dict)
     filter: FilterModel = FilterModel()
 
 
-class Filter(_Section):
+class Filter(Section):
     """The particle filter."""
 
     particles: Annotated[int, Field(ge=1, le=10_000_000)] = 500
@@ -53,7 +51,7 @@ class Filter(_Section):
     engine: Literal["auto", "compiled", "numpy", "kalman"] = "auto"
 
 
-class EvaluationSection(_Section):
+class EvaluationSection(Section):
     """How the expected MSE of a set of times is estimated during a search."""
 
     draws: Annotated[int, Field(ge=2, le=10_000_000)] = 1000
@@ -62,139 +60,13 @@ class EvaluationSection(_Section):
     estimator: Estimator = "squared_error"
 
 
-class SearchEvaluation(_Section):
-    """How a search's own evaluations differ from [evaluation] and [filter]."""
-
-    draws: Annotated[int, Field(ge=2, le=10_000_000)] | None = None
-    noise: Literal["fresh", "common"] | None = None
-    particles: Annotated[int, Field(ge=1, le=10_000_000)] | None = None
-    resampling: Resampling | None = None
-    estimator: Estimator | Literal["auto"] | None = None
-
-
-class CommonEvaluation(SearchEvaluation):
-    """What a search takes that compares sets under common noise, if it is given nothing else."""
-
-    draws: Annotated[int, Field(ge=2, le=10_000_000)] = 300
-    noise: Literal["fresh", "common"] = "common"
-    particles: Annotated[int, Field(ge=1, le=10_000_000)] = 100
-    resampling: Resampling = "systematic"
-    estimator: Estimator | Literal["auto"] = AUTO
-
-
-class _Search(_Section):
-    name: Name = ""
-    evaluation: SearchEvaluation = SearchEvaluation()
-    polish: bool = False
-
-    @model_validator(mode="before")
-    @classmethod
-    def _named_after_its_method(cls, data: Any) -> Any:
-        if isinstance(data, dict) and "method" in data and "name" not in data:
-            return {**data, "name": data["method"]}
-        return data
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """The hyper-parameters of the optimiser."""
-        return self.model_dump(exclude={"name", "method", "evaluation", "polish"})
-
-
-class GeneticSearch(_Search):
-    """The paper's genetic algorithm."""
-
-    method: Literal["genetic"]
-    population: Annotated[int, Field(ge=2, multiple_of=2)] = 50
-    generations: Annotated[int, Field(ge=1)] = 25
-    crossover_probability: Probability = 1.0
-    mutation_probability: Probability = 0.003
-    sigma_scaling: Annotated[float, Field(gt=0.0, allow_inf_nan=False)] = 1.0
-
-
-class RandomSearch(_Search):
-    """The paper's random trials."""
-
-    method: Literal["random"]
-    evaluations: Annotated[int, Field(ge=1)] = 1250
-
-
-class SurvivorSearch(_Search):
-    """The survivor dynamic programme, which `pfdist plan` takes."""
-
-    method: Literal["survivors"] = "survivors"
-    name: Name = "survivors"
-    evaluation: CommonEvaluation = CommonEvaluation()
-    polish: bool = True
-    survivors: Annotated[int, Field(ge=1)] = 2
-    by_previous: bool = False
-
-
-class NeighbourSearch(_Search):
-    """Greedy, by one time more or less a step; or exchange of one time for another."""
-
-    method: Literal["greedy_forward", "greedy_backward", "exchange"]
-    evaluation: CommonEvaluation = CommonEvaluation()
-
-
-class AnnealingSearch(_Search):
-    """Simulated annealing, a few chains side by side."""
-
-    method: Literal["annealing"]
-    evaluation: CommonEvaluation = CommonEvaluation()
-    chains: Annotated[int, Field(ge=1)] = 4
-    steps: Annotated[int, Field(ge=1)] = 500
-    coldest: Annotated[float, Field(gt=0.0, le=1.0)] = 0.03
-
-
-class CrossEntropySearch(_Search):
-    """The cross-entropy method."""
-
-    method: Literal["cross_entropy"]
-    evaluation: CommonEvaluation = CommonEvaluation()
-    population: Annotated[int, Field(ge=1)] = 100
-    generations: Annotated[int, Field(ge=1)] = 50
-    elite: Annotated[float, Field(gt=0.0, le=1.0)] = 0.1
-    smoothing: Annotated[float, Field(gt=0.0, le=1.0)] = 0.4
-
-
-class ExhaustiveSearch(_Search):
-    """Every set, where they are few."""
-
-    method: Literal["exhaustive"]
-    evaluation: CommonEvaluation = CommonEvaluation()
-    limit: Annotated[int, Field(ge=1)] = 100_000
-
-
-SEARCHES: dict[str, type[_Search]] = {
-    "genetic": GeneticSearch,
-    "random": RandomSearch,
-    "survivors": SurvivorSearch,
-    "greedy_forward": NeighbourSearch,
-    "greedy_backward": NeighbourSearch,
-    "exchange": NeighbourSearch,
-    "annealing": AnnealingSearch,
-    "cross_entropy": CrossEntropySearch,
-    "exhaustive": ExhaustiveSearch,
-}
-Search = Annotated[
-    GeneticSearch
-    | RandomSearch
-    | SurvivorSearch
-    | NeighbourSearch
-    | AnnealingSearch
-    | CrossEntropySearch
-    | ExhaustiveSearch,
-    Field(discriminator="method"),
-]
-
-
-class Until(_Section):
+class Until(Section):
     """When a comparison has draws enough."""
 
     half_width: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.0
 
 
-class Comparison(_Section):
+class Comparison(Section):
     """The found times against the reference, on the same fresh draws."""
 
     draws: Annotated[int, Field(ge=2, le=100_000_000)] = 100_000
@@ -202,14 +74,14 @@ class Comparison(_Section):
     reference: Literal["regular"] = REFERENCE
 
 
-class Budget(_Section):
+class Budget(Section):
     """For which numbers of measurements times are wanted, which `pfdist budget` asks."""
 
     least: Annotated[int, Field(ge=2)]
     most: Annotated[int, Field(ge=2)]
 
 
-class Execution(_Section):
+class Execution(Section):
     """Where a run is computed; never part of what it is."""
 
     pool: Literal["ray", "serial"] = "ray"
@@ -218,7 +90,7 @@ class Execution(_Section):
     failures: Annotated[int, Field(ge=0)] = 3
 
 
-class Job(_Section):
+class Job(Section):
     """Everything a run is, and where to compute it. Made by `load_job`."""
 
     seed: Annotated[int, Field(ge=0, lt=2**63)]

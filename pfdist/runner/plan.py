@@ -4,8 +4,9 @@ from pathlib import Path
 from typing import Any
 
 from pfdist.analysis import Run
-from pfdist.job import PLANNER, Job, load_job
+from pfdist.job import Job, load_job
 from pfdist.runner.run import run
+from pfdist.search_sections import PLANNER
 
 
 def plan(

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from pfdist.job import AUTO, Job, Search, SearchEvaluation
+from pfdist.job import Job
 from pfdist.search import (
     Annealing,
     Budgets,
@@ -17,6 +17,7 @@ from pfdist.search import (
     SearchOptimiser,
     Survivors,
 )
+from pfdist.search_sections import AUTO, Search, SearchEvaluation
 from pfdist.work import Estimation
 
 

@@ -23,13 +23,13 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from pfdist.errors import StoreError
 from pfdist.store import files
 from pfdist.store.manifest import Manifest
-from pfdist.store.schema import KEYS, SCHEMA_VERSION, schema
+from pfdist.store.schema import KEYS, schema
+from pfdist.store.tables import cut_rows, read_file
 
 ROWS_IN_A_FILE = {"draws": 1_000_000, "comparison": 50_000}
 _MANY = 1_000_000_000  # rows of the other tables: one file a phase
@@ -151,7 +151,7 @@ class Store:
     def pieces(self, table: str, columns: list[str]) -> Iterator[pa.Table]:
         """Some columns of a table, a file at a time; rows may come twice."""
         for path in self._files(table):
-            yield _read_file(path, columns)
+            yield read_file(path, columns)
 
     def present(self, table: str, column: str, without: Container[Path] = ()) -> NDArray[np.bool_]:
         """Which values a column of counts has, up to its largest: a byte each.
@@ -167,7 +167,7 @@ class Store:
             found = np.zeros(0, np.bool_)
             for path in self._files(table):
                 if path not in without:
-                    values = _read_file(path, [column])[column].to_numpy()
+                    values = read_file(path, [column])[column].to_numpy()
                     found = np.pad(found, (0, max(0, int(values.max(initial=-1)) + 1 - found.size)))
                     found[values] = True
             return found
@@ -181,7 +181,7 @@ class Store:
 
         def look() -> list[pa.Table]:
             paths = set().union(*(self._files_of_evaluation.get(id_, set()) for id_ in ids))
-            return [_read_file(path, filters=wanted) for path in sorted(paths)]
+            return [read_file(path, filters=wanted) for path in sorted(paths)]
 
         found = self._again(look)
         if not found:
@@ -206,7 +206,7 @@ class Store:
         def copy() -> None:
             for path in other._files("draws"):
                 if path not in wrong:
-                    rows = _read_file(path).cast(schema("draws"))  # an older version's, too
+                    rows = read_file(path).cast(schema("draws"))  # an older version's, too
                     self.commit("draws", phase, path.stem.replace(".", "-"), rows)
 
         self._again(copy)
@@ -228,14 +228,14 @@ class Store:
     ) -> list[pa.Table]:
         """Read all files of a table."""
         return self._again(
-            lambda: [_read_file(path, columns, filters) for path in self._files(table)]
+            lambda: [read_file(path, columns, filters) for path in self._files(table)]
         )
 
     def _spans(self, table: str, column: str) -> list[tuple[Path, int, int]]:
         """Files of a table, and the smallest and largest value of a column in each."""
         spans = []
         for path in self._files(table):
-            values = _read_file(path, [column])[column].to_numpy()
+            values = read_file(path, [column])[column].to_numpy()
             if values.size:
                 spans.append((path, int(values.min()), int(values.max())))
         return spans
@@ -255,7 +255,7 @@ class Store:
         """Where each evaluation's draws are, read once and then kept up to date."""
         index: dict[str, set[Path]] = defaultdict(set)
         for path in self._files("draws"):
-            for id_ in _read_file(path, ["evaluation"])["evaluation"].unique().to_pylist():
+            for id_ in read_file(path, ["evaluation"])["evaluation"].unique().to_pylist():
                 index[id_].add(path)
         return index
 
@@ -265,27 +265,12 @@ class Store:
                 self._files_of_evaluation[id_].add(path)
 
 
-def cut_rows(pieces: Iterable[pa.Table], count: int) -> Iterator[pa.Table]:
-    """Cut a stream of tables into tables of a fixed number of rows, the last one shorter."""
-    waiting: list[pa.Table] = []
-    rows = 0
-    for piece in pieces:
-        waiting.append(piece)
-        rows += piece.num_rows
-        while rows >= count:
-            whole = pa.concat_tables(waiting)
-            yield whole.slice(0, count)
-            waiting, rows = [whole.slice(count)], rows - count
-    if rows:
-        yield pa.concat_tables(waiting)
-
-
 def _between(
     spans: list[tuple[Path, int, int]], column: str, first: int, last: int
 ) -> pa.Table | None:
     bounds = (pc.field(column) >= first) & (pc.field(column) < last)
     reach = [path for path, least, most in spans if least < last and most >= first]
-    pieces = [_read_file(path, filters=bounds) for path in reach]
+    pieces = [read_file(path, filters=bounds) for path in reach]
     if not pieces:
         return None
     found = pa.concat_tables(pieces).sort_by(column)
@@ -293,38 +278,3 @@ def _between(
     keep = np.ones(len(values), bool)
     keep[1:] = values[1:] != values[:-1]
     return found.filter(pa.array(keep))
-
-
-def _guarded(path: Path, read: Callable[[], pa.Table]) -> pa.Table:
-    try:
-        return read()
-    except FileNotFoundError:
-        raise
-    except (OSError, pa.ArrowInvalid) as error:
-        reason = str(error).splitlines()[0]
-        raise StoreError(
-            f"cannot read {path}: {reason}; the job, run again, makes it anew if it is damaged"
-        ) from error
-
-
-def _read_file(
-    path: Path, columns: list[str] | None = None, filters: pc.Expression | None = None
-) -> pa.Table:
-    table = _guarded(
-        path,
-        lambda: pq.read_table(
-            path,
-            columns=columns,
-            filters=filters,
-            partitioning=None,
-            use_threads=False,  # each would keep memory of its own
-            page_checksum_verification=True,
-        ),
-    )
-    version = int((table.schema.metadata or {}).get(b"pfdist_schema_version", b"0"))
-    if version > SCHEMA_VERSION:
-        raise StoreError(
-            f"{path} is of schema version {version}; this pfdist reads up to {SCHEMA_VERSION}: "
-            "use the newer pfdist that wrote it"
-        )
-    return table

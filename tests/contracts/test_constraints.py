@@ -9,11 +9,11 @@ from oracles.kalman import TRACKING
 from pfdist import kalman
 from pfdist.evaluation import SearchEvaluation
 from pfdist.feasible import Feasible
-from pfdist.job import SEARCHES
 from pfdist.measurement_times import Times
 from pfdist.runner.searches import OPTIMISERS
 from pfdist.search import Candidate
 from pfdist.search.base import SearchOptimiser
+from pfdist.search_sections import SEARCHES
 
 HORIZON, DRAWS = 12, 20
 PRICES = (1, 3, 2) * 4 + (1,)

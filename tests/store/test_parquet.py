@@ -22,8 +22,8 @@ from pfdist.store import (
     schema,
     trajectories_schema,
 )
-from pfdist.store.parquet import cut_rows
 from pfdist.store.schema import TABLES
+from pfdist.store.tables import cut_rows
 
 
 def _draws(evaluation: str, first: int, last: int, value: float = 1.0) -> pa.Table:
@@ -126,14 +126,14 @@ def test_parts_that_become_tables_while_they_are_read_are_read_all_the_same(
     }
     known = Store(store.path)
     assert known.per_draw(["a"]).num_rows == 6  # it has an index now, of parts
-    opened, writer = parquet._read_file, Store(store.path)
+    opened, writer = parquet.read_file, Store(store.path)
 
     def published_in_between(path: Path, *arguments: Any, **options: Any) -> pa.Table:
         if writer.has_parts():
             writer.publish("draws", "genetic", [_draws("a", 0, 6)])
         return opened(path, *arguments, **options)
 
-    monkeypatch.setattr(parquet, "_read_file", published_in_between)
+    monkeypatch.setattr(parquet, "read_file", published_in_between)
     assert readers[read]() == 6
     assert known.per_draw(["a"]).num_rows == 6
 
