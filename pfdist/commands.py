@@ -1,0 +1,207 @@
+"""What each command does: call, print; no logic."""
+
+import argparse
+import ast
+import dataclasses
+import json
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from pfdist.analysis import finite, open_run
+from pfdist.display import Display, print_check, print_summary, print_why
+from pfdist.errors import (
+    JobError,
+    MeasurementTimesError,
+    ModelError,
+    PfdistError,
+    PoolError,
+    StoreError,
+)
+from pfdist.job import load_job
+from pfdist.models import find_model, installed_models
+from pfdist.plots import draw_figures
+from pfdist.runner.budget import budget
+from pfdist.runner.check_model import Check, check_model
+from pfdist.runner.doctor import examine
+from pfdist.runner.evaluate import evaluate
+from pfdist.runner.plan import plan
+from pfdist.runner.repair import repair_run, verify_run
+from pfdist.runner.run import run
+from pfdist.runner.why import why
+
+
+def run_command(options: argparse.Namespace) -> None:
+    """Run a job, or go on with its run where it stopped."""
+    with Display() as display:
+        finished = run(
+            load_job(options.job, options.set), fork=options.fork, **_settings(options, display)
+        )
+    _print_run(finished.summary(), options)
+
+
+def plan_command(options: argparse.Namespace) -> None:
+    """Find measurement times for a job's problem and prove them."""
+    with Display() as display:
+        finished = plan(
+            load_job(options.job, options.set), search=options.search, **_settings(options, display)
+        )
+    _print_run(finished.summary(), options)
+
+
+def budget_command(options: argparse.Namespace) -> None:
+    """Say how the error falls with the number of measurements, and how many are enough."""
+    numbers, target = _range(options.measurements), options.target
+    with Display() as display:
+        finished = budget(
+            load_job(options.job, options.set),
+            numbers,
+            draws=options.draws,
+            target=target,
+            **_settings(options, display),
+        )
+    reached = {} if target is None else {"target": target, "reached": finished.reaching(target)}
+    _print_run(finished.summary() | reached, options)
+
+
+def _range(text: str) -> tuple[int, int]:
+    least, _, most = text.partition(":")
+    if not (least.isdecimal() and most.isdecimal() and 2 <= int(least) <= int(most)):
+        raise JobError(
+            "--measurements must be two numbers A:B with 2 <= A <= B, for instance 5:41, "
+            f"got {text!r}"
+        )
+    return int(least), int(most)
+
+
+def _settings(options: argparse.Namespace, display: Display) -> dict[str, Any]:
+    """What a command that computes is told besides its job."""
+    chosen = {name: getattr(options, name) for name in ("results", "pool", "workers", "address")}
+    return {**chosen, "report": display.report, "say": display.say}
+
+
+def status_command(options: argparse.Namespace) -> None:
+    """Say how far a run is and what it has found."""
+    _print_run(open_run(options.run).summary(), options)
+
+
+def evaluate_command(options: argparse.Namespace) -> None:
+    """Estimate the expected MSE of one set of times."""
+    start = time.perf_counter()
+    job = load_job(options.job, options.set)
+    evaluation = evaluate(
+        job, _times(options.times), options.draws, options.particles, options.seed
+    )
+    answer = {
+        "expected_mse": evaluation.expected_mse,
+        "standard_error": evaluation.standard_error,
+        "draws": evaluation.draws,
+        "degenerate_draws": evaluation.degenerate_draws,
+        "seconds": round(time.perf_counter() - start, 3),
+    }
+    if options.json:
+        _print_json(answer)
+        return
+    print(f"expected MSE {answer['expected_mse']:.4f} ± {answer['standard_error']:.4f}")
+    print(
+        f"{answer['draws']:,} draws, {answer['degenerate_draws']:,} degenerate, "
+        f"{answer['seconds']:.1f} s"
+    )
+
+
+def plot_command(options: argparse.Namespace) -> None:
+    """Draw the figures of a run from its tables."""
+    for file in draw_figures(open_run(options.run)):
+        print(file)
+
+
+def why_command(options: argparse.Namespace) -> None:
+    """Say what each measurement of a finished run is worth, and draw it."""
+    with Display() as display:
+        found = why(options.run, options.draws, report=display.report, say=display.say).as_json()
+    if options.json:
+        _print_json(found)
+        return
+    print_why(found)
+
+
+def verify_command(options: argparse.Namespace) -> None:
+    """Look at every byte, row and key of a run."""
+    path = Path(options.run)
+    damages = list(verify_run(path))
+    for damage in damages:
+        print(f"{path / damage.path} {damage.what}")
+    if damages:
+        raise StoreError(f"{path}: {len(damages)} wrong; `pfdist repair {path}` says what to do")
+    print(f"{path}: every file is what was committed, every row and key is there")
+
+
+def repair_command(options: argparse.Namespace) -> None:
+    """Move damaged files of a run to quarantine."""
+    lines = list(repair_run(Path(options.run)))
+    print("\n".join(lines) or f"{options.run}: nothing to repair")
+
+
+def doctor_command(options: argparse.Namespace) -> None:
+    """Say whether this machine is fit for a run."""
+    wrong = _print_checks(examine(Path(options.results), options.address), options)
+    if wrong:
+        raise PoolError(f"not fit for a run: {', '.join(wrong)}")
+
+
+def models_command(options: argparse.Namespace) -> None:
+    """List the models that can be named in a job."""
+    names = sorted(installed_models())
+    width = max(map(len, names))
+    for name in names:
+        try:
+            summary = ast.get_docstring(ast.parse(find_model(name).text)) or ""
+        except (PfdistError, SyntaxError) as error:
+            summary = f"cannot be loaded: {error}"
+        print(f"{name:{width}}  {summary.partition(chr(10))[0]}".rstrip())
+
+
+def check_model_command(options: argparse.Namespace) -> None:
+    """Find what is wrong with a model."""
+    checks = check_model(options.name, options.horizon, options.particles)
+    wrong = _print_checks(checks, options)
+    if wrong:
+        raise ModelError(f"{options.name}: wrong: {', '.join(wrong)}")
+
+
+def _print_checks(checks: Iterable[Check], options: argparse.Namespace) -> list[str]:
+    """Print them as they come, or as one object; give the names of those that are wrong."""
+    done = []
+    for check in checks:
+        done.append(check)
+        if not options.json:
+            print_check(check)
+    if options.json:
+        _print_json({"checks": [dataclasses.asdict(check) for check in done]})
+    return [check.name for check in done if check.state == "wrong"]
+
+
+def _times(text: str) -> list[int]:
+    try:
+        return [int(time) for time in text.rstrip(",").split(",")]
+    except ValueError as error:
+        raise MeasurementTimesError(
+            f"--times must be integers separated by commas, for instance 0,3,6, got {text!r}"
+        ) from error
+
+
+def _print_run(summary: dict[str, Any], options: argparse.Namespace) -> None:
+    if options.json:
+        _print_json(summary)
+        return
+    path = summary["run"]
+    print_summary(summary, f"tables: {path}/tables   figures: {path}/figures")
+
+
+def _print_json(value: dict[str, Any]) -> None:
+    print(json.dumps(finite(value), indent=2, allow_nan=False))
+
+
+RESUMABLE = (run_command, plan_command, budget_command)
+"""Those that go on from what is committed, if they are given again."""
