@@ -8,11 +8,11 @@ all are portable.
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic, overload, register_jitable
+from numba.extending import intrinsic, overload
+
+from pfdist.kernels.melting import MELTING
 
 LANES = 16  # of a vector of 32-bit numbers
-
-inlined = register_jitable(forceinline=True)  # a call left standing stops vectorisation: 15 times
 
 
 def fma(a, b, c):
@@ -38,7 +38,7 @@ def _llvm_fma(typing_context, a, b, c):
     return a(a, b, c), generate
 
 
-@overload(fma, jit_options={"forceinline": True})
+@overload(fma, jit_options=MELTING)
 def _fma_compiled(a, b, c):
     if a == b == c and a in (types.float32, types.float64):
         return lambda a, b, c: _llvm_fma(a, b, c)  # noqa: PLW0108
@@ -61,7 +61,7 @@ def larger(a, b):
     return np.maximum(a, b)
 
 
-@overload(larger, jit_options={"forceinline": True})
+@overload(larger, jit_options=MELTING)
 def _larger_compiled(a, b):
     return lambda a, b: _llvm_maxnum(a, b)  # noqa: PLW0108
 

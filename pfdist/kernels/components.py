@@ -12,7 +12,8 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from pfdist.kernels.melting import melted
 
 
 @cache
@@ -77,10 +78,4 @@ def naming(names: tuple[str, ...]) -> Callable[..., Any]:
 def _made(source: str, kind: Any = None, *, any_order: bool = False) -> Callable[..., Any]:
     scope: dict[str, Any] = {"float64": np.float64, "kind": kind}
     exec(source, scope)  # noqa: S102  the source is made above, of numbers and our own words
-    return njit(
-        scope["result"],
-        error_model="numpy",
-        fastmath={"reassoc", "nsz"} if any_order else False,
-        forceinline=True,
-        nogil=True,
-    )
+    return melted(scope["result"], fastmath={"reassoc", "nsz"} if any_order else False)

@@ -19,7 +19,8 @@ import math
 
 import numpy as np
 
-from pfdist.kernels.arithmetic import fma, inlined
+from pfdist.kernels.arithmetic import fma
+from pfdist.kernels.melting import inlined
 
 ULPS = 4
 LARGEST_ANGLE = 3.5e15

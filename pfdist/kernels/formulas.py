@@ -8,10 +8,10 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numba.core.errors import NumbaError
 
 from pfdist.errors import CompileError, ModelError, PfdistError
+from pfdist.kernels.melting import melted
 from pfdist.kernels.overloads import ELEMENTARY, log_to_base
 
 
@@ -22,13 +22,7 @@ def formula(function: Callable[..., Any]) -> Callable[..., Any]:
     are those of `pfdist.kernels.overloads`. Division by zero gives inf or nan as in NumPy: a
     branch to raise would stop vectorisation.
     """
-    return njit(
-        _seeing(function),
-        error_model="numpy",
-        fastmath={"arcp", "contract"},
-        forceinline=True,
-        nogil=True,
-    )
+    return melted(_seeing(function), fastmath={"arcp", "contract"})
 
 
 def _seeing(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -14,6 +14,7 @@ from numba import njit
 from pfdist.kernels.components import naming, reader, writer
 from pfdist.kernels.disk_cache import kept_on_disk
 from pfdist.kernels.formulas import formula
+from pfdist.kernels.melting import melted
 from pfdist.kernels.moments import SQUARED_ERROR, moments, recorders
 from pfdist.kernels.noise import FILTER_INITIAL, FILTER_PROCESS, filler, padded
 from pfdist.kernels.resampling import RESAMPLE, SORTED, SPARE
@@ -111,7 +112,7 @@ def _filter_draw(
     resample = RESAMPLE[resampling]
     in_line = sort_by_state if resampling in SORTED else _as_it_is
 
-    @njit(forceinline=True, nogil=True, error_model="numpy")
+    @melted
     def filter_draw(
         stream, k, draw, d, s, y, z, plan, particles, estimator, p, truth,
         estimate, variance, others, saved, before, cloud, noise, log_weight, weight,
@@ -184,7 +185,7 @@ def _cloud_steps(
     read_x, write_x = reader(states, "half, c, i"), writer(states, "half, c, i")
     read_y = reader(measurements, "d, t, c")
 
-    @njit(forceinline=True, nogil=True, error_model="numpy")
+    @melted
     def begin(stream, draw, t, source, noise, particles, p, cloud, saved, before):
         if t > 0:
             _copy(saved, source, cloud, 0)
@@ -194,14 +195,14 @@ def _cloud_steps(
             write_x(cloud, 0, i, initial(read_w0(noise, i), p))
         return 0.0
 
-    @njit(forceinline=True, nogil=True, error_model="numpy")
+    @melted
     def propagate(stream, draw, t, noise, particles, p, cloud, here):
         fill_w(noise, particles, stream, draw, t, FILTER_PROCESS)
         for i in range(cloud.shape[2]):
             x = transition(read_x(cloud, here, i), t, read_w(noise, i), p)
             write_x(cloud, 1 - here, i, x)
 
-    @njit(forceinline=True, nogil=True, error_model="numpy")
+    @melted
     def explain(cloud, here, particles, y, d, t, p, out):
         measured = read_y(y, d, t)
         for i in range(out.size):
@@ -213,7 +214,7 @@ def _cloud_steps(
     return begin, propagate, explain
 
 
-@njit(forceinline=True, nogil=True)
+@melted
 def _as_it_is(
     cloud, here, particles, weight, row, log_weight, counts, keys, half_sorted, order
 ):  # fmt: skip
@@ -221,7 +222,7 @@ def _as_it_is(
     return here
 
 
-@njit(forceinline=True, nogil=True)
+@melted
 def _ended(before, slots, s, t, mse):
     """Say it to the sets that share what follows t."""
     for later in range(t + 1, slots.shape[1]):
@@ -230,7 +231,7 @@ def _ended(before, slots, s, t, mse):
     return mse
 
 
-@njit(forceinline=True, nogil=True)
+@melted
 def _keep(error, cloud, here, before, saved, slots, s, stop):
     """Keep what sets that share what lies before stop go on from."""
     if slots[s, stop] >= 0:
@@ -238,13 +239,13 @@ def _keep(error, cloud, here, before, saved, slots, s, stop):
         _copy(cloud, here, saved, slots[s, stop])
 
 
-@njit(forceinline=True, nogil=True)
+@melted
 def _mean(error, instants, before, slots, s, stop):
     """Of the errors, or what became of what the set shares."""
     return error / instants if error < np.inf else _ended(before, slots, s, stop, error)
 
 
-@njit(forceinline=True, nogil=True)
+@melted
 def _copy(clouds, one, others, other):
     """Copy a cloud from one array of them to another."""
     for component in range(clouds.shape[1]):
@@ -252,7 +253,7 @@ def _copy(clouds, one, others, other):
             others[other, component, i] = clouds[one, component, i]
 
 
-@njit(forceinline=True, nogil=True)
+@melted
 def _take(cloud, here, particles, ancestor):
     """Copy each particle's ancestor to the other half; what lies behind the last is any one."""
     for i in range(particles, cloud.shape[2]):

@@ -3,10 +3,9 @@
 from collections.abc import Callable
 from typing import Any
 
-from numba import njit
-
 from pfdist.kernels.components import reader, tuple_of, writer
 from pfdist.kernels.formulas import formula
+from pfdist.kernels.melting import melted
 
 ESTIMATORS = ("squared_error", "filter_variance", "two_filters")
 """What an instant costs: the error of the estimate; the variance of the particles' z, summed over
@@ -35,7 +34,7 @@ def moments(
     squares = tuple_of(quantities, "values, mean", "(values[c] - mean[c]) ** 2")
     nothing = (0.0,) * quantities
 
-    @njit(forceinline=True, nogil=True, error_model="numpy")
+    @melted
     def average(cloud, here, t, p, weight, row, total):
         sums = nothing
         for i in range(cloud.shape[2]):
@@ -43,7 +42,7 @@ def moments(
             sums = add(sums, weight[row, i], z)
         return divided(sums, total)
 
-    @njit(forceinline=True, nogil=True, error_model="numpy")
+    @melted
     def spread(cloud, here, t, p, weight, row, total, mean):
         sums = nothing
         for i in range(cloud.shape[2]):
@@ -63,13 +62,13 @@ def recorders(error: Callable[..., Any], quantities: int) -> tuple[Callable[...,
     write_z = writer(quantities, "d, t, c")
     read_other, write_other = (make(quantities, "s, t, c") for make in (reader, writer))
 
-    @njit(forceinline=True, nogil=True, error_model="numpy")
+    @melted
     def record(estimate, variance, d, t, mean, variances):
         if estimate.size > 0:  # somebody asks
             write_z(estimate, d, t, mean)
             write_z(variance, d, t, variances)
 
-    @njit(forceinline=True, nogil=True, error_model="numpy")
+    @melted
     def cost_of(estimator, k, others, s, t, mean, variances, truth):
         total = 0.0
         for one in variances:

@@ -20,10 +20,10 @@ from functools import cache
 from typing import Any, SupportsIndex
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from pfdist.kernels.arithmetic import LANES, fma, inlined
+from pfdist.kernels.arithmetic import LANES, fma
+from pfdist.kernels.melting import inlined, melted
 from pfdist.kernels.threefry import threefry4x32
 
 # What a noise is for. The simulation's roles and the filter's never meet in one stream, but
@@ -170,7 +170,7 @@ FOUR: dict[str, Callable[..., Any]] = {
 
 
 def _filling(four: Callable[..., Any]) -> Callable[..., Any]:
-    @njit(forceinline=True, nogil=True)
+    @melted
     def fill(out, row, particles, stream, draw, t, role, component):
         for tile in range(padded(particles) // TILE):
             first = tile * TILE
@@ -187,7 +187,7 @@ def _filling(four: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _filling_draws(four: Callable[..., Any]) -> Callable[..., Any]:
-    @njit(forceinline=True, nogil=True)
+    @melted
     def fill(out, row, draws, stream, first, t, role, component):
         for d in range(draws):
             out[row, d] = four(stream, first + d, t, role, component, 0)[0]
@@ -227,12 +227,12 @@ def filler(kinds: tuple[str, ...], *, of_draws: bool = False) -> Callable[..., A
     fill_normal, fill_uniform = fills["normal"], fills["uniform"]
     fill_all = fills[kinds[0]] if kinds else fill_normal
 
-    @njit(forceinline=True, nogil=True)
+    @melted
     def fill_alike(out, size, stream, draw, t, role):
         for component in range(count):
             fill_all(out, np.uintp(component), size, stream, draw, t, role, component)
 
-    @njit(forceinline=True, nogil=True)
+    @melted
     def fill_each(out, size, stream, draw, t, role):
         for component in range(count):
             if normal[component]:

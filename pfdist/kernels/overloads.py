@@ -9,6 +9,7 @@ from numba import types
 from numba.extending import overload
 
 from pfdist.kernels import elementary
+from pfdist.kernels.melting import MELTING
 
 
 def _in_the_place_of(original: np.ufunc, scalar: Callable[..., Any]) -> Callable[..., Any]:
@@ -27,7 +28,7 @@ def _in_the_place_of(original: np.ufunc, scalar: Callable[..., Any]) -> Callable
     )
     scope["is_number"] = lambda kind: isinstance(kind, types.Float | types.Integer | types.Boolean)
     exec(source, scope)  # noqa: S102  the source is made above, of a number alone
-    overload(scope["stub"], jit_options={"forceinline": True})(scope["overloaded"])
+    overload(scope["stub"], jit_options=MELTING)(scope["overloaded"])
     return scope["stub"]
 
 
@@ -61,7 +62,7 @@ def log_to_base(x: Any, base: Any = None) -> Any:
     return math.log(x) if base is None else math.log(x, base)
 
 
-@overload(log_to_base, jit_options={"forceinline": True})
+@overload(log_to_base, jit_options=MELTING)
 def _log_to_base_compiled(x, base=None):
     log = ELEMENTARY["log"]
     if isinstance(base, types.NoneType | types.Omitted) or base is None:

@@ -27,9 +27,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from pfdist.kernels.arithmetic import LANES, add_ranks, larger
+from pfdist.kernels.melting import melted
 from pfdist.kernels.noise import FILL, RESAMPLING, padded
 from pfdist.kernels.weights import cumulate, width
 
@@ -46,7 +46,7 @@ _fill_uniforms = FILL["uniform"]
 # --- points in ascending order ------------------------------------------------------------------
 
 
-@njit(forceinline=True, nogil=True, error_model="numpy")
+@melted
 def _ascending_points(stream, draw, t, count, noise, sums, points):
     """Put count ordered uniforms: sums of exponentials over their last one."""
     _fill_exponentials(noise, _ROW, count + 1, stream, draw, t, RESAMPLING, _COMPONENT)
@@ -56,7 +56,7 @@ def _ascending_points(stream, draw, t, count, noise, sums, points):
         points[i] = np.uint32(np.int64(sums[i] * scale))
 
 
-@njit(forceinline=True, nogil=True)
+@melted
 def _stratified_points(stream, draw, t, count, noise, points):
     """Put a point in each of count equal intervals."""
     _fill_uniforms(noise, _ROW, count, stream, draw, t, RESAMPLING, _COMPONENT)
@@ -68,7 +68,7 @@ def _stratified_points(stream, draw, t, count, noise, points):
 # --- from points to ancestors -------------------------------------------------------------------
 
 
-@njit(forceinline=True, nogil=True, error_model="numpy")
+@melted
 def _shared(cumulative, total, particles, shares):
     """Put cumulative weights as shares of the total."""
     scale = SHARES / larger(total, LEAST_TOTAL)
@@ -76,7 +76,7 @@ def _shared(cumulative, total, particles, shares):
         shares[j] = np.uint32(np.int64(cumulative[j] * scale))
 
 
-@njit(forceinline=True, nogil=True)
+@melted
 def merged_ancestors(shares, particles, points, count, ancestor):
     """Ancestors of points in ascending order: the two ascending sequences are merged.
 
@@ -112,7 +112,7 @@ def merged_ancestors(shares, particles, points, count, ancestor):
         begin += (np.uintp(1) - passed) * lanes
 
 
-@njit(forceinline=True, nogil=True)
+@melted
 def expanded(ends, particles, count, marks, ancestor):
     """Ancestors from where each particle's children end: each number as often as it is said.
 
@@ -161,21 +161,21 @@ def expanded(ends, particles, count, marks, ancestor):
 # --- the schemes --------------------------------------------------------------------------------
 
 
-@njit(forceinline=True, nogil=True, error_model="numpy")
+@melted
 def _multinomial(cumulative, particles, stream, draw, t, noise, sums, points, shares, ancestor):
     _ascending_points(stream, draw, t, particles, noise, sums, points)
     _shared(cumulative, cumulative[particles - 1], particles, shares)
     merged_ancestors(shares, particles, points, particles, ancestor)
 
 
-@njit(forceinline=True, nogil=True, error_model="numpy")
+@melted
 def _stratified(cumulative, particles, stream, draw, t, noise, sums, points, shares, ancestor):
     _stratified_points(stream, draw, t, particles, noise, points)
     _shared(cumulative, cumulative[particles - 1], particles, shares)
     merged_ancestors(shares, particles, points, particles, ancestor)
 
 
-@njit(forceinline=True, nogil=True, error_model="numpy")
+@melted
 def _systematic(cumulative, particles, stream, draw, t, noise, sums, points, shares, ancestor):
     _fill_uniforms(noise, _ROW, np.int64(1), stream, draw, t, RESAMPLING, _COMPONENT)
     shift = np.float64(noise[0, 0])
@@ -186,7 +186,7 @@ def _systematic(cumulative, particles, stream, draw, t, noise, sums, points, sha
     expanded(ends, particles, particles, noise, ancestor)
 
 
-@njit(forceinline=True, nogil=True, error_model="numpy")
+@melted
 def _residual(cumulative, particles, stream, draw, t, noise, sums, points, shares, ancestor):
     total = larger(cumulative[particles - 1], LEAST_TOTAL)
     before, sure, rest = 0.0, 0, 0.0

@@ -15,10 +15,10 @@ Statistical Society B 77, 2015.
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from pfdist.kernels.arithmetic import larger
+from pfdist.kernels.melting import melted
 
 _BITS = 7
 LEVELS = 2 ** (2 * _BITS)
@@ -28,7 +28,7 @@ _NONE = -np.finfo(np.float64).max
 _LOW, _HIGH = np.uintp(0), np.uintp(1)
 
 
-@njit(forceinline=True, nogil=True, error_model="numpy")
+@melted
 def sort_by_state(
     cloud, here, particles, weight, row, log_weight, counts, keys, half_sorted, order
 ):
@@ -71,7 +71,7 @@ def sort_by_state(
     return 1 - here
 
 
-@njit(forceinline=True, nogil=True)
+@melted
 def _radix_sorted(keys, particles, counts, half_sorted, order):
     """Sort by the low digit, then by the high one; what is alike stays as it stood."""
     mask, bits = np.uint32(DIGITS - 1), np.uint32(_BITS)

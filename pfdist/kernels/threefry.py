@@ -7,7 +7,7 @@ Salmon, Moraes, Dror, Shaw, "Parallel random numbers: as easy as 1, 2, 3", SC 20
 
 import numpy as np
 
-from pfdist.kernels.arithmetic import inlined
+from pfdist.kernels.melting import inlined
 
 
 @inlined
@@ -46,7 +46,7 @@ def threefry4x32(k0, k1, k2, k3, c0, c1, c2, c3):
     -------
     tuple of four uint32 or arrays of uint32
     """
-    k4 = np.uint32(0x1BD11BDA) ^ k0 ^ k1 ^ k2 ^ k3
+    k4 = np.uint32(np.uint32(0x1BD11BDA) ^ k0 ^ k1 ^ k2 ^ k3)
     x = _add_key(k0, k1, k2, k3, 0, c0, c1, c2, c3)
     x = _round(23, 5, *_round(13, 27, *_round(11, 21, *_round(10, 26, *x))))
     x = _add_key(k1, k2, k3, k4, 1, *x)

@@ -5,10 +5,10 @@ says; what lies behind the last particle has the log-weight `IMPOSSIBLE`, so the
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from pfdist.kernels.arithmetic import LANES, fma, inlined, larger
+from pfdist.kernels.arithmetic import LANES, fma, larger
+from pfdist.kernels.melting import inlined, melted
 
 IMPOSSIBLE = -np.finfo(np.float64).max
 
@@ -45,7 +45,7 @@ def _exp(x):
     return np.float32(p * np.int32(two_to_k).view(np.float32))
 
 
-@njit(forceinline=True, nogil=True)
+@melted
 def weigh(log_weight, weight, row):
     """Put weights into a row, from finite log-weights; all 0 where each is `IMPOSSIBLE`."""
     highest = log_weight[0]
@@ -67,7 +67,7 @@ def plain_weights(log_likelihood: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.where(possible, weight, 0.0).astype(np.float64)
 
 
-@njit(forceinline=True, nogil=True)
+@melted
 def cumulate(values, row, count, cumulative):
     """Cumulative sums of the first values of a row, a multiple of 4; their total is given back.
 
