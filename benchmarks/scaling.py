@@ -1,8 +1,8 @@
 """A real run's search on 1 and 2 workers, by the draws of an evaluation, and what Ray costs.
 
 Counted is all from the last outcome of the first generation, in which workers start and compile, to
-the last outcome of a short comparison, during which the search's tables are written: what the
-driver does between generations, commits, and workers that wait for a generation's end among it.
+the last outcome of a comparison of 20,000 draws, during which the search's tables are written: what
+the driver does between generations, commits, and workers that wait for a generation's end among it.
 """
 
 import tempfile
@@ -31,7 +31,7 @@ PAPERS_DRAWS = 1000
 GENERATIONS = {250: 8, PAPERS_DRAWS: 25}  # by an evaluation's draws, the first included
 REPEATS = 3
 BARE_SECONDS = 2.0
-COMPARED = 2000  # draws: short beside the search
+COMPARED = 20_000  # draws: during which the tables of the search are written, as in a real run
 BARE = "bare processes"
 _KIND = ["draws", "pool"]
 
@@ -72,7 +72,7 @@ def measure(quick: bool, say: Say) -> Tables:
 
 
 def _search(pool: str, workers: int, draws: int, generations: int) -> dict[str, Any]:
-    """Run a job with a short comparison."""
+    """Run a job with a comparison shorter than its own."""
     search = f"search=[{{method='genetic', population=50, generations={generations}}}]"
     job = load_job(JOB, [search, f"evaluation.draws={draws}", f"comparison.draws={COMPARED}"])
     warm = end = 0.0
@@ -135,8 +135,9 @@ def summary(tables: Tables) -> str:
     costs = tables["ray_costs"].groupby("what")["seconds"].median()
     header = ["draws an evaluation, pool", "a task", "1 worker", "2 workers", "efficiency"]
     return (
-        "The search of `jobs/paper.toml` and a short comparison, everything but Ray's start and "
-        "compilation counted: 1e9 particle-steps a second, and efficiency, rate(2) / (2 rate(1)). "
+        f"The search of `jobs/paper.toml` and a comparison of {COMPARED:,} draws, everything but "
+        "Ray's start and compilation counted: 1e9 particle-steps a second, and efficiency, "
+        "rate(2) / (2 rate(1)). "
         f"Median of {rows['repeat'].max() + 1} repeats in turns, in brackets the least and the "
         "largest. Bare processes filter the same with nobody to hand out tasks: what the machine "
         "allows.\n\n"

@@ -80,14 +80,14 @@ def bundles(works: Iterable[Work], size: Callable[[int], int]) -> Iterator[tuple
     bundle: list[Work] = []
     room = size(remaining)
     for work in waiting:
-        first, last = work.draws
+        (first, last), a_draw = work.draws, work.steps_a_draw
         while first < last:
-            end = min(last, first + max(1, room // work.steps_a_draw))
+            end = min(last, first + max(1, room // a_draw))
             bundle.append(replace(work, draws=(first, end)))
-            first, room = end, room - bundle[-1].steps
-            if room < work.steps_a_draw:
+            steps, first = (end - first) * a_draw, end
+            room, remaining = room - steps, remaining - steps
+            if room < a_draw:
                 yield tuple(bundle)
-                remaining -= sum(piece.steps for piece in bundle)
                 bundle, room = [], size(remaining)
     if bundle:
         yield tuple(bundle)

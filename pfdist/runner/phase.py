@@ -228,8 +228,9 @@ def _keys(work: Work) -> list[tuple[Times, int, int]]:
 
 
 def _draw_rows(ids: list[str], draws: tuple[int, int], mse: NDArray[np.float64]) -> pa.Table:
+    of_draw = np.repeat(np.arange(len(ids)), len(mse))
     columns = [
-        pa.array(np.repeat(ids, len(mse)), pa.string()),
+        pa.array(ids, pa.string()).take(of_draw),
         pa.array(np.tile(np.arange(*draws), len(ids))),
         pa.array(mse.T.ravel(), from_pandas=True),
     ]

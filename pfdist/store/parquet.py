@@ -102,10 +102,11 @@ class Store:
                 self._index(path, rows)
         for path, stamp, before in settled:
             self.manifest.settle(path, stamp, before)
-        for path in self._parts(table, phase):
+        gone = self._parts(table, phase)
+        for path in gone:
             files.remove(path)
-            for holders in self.__dict__.get("_files_of_evaluation", {}).values():
-                holders.discard(path)
+        for holders in self.__dict__.get("_files_of_evaluation", {}).values():
+            holders.difference_update(gone)
 
     # --- reading ------------------------------------------------------------------------------
 
