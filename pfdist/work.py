@@ -92,6 +92,8 @@ def columns(streams: Sequence[int]) -> dict[int, list[int]]:
 @lru_cache(maxsize=64)
 def _instants(sets: tuple[Times, ...], ends: tuple[int, ...], streams: tuple[int, ...]) -> int:
     """Instants that are filtered in all."""
+    if len(sets) == 1:
+        return ends[0] + 1
     total = 0
     for of in columns(streams).values():
         stops = tuple(ends[column] + 1 for column in of)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pfdist.analysis import Moments, Run, finite, open_run
 from pfdist.errors import JobError, RunMismatchError, StoreError
 from pfdist.evaluation import Evaluation, Purpose
+from pfdist.feasible import Feasible
 from pfdist.job import load_job
 from pfdist.measurement_times import Times
 from pfdist.monte_carlo import Problem
@@ -50,7 +51,8 @@ class Why:
     measurements : DataFrame
         A row a set and measurement: name, t, and by how much the expected MSE grows where it is
         removed, made one instant earlier or later: removed, earlier, later (NaN where another
-        measurement is there, or no instant), and removed_error and so on, their standard errors.
+        measurement is there, or no instant that the job allows), and removed_error and so on, their
+        standard errors.
     figures : list of Path
         One for each search.
     """
@@ -173,7 +175,7 @@ def _examine(
     what they have in common is filtered once, and their differences are paired.
     """
     problem, seed, instants = built.problem, built.job.seed, built.problem.horizon + 1
-    changed = list(_changes(times, problem.horizon))
+    changed = list(_changes(times, built.job.problem.feasible))
     sets = [tuple(t for t in times if t <= end) for end in range(instants)]
     sets += [other for _, _, other in changed]
     work = Work(
@@ -197,14 +199,19 @@ def _examine(
     return [summary], profile, list(measurements.values())
 
 
-def _changes(times: Times, horizon: int) -> Iterator[tuple[int, str, Times]]:
-    """Give every measurement, what may be done to it, and the set that it leads to."""
+def _changes(times: Times, feasible: Feasible) -> Iterator[tuple[int, str, Times]]:
+    """Give every measurement, what may be done to it, and the set that it leads to.
+
+    All may be removed, to see what they are worth; but moved only to where the job allows it.
+    """
     for t in times:
         others = set(times) - {t}
         yield t, "removed", tuple(sorted(others))
         for change, to in (("earlier", t - 1), ("later", t + 1)):
-            if 0 <= to <= horizon and to not in others:
-                yield t, change, tuple(sorted(others | {to}))
+            moved = tuple(sorted(others | {to}))
+            possible = to not in others and t not in feasible.required
+            if possible and feasible.allows(moved):
+                yield t, change, moved
 
 
 def _means(

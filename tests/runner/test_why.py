@@ -97,6 +97,24 @@ def test_where_everything_is_known_no_draws_are_taken(quick: Job, tmp_path: Path
 
 
 @pytest.mark.usefixtures("no_figures")
+def test_a_measurement_is_moved_only_to_where_the_job_allows_it(
+    quick: Job, tmp_path: Path
+) -> None:
+    bound = ["problem.forbidden=[7, 9]", "problem.required=[4]", "problem.minimum_spacing=3"]
+    job = _walk(quick, "kalman").with_changes(bound)
+    run = pfdist.run(job, tmp_path / "run")
+    found, allowed = why(run.path), set(job.problem.feasible.every())
+    for name, result in run.summary()["results"].items():
+        times = set(result["measurement_times"])
+        moves = {(t, "earlier"): t - 1 for t in times} | {(t, "later"): t + 1 for t in times}
+        possible = {
+            key for key, to in moves.items() if tuple(sorted(times - {key[0]} | {to})) in allowed
+        }
+        assert 0 < len(possible) < len(moves)
+        assert _rises(found, name).keys() == possible | {(t, "removed") for t in times}
+
+
+@pytest.mark.usefixtures("no_figures")
 def test_the_profile_is_the_squared_error_over_time_and_its_mean_the_expected_mse(
     quick: Job, tmp_path: Path
 ) -> None:
