@@ -1,8 +1,9 @@
-"""A real run's search on 1 and 2 workers, by the draws of an evaluation, and what Ray costs.
+"""A real run on 1 and 2 workers, by the draws of an evaluation, and what Ray costs.
 
-Counted is all from the last outcome of the first generation, in which workers start and compile, to
-the last outcome of a comparison of 20,000 draws, during which the search's tables are written: what
-the driver does between generations, commits, and workers that wait for a generation's end among it.
+The search is counted from the last outcome of its first generation, in which workers start and
+compile, to that of its last: what the driver does between generations, commits, and workers that
+wait for a generation's end among it. The whole run goes on to the last outcome of the comparison,
+during which the search's tables are written.
 """
 
 import tempfile
@@ -31,7 +32,6 @@ PAPERS_DRAWS = 1000
 GENERATIONS = {250: 8, PAPERS_DRAWS: 25}  # by an evaluation's draws, the first included
 REPEATS = 3
 BARE_SECONDS = 2.0
-COMPARED = 20_000  # draws: during which the tables of the search are written, as in a real run
 BARE = "bare processes"
 _KIND = ["draws", "pool"]
 
@@ -50,7 +50,7 @@ def measure(quick: bool, say: Say) -> Tables:
     -------
     dict of DataFrames
         scaling: a row a run, with repeat, draws, pool, workers, tasks, task_seconds (the mean in a
-        worker), seconds, rate in particle-steps a second;
+        worker), and particle-steps a second: rate of the search, run_rate of the whole;
         ray_costs: see `ray_costs.measure_ray`.
     """
     sizes = dict(list(GENERATIONS.items())[:1]) if quick else GENERATIONS
@@ -72,72 +72,80 @@ def measure(quick: bool, say: Say) -> Tables:
 
 
 def _search(pool: str, workers: int, draws: int, generations: int) -> dict[str, Any]:
-    """Run a job with a comparison shorter than its own."""
     search = f"search=[{{method='genetic', population=50, generations={generations}}}]"
-    job = load_job(JOB, [search, f"evaluation.draws={draws}", f"comparison.draws={COMPARED}"])
-    warm = end = 0.0
+    job = load_job(JOB, [search, f"evaluation.draws={draws}"])
+    warm = searched = end = 0.0
 
     def report(progress: Progress) -> None:
-        nonlocal warm, end
+        nonlocal warm, searched, end
         end = perf_counter()
         if progress.generation == 1:
             warm = end
+        if progress.phase == "genetic":
+            searched = end
 
     with tempfile.TemporaryDirectory(prefix="run-") as folder:
         done = run(job, results=folder, pool=pool, workers=workers, report=report)
         evaluated, tasks = done.evaluations()["generation"], done.timings()["seconds"]
-    filtered = int((evaluated > 0).sum()) * draws + len(done.names) * (COMPARED + TRAJECTORIES)
-    steps = filtered * (job.problem.horizon + 1) * job.filter.particles
+    a_draw = (job.problem.horizon + 1) * job.filter.particles
+    steps = int((evaluated > 0).sum()) * draws * a_draw
+    compared = len(done.names) * (job.comparison.draws + TRAJECTORIES) * a_draw
     return {
         "pool": pool,
         "workers": workers,
         "tasks": len(tasks),
         "task_seconds": float(tasks.mean()),
-        "seconds": end - warm,
-        "rate": steps / (end - warm),
+        "rate": steps / (searched - warm),
+        "run_rate": (steps + compared) / (end - warm),
     }
 
 
-def efficiencies(rows: pd.DataFrame) -> pd.DataFrame:
+def efficiencies(rows: pd.DataFrame, rate: str = "rate") -> pd.DataFrame:
     """Parallel efficiency, rate(2) / (2 rate(1)), of each pair of runs side by side.
 
     Parameters
     ----------
     rows : DataFrame
         The table scaling.
+    rate : {"rate", "run_rate"}
 
     Returns
     -------
     DataFrame
         draws, pool, repeat, efficiency.
     """
-    wide = rows.pivot_table(index=["draws", "pool", "repeat"], columns="workers", values="rate")
+    wide = rows.pivot_table(index=["draws", "pool", "repeat"], columns="workers", values=rate)
     return (wide[2] / (2 * wide[1])).dropna().rename("efficiency").reset_index()
 
 
 def summary(tables: Tables) -> str:
     """Say in Markdown the rates, the efficiency and what Ray costs."""
     rows = tables["scaling"]
-    efficiency: dict[Any, pd.Series] = dict(list(efficiencies(rows).groupby(_KIND)["efficiency"]))
+    both: list[dict[Any, pd.Series]] = [
+        dict(list(efficiencies(rows, rate).groupby(_KIND)["efficiency"]))
+        for rate in ("rate", "run_rate")
+    ]
     lines = []
-    for (draws, pool), of in rows.groupby(_KIND):
-        task = of["task_seconds"].min()
-        rates = [with_range(rate, ".3f") for _, rate in (of["rate"] / 1e9).groupby(of["workers"])]
+    for kind, runs in rows.groupby(_KIND):
+        task = runs["task_seconds"].min()
+        by_workers = (runs["rate"] / 1e9).groupby(runs["workers"])
+        rates = [with_range(rate, ".3f") for _, rate in by_workers]
         lines.append(
             [
-                f"{draws:,} draws, {pool}",
+                "{:,} draws, {}".format(*kind),
                 "" if np.isnan(task) else f"{task * 1e3:.1f} ms",  # bare processes have no tasks
                 *rates,
                 *[""] * (2 - len(rates)),
-                with_range(efficiency[draws, pool], ".1%") if (draws, pool) in efficiency else "",
+                *(with_range(of[kind], ".1%") if kind in of else "" for of in both),
             ]
         )
     costs = tables["ray_costs"].groupby("what")["seconds"].median()
     header = ["draws an evaluation, pool", "a task", "1 worker", "2 workers", "efficiency"]
+    header.append("of the whole run")
     return (
-        f"The search of `jobs/paper.toml` and a comparison of {COMPARED:,} draws, everything but "
-        "Ray's start and compilation counted: 1e9 particle-steps a second, and efficiency, "
-        "rate(2) / (2 rate(1)). "
+        "The search of `jobs/paper.toml`, everything but Ray's start and compilation counted: 1e9 "
+        "particle-steps a second, and efficiency, rate(2) / (2 rate(1)); and that of the whole "
+        "run, in which the search's tables are written while the workers compare. "
         f"Median of {rows['repeat'].max() + 1} repeats in turns, in brackets the least and the "
         "largest. Bare processes filter the same with nobody to hand out tasks: what the machine "
         "allows.\n\n"

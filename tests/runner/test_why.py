@@ -97,9 +97,7 @@ def test_where_everything_is_known_no_draws_are_taken(quick: Job, tmp_path: Path
 
 
 @pytest.mark.usefixtures("no_figures")
-def test_a_measurement_is_moved_only_to_where_the_job_allows_it(
-    quick: Job, tmp_path: Path
-) -> None:
+def test_a_measurement_is_moved_only_to_where_the_job_allows_it(quick: Job, tmp_path: Path) -> None:
     bound = ["problem.forbidden=[7, 9]", "problem.required=[4]", "problem.minimum_spacing=3"]
     job = _walk(quick, "kalman").with_changes(bound)
     run = pfdist.run(job, tmp_path / "run")
