@@ -17,6 +17,7 @@ from pfdist.work import Work
 
 MOST_SECONDS = 0.3
 LEAST_SECONDS = 0.015  # ten times what handing a task over costs
+MOST_ROWS = 50_000  # of per-draw errors: however fast a model is, a task's lie in memory
 _SHARE = 2  # of what remains, so many tasks for each worker: two are in its hands at any time
 
 
@@ -78,16 +79,18 @@ def bundles(works: Iterable[Work], size: Callable[[int], int]) -> Iterator[tuple
     waiting = list(works)
     remaining = sum(work.steps for work in waiting)
     bundle: list[Work] = []
-    room = size(remaining)
+    room = 0
     for work in waiting:
         (first, last), a_draw = work.draws, work.steps_a_draw
+        most = MOST_ROWS // len(work.measurement_times) * a_draw
         while first < last:
+            room = room if bundle else min(size(remaining), most)
             end = min(last, first + max(1, room // a_draw))
             bundle.append(replace(work, draws=(first, end)))
             steps, first = (end - first) * a_draw, end
             room, remaining = room - steps, remaining - steps
             if room < a_draw:
                 yield tuple(bundle)
-                bundle, room = [], size(remaining)
+                bundle = []
     if bundle:
         yield tuple(bundle)

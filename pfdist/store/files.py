@@ -39,6 +39,7 @@ def prepare_table(folder: Path, table: pa.Table) -> Prepared:
 
     def write(path: Path) -> None:
         pq.write_table(table, path, compression="zstd", write_page_checksum=True)
+        pa.default_memory_pool().release_unused()  # else memory grows with what was written
 
     return _prepare(folder, write, table.num_rows)
 

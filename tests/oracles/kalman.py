@@ -64,14 +64,24 @@ def riccati_cost(model: LinearGaussian, horizon: int, measurement_times: Collect
     return float(np.mean(np.sum(kalman_filter(model, nothing, measurement_times)[1], axis=1)))
 
 
-def prefix_costs(model: LinearGaussian, horizon: int) -> Callable[[tuple[int, ...], int], float]:
-    """Give the function of times and an end: the variances up to there, over T + 1."""
-    nothing = np.zeros((horizon + 1, len(model.c)))
+def prefix_costs(system: LinearGaussian, horizon: int) -> Callable[[tuple[int, ...], int], float]:
+    """Exact cost of a prefix: the variances up to its end, over T + 1; what is shared is kept."""
 
     @cache
+    def after(times: tuple[int, ...], t: int) -> tuple[Array, float]:
+        """Covariance once what is measured at t is known, and the sum of the variances so far."""
+        covariance, total = system.b0 @ system.b0.T, 0.0
+        if t > 0:
+            covariance, total = after(tuple(one for one in times if one < t), t - 1)
+            covariance = system.a @ covariance @ system.a.T + system.b @ system.b.T
+        if times[-1:] == (t,):
+            seen = system.c @ covariance
+            innovation = seen @ system.c.T + system.d @ system.d.T
+            covariance = covariance - seen.T @ np.linalg.solve(innovation, seen)
+        return covariance, total + float(np.trace(system.h @ covariance @ system.h.T))
+
     def cost(times: tuple[int, ...], end: int) -> float:
-        _, variances = kalman_filter(model, nothing, times)
-        return float(variances[: end + 1].sum() / (horizon + 1))
+        return after(tuple(one for one in times if one <= end), end)[1] / (horizon + 1)
 
     return cost
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pfdist.runner.pace import LEAST_SECONDS, MOST_SECONDS, Pace, bundles
+from pfdist.runner.pace import LEAST_SECONDS, MOST_ROWS, MOST_SECONDS, Pace, bundles
 from pfdist.work import Estimation, Work
 
 
@@ -41,7 +41,18 @@ def test_what_remains_is_told_and_falls_to_nothing() -> None:
         return max(1, remaining // 2)
 
     assert list(bundles([work(1, 0, 100)], size))
-    assert told == [100, 50, 25, 13, 7, 4, 2, 1, 0]
+    assert told == [100, 50, 25, 13, 7, 4, 2, 1]
+
+
+@pytest.mark.parametrize("sets", [1, 7])
+def test_however_fast_a_model_is_a_task_holds_so_many_errors_and_no_more(sets: int) -> None:
+    works = [work(sets, 0, 123_456, 1), work(sets, 0, 123_456, 2)]
+    held = [
+        sum(sets * (piece.draws[1] - piece.draws[0]) for piece in bundle)
+        for bundle in bundles(works, lambda remaining: 10**12)
+    ]
+    assert sum(held) == 2 * sets * 123_456
+    assert MOST_ROWS - sets < min(held[:-1]) <= max(held) <= MOST_ROWS
 
 
 @pytest.mark.parametrize("workers", [1, 2, 64])

@@ -3,13 +3,12 @@
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator
-from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
 
-from oracles.kalman import SCALAR, THREE, TRACKING, LinearGaussian, riccati_cost
+from oracles.kalman import SCALAR, THREE, TRACKING, LinearGaussian, prefix_costs, riccati_cost
 from pfdist.evaluation import SearchEvaluation
 from pfdist.feasible import Feasible
 from pfdist.measurement_times import Times
@@ -38,31 +37,9 @@ CONSTRAINED = {
 Cost = Callable[[Times, int], float]
 
 
-def _costs_of(system: LinearGaussian, horizon: int) -> Cost:
-    """Exact cost of a prefix: the variances up to its end, over T + 1; what is shared is kept."""
-
-    @cache
-    def after(times: Times, t: int) -> tuple[Any, float]:
-        """Covariance once what is measured at t is known, and the sum of the variances so far."""
-        covariance, total = system.b0 @ system.b0.T, 0.0
-        if t > 0:
-            covariance, total = after(tuple(one for one in times if one < t), t - 1)
-            covariance = system.a @ covariance @ system.a.T + system.b @ system.b.T
-        if times[-1:] == (t,):
-            seen = system.c @ covariance
-            innovation = seen @ system.c.T + system.d @ system.d.T
-            covariance = covariance - seen.T @ np.linalg.solve(innovation, seen)
-        return covariance, total + float(np.trace(system.h @ covariance @ system.h.T))
-
-    def cost(times: Times, end: int) -> float:
-        return after(tuple(one for one in times if one <= end), end)[1] / (horizon + 1)
-
-    return cost
-
-
 def test_the_costs_are_those_of_the_kalman_filter() -> None:
     for system in (SCALAR, TRACKING, THREE):
-        cost = _costs_of(system, 12)
+        cost = prefix_costs(system, 12)
         for times in ((), (0, 3, 12), (5, 6, 7)):
             assert cost(times, 12) == pytest.approx(riccati_cost(system, 12, times), rel=1e-12)
 
@@ -98,7 +75,7 @@ def _run(search: Survivors, cost: Cost) -> tuple[SurvivorState, int]:
 def test_it_finds_what_brute_force_finds(
     system: LinearGaussian, feasible: Feasible, settings: dict[str, Any]
 ) -> None:
-    cost = _costs_of(system, feasible.horizon)
+    cost = prefix_costs(system, feasible.horizon)
     best = min(cost(times, feasible.horizon) for times in feasible.every())
     state, _ = _run(Survivors(feasible, **settings), cost)
     assert state.whole[0].cost == pytest.approx(best, rel=1e-12)
@@ -113,7 +90,7 @@ def test_it_finds_what_brute_force_finds_under_constraints(
     constraint: str, system: LinearGaussian, settings: dict[str, Any]
 ) -> None:
     feasible = CONSTRAINED[constraint]
-    cost = _costs_of(system, feasible.horizon)
+    cost = prefix_costs(system, feasible.horizon)
     best = min(cost(times, feasible.horizon) for times in feasible.every())
     state, _ = _run(Survivors(feasible, **settings), cost)
     assert all(feasible.accepts(one.measurement_times) for one in state.whole)
@@ -121,7 +98,7 @@ def test_it_finds_what_brute_force_finds_under_constraints(
 
 
 def test_more_survivors_are_never_worse_here_and_ask_more() -> None:
-    cost = _costs_of(THREE, 14)
+    cost = prefix_costs(THREE, 14)
     found = [_run(Survivors(Feasible(14, 5), survivors), cost) for survivors in (1, 2, 4)]
     asked = [count for _, count in found]
     best = [state.whole[0].cost for state, _ in found]
@@ -134,7 +111,7 @@ def test_more_survivors_are_never_worse_here_and_ask_more() -> None:
 def test_of_all_that_end_at_one_time_and_cost_the_same_two_are_extended(constraint: str) -> None:
     search = Survivors(CONSTRAINED[constraint], survivors=2)
     extended: Counter[tuple[int, float, int, int]] = Counter()
-    for state in _states(search, _costs_of(THREE, search.feasible.horizon)):
+    for state in _states(search, prefix_costs(THREE, search.feasible.horizon)):
         limits = state.longest_gap, state.corridor  # when they are widened, it begins anew
         for times in state.front:
             extended[*limits, times[-1] if times else -1, search.feasible.spent(times)] += 1
@@ -154,7 +131,7 @@ def test_limits_that_are_in_the_way_are_widened() -> None:
 
 
 def test_all_times_and_one_time() -> None:
-    cost = _costs_of(SCALAR, 5)
+    cost = prefix_costs(SCALAR, 5)
 
     def best(budget: int) -> Times:
         return _run(Survivors(Feasible(5, budget)), cost)[0].whole[0].measurement_times

@@ -1,0 +1,85 @@
+"""A race against what its rounds must be, and against the law of the last one."""
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import stats
+
+from pfdist.evaluation import SearchEvaluation, ShortlistEvaluation
+from pfdist.measurement_times import Times
+from pfdist.search import Candidate, Race
+from pfdist.search.paired import difference
+
+Array = NDArray[np.float64]
+
+
+def _run(race: Race, mse: dict[Times, Array]) -> tuple[Times, list[list[Candidate]]]:
+    """Its winner, and what it asked for round by round."""
+    state, rng, rounds = race.init(), np.random.default_rng(0), []
+    while not race.done(state):
+        asked = race.ask(state, rng)
+        rounds.append(asked)
+        columns = [mse[one.measurement_times][: one.draws] for one in asked]
+        told = zip(asked, columns, strict=True)
+        state = race.tell(state, [ShortlistEvaluation(one[0], column) for one, column in told])
+    return race.finalists(state)[0].measurement_times, rounds
+
+
+def test_it_goes_on_with_those_that_may_be_the_best_and_decides_on_all_their_draws() -> None:
+    """Sixteen sets, of which one is hardly worse than the best and all others are far worse.
+
+    After a round of 250 draws two are left, and 500 draws decide between them: the best wins with
+    the probability that a normal difference of that standard deviation is on its side, which is
+    larger than if as many draws were spread evenly.
+    """
+    sets: list[Times] = [(0, t) for t in range(1, 17)]
+    apart, races = 0.06, 1000
+    means = np.array([0.0, apart, *[1.0] * 14])
+    wins, spent = 0, []
+    for seed in range(races):
+        rng = np.random.default_rng(seed)
+        common, own = rng.normal(0, 10, 500), rng.normal(size=(16, 500))
+        mse = dict(zip(sets, means[:, None] + own + common, strict=True))
+        winner, rounds = _run(Race(tuple(sets), 250), mse)
+        wins += winner == sets[0]
+        assert [len(asked) for asked in rounds] in ([16, 2], [16])  # seldom one is enough
+        spent.append(sum(250 * len(asked) for asked in rounds))  # the first 250 are known by then
+    probability = stats.norm.cdf(apart / math.sqrt(2 / 500))
+    standard_error = math.sqrt(probability * (1 - probability) / races)
+    assert wins / races == pytest.approx(probability, abs=4 * standard_error)
+    evenly = stats.norm.cdf(apart / math.sqrt(2 / (np.mean(spent) / 16)))
+    assert wins / races > evenly + 2 * standard_error
+
+
+def test_of_sets_that_no_test_tells_apart_the_worse_half_falls_out() -> None:
+    sets: list[Times] = [(0, t) for t in range(1, 9)]
+    noise = np.random.default_rng(1).normal(size=(8, 1000))
+    mse = dict(zip(sets, noise - noise.mean(axis=1, keepdims=True), strict=True))
+    winner, rounds = _run(Race(tuple(sets), 250), mse)
+    assert [(len(asked), {one.draws for one in asked}) for asked in rounds] == [
+        (8, {250}),
+        (4, {500}),
+        (2, {1000}),
+    ]
+    assert Race(tuple(sets), 250).generations == 3
+    of_half = sorted(sets, key=lambda times: float(mse[times][:250].mean()))[:4]
+    assert {one.measurement_times for one in rounds[1]} == set(of_half)
+    assert winner in of_half
+
+
+def test_one_alone_runs_one_round_and_a_killed_one_never_wins() -> None:
+    alive, dead = np.ones(100), np.r_[np.ones(99), np.nan]
+    assert _run(Race(((0, 1),), 100), {(0, 1): alive}) == ((0, 1), [[Candidate((0, 1), draws=100)]])
+    winner, rounds = _run(Race(((0, 1), (0, 2)), 100), {(0, 1): dead, (0, 2): 5 * alive})
+    assert (winner, len(rounds)) == ((0, 2), 1)
+
+
+def test_a_difference_is_that_of_the_paired_t_test() -> None:
+    rng = np.random.default_rng(2)
+    one, other = rng.normal(1.0, 5.0, 300) + rng.normal(size=(2, 300))
+    found = difference(SearchEvaluation((0, 1), one), SearchEvaluation((0, 2), other[:200]))
+    expected = stats.ttest_rel(one[:200], other[:200])
+    assert found.mean / found.standard_error == pytest.approx(expected.statistic)
+    assert found.mean == pytest.approx(np.mean(one[:200] - other[:200]))
