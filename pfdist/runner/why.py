@@ -209,8 +209,8 @@ def _changes(times: Times, feasible: Feasible) -> Iterator[tuple[int, str, Times
         yield t, "removed", tuple(sorted(others))
         for change, to in (("earlier", t - 1), ("later", t + 1)):
             moved = tuple(sorted(others | {to}))
-            possible = to not in others and t not in feasible.required
-            if possible and feasible.allows(moved):
+            free = to in feasible.optional and to not in others and t not in feasible.required
+            if free and feasible.allows(moved):
                 yield t, change, moved
 
 
