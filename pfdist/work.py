@@ -65,11 +65,6 @@ class Work:
     trajectories: bool = False
 
     @property
-    def filtered(self) -> int:
-        """How many draws are filtered, over all sets."""
-        return (self.draws[1] - self.draws[0]) * len(self.measurement_times)
-
-    @property
     def steps_a_draw(self) -> int:
         """Particle-steps of one draw: what sets share is done once."""
         instants = _instants(self.measurement_times, self.ends, self.filter_streams)

@@ -150,17 +150,9 @@ def _filter_draw(
                     return _ended(before, slots, s, t, np.inf)
                 if measured[s, t]:
                     resample(
-                        cumulative,
-                        particles,
-                        stream,
-                        draw,
-                        t,
-                        noise,
-                        sums,
-                        points,
-                        shares,
-                        ancestor,
-                    )
+                        cumulative, particles, stream, draw, t,
+                        noise, sums, points, shares, ancestor,
+                    )  # fmt: skip
                     _take(cloud, here, particles, ancestor)
                     here = 1 - here
             _keep(error, cloud, here, before, saved, slots, s, stop)  # further in it costs 3 %

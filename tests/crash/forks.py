@@ -30,7 +30,8 @@ def compute(job: str, run: str, log: str) -> int:
         def logged(self: Problem, work: Work) -> Any:
             start = time.perf_counter()
             result = do(self, work)
-            lines.write(f"{work.filtered} {time.perf_counter() - start}\n")
+            filtered = (work.draws[1] - work.draws[0]) * len(work.measurement_times)
+            lines.write(f"{filtered} {time.perf_counter() - start}\n")
             return result
 
         Problem.__call__ = logged  # type: ignore[method-assign]

@@ -20,7 +20,8 @@ def count_draws(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
     def counting(self: SerialPool, tasks: Any) -> Iterator[Outcome]:
         for outcome in do(self, tasks):
-            counted.append(sum(work.filtered for work in outcome.task.work))
+            draws = [(piece.draws, len(piece.measurement_times)) for piece in outcome.task.work]
+            counted.append(sum((last - first) * sets for (first, last), sets in draws))
             yield outcome
 
     monkeypatch.setattr(SerialPool, "run", counting)
