@@ -19,7 +19,6 @@ from pfdist.measurement_times import Times
 from pfdist.runner.build import Built, build
 from pfdist.runner.driver import compared_sets, drive
 from pfdist.runner.pool import Outcome, Pool, Task
-from pfdist.runner.searches import Settings
 from pfdist.search import Race
 from pfdist.store import Store
 from pfdist.work import Work
@@ -162,7 +161,7 @@ def _filtered(
         filter_streams=(stream,) * len(sets),
         draws_stream=stream,
         draws=draws,
-        estimation=Settings.of(built.job).estimation,
+        estimation=built.comparing,
     )
     size, (first, last) = max(1, STEPS_A_TASK // work.steps_a_draw), draws
     pieces = [replace(work, draws=(d, min(last, d + size))) for d in range(first, last, size)]

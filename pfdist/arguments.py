@@ -1,6 +1,7 @@
 """The options of each command, and their help."""
 
 import argparse
+import math
 from typing import Any
 
 import pfdist
@@ -45,20 +46,19 @@ def _add_what_computes(added: Any) -> None:
     one = _command(added, "run", commands.run_command)
     _add_job(one)
     _add_computing(one, "results/<the job file's stem>")
-    one.add_argument(
-        "--fork", metavar="NEW", help="start another run there, from what --results has evaluated"
-    )
     _add_json(one)
 
     one = _command(added, "plan", commands.plan_command)
     _add_job(one)
-    _add_computing(one, "results/<the job file's stem>-plan")
+    stem = "results/<the job file's stem>"
+    _add_computing(one, f"{stem}, or {stem}-plan if the job names searches")
     one.add_argument(
         "--search",
         choices=list(SEARCHES),
         default=PLANNER,
         metavar="METHOD",
-        help=f"one of {', '.join(SEARCHES)}; with its defaults ({PLANNER})",
+        help=f"one of {', '.join(SEARCHES)}; with its defaults, unless --set "
+        f"search.METHOD.KEY=VALUE changes them ({PLANNER})",
     )
     _add_json(one)
 
@@ -119,7 +119,7 @@ def _add_budget(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--measurements", required=True, metavar="A:B", help="from how many to how many"
     )
-    parser.add_argument("--target", type=float, metavar="X", help="an expected MSE to be reached")
+    parser.add_argument("--target", type=_finite, metavar="X", help="an expected MSE to be reached")
     parser.add_argument(
         "--draws",
         type=int,
@@ -135,6 +135,16 @@ def _count(text: str) -> int:
     if not (text.isdecimal() and 1 <= int(text) <= 32_000):
         raise argparse.ArgumentTypeError(f"must be an integer in 1..32000, got {text!r}")
     return int(text)
+
+
+def _finite(text: str) -> float:
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise argparse.ArgumentTypeError(f"must be a finite number, got {text!r}")
+    return number
 
 
 def _add_job(parser: argparse.ArgumentParser) -> None:
@@ -156,6 +166,9 @@ def _add_computing(parser: argparse.ArgumentParser, results: str) -> None:
     parser.add_argument("--pool", choices=["ray", "serial"], help="where tasks are done (ray)")
     parser.add_argument("--workers", type=int, metavar="N", help="how many (all cores)")
     parser.add_argument("--address", help="of a Ray cluster to join (a local one is started)")
+    parser.add_argument(
+        "--fork", metavar="NEW", help="start another run there, from what --results has evaluated"
+    )
 
 
 def _add_json(parser: argparse.ArgumentParser) -> None:

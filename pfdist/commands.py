@@ -35,18 +35,15 @@ from pfdist.runner.why import why
 def run_command(options: argparse.Namespace) -> None:
     """Run a job, or go on with its run where it stopped."""
     with Display() as display:
-        finished = run(
-            load_job(options.job, options.set), fork=options.fork, **_settings(options, display)
-        )
+        finished = run(load_job(options.job, options.set), **_settings(options, display))
     _print_run(finished.summary(), options)
 
 
 def plan_command(options: argparse.Namespace) -> None:
     """Find measurement times for a job's problem and prove them."""
     with Display() as display:
-        finished = plan(
-            load_job(options.job, options.set), search=options.search, **_settings(options, display)
-        )
+        settings = _settings(options, display)
+        finished = plan(options.job, search=options.search, changes=options.set, **settings)
     _print_run(finished.summary(), options)
 
 
@@ -55,10 +52,11 @@ def budget_command(options: argparse.Namespace) -> None:
     numbers, target = _range(options.measurements), options.target
     with Display() as display:
         finished = budget(
-            load_job(options.job, options.set),
+            options.job,
             numbers,
             draws=options.draws,
             target=target,
+            changes=options.set,
             **_settings(options, display),
         )
     reached = {} if target is None else {"target": target, "reached": finished.reaching(target)}
@@ -77,7 +75,8 @@ def _range(text: str) -> tuple[int, int]:
 
 def _settings(options: argparse.Namespace, display: Display) -> dict[str, Any]:
     """What a command that computes is told besides its job."""
-    chosen = {name: getattr(options, name) for name in ("results", "pool", "workers", "address")}
+    names = ("results", "pool", "workers", "address", "fork")
+    chosen = {name: getattr(options, name) for name in names}
     return {**chosen, "report": display.report, "say": display.say}
 
 

@@ -66,6 +66,11 @@ class Constraints:
         return tuple(time for time in range(self.horizon + 1) if time not in barred)
 
     @cached_property
+    def place(self) -> dict[int, int]:
+        """Number of each time among those allowed."""
+        return {time: place for place, time in enumerate(self.allowed)}
+
+    @cached_property
     def optional(self) -> Times:
         """Those of them that are not required."""
         return tuple(time for time in self.allowed if time not in self.required)
@@ -73,16 +78,14 @@ class Constraints:
     @cached_property
     def price(self) -> tuple[int, ...]:
         """What a measurement at each time takes of `total`: 1, where they are counted."""
-        unit = gcd(*(self.cost or (1,)))
-        return tuple(cost // unit for cost in self.cost or (1,) * (self.horizon + 1))
+        return tuple(cost // self._unit for cost in self.cost or (1,) * (self.horizon + 1))
 
     @cached_property
     def total(self) -> int:
         """What there is to spend: N, or money in the largest unit in which all costs are whole."""
         if self.measurement_budget is not None:
             return self.measurement_budget
-        money = (self.total_cost or 0) // gcd(*(self.cost or (1,)))
-        return min(money, self.spent(self.allowed))
+        return min((self.total_cost or 0) // self._unit, self.spent(self.allowed))
 
     def spent(self, times: Iterable[int]) -> int:
         """What a set takes of `total`."""
@@ -146,6 +149,11 @@ class Constraints:
         return tuple(found)
 
     @cached_property
+    def _unit(self) -> int:
+        """The largest unit of money in which all costs are whole."""
+        return gcd(*(self.cost or (1,)))
+
+    @cached_property
     def _rooms(self) -> dict[tuple[int, int], int]:
         return {}
 
@@ -186,7 +194,7 @@ class Constraints:
                 f"and {name}"
             )
         if None in given[1:] and not self.counted:
-            got, lacks = ("cost", "total_cost") if self.cost else ("total_cost", "cost")
+            got, lacks = ("cost", "total_cost") if self.cost is not None else ("total_cost", "cost")
             raise MeasurementTimesError(f"problem.{lacks} must be given where problem.{got} is")
         if self.cost is not None and len(self.cost) != self.horizon + 1:
             raise MeasurementTimesError(
@@ -218,7 +226,7 @@ class Constraints:
             )
 
     def _check_money(self) -> None:
-        unit, money = gcd(*(self.cost or (1,))), self.total_cost or 0
+        unit, money = self._unit, self.total_cost or 0
         required = self.spent(self.required) * unit
         if money < required:
             raise MeasurementTimesError(

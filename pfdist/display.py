@@ -170,11 +170,21 @@ def _budget_lines(summary: dict[str, Any]) -> list[str]:
             if one["kind"] == kind and one["worse_than"] is not None
         ]
         lines += [f"{kind} times are worse with {'; '.join(worse)}"] if worse else []
+    lines += _believed_on_average([one for one in results if one["kind"] == "found"])
     for kind, its in summary.get("reached", {}).items():
         lines += ["", _reached(kind, its, summary["target"])]
         if its["measurement_times"] is not None and kind == "found":
             lines.append(f"  measure at t = {', '.join(map(str, its['measurement_times']))}")
     return lines
+
+
+def _believed_on_average(found: list[dict[str, Any]]) -> list[str]:
+    """Say how far what the search believed of its sets is from the truth (winner's curse)."""
+    excesses = [one["search_excess"] for one in found if one["search_excess"] is not None]
+    if not excesses:
+        return []
+    excess = sum(excesses) / len(excesses)
+    return [f"found times: the search believed on average {_off(excess, found[0])}"]
 
 
 def _cost_cell(result: dict[str, Any]) -> str:
@@ -233,13 +243,16 @@ def _believed(result: dict[str, Any]) -> str:
     line = f"  the search believed   {_number(result['search_cost'])} "
     line += f"± {_number(result['search_standard_error'])}"
     excess = result["search_excess"]
-    if excess is not None:
-        side = "below" if excess < 0 else "above"
-        why = "its draws chose the set" if result["search_standard_error"] != 0.0 else "exact"
-        line += f", {_percent(abs(excess))} {side} the fresh cost ({why}"
-        own = [f"{key} = {its}" for key, its in result["search_estimation"].items()]
-        line += f"; {', '.join(own)})" if own else ")"
-    return line
+    return line if excess is None else f"{line}, {_off(excess, result)}"
+
+
+def _off(excess: float, result: dict[str, Any]) -> str:
+    """Say by how much a search's cost is off, and of what that comes."""
+    side = "below" if excess < 0 else "above"
+    why = "its draws chose the set" if result["search_standard_error"] != 0.0 else "exact"
+    own = ", ".join(f"{key} = {its}" for key, its in result["search_estimation"].items())
+    reasons = "; ".join(filter(None, [why, own]))
+    return f"{_percent(abs(excess))} {side} the fresh cost ({reasons})"
 
 
 def _gain_lines(result: dict[str, Any]) -> list[str]:

@@ -86,6 +86,10 @@ class ShortlistEvaluation(Evaluation):
     """On the draws that decide between what searches have found, and on no other."""
 
 
+class ReportEvaluation(Evaluation):
+    """On draws that chose nothing."""
+
+
 E = TypeVar("E", bound=Evaluation)
 
 
@@ -110,4 +114,4 @@ class Purpose(Generic[E]):
 
 SEARCH = Purpose("search", SearchEvaluation)
 SHORTLIST = Purpose("shortlist", ShortlistEvaluation)
-REPORT = Purpose("comparison", Evaluation)
+REPORT = Purpose("comparison", ReportEvaluation)

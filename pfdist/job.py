@@ -25,6 +25,7 @@ from pfdist.search_sections import (
 )
 
 REFERENCE: Final = "regular"
+_NO_SECTIONS: Mapping[str, Any] = {}
 
 
 class FilterModel(Section):
@@ -103,6 +104,7 @@ class Job(Section):
     budget: Budget | None = None
     execution: Execution = Execution()
     _path: Path = PrivateAttr(default=Path("job.toml"))
+    _names_its_searches: bool = PrivateAttr(default=False)
 
     @model_validator(mode="after")
     def _names_differ(self) -> Self:
@@ -143,35 +145,26 @@ class Job(Section):
         """The job file: a model's path is relative to its folder, a run is named after it."""
         return self._path
 
-    def with_changes(self, overrides: Iterable[str]) -> "Job":
+    def with_changes(
+        self, overrides: Iterable[str], sections: Mapping[str, Any] = _NO_SECTIONS
+    ) -> "Job":
         """Give the job with some keys changed, as ``key=value``; see `load_job`."""
-        return _validated(self.model_dump(mode="json", exclude_none=True), self.path, overrides)
-
-    def planned(self, method: str) -> "Job":
-        """Give the job with one search, of this method and with its defaults, for all it has."""
-        data = self.model_dump(mode="json", exclude_none=True)
-        return _validated(data | {"search": [{"method": method}]}, self.path, [])
-
-    def budgeted(self, least: int, most: int, draws: int) -> "Job":
-        """Give the job of finding and comparing times for every number of measurements."""
-        data = self.planned(PLANNER).model_dump(mode="json", exclude_none=True)
-        data["search"][0]["polish"] = False
-        data |= {"budget": {"least": least, "most": most}, "comparison": {"draws": draws}}
-        # Whatever one number it was that the job is for, the run is the same.
-        same = [f"problem.measurement_budget={most}"]
-        return _validated(data, self.path, []).with_changes(same)
+        data = self.model_dump(mode="json", exclude_none=True) | dict(sections)
+        return _validated(data, self.path, overrides, self.names_its_searches)
 
     @property
     def names_its_searches(self) -> bool:
-        """Whether there is a [[search]], or the default is taken."""
-        return "search" in self.model_fields_set
+        """Whether the job file has a [[search]], or the default is taken."""
+        return self._names_its_searches
 
     def identity(self) -> dict[str, Any]:
         """What a run of this job is: everything but [execution]."""
         return self.model_dump(mode="json", exclude={"execution"}, exclude_none=True)
 
 
-def load_job(path: str | Path, overrides: Iterable[str] = ()) -> Job:
+def load_job(
+    path: str | Path, overrides: Iterable[str] = (), sections: Mapping[str, Any] = _NO_SECTIONS
+) -> Job:
     """Read and validate a job file.
 
     Parameters
@@ -181,6 +174,8 @@ def load_job(path: str | Path, overrides: Iterable[str] = ()) -> Job:
     overrides : iterable of str
         ``key=value`` each, with a dotted key and a TOML value, for instance ``seed=3`` or
         ``search.genetic.generations=5`` (a search goes by its name).
+    sections : mapping of str to object, optional
+        Sections that take the place of the file's, before keys are changed.
 
     Returns
     -------
@@ -198,7 +193,19 @@ def load_job(path: str | Path, overrides: Iterable[str] = ()) -> Job:
         raise JobError(f"cannot read the job file {path}: {error.strerror}") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise JobError(f"the job file must be TOML, got an error: {error} ({path})") from error
-    return _validated(data, path, overrides)
+    return _validated(data | dict(sections), path, overrides, "search" in data)
+
+
+def as_job(
+    job: Job | str | Path,
+    overrides: Iterable[str] = (),
+    sections: Mapping[str, Any] = _NO_SECTIONS,
+) -> Job:
+    """Give a job, or that of a file, with changes; as of `load_job`."""
+    if not isinstance(job, Job):
+        return load_job(job, overrides, sections)
+    changes = list(overrides)
+    return job.with_changes(changes, sections) if changes or sections else job
 
 
 def job_toml(identity: Mapping[str, Any]) -> str:
@@ -206,7 +213,9 @@ def job_toml(identity: Mapping[str, Any]) -> str:
     return tomli_w.dumps(identity)
 
 
-def _validated(data: dict[str, Any], path: Path, overrides: Iterable[str]) -> Job:
+def _validated(
+    data: dict[str, Any], path: Path, overrides: Iterable[str], names_its_searches: bool
+) -> Job:
     given = list(overrides)
     for override in given:
         _override(data, override)
@@ -217,7 +226,7 @@ def _validated(data: dict[str, Any], path: Path, overrides: Iterable[str]) -> Jo
         more = f"; {len(others)} more like this" if others else ""
         where = f"{path} with {' '.join(given)}" if given else str(path)
         raise JobError(f"{_sentence(first)} ({where}){more}") from error
-    job._path = path
+    job._path, job._names_its_searches = path, names_its_searches
     return job
 
 

@@ -254,6 +254,7 @@ IMPOSSIBLE = [
     ({"measurement_budget": 3, "total_cost": 5}, r"or a total_cost, got measurement_budget and to"),
     ({"measurement_budget": 3, "cost": (1,) * 11}, r"got measurement_budget and cost$"),
     ({"cost": (1,) * 11}, r"problem\.total_cost must be given where problem\.cost is"),
+    ({"cost": ()}, r"problem\.total_cost must be given where problem\.cost is"),
     ({"total_cost": 5}, r"problem\.cost must be given where problem\.total_cost is"),
     ({"cost": (1, 2), "total_cost": 5}, r"cost must have horizon \+ 1 = 11 numbers, got 2$"),
     ({"cost": (0,) + (1,) * 10, "total_cost": 5}, r"cost must be at least 1, got 0$"),

@@ -1,5 +1,6 @@
 """Expected MSE against the number of measurements, and the least number that reaches a target."""
 
+import math
 from collections import defaultdict
 from collections.abc import Iterable
 from typing import Any
@@ -8,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from pfdist.analysis.gains import Comparison
-from pfdist.analysis.moments import Moments
+from pfdist.analysis.moments import CONFIDENCE, Moments
 
 REGULAR, FOUND = "regular", "found"
 
@@ -62,7 +63,9 @@ def budget_table(
 def _worse(table: pd.DataFrame, blocks: Iterable[Any]) -> dict[str, int]:
     """Sets that are worse than one of fewer measurements, and the number of the best of those.
 
-    On common draws the interval of the difference, 95 %, must lie above 0.
+    On common draws the interval of the difference must lie above 0. Which number is the best of
+    the fewer was seen on the same draws: so any two sets might have been compared, and all these
+    intervals together are to hold with 95 % (Bonferroni).
     """
     than, apart = {}, defaultdict[str, Moments](Moments)
     for _, its in table.groupby("kind"):
@@ -70,12 +73,16 @@ def _worse(table: pd.DataFrame, blocks: Iterable[Any]) -> dict[str, int]:
             fewer = its[its["measurements"] < of].dropna(subset="expected_mse")
             if len(fewer):
                 than[one] = fewer.loc[fewer["expected_mse"].idxmin()]
+    pairs = sum(math.comb(len(its), 2) for _, its in table.groupby("kind"))
     for rows in blocks:
         for one, best in than.items():
             difference = rows[f"mse_{one}"].to_numpy() - rows[f"mse_{best['name']}"].to_numpy()
             apart[one].add(difference[~np.isnan(difference)])
+    confidence = 1 - (1 - CONFIDENCE) / max(1, pairs)
     return {
-        one: int(best["measurements"]) for one, best in than.items() if apart[one].interval[0] > 0
+        one: int(best["measurements"])
+        for one, best in than.items()
+        if apart[one].interval_of(confidence)[0] > 0
     }
 
 
@@ -97,7 +104,7 @@ def reaching(table: pd.DataFrame, target: float) -> dict[str, dict[str, Any]]:
     for kind in (REGULAR, FOUND):
         its = table[table["kind"] == kind].set_index("measurements")
         least = _least(its["expected_mse"], target)
-        above = its.index[(its["expected_mse"] > target) & (its.index > (least or np.inf))]
+        above = its.index[(its["low"] > target) & (its.index > (least or np.inf))]
         answer[kind] = {
             "measurements": least,
             "interval": [_least(its[bound], target) for bound in ("low", "high")],

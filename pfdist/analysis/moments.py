@@ -56,12 +56,16 @@ class Moments:
     @property
     def interval(self) -> Interval:
         """Of the mean: 95 %, Student's t."""
+        return self.interval_of(CONFIDENCE)
+
+    def interval_of(self, confidence: float) -> Interval:
+        """Of the mean, Student's t, with any confidence."""
         mean, error = self.mean, self.standard_error
         if not (math.isfinite(mean) and math.isfinite(error)):
             return UNKNOWN
         if error == 0.0:
             return (mean, mean)
-        low, high = stats.t.interval(CONFIDENCE, self.count - 1, mean, error)
+        low, high = stats.t.interval(confidence, self.count - 1, mean, error)
         return float(low), float(high)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from pfdist.analysis.budget import budget_table, reaching
+from pfdist.analysis.budget import FOUND, budget_table, reaching
 from pfdist.analysis.gains import BLOCK, Comparison, gain_over_itself, relative_gain
 from pfdist.errors import StoreError
 from pfdist.store import Store, read_run
@@ -30,7 +30,7 @@ class Run:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        _, self.job = read_run(path)
+        self._about, self.job = read_run(path)
         self._store = Store(path)
 
     def evaluations(self) -> pd.DataFrame:
@@ -120,7 +120,8 @@ class Run:
         Columns kind, measurements, name, measurement_times, expected_mse (on fresh draws),
         standard_error, low and high (of its 95 % interval), degenerate_draws, search_cost and
         search_standard_error (what the search believed), and worse_than: of the same kind, the best
-        number of fewer measurements, where it is better by a 95 % interval of the difference.
+        number of fewer measurements, where it is better on common draws (the intervals of all such
+        differences hold together with 95 %).
         """
         if not self.has_budget:
             raise StoreError(f"{self.path} has times of one number of measurements alone")
@@ -139,8 +140,8 @@ class Run:
         dict
             Of ``regular`` and of ``found`` times: measurements (None if none of those tried
             reaches it) and its interval (the least number whose 95 % interval reaches it, and the
-            least whose interval lies below it), measurement_times, and larger_that_do_not (of
-            regular times more are not always better).
+            least whose interval lies below it), measurement_times, and larger_that_do_not (larger
+            numbers whose interval lies above it: of regular times more are not always better).
         """
         return reaching(self.budget(), target)
 
@@ -163,7 +164,8 @@ class Run:
             search_estimation (how its estimate differs, draws aside) and the fields of
             `GainSummary`.
             Fractions, not per cent; what is infinite or unknown is None. Of a run for several
-            numbers of measurements the results are the rows of `budget`.
+            numbers of measurements the results are the rows of `budget`, and for those found
+            search_excess and search_estimation.
         """
         has, results = self._store.has, {}
         if has("compared") and has("comparison"):
@@ -178,12 +180,15 @@ class Run:
         }
 
     def _budget_results(self) -> dict[str, Any]:
-        rows = self.budget().to_dict("records")
-        return {
-            str(row.pop("name")): row
-            | {"worse_than": None if pd.isna(row["worse_than"]) else row["worse_than"]}
-            for row in rows
-        }
+        results = dict[str, Any]()
+        for row in self.budget().to_dict("records"):
+            result: dict[str, Any] = {str(key): its for key, its in row.items()}
+            name, worse_than = result.pop("name"), result["worse_than"]
+            result["worse_than"] = None if pd.isna(worse_than) else worse_than
+            if result["kind"] == FOUND:
+                result |= self._belief(name.rpartition("_")[0], result)
+            results[name] = result
+        return results
 
     def _results(self) -> dict[str, Any]:
         results, statistics = dict[str, Any](), self.statistics()
@@ -200,10 +205,7 @@ class Run:
             if entry["name"] == self.names[0]:
                 result |= self._over_itself()
             else:
-                comparable = mse.mean != 0.0 and math.isfinite(mse.mean)
-                excess = result["search_cost"] / mse.mean - 1.0 if comparable else math.nan
-                result["search_excess"] = excess
-                result["search_estimation"] = self._own_estimation(entry["name"])
+                result |= self._belief(str(entry["name"]), result)
                 gain = asdict(statistics.gains[entry["name"]].summary())
                 gain["quantiles"] = {str(key): value for key, value in gain["quantiles"].items()}
                 result |= {"gain_draws": gain.pop("draws"), **gain}
@@ -224,14 +226,15 @@ class Run:
             "gain_over_itself_draws": found.count,
         }
 
-    def _own_estimation(self, name: str) -> dict[str, Any]:
-        """How a search estimates otherwise than the comparison."""
-        own = {one["name"]: one.get("evaluation", {}) for one in self.job["search"]}
-        others = {**self.job["filter"], **self.job["evaluation"]}
+    def _belief(self, search: str, result: dict[str, Any]) -> dict[str, Any]:
+        """How far what a search believed is from the truth, and how it estimates otherwise."""
+        mse = result["expected_mse"]
+        comparable = mse != 0.0 and math.isfinite(mse)
+        compared = {**self.job["filter"], "estimator": "squared_error"}
+        own = self._about.get("estimations", {}).get(search, {})  # of older runs it is not known
         return {
-            key: value
-            for key, value in own[name].items()
-            if key not in ("draws", "noise") and value != others.get(key)
+            "search_excess": result["search_cost"] / mse - 1.0 if comparable else math.nan,
+            "search_estimation": {key: its for key, its in own.items() if its != compared[key]},
         }
 
 

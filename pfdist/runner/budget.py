@@ -1,12 +1,14 @@
 """Say how the expected MSE falls with the number of measurements, and how many are enough."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from pfdist.analysis import Run
-from pfdist.job import Job, load_job
+from pfdist.job import Job, as_job
 from pfdist.plots import draw_figures
 from pfdist.runner.run import run
+from pfdist.search_sections import PLANNER
 
 DRAWS = 4000
 
@@ -17,6 +19,7 @@ def budget(
     results: str | Path | None = None,
     draws: int = DRAWS,
     target: float | None = None,
+    changes: Iterable[str] = (),
     **options: Any,
 ) -> Run:
     """Find times for every number of measurements, and compare them with regular times.
@@ -37,8 +40,10 @@ def budget(
     target : float, optional
         An expected MSE that the figure shows, and the least number that reaches it; `Run.reaching`
         gives the figures.
-    options : optional
-        As `pfdist.run` takes them.
+    changes : iterable of str, optional
+        ``key=value`` each, as `pfdist.load_job` takes them.
+    options : object
+        By name, as `pfdist.run` takes them.
 
     Returns
     -------
@@ -50,9 +55,16 @@ def budget(
     PfdistError
         As `pfdist.run`.
     """
-    job = job if isinstance(job, Job) else load_job(job)
+    least, most = measurements
+    sections = {
+        "search": [{"method": PLANNER, "polish": False}],
+        "budget": {"least": least, "most": most},
+        "comparison": {"draws": draws},
+    }
+    # Whatever one number it is that the job is for, the run is the same.
+    job = as_job(job, changes, sections).with_changes([f"problem.measurement_budget={most}"])
     results = Path("results") / f"{job.path.stem}-budget" if results is None else results
-    done = run(job.budgeted(*measurements, draws), results, **options)
+    done = run(job, results, **options)
     if target is not None:
         draw_figures(done, target)
     return done

@@ -137,6 +137,11 @@ class Built:
         return range(0) if budget is None else range(budget.least, budget.most + 1)
 
     @property
+    def comparing(self) -> Estimation:
+        """How sets are compared: by the squared error, however the searches estimate it."""
+        return _comparing(self.job)
+
+    @property
     def names(self) -> list[str]:
         """What is compared: the references first, then what the searches find."""
         found = [search.name for search in self.searches]
@@ -165,13 +170,17 @@ def build(job: Job) -> Built:
         horizon=job.problem.horizon,
         dtype=job.filter.dtype,
         engine=job.filter.engine,
-        estimations=(Settings.of(job).estimation,),
+        estimations=(_comparing(job), Settings.of(job).estimation),
     )
     cheapest = source.make().cheapest_estimator
     searches = tuple(named_search(job, section, cheapest) for section in job.search)
     wanted = (settings.estimation for search in searches for settings in search.all_settings)
     source = replace(source, estimations=tuple(dict.fromkeys([*source.estimations, *wanted])))
     return Built(job, replace(source, engine=_compiled_or_numpy(source)), searches)
+
+
+def _comparing(job: Job) -> Estimation:
+    return Estimation(job.filter.particles, job.filter.resampling)
 
 
 def _filter_model(job: Job, model: ChosenModel) -> ChosenModel:

@@ -24,7 +24,7 @@ from pfdist.store import (
     schema,
     trajectories_schema,
 )
-from pfdist.work import Estimation, Result, Work, cut
+from pfdist.work import Result, Work, cut
 
 PHASE = "comparison"
 TRAJECTORIES = 100  # draws whose z, y and estimates are kept
@@ -56,17 +56,20 @@ def run_comparison(
         A task failed, no worker answers, or a file cannot be read or written.
     """
     store, draws = collector.store, built.job.comparison.draws
-    present = np.zeros(draws, np.bool_)
-    committed = store.present("comparison", "draw")[:draws]
-    present[: committed.size] = committed
+    work, present = _work(built, sets), _present(store, draws)
     done = int(present.sum())
-    work = _work(built, sets)
-    progress = replace(progress, phase=PHASE, done=progress.done + done * work.steps_a_draw)
-    progress = replace(progress, evaluations=done, generation=0, generations=0)
     known = _Known(list(sets), draws, built.job.comparison.until.half_width)
     for rows in store.blocks("comparison", "draw", BLOCK, draws):
         known.learn(rows)
-    progress = replace(progress, found=() if built.numbers else known.found)
+    progress = replace(
+        progress,
+        phase=PHASE,
+        done=progress.done + done * work.steps_a_draw,
+        evaluations=done,
+        generation=0,
+        generations=0,
+        found=() if built.numbers else known.found,
+    )
     report(progress)
     if not built.numbers:  # one reference, and sets to show beside it
         _keep_trajectories(built, work, list(sets), collector)
@@ -98,6 +101,13 @@ def run_comparison(
                     break
     report(replace(progress, total=progress.done))  # fewer, if they were enough
     _publish(store, known.enough or draws)
+
+
+def _present(store: Store, draws: int) -> NDArray[np.bool_]:
+    """Which draws are committed."""
+    present, committed = np.zeros(draws, np.bool_), store.present("comparison", "draw")[:draws]
+    present[: committed.size] = committed
+    return present
 
 
 class _Known:
@@ -166,14 +176,15 @@ class _Block:
 def _work(built: Built, sets: Mapping[str, Times]) -> Work:
     """The same draws for all sets, and for each the noise of its own filter."""
     job = built.job
+    # What a budget was chosen by is not to prove what comes of it.
+    what = ["budget"] if built.numbers else []
     return Work(
         measurement_times=tuple(sets.values()),
         ends=(job.problem.horizon,) * len(sets),
-        filter_streams=tuple(REPORT.stream(job.seed, "filter", name) for name in sets),
-        draws_stream=REPORT.stream(job.seed, "draws"),
+        filter_streams=tuple(REPORT.stream(job.seed, *what, "filter", name) for name in sets),
+        draws_stream=REPORT.stream(job.seed, *what, "draws"),
         draws=(0, 0),
-        # By the squared error, however the searches estimate it.
-        estimation=Estimation(job.filter.particles, job.filter.resampling),
+        estimation=built.comparing,
     )
 
 

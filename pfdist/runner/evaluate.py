@@ -6,14 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
-from pfdist.evaluation import Evaluation
-from pfdist.job import Job, load_job
-from pfdist.kernels.noise import stream_key
+from pfdist.evaluation import Purpose, ReportEvaluation
+from pfdist.job import Job, as_job
 from pfdist.measurement_times import validated
 from pfdist.runner.build import build
 from pfdist.runner.pace import MOST_SECONDS
 from pfdist.runner.searches import Settings
 from pfdist.work import Work, cut
+
+EVALUATE = Purpose("evaluate", ReportEvaluation)
 
 
 def evaluate(
@@ -22,7 +23,7 @@ def evaluate(
     draws: int | None = None,
     particles: int | None = None,
     seed: int | None = None,
-) -> Evaluation:
+) -> ReportEvaluation:
     """Estimate the expected MSE of one set of measurement times, in this process.
 
     Parameters
@@ -36,7 +37,7 @@ def evaluate(
 
     Returns
     -------
-    Evaluation
+    ReportEvaluation
         With ``expected_mse``, ``standard_error``, ``draws``, ``degenerate_draws`` and ``mse``, the
         per-draw values.
 
@@ -47,13 +48,14 @@ def evaluate(
     """
     given = {"evaluation.draws": draws, "filter.particles": particles, "seed": seed}
     changes = [f"{key}={value}" for key, value in given.items() if value is not None]
-    job = job.with_changes(changes) if isinstance(job, Job) else load_job(job, changes)
+    job = as_job(job, changes)
     times = validated(measurement_times, job.problem.horizon, "--times")
     fresh = [times] if job.evaluation.noise == "fresh" else []
-    stream = stream_key(job.seed, "evaluate", *fresh)
+    stream = EVALUATE.stream(job.seed, *fresh)
     problem, policy = build(job).problem, job.evaluation.degenerate_draws
     if problem.exact:
-        return Evaluation(times, np.empty(0), policy, float(problem.expected_mse([times])[0]))
+        exact = float(problem.expected_mse([times])[0])
+        return EVALUATE.evaluation(times, np.empty(0), policy, exact)
     settings = Settings.of(job)
     whole = Work(
         (times,), (problem.horizon,), (stream,), stream, (0, settings.draws), settings.estimation
@@ -63,4 +65,4 @@ def evaluate(
         problem(replace(whole, draws=piece)).mse[:, 0]
         for piece in cut(range(settings.draws), block)
     ]
-    return Evaluation(times, np.concatenate(pieces), policy)
+    return EVALUATE.evaluation(times, np.concatenate(pieces), policy)

@@ -74,7 +74,7 @@ def opened(path: Path, built: Built, say: Callable[[str], Any]) -> Iterator[Stor
             raise _mismatch(path, [f"comparison.draws: {committed} committed -> {draws}"])
         store.sweep()
         _quarantine(store, damages, say)
-        _write_about(path, built.job, identity)
+        _write_about(path, built, identity)
         yield store
 
 
@@ -90,15 +90,24 @@ def _committed(store: Store, damages: list[Damage]) -> int:
     return store.present("comparison", "draw", without=damaged).size
 
 
-def _write_about(path: Path, job: Job, identity: dict[str, Any]) -> None:
+def _write_about(path: Path, built: Built, identity: dict[str, Any]) -> None:
     """Write job.toml and run.json where they are not, or of fewer draws."""
+    job, estimations = built.job, _estimations(built)
     key = _key(identity, job)
     if not holds_run(path):
         write_job(path, job_toml(job.identity()))
-        write_run(path, {**identity, "provenance": _provenance(job)}, key)
+        about = {**identity, "estimations": estimations, "provenance": _provenance(job)}
+        write_run(path, about, key)
     elif not (path / "job.toml").exists() or read_run(path)[1] != job.identity():
         write_job(path, job_toml(job.identity()))
     confirm(path, key)
+
+
+def _estimations(built: Built) -> dict[str, dict[str, Any]]:
+    """How each search estimates: what "auto" stands for is the model's to say."""
+    if built.problem.exact:
+        return {}
+    return {search.name: vars(search.settings.estimation) for search in built.searches}
 
 
 def _key(identity: Mapping[str, Any], job: Job) -> str:

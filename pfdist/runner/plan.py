@@ -1,16 +1,21 @@
 """Find measurement times and prove them, without a word about how."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from pfdist.analysis import Run
-from pfdist.job import Job, load_job
+from pfdist.job import Job, as_job
 from pfdist.runner.run import run
 from pfdist.search_sections import PLANNER
 
 
 def plan(
-    job: Job | str | Path, results: str | Path | None = None, search: str = PLANNER, **options: Any
+    job: Job | str | Path,
+    results: str | Path | None = None,
+    search: str = PLANNER,
+    changes: Iterable[str] = (),
+    **options: Any,
 ) -> Run:
     """Search, decide on fresh draws between what was found, and compare it with regular times.
 
@@ -23,6 +28,9 @@ def plan(
         if the job names searches, whose run that one is.
     search : str
         Method of the search, which has its defaults.
+    changes : iterable of str, optional
+        ``key=value`` each, as `pfdist.load_job` takes them; the search goes by its method:
+        ``search.survivors.survivors=4``.
     options : object
         By name, as `pfdist.run` takes them.
 
@@ -35,8 +43,8 @@ def plan(
     PfdistError
         As `pfdist.run`.
     """
-    job = job if isinstance(job, Job) else load_job(job)
+    job = as_job(job, changes, {"search": [{"method": search}]})
     if results is None:
         suffix = "-plan" if job.names_its_searches else ""
         results = Path("results") / f"{job.path.stem}{suffix}"
-    return run(job.planned(search), results, **options)
+    return run(job, results, **options)

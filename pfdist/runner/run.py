@@ -7,7 +7,7 @@ from typing import Any
 
 from pfdist.analysis import Run, open_run
 from pfdist.errors import JobError
-from pfdist.job import Job, load_job
+from pfdist.job import Job, as_job
 from pfdist.plots import draw_figures, figure_files, remove_figures
 from pfdist.runner.build import build, make_pool
 from pfdist.runner.driver import FORKED, drive
@@ -58,10 +58,9 @@ def run(
     PfdistError
         Whatever went wrong; what was committed is kept, and the same call goes on from there.
     """
-    job = job if isinstance(job, Job) else load_job(job)
     execution = {"pool": pool, "workers": workers, "address": address}
     changes = [f"execution.{k}={v}" for k, v in execution.items() if v is not None]
-    job = job.with_changes(changes) if changes else job
+    job = as_job(job, changes)
     if job.execution.pool == "serial" and (job.execution.workers > 1 or job.execution.address):
         raise JobError(
             "execution.pool = 'serial' is one worker in this process, got workers = "

@@ -65,7 +65,7 @@ def run_search(
     -------
     dict of str to Winner
         By the name under which it is compared: one, or one for each number of measurements. None
-        where every set that it ended with had a degenerate draw.
+        where every set that it, or its race, ended with had a degenerate draw.
 
     Raises
     ------
@@ -88,11 +88,13 @@ def run_search(
     if found and search.polishing:
         polished = run(_polishing(built, search, found[0].measurement_times))
         found = [*polished[: FINALISTS - _UNPOLISHED], *found[:_UNPOLISHED]]
-    believed = {one.measurement_times: one for one in found}
-    best = next(iter(believed), None)
+    believed: dict[Times, SearchEvaluation] = {}
+    for one in found:  # of a set that was found twice, what it was polished by: on more draws
+        believed.setdefault(one.measurement_times, one)
+    best = list(believed)
     if len(believed) > 1:
-        best = run(_racing(built, search, tuple(believed)))[0].measurement_times
-    return {} if best is None else {search.name: Winner(best, believed[best])}
+        best = [one.measurement_times for one in run(_racing(built, search, tuple(believed)))]
+    return {search.name: Winner(best[0], believed[best[0]])} if best else {}
 
 
 def steps(built: Built, search: NamedSearch) -> float:

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from pfdist.errors import JobError
 from pfdist.job import Job
 from pfdist.search import (
     Annealing,
@@ -120,6 +121,13 @@ class NamedSearch:
         return self.settings, self.racing  # what polishes estimates as the search
 
 
+def _optimiser(job: Job, section: Search, draws: int) -> SearchOptimiser:
+    try:
+        return OPTIMISERS[section.method](job.problem.feasible, draws, **section.settings)
+    except JobError as error:
+        raise JobError(f"search.{section.name}: {error} ({job.path})") from error
+
+
 def named_search(job: Job, section: Search, cheapest: str) -> NamedSearch:
     """Make the optimiser of a section, and find out how it evaluates.
 
@@ -129,15 +137,20 @@ def named_search(job: Job, section: Search, cheapest: str) -> NamedSearch:
     section : Search
     cheapest : str
         The estimator that "auto" stands for.
+
+    Raises
+    ------
+    JobError
+        The optimiser cannot search this problem.
     """
     settings = Settings.of(job, section.evaluation, cheapest)
     polishing = replace(settings, draws=_POLISH_DRAWS, common_noise=True)
     # It is for the job's own filter that the race decides.
-    estimation = replace(settings.estimation, particles=job.filter.particles)
+    estimation = replace(
+        settings.estimation, particles=job.filter.particles, resampling=job.filter.resampling
+    )
     if job.budget is None:
-        optimiser = OPTIMISERS[section.method](
-            job.problem.feasible, settings.draws, **section.settings
-        )
+        optimiser = _optimiser(job, section, settings.draws)
     else:
         most = job.feasible(job.budget.most)
         optimiser = Budgets(most, job.budget.least, **section.settings)

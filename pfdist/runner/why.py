@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pfdist.analysis import Moments, Run, finite, open_run
 from pfdist.errors import JobError, RunMismatchError, StoreError
-from pfdist.evaluation import Evaluation, Purpose
+from pfdist.evaluation import Purpose, ReportEvaluation
 from pfdist.feasible import Feasible
 from pfdist.job import load_job
 from pfdist.measurement_times import Times
@@ -24,11 +24,10 @@ from pfdist.plots import draw_why
 from pfdist.runner.build import Built, build
 from pfdist.runner.pace import MOST_SECONDS
 from pfdist.runner.progress import Progress, Report
-from pfdist.runner.searches import Settings
 from pfdist.store import read_run
 from pfdist.work import Work, cut
 
-WHY = Purpose("why", Evaluation)
+WHY = Purpose("why", ReportEvaluation)
 DRAWS = 2000
 CHANGES = ("removed", "earlier", "later")
 _COLUMNS = [f"{change}{part}" for change in CHANGES for part in ("", "_error")]
@@ -184,7 +183,7 @@ def _examine(
         filter_streams=(WHY.stream(seed, "filter", name),) * len(sets),
         draws_stream=WHY.stream(seed, "draws"),
         draws=(0, draws),
-        estimation=Settings.of(built.job).estimation,
+        estimation=built.comparing,
     )
     (cost, *found), degenerate = _means(problem, work, tell)
     summary = {"name": name, "measurement_times": list(times), "expected_mse": cost[0]}

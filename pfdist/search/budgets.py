@@ -81,7 +81,7 @@ class Budgets:
     @property
     def evaluations(self) -> float:
         """About how many whole evaluations its work amounts to."""
-        state, instants = self.init(), len(self._place)
+        state, instants = self.init(), len(self.feasible.allowed)
         filtered = 0  # instants: each survivor goes on unmeasured, and is measured at each
         for number in range(self.most):
             first, last = self._corridor(state, number) if number else (-1, -1)
@@ -124,11 +124,6 @@ class Budgets:
         return tuple(sorted(state.whole, key=lambda one: one.cost))
 
     @cached_property
-    def _place(self) -> dict[int, int]:
-        """Number of each time among those that may be measured at."""
-        return {time: place for place, time in enumerate(self.feasible.allowed)}
-
-    @cached_property
     def _of(self) -> dict[int, Feasible]:
         """The sets of each N."""
         return {
@@ -141,7 +136,7 @@ class Budgets:
         every = [(times, t) for times in state.front for t in self._following(times)]
         number = len(state.front[0]) + 1
         first, last = self._corridor(state, number)
-        longest, place = self._longest_gap(state, number), self._place
+        longest, place = self._longest_gap(state, number), self.feasible.place
         return [
             (times, t)
             for times, t in every
@@ -161,21 +156,25 @@ class Budgets:
         feasible = self._of.get(len(state.front[0]))
         every = [times for times in state.front if feasible and feasible.accepts(times)]
         longest = self._longest_gap(state, len(state.front[0]))
-        near = [times for times in every if len(self._place) - self._last(times) <= longest]
+        near = [
+            times for times in every if len(self.feasible.allowed) - self._last(times) <= longest
+        ]
         return near or every
 
     def _last(self, times: Times) -> int:
         """Place of the last measurement, -1 before the first."""
-        return self._place[times[-1]] if times else -1
+        return self.feasible.place[times[-1]] if times else -1
 
     def _longest_gap(self, state: BudgetState, number: int) -> int:
         """Largest difference of a measurement's place and that before it."""
-        mean_gap = len(self._place) / max(number, self.least)
+        mean_gap = len(self.feasible.allowed) / max(number, self.least)
         return max(2, math.ceil(GAPS * state.wider * mean_gap))
 
     def _corridor(self, state: BudgetState, number: int) -> tuple[int, int]:
         """First and last place of a measurement by its number, counted from 1."""
-        narrow, wide = (len(self._place) / of for of in (self.most, max(number, self.least)))
+        narrow, wide = (
+            len(self.feasible.allowed) / of for of in (self.most, max(number, self.least))
+        )
         half, off = number - 0.5, PLACES * state.wider
         first = half * narrow - 0.5 - max(2.0, off * narrow)
         return math.floor(first), math.ceil(half * wide - 0.5 + max(2.0, off * wide))
@@ -191,11 +190,11 @@ class Budgets:
 
     def _leans(self, state: BudgetState, times: Times) -> bool:
         """Whether a gap is the longest, or a time at the edge of its place, that was allowed."""
-        places = [self._place[time] for time in times]
+        places = [self.feasible.place[time] for time in times]
         return any(self._limited(state, places, number) for number in range(1, len(places) + 1))
 
     def _limited(self, state: BudgetState, places: list[int], number: int) -> bool:
-        place, instants = places[number - 1], len(self._place)
+        place, instants = places[number - 1], len(self.feasible.allowed)
         gap = place - (places[number - 2] if number > 1 else -1)
         first, last = self._corridor(state, number)
         return (

@@ -85,8 +85,8 @@ class Exchange:
     @property
     def evaluations(self) -> float:
         """About how many whole evaluations its work amounts to; neighbours share half of it."""
-        neighbours = len(self.feasible.exchanges(self._start, self.reach))
-        return self.generations / 3 * neighbours * self._fewest / self.draws
+        tried = 1 + len(self.feasible.exchanges(self._start, self.reach))
+        return self.generations / 3 * tried * self._fewest / self.draws
 
     def init(self) -> ExchangeState:
         """Give the state before the first asking."""

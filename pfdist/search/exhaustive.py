@@ -16,7 +16,15 @@ _BATCH = 500  # asked for at once: in their order neighbours share much, and mem
 
 @dataclass(frozen=True)
 class ExhaustiveState:
-    """How many sets were tried, and the best of them."""
+    """How far the search is.
+
+    Parameters
+    ----------
+    tried : int
+        How many sets.
+    best : tuple of SearchEvaluation
+        Of them, the best first.
+    """
 
     tried: int = 0
     best: tuple[SearchEvaluation, ...] = ()
@@ -44,8 +52,8 @@ class Exhaustive:
     def __post_init__(self) -> None:
         if self.feasible.size > self.limit:
             raise JobError(
-                f"search.exhaustive: the problem must have at most limit = {self.limit:,} sets of "
-                f"measurement times, got {self.feasible.size:,}; any other method tries fewer"
+                f"the problem must have at most limit = {self.limit:,} sets of measurement times, "
+                f"got {self.feasible.size:,}; any other method tries fewer"
             )
 
     @property

@@ -45,7 +45,8 @@ class _Greedy:
     def ask(self, state: GreedyState, rng: np.random.Generator) -> list[Candidate]:
         """Give all sets that one step makes of what was chosen, and that, if times have prices."""
         before = [] if self.feasible.counted else [state.chosen]
-        return [Candidate(times) for times in (*self._steps(state.chosen), *before)]
+        steps = self._steps(state.chosen) or [state.chosen]  # all times may be measured at
+        return [Candidate(times) for times in (*steps, *before)]
 
     def tell(self, state: GreedyState, evaluations: Sequence[SearchEvaluation]) -> GreedyState:
         """Choose the step that saves most or loses least, for its price."""
@@ -55,7 +56,7 @@ class _Greedy:
 
         def worth(one: SearchEvaluation) -> float:
             price = self.feasible.spent({*state.chosen} ^ {*one.measurement_times})
-            return (one.cost - before) / price
+            return (one.cost - before) / max(1, price)
 
         best = min(steps, key=worth)
         allowed = [one for one in steps if self.feasible.accepts(one.measurement_times)]
@@ -80,13 +81,13 @@ class GreedyForward(_Greedy):
 
     @property
     def generations(self) -> int:
-        """How often it will ask."""
+        """About how often it will ask."""
         return self.feasible.measurements
 
     @property
     def evaluations(self) -> int:
-        """How many sets of times it will ask for."""
-        return sum(self.feasible.horizon + 1 - chosen for chosen in range(self.generations))
+        """About how many sets of times it will ask for."""
+        return sum(len(self.feasible.allowed) - chosen for chosen in range(self.generations))
 
     def init(self) -> GreedyState:
         """Give the state before the first asking: no measurement."""
@@ -111,12 +112,12 @@ class GreedyBackward(_Greedy):
 
     @property
     def generations(self) -> int:
-        """How often it will ask."""
-        return self.feasible.horizon + 1 - self.feasible.measurements
+        """About how often it will ask."""
+        return max(1, self.feasible.horizon + 1 - self.feasible.measurements)
 
     @property
     def evaluations(self) -> int:
-        """How many sets of times it will ask for."""
+        """About how many sets of times it will ask for."""
         return sum(self.feasible.horizon + 1 - removed for removed in range(self.generations))
 
     def init(self) -> GreedyState:
@@ -124,8 +125,8 @@ class GreedyBackward(_Greedy):
         return GreedyState(tuple(range(self.feasible.horizon + 1)))
 
     def done(self, state: GreedyState) -> bool:
-        """Whether what is left is allowed."""
-        return self.feasible.accepts(state.chosen)
+        """Whether what is left is allowed, and was evaluated."""
+        return bool(state.evaluations) and self.feasible.accepts(state.chosen)
 
     def _steps(self, times: Times) -> list[Times]:
         return self.feasible.removals(times)

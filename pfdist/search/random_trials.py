@@ -14,7 +14,15 @@ _BATCH = 250  # asked for at once: enough to fill the cores, few enough to keep 
 
 @dataclass(frozen=True)
 class RandomState:
-    """What random trials know so far: how many were evaluated, and the best of them."""
+    """How far the search is.
+
+    Parameters
+    ----------
+    evaluated : int
+        How many sets.
+    best : SearchEvaluation, optional
+        Of them.
+    """
 
     evaluated: int = 0
     best: SearchEvaluation | None = None

@@ -22,7 +22,6 @@ import math
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -83,11 +82,6 @@ class Survivors:
     survivors: int = 2
     by_previous: bool = False
 
-    @cached_property
-    def _place(self) -> dict[int, int]:
-        """Number of each time among those that may be measured at."""
-        return {time: place for place, time in enumerate(self.feasible.allowed)}
-
     @property
     def generations(self) -> int:
         """About how often it will ask: each measurement, and the end."""
@@ -137,12 +131,15 @@ class Survivors:
 
     def _next(self, state: SurvivorState, times: Times) -> Iterator[int]:
         """The times that may come next and lie within the limits."""
-        after, spent = self._place[times[-1]] + 1 if times else 0, self.feasible.spent(times)
+        after, spent = (
+            self.feasible.place[times[-1]] + 1 if times else 0,
+            self.feasible.spent(times),
+        )
         for time in self.feasible.extensions(times):
-            if self._place[time] >= after + state.longest_gap:
+            if self.feasible.place[time] >= after + state.longest_gap:
                 break
             first, last = self._corridor(state, spent, time)
-            if first <= self._place[time] <= last:
+            if first <= self.feasible.place[time] <= last:
                 yield time
 
     def _advanced(self, state: SurvivorState) -> SurvivorState:
@@ -174,11 +171,11 @@ class Survivors:
 
     def _leans(self, state: SurvivorState, times: Times) -> bool:
         """Whether a gap is the longest, or a time at the edge of its place, that was allowed."""
-        places = [self._place[time] for time in times]
+        places = [self.feasible.place[time] for time in times]
         gaps = [b - a for a, b in zip((-1, *places), places, strict=False)]
-        if max(gaps) >= state.longest_gap and state.longest_gap < len(self._place):
+        if max(gaps) >= state.longest_gap and state.longest_gap < len(self.feasible.allowed):
             return True
-        highest, dearest = len(self._place) - 1, max(self.feasible.price)
+        highest, dearest = len(self.feasible.allowed) - 1, max(self.feasible.price)
         for number, (time, place) in enumerate(zip(times, places, strict=True)):
             spent = self.feasible.spent(times[:number])
             first, last = self._corridor(state, spent, time)
@@ -190,7 +187,7 @@ class Survivors:
 
     def _corridor(self, state: SurvivorState, spent: int, time: int) -> tuple[int, int]:
         """First and last place of a measurement, by what was spent before it and what it costs."""
-        mean_gap = len(self._place) / self.feasible.total  # of what costs 1
+        mean_gap = len(self.feasible.allowed) / self.feasible.total  # of what costs 1
         proportional = (spent + self.feasible.price[time] / 2) * mean_gap - 0.5
         return math.floor(proportional - state.corridor), math.ceil(proportional + state.corridor)
 

@@ -25,6 +25,10 @@ CONSTRAINTS = {
     "together": Feasible(
         HORIZON, None, forbidden=(2,), required=(8,), minimum_spacing=2, cost=PRICES, total_cost=7
     ),
+    # Of one set alone:
+    "all times": Feasible(HORIZON, HORIZON + 1),
+    "all required": Feasible(HORIZON, 3, required=(2, 5, 9)),
+    "all paid for": Feasible(HORIZON, cost=PRICES, total_cost=100),
 }
 METHODS = list(SEARCHES)
 SMALL = {

@@ -115,7 +115,7 @@ def test_other_keys_give_another_search(name: str) -> None:
 @every
 def test_it_returns_whole_sets_it_asked_for_with_what_it_was_told(name: str) -> None:
     asked, found = _search(OPTIMISERS[name], 1)
-    whole = {one.measurement_times for generation in asked for one in generation if not one.end}
+    whole = {one.measurement_times for generation in asked for one in generation if one.end is None}
     assert {one.measurement_times for one in found} <= whole
     assert 1 <= len(found) <= FINALISTS
     assert [one.cost for one in found] == sorted(one.cost for one in found)
@@ -131,16 +131,10 @@ def test_it_finds_the_best_set_of_an_easy_problem(name: str) -> None:
 
 
 @every
-def test_it_finds_better_than_the_average_of_its_first_whole_sets(name: str) -> None:
-    asked, found = _search(OPTIMISERS[name], 1)
-    first = next(  # greedy searches ask for smaller or larger sets before
-        generation
-        for generation in asked
-        if all(one.end is None and FEASIBLE.accepts(one.measurement_times) for one in generation)
-    )
-    assert _cost(found[0].measurement_times) <= np.mean(
-        [_cost(one.measurement_times) for one in first]
-    )
+def test_what_it_finds_is_of_the_best_twentieth_of_all_sets(name: str) -> None:
+    _, found = _search(OPTIMISERS[name], 1)
+    costs = [_cost(times) for times in FEASIBLE.every()]
+    assert _cost(found[0].measurement_times) <= np.quantile(costs, 0.05)
 
 
 @every

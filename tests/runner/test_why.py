@@ -12,11 +12,11 @@ from oracles.bytes_of import hashes
 from pfdist import Job, kalman
 from pfdist.cli import main
 from pfdist.errors import JobError, PfdistError, RunMismatchError, StoreError
-from pfdist.evaluation import REPORT, SEARCH, SHORTLIST
-from pfdist.runner.build import Settings, build
+from pfdist.kernels.moments import ESTIMATORS
+from pfdist.runner.build import build
 from pfdist.runner.repair import verify_run
 from pfdist.runner.why import CHANGES, WHY, why
-from pfdist.work import Work
+from pfdist.work import Estimation, Work
 
 RANDOM = "search.random.evaluations=3"
 
@@ -113,9 +113,11 @@ def test_a_measurement_is_moved_only_to_where_the_job_allows_it(quick: Job, tmp_
 
 
 @pytest.mark.usefixtures("no_figures")
+@pytest.mark.parametrize("estimator", ESTIMATORS)  # of the searches: nothing to the profile
 def test_the_profile_is_the_squared_error_over_time_and_its_mean_the_expected_mse(
-    quick: Job, tmp_path: Path
+    quick: Job, tmp_path: Path, estimator: str
 ) -> None:
+    quick = quick.with_changes([f"evaluation.estimator={estimator}"])
     run, draws = pfdist.run(quick, tmp_path / "run"), 60
     found, built = why(run.path, draws), build(quick)
     for row in found.sets.to_dict("records"):
@@ -125,7 +127,7 @@ def test_the_profile_is_the_squared_error_over_time_and_its_mean_the_expected_ms
             filter_streams=(WHY.stream(quick.seed, "filter", row["name"]),),
             draws_stream=WHY.stream(quick.seed, "draws"),
             draws=(0, draws),
-            estimation=Settings.of(quick).estimation,
+            estimation=Estimation(quick.filter.particles, quick.filter.resampling),
             trajectories=True,
         )
         result = built.problem(alone)
@@ -136,11 +138,6 @@ def test_the_profile_is_the_squared_error_over_time_and_its_mean_the_expected_ms
         np.testing.assert_allclose(profile["standard_error"], standard_error)
         assert profile["error"].mean() == pytest.approx(row["expected_mse"])
         assert profile["t"][profile["measured"]].tolist() == row["measurement_times"]
-
-
-def test_its_draws_chose_nothing() -> None:
-    streams = {purpose.stream(1, "draws") for purpose in (WHY, REPORT, SEARCH, SHORTLIST)}
-    assert len(streams) == 4
 
 
 def test_the_command_answers_in_json_draws_a_figure_a_search_and_leaves_the_run_as_it_was(

@@ -1,0 +1,75 @@
+"""Draws have one purpose: what searches chose is decided, and proved, on others."""
+
+from collections import defaultdict
+from collections.abc import Callable, Iterable
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import pfdist
+from pfdist import Job
+from pfdist.runner.collect import Collector
+from pfdist.runner.why import why
+from pfdist.work import Work
+
+SMALL = ["search.survivors.evaluation.draws=20", "search.survivors.evaluation.particles=10"]
+
+
+@pytest.fixture
+def streams(monkeypatch: pytest.MonkeyPatch) -> dict[str, set[int]]:
+    """The keys of the draws, and of the filters' noise, that each phase has asked for."""
+    seen = defaultdict[str, set[int]](set)
+    run = Collector.run
+
+    def recorded(
+        self: Collector, phase: str, table: str, works: Iterable[Work], *rest: Any, **more: Any
+    ) -> Any:
+        every = list(works)
+        seen[phase] |= {key for one in every for key in (one.draws_stream, *one.filter_streams)}
+        return run(self, phase, table, every, *rest, **more)
+
+    monkeypatch.setattr(Collector, "run", recorded)
+    return seen
+
+
+def _asked_by(streams: dict[str, set[int]], compute: Callable[[], object]) -> dict[str, set[int]]:
+    streams.clear()
+    compute()
+    return {phase: set(keys) for phase, keys in streams.items()}
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_no_two_phases_share_a_draw(
+    small_job: Job, tmp_path: Path, streams: dict[str, set[int]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    paper = _asked_by(streams, lambda: pfdist.run(small_job, tmp_path / "run"))
+    assert paper.keys() == {"genetic", "random", "comparison"}
+    plan = _asked_by(
+        streams, lambda: pfdist.plan(small_job, tmp_path / "plan", changes=[*SMALL, "seed=1"])
+    )
+    assert plan.keys() == {"survivors", "survivors.polish", "survivors.shortlist", "comparison"}
+    budget = _asked_by(
+        streams, lambda: pfdist.budget(small_job, (2, 3), tmp_path / "budget", 30, changes=SMALL)
+    )
+    assert budget.keys() == {"survivors", "comparison"}
+    for phases in (paper, plan, budget):
+        for one, other in combinations(phases.values(), 2):
+            assert one
+            assert not one & other
+    # A number that was found by its budget is proved by a plan, on draws that did not choose it.
+    assert not budget["comparison"] & plan["comparison"]
+
+    works: list[Work] = []
+    means = "pfdist.runner.why._means"
+    real = why.__globals__["_means"]
+    monkeypatch.setattr(
+        means, lambda problem, work, tell: works.append(work) or real(problem, work, tell)
+    )
+    monkeypatch.setattr("pfdist.runner.why.draw_why", lambda *found: [])
+    why(tmp_path / "plan", draws=2)
+    explaining = {key for work in works for key in (work.draws_stream, *work.filter_streams)}
+    assert explaining
+    for keys in (*paper.values(), *plan.values(), *budget.values()):
+        assert not explaining & keys
