@@ -37,6 +37,7 @@ class Display:
         self._task: Any = None
         self._phase = ""
         self._phase_start, self._last_line = (0.0, 0, 0.0), 0.0
+        self._shown = -1.0  # how much was done at the last line
 
     def __enter__(self) -> Self:
         return self
@@ -65,8 +66,8 @@ class Display:
                 self._task = self._bar.add_task(line, total=state.total, completed=int(state.done))
                 self._bar.start()
             self._bar.update(self._task, completed=state.done, description=line)
-        elif now - self._last_line >= LINE_SECONDS or state.done == state.total:
-            self._last_line = now
+        elif now - self._last_line >= LINE_SECONDS or self._shown != state.done == state.total:
+            self._last_line, self._shown = now, state.done
             self.say(f"{100 * state.done / state.total:5.1f} %  {line}  {self._left(state, now)}")
 
     def _line(self, state: State, now: float) -> str:
