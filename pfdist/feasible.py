@@ -17,8 +17,9 @@ from pfdist.measurement_times import Times, nearest, random, regular
 class Feasible(Constraints):
     """Sets of N times, or sets that a sum of money pays for and to which nothing can be added.
 
-    A measurement more never harms in expectation, so with money a best set is among these. The
-    parameters are those of `Constraints`; sets are sorted.
+    To a filter that knows the truth a measurement more does no harm in expectation, so with money
+    a best set is among these; where the filter is wrong, these are what is searched. The parameters
+    are those of `Constraints`; sets are sorted.
     """
 
     def accepts(self, times: Times) -> bool:

@@ -2,6 +2,8 @@
 
 import inspect
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +25,14 @@ def test_every_exported_name_is_documented(name: str) -> None:
         for parameter in inspect.signature(exported).parameters:
             assert re.search(rf"^(\w+, )*{parameter}(, \w+)* : ", doc, re.MULTILINE)
         assert "Returns" in doc
+
+
+def test_a_worker_does_not_wait_for_what_it_does_not_need() -> None:
+    imports = "import sys, pfdist.runner.ray_pool, pfdist.runner.build"
+    heavy = "{'pandas', 'pyarrow', 'matplotlib', 'scipy.stats'}"
+    code = f"{imports}; print({heavy} & {{*sys.modules}})"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "set()\n"
 
 
 def test_evaluate_is_a_function_of_its_arguments(small_job: Job) -> None:

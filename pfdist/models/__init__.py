@@ -5,6 +5,13 @@ simulation.
 """
 
 from pfdist.models.base import StateSpaceModel, squared_error
-from pfdist.models.loader import ModelSource, find_model, installed_models
+from pfdist.models.loader import ModelSource, find_model, installed_models, load_model
 
-__all__ = ["ModelSource", "StateSpaceModel", "find_model", "installed_models", "squared_error"]
+__all__ = [
+    "ModelSource",
+    "StateSpaceModel",
+    "find_model",
+    "installed_models",
+    "load_model",
+    "squared_error",
+]

@@ -115,6 +115,27 @@ def find_model(name: str, folder: Path = Path()) -> ModelSource:
     return _read(name, Path(spec.origin), attribute, spec.parent or "")
 
 
+def load_model(name: str) -> StateSpaceModel:
+    """Load a model by its name.
+
+    Parameters
+    ----------
+    name : str
+        A model that ships, an installed entry point of the group ``pfdist.models``, or
+        ``path/file.py:object``.
+
+    Returns
+    -------
+    StateSpaceModel
+
+    Raises
+    ------
+    ModelError
+        There is no such model, or it cannot be loaded.
+    """
+    return find_model(name).load()
+
+
 def installed_models() -> dict[str, tuple[str, str]]:
     """Module and attribute of every model that ships or is an entry point, by name."""
     package = importlib.import_module("pfdist.models")
