@@ -64,7 +64,7 @@ def plot_removals(axes: Axes, measurements: pd.DataFrame, names: tuple[str, str]
         _intervals(axes, t, rise, rows["removed_error"].to_numpy(), "o", style)
         axes.plot([], [], "o", ms=_SIZE, label=name, **style | {"ls": ""})
     _zero(axes)
-    axes.set_ylabel("MSE rise, removed")
+    axes.set_ylabel("MSE rise if removed")
     _legend(axes)
 
 
@@ -86,7 +86,7 @@ def plot_shifts(axes: Axes, measurements: pd.DataFrame, names: tuple[str, str]) 
             _intervals(axes, t, rise, rows[f"{change}_error"].to_numpy(), marker, style)
         axes.plot([], [], marker, color=GREY, ms=_SIZE, label=f"one instant {change}")
     _zero(axes)
-    axes.set_ylabel("MSE rise, shifted")
+    axes.set_ylabel("MSE rise if shifted")
     axes.set_xlabel("$t$")
     _legend(axes)
 
