@@ -37,7 +37,7 @@ def _command(added: Any, name: str, function: Any) -> argparse.ArgumentParser:
     one: argparse.ArgumentParser = added.add_parser(
         name, help=summary, description=summary, epilog=_EPILOG
     )
-    one.set_defaults(command=function)
+    one.set_defaults(command=function, goes_on=function in commands.RESUMABLE)
     one.add_argument("--debug", action="store_true", help="show the traceback of an error")
     return one
 

@@ -9,8 +9,6 @@ from collections.abc import Iterator, Sequence
 from types import FrameType
 from typing import Any
 
-from pfdist.arguments import make_parser
-from pfdist.commands import RESUMABLE
 from pfdist.errors import EngineWarning, PfdistError, TaskError
 
 _GO_ON = "what was done is committed; the same command goes on from there"
@@ -32,11 +30,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int
         The exit code.
     """
+    listens = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # not so with nohup
+    if listens:
+        signal.signal(signal.SIGINT, _leave)
+    # Here and not above: it takes a second, in which one may be asked to end.
+    from pfdist.arguments import make_parser  # noqa: PLC0415
+
     options = make_parser().parse_args(arguments)
     _preempted.clear()
     for number in (signal.SIGTERM, signal.SIGUSR1):
         signal.signal(number, _preempt)
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not ignored, as by nohup
+    if listens:
         signal.signal(signal.SIGINT, _interrupt)
     try:
         with _warnings_as_lines():
@@ -48,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
     except KeyboardInterrupt:
         ended = "asked to end" if _preempted else "interrupted"
-        go_on = f"; {_GO_ON}" if options.command in RESUMABLE else ""
+        go_on = f"; {_GO_ON}" if options.goes_on else ""
         print(f"pfdist: {ended}{go_on}", file=sys.stderr)
         return 75 if _preempted else 130
     except BrokenPipeError:  # the reader of our output has gone, as `head` does
@@ -61,6 +65,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("pfdist: not enough memory: fewer draws or particles need less", file=sys.stderr)
         return 1
     return 0
+
+
+def _leave(number: int, frame: FrameType | None) -> None:
+    """Nothing has begun."""
+    os.write(sys.stderr.fileno(), b"pfdist: interrupted\n")
+    os._exit(130)
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:

@@ -102,6 +102,9 @@ def evaluate_command(options: argparse.Namespace) -> None:
     if options.json:
         _print_json(answer)
         return
+    if evaluation.exact is not None:
+        print(f"expected MSE {evaluation.exact:.4f} (exact)")
+        return
     print(f"expected MSE {answer['expected_mse']:.4f} ± {answer['standard_error']:.4f}")
     print(
         f"{answer['draws']:,} draws, {answer['degenerate_draws']:,} degenerate, "

@@ -188,7 +188,7 @@ class Constraints:
                 "problem.measurement_budget must be given, or problem.cost and problem.total_cost"
             )
         if self.counted and given[1:] != (None, None):
-            name = "total_cost" if self.cost is None else "cost"
+            name = "cost" if self.total_cost is None else "total_cost"
             raise MeasurementTimesError(
                 f"problem must have a measurement_budget or a total_cost, got measurement_budget "
                 f"and {name}"

@@ -170,7 +170,8 @@ def _budget_lines(summary: dict[str, Any]) -> list[str]:
             for one in results
             if one["kind"] == kind and one["worse_than"] is not None
         ]
-        lines += [f"{kind} times are worse with {'; '.join(worse)}"] if worse else []
+        told = f"{kind} times are worse (95 %, for all together) with {'; '.join(worse)}"
+        lines += [told] if worse else []
     lines += _believed_on_average([one for one in results if one["kind"] == "found"])
     for kind, its in summary.get("reached", {}).items():
         lines += ["", _reached(kind, its, summary["target"])]
@@ -182,7 +183,7 @@ def _budget_lines(summary: dict[str, Any]) -> list[str]:
 def _believed_on_average(found: list[dict[str, Any]]) -> list[str]:
     """Say how far what the search believed of its sets is from the truth (winner's curse)."""
     excesses = [one["search_excess"] for one in found if one["search_excess"] is not None]
-    if not excesses:
+    if not excesses or found[0]["search_standard_error"] == 0.0:  # they were known exactly
         return []
     excess = sum(excesses) / len(excesses)
     return [f"found times: the search believed on average {_off(excess, found[0])}"]
@@ -241,6 +242,8 @@ def _rise(mean: float | None, error: float | None, decimals: int) -> str:
 
 def _believed(result: dict[str, Any]) -> str:
     """Say what the search believed, and how far that is from the truth (winner's curse)."""
+    if result["search_standard_error"] == 0.0:
+        return f"  exactly               {_number(result['search_cost'])}, as the search knew"
     line = f"  the search believed   {_number(result['search_cost'])} "
     line += f"± {_number(result['search_standard_error'])}"
     excess = result["search_excess"]
@@ -250,9 +253,8 @@ def _believed(result: dict[str, Any]) -> str:
 def _off(excess: float, result: dict[str, Any]) -> str:
     """Say by how much a search's cost is off, and of what that comes."""
     side = "below" if excess < 0 else "above"
-    why = "its draws chose the set" if result["search_standard_error"] != 0.0 else "exact"
     own = ", ".join(f"{key} = {its}" for key, its in result["search_estimation"].items())
-    reasons = "; ".join(filter(None, [why, own]))
+    reasons = "; ".join(filter(None, ["its draws chose the set", own]))
     return f"{_percent(abs(excess))} {side} the fresh cost ({reasons})"
 
 

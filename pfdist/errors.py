@@ -16,6 +16,8 @@
     EngineWarning                   a model is computed in NumPy, or compiled code is not kept
 """
 
+_SHOWN = 8  # differences of two runs
+
 
 class PfdistError(Exception):
     """Base of all errors of pfdist; the command line prints it as one line and exits with 1."""
@@ -51,7 +53,9 @@ class RunMismatchError(StoreError):
     """
 
     def __init__(self, message: str, differences: tuple[str, ...]) -> None:
-        super().__init__(f"{message}: {'; '.join(differences)}")
+        shown = "; ".join(differences[:_SHOWN])
+        more = f"; and {len(differences) - _SHOWN} more" if len(differences) > _SHOWN else ""
+        super().__init__(f"{message}: {shown}{more}")
         self.differences = differences
 
 

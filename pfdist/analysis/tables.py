@@ -230,12 +230,19 @@ class Run:
         """How far what a search believed is from the truth, and how it estimates otherwise."""
         mse = result["expected_mse"]
         comparable = mse != 0.0 and math.isfinite(mse)
-        compared = {**self.job["filter"], "estimator": "squared_error"}
-        own = self._about.get("estimations", {}).get(search, {})  # of older runs it is not known
         return {
             "search_excess": result["search_cost"] / mse - 1.0 if comparable else math.nan,
-            "search_estimation": {key: its for key, its in own.items() if its != compared[key]},
+            "search_estimation": self.own_estimation(search),
         }
+
+    def own_estimation(self, search: str) -> dict[str, Any]:
+        """How a search estimates otherwise than the comparison: particles, resampling, estimator.
+
+        Of an older run it is not known, and empty.
+        """
+        compared = {**self.job["filter"], "estimator": "squared_error"}
+        own = self._about.get("estimations", {}).get(search, {})
+        return {key: its for key, its in own.items() if its != compared[key]}
 
 
 def open_run(path: str | Path) -> Run:

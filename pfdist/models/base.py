@@ -194,6 +194,7 @@ class StateSpaceModel:
         except Exception as error:
             raise ModelError(
                 f"model {self.name}: {name} failed on arrays: {type(error).__name__}: {error}"
+                f"{self._advice(str(error))}"
             ) from error
         if name in _ONE_NUMBER:
             if not _is_number(value):
@@ -207,6 +208,14 @@ class StateSpaceModel:
                 f"got {value!r}"
             )
         return value
+
+    def _advice(self, error: str) -> str:
+        """What to do about the two commonest mistakes."""
+        if "truth value of an array" in error:
+            return " (a branch is pfdist.where(condition, a, b), `and` is &, `or` is |)"
+        if "'Parameters' object" in error:
+            return f" (parameters: {', '.join(self.parameters) or 'none'})"
+        return ""
 
 
 def _is_number(value: Any) -> bool:

@@ -1,5 +1,5 @@
 """The figures, one a file: DataFrames in, Axes out. They read tables alone."""
 
-from pfdist.plots.figures import draw_figures, draw_why, figure_files, remove_figures
+from pfdist.plots.figures import draw_figures, draw_target, draw_why, figure_files, remove_figures
 
-__all__ = ["draw_figures", "draw_why", "figure_files", "remove_figures"]
+__all__ = ["draw_figures", "draw_target", "draw_why", "figure_files", "remove_figures"]

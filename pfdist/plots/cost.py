@@ -1,30 +1,44 @@
 """Cost against the number of evaluations (the paper's figure 2)."""
 
+from collections.abc import Callable, Mapping
+
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
 from pfdist.plots.style import GREY, SERIES
 
+Curve = Callable[[pd.DataFrame], pd.DataFrame]
 
-def plot_cost(axes: Axes, evaluations: pd.DataFrame, one_by_one: set[str], regular: float) -> None:
-    """Draw average and minimum cost of every search against its number of evaluations.
+
+def plot_cost(
+    axes: Axes,
+    evaluations: pd.DataFrame,
+    curves: Mapping[str, Curve],
+    notes: Mapping[str, str],
+    regular: float,
+) -> None:
+    """Draw the cost that every search has come to against its number of evaluations.
 
     Parameters
     ----------
     axes : matplotlib Axes
     evaluations : DataFrame
         The table of that name.
-    one_by_one : set of str
-        Phases without populations: their average and minimum are those of all evaluations so far.
-        The others' are those of each generation's living.
+    curves : mapping of str to callable
+        By the name of a search, what is drawn of it: one of those of this module.
+    notes : mapping of str to str
+        By the name of a search, what is to be said of its costs; may be empty.
     regular : float
         Expected MSE of the regular times, for a line.
     """
-    for colour, (phase, rows) in zip(SERIES * 9, evaluations.groupby("phase"), strict=False):
-        curve = _running(rows) if phase in one_by_one else _by_generation(rows)
-        axes.plot(curve.index, curve["average"], color=colour, label=f"{phase}, average")
-        axes.plot(curve.index, curve["minimum"], color=colour, ls="--", label=f"{phase}, minimum")
+    styles = {"average": "-", "minimum": "--", "best so far": "--", "best of a step": "--"}
+    for colour, (name, curve_of) in zip(SERIES * 9, curves.items(), strict=False):
+        curve = curve_of(evaluations[evaluations["phase"] == name])
+        for kind, costs in curve.items():
+            label, note = f"{name}, {kind}", notes[name]
+            label = f"{label}\n({note})" if note else label
+            axes.plot(costs.index, costs, color=colour, ls=styles[str(kind)], label=label)
     axes.axhline(regular, color=GREY, lw=0.9, ls=":", label="regular times")
     axes.set_xlabel("number of cost function evaluations")
     axes.set_ylabel(r"$\hat{\mathbb{E}}_{\mathrm{MSE}}$")
@@ -32,7 +46,8 @@ def plot_cost(axes: Axes, evaluations: pd.DataFrame, one_by_one: set[str], regul
     axes.legend(ncols=2, loc="upper center", bbox_to_anchor=(0.5, 1.3))
 
 
-def _by_generation(rows: pd.DataFrame) -> pd.DataFrame:
+def by_generation(rows: pd.DataFrame) -> pd.DataFrame:
+    """Average and minimum of each generation's living (the paper's curves)."""
     living = rows[np.isfinite(rows["expected_mse"])]
     total = (living["expected_mse"] * living["copies"]).groupby(living["generation"]).sum()
     groups = living.groupby("generation")
@@ -43,8 +58,27 @@ def _by_generation(rows: pd.DataFrame) -> pd.DataFrame:
     return curve.set_index(population.reindex(curve.index))
 
 
-def _running(rows: pd.DataFrame) -> pd.DataFrame:
+def one_by_one(rows: pd.DataFrame) -> pd.DataFrame:
+    """Average and minimum of all evaluations so far."""
     rows = rows.sort_values(["generation", "individual"])
     cost = rows["expected_mse"].where(np.isfinite(rows["expected_mse"]))
     curve = pd.DataFrame({"average": cost.expanding().mean(), "minimum": cost.cummin().ffill()})
     return curve.set_index(rows["copies"].cumsum())
+
+
+def best_of_each_step(rows: pd.DataFrame) -> pd.DataFrame:
+    """The least cost of each generation: of sets that grow, or shrink, by a time."""
+    curve = by_generation(rows)
+    return pd.DataFrame({"best of a step": curve["minimum"]})
+
+
+def best_so_far(rows: pd.DataFrame) -> pd.DataFrame:
+    """The least cost of all whole sets so far that were evaluated on all draws.
+
+    Prefixes, and sets that were tried on fewer draws, count as evaluations alone.
+    """
+    rows = rows.sort_values(["generation", "individual"])
+    whole = (rows["end"] == rows["end"].max()) & (rows["draws"] == rows["draws"].max())
+    cost = rows["expected_mse"].where(whole & np.isfinite(rows["expected_mse"]))
+    curve = pd.DataFrame({"best so far": cost.cummin().ffill()})
+    return curve.set_index(rows["copies"].cumsum()).dropna()

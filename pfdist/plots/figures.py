@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import pandas as pd
@@ -12,7 +13,14 @@ from matplotlib.figure import Figure
 from pfdist.analysis import Gain, Run
 from pfdist.errors import StoreError
 from pfdist.plots.budget import plot_budget
-from pfdist.plots.cost import plot_cost
+from pfdist.plots.cost import (
+    Curve,
+    best_of_each_step,
+    best_so_far,
+    by_generation,
+    one_by_one,
+    plot_cost,
+)
 from pfdist.plots.gain_histogram import plot_gain_histogram
 from pfdist.plots.one_draw import plot_one_draw, typical_draw
 from pfdist.plots.style import COLUMN_INCHES, STYLE
@@ -22,7 +30,15 @@ from pfdist.store import remove_file, write_file
 _Plots = dict[str, tuple[float, Callable[[Axes], None]]]  # height in inches, and what draws it
 
 FORMATS = ("png", "svg")
-ONE_BY_ONE = {"random"}  # methods without populations
+CURVES: dict[str, Curve] = {
+    "random": one_by_one,
+    "exhaustive": one_by_one,
+    "survivors": best_so_far,
+    "exchange": best_so_far,
+    "greedy_forward": best_of_each_step,
+    "greedy_backward": best_of_each_step,
+}
+"""By method; the others have populations."""
 
 
 def figure_files(run: Run) -> list[Path]:
@@ -43,14 +59,12 @@ def remove_figures(path: Path) -> None:
             remove_file(file)
 
 
-def draw_figures(run: Run, target: float | None = None) -> list[Path]:
+def draw_figures(run: Run) -> list[Path]:
     """Draw the paper's figures from the tables of a run, into its folder ``figures``.
 
     Parameters
     ----------
     run : Run
-    target : float, optional
-        An expected MSE, which the figure of a run for several numbers of measurements shows.
 
     Returns
     -------
@@ -65,19 +79,41 @@ def draw_figures(run: Run, target: float | None = None) -> list[Path]:
     """
     if run.state == "searching" or not run.draws_compared:
         raise StoreError(f"{run.path} has no compared draws yet: run the job on, then plot")
-    plots = _budget_plot(run, target) if run.has_budget else _plots(run)
-    files = figure_files(run)
+    return _drawn(run, _budget_plot(run, "budget") if run.has_budget else _plots(run))
+
+
+def draw_target(run: Run, target: float) -> list[Path]:
+    """Draw which numbers of measurements reach a target, into ``figures``, beside the others.
+
+    Parameters
+    ----------
+    run : Run
+        For several numbers of measurements.
+    target : float
+        An expected MSE.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+    """
+    return _drawn(run, _budget_plot(run, f"budget-target-{target:g}", target))
+
+
+def _drawn(run: Run, plots: _Plots) -> list[Path]:
+    files = []
     with mpl.rc_context(STYLE):
         for name, (height, plot) in plots.items():
             figure = Figure(figsize=(COLUMN_INCHES, height), layout="constrained")
             plot(figure.subplots())
-            for file in (file for file in files if file.stem == name):
-                write_file(file, partial(_save, figure, file.suffix.removeprefix(".")))
+            for kind in FORMATS:
+                files.append(run.path / "figures" / f"{name}.{kind}")
+                write_file(files[-1], partial(_save, figure, kind))
     return files
 
 
-def _budget_plot(run: Run, target: float | None) -> _Plots:
-    return {"budget": (2.6, partial(plot_budget, table=run.budget(), target=target))}
+def _budget_plot(run: Run, name: str, target: float | None = None) -> _Plots:
+    return {name: (2.6, partial(plot_budget, table=run.budget(), target=target))}
 
 
 def _plots(run: Run) -> _Plots:
@@ -89,7 +125,7 @@ def _plots(run: Run) -> _Plots:
     return plots
 
 
-def draw_why(run: Run, profile: pd.DataFrame, measurements: pd.DataFrame) -> list[Path]:
+def draw_why(run: Run, profile: pd.DataFrame, measurements: pd.DataFrame, draws: int) -> list[Path]:
     """Draw why the times of every search are what they are, beside the reference's.
 
     Parameters
@@ -97,6 +133,8 @@ def draw_why(run: Run, profile: pd.DataFrame, measurements: pd.DataFrame) -> lis
     run : Run
     profile, measurements : DataFrame
         As of `pfdist.runner.why.Why`.
+    draws : int
+        Likewise.
 
     Returns
     -------
@@ -111,7 +149,7 @@ def draw_why(run: Run, profile: pd.DataFrame, measurements: pd.DataFrame) -> lis
                 (reference, name),
             )
             above, middle, below = figure.subplots(3, sharex=True)
-            plot_profile(above, profile, both)
+            plot_profile(above, profile, both, draws)
             plot_removals(middle, measurements, both)
             plot_shifts(below, measurements, both)
             for kind in FORMATS:
@@ -126,12 +164,20 @@ def _save(figure: Figure, kind: str, path: Path) -> None:
 
 
 def _cost(run: Run, regular: float, axes: Axes) -> None:
-    one_by_one = {search["name"] for search in run.job["search"] if search["method"] in ONE_BY_ONE}
+    searches = run.job["search"]
+    curves = {one["name"]: CURVES.get(one["method"], by_generation) for one in searches}
+    notes = {name: _note(run.own_estimation(name)) for name in curves}
     evaluations = run.evaluations()
-    searched = evaluations["phase"].isin(run.names)  # what a race says is no search's cost
-    if "end" in evaluations:  # nor is that of a part of the horizon
-        searched &= evaluations["end"] == run.job["problem"]["horizon"]
-    plot_cost(axes, evaluations[searched], one_by_one, regular)
+    if "end" not in evaluations:  # an older run, without prefixes
+        evaluations = evaluations.assign(end=run.job["problem"]["horizon"])
+    plot_cost(axes, evaluations, curves, notes, regular)
+
+
+def _note(estimation: dict[str, Any]) -> str:
+    """Say what sets a search's costs apart from those of the comparison."""
+    particles = f"{estimation['particles']} particles" if "particles" in estimation else ""
+    estimator = str(estimation.get("estimator", "")).replace("_", " ")
+    return ", ".join(filter(None, [particles, estimator]))
 
 
 def _draw(run: Run, name: str, mean: float, axes: Axes) -> None:

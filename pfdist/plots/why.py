@@ -22,7 +22,7 @@ _STYLES: tuple[dict[str, Any], ...] = (
 _SIZE = 2.8  # of a marker
 
 
-def plot_profile(axes: Axes, profile: pd.DataFrame, names: tuple[str, str]) -> None:
+def plot_profile(axes: Axes, profile: pd.DataFrame, names: tuple[str, str], draws: int) -> None:
     """Draw the expected error over time with its 95 % band, and when each of two sets measures.
 
     Parameters
@@ -32,6 +32,8 @@ def plot_profile(axes: Axes, profile: pd.DataFrame, names: tuple[str, str]) -> N
         Columns name, t, measured, error and standard_error, as of `pfdist.runner.why.Why`.
     names : (str, str)
         Of the two sets, the reference first.
+    draws : int
+        On which it was computed; 0 if it is exact.
     """
     for name, style in zip(names, _STYLES, strict=True):
         rows = profile[profile["name"] == name]
@@ -43,7 +45,8 @@ def plot_profile(axes: Axes, profile: pd.DataFrame, names: tuple[str, str]) -> N
         axes.plot(t, error, marker="o", markevery=at, ms=_SIZE, lw=0.9, label=label, **style)
     axes.set_ylim(bottom=0)
     axes.set_ylabel("expected error $e(t)$")
-    _legend(axes, title="markers: measured there")
+    drawn = f"on {draws:,} draws of their own; " if draws else ""
+    _legend(axes, title=f"{drawn}markers: measured there")
 
 
 def plot_removals(axes: Axes, measurements: pd.DataFrame, names: tuple[str, str]) -> None:
@@ -57,9 +60,9 @@ def plot_removals(axes: Axes, measurements: pd.DataFrame, names: tuple[str, str]
     names : (str, str)
         Of the two sets, the reference first.
     """
-    for name, style in zip(names, _STYLES, strict=True):
+    for name, style, aside in zip(names, _STYLES, (-0.2, 0.2), strict=True):
         rows = measurements[measurements["name"] == name]
-        t, rise = rows["t"].to_numpy(), rows["removed"].to_numpy()
+        t, rise = rows["t"].to_numpy() + aside, rows["removed"].to_numpy()
         axes.vlines(t, 0.0, rise, color=style["color"], lw=0.7)
         _intervals(axes, t, rise, rows["removed_error"].to_numpy(), "o", style)
         axes.plot([], [], "o", ms=_SIZE, label=name, **style | {"ls": ""})

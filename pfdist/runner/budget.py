@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import Any
 
 from pfdist.analysis import Run
+from pfdist.errors import JobError
 from pfdist.job import Job, as_job
-from pfdist.plots import draw_figures
+from pfdist.plots import draw_target
 from pfdist.runner.run import run
 from pfdist.search_sections import PLANNER
 
@@ -38,8 +39,8 @@ def budget(
     draws : int
         On which they are compared; more of them go on with a run.
     target : float, optional
-        An expected MSE that the figure shows, and the least number that reaches it; `Run.reaching`
-        gives the figures.
+        An expected MSE: another figure, ``budget-target-<target>``, shows it and the least number
+        that reaches it, as `Run.reaching` gives it.
     changes : iterable of str, optional
         ``key=value`` each, as `pfdist.load_job` takes them.
     options : object
@@ -55,6 +56,8 @@ def budget(
     PfdistError
         As `pfdist.run`.
     """
+    if draws < 2:
+        raise JobError(f"draws must be at least 2, got {draws} (--draws)")
     least, most = measurements
     sections = {
         "search": [{"method": PLANNER, "polish": False}],
@@ -66,5 +69,5 @@ def budget(
     results = Path("results") / f"{job.path.stem}-budget" if results is None else results
     done = run(job, results, **options)
     if target is not None:
-        draw_figures(done, target)
+        draw_target(done, target)
     return done

@@ -3,6 +3,7 @@
 import contextlib
 import os
 import platform
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -30,6 +31,7 @@ from pfdist.store import (
     write_run,
 )
 
+_SHA256 = re.compile("[0-9a-f]{64}")
 _LIBRARIES = ("numpy", "scipy", "numba", "ray", "pandas", "pyarrow", "matplotlib")
 
 
@@ -68,7 +70,7 @@ def opened(path: Path, built: Built, say: Callable[[str], Any]) -> Iterator[Stor
         # Is it this run's? Before that no file is touched; nor are damaged tables read.
         committed = _committed(store, damages)
         if all((path / name).exists() for name in ABOUT) and not about:
-            _check_same(store, built.job, identity, committed)
+            _check_same(store, built, identity, committed)
         elif known and built.job.comparison.draws < committed:
             draws = built.job.comparison.draws
             raise _mismatch(path, [f"comparison.draws: {committed} committed -> {draws}"])
@@ -141,8 +143,12 @@ def _check_free(path: Path) -> None:
         )
 
 
-def _check_same(store: Store, job: Job, identity: dict[str, Any], committed: int) -> None:
-    run, its = read_run(store.path)
+def _check_same(store: Store, built: Built, identity: dict[str, Any], committed: int) -> None:
+    (run, its), job, source = read_run(store.path), built.job, built.source
+    of = {
+        "model_sha256": f" of {source.model.source.path}",
+        "filter_model_sha256": f" of {source.filter_model.source.path}",
+    }
     old = dict(_flat({"job": its, **{name: run.get(name) for name in identity}}))
     new = dict(_flat({"job": job.identity(), **identity}))
     differences = []
@@ -152,7 +158,8 @@ def _check_same(store: Store, job: Job, identity: dict[str, Any], committed: int
             continue
         if key == "job.comparison.draws":
             was = f"{committed} committed"
-        differences.append(f"{key.removeprefix('job.')}: {was} -> {is_}")
+        name = key.removeprefix("job.") + of.get(key, "")
+        differences.append(f"{name}: {_short(was)} -> {_short(is_)}")
     if differences:
         raise _mismatch(store.path, differences)
     if not store.manifest.exists():
@@ -160,6 +167,11 @@ def _check_same(store: Store, job: Job, identity: dict[str, Any], committed: int
             f"{store.path} has lost its folder manifest, which says what its files must hold: put "
             "it back, or give --results another folder"
         )
+
+
+def _short(value: Any) -> Any:
+    """A hash by its first figures."""
+    return value[:8] if isinstance(value, str) and _SHA256.fullmatch(value) else value
 
 
 def _mismatch(path: Path, differences: list[str]) -> RunMismatchError:

@@ -123,11 +123,12 @@ def run_phase(
         asked = list(optimiser.ask(state, rng))
         copies = Counter(asked)
         requests = [phase.request(candidate, generation) for candidate in copies]
+        found = optimiser.finalists(state)
         evaluations: dict[Candidate, E] = {}
         for candidate, evaluation in _evaluate(phase, requests, collector):
             evaluations[candidate] = evaluation
-            if progress.mean is None:  # nothing better to show yet
-                costs = _finite_costs(evaluations.values())
+            if not found:  # nothing better to show yet
+                costs = _whole_costs(evaluations.values())
                 progress = replace(progress, best=min(costs, default=None))
             part = min(generation + len(evaluations) / len(copies), optimiser.generations)
             progress = replace(
@@ -143,16 +144,16 @@ def run_phase(
             collector.later(partial(commit_generation, store, name, generation, rows))
         told = [evaluations[candidate] for candidate in asked]
         state, generation = optimiser.tell(state, told), generation + 1
-        costs, finalists = _finite_costs(told), optimiser.finalists(state)
-        if costs:
-            best = finalists[0].cost if finalists else None
-            progress = replace(progress, best=best, mean=float(np.mean(costs)))
+        costs, finalists = _whole_costs(told), optimiser.finalists(state)
+        mean = float(np.mean(costs)) if costs else None
+        progress = replace(progress, best=finalists[0].cost if finalists else None, mean=mean)
     collector.later(partial(publish_search, store, name))
     return optimiser.finalists(state)
 
 
-def _finite_costs(evaluations: Iterable[Evaluation]) -> list[float]:
-    return [evaluation.cost for evaluation in evaluations if np.isfinite(evaluation.cost)]
+def _whole_costs(evaluations: Iterable[Evaluation]) -> list[float]:
+    """Costs of whole sets: that of a prefix is of a part of the horizon."""
+    return [one.cost for one in evaluations if one.end is None and np.isfinite(one.cost)]
 
 
 def _evaluate(

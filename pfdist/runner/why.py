@@ -131,8 +131,8 @@ def why(
         pd.DataFrame([row for part in parts for row in part])
         for parts in zip(*examined, strict=True)
     )
-    figures = draw_why(opened, profile, measurements)
     drawn = 0 if built.problem.exact else draws
+    figures = draw_why(opened, profile, measurements, drawn)
     return Why(opened.path, drawn, summary, profile, measurements, figures)
 
 

@@ -25,6 +25,7 @@ CONSTRAINTS = {
     "together": Feasible(
         HORIZON, None, forbidden=(2,), required=(8,), minimum_spacing=2, cost=PRICES, total_cost=7
     ),
+    "one measurement": Feasible(HORIZON, 1),
     # Of one set alone:
     "all times": Feasible(HORIZON, HORIZON + 1),
     "all required": Feasible(HORIZON, 3, required=(2, 5, 9)),

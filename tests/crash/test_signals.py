@@ -69,6 +69,32 @@ def test_the_second_ctrl_c_ends_at_once_what_the_first_cannot(
     record_property("faults", f"{ASKED}: 2")
 
 
+BEGINS = """
+import signal, sys
+from pfdist.cli import main
+signal.signal(signal.SIGINT, signal.default_int_handler)
+print("beginning", flush=True)
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.fault
+@pytest.mark.parametrize("after", [0.05, 0.3, 0.6])
+def test_ctrl_c_is_heard_while_the_program_is_loaded(after: float, record_property: Record) -> None:
+    command = [sys.executable, "-c", BEGINS, "models"]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "beginning\n"
+        time.sleep(after)
+        process.send_signal(signal.SIGINT)
+        _, error = process.communicate(timeout=30.0)
+        assert process.returncode == 130
+        assert error == "pfdist: interrupted\n"
+    record_property("faults", f"{ASKED}: 1")
+
+
 @pytest.mark.crash
 @pytest.mark.parametrize(
     ("number", "code"),

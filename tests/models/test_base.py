@@ -110,7 +110,7 @@ ERRORS = {
     "a noise too few": ({"initial_noise": ("normal",)}, ["initial failed", "IndexError"]),
     "a parameter that is not there": (
         {"parameters": {}, "parameter_ranges": {}},
-        ["initial failed", "AttributeError", "scale"],
+        ["initial failed", "AttributeError", "scale", "parameters: none"],
     ),
     "a formula that raises": ({"quantity_of_interest": fails}, ["KeyError: 'nothing here'"]),
     "a likelihood without return": (
@@ -128,7 +128,7 @@ ERRORS = {
     ),
     "a branch on a component": (
         {"transition": lambda x, t, w, p: x if x[0] > 0 else (0.0, 0.0)},
-        ["transition failed on arrays", "ValueError"],
+        ["transition failed on arrays", "ValueError", "pfdist.where(condition, a, b)"],
     ),
 }
 

@@ -6,7 +6,13 @@ import pytest
 from matplotlib.figure import Figure
 
 from pfdist.analysis import Gain
-from pfdist.plots.cost import plot_cost
+from pfdist.plots.cost import (
+    best_of_each_step,
+    best_so_far,
+    by_generation,
+    one_by_one,
+    plot_cost,
+)
 from pfdist.plots.gain_histogram import plot_gain_histogram
 from pfdist.plots.one_draw import plot_one_draw, typical_draw
 from pfdist.plots.why import plot_profile, plot_removals, plot_shifts
@@ -42,13 +48,35 @@ def _lines(axes) -> dict[str, tuple[list[float], list[float]]]:
 
 def test_cost_of_a_population_is_averaged_over_copies_and_of_trials_over_all_so_far() -> None:
     axes = _axes()
-    plot_cost(axes, EVALUATIONS, {"random"}, 31.2)
+    curves = {"genetic": by_generation, "random": one_by_one}
+    plot_cost(axes, EVALUATIONS, curves, {"genetic": "", "random": ""}, 31.2)
     lines = _lines(axes)
     assert lines["genetic, average"] == ([4, 8], [37.5, 20.0])
     assert lines["genetic, minimum"] == ([4, 8], [30.0, 20.0])
     assert lines["random, average"] == ([1, 2, 3], [50.0, 40.0, 40.0])
     assert lines["random, minimum"] == ([1, 2, 3], [50.0, 30.0, 30.0])
     assert lines["regular times"][1] == [31.2, 31.2]
+
+
+def test_of_prefixes_and_of_short_tests_the_work_counts_and_not_the_cost() -> None:
+    rows = pd.DataFrame(
+        [
+            # generation, individual, copies, end, draws, expected_mse
+            (0, 0, 1, 5, 100, 1.0),  # a prefix
+            (0, 1, 1, 9, 50, 20.0),  # on few draws
+            (1, 0, 1, 9, 100, 30.0),
+            (1, 1, 1, 9, 100, 25.0),
+            (2, 0, 1, 9, 100, 28.0),
+        ],
+        columns=["generation", "individual", "copies", "end", "draws", "expected_mse"],
+    ).assign(phase="mine")
+    axes = _axes()
+    plot_cost(axes, rows, {"mine": best_so_far}, {"mine": "100 particles"}, 31.2)
+    label = "mine, best so far\n(100 particles)"
+    assert _lines(axes)[label] == ([3, 4, 5], [30.0, 25.0, 25.0])
+    axes = _axes()
+    plot_cost(axes, rows, {"mine": best_of_each_step}, {"mine": ""}, 31.2)
+    assert _lines(axes)["mine, best of a step"] == ([2, 4, 5], [1.0, 25.0, 28.0])
 
 
 def test_one_draw_shows_truth_estimates_and_stars_and_plus_signs() -> None:
@@ -108,7 +136,8 @@ def test_a_profile_shows_the_error_its_band_and_the_instants_measured() -> None:
         }
     )
     axes = _axes()
-    plot_profile(axes, profile, ("regular", "found"))
+    plot_profile(axes, profile, ("regular", "found"), 2000)
+    assert "2,000 draws" in axes.get_legend().get_title().get_text()
     lines = {line.get_label(): line for line in axes.get_lines()}
     regular, found = lines["regular, mean 2.667"], lines["found, mean 2"]
     assert np.asarray(regular.get_ydata()).tolist() == [1.0, 5.0, 2.0]
@@ -134,7 +163,7 @@ def test_a_measurements_worth_is_a_stem_and_its_shifts_are_triangles_with_interv
     axes = _axes()
     plot_removals(axes, measurements, ("regular", "found"))
     stems = [segment.tolist() for segment in axes.collections[2].get_segments()]
-    assert stems == [[[1.0, 0.0], [1.0, 1.0]], [[4.0, 0.0], [4.0, -0.5]]]
+    assert stems == [[[1.2, 0.0], [1.2, 1.0]], [[4.2, 0.0], [4.2, -0.5]]]  # beside the other's
     bars = np.stack(axes.collections[3].get_segments())[:, :, 1]
     np.testing.assert_allclose(bars, [[1 - 0.392, 1 + 0.392], [-0.5 - 0.588, -0.5 + 0.588]])
     axes = _axes()

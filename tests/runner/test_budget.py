@@ -47,7 +47,9 @@ def test_times_of_every_number_are_those_of_brute_force_and_beside_them_the_regu
         assert abs(row["expected_mse"] - exact) < 4 * row["standard_error"]
         assert row["low"] < row["expected_mse"] < row["high"]
     assert not (run.path / "tables" / "trajectories").exists()
-    assert {file.name for file in (run.path / "figures").iterdir()} == {"budget.png", "budget.svg"}
+    assert {file.name for file in (run.path / "figures").iterdir()} == {
+        f"{name}.{kind}" for name in ("budget", "budget-target-3") for kind in ("png", "svg")
+    }
 
 
 def test_however_it_is_cut_it_ends_with_the_same_bytes_and_grows(
@@ -107,7 +109,7 @@ def test_the_command_says_how_many_are_enough(
         ("--measurements 2:x", "got '2:x'"),
         ("--measurements 2:14", "budget of 14 measurements: .* at most horizon . 1 = 13, got 14"),
         ("--measurements 2:3 --set search.survivors.survivors=0", "survivors .* got 0"),
-        ("--measurements 2:3 --draws 1", "comparison.draws .* got 1"),
+        ("--measurements 2:3 --draws 1", r"draws must be at least 2, got 1 \(--draws\)"),
         ("--measurements 2:3 --set problem.required=[1,2,3]", "budget of 2 .* at least 3"),
     ],
 )

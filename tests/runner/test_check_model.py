@@ -127,6 +127,12 @@ def test_a_right_model_passes_every_look(tmp_path: Path) -> None:
             "must be finite",
             ("(x[0],),\n    initial_noise", "(1e200 * x[0],),\n    initial_noise"),
         ),
+        (
+            "expected MSE",
+            "wrong",
+            r"must be finite, and its error, got \d.*e\+1\d\d ± inf",
+            ("(x[0],),\n    initial_noise", "(1e80 * x[0],),\n    initial_noise"),
+        ),
     ],
 )
 def test_a_mistake_is_found(

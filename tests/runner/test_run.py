@@ -180,8 +180,18 @@ def test_an_edited_model_is_refused(tmp_path: Path, small_job: Job) -> None:
     job = small_job.with_changes(['model.name="mine.py:model"'])
     pfdist.run(job, tmp_path / "run")
     model.write_text(source.replace("x[0] / 2", "x[0] / 3"))
-    with pytest.raises(RunMismatchError, match="model_sha256"):
+    with pytest.raises(RunMismatchError, match=r"model_sha256 of .*mine.py: \w{8} -> \w{8};"):
         pfdist.run(job, tmp_path / "run")
+
+
+def test_where_nearly_all_differs_a_few_differences_are_named(
+    tmp_path: Path, small_job: Job
+) -> None:
+    pfdist.run(small_job, tmp_path / "run")
+    with pytest.raises(RunMismatchError, match=r"; and \d+ more$") as error:
+        pfdist.plan(small_job, tmp_path / "run")
+    assert str(error.value).count(" -> ") == 1 + 8
+    assert len(error.value.differences) > 8
 
 
 def test_common_noise_evaluates_a_set_once_in_a_whole_search(
