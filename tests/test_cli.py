@@ -100,6 +100,18 @@ def test_evaluate_prints_json(finished: Path, capsys: pytest.CaptureFixture[str]
     assert (answer["draws"], answer["degenerate_draws"]) == (50, 0)
 
 
+@pytest.mark.usefixtures("no_figures")
+def test_what_is_known_exactly_is_said_to_be(
+    small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    exact = "--set model.name=random_walk filter.engine=kalman"
+    job, run = (shlex.quote(str(path)) for path in (small_job.path, tmp_path / "run"))
+    assert main(shlex.split(f"evaluate {job} --times 0,4 {exact}")) == 0
+    assert re.fullmatch(r"expected MSE \d\.\d{4} \(exact\)\n", capsys.readouterr().out)
+    assert main(shlex.split(f"plan {job} --results {run} {exact}")) == 0
+    assert re.search(r"\n  exactly +\d\.\d{3}, as the search knew\n", capsys.readouterr().out)
+
+
 def test_what_is_infinite_is_null_in_json(
     tmp_path: Path, small_job: Job, capsys: pytest.CaptureFixture[str]
 ) -> None:
