@@ -26,6 +26,7 @@ from pfdist.kernels.noise import stream_key
 from pfdist.measurement_times import Times
 from pfdist.plots.style import BLUE, COLUMN_INCHES, GREEN, GREY, ORANGE, RED
 from pfdist.runner.build import build, make_pool
+from pfdist.search_sections import CommonEvaluation
 
 TITLE = "Searches"
 TABLES: tuple[str, ...] = ("search", "search_sets")
@@ -48,14 +49,18 @@ SMALL = ["problem.horizon=14", "problem.measurement_budget=4", "evaluation.draws
 
 
 def _common(method: str, *draws: int, **settings: Any) -> list[dict[str, Any]]:
-    common = {"noise": "common", "particles": 100, "resampling": "systematic", "estimator": "auto"}
+    common = {"noise": "common", "resampling": "systematic", "estimator": "auto"}
     return [
         {"method": method, **settings, "evaluation": {"draws": each, **common}} for each in draws
     ]
 
 
 SEARCHES: dict[str, list[dict[str, Any]]] = {
-    "survivors": [{"method": "survivors", "survivors": m} for m in (1, 2, 4, 16)],
+    "survivors": [
+        *({"method": "survivors", "survivors": m} for m in (1, 2, 4)),
+        {"method": "survivors", "survivors": 3, "by_previous": True},
+        {"method": "survivors", "evaluation": {"draws": 1200}},
+    ],
     "greedy forward": _common("greedy_forward", 100, 600),
     "greedy backward": _common("greedy_backward", 100, 600),
     "exchange": _common("exchange", 100, 600),
@@ -132,6 +137,8 @@ def _jobs(problem: str, quick: bool) -> list[tuple[dict[str, Any], Job]]:
     """All runs of a problem."""
     file = HERE.parent / "jobs" / f"{problem.partition(',')[0]}.toml"
     changes = [*PROBLEMS[problem], "comparison.draws=2", *(SMALL if quick else [])]
+    # As many as searches take that are given none: the paper's two would take the job's.
+    particles = CommonEvaluation().particles_of(load_job(file).filter.particles)
     jobs = []
     for seed in range(1, 2 if quick else SEEDS_OF_SURVIVORS + 1):
         for name in SEARCHES:
@@ -141,7 +148,10 @@ def _jobs(problem: str, quick: bool) -> list[tuple[dict[str, Any], Job]]:
                 continue
             ways = _ways(problem, name)
             for settings in ways[: 1 if quick else None]:
-                job = load_job(file, [*changes, f"seed={seed}", f"search=[{_toml(settings)}]"])
+                section = dict(settings)
+                if "evaluation" in section:
+                    section["evaluation"] = {**section["evaluation"], "particles": particles}
+                job = load_job(file, [*changes, f"seed={seed}", f"search=[{_toml(section)}]"])
                 about = {"problem": problem, "search": name, "way": _label(settings, ways)}
                 key = f"{stream_key(job.identity()):016x}"
                 jobs.append(({**about, "seed": seed, "job": key}, job))
@@ -152,7 +162,7 @@ def _ways(problem: str, name: str) -> list[dict[str, Any]]:
     if name == "exhaustive" and problem not in SHORT:
         return []
     if problem not in EXACT:
-        return SEARCHES[name]
+        return [way for way in SEARCHES[name] if not way.get("by_previous")]  # too many to keep
     if name == "genetic, common noise":  # there is no noise
         return []
     ways = [{k: v for k, v in way.items() if k != "evaluation"} for way in SEARCHES[name]]
@@ -162,7 +172,9 @@ def _ways(problem: str, name: str) -> list[dict[str, Any]]:
 def _label(way: dict[str, Any], ways: list[dict[str, Any]]) -> str:
     """What sets one way apart from the others."""
     here, *others = ({**one, **one.get("evaluation", {})} for one in (way, *ways))
-    keys = [key for key in here if key != "evaluation" and any(here[key] != o[key] for o in others)]
+    keys = [
+        key for key in here if key != "evaluation" and any(here[key] != o.get(key) for o in others)
+    ]
     return ", ".join(f"{key} = {here[key]}" for key in keys)
 
 
@@ -217,7 +229,7 @@ def summary(tables: Tables) -> str:
         f"standard errors of at most {sets['excess_error'].max():.2f}. Work is that of the whole "
         "search and its shortlist, in particle-steps; where the Kalman filter knows each cost, in "
         "its steps. Believed is by how much the cost that the search has seen differs from that on "
-        "fresh draws: the winner's curse, and the bias of 100 particles where it took so few."
+        "fresh draws: the winner's curse, and the bias of fewer particles."
     ]
     for problem in found["problem"].unique():
         of = found[found["problem"] == problem].set_index(["search", "way"])

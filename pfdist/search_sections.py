@@ -6,6 +6,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 PLANNER: Final = "survivors"
 AUTO: Final = "auto"
+_FEWEST, _SHARE = 100, 5  # of the particles of a search's own filter
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=40)]
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -28,15 +29,26 @@ class SearchEvaluation(Section):
     resampling: Resampling | None = None
     estimator: Estimator | Literal["auto"] | None = None
 
+    def particles_of(self, job: int) -> int:
+        """How many, if the job's filter has so many."""
+        return self.particles or job
+
 
 class CommonEvaluation(SearchEvaluation):
-    """What a search takes that compares sets under common noise, if it is given nothing else."""
+    """What a search takes that compares sets under common noise, if it is given nothing else.
+
+    Its particles are then a fifth of the job's, but no fewer than 100 if the job has them: with
+    too few, other sets are the best.
+    """
 
     draws: Annotated[int, Field(ge=2, le=10_000_000)] = 300
     noise: Literal["fresh", "common"] = "common"
-    particles: Annotated[int, Field(ge=1, le=10_000_000)] = 100
     resampling: Resampling = "systematic"
     estimator: Estimator | Literal["auto"] = AUTO
+
+    def particles_of(self, job: int) -> int:
+        """How many, if the job's filter has so many."""
+        return self.particles or min(job, max(_FEWEST, job // _SHARE))
 
 
 class SearchSection(Section):

@@ -71,7 +71,7 @@ class Settings:
             (own.noise or job.evaluation.noise) == "common",
             job.evaluation.degenerate_draws,
             Estimation(
-                own.particles or job.filter.particles,
+                own.particles_of(job.filter.particles),
                 own.resampling or job.filter.resampling,
                 cheapest if estimator == AUTO else estimator,
             ),

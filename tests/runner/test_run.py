@@ -86,7 +86,7 @@ def test_pools_and_numbers_of_workers_give_the_same_bytes(
 
 # The survivors are polished on more and more draws, of which a session before did the first.
 SURVIVORS = [
-    "search=[{method='survivors', evaluation={draws=20, resampling='multinomial'}}]",
+    "search=[{method='survivors', evaluation={draws=20, particles=100, resampling='multinomial'}}]",
     "comparison.draws=20",
 ]
 
