@@ -26,6 +26,7 @@ from pfdist.kernels.noise import stream_key
 from pfdist.measurement_times import Times
 from pfdist.plots.style import BLUE, COLUMN_INCHES, GREEN, GREY, ORANGE, RED
 from pfdist.runner.build import build, make_pool
+from pfdist.runner.identity import estimations
 from pfdist.search_sections import CommonEvaluation
 
 TITLE = "Searches"
@@ -59,7 +60,7 @@ SEARCHES: dict[str, list[dict[str, Any]]] = {
     "survivors": [
         *({"method": "survivors", "survivors": m} for m in (1, 2, 4)),
         {"method": "survivors", "survivors": 3, "by_previous": True},
-        {"method": "survivors", "evaluation": {"draws": 1200}},
+        {"method": "survivors", "survivors": 2, "evaluation": {"draws": 1200}},
     ],
     "greedy forward": _common("greedy_forward", 100, 600),
     "greedy backward": _common("greedy_backward", 100, 600),
@@ -153,7 +154,7 @@ def _jobs(problem: str, quick: bool) -> list[tuple[dict[str, Any], Job]]:
                     section["evaluation"] = {**section["evaluation"], "particles": particles}
                 job = load_job(file, [*changes, f"seed={seed}", f"search=[{_toml(section)}]"])
                 about = {"problem": problem, "search": name, "way": _label(settings, ways)}
-                key = f"{stream_key(job.identity()):016x}"
+                key = f"{stream_key(job.identity(), estimations(build(job))):016x}"
                 jobs.append(({**about, "seed": seed, "job": key}, job))
     return jobs
 

@@ -30,7 +30,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int
         The exit code.
     """
-    listens = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # not so with nohup
+    # As by nohup, it may be ignored.
+    listens = signal.getsignal(signal.SIGINT) in (signal.default_int_handler, _leave)
     if listens:
         signal.signal(signal.SIGINT, _leave)
     # Here and not above: it takes a second, in which one may be asked to end.

@@ -66,7 +66,9 @@ class Display:
                 self._task = self._bar.add_task(line, total=state.total, completed=int(state.done))
                 self._bar.start()
             self._bar.update(self._task, completed=state.done, description=line)
-        elif now - self._last_line >= LINE_SECONDS or self._shown != state.done == state.total:
+        elif now - self._last_line >= LINE_SECONDS or (
+            state.done == state.total and state.done != self._shown
+        ):
             self._last_line, self._shown = now, state.done
             self.say(f"{100 * state.done / state.total:5.1f} %  {line}  {self._left(state, now)}")
 

@@ -115,3 +115,5 @@ class Purpose(Generic[E]):
 SEARCH = Purpose("search", SearchEvaluation)
 SHORTLIST = Purpose("shortlist", ShortlistEvaluation)
 REPORT = Purpose("comparison", ReportEvaluation)
+BUDGET = Purpose("budget", ReportEvaluation)
+"""What a number of measurements was chosen by is not to prove what comes of it."""

@@ -3,6 +3,7 @@
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self, get_args
@@ -129,6 +130,8 @@ class Job(Section):
         if any(search.method != PLANNER for search in self.search) or len(self.search) > 1:
             methods = ", ".join(search.method for search in self.search)
             raise ValueError(f"budget needs one search of method {PLANNER!r}, got {methods}")
+        if self.search[0].polish:
+            raise ValueError("budget needs a search with polish = false, got true")
         for number in (least, most):
             try:
                 self.feasible(number)
@@ -216,7 +219,7 @@ def job_toml(identity: Mapping[str, Any]) -> str:
 def _validated(
     data: dict[str, Any], path: Path, overrides: Iterable[str], names_its_searches: bool
 ) -> Job:
-    given = list(overrides)
+    given, data = list(overrides), deepcopy(data)
     for override in given:
         _override(data, override)
     try:

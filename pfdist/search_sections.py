@@ -29,9 +29,9 @@ class SearchEvaluation(Section):
     resampling: Resampling | None = None
     estimator: Estimator | Literal["auto"] | None = None
 
-    def particles_of(self, job: int) -> int:
-        """How many, if the job's filter has so many."""
-        return self.particles or job
+    def particles_of(self, job_particles: int) -> int:
+        """Particles of the search's filter, by those of the job's."""
+        return self.particles or job_particles
 
 
 class CommonEvaluation(SearchEvaluation):
@@ -46,9 +46,9 @@ class CommonEvaluation(SearchEvaluation):
     resampling: Resampling = "systematic"
     estimator: Estimator | Literal["auto"] = AUTO
 
-    def particles_of(self, job: int) -> int:
-        """How many, if the job's filter has so many."""
-        return self.particles or min(job, max(_FEWEST, job // _SHARE))
+    def particles_of(self, job_particles: int) -> int:
+        """Particles of the search's filter, by those of the job's."""
+        return self.particles or min(job_particles, max(_FEWEST, job_particles // _SHARE))
 
 
 class SearchSection(Section):

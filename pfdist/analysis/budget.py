@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy import stats
 
 from pfdist.analysis.gains import Comparison
 from pfdist.analysis.moments import CONFIDENCE, Moments
@@ -103,11 +104,14 @@ def reaching(table: pd.DataFrame, target: float) -> dict[str, dict[str, Any]]:
     answer = {}
     for kind in (REGULAR, FOUND):
         its = table[table["kind"] == kind].set_index("measurements")
+        # The least of many numbers is sure where the intervals of all hold (Bonferroni).
+        half = stats.norm.isf((1 - CONFIDENCE) / 2 / len(its)) * its["standard_error"]
+        low, high = its["expected_mse"] - half, its["expected_mse"] + half
         least = _least(its["expected_mse"], target)
-        above = its.index[(its["low"] > target) & (its.index > (least or np.inf))]
+        above = its.index[(low > target) & (its.index > (least or np.inf))]
         answer[kind] = {
             "measurements": least,
-            "interval": [_least(its[bound], target) for bound in ("low", "high")],
+            "interval": [_least(low, target), _least(high, target)],
             "measurement_times": None if least is None else its.loc[least, "measurement_times"],
             "larger_that_do_not": [int(number) for number in above],
         }

@@ -139,9 +139,10 @@ class Run:
         -------
         dict
             Of ``regular`` and of ``found`` times: measurements (None if none of those tried
-            reaches it) and its interval (the least number whose 95 % interval reaches it, and the
-            least whose interval lies below it), measurement_times, and larger_that_do_not (larger
-            numbers whose interval lies above it: of regular times more are not always better).
+            reaches it) and its interval, 95 % (the least number whose interval reaches it, and the
+            least whose interval lies below it, where the intervals of all numbers hold together),
+            measurement_times, and larger_that_do_not (larger numbers whose interval lies above it:
+            of regular times more are not always better).
         """
         return reaching(self.budget(), target)
 
@@ -238,11 +239,15 @@ class Run:
     def own_estimation(self, search: str) -> dict[str, Any]:
         """How a search estimates otherwise than the comparison: particles, resampling, estimator.
 
-        Of an older run it is not known, and empty.
+        Of an older run's, what "auto" stood for is not known, and left out.
         """
         compared = {**self.job["filter"], "estimator": "squared_error"}
-        own = self._about.get("estimations", {}).get(search, {})
-        return {key: its for key, its in own.items() if its != compared[key]}
+        if "estimations" in self._about:
+            own = self._about["estimations"].get(search, {})
+        else:
+            given = {one["name"]: one.get("evaluation", {}) for one in self.job["search"]}
+            own = {key: its for key, its in given[search].items() if its != "auto"}
+        return {key: its for key, its in own.items() if key in compared and its != compared[key]}
 
 
 def open_run(path: str | Path) -> Run:

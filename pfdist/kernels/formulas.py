@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numba.core.errors import NumbaError
 
+import pfdist.elementwise  # noqa: F401  how Numba is to take what formulas may call
 from pfdist.errors import CompileError, ModelError, PfdistError
 from pfdist.kernels.melting import melted
 from pfdist.kernels.overloads import ELEMENTARY, log_to_base

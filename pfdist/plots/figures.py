@@ -46,10 +46,10 @@ def figure_files(run: Run) -> list[Path]:
 
     Of a run for several numbers of measurements it is one, of the cost of each.
     """
-    if run.has_budget:
-        return [run.path / "figures" / f"budget.{kind}" for kind in FORMATS]
-    names = ["cost", *(f"{kind}-{name}" for name in run.names[1:] for kind in ("draw", "gain"))]
-    return [run.path / "figures" / f"{name}.{kind}" for name in names for kind in FORMATS]
+    names = ["budget"]
+    if not run.has_budget:
+        names = ["cost", *(f"{kind}-{name}" for name in run.names[1:] for kind in ("draw", "gain"))]
+    return [file for name in names for file in _files(run, name)]
 
 
 def remove_figures(path: Path) -> None:
@@ -106,10 +106,19 @@ def _drawn(run: Run, plots: _Plots) -> list[Path]:
         for name, (height, plot) in plots.items():
             figure = Figure(figsize=(COLUMN_INCHES, height), layout="constrained")
             plot(figure.subplots())
-            for kind in FORMATS:
-                files.append(run.path / "figures" / f"{name}.{kind}")
-                write_file(files[-1], partial(_save, figure, kind))
+            files += _saved(run, name, figure)
     return files
+
+
+def _saved(run: Run, name: str, figure: Figure) -> list[Path]:
+    files = _files(run, name)
+    for file in files:
+        write_file(file, partial(_save, figure, file.suffix.removeprefix(".")))
+    return files
+
+
+def _files(run: Run, name: str) -> list[Path]:
+    return [run.path / "figures" / f"{name}.{kind}" for kind in FORMATS]
 
 
 def _budget_plot(run: Run, name: str, target: float | None = None) -> _Plots:
@@ -141,7 +150,7 @@ def draw_why(run: Run, profile: pd.DataFrame, measurements: pd.DataFrame, draws:
     list of Path
         The files written.
     """
-    files, (reference, *searches) = [], run.names
+    files, (reference, *searches) = list[Path](), run.names
     with mpl.rc_context(STYLE):
         for name in searches:
             figure, both = (
@@ -152,9 +161,7 @@ def draw_why(run: Run, profile: pd.DataFrame, measurements: pd.DataFrame, draws:
             plot_profile(above, profile, both, draws)
             plot_removals(middle, measurements, both)
             plot_shifts(below, measurements, both)
-            for kind in FORMATS:
-                files.append(run.path / "figures" / f"why-{name}.{kind}")
-                write_file(files[-1], partial(_save, figure, kind))
+            files += _saved(run, f"why-{name}", figure)
     return files
 
 

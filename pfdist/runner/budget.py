@@ -1,6 +1,6 @@
 """Say how the expected MSE falls with the number of measurements, and how many are enough."""
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ def budget(
     results: str | Path | None = None,
     draws: int = DRAWS,
     target: float | None = None,
-    changes: Iterable[str] = (),
+    changes: Sequence[str] = (),
     **options: Any,
 ) -> Run:
     """Find times for every number of measurements, and compare them with regular times.
@@ -41,7 +41,7 @@ def budget(
     target : float, optional
         An expected MSE: another figure, ``budget-target-<target>``, shows it and the least number
         that reaches it, as `Run.reaching` gives it.
-    changes : iterable of str, optional
+    changes : sequence of str, optional
         ``key=value`` each, as `pfdist.load_job` takes them.
     options : object
         By name, as `pfdist.run` takes them.
@@ -59,13 +59,16 @@ def budget(
     if draws < 2:
         raise JobError(f"draws must be at least 2, got {draws} (--draws)")
     least, most = measurements
-    sections = {
-        "search": [{"method": PLANNER, "polish": False}],
-        "budget": {"least": least, "most": most},
-        "comparison": {"draws": draws},
-    }
+    asked = {"budget": {"least": least, "most": most}, "comparison": {"draws": draws}}
+    search = [{"method": PLANNER, "polish": False}]
+    job = as_job(job, changes, {"search": search, **asked})
+    if job.with_changes((), asked) != job:
+        raise JobError(
+            "--set of a budget must leave [budget] and [comparison] as --measurements and --draws "
+            f"say, got {' '.join(changes)}"
+        )
     # Whatever one number it is that the job is for, the run is the same.
-    job = as_job(job, changes, sections).with_changes([f"problem.measurement_budget={most}"])
+    job = job.with_changes([f"problem.measurement_budget={most}"])
     results = Path("results") / f"{job.path.stem}-budget" if results is None else results
     done = run(job, results, **options)
     if target is not None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pfdist.analysis import BLOCK, Comparison
 from pfdist.errors import StoreError
-from pfdist.evaluation import REPORT
+from pfdist.evaluation import BUDGET, REPORT
 from pfdist.measurement_times import Times
 from pfdist.runner.build import Built
 from pfdist.runner.collect import Collector
@@ -175,14 +175,12 @@ class _Block:
 
 def _work(built: Built, sets: Mapping[str, Times]) -> Work:
     """The same draws for all sets, and for each the noise of its own filter."""
-    job = built.job
-    # What a budget was chosen by is not to prove what comes of it.
-    what = ["budget"] if built.numbers else []
+    job, purpose = built.job, BUDGET if built.numbers else REPORT
     return Work(
         measurement_times=tuple(sets.values()),
         ends=(job.problem.horizon,) * len(sets),
-        filter_streams=tuple(REPORT.stream(job.seed, *what, "filter", name) for name in sets),
-        draws_stream=REPORT.stream(job.seed, *what, "draws"),
+        filter_streams=tuple(purpose.stream(job.seed, "filter", name) for name in sets),
+        draws_stream=purpose.stream(job.seed, "draws"),
         draws=(0, 0),
         estimation=built.comparing,
     )

@@ -94,19 +94,18 @@ def _committed(store: Store, damages: list[Damage]) -> int:
 
 def _write_about(path: Path, built: Built, identity: dict[str, Any]) -> None:
     """Write job.toml and run.json where they are not, or of fewer draws."""
-    job, estimations = built.job, _estimations(built)
+    job = built.job
     key = _key(identity, job)
     if not holds_run(path):
         write_job(path, job_toml(job.identity()))
-        about = {**identity, "estimations": estimations, "provenance": _provenance(job)}
-        write_run(path, about, key)
+        write_run(path, {**identity, "provenance": _provenance(job)}, key)
     elif not (path / "job.toml").exists() or read_run(path)[1] != job.identity():
         write_job(path, job_toml(job.identity()))
     confirm(path, key)
 
 
-def _estimations(built: Built) -> dict[str, dict[str, Any]]:
-    """How each search estimates: what "auto" stands for is the model's to say."""
+def estimations(built: Built) -> dict[str, dict[str, Any]]:
+    """How each search estimates, which the job does not say where it is left to pfdist."""
     if built.problem.exact:
         return {}
     return {search.name: vars(search.settings.estimation) for search in built.searches}
@@ -128,6 +127,7 @@ def _identity(built: Built) -> dict[str, Any]:
         "engine": built.source.engine,
         "model_sha256": built.source.model.source.sha256,
         "filter_model_sha256": built.source.filter_model.source.sha256,
+        "estimations": estimations(built),
     }
 
 
@@ -160,8 +160,10 @@ def _check_same(store: Store, built: Built, identity: dict[str, Any], committed:
             was = f"{committed} committed"
         name = key.removeprefix("job.") + of.get(key, "")
         differences.append(f"{name}: {_short(was)} -> {_short(is_)}")
-    if differences:
-        raise _mismatch(store.path, differences)
+    # How searches estimate follows from the job, unless nothing else differs.
+    told = [one for one in differences if not one.startswith("estimations.")] or differences
+    if told:
+        raise _mismatch(store.path, told)
     if not store.manifest.exists():
         raise StoreError(
             f"{store.path} has lost its folder manifest, which says what its files must hold: put "

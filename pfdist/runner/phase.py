@@ -116,7 +116,8 @@ def run_phase(
     committed = committed_generations(store, name)
     state, generation = optimiser.init(), 0
     share, start = phase.steps() / max(1, optimiser.generations), progress.done
-    progress = replace(progress, phase=name, generation=1, generations=optimiser.generations)
+    progress = replace(progress, phase=name, best=None, mean=None)
+    progress = replace(progress, generation=1, generations=optimiser.generations)
     report(progress)
     while not optimiser.done(state):
         rng = generator(phase.built.job.seed, "search", name, generation)
@@ -144,9 +145,9 @@ def run_phase(
             collector.later(partial(commit_generation, store, name, generation, rows))
         told = [evaluations[candidate] for candidate in asked]
         state, generation = optimiser.tell(state, told), generation + 1
-        costs, finalists = _whole_costs(told), optimiser.finalists(state)
+        costs, finalists = _whole_costs(told), _whole_costs(optimiser.finalists(state))
         mean = float(np.mean(costs)) if costs else None
-        progress = replace(progress, best=finalists[0].cost if finalists else None, mean=mean)
+        progress = replace(progress, best=finalists[0] if finalists else None, mean=mean)
     collector.later(partial(publish_search, store, name))
     return optimiser.finalists(state)
 

@@ -64,7 +64,7 @@ def run_search(
     Returns
     -------
     dict of str to Winner
-        By the name under which it is compared: one, or one for each number of measurements. None
+        By the name under which it is compared: one, or one for each number of measurements. Empty
         where every set that it, or its race, ended with had a degenerate draw.
 
     Raises
@@ -89,7 +89,7 @@ def run_search(
         polished = run(_polishing(built, search, found[0].measurement_times))
         found = [*polished[: FINALISTS - _UNPOLISHED], *found[:_UNPOLISHED]]
     believed: dict[Times, SearchEvaluation] = {}
-    for one in found:  # of a set that was found twice, what it was polished by: on more draws
+    for one in found:  # of a set that was found twice, what its polishing has seen
         believed.setdefault(one.measurement_times, one)
     best = list(believed)
     if len(believed) > 1:
