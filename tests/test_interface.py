@@ -35,6 +35,15 @@ def test_a_worker_does_not_wait_for_what_it_does_not_need() -> None:
     assert done.stdout == "set()\n"
 
 
+def test_a_compiled_formula_may_call_where_before_anyone_else_has() -> None:
+    code = (
+        "import numpy as np, pfdist; from pfdist.kernels.formulas import formula;"
+        "print(formula(lambda x: pfdist.where(x > 1.0, 2.0, 3.0))(0.5))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "3.0\n"
+
+
 def test_evaluate_is_a_function_of_its_arguments(small_job: Job) -> None:
     once, again = (pfdist.evaluate(small_job, [8, 0, 4]) for _ in range(2))
     np.testing.assert_array_equal(once.mse, again.mse)

@@ -10,6 +10,8 @@ import pfdist
 from pfdist import Job
 from pfdist.analysis import Run
 from pfdist.display import print_summary
+from pfdist.errors import RunMismatchError
+from pfdist.search_sections import CommonEvaluation
 
 SURVIVORS = """
 [[search]]
@@ -68,6 +70,14 @@ def test_what_a_search_believed_is_its_own_and_nothing_of_its_race_is_reported(
     for cost in race["expected_mse"]:
         assert not np.isclose(cost, [result["expected_mse"], result["search_cost"]]).any()
         assert f"{cost:.3f}" not in re.findall(r"[\d.]+", text)
+
+
+def test_a_program_that_would_search_otherwise_does_not_go_on(
+    raced: Run, small_job: Job, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(CommonEvaluation, "particles_of", lambda own, job_particles: 21)
+    with pytest.raises(RunMismatchError, match=r"estimations.survivors.particles: 20 -> 21$"):
+        pfdist.run(small_job.path, raced.path)
 
 
 def test_the_reference_is_filtered_twice_and_said_to_gain_nothing(
