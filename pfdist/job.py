@@ -1,29 +1,28 @@
 """The job file: TOML in, frozen and validated data out. Data only: nothing is built here."""
 
-import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, Self, get_args
+from typing import Annotated, Any, Final, Literal, Self
 
 import tomli_w
-from pydantic import BaseModel, Field, PrivateAttr, ValidationError, model_validator
-from pydantic_core import ErrorDetails
+from pydantic import Field, PrivateAttr, ValidationError, model_validator
 
 from pfdist.errors import JobError, MeasurementTimesError
 from pfdist.feasible import Feasible
+from pfdist.overrides import override
 from pfdist.problem import ProblemSection
 from pfdist.search_sections import (
     PLANNER,
-    SEARCHES,
     Estimator,
     Resampling,
     Search,
     Section,
     SurvivorSearch,
 )
+from pfdist.validation import explained
 
 REFERENCE: Final = "regular"
 _NO_SECTIONS: Mapping[str, Any] = {}
@@ -220,92 +219,12 @@ def _validated(
     data: dict[str, Any], path: Path, overrides: Iterable[str], names_its_searches: bool
 ) -> Job:
     given, data = list(overrides), deepcopy(data)
-    for override in given:
-        _override(data, override)
+    for change in given:
+        override(data, change)
     try:
         job = Job.model_validate(data)
     except ValidationError as error:
-        first, *others = _told(error)
-        more = f"; {len(others)} more like this" if others else ""
         where = f"{path} with {' '.join(given)}" if given else str(path)
-        raise JobError(f"{_sentence(first)} ({where}){more}") from error
+        raise JobError(explained(error, Job, where)) from error
     job._path, job._names_its_searches = path, names_its_searches
     return job
-
-
-def _override(data: dict[str, Any], override: str) -> None:
-    key, equals, text = override.partition("=")
-    path = [part.strip() for part in key.split(".")]
-    if not equals or not all(path) or "\n" in override:
-        raise JobError(f"--set must be key=value, for instance seed=3, got {override!r}")
-    try:
-        value = tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
-        value = text.strip()  # a bare word is a string: filter.resampling=systematic
-    section: Any = data
-    if path[0] == "search" and len(path) > 1:
-        section, path = _search_named(data, path[1], override), path[2:]
-    for part in path[:-1]:
-        section = section.setdefault(part, {})
-        if not isinstance(section, dict):
-            raise JobError(f"--set {override}: {part} is no section, so it has no keys")
-    if not path:
-        raise JobError(f"--set {override}: name a key of the search, search.NAME.KEY=value")
-    section[path[-1]] = value
-
-
-def _search_named(data: dict[str, Any], name: str, override: str) -> dict[str, Any]:
-    searches = data.get("search")
-    searches = searches if isinstance(searches, list) else []
-    searches = [search for search in searches if isinstance(search, dict)]
-    names = [str(search.get("name", search.get("method"))) for search in searches]
-    if name not in names:
-        allowed = ", ".join(names) or "none, there is no [[search]]"
-        raise JobError(f"--set {override}: the job has no search {name!r}, allowed: {allowed}")
-    found: dict[str, Any] = searches[names.index(name)]
-    return found
-
-
-def _told(error: ValidationError) -> list[ErrorDetails]:
-    """What went wrong, the most telling first: a misspelt key, before the key it stands for."""
-    errors = error.errors()
-    # A wrong search also leaves the tuple of searches too short; that is no mistake of its own.
-    telling = [one for one in errors if one["loc"] != ("search",)] or errors
-    return sorted(telling, key=lambda one: one["type"] != "extra_forbidden")
-
-
-def _sentence(error: ErrorDetails) -> str:
-    """Say in one sentence what a validation error means: what, got, allowed."""
-    key = ".".join(str(part) for part in error["loc"] if not isinstance(part, int))
-    kind, got = error["type"], error["input"]
-    if kind == "extra_forbidden":
-        section, _, name = key.rpartition(".")
-        place = f" in [{section}]" if section else ""
-        return f"unknown key {name!r}{place}, allowed: {', '.join(_allowed_keys(section))}"
-    if kind == "missing":
-        return f"{key} must be given"
-    if kind in ("union_tag_invalid", "union_tag_not_found"):
-        method = got.get("method") if isinstance(got, dict) else got
-        return f"search.method must be one of {', '.join(map(repr, SEARCHES))}, got {method!r}"
-    if key == "search":
-        return f"search must be one or more [[search]] sections, got {got!r}"
-    if kind == "value_error":
-        return str(error["ctx"]["error"])
-    rule = re.sub(r"^(Input|String|Value) should ", "must ", error["msg"])
-    rule = re.sub(r"a valid dictionary or instance of \w+", "a section", rule)
-    return f"{key} {rule}, got {got!r}"
-
-
-def _allowed_keys(section: str) -> list[str]:
-    """The keys of a section; a search's goes by its method."""
-    if section.startswith("search."):
-        return list(SEARCHES[section.removeprefix("search.")].model_fields)
-    if not section:
-        return list(Job.model_fields)
-    kind: Any = Job
-    for part in section.split("."):
-        annotation = kind.model_fields[part].annotation
-        kind = next(iter(get_args(annotation)), annotation)  # an optional section, or one
-        if not (isinstance(kind, type) and issubclass(kind, BaseModel)):
-            return []
-    return list(kind.model_fields)

@@ -50,6 +50,7 @@ def budget_table(
                 "standard_error": known.standard_error,
                 "low": low,
                 "high": high,
+                "draws": known.count,
                 "degenerate_draws": statistics.draws - known.count,
                 "search_cost": float(entry["search_cost"]),
                 "search_standard_error": float(entry["search_standard_error"]),
@@ -105,7 +106,8 @@ def reaching(table: pd.DataFrame, target: float) -> dict[str, dict[str, Any]]:
     for kind in (REGULAR, FOUND):
         its = table[table["kind"] == kind].set_index("measurements")
         # The least of many numbers is sure where the intervals of all hold (Bonferroni).
-        half = stats.norm.isf((1 - CONFIDENCE) / 2 / len(its)) * its["standard_error"]
+        quantile = stats.t.isf((1 - CONFIDENCE) / 2 / len(its), its["draws"] - 1)
+        half = quantile * its["standard_error"]
         low, high = its["expected_mse"] - half, its["expected_mse"] + half
         least = _least(its["expected_mse"], target)
         above = its.index[(low > target) & (its.index > (least or np.inf))]

@@ -118,10 +118,10 @@ class Run:
         """One row a kind of times, ``regular`` or ``found``, and number of measurements.
 
         Columns kind, measurements, name, measurement_times, expected_mse (on fresh draws),
-        standard_error, low and high (of its 95 % interval), degenerate_draws, search_cost and
-        search_standard_error (what the search believed), and worse_than: of the same kind, the best
-        number of fewer measurements, where it is better on common draws (the intervals of all such
-        differences hold together with 95 %).
+        standard_error, low and high (of its 95 % interval), draws (that count), degenerate_draws,
+        search_cost and search_standard_error (what the search believed), and worse_than: of the
+        same kind, the best number of fewer measurements, where it is better on common draws (the
+        intervals of all such differences hold together with 95 %).
         """
         if not self.has_budget:
             raise StoreError(f"{self.path} has times of one number of measurements alone")

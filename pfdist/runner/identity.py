@@ -76,7 +76,7 @@ def opened(path: Path, built: Built, say: Callable[[str], Any]) -> Iterator[Stor
             raise _mismatch(path, [f"comparison.draws: {committed} committed -> {draws}"])
         store.sweep()
         _quarantine(store, damages, say)
-        _write_about(path, built, identity)
+        _write_about(path, built.job, identity)
         yield store
 
 
@@ -92,9 +92,8 @@ def _committed(store: Store, damages: list[Damage]) -> int:
     return store.present("comparison", "draw", without=damaged).size
 
 
-def _write_about(path: Path, built: Built, identity: dict[str, Any]) -> None:
+def _write_about(path: Path, job: Job, identity: dict[str, Any]) -> None:
     """Write job.toml and run.json where they are not, or of fewer draws."""
-    job = built.job
     key = _key(identity, job)
     if not holds_run(path):
         write_job(path, job_toml(job.identity()))

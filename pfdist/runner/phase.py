@@ -116,8 +116,10 @@ def run_phase(
     committed = committed_generations(store, name)
     state, generation = optimiser.init(), 0
     share, start = phase.steps() / max(1, optimiser.generations), progress.done
-    progress = replace(progress, phase=name, best=None, mean=None)
-    progress = replace(progress, generation=1, generations=optimiser.generations)
+    generations = optimiser.generations
+    progress = replace(
+        progress, phase=name, best=None, mean=None, generation=1, generations=generations
+    )
     report(progress)
     while not optimiser.done(state):
         rng = generator(phase.built.job.seed, "search", name, generation)
