@@ -1,4 +1,4 @@
-"""Old results stay readable: a run of schema version 1, as it was written."""
+"""Old results stay readable: runs of schema versions 1 and 2, as they were written."""
 
 import json
 import re
@@ -19,12 +19,24 @@ from pfdist.store import SCHEMA_VERSION
 pytestmark = [pytest.mark.fault, pytest.mark.usefixtures("no_figures")]
 Record = Callable[[str, object], None]
 PROMISE = "old results stay readable"
-ASSET = Path(__file__).parent / "assets" / "schema-1"
+ASSETS = Path(__file__).parent / "assets"
 
 
 @pytest.fixture
 def old(tmp_path: Path) -> Path:
-    return shutil.copytree(ASSET, tmp_path / "old")
+    """A run of schema version 1."""
+    return shutil.copytree(ASSETS / "schema-1", tmp_path / "old")
+
+
+@pytest.fixture
+def signed(tmp_path: Path) -> Path:
+    """A run of schema version 2, which keeps checksums; its files do not name their run."""
+    return shutil.copytree(ASSETS / "schema-2", tmp_path / "signed")
+
+
+@pytest.fixture(params=["schema-1", "schema-2"])
+def any_old(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    return shutil.copytree(ASSETS / request.param, tmp_path / "any-old")
 
 
 def _content(run: Path) -> dict[Path, bytes]:
@@ -54,6 +66,26 @@ def test_its_figures_are_what_they_were(old: Path, record_property: Record) -> N
     record_property("faults", f"{PROMISE}: 1")
 
 
+def test_the_figures_of_schema_version_2_are_what_they_were(
+    signed: Path, record_property: Record
+) -> None:
+    run = pfdist.open_run(signed)
+    summary = run.summary()
+    assert (summary["state"], summary["evaluations"], summary["draws_compared"]) == (
+        "finished", 262, 250,
+    )  # fmt: skip
+    found = summary["results"]["survivors"]
+    assert found["measurement_times"] == [1, 3, 7, 11]
+    assert found["expected_mse"] == pytest.approx(28.554, abs=5e-4)
+    assert found["standard_error"] == pytest.approx(1.602, abs=5e-4)
+    assert found["search_cost"] == pytest.approx(25.517, abs=5e-4)
+    assert found["search_estimation"]["estimator"] == "filter_variance"
+    assert summary["results"]["genetic"]["gain_of_means"] == pytest.approx(0.1274, abs=5e-5)
+    assert summary["results"]["regular"]["gain_over_itself"] == pytest.approx(-0.0768, abs=5e-5)
+    assert main(["verify", str(signed)]) == 0
+    record_property("faults", f"{PROMISE}: 1")
+
+
 def test_its_status_and_figures_are_made(
     old: Path, capsys: pytest.CaptureFixture[str], record_property: Record
 ) -> None:
@@ -76,25 +108,25 @@ def test_that_it_kept_no_checksums_is_said(
 
 
 def test_going_on_with_it_is_refused_with_the_difference_and_moves_nothing(
-    old: Path, record_property: Record
+    any_old: Path, record_property: Record
 ) -> None:
-    before = _content(old)
-    job = load_job(Path(__file__).with_name("small.toml"))
+    before = _content(any_old)
+    job = load_job(any_old / "job.toml", ["execution.pool=serial"])
     for wanted in (job, job.with_changes(["comparison.draws=430"])):
-        with pytest.raises(RunMismatchError, match=f"schema_version: 1 -> {SCHEMA_VERSION}"):
-            pfdist.run(wanted, old)
-    assert _content(old) == before
+        with pytest.raises(RunMismatchError, match=rf"schema_version: [12] -> {SCHEMA_VERSION}"):
+            pfdist.run(wanted, any_old)
+    assert _content(any_old) == before
     record_property("faults", f"{PROMISE}: 1")
 
 
 def test_another_run_is_started_from_it_and_it_stays_as_it_is(
-    old: Path, tmp_path: Path, record_property: Record
+    any_old: Path, tmp_path: Path, record_property: Record
 ) -> None:
-    before = _content(old)
+    before = _content(any_old)
     job = load_job(Path(__file__).with_name("small.toml"), ["comparison.draws=20"])
-    forked = pfdist.run(job, old, fork=tmp_path / "new")
+    forked = pfdist.run(job, any_old, fork=tmp_path / "new")
     assert hashes(forked.path) == hashes(pfdist.run(job, tmp_path / "nothing").path)
-    assert _content(old) == before
+    assert _content(any_old) == before
     record_property("faults", f"{PROMISE}: 1")
 
 

@@ -23,9 +23,9 @@ from pfdist.store import (
     Damage,
     Store,
     confirm,
+    has_key,
     held,
     holds_run,
-    is_identity,
     read_run,
     write_job,
     write_run,
@@ -55,8 +55,10 @@ def opened(path: Path, built: Built, say: Callable[[str], Any]) -> Iterator[Stor
     StoreError
         Another process computes it, it cannot be read or written, or holds other things than a run.
     """
-    store, identity = Store(path), _identity(built)
-    known = is_identity(path, _key(identity, built.job))
+    identity = _identity(built)
+    key = _key(identity, built.job)
+    known = has_key(path, key)
+    store = Store(path, key if known else None)  # another run is looked at by its own key
     if not known and not holds_run(path):
         _check_free(path)
     with held(path):
@@ -76,8 +78,8 @@ def opened(path: Path, built: Built, say: Callable[[str], Any]) -> Iterator[Stor
             raise _mismatch(path, [f"comparison.draws: {committed} committed -> {draws}"])
         store.sweep()
         _quarantine(store, damages, say)
-        _write_about(path, built.job, identity)
-        yield store
+        _write_about(path, built.job, identity, key)
+        yield Store(path, key)
 
 
 def _quarantine(store: Store, damages: list[Damage], say: Callable[[str], Any]) -> None:
@@ -92,9 +94,8 @@ def _committed(store: Store, damages: list[Damage]) -> int:
     return store.present("comparison", "draw", without=damaged).size
 
 
-def _write_about(path: Path, job: Job, identity: dict[str, Any]) -> None:
+def _write_about(path: Path, job: Job, identity: dict[str, Any], key: str) -> None:
     """Write job.toml and run.json where they are not, or of fewer draws."""
-    key = _key(identity, job)
     if not holds_run(path):
         write_job(path, job_toml(job.identity()))
         write_run(path, {**identity, "provenance": _provenance(job)}, key)

@@ -11,7 +11,7 @@ from pfdist.store.manifest import FOLDER, Manifest
 from pfdist.store.schema import SCHEMA_VERSION
 
 ABOUT = ("job.toml", "run.json")
-_IDENTITY = f"{FOLDER}/identity"
+_KEY = f"{FOLDER}/run"
 
 
 def holds_run(path: Path) -> bool:
@@ -27,20 +27,30 @@ def write_job(path: Path, toml: str) -> None:
     _write(path / "job.toml", toml)
 
 
-def write_run(path: Path, run: dict[str, Any], identity: str) -> None:
-    """Write identity and provenance, and a hash of the identity that outlives the file."""
-    _keep_identity(path, identity)
+def write_run(path: Path, run: dict[str, Any], key: str) -> None:
+    """Write identity and provenance, and the run's key, which outlives the file."""
+    _keep_key(path, key)
     _write(path / "run.json", json.dumps(run, indent=2) + "\n")
 
 
-def is_identity(path: Path, identity: str) -> bool:
-    """Whether this is the hash that a run's identity had when it was started."""
-    return (path / _IDENTITY / identity).exists()
+def run_key(path: Path) -> str | None:
+    """Key of the run in a folder, which each of its tables' files carries.
+
+    The key is a hash of the run's identity. None where there is no run yet, where its start was cut
+    short, or where the run is of schema version 2 or 1, whose files carry no key.
+    """
+    keys = [entry.name for entry in (path / _KEY).glob("*")]
+    return keys[0] if len(keys) == 1 else None
 
 
-def confirm(path: Path, identity: str) -> None:
+def has_key(path: Path, key: str) -> bool:
+    """Whether the run in a folder was started with this key."""
+    return (path / _KEY / key).exists()
+
+
+def confirm(path: Path, key: str) -> None:
     """Say that job.toml and run.json are what they are to be: a kill may have come in between."""
-    _keep_identity(path, identity)
+    _keep_key(path, key)
     manifest = Manifest(path)
     for name in ABOUT:
         try:
@@ -50,10 +60,10 @@ def confirm(path: Path, identity: str) -> None:
         manifest.settle(path / name, stamp, manifest.expect(path / name, stamp))
 
 
-def _keep_identity(path: Path, identity: str) -> None:
-    files.touch(path / _IDENTITY / identity)
-    for other in (path / _IDENTITY).glob("*"):  # of a start that was cut short
-        if other.name != identity:
+def _keep_key(path: Path, key: str) -> None:
+    files.touch(path / _KEY / key)
+    for other in (path / _KEY).glob("*"):  # of a start that was cut short
+        if other.name != key:
             files.remove(other)
 
 

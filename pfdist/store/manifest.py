@@ -14,6 +14,7 @@ from pathlib import Path
 
 from pfdist.errors import StoreError
 from pfdist.store import files
+from pfdist.store.tables import signed_by
 
 FOLDER, QUARANTINE = "manifest", "quarantine"
 _STAMP = re.compile(r"\d+-[0-9a-f]{64}")
@@ -45,10 +46,12 @@ class Manifest:
     ----------
     folder : Path
         The run's.
+    run_key : str, optional
+        The key that every file of a table must carry.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
+    def __init__(self, folder: Path, run_key: str | None = None) -> None:
+        self._folder, self._run_key = folder, run_key
 
     def exists(self) -> bool:
         """Whether there is one: runs of schema version 1 have none."""
@@ -122,6 +125,8 @@ class Manifest:
                 continue
             if digest not in {stamp.partition("-")[2] for stamp in expected}:
                 yield Damage(path, "is not what was committed: its SHA-256 differs")
+            elif path.suffix == ".parquet" and (foreign := self._foreign(path)):
+                yield Damage(path, foreign)
 
     def quarantine(self, damage: Damage) -> Path | None:
         """Move a damaged file out of the way, never delete it; give its new place, if it was there.
@@ -138,6 +143,16 @@ class Manifest:
             place, number = folder / f"{path.name}.{number}", number + 1
         files.move(path, place)
         return place
+
+    def _foreign(self, path: Path) -> str:
+        """What makes a file that of another run; empty if it belongs to this one."""
+        try:
+            key = signed_by(self._folder / path)
+        except FileNotFoundError:  # published meanwhile
+            return ""
+        except StoreError:
+            return "is not a Parquet file"
+        return "belongs to another run" if self._run_key not in (None, key) else ""
 
     def _entry(self, path: Path) -> Path:
         return self._folder / FOLDER / path.relative_to(self._folder)

@@ -27,9 +27,10 @@ from numpy.typing import NDArray
 
 from pfdist.errors import StoreError
 from pfdist.store import files
+from pfdist.store.folder import run_key as folder_key
 from pfdist.store.manifest import Manifest
 from pfdist.store.schema import KEYS, schema
-from pfdist.store.tables import cut_rows, read_file
+from pfdist.store.tables import cut_rows, read_file, signed
 
 ROWS_IN_A_FILE = {"draws": 1_000_000, "comparison": 50_000}
 _MANY = 1_000_000_000  # rows of the other tables: one file a phase
@@ -44,13 +45,17 @@ class Store:
     ----------
     path : Path
         The run's folder.
+    run_key : str, optional
+        The run that every file must belong to; that of the folder, unless it is given.
 
-    Every reading raises a `StoreError` where a file cannot be read or is of a newer schema.
+    Every reading raises a `StoreError` where a file cannot be read, is of a newer schema, or
+    belongs to another run.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, run_key: str | None = None) -> None:
         self.path = path
-        self.manifest = Manifest(path)
+        self._run_key = run_key or folder_key(path)
+        self.manifest = Manifest(path, self._run_key)
 
     # --- writing ------------------------------------------------------------------------------
 
@@ -72,7 +77,7 @@ class Store:
         folder = self.path / "parts" / table
         path = next(folder.glob(f"{phase}-{key}.*.parquet"), None)
         if path is None:
-            prepared = files.prepare_table(folder, rows)
+            prepared = files.prepare_table(folder, signed(rows, self._run_key))
             path = folder / f"{phase}-{key}.{prepared.stamp}.parquet"
             files.give_name(prepared, path, replace=False)
         if table == "draws":  # even if it was there: another driver may have committed it
@@ -94,7 +99,8 @@ class Store:
         settled = []
         for number, rows in enumerate(cut_rows(pieces, ROWS_IN_A_FILE.get(table, _MANY))):
             path = self.path / "tables" / table / f"{phase}-{number:05d}.parquet"
-            prepared = files.prepare_table(path.parent, rows.combine_chunks())
+            whole = signed(rows.combine_chunks(), self._run_key)
+            prepared = files.prepare_table(path.parent, whole)
             before = self.manifest.expect(path, prepared.stamp)
             files.give_name(prepared, path, replace=True)
             settled.append((path, prepared.stamp, before))
@@ -139,7 +145,7 @@ class Store:
             nonlocal spans
             spans = self._spans(table, column) if spans is None else spans
             try:
-                return _between(spans, column, first, min(first + rows, last))
+                return self._between(spans, column, first, min(first + rows, last))
             except FileNotFoundError:
                 spans = None
                 raise
@@ -152,7 +158,7 @@ class Store:
     def pieces(self, table: str, columns: list[str]) -> Iterator[pa.Table]:
         """Some columns of a table, a file at a time; rows may come twice."""
         for path in self._files(table):
-            yield read_file(path, columns)
+            yield self._read(path, columns)
 
     def present(self, table: str, column: str, without: Container[Path] = ()) -> NDArray[np.bool_]:
         """Which values a column of counts has, up to its largest: a byte each.
@@ -168,7 +174,7 @@ class Store:
             found = np.zeros(0, np.bool_)
             for path in self._files(table):
                 if path not in without:
-                    values = read_file(path, [column])[column].to_numpy()
+                    values = self._read(path, [column])[column].to_numpy()
                     found = np.pad(found, (0, max(0, int(values.max(initial=-1)) + 1 - found.size)))
                     found[values] = True
             return found
@@ -182,7 +188,7 @@ class Store:
 
         def look() -> list[pa.Table]:
             paths = set().union(*(self._files_of_evaluation.get(id_, set()) for id_ in ids))
-            return [read_file(path, filters=wanted) for path in sorted(paths)]
+            return [self._read(path, filters=wanted) for path in sorted(paths)]
 
         found = self._again(look)
         if not found:
@@ -207,7 +213,7 @@ class Store:
         def copy() -> None:
             for path in other._files("draws"):
                 if path not in wrong:
-                    rows = read_file(path).cast(schema("draws"))  # an older version's, too
+                    rows = other._read(path).cast(schema("draws"))  # an older version's, too
                     self.commit("draws", phase, path.stem.replace(".", "-"), rows)
 
         self._again(copy)
@@ -229,14 +235,14 @@ class Store:
     ) -> list[pa.Table]:
         """Read all files of a table."""
         return self._again(
-            lambda: [read_file(path, columns, filters) for path in self._files(table)]
+            lambda: [self._read(path, columns, filters) for path in self._files(table)]
         )
 
     def _spans(self, table: str, column: str) -> list[tuple[Path, int, int]]:
         """Files of a table, and the smallest and largest value of a column in each."""
         spans = []
         for path in self._files(table):
-            values = read_file(path, [column])[column].to_numpy()
+            values = self._read(path, [column])[column].to_numpy()
             if values.size:
                 spans.append((path, int(values.min()), int(values.max())))
         return spans
@@ -256,7 +262,7 @@ class Store:
         """Where each evaluation's draws are, read once and then kept up to date."""
         index: dict[str, set[Path]] = defaultdict(set)
         for path in self._files("draws"):
-            for id_ in read_file(path, ["evaluation"])["evaluation"].unique().to_pylist():
+            for id_ in self._read(path, ["evaluation"])["evaluation"].unique().to_pylist():
                 index[id_].add(path)
         return index
 
@@ -265,17 +271,25 @@ class Store:
             for id_ in rows["evaluation"].unique().to_pylist():
                 self._files_of_evaluation[id_].add(path)
 
+    def _between(
+        self, spans: list[tuple[Path, int, int]], column: str, first: int, last: int
+    ) -> pa.Table | None:
+        """Sorted rows whose column lies in first..last-1, each once; None if there is none."""
+        bounds = (pc.field(column) >= first) & (pc.field(column) < last)
+        reach = [path for path, least, most in spans if least < last and most >= first]
+        pieces = [self._read(path, filters=bounds) for path in reach]
+        if not pieces:
+            return None
+        found = pa.concat_tables(pieces).sort_by(column)
+        values = found[column].to_numpy()
+        keep = np.ones(len(values), bool)
+        keep[1:] = values[1:] != values[:-1]
+        return found.filter(pa.array(keep))
 
-def _between(
-    spans: list[tuple[Path, int, int]], column: str, first: int, last: int
-) -> pa.Table | None:
-    bounds = (pc.field(column) >= first) & (pc.field(column) < last)
-    reach = [path for path, least, most in spans if least < last and most >= first]
-    pieces = [read_file(path, filters=bounds) for path in reach]
-    if not pieces:
-        return None
-    found = pa.concat_tables(pieces).sort_by(column)
-    values = found[column].to_numpy()
-    keep = np.ones(len(values), bool)
-    keep[1:] = values[1:] != values[:-1]
-    return found.filter(pa.array(keep))
+    def _read(
+        self,
+        path: Path,
+        columns: list[str] | None = None,
+        filters: pc.Expression | None = None,
+    ) -> pa.Table:
+        return read_file(path, columns, filters, self._run_key)

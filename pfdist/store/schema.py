@@ -1,14 +1,16 @@
 """Tables, columns and units.
 
-Every file carries the schema's version and its table's name in its metadata, every column a unit
-and a description. ``mse`` and the like are in the square of the unit of z.
+Every file carries the schema's version, its table's name and the key of its run in its metadata,
+every column a unit and a description. ``mse`` and the like are in the square of the unit of z.
 """
 
 from collections.abc import Sequence
 
 import pyarrow as pa
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
+RUN_KEY = b"pfdist_run"
+"""Under this name a file's metadata holds the key of the run that wrote it (schema 3 and later)."""
 
 _MSE = "square of z's unit"
 

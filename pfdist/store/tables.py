@@ -1,14 +1,15 @@
-"""Read one file of a table, and cut tables at fixed counts of rows."""
+"""Read one file of a table, sign tables with their run's key, and cut them at fixed counts."""
 
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from pfdist.errors import StoreError
-from pfdist.store.schema import SCHEMA_VERSION
+from pfdist.store.schema import RUN_KEY, SCHEMA_VERSION
 
 
 def cut_rows(pieces: Iterable[pa.Table], count: int) -> Iterator[pa.Table]:
@@ -26,7 +27,27 @@ def cut_rows(pieces: Iterable[pa.Table], count: int) -> Iterator[pa.Table]:
         yield pa.concat_tables(waiting)
 
 
-def guarded(path: Path, read: Callable[[], pa.Table]) -> pa.Table:
+def signed(table: pa.Table, run_key: str | None) -> pa.Table:
+    """Table whose metadata says which run it belongs to."""
+    if run_key is None:
+        return table
+    metadata = table.schema.metadata or {}
+    return table.replace_schema_metadata({**metadata, RUN_KEY: run_key.encode()})
+
+
+def signed_by(path: Path) -> str | None:
+    """Key of the run that wrote a file; None if the file names no run.
+
+    Raises
+    ------
+    StoreError
+        The file is not a readable Parquet file.
+    """
+    metadata = guarded(path, lambda: pq.read_schema(path)).metadata or {}
+    return metadata[RUN_KEY].decode(errors="replace") if RUN_KEY in metadata else None
+
+
+def guarded(path: Path, read: Callable[[], Any]) -> Any:
     """Read, and name the file where that fails."""
     try:
         return read()
@@ -40,10 +61,31 @@ def guarded(path: Path, read: Callable[[], pa.Table]) -> pa.Table:
 
 
 def read_file(
-    path: Path, columns: list[str] | None = None, filters: pc.Expression | None = None
+    path: Path,
+    columns: list[str] | None = None,
+    filters: pc.Expression | None = None,
+    run_key: str | None = None,
 ) -> pa.Table:
-    """Read what is wanted of a file, of this schema or an older one."""
-    table = guarded(
+    """Columns and rows of a file that was written with this schema or an older one.
+
+    Parameters
+    ----------
+    path : Path
+    columns : list of str, optional
+        All, unless they are given.
+    filters : pyarrow.compute.Expression, optional
+        Which rows are wanted.
+    run_key : str, optional
+        The run that the file must belong to.
+
+    Raises
+    ------
+    FileNotFoundError
+        There is no such file.
+    StoreError
+        The file cannot be read, is of a newer schema, or belongs to another run.
+    """
+    table: pa.Table = guarded(
         path,
         lambda: pq.read_table(
             path,
@@ -54,10 +96,17 @@ def read_file(
             page_checksum_verification=True,
         ),
     )
-    version = int((table.schema.metadata or {}).get(b"pfdist_schema_version", b"0"))
+    metadata = table.schema.metadata or {}
+    version = int(metadata.get(b"pfdist_schema_version", b"0"))
     if version > SCHEMA_VERSION:
         raise StoreError(
             f"{path} is of schema version {version}; this pfdist reads up to {SCHEMA_VERSION}: "
             "use the newer pfdist that wrote it"
+        )
+    if run_key is not None and metadata.get(RUN_KEY) != run_key.encode():
+        raise StoreError(
+            f"{path} belongs to another run: every file here must carry the run's key {run_key}, "
+            f"got {metadata.get(RUN_KEY, b'none').decode(errors='replace')}; `pfdist repair` moves "
+            "such files to quarantine"
         )
     return table

@@ -414,7 +414,7 @@ def test_a_run_that_lost_what_says_whose_it_is_is_known_by_its_manifest(
     job: Job, runs: dict[str, Path], tmp_path: Path, record_property: Record
 ) -> None:
     run = shutil.copytree(runs["finished"], tmp_path / "run")
-    shutil.rmtree(run / "manifest" / "identity")
+    shutil.rmtree(run / "manifest" / "run")
     assert _run_again(job, run) == []  # what the manifest lacks is put back
     for name in ("job.toml", "run.json"):
         (run / name).unlink()

@@ -1,0 +1,150 @@
+"""Files of another run are never taken for this run's own, whatever made them get there."""
+
+import shutil
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+import pfdist
+from oracles.bytes_of import hashes
+from oracles.counted import A_DRAW
+from pfdist import Job, load_job
+from pfdist.cli import main
+from pfdist.errors import StoreError
+from pfdist.runner import collect
+from pfdist.runner.pace import Pace
+from pfdist.runner.progress import Progress
+from pfdist.runner.repair import repair_run, verify_run
+from pfdist.store import Store
+from pfdist.store.folder import run_key
+from pfdist.store.tables import signed_by
+
+pytestmark = pytest.mark.fault
+PROMISE = "damage is found"
+SEEDS = (1, 2)
+Record = Callable[[str, object], None]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _many_commits() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(collect, "COMMIT_SECONDS", 0.0)
+        patch.setattr(Pace, "size", lambda pace, remaining: 90 * A_DRAW)
+        patch.setattr("pfdist.runner.run.draw_figures", lambda run: [])
+        patch.setattr("pfdist.runner.run.figure_files", lambda run: [])
+        yield
+
+
+@pytest.fixture(scope="module")
+def job(tmp_path_factory: pytest.TempPathFactory) -> Job:
+    path = tmp_path_factory.mktemp("job") / "small.toml"
+    path.write_text((Path(__file__).parents[1] / "small.toml").read_text())
+    return load_job(path)
+
+
+class EndedError(Exception):
+    """The run's process has come to its end."""
+
+
+@pytest.fixture(scope="module")
+def runs(job: Job, tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[int, str], Path]:
+    """For each seed a finished run, and two that ended in a search and in the comparison."""
+    folder, found = tmp_path_factory.mktemp("runs"), dict[tuple[int, str], Path]()
+    for seed in SEEDS:
+        seeded = job.with_changes([f"seed={seed}"])
+        for state, last_phase in (("searching", "genetic"), ("comparing", "comparison")):
+            found[seed, state] = folder / f"{seed}-{state}"
+            with pytest.raises(EndedError):
+                pfdist.run(seeded, found[seed, state], report=partial(_end_in, last_phase))
+            assert pfdist.open_run(found[seed, state]).state == state
+        found[seed, "finished"] = pfdist.run(seeded, folder / f"{seed}-finished").path
+    return found
+
+
+def _end_in(phase: str, progress: Progress) -> None:
+    if progress.phase == phase and progress.evaluations >= 14:
+        raise EndedError
+
+
+@pytest.mark.parametrize(
+    ("state", "copied"),
+    [
+        ("comparing", ["parts/comparison"]),
+        ("searching", ["parts/draws"]),
+        ("searching", ["parts/evaluations"]),
+        ("finished", ["tables/comparison", "manifest/tables/comparison"]),
+        ("finished", ["tables/draws", "manifest/tables/draws"]),
+        ("finished", ["tables/compared", "manifest/tables/compared"]),
+    ],
+)
+def test_rows_of_another_run_are_named_put_aside_and_computed(
+    state: str,
+    copied: list[str],
+    job: Job,
+    runs: dict[tuple[int, str], Path],
+    tmp_path: Path,
+    record_property: Record,
+) -> None:
+    run = shutil.copytree(runs[1, state], tmp_path / "run")
+    for folder in copied:
+        shutil.copytree(runs[2, state] / folder, run / folder, dirs_exist_ok=True)
+    foreign = {
+        path.relative_to(run)
+        for path in run.glob(f"{copied[0]}/*.parquet")
+        if (runs[2, state] / path.relative_to(run)).exists()
+        and path.read_bytes() == (runs[2, state] / path.relative_to(run)).read_bytes()
+    }
+    assert foreign
+    named = {damage.path: damage.what for damage in verify_run(run)}
+    assert named == dict.fromkeys(foreign, "belongs to another run")
+    said: list[str] = []
+    pfdist.run(job, run, say=said.append)
+    moved = [line for line in said if "belongs to another run: it is now" in line]
+    assert len(moved) == len(foreign)
+    assert hashes(run) == hashes(runs[1, "finished"])
+    assert not list(verify_run(run))
+    record_property("faults", f"{PROMISE}: {len(foreign)}")
+
+
+def test_a_reader_refuses_rows_of_another_run_and_repair_moves_them(
+    runs: dict[tuple[int, str], Path],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    record_property: Record,
+) -> None:
+    run = shutil.copytree(runs[1, "finished"], tmp_path / "run")
+    file = Path("tables/comparison/comparison-00000.parquet")
+    for part in (file, "manifest" / file):
+        shutil.rmtree(run / part) if (run / part).is_dir() else (run / part).unlink()
+        copy = shutil.copytree if (runs[2, "finished"] / part).is_dir() else shutil.copy
+        copy(runs[2, "finished"] / part, run / part)
+    with pytest.raises(StoreError, match=r"comparison-00000\.parquet belongs to another run"):
+        pfdist.open_run(run).statistics()
+    assert main(["status", str(run)]) == 1
+    assert capsys.readouterr().err.count("\n") == 1
+    assert any("belongs to another run" in line for line in repair_run(run))
+    assert not (run / file).exists()
+    record_property("faults", f"{PROMISE}: 1")
+
+
+def test_every_file_of_a_table_names_its_run(runs: dict[tuple[int, str], Path]) -> None:
+    keys = set[str | None]()
+    for run in runs.values():
+        files = [*run.glob("tables/*/*.parquet"), *run.glob("parts/*/*.parquet")]
+        assert len(files) > 3
+        assert {signed_by(file) for file in files} == {run_key(run)}
+        keys.add(run_key(run))
+    assert len(keys) == len(SEEDS)
+    assert None not in keys
+
+
+def test_a_run_that_is_started_from_another_signs_what_it_takes(
+    job: Job, runs: dict[tuple[int, str], Path], tmp_path: Path
+) -> None:
+    longer = job.with_changes(["search.random.evaluations=12"])
+    forked = pfdist.run(longer, runs[1, "finished"], fork=tmp_path / "new")
+    assert not list(verify_run(forked.path))
+    assert hashes(forked.path) == hashes(pfdist.run(longer, tmp_path / "alone").path)
+    assert len(Store(forked.path).read("draws")) == len(pfdist.open_run(forked.path).draws())
