@@ -80,6 +80,7 @@ class GeneticSearch(SearchSection):
     crossover_probability: Probability = 1.0
     mutation_probability: Probability = 0.003
     sigma_scaling: Annotated[float, Field(gt=0.0, allow_inf_nan=False)] = 1.0
+    share_copies: bool = False
 
 
 class RandomSearch(SearchSection):

@@ -57,9 +57,10 @@ class Phase(Generic[E]):
 
     def request(self, candidate: Candidate, generation: int) -> "_Request":
         """What is to be known of a candidate."""
-        times, end, draws = candidate
-        fresh = [] if self.settings.common_noise else [generation, times]
-        stream = self.purpose.stream(self.built.job.seed, self.name, *fresh)
+        times, end, draws, individual = candidate
+        fresh = [generation, times if individual is None else individual]
+        keyed_by = [] if self.settings.common_noise else fresh
+        stream = self.purpose.stream(self.built.job.seed, self.name, *keyed_by)
         last = self.built.job.problem.horizon if end is None else end
         estimation, draws = self.settings.estimation, draws or self.settings.draws
         id_ = self.built.source.evaluation_id(times, last, stream, estimation)
@@ -67,9 +68,14 @@ class Phase(Generic[E]):
             id_, candidate, last, stream, np.full(draws, np.nan), np.ones(draws, np.bool_)
         )
 
+    def alike(self, candidate: Candidate) -> Candidate:
+        """Candidate, without its place in the population where copies cannot differ."""
+        same = self.settings.common_noise or self.built.problem.exact
+        return candidate._replace(individual=None) if same else candidate
+
     def evaluation(self, request: "_Request", exact: float | None = None) -> E:
         """Give what was asked for."""
-        times, end, _ = request.candidate
+        times, end, _, _ = request.candidate
         policy = self.settings.degenerate_policy
         return self.purpose.evaluation(times, request.mse, policy, exact, end)
 
@@ -123,7 +129,7 @@ def run_phase(
     report(progress)
     while not optimiser.done(state):
         rng = generator(phase.built.job.seed, "search", name, generation)
-        asked = list(optimiser.ask(state, rng))
+        asked = [phase.alike(candidate) for candidate in optimiser.ask(state, rng)]
         copies = Counter(asked)
         requests = [phase.request(candidate, generation) for candidate in copies]
         found = optimiser.finalists(state)

@@ -20,11 +20,15 @@ class Candidate(NamedTuple):
         Last instant whose errors count, if it is not T.
     draws : int, optional
         On so many of the first draws, if not on as many as an evaluation has.
+    individual : int, optional
+        Its index in the population, where copies of a set are to be evaluated on fresh draws each.
+        Copies without an index share one evaluation, and under common noise all copies do.
     """
 
     measurement_times: Times
     end: int | None = None
     draws: int | None = None
+    individual: int | None = None
 
 
 FINALISTS = 8

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import pfdist
@@ -286,3 +287,34 @@ def test_trajectories_committed_out_of_order_are_completed(
     again = pfdist.run(small_job, tmp_path / "run")
     assert again.trajectories()["draw"].nunique() == 100
     assert hashes(again.path) == hashes(whole.path)
+
+
+def test_copies_of_a_set_are_evaluated_afresh_unless_they_share(
+    small_job: Job, tmp_path: Path
+) -> None:
+    """Paper, section 2.4: the cost of each of the 50 individuals of a generation is estimated."""
+
+    def rows(name: str, *changes: str) -> pd.DataFrame:
+        parents_survive = [
+            f"search.genetic.{how}_probability=0.0" for how in ("crossover", "mutation")
+        ]
+        job = small_job.with_changes([*parents_survive, *changes])
+        found = pfdist.run(job, tmp_path / name).evaluations()
+        found = found[found["phase"] == "genetic"]
+        return found.assign(times=found["measurement_times"].map(tuple))
+
+    fresh, keys = rows("fresh"), ["generation", "times"]
+    assert fresh.groupby("generation").size().tolist() == [6] * 4
+    assert (fresh["copies"] == 1).all()
+    repeated = fresh[fresh.duplicated(keys, keep=False)]
+    assert len(repeated) > 0
+    assert not fresh["evaluation"].duplicated().any()
+    assert not repeated.duplicated([*keys, "expected_mse"]).any()
+    for name, change in (
+        ("shared", "search.genetic.share_copies=true"),
+        ("common", "evaluation.noise=common"),
+    ):
+        merged = rows(name, change)
+        assert not merged.duplicated(keys).any()
+        assert merged.groupby("generation")["copies"].sum().tolist() == [6] * 4
+        assert merged["copies"].max() > 1

@@ -10,7 +10,9 @@ from scipy import stats
 from pfdist.evaluation import SearchEvaluation
 from pfdist.feasible import Feasible
 from pfdist.search import GeneticAlgorithm
+from pfdist.search.base import Candidate
 from pfdist.search.genetic import (
+    GeneticState,
     count_preserving_crossover,
     expected_offspring,
     stochastic_universal_sampling,
@@ -159,3 +161,16 @@ def test_of_equal_costs_each_expects_one_offspring() -> None:
     # Whatever the rounding of their mean: that of six numbers often differs from each of them.
     for cost in np.random.default_rng(1).random(1000) * 50:
         np.testing.assert_array_equal(expected_offspring(np.full(6, cost), 1.0), 1.0)
+
+
+def test_every_individual_is_asked_for_on_its_own_also_copies_of_one_set() -> None:
+    genetic = _genetic()
+    alike = tuple(_evaluation((1, 2, 3, 4, 5), cost) for cost in np.linspace(1.0, 2.0, 10))
+    state = GeneticState(1, alike)
+    asked = genetic.ask(state, _rng())
+    assert len(set(asked)) == len(asked) == 10
+    assert [candidate.individual for candidate in asked] == list(range(10))
+    shared = _genetic(share_copies=True, mutation_probability=0.0).ask(state, _rng())
+    assert set(shared) == {Candidate((1, 2, 3, 4, 5))}
+    first = genetic.ask(genetic.init(), _rng())
+    assert [candidate.individual for candidate in first] == list(range(10))
