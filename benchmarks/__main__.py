@@ -9,7 +9,7 @@ from pathlib import Path
 
 import matplotlib as mpl
 
-from benchmarks import estimators, kernel, peers, prefixes, scaling, search
+from benchmarks import estimators, genetic, kernel, peers, prefixes, scaling, search
 from benchmarks.machine import provenance
 from benchmarks.peers import PeerDisagreesError
 from benchmarks.results import Benchmark, save, write_readme
@@ -21,6 +21,7 @@ BENCHMARKS: dict[str, Benchmark] = {
     "estimators": estimators,
     "scaling": scaling,
     "search": search,
+    "genetic": genetic,
     "peers": peers,
 }
 FOLDER = Path(__file__).parent / "results"

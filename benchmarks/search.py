@@ -24,6 +24,7 @@ from pfdist import Job, load_job
 from pfdist.job import Execution
 from pfdist.kernels.noise import stream_key
 from pfdist.measurement_times import Times
+from pfdist.particle_filter import KERNEL_VERSION
 from pfdist.plots.style import BLUE, COLUMN_INCHES, GREEN, GREY, ORANGE, RED
 from pfdist.runner.build import build, make_pool
 from pfdist.runner.identity import estimations
@@ -154,7 +155,7 @@ def _jobs(problem: str, quick: bool) -> list[tuple[dict[str, Any], Job]]:
                     section["evaluation"] = {**section["evaluation"], "particles": particles}
                 job = load_job(file, [*changes, f"seed={seed}", f"search=[{_toml(section)}]"])
                 about = {"problem": problem, "search": name, "way": _label(settings, ways)}
-                key = f"{stream_key(job.identity(), estimations(build(job))):016x}"
+                key = f"{stream_key(KERNEL_VERSION, job.identity(), estimations(build(job))):016x}"
                 jobs.append(({**about, "seed": seed, "job": key}, job))
     return jobs
 

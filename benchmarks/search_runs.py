@@ -129,7 +129,7 @@ def fresh_costs(built: Built, pool: Pool, sets: Sequence[Times], rounds: int) ->
             break
         draws = (number * ROUND, (number + 1) * ROUND)
         wanted = list(dict.fromkeys([best, *wanted]))
-        mse = _filtered(built, pool, wanted, REPORT.stream(built.job.seed), draws)
+        mse = filtered(built, pool, wanted, REPORT.stream(built.job.seed), draws)
         for times, column in zip(wanted, mse.T, strict=True):
             known[times] = np.append(known[times], column)
     return pd.DataFrame([_row(times, mse, known[best]) for times, mse in known.items()]).assign(
@@ -142,7 +142,7 @@ def _winner(built: Built, pool: Pool, sets: Sequence[Times]) -> Times:
     state, rng = race.init(), np.random.default_rng(0)
     while not race.done(state):
         asked = race.ask(state, rng)
-        mse = _filtered(
+        mse = filtered(
             built, pool, [one.measurement_times for one in asked], stream, (0, state.draws)
         )
         columns = zip(asked, mse.T, strict=True)
@@ -151,14 +151,34 @@ def _winner(built: Built, pool: Pool, sets: Sequence[Times]) -> Times:
     return race.finalists(state)[0].measurement_times
 
 
-def _filtered(
-    built: Built, pool: Pool, sets: Sequence[Times], stream: int, draws: tuple[int, int]
+def filtered(
+    built: Built,
+    pool: Pool,
+    sets: Sequence[Times],
+    stream: int,
+    draws: tuple[int, int],
+    filter_streams: Sequence[int] = (),
 ) -> Array:
-    """Per-draw MSE of each set, (D, S)."""
+    """Per-draw MSE of each set on common draws, (D, S); under common noise unless told otherwise.
+
+    Parameters
+    ----------
+    built : Built
+    pool : Pool
+        Entered, of the same problem.
+    sets : sequence of tuples of int
+        S sets.
+    stream : int
+        Key of the draws, and of the noise of all filters.
+    draws : (int, int)
+        First draw, and the one after the last.
+    filter_streams : sequence of int, optional
+        Key of each filter's noise, (S,).
+    """
     work = Work(
         measurement_times=tuple(sets),
         ends=(built.job.problem.horizon,) * len(sets),
-        filter_streams=(stream,) * len(sets),
+        filter_streams=tuple(filter_streams) or (stream,) * len(sets),
         draws_stream=stream,
         draws=draws,
         estimation=built.comparing,
