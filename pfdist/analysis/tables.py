@@ -14,7 +14,7 @@ import pyarrow as pa
 from pfdist.analysis.budget import FOUND, budget_table, reaching
 from pfdist.analysis.gains import BLOCK, Comparison, gain_over_itself, relative_gain
 from pfdist.errors import StoreError
-from pfdist.store import Store, read_run
+from pfdist.store import Store, check_entries, read_run
 
 
 class Run:
@@ -43,7 +43,7 @@ class Run:
 
     def compared(self) -> pd.DataFrame:
         """One row a set that is compared: name, measurement times, what its search believed."""
-        return self._store.read("compared")
+        return self._store.compared()
 
     def comparison(self) -> pd.DataFrame:
         """One row a draw: draw, and mse_<name> for every set compared."""
@@ -266,6 +266,7 @@ def open_run(path: str | Path) -> Run:
     StoreError
         The folder holds no run, or one that cannot be read.
     """
+    check_entries(Path(path))
     return Run(Path(path))
 
 

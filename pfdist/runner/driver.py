@@ -71,7 +71,7 @@ def drive(built: Built, store: Store, pool: Pool, report: Report) -> None:
 
 def compared_sets(store: Store) -> dict[str, Times]:
     """Measurement times that are compared, by name, in their order."""
-    rows = store.read("compared")
+    rows = store.compared()
     return {
         str(name): tuple(int(time) for time in times)
         for name, times in zip(rows["name"], rows["measurement_times"], strict=True)

@@ -22,6 +22,7 @@ from pfdist.store import (
     SCHEMA_VERSION,
     Damage,
     Store,
+    check_entries,
     confirm,
     has_key,
     held,
@@ -62,6 +63,7 @@ def opened(path: Path, built: Built, say: Callable[[str], Any]) -> Iterator[Stor
     if not known and not holds_run(path):
         _check_free(path)
     with held(path):
+        check_entries(path)
         damages = list(store.manifest.damages()) if store.manifest.exists() else []
         about = [damage for damage in damages if str(damage.path) in ABOUT]
         if about and not known:

@@ -12,6 +12,7 @@ from pfdist.store import (
     holds_run,
     lacking_evaluations,
     read_run,
+    strange_entries,
     verify,
 )
 
@@ -40,13 +41,20 @@ def repair_run(path: Path) -> Iterator[str]:
     """
     store = _store(path)
     with held(path):
+        strange = [Damage(*entry) for entry in strange_entries(path)]
+        yield from _moved(store, strange)  # first: nothing is read past a link
         damages = list(store.manifest.damages())
-        for damage in damages:
-            place = store.manifest.quarantine(damage)
-            moved = f": it is now {place.relative_to(path)}" if place else ""
-            yield f"{damage.path} {damage.what}{moved}"
-        if damages:
+        yield from _moved(store, damages)
+        if strange or damages:
             yield f"the job, run again with --results {path}, makes it again: {_to_do(store)}"
+
+
+def _moved(store: Store, damages: list[Damage]) -> Iterator[str]:
+    """Move damaged files to quarantine, and say of each what was wrong and where it is now."""
+    for damage in damages:
+        place = store.manifest.quarantine(damage)
+        moved = f": it is now {place.relative_to(store.path)}" if place else ""
+        yield f"{damage.path} {damage.what}{moved}"
 
 
 def _to_do(store: Store) -> str:

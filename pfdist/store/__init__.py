@@ -19,6 +19,7 @@ from pfdist.store.lock import check_not_held, held
 from pfdist.store.manifest import Damage
 from pfdist.store.parquet import ROWS_IN_A_FILE, Store
 from pfdist.store.schema import SCHEMA_VERSION, comparison_schema, schema, trajectories_schema
+from pfdist.store.strange import check_entries, strange_entries
 from pfdist.store.verify import lacking_evaluations, verify
 
 __all__ = [
@@ -27,6 +28,7 @@ __all__ = [
     "SCHEMA_VERSION",
     "Damage",
     "Store",
+    "check_entries",
     "check_not_held",
     "comparison_schema",
     "confirm",
@@ -37,6 +39,7 @@ __all__ = [
     "read_run",
     "remove_file",
     "schema",
+    "strange_entries",
     "trajectories_schema",
     "verify",
     "write_file",

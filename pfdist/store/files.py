@@ -75,6 +75,12 @@ def write_file(path: Path, write: Callable[[Path], Any]) -> None:
     give_name(_prepare(path.parent, write, 0), path, replace=True)
 
 
+def make_folder(folder: Path) -> None:
+    """Make a folder and those above it, each flushed to disk in the folder that holds it."""
+    with _errors("make", folder):
+        _make_folder(folder)
+
+
 def touch(path: Path) -> None:
     """Make an empty file, whose name says it all."""
     with _errors("write", path):

@@ -6,13 +6,16 @@ import fcntl
 import json
 import os
 import socket
+import stat
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
 from pfdist.errors import StoreError
+from pfdist.store import files
 
 _LOCK = ".lock"
+_NO_FILE = {errno.ELOOP, errno.EISDIR, errno.ENXIO}
 _NO_LOCKS = {errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP}
 
 
@@ -28,9 +31,9 @@ def held(folder: Path) -> Iterator[None]:
     StoreError
         Another driver holds it; the error says who, and since when. Or it cannot be written to.
     """
+    files.make_folder(folder)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        lock = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT, 0o666)
+        lock = _opened(folder, os.O_RDWR | os.O_CREAT)
     except OSError as error:
         raise _cannot_lock(folder, error) from error
     try:
@@ -44,13 +47,42 @@ def held(folder: Path) -> Iterator[None]:
 def check_not_held(folder: Path) -> None:
     """Raise the `StoreError` of `held` if a driver holds a run's folder, and take nothing."""
     try:
-        lock = os.open(folder / _LOCK, os.O_RDONLY)
+        lock = _opened(folder, os.O_RDONLY)
     except OSError:  # no driver was ever here, or it is somebody else's run
         return
     try:
         _take(lock, fcntl.LOCK_SH, folder)
     finally:
         os.close(lock)
+
+
+def _opened(folder: Path, mode: int) -> int:
+    """Open the lock itself: never through a link, and without waiting where it is a pipe.
+
+    Raises
+    ------
+    StoreError
+        It is not a plain file.
+    OSError
+        It cannot be opened.
+    """
+    path = folder / _LOCK
+    try:
+        lock = os.open(path, mode | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)
+    except OSError as error:
+        if error.errno in _NO_FILE:
+            raise _no_file(path) from error
+        raise
+    if not stat.S_ISREG(os.fstat(lock).st_mode):
+        os.close(lock)
+        raise _no_file(path)
+    return lock
+
+
+def _no_file(path: Path) -> StoreError:
+    return StoreError(
+        f"{path} must be a plain file of this folder, got a link, a pipe or a folder: remove it"
+    )
 
 
 def _take(lock: int, kind: int, folder: Path) -> None:

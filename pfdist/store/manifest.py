@@ -7,6 +7,7 @@ which is not there yet is told from one that is gone; where it replaces another,
 """
 
 import errno
+import os
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ from pathlib import Path
 
 from pfdist.errors import StoreError
 from pfdist.store import files
+from pfdist.store.strange import strange_entries
 from pfdist.store.tables import signed_by
 
 FOLDER, QUARANTINE = "manifest", "quarantine"
@@ -98,11 +100,18 @@ class Manifest:
     def damages(self) -> Iterator[Damage]:
         """Read every file of the run and give those that are not what was committed.
 
+        Where the folder holds strange entries (see `pfdist.store.strange`), these alone are given:
+        nothing is read past them.
+
         Raises
         ------
         StoreError
             A file cannot be read.
         """
+        strange = [Damage(path, wrong) for path, wrong in strange_entries(self._folder)]
+        if strange:
+            yield from strange
+            return
         entries, stamps = self._entries(), self.stamps()
         present = {file.relative_to(self._folder) for file in self._files()}
         for path in sorted(present | entries.keys()):
@@ -111,22 +120,8 @@ class Manifest:
                     yield Damage(path, "is missing")
                 continue
             expected = {_own_stamp(path)} if path.parts[0] == "parts" else stamps.get(path, set())
-            if not any(map(_STAMP.fullmatch, expected)):
-                yield Damage(path, "is not a file of this run")
-                continue
-            try:
-                digest = files.digest(self._folder / path)
-            except FileNotFoundError:  # published meanwhile
-                continue
-            except OSError as error:
-                if error.errno != errno.EIO:  # the disk's fault, and not that of who asks
-                    raise StoreError(f"cannot read {path}: {error.strerror}") from error
-                yield Damage(path, f"cannot be read: {error.strerror}")
-                continue
-            if digest not in {stamp.partition("-")[2] for stamp in expected}:
-                yield Damage(path, "is not what was committed: its SHA-256 differs")
-            elif path.suffix == ".parquet" and (foreign := self._foreign(path)):
-                yield Damage(path, foreign)
+            if wrong := self._wrong(path, expected):
+                yield Damage(path, wrong)
 
     def quarantine(self, damage: Damage) -> Path | None:
         """Move a damaged file out of the way, never delete it; give its new place, if it was there.
@@ -134,24 +129,35 @@ class Manifest:
         It is expected from now on, if it is one that the run could have made.
         """
         path, folder = self._folder / damage.path, self._folder / QUARANTINE / damage.path.parent
-        if not path.exists():
+        if not os.path.lexists(path):
             return None
+        if damage.path.parts[0] in (FOLDER, QUARANTINE):
+            raise StoreError(f"{path} {damage.what}: pfdist moves nothing out of it; remove it")
         if damage.path.parts[0] == "tables" and _PUBLISHED.fullmatch(path.name):
             files.touch(self._entry(path) / _UNKNOWN)
         place, number = folder / path.name, 1
-        while place.exists():
+        while os.path.lexists(place):
             place, number = folder / f"{path.name}.{number}", number + 1
         files.move(path, place)
         return place
 
-    def _foreign(self, path: Path) -> str:
-        """What makes a file that of another run; empty if it belongs to this one."""
+    def _wrong(self, path: Path, expected: set[str]) -> str:
+        """What is wrong with a file that is there; empty if nothing."""
+        if not any(map(_STAMP.fullmatch, expected)):
+            return "is not a file of this run"
         try:
-            key = signed_by(self._folder / path)
+            digest = files.digest(self._folder / path)
+            if digest not in {stamp.partition("-")[2] for stamp in expected}:
+                return "is not what was committed: its SHA-256 differs"
+            key = signed_by(self._folder / path) if path.suffix == ".parquet" else self._run_key
         except FileNotFoundError:  # published meanwhile
             return ""
         except StoreError:
             return "is not a Parquet file"
+        except OSError as error:
+            if error.errno != errno.EIO:  # the disk's fault, and not that of who asks
+                raise StoreError(f"cannot read {path}: {error.strerror}") from error
+            return f"cannot be read: {error.strerror}"
         return "belongs to another run" if self._run_key not in (None, key) else ""
 
     def _entry(self, path: Path) -> Path:

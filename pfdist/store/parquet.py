@@ -12,6 +12,7 @@ A reader sees both as one. A phase may be published again and again with the sam
 process may die at any instant of it.
 """
 
+import re
 import time
 from collections import defaultdict
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
@@ -35,6 +36,8 @@ from pfdist.store.tables import cut_rows, read_file, signed
 ROWS_IN_A_FILE = {"draws": 1_000_000, "comparison": 50_000}
 _MANY = 1_000_000_000  # rows of the other tables: one file a phase
 _ATTEMPTS, _PAUSE_SECONDS = 50, 0.02  # another driver may be publishing what is read
+_LONGEST_NAME = 64  # a search's name and a number of measurements
+_NAME = re.compile(rf"[a-z][a-z0-9_]{{0,{_LONGEST_NAME - 1}}}")
 Found = TypeVar("Found")
 
 
@@ -124,6 +127,25 @@ class Store:
             raise StoreError(f"the run {self.path} has no table {table!r} yet")
         frame: pd.DataFrame = pd.concat([piece.to_pandas() for piece in pieces])
         return frame.drop_duplicates(KEYS[table]).sort_values(KEYS[table], ignore_index=True)
+
+    def compared(self) -> pd.DataFrame:
+        """Read the table of sets that are compared, and hold their names to the rule for names.
+
+        A name becomes part of columns and of files' names.
+
+        Raises
+        ------
+        StoreError
+            A name is not one that a job could have given; or as any reading.
+        """
+        rows = self.read("compared")
+        for name in rows["name"]:
+            if not (isinstance(name, str) and _NAME.fullmatch(name)):
+                raise StoreError(
+                    f"{self.path / 'tables' / 'compared'}: a name must be lower-case letters, "
+                    f"digits and underscores, at most {_LONGEST_NAME}, got {str(name)[:80]!r}"
+                )
+        return rows
 
     def has(self, table: str) -> bool:
         """Whether anything of a table was committed."""

@@ -1,0 +1,215 @@
+"""A run's folder may come from anywhere: nothing in it leads out of it, and nothing in it hangs."""
+
+import json
+import os
+import shutil
+import tarfile
+from collections.abc import Callable
+from pathlib import Path
+
+import pyarrow as pa
+import pytest
+
+import pfdist
+from oracles.bytes_of import hashes
+from pfdist import Job, load_job
+from pfdist.cli import main
+from pfdist.errors import StoreError
+from pfdist.store import Store, files, schema
+
+pytestmark = [pytest.mark.fault, pytest.mark.usefixtures("no_figures")]
+PROMISE = "damage is found"
+Record = Callable[[str, object], None]
+SMALL = ["search.genetic.generations=2", "search.random.evaluations=3", "comparison.draws=120"]
+COMMANDS = ["status {run}", "plot {run}", "verify {run}", "repair {run}", "why {run}"]
+RUN = "run {job} --results {run} --pool serial"
+
+
+@pytest.fixture(scope="module")
+def job(tmp_path_factory: pytest.TempPathFactory) -> Job:
+    path = tmp_path_factory.mktemp("job") / "small.toml"
+    path.write_text((Path(__file__).parents[1] / "small.toml").read_text())
+    return load_job(path, SMALL)
+
+
+@pytest.fixture(scope="module")
+def finished(job: Job, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return pfdist.run(job, tmp_path_factory.mktemp("runs") / "finished").path
+
+
+@pytest.fixture
+def run(finished: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(finished, tmp_path / "run")
+
+
+@pytest.fixture
+def outside(tmp_path: Path) -> Path:
+    """A folder that no command may change."""
+    folder = tmp_path / "outside"
+    folder.mkdir()
+    (folder / "thesis.svg").write_text("do not touch")
+    return folder
+
+
+def _link(entry: Path, target: Path) -> None:
+    if entry.is_dir() and not entry.is_symlink():
+        shutil.rmtree(entry)
+    entry.unlink(missing_ok=True)
+    entry.parent.mkdir(exist_ok=True)
+    entry.symlink_to(target)
+
+
+def _state(folder: Path) -> dict[str, bytes]:
+    return {str(path): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def _tables(run: Path) -> dict[str, str]:
+    return {path: sha256 for path, sha256 in hashes(run).items() if not path.startswith("figures")}
+
+
+def _said(command: str, run: Path, job: Job, capsys: pytest.CaptureFixture[str]) -> str:
+    """Refuse with one line on standard error, which is given."""
+    changes = " ".join(["--set", *SMALL]) if command == RUN else ""
+    words = f"{command.format(run=run, job=job.path)} {changes}".split()
+    assert main(words) == 1, words
+    error = capsys.readouterr().err
+    lines = [line for line in error.splitlines() if line.startswith("pfdist: ")]
+    assert len(lines) == 1, error
+    return lines[0]
+
+
+@pytest.mark.parametrize("command", [*COMMANDS[2:4], RUN])
+@pytest.mark.parametrize("kind", ["link", "pipe", "folder"])
+def test_a_lock_that_is_no_plain_file_is_refused(
+    kind: str,
+    command: str,
+    run: Path,
+    job: Job,
+    outside: Path,
+    capsys: pytest.CaptureFixture[str],
+    record_property: Record,
+) -> None:
+    (run / ".lock").unlink()
+    if kind == "link":
+        _link(run / ".lock", outside / "thesis.svg")
+    elif kind == "pipe":
+        os.mkfifo(run / ".lock")
+    else:
+        (run / ".lock").mkdir()
+    before = _state(outside)
+    assert ".lock" in _said(command, run, job, capsys)
+    assert _state(outside) == before
+    record_property("faults", f"{PROMISE}: 1")
+
+
+@pytest.mark.parametrize("command", [*COMMANDS[:3], RUN])
+@pytest.mark.parametrize(
+    "entry",
+    ["figures", "tables", "tables/comparison", "parts", "manifest", "quarantine", "run.json"],
+)
+def test_nothing_is_opened_through_a_link(
+    entry: str,
+    command: str,
+    run: Path,
+    job: Job,
+    outside: Path,
+    capsys: pytest.CaptureFixture[str],
+    record_property: Record,
+) -> None:
+    _link(run / entry, outside)
+    before = _state(outside)
+    if command.startswith("verify"):
+        assert main(["verify", str(run)]) == 1
+        assert f"{entry} is a link" in capsys.readouterr().out
+    else:
+        assert f"{run / entry} is a link" in _said(command, run, job, capsys)
+    assert _state(outside) == before
+    record_property("faults", f"{PROMISE}: 1")
+
+
+@pytest.mark.parametrize("entry", ["figures", "tables", "tables/comparison", "parts"])
+def test_repair_moves_a_link_and_the_run_goes_on(
+    entry: str, run: Path, finished: Path, job: Job, outside: Path, record_property: Record
+) -> None:
+    _link(run / entry, outside)
+    before = _state(outside)
+    assert main(["repair", str(run)]) == 0
+    assert (run / "quarantine" / entry).is_symlink()
+    assert _tables(pfdist.run(job, run).path) == _tables(finished)
+    assert _state(outside) == before
+    record_property("faults", f"{PROMISE}: 1")
+
+
+@pytest.mark.parametrize("kind", ["folder", "pipe"])
+@pytest.mark.parametrize("place", ["tables/draws", "parts/comparison"])
+def test_what_is_no_file_in_a_files_place_is_named_and_moved(
+    kind: str,
+    place: str,
+    run: Path,
+    finished: Path,
+    job: Job,
+    capsys: pytest.CaptureFixture[str],
+    record_property: Record,
+) -> None:
+    entry = run / place / "x.parquet"
+    entry.parent.mkdir(parents=True, exist_ok=True)
+    entry.mkdir() if kind == "folder" else os.mkfifo(entry)
+    assert f"{place}/x.parquet is" in _said("status {run}", run, job, capsys)
+    assert main(["repair", str(run)]) == 0
+    assert f"{place}/x.parquet is" in capsys.readouterr().out
+    assert main(["verify", str(run)]) == 0
+    assert _tables(pfdist.run(job, run).path) == _tables(finished)
+    record_property("faults", f"{PROMISE}: 1")
+
+
+@pytest.mark.parametrize("name", ["/../../x", "../x", "a/b", "", "A", "x" * 300, "a\nb"])
+def test_a_name_from_a_table_is_held_to_the_rule_for_names(
+    name: str, run: Path, job: Job, capsys: pytest.CaptureFixture[str], record_property: Record
+) -> None:
+    store, before = Store(run), {path.name for path in run.parent.iterdir()}
+    compared = store.read("compared")
+    compared.loc[1, "name"] = name
+    rows = pa.Table.from_pandas(compared, schema=schema("compared"), preserve_index=False)
+    store.publish("compared", "search", [rows])
+    assert "name" in _said("plot {run}", run, job, capsys)
+    assert {path.name for path in run.parent.iterdir()} == before
+    record_property("faults", f"{PROMISE}: 1")
+
+
+def test_an_archive_that_was_unpacked_is_as_safe(
+    run: Path, outside: Path, tmp_path: Path, job: Job, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _link(run / ".lock", outside / "thesis.svg")
+    with tarfile.open(tmp_path / "run.tar", "w") as archive:
+        archive.add(run, "run")
+    (tmp_path / "there").mkdir()
+    with tarfile.open(tmp_path / "run.tar") as archive:
+        archive.extractall(tmp_path / "there", filter="fully_trusted")
+    unpacked = tmp_path / "there" / "run"
+    assert (unpacked / ".lock").is_symlink()
+    _said("repair {run}", unpacked, job, capsys)
+    assert (outside / "thesis.svg").read_text() == "do not touch"
+
+
+def test_the_folders_above_a_new_run_are_flushed_to_disk(
+    job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flushed, flush = list[Path](), files._flush
+
+    def noted(path: Path, mode: int) -> None:
+        flushed.append(path)
+        flush(path, mode)
+
+    monkeypatch.setattr(files, "_flush", noted)
+    pfdist.run(job, tmp_path / "results" / "new")
+    assert {tmp_path, tmp_path / "results", tmp_path / "results" / "new"} <= set(flushed)
+
+
+def test_a_folder_of_results_may_be_a_link_itself(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "elsewhere").symlink_to(run)
+    assert main(["status", str(tmp_path / "elsewhere"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["state"] == "finished"
+    with pytest.raises(StoreError):
+        pfdist.open_run(tmp_path / "nowhere")
