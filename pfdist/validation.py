@@ -59,13 +59,12 @@ def _sentence(error: ErrorDetails, job: type[BaseModel]) -> str:
 
 
 def _allowed_keys(section: str, job: type[BaseModel]) -> list[str]:
-    """The keys of a section; a search's goes by its method."""
-    if section.startswith("search."):
-        return list(SEARCHES[section.removeprefix("search.")].model_fields)
-    if not section:
-        return list(job.model_fields)
+    """The keys of a section, by its dotted name; a search's section is named by its method."""
     kind: Any = job
-    for part in section.split("."):
+    parts = section.split(".") if section else []
+    if len(parts) > 1 and parts[0] == "search":
+        kind, parts = SEARCHES[parts[1]], parts[2:]
+    for part in parts:
         annotation = kind.model_fields[part].annotation
         kind = next(iter(get_args(annotation)), annotation)  # an optional section, or one
         if not (isinstance(kind, type) and issubclass(kind, BaseModel)):

@@ -91,6 +91,11 @@ MISTAKES = [
         "[filter]\nresampling = 'x'",
         r"resampling .* 'residual' or 'sorted_systematic', got",
     ),
+    (
+        'method = "genetic"',
+        'method = "genetic"\nevaluation = {drawz = 5}',
+        r"'drawz' in \[search\.genetic\.evaluation\], allowed: draws, noise, particles, resam",
+    ),
     ("[model]", "[model]\nparameters = {sd = '1'}", r"model\.parameters\.sd .* number, got '1' "),
     ("horizon = 10", "horizon = 0", r"problem\.horizon must .* 1, got 0 "),
     ("budget = 3", "budget = 1", r"problem\.measurement_budget must .* 2, got 1 "),
