@@ -5,6 +5,7 @@ References
 Bellman, "Dynamic programming", 1957.
 """
 
+from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -68,7 +69,7 @@ class Affordable:
 
     @property
     def _count(self) -> int:
-        """What a time more adds to a key: more than all distances together can take away."""
+        """What another time adds to a key: more than all distances together can take away."""
         return (len(self.price) + 1) ** 2
 
     @property
@@ -100,7 +101,7 @@ class Affordable:
         return keys
 
     def _followed_back(self, keys: Keys, spent: int, wanted: Times) -> Times:
-        """The times of the best set that spends so much, from the last to the first."""
+        """Find the times of the best set that spends so much, from the last to the first."""
         first, key = self._last_required, int(keys[self._last_required :, spent].max())
         stop, times = len(self.usable), list[int]()
         for target in reversed(wanted):
@@ -108,6 +109,7 @@ class Affordable:
             time = self.usable[place]
             times.append(time)
             spent, key = spent - self.price[time], key - self._count + abs(time - target)
-            first = max((self.usable.index(one) for one in self.required if one < time), default=0)
-            stop = sum(one <= time - self.spacing for one in self.usable)
+            before = [self.usable.index(taken) for taken in self.required if taken < time]
+            first = max(before, default=0)
+            stop = bisect_right(self.usable, time - self.spacing)
         return tuple(reversed(times))
