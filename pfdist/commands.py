@@ -4,13 +4,14 @@ import argparse
 import ast
 import dataclasses
 import json
+import sys
 import time
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from pfdist.analysis import finite, open_run
-from pfdist.display import Display, print_check, print_summary, print_why
+from pfdist.display import print_check, print_summary, print_why
 from pfdist.errors import (
     JobError,
     MeasurementTimesError,
@@ -22,6 +23,8 @@ from pfdist.errors import (
 from pfdist.job import load_job
 from pfdist.models import find_model, installed_models
 from pfdist.plots import draw_figures
+from pfdist.progress_display import Display
+from pfdist.rounding import rounded, with_error
 from pfdist.runner.budget import budget
 from pfdist.runner.check_model import Check, check_model
 from pfdist.runner.doctor import examine
@@ -92,20 +95,24 @@ def evaluate_command(options: argparse.Namespace) -> None:
     evaluation = evaluate(
         job, _times(options.times), options.draws, options.particles, options.seed
     )
+    broken = job.problem.feasible.broken(evaluation.measurement_times)
     answer = {
         "expected_mse": evaluation.expected_mse,
         "standard_error": evaluation.standard_error,
         "draws": evaluation.draws,
         "degenerate_draws": evaluation.degenerate_draws,
+        "broken_constraints": broken,
         "seconds": round(time.perf_counter() - start, 3),
     }
     if options.json:
         _print_json(answer)
         return
+    for constraint in broken:
+        print(f"pfdist: note: these times break a constraint: {constraint}", file=sys.stderr)
     if evaluation.exact is not None:
-        print(f"expected MSE {evaluation.exact:.4f} (exact)")
+        print(f"expected MSE {rounded(evaluation.exact)} (exact)")
         return
-    print(f"expected MSE {answer['expected_mse']:.4f} ± {answer['standard_error']:.4f}")
+    print(f"expected MSE {with_error(evaluation.expected_mse, evaluation.standard_error)}")
     print(
         f"{answer['draws']:,} draws, {answer['degenerate_draws']:,} degenerate, "
         f"{answer['seconds']:.1f} s"

@@ -105,6 +105,48 @@ class Constraints:
         kept = self.with_required(times)
         return self.spent(kept) <= self.total and self.together(kept)
 
+    def broken(self, times: Iterable[int]) -> list[str]:
+        """Give the constraints that a set of times in 0..T breaks, a sentence each.
+
+        Parameters
+        ----------
+        times : iterable of int
+
+        Returns
+        -------
+        list of str
+            Empty if the set keeps to all of them. Money that it leaves over breaks none.
+
+        Examples
+        --------
+        >>> Constraints(horizon=9, measurement_budget=2, forbidden=(4,)).broken([1, 4, 9])
+        ['problem.measurement_budget is 2, got 3 times', 'problem.forbidden: 4 is measured']
+        """
+        chosen = sorted({*times})
+        found, cost = list[str](), self.cost_of(chosen)
+        if self.measurement_budget not in (None, len(chosen)):
+            found.append(
+                f"problem.measurement_budget is {self.measurement_budget}, got {len(chosen)} times"
+            )
+        if self.total_cost is not None and cost > self.total_cost:
+            found.append(f"problem.total_cost is {self.total_cost}, got times that cost {cost}")
+        forbidden = [time for time in chosen if time in self.forbidden]
+        missing = [time for time in self.required if time not in chosen]
+        for name, wrong, is_ in (("forbidden", forbidden, ""), ("required", missing, "not ")):
+            if wrong:
+                verb = "is" if len(wrong) == 1 else "are"
+                listed = ", ".join(map(str, wrong))
+                found.append(f"problem.{name}: {listed} {verb} {is_}measured")
+        near = [f"{a} and {b}" for a, b in pairwise(chosen) if b - a < self.minimum_spacing]
+        if near:
+            spacing = self.minimum_spacing
+            found.append(f"problem.minimum_spacing is {spacing}, got {', '.join(near)}")
+        return found
+
+    def cost_of(self, times: Iterable[int]) -> int:
+        """Give what a set costs, in the unit of `cost`; its size where times are counted."""
+        return sum(self.cost[time] if self.cost else 1 for time in times)
+
     def affordable(self, times: Iterable[int]) -> list[int]:
         """Give the optional times that may be together with these and the required ones."""
         kept = self.with_required(times)

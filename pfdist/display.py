@@ -1,111 +1,16 @@
-"""What a person sees: the progress of a run, and summaries."""
+"""What a person reads: the summary of a run, what its measurements are worth, a model's checks."""
 
 import math
 import sys
-import time
-from types import TracebackType
-from typing import Any, Self
+import textwrap
+from typing import Any
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
-from rich.table import Column
-
+from pfdist.rounding import rounded, with_error, with_interval
 from pfdist.runner.check_model import Check
-from pfdist.runner.progress import Progress as State
+from pfdist.runner.why import CHANGES
 
-LINE_SECONDS = 5.0  # between two lines where there is no terminal
-
-
-class Display:
-    """Progress on standard error: live in a terminal, else a plain line every few seconds.
-
-    A context manager; `report` and `say` are what `pfdist.run` takes.
-    """
-
-    def __init__(self, console: Console | None = None) -> None:
-        self._console = console or Console(stderr=True, highlight=False)
-        self._bar = Progress(
-            BarColumn(bar_width=16),
-            TaskProgressColumn(),
-            TimeRemainingColumn(compact=True),
-            TextColumn("left"),
-            TextColumn("{task.description}", table_column=Column(no_wrap=True)),
-            console=self._console,
-            transient=True,
-        )
-        self._live = self._console.is_terminal
-        self._task: Any = None
-        self._phase = ""
-        self._phase_start, self._last_line = (0.0, 0, 0.0), 0.0
-        self._shown = -1.0  # how much was done at the last line
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if self._task is not None:
-            self._bar.stop()
-
-    def say(self, line: str) -> None:
-        """Print one line."""
-        self._console.print(line, soft_wrap=True)
-
-    def report(self, state: State) -> None:
-        """Show how far a run is."""
-        now = time.monotonic()
-        if state.phase != self._phase:
-            self._phase, self._phase_start = state.phase, (now, state.evaluations, state.done)
-        line = self._line(state, now)
-        if self._live:
-            if self._task is None:
-                self._task = self._bar.add_task(line, total=state.total, completed=int(state.done))
-                self._bar.start()
-            self._bar.update(self._task, completed=state.done, description=line)
-        elif now - self._last_line >= LINE_SECONDS or (
-            state.done == state.total and state.done != self._shown
-        ):
-            self._last_line, self._shown = now, state.done
-            self.say(f"{100 * state.done / state.total:5.1f} %  {line}  {self._left(state, now)}")
-
-    def _line(self, state: State, now: float) -> str:
-        start, evaluations, _ = self._phase_start
-        elapsed = now - start
-        rate = (state.evaluations - evaluations) / elapsed if elapsed > 0.5 else 0.0
-        unit = "evaluations" if state.generations else "draws"
-        parts = [state.phase]
-        if state.generations:
-            parts.append(f"generation {state.generation}/{state.generations}")
-        else:
-            parts.append(f"{state.evaluations:,} draws")
-        if state.best is not None and state.generations:
-            parts.append(f"best {state.best:.2f}")
-        if state.mean is not None and state.generations:
-            parts.append(f"mean {state.mean:.2f}")
-        for found in state.found[:1]:
-            mean, half = found.mean_relative_gain, (found.interval[1] - found.interval[0]) / 2
-            parts.append(
-                f"{found.name} gains {100 * mean:.2f} ± {100 * half:.2f} %, "
-                f"positive {100 * found.positive_fraction:.1f} %"
-            )
-        if rate:
-            parts.append(f"{rate:,.{1 if rate < 100 else 0}f} {unit}/s")
-        return "  ".join(parts)
-
-    def _left(self, state: State, now: float) -> str:
-        start, _, done = self._phase_start
-        if state.done <= done:
-            return ""
-        seconds = (now - start) / (state.done - done) * (state.total - state.done)
-        return (
-            f"about {seconds:,.0f} s left"
-            if seconds < 120
-            else f"about {seconds / 60:,.0f} min left"
-        )
+_COLUMNS = 80
+_EXACT = 1e-12  # of an exact value: less is the rounding of doubles
 
 
 def print_check(check: Check) -> None:
@@ -133,26 +38,41 @@ def _summary_text(summary: dict[str, Any], files: str) -> str:
     ]
     if any("kind" in result for result in summary["results"].values()):
         return "\n".join([*lines, *_budget_lines(summary), "", files])
+    reference = next(iter(summary["results"]), "")
     for name, result in summary["results"].items():
         times = ", ".join(map(str, result["measurement_times"]))
         lines += ["", f"{name}: measure at t = {times}"]
-        lines.append(
-            f"  expected MSE          {_number(result['expected_mse'])} "
-            f"± {_number(result['standard_error'])}  (standard error, on fresh draws)"
-        )
+        if name == reference:
+            lines += _reference_lines(result)
+        cost = with_error(_cost(result["expected_mse"]), result["standard_error"])
+        lines.append(_line("expected MSE", f"{cost}  (standard error, on fresh draws)"))
         if result["degenerate_draws"]:
-            lines.append(f"  degenerate draws      {result['degenerate_draws']:,} (left out)")
+            lines.append(_line("degenerate draws", f"{result['degenerate_draws']:,} (left out)"))
         if result["search_cost"] is not None:
             lines.append(_believed(result))
         if "mean_relative_gain" in result:
-            lines += _gain_lines(result)
+            noise = summary["results"][reference].get("gain_over_itself")
+            lines += _gain_lines(result, reference, noise)
         if "gain_over_itself" in result:
-            lines.append(
-                f"  gain over itself      {_percent(result['gain_over_itself'])}  "
-                f"(95 %: {_interval(result['gain_over_itself_interval'])}): what the filters' "
-                "noise alone does to a mean relative gain"
-            )
+            interval = result["gain_over_itself_interval"]
+            gain = _percent_of(result["gain_over_itself"], interval)
+            lines.append(_line("gain over itself", f"{gain}, from filter noise alone"))
     return "\n".join([*lines, "", files])
+
+
+def _line(name: str, text: str) -> str:
+    return f"  {name:<21} {text}"
+
+
+def _reference_lines(result: dict[str, Any]) -> list[str]:
+    """Say what the reference is, and which constraints of the job it breaks."""
+    facts = [("what it is", result["description"])]
+    facts += [("breaks", constraint) for constraint in result["broken_constraints"]]
+    return [
+        line
+        for name, text in facts
+        for line in textwrap.wrap(_line(name, text), _COLUMNS, subsequent_indent=_line("", ""))
+    ]
 
 
 def _budget_lines(summary: dict[str, Any]) -> list[str]:
@@ -160,7 +80,7 @@ def _budget_lines(summary: dict[str, Any]) -> list[str]:
     results = summary["results"].values()
     lines = [
         "",
-        f"expected MSE on fresh draws (95 %)\n{'N':>5}  {'regular times':>31}  found times",
+        f"expected MSE on fresh draws (95 %)\n{'N':>5}  {'regular times':>31}  {'found times':>31}",
     ]
     for number in sorted({one["measurements"] for one in results}):
         its = {one["kind"]: one for one in results if one["measurements"] == number}
@@ -192,7 +112,8 @@ def _believed_on_average(found: list[dict[str, Any]]) -> list[str]:
 
 
 def _cost_cell(result: dict[str, Any]) -> str:
-    cost, low, high = (_number(result[key]) for key in ("expected_mse", "low", "high"))
+    mse = _cost(result["expected_mse"])
+    cost, low, high = with_interval(mse, result["low"], result["high"])
     return f"{cost} ({low} to {high})"
 
 
@@ -218,36 +139,36 @@ def print_why(found: dict[str, Any]) -> None:
     lines = []
     for name, its in found["sets"].items():
         mse, error = its["expected_mse"], its["standard_error"]
-        margin = f" ± {_number(error)}" if found["draws"] else ""
-        decimals = min(12, max(0, 5 - math.ceil(math.log10(abs(mse))))) if mse else 3
+        rows = [_rises(row, mse or 0.0) for row in its["measurements"]]
+        width = max([17, *(len(rise) for row in rows for rise in row[1:])])
         lines += [
-            f"{name}: expected MSE {_number(mse)}{margin} ({draws})",
+            f"{name}: expected MSE {with_error(_cost(mse), error)} ({draws})",
             "  by how much it rises if a measurement is",
-            f"  {'t':>5}  {'removed':>17}  {'one earlier':>17}  {'one later':>17}",
         ]
-        for row in its["measurements"]:
-            rises = [
-                _rise(row[change], row[f"{change}_error"], decimals)
-                for change in ("removed", "earlier", "later")
-            ]
-            lines.append(f"  {row['t']:>5}  {'  '.join(f'{rise:>17}' for rise in rises)}".rstrip())
+        for row in [["t", "removed", "one earlier", "one later"], *rows]:
+            cells = "  ".join(f"{rise:>{width}}" for rise in row[1:])
+            lines.append(f"  {row[0]:>5}  {cells}".rstrip())
         lines.append("")
     print("\n".join(lines + found["figures"]))  # noqa: T201  its output
 
 
-def _rise(mean: float | None, error: float | None, decimals: int) -> str:
-    """Say nothing where there is no such instant, or another measurement is there."""
-    if mean is None or error is None:
-        return ""
-    return f"{mean:+.{decimals}f}" + (f" ± {error:.{decimals}f}" if error else "")
+def _rises(row: dict[str, Any], mse: float) -> list[str]:
+    """Give a measurement and its rises as text: of a shift that is impossible, nothing."""
+    cells = [str(row["t"])]
+    for change in CHANGES:
+        mean, error = row[change], row[f"{change}_error"]
+        rounded_off = error == 0.0 and mean is not None and abs(mean) < _EXACT * abs(mse)
+        mean = 0.0 if rounded_off else mean
+        cells.append("" if mean is None else with_error(mean, error, sign=True))
+    return cells
 
 
 def _believed(result: dict[str, Any]) -> str:
     """Say what the search believed, and how far that is from the truth (winner's curse)."""
     if result["search_standard_error"] == 0.0:
-        return f"  exactly               {_number(result['search_cost'])}, as the search knew"
-    line = f"  the search believed   {_number(result['search_cost'])} "
-    line += f"± {_number(result['search_standard_error'])}"
+        return _line("exactly", f"{rounded(result['search_cost'])}, as the search knew")
+    believed = with_error(result["search_cost"], result["search_standard_error"])
+    line = _line("the search believed", believed)
     excess = result["search_excess"]
     return line if excess is None else f"{line}, {_off(excess, result)}"
 
@@ -260,34 +181,67 @@ def _off(excess: float, result: dict[str, Any]) -> str:
     return f"{_percent(abs(excess))} {side} the fresh cost ({reasons})"
 
 
-def _gain_lines(result: dict[str, Any]) -> list[str]:
+def _gain_lines(result: dict[str, Any], reference: str, noise: float | None) -> list[str]:
+    """Give what was minimised first, then the paper's figures, and why the two disagree."""
+    gain, interval = result["gain_of_means"], result["gain_of_means_interval"]
+    side = "lower"
+    if gain is not None and gain < 0:
+        side, gain = "higher", -gain
+        interval = [None if end is None else -end for end in reversed(interval)]
+    value, low, high = with_interval(*(_times_100(part) for part in (gain, *interval)))
     quartiles = [result["quantiles"].get(share) for share in ("0.25", "0.5", "0.75")]
-    low, high = result["mean_log10_ratio_interval"]
-    return [
-        f"  mean relative gain    {_percent(result['mean_relative_gain'])}  "
-        f"(95 %: {_interval(result['mean_relative_gain_interval'])})",
-        f"  positive gains        {_percent(result['positive_fraction'])} of draws  "
-        f"(95 %: {_interval(result['positive_fraction_interval'])})",
-        f"  quartiles             {', '.join(map(_percent, quartiles))}",
-        f"  gain of means         {_percent(result['gain_of_means'])}  "
-        f"(95 %: {_interval(result['gain_of_means_interval'])})",
-        f"  mean log10 of ratio   {_log10(result['mean_log10_ratio'])}  "
-        f"(95 %: {_log10(low)} to {_log10(high)})",
+    positive = _percent_of(
+        result["positive_fraction"], result["positive_fraction_interval"], " of draws"
+    )
+    relative = _percent_of(result["mean_relative_gain"], result["mean_relative_gain_interval"])
+    log10, *ends = with_interval(result["mean_log10_ratio"], *result["mean_log10_ratio_interval"])
+    lines = [
+        _line(f"against {reference}", f"{value} % {side}  (95 %: {_to(low, high)}; gain of means)"),
+        _line("mean relative gain", relative),
+        _line("positive gains", positive),
+        _line("quartiles", ", ".join(_percent(quartile, 1) for quartile in quartiles)),
+        _line("mean log10 of ratio", f"{log10}  (95 %: {_to(*ends)})"),
     ]
+    return lines + (_why_gains_disagree(noise) if result["gains_disagree"] else [])
 
 
-def _number(value: float | None) -> str:
-    return "infinite" if value is None else f"{value:.4g}" if abs(value) < 0.1 else f"{value:.3f}"
+def _why_gains_disagree(noise: float | None) -> list[str]:
+    """Say why the mean relative gain is not the gain of means.
+
+    Parameters
+    ----------
+    noise : float or None
+        The reference's gain over itself, if it is known.
+    """
+    why = "a relative gain weighs a draw with a small error as much as a draw with a large error"
+    if noise is None:
+        why += ", and the noise of the filters biases its mean low"
+    elif noise:
+        why += f", and the noise of the filters alone gives it a mean of {_percent(noise)}"
+    told = f"The two gains differ: {why}."
+    return textwrap.wrap(told, _COLUMNS, initial_indent="  ", subsequent_indent="  ")
 
 
-def _percent(fraction: float | None) -> str:
-    return "unknown" if fraction is None else f"{100 * fraction:.2f} %"
+def _cost(value: float | None) -> float:
+    """An expected MSE of a summary, where what is infinite is None."""
+    return math.inf if value is None else value
 
 
-def _log10(value: float | None) -> str:
-    return "unknown" if value is None else f"{value:.4f}"
+def _times_100(fraction: float | None) -> float | None:
+    return None if fraction is None else 100 * fraction
 
 
-def _interval(interval: list[float | None]) -> str:
-    low, high = interval
-    return f"{_percent(low)} to {_percent(high)}"
+def _percent(fraction: float | None, decimals: int = 2) -> str:
+    if fraction is None:
+        return "unknown"
+    per_cent = 100 * fraction
+    return f"{per_cent:.{decimals}f} %" if abs(per_cent) < 1e6 else f"{rounded(per_cent, 3)} %"
+
+
+def _percent_of(fraction: float | None, interval: list[float | None], what: str = "") -> str:
+    value, low, high = with_interval(*(_times_100(part) for part in (fraction, *interval)))
+    return f"{value} %{what}  (95 %: {_to(low, high)})"
+
+
+def _to(low: str, high: str) -> str:
+    return low if low == high == rounded(None) else f"{low} to {high}"

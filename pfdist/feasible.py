@@ -4,11 +4,12 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property
 from heapq import merge
-from itertools import accumulate, chain, combinations, pairwise
+from itertools import chain, combinations, pairwise
 from math import comb
 
 import numpy as np
 
+from pfdist.affordable import Affordable
 from pfdist.completions import Completions
 from pfdist.constraints import Constraints
 from pfdist.measurement_times import Times, nearest, random, regular
@@ -60,20 +61,15 @@ class Feasible(Constraints):
         """Give the regular times, or what comes nearest to them.
 
         With N measurements they are those of the paper's equation 13, or if these are not feasible
-        the set that is nearest to them (see `pfdist.measurement_times.nearest`). With money they
-        are such a set of the largest N that can be paid for, and whatever else what is left over
-        buys, each time as far from the others as can be.
+        the set that is nearest to them (see `pfdist.measurement_times.nearest`). With money, of
+        the sets that spend as much as any can, those with the most measurements are looked at, and
+        the nearest to regular times is given (see `pfdist.affordable.Affordable.nearest`).
         """
-        if self.counted:
-            return self._nearest_regular(self.total)
-        cheapest = accumulate(sorted(self.price[time] for time in self.optional))
-        most = sum(sum_ <= self.total - self.spent(self.required) for sum_ in cheapest)
-        most = min(len(self.required) + most, self.room(()))
-        for number in range(most, len(self.required), -1):
-            times = self._nearest_regular(number)
-            if self.spent(times) <= self.total:
-                return self._filled(times)
-        return self._filled(self.required)
+        return self._nearest_regular
+
+    def is_regular(self, times: Times) -> bool:
+        """Whether times are the regular ones of their number (equation 13), feasible or not."""
+        return times == self._wanted(len(times))
 
     def additions(self, times: Times) -> list[Times]:
         """Give what one time more makes of a set, as long as one of them can still come of it."""
@@ -227,12 +223,20 @@ class Feasible(Constraints):
         held = self.with_required(packed[: self.total - len(self.required)])
         return held if len(held) == self.total else None
 
-    def _nearest_regular(self, number: int) -> Times:
-        middle = ((self.horizon + 1) // 2,)  # of one time, for which the formula divides by zero
-        wanted = regular(self.horizon, number) if number > 1 else middle[:number]
+    def _wanted(self, number: int) -> Times:
+        """Give regular times, feasible or not; for N = 1, where the formula fails, the middle."""
+        return regular(self.horizon, number) if number > 1 else ((self.horizon + 1) // 2,)[:number]
+
+    @cached_property
+    def _nearest_regular(self) -> Times:
+        spacing = self.minimum_spacing
+        if not self.counted:
+            affordable = Affordable(self.allowed, self.required, spacing, self.price, self.total)
+            return affordable.nearest(self._wanted)
+        wanted = self._wanted(self.total)
         if self.together(wanted) and {*self.required}.issubset(wanted):
             return wanted
-        return nearest(wanted, self.allowed, self.required, self.minimum_spacing)
+        return nearest(wanted, self.allowed, self.required, spacing)
 
     def _near(self, time: int, reach: int | None) -> Times:
         if reach is None:

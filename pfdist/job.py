@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
 import tomli_w
-from pydantic import Field, PrivateAttr, ValidationError, model_validator
+from pydantic import Field, PrivateAttr, ValidationError, field_validator, model_validator
 
 from pfdist.errors import JobError, MeasurementTimesError
 from pfdist.feasible import Feasible
+from pfdist.measurement_times import Times, validated
 from pfdist.overrides import override
 from pfdist.problem import ProblemSection
 from pfdist.search_sections import (
@@ -24,7 +25,9 @@ from pfdist.search_sections import (
 )
 from pfdist.validation import explained
 
-REFERENCE: Final = "regular"
+REGULAR: Final = "regular"
+GIVEN: Final = "reference"
+RESERVED: Final = (REGULAR, GIVEN, "comparison")  # names that no search may have
 _NO_SECTIONS: Mapping[str, Any] = {}
 
 
@@ -68,11 +71,33 @@ class Until(Section):
 
 
 class Comparison(Section):
-    """The found times against the reference, on the same fresh draws."""
+    """The found times against the reference, on the same fresh draws.
+
+    The reference is the regular times, or whatever set is nearest to them, or a set of any times
+    in 0..T, feasible or not.
+    """
 
     draws: Annotated[int, Field(ge=2, le=100_000_000)] = 100_000
     until: Until = Until()
-    reference: Literal["regular"] = REFERENCE
+    reference: Literal["regular"] | Times = REGULAR
+
+    @field_validator("reference", mode="before")
+    @classmethod
+    def _is_regular_or_times(cls, value: Any) -> Any:
+        if value == REGULAR:
+            return value
+        whole = isinstance(value, (list, tuple)) and all(type(time) is int for time in value)
+        if not whole:
+            raise ValueError(
+                f"comparison.reference must be {REGULAR!r} or a list of times, for instance "
+                f"[0, 3, 6], got {value!r}"
+            )
+        return tuple(sorted(value))
+
+    @property
+    def reference_name(self) -> str:
+        """Name of the reference in tables and figures."""
+        return REGULAR if self.reference == REGULAR else GIVEN
 
 
 class Budget(Section):
@@ -108,13 +133,17 @@ class Job(Section):
 
     @model_validator(mode="after")
     def _names_differ(self) -> Self:
-        names = [REFERENCE, "comparison", *(search.name for search in self.search)]
-        twice = [name for name in names if names.count(name) > 1]
-        if twice:
-            raise ValueError(
-                f"search: every name must be another one, and none {REFERENCE!r} or 'comparison', "
-                f'got {twice[0]!r} twice: give one of them name = "..."'
-            )
+        names = [search.name for search in self.search]
+        for name in names:
+            if name in RESERVED:
+                raise ValueError(
+                    f"search names must not be {', '.join(map(repr, RESERVED))}, got {name!r}"
+                )
+            if names.count(name) > 1:
+                raise ValueError(
+                    f"search names must be unique, got {name!r} twice: give one of these searches "
+                    'name = "..."'
+                )
         return self
 
     @model_validator(mode="after")
@@ -122,6 +151,10 @@ class Job(Section):
         if self.budget is None:
             return self
         least, most = self.budget.least, self.budget.most
+        if self.comparison.reference != REGULAR:
+            raise ValueError(
+                f"budget needs comparison.reference = {REGULAR!r}, got a single set of times"
+            )
         if least > most:
             raise ValueError(f"budget.least must be at most budget.most = {most}, got {least}")
         if not self.problem.feasible.counted:
@@ -136,6 +169,16 @@ class Job(Section):
                 self.feasible(number)
             except MeasurementTimesError as error:
                 raise ValueError(f"budget of {number} measurements: {error}") from error
+        return self
+
+    @model_validator(mode="after")
+    def _reference_is_of_this_horizon(self) -> Self:
+        reference = self.comparison.reference
+        if not isinstance(reference, str):
+            try:
+                validated(reference, self.problem.horizon, "comparison.reference")
+            except MeasurementTimesError as error:
+                raise ValueError(str(error)) from error
         return self
 
     def feasible(self, measurement_budget: int) -> Feasible:

@@ -12,6 +12,7 @@ import pytest
 import pfdist
 from pfdist import Job
 from pfdist.cli import main
+from pfdist.rounding import with_error
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +55,7 @@ def test_run_and_status_print_the_same_json_and_nothing_else(
         "mean_log10_ratio_interval",
         "quantiles",
         "search_excess",
+        "gains_disagree",
     }
     assert both <= set(regular)
     assert both | gains <= set(genetic)
@@ -71,8 +73,10 @@ def test_the_summary_says_what_a_person_wants_to_know(
     for words in (
         "finished, 34 evaluations, 250 draws compared",
         "regular: measure at t = 0, 4, 8, 12",
+        "what it is            regular times (N = 4)",
         "expected MSE",
         "±",
+        "against regular",
         "mean relative gain",
         "positive gains",
         "gain of means",
@@ -92,12 +96,50 @@ def test_evaluate_prints_json(finished: Path, capsys: pytest.CaptureFixture[str]
     assert main(shlex.split(command)) == 0
     answer = json.loads(capsys.readouterr().out)
     assert set(answer) == {
-        "expected_mse", "standard_error", "draws", "degenerate_draws", "seconds",
+        "expected_mse", "standard_error", "draws", "degenerate_draws", "broken_constraints",
+        "seconds",
     }  # fmt: skip
     expected = pfdist.evaluate(_job(finished), (0, 4, 8), draws=50, particles=30, seed=9)
     assert answer["expected_mse"] == expected.expected_mse
     assert answer["standard_error"] == expected.standard_error
     assert (answer["draws"], answer["degenerate_draws"]) == (50, 0)
+    assert answer["broken_constraints"] == ["problem.measurement_budget is 4, got 3 times"]
+
+
+def test_evaluate_names_the_constraints_that_are_broken_and_evaluates_all_the_same(
+    finished: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    changes = "--set problem.forbidden=[3] problem.required=[6] problem.minimum_spacing=2"
+    command = f"evaluate {_job(finished)} --draws 20 {changes} --times"
+    assert main(shlex.split(f"{command} 0,2,3,9")) == 0
+    captured = capsys.readouterr()
+    assert re.match(r"expected MSE [\d.]+ ± [\d.]+\n20 draws", captured.out)
+    note = "pfdist: note: these times break a constraint: problem"
+    assert captured.err.splitlines() == [
+        f"{note}.forbidden: 3 is measured",
+        f"{note}.required: 6 is not measured",
+        f"{note}.minimum_spacing is 2, got 2 and 3",
+    ]
+    assert main(shlex.split(f"{command} 0,2,6,9")) == 0
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("scale", "printed"),
+    [("1e-3", r"\d\.\d{1,2}e-\d\d|\(\d\.\d+ ± \d\.\d+\)e-0\d"), ("1e54", r"\(.* ± .*\)e\+1\d\d")],
+)
+def test_evaluate_prints_small_and_large_errors_with_two_digits(
+    scale: str, printed: str, small_job: Job, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (small_job.path.parent / "mine.py").write_text(
+        "import dataclasses\nfrom pfdist.models.random_walk import model\n"
+        "model = dataclasses.replace(model, linear_gaussian=False,\n"
+        f"    quantity_of_interest=lambda x, t, p: (x[0] * {scale},))\n"
+    )
+    command = ["evaluate", str(small_job.path), "--times", "0,4,8,12"]
+    assert main([*command, "--set", "model.name=mine.py:model"]) == 0
+    first, _ = capsys.readouterr().out.splitlines()
+    assert re.fullmatch(f"expected MSE ({printed})", first)
 
 
 @pytest.mark.usefixtures("no_figures")
@@ -109,7 +151,7 @@ def test_what_is_known_exactly_is_said_to_be(
     assert main(shlex.split(f"evaluate {job} --times 0,4 {exact}")) == 0
     assert re.fullmatch(r"expected MSE \d\.\d{4} \(exact\)\n", capsys.readouterr().out)
     assert main(shlex.split(f"plan {job} --results {run} {exact}")) == 0
-    assert re.search(r"\n  exactly +\d\.\d{3}, as the search knew\n", capsys.readouterr().out)
+    assert re.search(r"\n  exactly +\d\.\d{4}, as the search knew\n", capsys.readouterr().out)
 
 
 def test_what_is_infinite_is_null_in_json(
@@ -213,11 +255,12 @@ def test_without_a_terminal_progress_is_plain_lines(
     assert lines[-1].startswith("100.0 %  comparison  250 draws")
     assert "\x1b" not in "".join(lines)  # no escape codes
     found = pfdist.open_run(tmp_path / "run").summary()["results"]["genetic"]
-    low, high = found["mean_relative_gain_interval"]
-    assert (
-        f"genetic gains {100 * found['mean_relative_gain']:.2f} ± {50 * (high - low):.2f} %, "
-        f"positive {100 * found['positive_fraction']:.1f} %"
-    ) in lines[-1]
+    (low, high), (least, most) = (
+        found[f"{gain}_interval"] for gain in ("gain_of_means", "mean_relative_gain")
+    )
+    of_means = with_error(100 * found["gain_of_means"], 50 * (high - low))
+    relative = with_error(100 * found["mean_relative_gain"], 50 * (most - least))
+    assert f"genetic: MSE {of_means} % lower, relative gain {relative} %" in lines[-1]
 
 
 def test_to_read_a_run_runs_no_code_of_it(

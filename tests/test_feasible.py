@@ -91,6 +91,18 @@ def test_it_gives_every_set_once_in_order_and_accepts_these_alone(case: Any) -> 
 
 @quick
 @given(possible())
+def test_sets_that_may_be_chosen_break_none_and_those_that_break_none_may_be(case: Any) -> None:
+    feasible, every = case
+    whole = [times for times in subsets(feasible.horizon) if not feasible.broken(times)]
+    assert set(every) <= set(whole)
+    if feasible.counted:
+        assert sorted(whole) == every
+    else:  # what is left over may pay for more, which no choice leaves out
+        assert all(any(set(times) <= set(other) for other in every) for times in whole)
+
+
+@quick
+@given(possible())
 def test_additions_are_those_of_which_a_set_can_come(case: Any) -> None:
     feasible, every = case
     for times in subsets(feasible.horizon):
@@ -162,18 +174,40 @@ def test_regular_times_are_the_nearest_set_to_the_papers(case: Any) -> None:
 
 @quick
 @given(possible())
-def test_where_times_cost_money_they_hold_the_nearest_of_the_largest_number_paid_for(
+def test_where_times_cost_money_regular_ones_spend_the_most_on_the_most_measurements(
     case: Any,
 ) -> None:
-    feasible, _ = case
-    assume(not feasible.counted and not feasible.required)
-    of_number = {"forbidden": feasible.forbidden, "minimum_spacing": feasible.minimum_spacing}
-    for number in range(feasible.horizon + 1, 1, -1):
-        if every_set(feasible.horizon, number, **of_number):
-            times = Feasible(feasible.horizon, number, **of_number).regular()
-            if sum(feasible.cost[time] for time in times) <= feasible.total_cost:
-                assert set(times) <= set(feasible.regular())
-                return
+    feasible, every = case
+    assume(not feasible.counted)
+
+    def rank(times: Times) -> tuple[int, int, int, Times]:
+        wanted = ((feasible.horizon + 1) // 2,)
+        if len(times) > 1:
+            wanted = regular(feasible.horizon, len(times))
+        distance = sum(abs(a - b) for a, b in zip(times, wanted, strict=True))
+        return -sum(feasible.cost[t] for t in times), -len(times), distance, times[::-1]
+
+    assert feasible.regular() == min(every, key=rank)
+
+
+@pytest.mark.parametrize("price", [1, 3])
+@pytest.mark.parametrize("number", [1, 2, 5, 13, 21, 61])
+def test_where_all_times_cost_the_same_regular_ones_are_those_of_as_many(
+    number: int, price: int
+) -> None:
+    left_over = price - 1
+    paid = Feasible(60, cost=(price,) * 61, total_cost=number * price + left_over)
+    assert paid.regular() == Feasible(60, number).regular()
+
+
+@pytest.mark.parametrize(
+    "given_", [{"forbidden": tuple(range(20, 31))}, {"required": (7, 40)}, {"minimum_spacing": 5}]
+)
+def test_at_one_price_constraints_move_them_as_they_do_where_they_are_counted(
+    given_: dict[str, Any],
+) -> None:
+    paid = Feasible(60, cost=(2,) * 61, total_cost=20, **given_)
+    assert paid.regular() == Feasible(60, 10, **given_).regular()
 
 
 @quick
@@ -231,9 +265,17 @@ def test_exchanges_lead_from_every_set_to_every_other(given_: dict[str, Any]) ->
     assert len(reached) == feasible.size
 
 
-def test_what_regular_times_leave_over_buys_times_far_from_the_others() -> None:
+def test_regular_times_leave_no_money_over_where_it_can_be_spent() -> None:
     early_is_cheap = Feasible(12, cost=(1,) * 6 + (2,) * 7, total_cost=7)
-    assert early_is_cheap.regular() == (0, 2, 4, 8, 12)  # of 0, 4, 8, 12 and one that costs 1
+    assert early_is_cheap.regular() == (0, 2, 3, 4, 5, 12)  # 6 at most; wanted: 0, 2, 5, 7, 10, 12
+
+
+def test_regular_times_for_money_are_found_at_once_among_very_many() -> None:
+    rng = np.random.default_rng(1)
+    feasible = Feasible(500, cost=tuple(rng.integers(1, 50, 501).tolist()), total_cost=3000)
+    times = feasible.regular()
+    assert feasible.accepts(times)
+    assert feasible.cost_of(times) == 3000
 
 
 def test_those_nearest_to_a_time_that_costs_too_much_give_way_to_it() -> None:

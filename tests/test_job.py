@@ -132,8 +132,14 @@ MISTAKES = [
     ('"genetic"', '"genetic"\nmutation_probability = 1.5', r"_probability must .* 1, got 1\.5 "),
     ('"random"', '"random"\nevaluations = 0', r"search\.random\.evaluations must .* 1, got 0 "),
     ('"random"', '"random"\nname = "My"', r"search\.random\.name must .*a-z.*, got 'My' "),
-    ('"random"', '"random"\nname = "regular"', r"search: every name .* got 'regular' twice"),
-    ('"random"', '"genetic"', r"search: every name .* got 'genetic' twice"),
+    ('"random"', '"random"\nname = "regular"', r"names must not be 'regular', .* got 'regular' "),
+    ('"random"', '"random"\nname = "reference"', r"names must not be .* got 'reference' "),
+    ('"random"', '"genetic"', r"search names must be unique, got 'genetic' twice"),
+    ("[comparison]", "[comparison]\nreference = 3", r"reference must be 'regular' or a list .* 3 "),
+    ("[comparison]", "[comparison]\nreference = 'even'", r"reference must be .* got 'even' "),
+    ("[comparison]", "[comparison]\nreference = [0.5]", r"reference must be .* got \[0\.5\] "),
+    ("[comparison]", "[comparison]\nreference = [2, 11]", r"0\.\.10, got 11 \(comparison\.ref"),
+    ("[comparison]", "[comparison]\nreference = [2, 2]", r"got 2 twice \(comparison\.reference"),
     ("seed = 1", "seed = ", r"must be TOML, .* line 2"),
 ]
 
@@ -193,6 +199,15 @@ def test_overrides_change_the_keys_they_name(write):
 def test_a_mistake_in_an_override_is_named(write, override, message):
     with pytest.raises(JobError, match=message):
         load_job(write(), [override])
+
+
+def test_any_set_may_be_the_reference_in_any_order(write):
+    in_file = load_job(write("[comparison]", "[comparison]\nreference = [6, 0, 3]"))
+    given = load_job(write(), ["comparison.reference=[0, 3, 6]"])
+    assert in_file.comparison.reference == given.comparison.reference == (0, 3, 6)
+    assert in_file.identity() == given.identity() != load_job(write()).identity()
+    assert load_job(write()).comparison.reference_name == "regular"
+    assert given.comparison.reference_name == "reference"
 
 
 def test_with_changes_leaves_the_job_as_it_was(write):

@@ -19,6 +19,7 @@ from pfdist.analysis.moments import CONFIDENCE, UNKNOWN, Array, Interval, Moment
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 BIN = 0.001
+_MUCH = 0.05  # by which two gains differ, where that wants a word
 BLOCK = 10_000
 """Draws that are added at a time, everywhere: another block would give other last digits."""
 
@@ -67,6 +68,19 @@ class GainSummary:
     mean_log10_ratio: float
     mean_log10_ratio_interval: Interval
     quantiles: dict[float, float]
+
+    @property
+    def disagree(self) -> bool:
+        """Whether the mean relative gain and the gain of means tell different stories.
+
+        Their intervals lie apart, and the two differ in sign or by more than 5 percentage points.
+        """
+        relative, means = self.mean_relative_gain_interval, self.gain_of_means_interval
+        if not all(map(math.isfinite, (*relative, *means))):
+            return False
+        apart = relative[1] < means[0] or means[1] < relative[0]
+        different = abs(self.mean_relative_gain - self.gain_of_means) > _MUCH
+        return apart and (different or self.mean_relative_gain * self.gain_of_means < 0)
 
 
 def relative_gain(mse: Array, reference: Array) -> Array:
@@ -129,6 +143,18 @@ class Gain:
         """Of the mean relative gain."""
         return self.relative.interval
 
+    @property
+    def of_means(self) -> float:
+        """1 - E[mse] / E[mse of the reference]."""
+        mean, mean_reference = np.array(self.errors.x.mean), np.array(self.errors.y.mean)
+        return float(relative_gain(mean, mean_reference))
+
+    @property
+    def of_means_interval(self) -> Interval:
+        """Of the gain of means: 95 %, Fieller's."""
+        low, high = self.errors.ratio_interval
+        return (1.0 - high, 1.0 - low)
+
     def quantile(self, share: float) -> float:
         """Gain below which a share of the draws lies: `numpy.quantile`, but for a bin's width."""
         rank = share * (self.relative.count - 1)
@@ -156,16 +182,14 @@ class Gain:
             return GainSummary(0, *nothing, *nothing, *nothing, *nothing, {})
         positive = stats.binomtest(self.positive, count)
         wilson = positive.proportion_ci(CONFIDENCE, method="wilson")
-        mean, mean_reference = np.array(self.errors.x.mean), np.array(self.errors.y.mean)
-        low, high = self.errors.ratio_interval
         return GainSummary(
             draws=count,
             mean_relative_gain=self.relative.mean,
             mean_relative_gain_interval=self.interval,
             positive_fraction=float(positive.statistic),
             positive_fraction_interval=(float(wilson.low), float(wilson.high)),
-            gain_of_means=float(relative_gain(mean, mean_reference)),
-            gain_of_means_interval=(1.0 - high, 1.0 - low),
+            gain_of_means=self.of_means,
+            gain_of_means_interval=self.of_means_interval,
             mean_log10_ratio=self.log10_ratio.mean,
             mean_log10_ratio_interval=self.log10_ratio.interval,
             quantiles={share: self.quantile(share) for share in QUANTILES},

@@ -13,6 +13,7 @@ import pyarrow as pa
 
 from pfdist.analysis.budget import FOUND, budget_table, reaching
 from pfdist.analysis.gains import BLOCK, Comparison, gain_over_itself, relative_gain
+from pfdist.analysis.reference import described
 from pfdist.errors import StoreError
 from pfdist.store import Store, check_entries, read_run
 
@@ -160,10 +161,12 @@ class Run:
             ``state``, ``run``, ``evaluations`` (copies counted), ``draws_compared`` and
             ``results``: by name, measurement_times, expected_mse, standard_error,
             degenerate_draws, search_cost and search_standard_error; for the reference
-            gain_over_itself (see `pfdist.analysis.gains.gain_over_itself`) with its interval and
-            draws; for the others search_excess (search_cost over expected_mse, less 1),
-            search_estimation (how its estimate differs, draws aside) and the fields of
-            `GainSummary`.
+            description (what it is), broken_constraints (see
+            `pfdist.constraints.Constraints.broken`) and gain_over_itself (see
+            `pfdist.analysis.gains.gain_over_itself`) with its interval and draws; for the others
+            search_excess (search_cost over expected_mse, less 1), search_estimation (how its
+            estimate differs, draws aside), the fields of `GainSummary` and gains_disagree
+            (`GainSummary.disagree`).
             Fractions, not per cent; what is infinite or unknown is None. Of a run for several
             numbers of measurements the results are the rows of `budget`, and for those found
             search_excess and search_estimation.
@@ -204,10 +207,12 @@ class Run:
                 "search_standard_error": float(entry["search_standard_error"]),
             }
             if entry["name"] == self.names[0]:
-                result |= self._over_itself()
+                times = tuple(result["measurement_times"])
+                result |= described(self.job, self.names[0], times) | self._over_itself()
             else:
                 result |= self._belief(str(entry["name"]), result)
-                gain = asdict(statistics.gains[entry["name"]].summary())
+                summary = statistics.gains[entry["name"]].summary()
+                gain = asdict(summary) | {"gains_disagree": summary.disagree}
                 gain["quantiles"] = {str(key): value for key, value in gain["quantiles"].items()}
                 result |= {"gain_draws": gain.pop("draws"), **gain}
             results[str(entry["name"])] = result
@@ -235,6 +240,11 @@ class Run:
             "search_excess": result["search_cost"] / mse - 1.0 if comparable else math.nan,
             "search_estimation": self.own_estimation(search),
         }
+
+    @property
+    def knows_estimations(self) -> bool:
+        """Whether the run says how each search estimated, which older runs do not of "auto"."""
+        return "estimations" in self._about
 
     def own_estimation(self, search: str) -> dict[str, Any]:
         """How a search estimates otherwise than the comparison: particles, resampling, estimator.

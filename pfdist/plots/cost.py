@@ -15,10 +15,10 @@ def plot_cost(
     axes: Axes,
     evaluations: pd.DataFrame,
     curves: Mapping[str, Curve],
-    notes: Mapping[str, str],
-    regular: float,
+    reference: tuple[str, float] | None,
+    title: str = "",
 ) -> None:
-    """Draw the cost that every search has come to against its number of evaluations.
+    """Draw the cost that searches have come to against their numbers of evaluations.
 
     Parameters
     ----------
@@ -26,24 +26,34 @@ def plot_cost(
     evaluations : DataFrame
         The table of that name.
     curves : mapping of str to callable
-        By the name of a search, what is drawn of it: one of those of this module.
-    notes : mapping of str to str
-        By the name of a search, what is to be said of its costs; may be empty.
-    regular : float
-        Expected MSE of the regular times, for a line.
+        By the name of a search, what is drawn of it: a function of this module. All of these
+        searches estimate the expected MSE in the same way.
+    reference : (str, float) or None
+        What the reference is called and its expected MSE, for a line; None where the searches
+        estimate otherwise than the comparison, so that their costs cannot be held against it.
+    title : str
+        How these searches estimate, if that is to be said.
     """
     styles = {"average": "-", "minimum": "--", "best so far": "--", "best of a step": "--"}
     for colour, (name, curve_of) in zip(SERIES * 9, curves.items(), strict=False):
         curve = curve_of(evaluations[evaluations["phase"] == name])
         for kind, costs in curve.items():
-            label, note = f"{name}, {kind}", notes[name]
-            label = f"{label}\n({note})" if note else label
+            label = f"{name}, {kind}"
             axes.plot(costs.index, costs, color=colour, ls=styles[str(kind)], label=label)
-    axes.axhline(regular, color=GREY, lw=0.9, ls=":", label="regular times")
+    if reference is not None:
+        label, mse = reference
+        axes.axhline(mse, color=GREY, lw=0.9, ls=":", label=label)
     axes.set_xlabel("number of cost function evaluations")
-    axes.set_ylabel(r"$\hat{\mathbb{E}}_{\mathrm{MSE}}$")
+    axes.set_ylabel(r"$\hat{\mathbb{E}}_{\mathrm{MSE}}$" if reference else "estimated cost")
     axes.set_xlim(left=0)
-    axes.legend(ncols=2, loc="upper center", bbox_to_anchor=(0.5, 1.3))
+    axes.legend(
+        ncols=2,
+        loc="lower center",
+        bbox_to_anchor=(0.5, 1.0),
+        borderaxespad=0.2,
+        title=title or None,
+        title_fontsize=7,
+    )
 
 
 def by_generation(rows: pd.DataFrame) -> pd.DataFrame:

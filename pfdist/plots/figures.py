@@ -1,6 +1,7 @@
 """Draw all figures of a run and save them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pfdist.analysis import Gain, Run
+from pfdist.analysis.reference import label
 from pfdist.errors import StoreError
 from pfdist.plots.budget import plot_budget
 from pfdist.plots.cost import (
@@ -22,12 +24,22 @@ from pfdist.plots.cost import (
     plot_cost,
 )
 from pfdist.plots.gain_histogram import plot_gain_histogram
-from pfdist.plots.one_draw import plot_one_draw, typical_draw
+from pfdist.plots.one_draw import MOST_COMPONENTS, components, plot_one_draw, typical_draw
 from pfdist.plots.style import COLUMN_INCHES, STYLE
 from pfdist.plots.why import plot_profile, plot_removals, plot_shifts
 from pfdist.store import remove_file, write_file
 
-_Plots = dict[str, tuple[float, Callable[[Axes], None]]]  # height in inches, and what draws it
+
+@dataclass(frozen=True)
+class _Plot:
+    """A figure: its height in inches, how many panels it has, and what draws them."""
+
+    height: float
+    draw: Callable[[Sequence[Axes]], None]
+    panels: int = 1
+
+
+_Plots = dict[str, _Plot]
 
 FORMATS = ("png", "svg")
 CURVES: dict[str, Curve] = {
@@ -103,9 +115,9 @@ def draw_target(run: Run, target: float) -> list[Path]:
 def _drawn(run: Run, plots: _Plots) -> list[Path]:
     files = []
     with mpl.rc_context(STYLE):
-        for name, (height, plot) in plots.items():
-            figure = Figure(figsize=(COLUMN_INCHES, height), layout="constrained")
-            plot(figure.subplots())
+        for name, plot in plots.items():
+            figure = Figure(figsize=(COLUMN_INCHES, plot.height), layout="constrained")
+            plot.draw(figure.subplots(plot.panels, squeeze=False)[:, 0].tolist())
             files += _saved(run, name, figure)
     return files
 
@@ -122,15 +134,23 @@ def _files(run: Run, name: str) -> list[Path]:
 
 
 def _budget_plot(run: Run, name: str, target: float | None = None) -> _Plots:
-    return {name: (2.6, partial(plot_budget, table=run.budget(), target=target))}
+    table = run.budget()
+    return {name: _Plot(2.6, lambda panels: plot_budget(panels[0], table, target))}
 
 
 def _plots(run: Run) -> _Plots:
-    known = run.statistics()
-    plots: _Plots = {"cost": (2.4, partial(_cost, run, known.mse[run.names[0]].mean))}
+    known, kinds = run.statistics(), _kinds(run)
+    cost = partial(_cost, run, kinds, known.mse[run.names[0]].mean)
+    plots: _Plots = {"cost": _Plot(2.4 * len(kinds), cost, len(kinds))}
+    trajectories = run.trajectories()
+    gains = run.gains(draws=int(trajectories["draw"].max()) + 1).set_index("draw")
+    panels = min(components(trajectories), MOST_COMPONENTS)
     for name, gain in known.gains.items():
-        plots[f"draw-{name}"] = (2.6, partial(_draw, run, name, gain.relative.mean))
-        plots[f"gain-{name}"] = (2.3, partial(_gain, gain, name))
+        shown = gains[f"gain_{name}"].dropna()
+        draw = partial(_draw, run, name, trajectories, shown)
+        number = panels if len(shown) else 1
+        plots[f"draw-{name}"] = _Plot(1.2 + 1.4 * number, draw, number)
+        plots[f"gain-{name}"] = _Plot(2.3, partial(_gain, run, gain, name))
     return plots
 
 
@@ -170,42 +190,61 @@ def _save(figure: Figure, kind: str, path: Path) -> None:
     figure.savefig(path, format=kind, metadata={"Date": None} if kind == "svg" else None)
 
 
-def _cost(run: Run, regular: float, axes: Axes) -> None:
-    searches = run.job["search"]
-    curves = {one["name"]: CURVES.get(one["method"], by_generation) for one in searches}
-    notes = {name: _note(run.own_estimation(name)) for name in curves}
+def _kinds(run: Run) -> dict[str, list[str]]:
+    """Names of the searches that estimate alike, by how: by nothing, if as the comparison does."""
+    kinds: dict[str, list[str]] = {}
+    for search in run.job["search"]:
+        estimation = run.own_estimation(search["name"])
+        if search.get("evaluation", {}).get("estimator") == "auto" and not run.knows_estimations:
+            estimation["estimator"] = "unknown estimator"
+        kinds.setdefault(_kind(estimation), []).append(search["name"])
+    return dict(sorted(kinds.items()))
+
+
+def _kind(estimation: dict[str, Any]) -> str:
+    """Say how the costs of a search differ from those of the comparison."""
+    particles = f"{estimation['particles']} particles" if "particles" in estimation else ""
+    resampling = f"{estimation['resampling']} resampling" if "resampling" in estimation else ""
+    estimator = str(estimation.get("estimator", ""))
+    parts = (part.replace("_", " ") for part in (estimator, particles, resampling))
+    return ", ".join(filter(None, parts))
+
+
+def _cost(run: Run, kinds: dict[str, list[str]], mse: float, panels: Sequence[Axes]) -> None:
+    """Draw a panel for each way to estimate: costs of different estimators are not comparable."""
+    methods = {search["name"]: search["method"] for search in run.job["search"]}
     evaluations = run.evaluations()
     if "end" not in evaluations:  # an older run, without prefixes
         evaluations = evaluations.assign(end=run.job["problem"]["horizon"])
-    plot_cost(axes, evaluations, curves, notes, regular)
+    reference = (label(run.names[0]), mse)
+    for axes, (kind, names) in zip(panels, kinds.items(), strict=True):
+        curves = {name: CURVES.get(methods[name], by_generation) for name in names}
+        title = f"estimated otherwise than the comparison:\n{kind}" if kind else ""
+        plot_cost(axes, evaluations, curves, None if kind else reference, title)
 
 
-def _note(estimation: dict[str, Any]) -> str:
-    """Say what sets a search's costs apart from those of the comparison."""
-    particles = f"{estimation['particles']} particles" if "particles" in estimation else ""
-    estimator = str(estimation.get("estimator", "")).replace("_", " ")
-    return ", ".join(filter(None, [particles, estimator]))
-
-
-def _draw(run: Run, name: str, mean: float, axes: Axes) -> None:
-    trajectories = run.trajectories()
-    gains = run.gains(draws=int(trajectories["draw"].max()) + 1)
-    shown = gains.set_index("draw")[f"gain_{name}"].dropna()
-    if shown.empty:
-        _say_so(axes, "no draw that is kept has a gain")
+def _draw(
+    run: Run,
+    name: str,
+    trajectories: pd.DataFrame,
+    gains: "pd.Series[float]",
+    panels: Sequence[Axes],
+) -> None:
+    if gains.empty:
+        _say_so(panels[0], "no draw that is kept has a gain")
         return
-    draw = typical_draw(shown, mean)
+    draw = typical_draw(gains)
     times = run.compared().set_index("name")["measurement_times"]
     chosen = {key: times[key].tolist() for key in (run.names[0], name)}
     rows = trajectories[trajectories["draw"] == draw]
-    plot_one_draw(axes, rows, chosen, float(shown[draw]))
+    plot_one_draw(panels, rows, chosen, float(gains[draw]))
 
 
-def _gain(gain: Gain, name: str, axes: Axes) -> None:
+def _gain(run: Run, gain: Gain, name: str, panels: Sequence[Axes]) -> None:
     if not gain.counts.any():
-        _say_so(axes, "no draw has a finite gain")
+        _say_so(panels[0], "no draw has a finite gain")
         return
-    plot_gain_histogram(axes, gain, name)
+    plot_gain_histogram(panels[0], gain, name, label(run.names[0]))
 
 
 def _say_so(axes: Axes, text: str) -> None:

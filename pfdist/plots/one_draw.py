@@ -8,34 +8,54 @@ from matplotlib.axes import Axes
 
 from pfdist.plots.style import BLUE, RED
 
+MOST_COMPONENTS = 6  # of z that are shown, a panel each
 
-def typical_draw(gains: "pd.Series[float]", mean: float) -> int:
-    """Give the draw, of those in the index, whose relative gain lies nearest to the mean."""
-    distance = (gains - mean).abs().to_numpy()
-    return int(gains.index[int(distance.argmin())])
+
+def typical_draw(gains: "pd.Series[float]") -> int:
+    """Give the draw, of those in the index, of median relative gain (the lower of two medians)."""
+    return int(gains.sort_values(kind="stable").index[(len(gains) - 1) // 2])
+
+
+def components(trajectory: pd.DataFrame) -> int:
+    """Give how many components z has."""
+    return sum(column.startswith("z_") for column in trajectory.columns)
 
 
 def plot_one_draw(
-    axes: Axes,
+    panels: Sequence[Axes],
     trajectory: pd.DataFrame,
     times: Mapping[str, Sequence[int]],
     gain: float,
-    component: int = 0,
 ) -> None:
-    """Draw z and two estimates of it.
+    """Draw every component of z and two estimates of it, a panel each.
 
     Parameters
     ----------
-    axes : matplotlib Axes
+    panels : sequence of matplotlib Axes
+        From above to below; if z has more components than there are panels, the first are shown.
     trajectory : DataFrame
         Rows of the table ``trajectories`` of one draw.
     times : mapping of str to sequence of int
         Measurement times of two sets by name, the reference first.
     gain : float
         Relative gain of the draw.
-    component : int
-        Of z.
     """
+    number = components(trajectory)
+    for component, axes in enumerate(panels):
+        _plot_component(axes, trajectory, times, component)
+        axes.set_ylabel("$z$" if number == 1 else f"$z_{{{component}}}$")
+    left_out = f"; {number - len(panels)} more components of $z$" if number > len(panels) else ""
+    above, below = panels[0], panels[-1]
+    for axes in panels[:-1]:
+        axes.tick_params(labelbottom=False)
+    below.set_xlabel("$t$")
+    above.set_title(f"relative gain of this draw, the median: {100 * gain:.1f} %{left_out}", pad=30)
+    above.legend(ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), columnspacing=1.2)
+
+
+def _plot_component(
+    axes: Axes, trajectory: pd.DataFrame, times: Mapping[str, Sequence[int]], component: int
+) -> None:
     t, z = trajectory["t"].to_numpy(), trajectory[f"z_{component}"].to_numpy()
     axes.plot(t, z, color="black", lw=1.0, label="$z(t)$")
     reference, found = times
@@ -51,7 +71,3 @@ def plot_one_draw(
         level = low - (high - low) * (0.06 + 0.07 * row)  # below the curves, a line a set
         label = rf"$\mathcal{{M}}$, {name}"
         axes.plot(at, np.full(at.size, level), marker, color=colour, ms=4, mew=0.8, label=label)
-    axes.set_xlabel("$t$")
-    axes.set_ylabel("$z$" if component == 0 and "z_1" not in trajectory else f"$z_{component}$")
-    axes.set_title(f"relative gain of this draw: {100 * gain:.1f} %", pad=30)
-    axes.legend(ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), columnspacing=1.2)

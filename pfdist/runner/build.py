@@ -122,13 +122,16 @@ class Built:
         """Phases of the searches."""
         return [phase for search in self.searches for phase in search.phases]
 
-    @property
+    @cached_property
     def references(self) -> dict[str, Times]:
         """Measurement times with which those found are compared, by name: for each N its own."""
-        reference, numbers = self.job.comparison.reference, self.numbers
-        if not numbers:
-            return {reference: self.job.problem.feasible.regular()}
-        return {self.named(reference, n): self.job.feasible(n).regular() for n in numbers}
+        comparison = self.job.comparison
+        if self.numbers:
+            name = comparison.reference_name
+            return {self.named(name, n): self.job.feasible(n).regular() for n in self.numbers}
+        if isinstance(comparison.reference, str):
+            return {comparison.reference_name: self.job.problem.feasible.regular()}
+        return {comparison.reference_name: comparison.reference}
 
     @property
     def numbers(self) -> range:

@@ -15,6 +15,7 @@ from pfdist.draws import Draws
 from pfdist.kernels.noise import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, variates
 from pfdist.models import StateSpaceModel
 from pfdist.monte_carlo import ENGINES
+from pfdist.rounding import with_error
 
 Array = NDArray[np.float64]
 
@@ -157,10 +158,11 @@ def likelihood(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
             error = float(np.std(ratio, ddof=1)) / math.sqrt(_MEASUREMENTS)
             if not abs(np.mean(ratio) - 1) < _LARGEST_Z * error:
                 states = f"x = {_told(a)} and x = {_told(b)} at t = {t}"
+                found = with_error(float(np.mean(ratio)), error)
                 return "wrong", (
                     "log_likelihood must be the log-density of measurement, up to a term that does "
                     f"not depend on x; but over y measured at the first of {states}, their "
-                    f"likelihoods' ratio has the mean {np.mean(ratio):.4f} ± {error:.4f}, not 1 "
+                    f"likelihoods' ratio has the mean {found}, not 1 "
                     "(a wrong deviation, or a term left out that depends on x?)"
                 )
     if apart and not compared:

@@ -15,6 +15,7 @@ from pfdist.errors import CompileError, ModelError
 from pfdist.measurement_times import regular
 from pfdist.models import StateSpaceModel, find_model
 from pfdist.monte_carlo import ENGINES, NUMPY_TIMES_SLOWER, Problem
+from pfdist.rounding import rounded, with_error
 from pfdist.runner.check_formulas import compiled_as_in_numpy, elementwise, likelihood, pure
 from pfdist.work import Estimation, Work
 
@@ -134,10 +135,10 @@ def _filtered(problem: Problem, estimation: Estimation) -> Iterator[Check]:
     yield Check("degenerate draws", "note" if share else "ok", text)
     known = Moments()
     known.add(usable)
-    text = f"{known.mean:.4g} ± {known.standard_error:.2g} with these times"
+    text = f"{with_error(known.mean, known.standard_error)} with these times"
     if math.isfinite(known.mean) and math.isfinite(known.standard_error):
         yield Check("expected MSE", "ok", text)
     else:
         got = text if usable.size else "no usable draw"
         yield Check("expected MSE", "wrong", f"it must be finite, and its error, got {got}")
-    yield Check("an evaluation", "ok", f"{seconds:.2g} s for {_DRAWS:,} draws on one core")
+    yield Check("an evaluation", "ok", f"{rounded(seconds, 2)} s for {_DRAWS:,} draws on one core")

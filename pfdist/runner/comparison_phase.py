@@ -132,7 +132,14 @@ class _Known:
     def found(self) -> tuple[Found, ...]:
         """The gains so far."""
         return tuple(
-            Found(name, gain.relative.mean, gain.interval, gain.positive / gain.relative.count)
+            Found(
+                name,
+                gain.relative.mean,
+                gain.interval,
+                gain.positive / gain.relative.count,
+                gain.of_means,
+                gain.of_means_interval,
+            )
             for name, gain in self._statistics.gains.items()
             if gain.relative.count
         )
@@ -208,7 +215,7 @@ def _repeat_reference(built: Built, work: Work, collector: Collector) -> None:
     So is measured what the filters' noise alone does to a relative gain.
     """
     job = built.job
-    again = REPORT.stream(job.seed, "filter", job.comparison.reference, "again")
+    again = REPORT.stream(job.seed, "filter", job.comparison.reference_name, "again")
     sets, ends = work.measurement_times[:1], work.ends[:1]
     work = replace(work, measurement_times=sets, ends=ends, filter_streams=(again,))
 

@@ -31,7 +31,8 @@ def evaluate(
     job : Job, str or Path
         A job, or the path of its file.
     measurement_times : iterable of int
-        In 0..T; as many as you like.
+        In 0..T, as many as you like. They may break the job's constraints:
+        ``load_job(path).problem.feasible.broken(times)`` says which.
     draws, particles, seed : int, optional
         In the place of the job's evaluation.draws, filter.particles and seed.
 

@@ -199,7 +199,7 @@ def _flat(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
     if isinstance(value, Mapping):
         for name, inner in value.items():
             yield from _flat(inner, f"{key}.{name}" if key else str(name))
-    elif isinstance(value, list):
+    elif isinstance(value, list) and any(isinstance(inner, Mapping) for inner in value):
         names = [inner.get("name") for inner in value if isinstance(inner, Mapping)]
         yield f"{key}.order", ", ".join(map(str, names))
         for index, inner in enumerate(value):

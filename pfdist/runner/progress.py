@@ -13,14 +13,20 @@ class Found:
     name : str
     mean_relative_gain : float
     interval : (float, float)
-        Its, 95 %.
+        Of the mean relative gain, 95 %.
     positive_fraction : float
+    gain_of_means : float
+        1 - E[mse] / E[mse of the reference].
+    gain_of_means_interval : (float, float)
+        95 %.
     """
 
     name: str
     mean_relative_gain: float
     interval: tuple[float, float]
     positive_fraction: float
+    gain_of_means: float
+    gain_of_means_interval: tuple[float, float]
 
 
 @dataclass(frozen=True)

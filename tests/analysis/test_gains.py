@@ -227,3 +227,18 @@ def test_errors_whose_squares_are_too_large_for_a_number_are_no_exception() -> N
         moments.add(np.array([value, value]))
     assert moments.mean == pytest.approx(1.5e200)
     assert not np.isfinite(moments.standard_error)
+
+
+def test_that_the_two_gains_disagree_is_known_where_their_intervals_are_apart() -> None:
+    rng = np.random.default_rng(1)
+    # One draw in five has a hundred times the error, and gains; the others lose.
+    reference = np.where(rng.random(4000) < 0.2, 100.0, 1.0)
+    mse = np.where(reference > 1, 0.7 * reference, 1.2) * rng.uniform(0.9, 1.1, 4000)
+    skewed = summarise_gain(mse, reference)
+    assert skewed.mean_relative_gain < 0 < skewed.gain_of_means
+    assert skewed.disagree
+    alike = summarise_gain(0.8 * reference * rng.uniform(0.9, 1.1, 4000), reference)
+    assert not alike.disagree
+    few = summarise_gain(mse[:3], reference[:3])
+    assert not few.disagree
+    assert not summarise_gain(np.ones(1), np.ones(1)).disagree

@@ -1,11 +1,15 @@
 """The paper's figures show what the tables say."""
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
-from pfdist.analysis import Gain
+import pfdist
+from pfdist import Job
+from pfdist.analysis import Gain, Run
 from pfdist.plots.cost import (
     best_of_each_step,
     best_so_far,
@@ -14,7 +18,7 @@ from pfdist.plots.cost import (
     plot_cost,
 )
 from pfdist.plots.gain_histogram import plot_gain_histogram
-from pfdist.plots.one_draw import plot_one_draw, typical_draw
+from pfdist.plots.one_draw import components, plot_one_draw, typical_draw
 from pfdist.plots.why import plot_profile, plot_removals, plot_shifts
 
 EVALUATIONS = pd.DataFrame(
@@ -46,16 +50,47 @@ def _lines(axes) -> dict[str, tuple[list[float], list[float]]]:
     }
 
 
+def _legend(axes) -> str:
+    return " ".join(entry.get_text() for entry in axes.get_legend().get_texts())
+
+
 def test_cost_of_a_population_is_averaged_over_copies_and_of_trials_over_all_so_far() -> None:
     axes = _axes()
     curves = {"genetic": by_generation, "random": one_by_one}
-    plot_cost(axes, EVALUATIONS, curves, {"genetic": "", "random": ""}, 31.2)
+    plot_cost(axes, EVALUATIONS, curves, ("regular times", 31.2))
     lines = _lines(axes)
     assert lines["genetic, average"] == ([4, 8], [37.5, 20.0])
     assert lines["genetic, minimum"] == ([4, 8], [30.0, 20.0])
     assert lines["random, average"] == ([1, 2, 3], [50.0, 40.0, 40.0])
     assert lines["random, minimum"] == ([1, 2, 3], [50.0, 30.0, 30.0])
     assert lines["regular times"][1] == [31.2, 31.2]
+
+
+def test_costs_of_another_estimator_stand_beside_no_reference() -> None:
+    axes = _axes()
+    plot_cost(axes, EVALUATIONS, {"random": one_by_one}, None, "filter variance")
+    assert set(_lines(axes)) == {"random, average", "random, minimum"}
+    assert axes.get_legend().get_title().get_text() == "filter variance"
+
+
+@pytest.mark.parametrize("reference", ["'regular'", "[0, 3, 9]"])
+def test_a_run_draws_a_panel_of_costs_for_each_way_to_estimate(
+    reference: str, small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn = {}
+
+    def keep(run: Run, name: str, figure: Figure) -> list[Path]:
+        drawn[name] = [_lines(axes) for axes in figure.axes]
+        return []
+
+    monkeypatch.setattr("pfdist.plots.figures._saved", keep)
+    survivors = "search=[{method='genetic', generations=2, population=6}, {method='survivors'}]"
+    changes = [survivors, f"comparison.reference={reference}", "comparison.draws=20"]
+    pfdist.run(small_job.with_changes(changes), tmp_path / "run")
+    comparable, other = drawn["cost"]
+    line = "regular times" if "regular" in reference else "the reference"
+    assert {"genetic, average", "genetic, minimum", line} == set(comparable)
+    assert {"survivors, best so far"} == set(other)
 
 
 def test_of_prefixes_and_of_short_tests_the_work_counts_and_not_the_cost() -> None:
@@ -71,11 +106,10 @@ def test_of_prefixes_and_of_short_tests_the_work_counts_and_not_the_cost() -> No
         columns=["generation", "individual", "copies", "end", "draws", "expected_mse"],
     ).assign(phase="mine")
     axes = _axes()
-    plot_cost(axes, rows, {"mine": best_so_far}, {"mine": "100 particles"}, 31.2)
-    label = "mine, best so far\n(100 particles)"
-    assert _lines(axes)[label] == ([3, 4, 5], [30.0, 25.0, 25.0])
+    plot_cost(axes, rows, {"mine": best_so_far}, None)
+    assert _lines(axes)["mine, best so far"] == ([3, 4, 5], [30.0, 25.0, 25.0])
     axes = _axes()
-    plot_cost(axes, rows, {"mine": best_of_each_step}, {"mine": ""}, 31.2)
+    plot_cost(axes, rows, {"mine": best_of_each_step}, None)
     assert _lines(axes)["mine, best of a step"] == ([2, 4, 5], [1.0, 25.0, 28.0])
 
 
@@ -89,17 +123,37 @@ def test_one_draw_shows_truth_estimates_and_stars_and_plus_signs() -> None:
         }
     )
     axes = _axes()
-    plot_one_draw(axes, trajectory, {"regular": [0, 2], "genetic": [1]}, 0.283)
+    plot_one_draw([axes], trajectory, {"regular": [0, 2], "genetic": [1]}, 0.283)
     lines = {line.get_label(): line for line in axes.get_lines()}
     regular, genetic = lines[r"$\mathcal{M}$, regular"], lines[r"$\mathcal{M}$, genetic"]
     assert (regular.get_marker(), list(regular.get_xdata())) == ("+", [0, 2])
     assert (genetic.get_marker(), list(genetic.get_xdata())) == ("*", [1])
     assert list(lines["$z(t)$"].get_ydata()) == [1.0, 2.0, 3.0]
     assert "28.3 %" in axes.get_title()
+    assert axes.get_ylabel() == "$z$"
 
 
-def test_the_draw_shown_is_the_one_nearest_to_the_mean_gain() -> None:
-    assert typical_draw(pd.Series([0.1, 0.5, 0.26], index=[3, 4, 7]), 0.25) == 7
+def test_one_draw_shows_every_component_of_z_in_a_panel_of_its_own() -> None:
+    trajectory = pd.DataFrame({"t": [0, 1]})
+    for k in range(3):
+        trajectory[f"z_{k}"] = [k, k + 0.5]
+        for name in ("regular", "genetic"):
+            trajectory[f"estimate_{name}_{k}"] = [k, k + 0.25]
+    assert components(trajectory) == 3
+    for number, told in ((3, ""), (2, "1 more components")):  # of panels
+        panels = list(Figure().subplots(number))
+        plot_one_draw(panels, trajectory, {"regular": [0], "genetic": []}, 0.1)
+        for k, axes in enumerate(panels):
+            truth = next(line for line in axes.get_lines() if line.get_label() == "$z(t)$")
+            assert list(truth.get_ydata()) == [k, k + 0.5]
+            assert axes.get_ylabel() == f"$z_{{{k}}}$"
+        assert told in panels[0].get_title()
+
+
+def test_the_draw_shown_has_the_median_gain() -> None:
+    gains = pd.Series([0.1, -8.38, 0.26, 0.9, 0.3], index=[3, 4, 7, 8, 9])  # the mean is -1.36
+    assert typical_draw(gains) == 7
+    assert typical_draw(gains.drop(4)) == 7  # the lower of two
 
 
 def test_the_histogram_counts_the_draws_and_marks_zero_mean_and_fraction() -> None:
@@ -107,22 +161,40 @@ def test_the_histogram_counts_the_draws_and_marks_zero_mean_and_fraction() -> No
     gain = Gain()
     gain.add(1 - relative, np.ones(5000))
     axes = _axes()
-    plot_gain_histogram(axes, gain, "genetic")
+    plot_gain_histogram(axes, gain, "genetic", "regular times")
     area = sum(patch.get_width() * patch.get_height() for patch in axes.patches)
-    below = np.sum(100 * relative < axes.patches[0].get_x())
-    assert area == pytest.approx(1 - below / 5000)  # of all draws, those that are left out too
+    assert area == pytest.approx(1)
     edges = [patch.get_x() for patch in axes.patches]
     edges.append(edges[-1] + axes.patches[0].get_width())
     heights = [patch.get_height() for patch in axes.patches]
     counts, _ = np.histogram(100 * relative, edges)
     np.testing.assert_allclose(heights, counts / 5000 / np.diff(edges), atol=1e-9)
     assert _lines(axes)["no gain"][0] == [0.0, 0.0]
-    text = " ".join(entry.get_text() for entry in axes.get_legend().get_texts())
+    text = _legend(axes)
     assert f"mean {100 * relative.mean():.1f} %" in text
     assert f"{100 * np.mean(relative > 0):.1f} %" in text
     assert "5,000 draws" in text
-    assert f"{below} of them below" in text
-    assert 1 <= below <= 5  # the lowest thousandth, but for those in its bin
+    assert " of them " not in text
+    assert axes.get_xlabel() == "relative gain $g$ of genetic over regular times [%]"
+
+
+def test_a_long_tail_is_counted_and_leaves_the_bulk_its_room() -> None:
+    rng = np.random.default_rng(2)
+    bulk, tail = rng.normal(0.2, 0.1, 4900), -rng.uniform(2, 8.38, 90)
+    relative = np.concatenate([bulk, tail, np.full(10, -20.0)])  # and beyond all bins
+    gain = Gain()
+    gain.add(1 - relative, np.ones(relative.size))
+    axes = _axes()
+    plot_gain_histogram(axes, gain, "mine", "the reference")
+    low, high = axes.get_xlim()
+    middle = np.quantile(100 * relative, [0.25, 0.75])
+    assert np.diff(middle)[0] > 0.1 * (high - low)  # at most 7 quartile ranges are shown
+    below = int(np.sum(100 * relative < low))
+    assert below >= 100
+    assert f"{below} of them below {low:.0f} %" in _legend(axes)
+    assert any(line.get_marker() == "<" for line in axes.get_lines())
+    area = sum(patch.get_width() * patch.get_height() for patch in axes.patches)
+    assert area == pytest.approx(1 - below / relative.size)  # density of all draws
 
 
 def test_a_profile_shows_the_error_its_band_and_the_instants_measured() -> None:

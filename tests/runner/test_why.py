@@ -13,6 +13,7 @@ from pfdist import Job, kalman
 from pfdist.cli import main
 from pfdist.errors import JobError, PfdistError, RunMismatchError, StoreError
 from pfdist.kernels.moments import ESTIMATORS
+from pfdist.rounding import with_error
 from pfdist.runner.build import build
 from pfdist.runner.repair import verify_run
 from pfdist.runner.why import CHANGES, WHY, why
@@ -162,8 +163,12 @@ def test_the_command_answers_in_json_draws_a_figure_a_search_and_leaves_the_run_
     assert not list(verify_run(run.path))
     assert main(["why", str(run.path), "--draws", "30"]) == 0
     text = capsys.readouterr().out
-    assert f"regular: expected MSE {regular['expected_mse']:.3f} ± " in text
-    assert f"{regular['measurements'][1]['removed']:+.3f} ± " in text
+    assert (
+        f"regular: expected MSE {with_error(regular['expected_mse'], regular['standard_error'])} "
+        in text
+    )
+    worth = regular["measurements"][1]
+    assert with_error(worth["removed"], worth["removed_error"], sign=True) in text
 
 
 @pytest.mark.usefixtures("no_figures")

@@ -1,0 +1,47 @@
+"""What the reference of a run is, in words."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from pfdist.job import REGULAR
+from pfdist.measurement_times import Times
+from pfdist.problem import ProblemSection
+
+
+def described(job: Mapping[str, Any], name: str, times: Times) -> dict[str, Any]:
+    """Say what the reference of a run is, and which constraints of the job it breaks.
+
+    Parameters
+    ----------
+    job : mapping
+        The run's resolved job.
+    name : str
+        The reference's.
+    times : tuple of int
+        The reference.
+
+    Returns
+    -------
+    dict
+        ``description``, a phrase, and ``broken_constraints``, a list of sentences.
+    """
+    feasible = ProblemSection.model_validate(job["problem"]).feasible
+    number = f"N = {len(times)}"
+    if not feasible.counted:
+        number += f", spends {feasible.cost_of(times)} of {feasible.total_cost}"
+    if name != REGULAR:
+        phrase = f"the set that comparison.reference names ({number})"
+    elif feasible.is_regular(times):
+        phrase = f"regular times ({number})"
+    elif times != feasible.regular():  # an older run, whose reference followed another rule
+        phrase = f"a set near to regular times ({number})"
+    elif feasible.counted:
+        phrase = f"the feasible set nearest to regular times ({number})"
+    else:
+        phrase = f"nearest to regular times of the sets with the most measurements ({number})"
+    return {"description": phrase, "broken_constraints": feasible.broken(times)}
+
+
+def label(name: str) -> str:
+    """Give what a figure or a summary calls the reference of this name."""
+    return "regular times" if name == REGULAR else f"the {name}"

@@ -1,0 +1,129 @@
+"""Numbers as text, rounded to the digits that their errors allow."""
+
+import math
+from decimal import Decimal
+
+_DIGITS = 5  # of a number without an error
+_DIGITS_OF_UNKNOWN = 3  # of a number whose error is not known
+_SMALLEST, _LARGEST = 1e-4, 1e6  # between these no exponent is written
+_MOST_DIGITS = 12  # beyond them a double's own rounding begins to show
+
+
+def rounded(value: float | None, digits: int = _DIGITS, sign: bool = False) -> str:
+    """Give a number that has no error with a few significant digits.
+
+    Parameters
+    ----------
+    value : float or None
+        None, like NaN, is unknown.
+    digits : int
+        How many digits are significant.
+    sign : bool
+        Whether a plus sign is written.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> rounded(31.2), rounded(1234567.0), rounded(-0.00001), rounded(0.0)
+    ('31.200', '1.2346e+06', '-1.0000e-05', '0')
+    """
+    if value is None or not math.isfinite(value):
+        return _word(value)
+    plus = "+" if sign else ""
+    return _text(value, _exponent(value) - digits + 1, plus) if value else f"{0:{plus}}"
+
+
+def with_error(value: float | None, error: float | None, sign: bool = False) -> str:
+    """Give a value and its error, both to the second significant digit of the error.
+
+    Parameters
+    ----------
+    value, error : float or None
+        None, like NaN, is unknown. An error of 0 is that of an exact value, and is left out.
+    sign : bool
+        Whether a plus sign is written before the value.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> with_error(22.7345, 0.0304), with_error(1234.5, 249.0)
+    ('22.735 ± 0.030', '1230 ± 250')
+    >>> with_error(1.234e108, 4e107), with_error(1e-9, 3e-11)
+    ('(1.23 ± 0.40)e+108', '(1.000 ± 0.030)e-09')
+    """
+    if value is None or not math.isfinite(value) or error == 0.0:
+        return rounded(value, sign=sign)
+    if error is None or not math.isfinite(error):
+        return f"{rounded(value, sign=sign)} ± {_word(error)}"
+    place, size, plus = _last_place(error), max(abs(value), error), "+" if sign else ""
+    if _exponent(size) - place >= _MOST_DIGITS:
+        return f"{rounded(value, sign=sign)} ± {error:.1e}"
+    if _SMALLEST <= size < _LARGEST:
+        return f"{_fixed(value, place, plus)} ± {_fixed(error, place)}"
+    exponent = _exponent(size)
+    # As decimals: a power of ten may be too large or too small for a double.
+    mantissa, error_part = (Decimal(part).scaleb(-exponent) for part in (value, error))
+    decimals = max(0, exponent - place)
+    return f"({mantissa:{plus}.{decimals}f} ± {error_part:.{decimals}f})e{exponent:+03d}"
+
+
+def with_interval(value: float | None, low: float | None, high: float | None) -> tuple[str, ...]:
+    """Give a value and the ends of its interval, to two significant digits of its half width.
+
+    Parameters
+    ----------
+    value, low, high : float or None
+        None, like NaN, is unknown.
+
+    Returns
+    -------
+    tuple of str
+        The three as text.
+
+    Examples
+    --------
+    >>> with_interval(17.6321, 16.2, 19.04)
+    ('17.6', '16.2', '19.0')
+    """
+    known = [part for part in (value, low, high) if part is not None and math.isfinite(part)]
+    if len(known) < 3:
+        return rounded(value, _DIGITS_OF_UNKNOWN), rounded(low), rounded(high)
+    half = (known[2] - known[1]) / 2
+    place = _last_place(half) if half > 0.0 else 0
+    if half > 0.0 and max(map(_exponent, known)) - place < _MOST_DIGITS:
+        return tuple(_text(part, place) for part in known)
+    return rounded(value), rounded(low), rounded(high)
+
+
+def _word(value: float | None) -> str:
+    if value is None or math.isnan(value):
+        return "unknown"
+    return "infinite" if value > 0 else "-infinite"
+
+
+def _exponent(value: float) -> int:
+    """Of the first significant digit; 0 for 0."""
+    return math.floor(math.log10(abs(value))) if value else 0
+
+
+def _last_place(error: float) -> int:
+    """Exponent of the second significant digit, once the error is rounded to it."""
+    return int(f"{error:.1e}".partition("e")[2]) - 1
+
+
+def _text(value: float, place: int, plus: str = "") -> str:
+    """Round to a decimal place, with an exponent where the number is large or small."""
+    if value and not _SMALLEST <= abs(value) < _LARGEST and _exponent(value) >= place:
+        return f"{value:{plus}.{_exponent(value) - place}e}"
+    return _fixed(value, place, plus)
+
+
+def _fixed(value: float, place: int, plus: str = "") -> str:
+    nearest = round(value, -place) + 0.0  # no minus sign before a zero
+    return f"{nearest:{plus}.{max(0, -place)}f}"

@@ -1,0 +1,116 @@
+"""The reference of a comparison: what it is, what it is called, and that it may be any set."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pfdist
+from pfdist import Job
+from pfdist.analysis.reference import described
+from pfdist.cli import main
+from pfdist.errors import JobError, RunMismatchError
+from pfdist.runner.evaluate import evaluate
+
+SHORT = ["search.genetic.generations=1", "search.random.evaluations=3", "comparison.draws=60"]
+COUNTED = {"horizon": 12, "measurement_budget": 4}
+PAID = {"horizon": 12, "cost": [1] * 6 + [2] * 7, "total_cost": 7}
+
+
+@pytest.mark.parametrize(
+    ("problem", "name", "times", "phrase"),
+    [
+        (COUNTED, "regular", (0, 4, 8, 12), "regular times (N = 4)"),
+        (
+            COUNTED | {"forbidden": [4]},
+            "regular",
+            (0, 3, 8, 12),
+            "the feasible set nearest to regular times (N = 4)",
+        ),
+        (
+            PAID,
+            "regular",
+            (0, 2, 3, 4, 5, 12),
+            "nearest to regular times of the sets with the most measurements "
+            "(N = 6, spends 7 of 7)",
+        ),
+        (
+            PAID,
+            "regular",
+            (0, 2, 4, 8, 12),  # as runs had it that took the largest number of regular times
+            "a set near to regular times (N = 5, spends 7 of 7)",
+        ),
+        (COUNTED, "reference", (1, 2), "the set that comparison.reference names (N = 2)"),
+    ],
+)
+def test_the_summary_says_what_it_is(
+    problem: dict[str, object], name: str, times: tuple[int, ...], phrase: str
+) -> None:
+    assert described({"problem": problem}, name, times)["description"] == phrase
+
+
+@pytest.mark.parametrize("times", [(0, 3, 9), ()])
+def test_any_set_is_compared_under_its_name_in_tables_summary_figures_and_why(
+    times: tuple[int, ...],
+    small_job: Job,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    job = small_job.with_changes([*SHORT, f"comparison.reference={[*reversed(times)]}"])
+    run = pfdist.run(job, tmp_path / "run")
+    assert run.names == ["reference", "genetic", "random"]
+    rows = run.comparison()
+    assert list(rows) == ["draw", "mse_reference", "mse_genetic", "mse_random"]
+    expected = 1 - rows["mse_random"] / rows["mse_reference"]
+    np.testing.assert_allclose(run.gains()["gain_random"], expected)
+    reference = run.summary()["results"]["reference"]
+    assert tuple(reference["measurement_times"]) == times
+    broken = [f"problem.measurement_budget is 4, got {len(times)} times"]
+    assert reference["broken_constraints"] == broken
+    alone = evaluate(job, times, draws=500)
+    error = np.hypot(alone.standard_error, reference["standard_error"])
+    assert abs(alone.expected_mse - reference["expected_mse"]) < 4 * error
+    assert main(["status", str(run.path)]) == 0
+    text = capsys.readouterr().out
+    assert f"  breaks                {broken[0]}\n" in text
+    assert "  against reference     " in text
+    assert "regular" not in text
+    assert main(["why", str(run.path), "--draws", "20"]) == 0
+    assert "reference: expected MSE " in capsys.readouterr().out
+
+
+def test_with_another_reference_it_is_another_run(small_job: Job, tmp_path: Path) -> None:
+    few = small_job.with_changes([*SHORT, "comparison.reference=[0, 3, 9]"])
+    pfdist.run(few, tmp_path / "run")
+    other = few.with_changes(["comparison.reference=[0, 3, 8]"])
+    with pytest.raises(RunMismatchError, match=r"comparison.reference: \[0, 3, 9\] -> \[0, 3, 8"):
+        pfdist.run(other, tmp_path / "run")
+
+
+def test_searches_do_not_depend_on_the_reference(small_job: Job, tmp_path: Path) -> None:
+    few, runs = small_job.with_changes(SHORT), []
+    for reference in ("'regular'", "[0, 3, 9]"):
+        job = few.with_changes([f"comparison.reference={reference}"])
+        runs.append(pfdist.run(job, tmp_path / str(len(runs))))
+    for name in ("genetic", "random"):
+        columns = [run.comparison()[f"mse_{name}"] for run in runs]
+        np.testing.assert_array_equal(*columns)
+
+
+def test_with_costs_it_spends_all_and_says_so(
+    small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = small_job.path
+    cost = "cost = {'0-5' = 1, '6-12' = 2}\ntotal_cost = 7"
+    path.write_text(path.read_text().replace("measurement_budget = 4", cost))
+    pfdist.run(pfdist.load_job(path, SHORT), tmp_path / "run")
+    assert main(["status", str(tmp_path / "run")]) == 0
+    text = re.sub(r"\s+", " ", capsys.readouterr().out)
+    assert "the sets with the most measurements (N = 6, spends 7 of 7) expected MSE" in text
+
+
+def test_of_many_numbers_regular_times_are_the_only_reference(small_job: Job) -> None:
+    changes = ["search=[{method='survivors', polish=false}]", "comparison.reference=[0, 3]"]
+    with pytest.raises(JobError, match=r"budget needs comparison\.reference = 'regular'"):
+        small_job.with_changes([*changes, "budget={least=2, most=3}"])
