@@ -106,7 +106,7 @@ def check_is_constant(
         module, _, name = max(found, key=lambda name: "." in name).rpartition(".")
         file = f"{module.replace('.', '/')}.py"
         thing = f"{name} of {file if module not in ('', 'parameters') else Path(path).name}"
-        more = f" (and so have {len(found) - 1} more)" if len(found) > 1 else ""
+        more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
         raise ModelError(
             f"model.name: {thing} has another value {where}{more}; what formulas use must be the "
             f"same in every process: write the value down, or draw it with a fixed seed ({path})"
