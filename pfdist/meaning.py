@@ -9,14 +9,13 @@ identity already.
 
 import functools
 import hashlib
+import itertools
 import sys
 import types
 from collections import deque
 from collections.abc import Iterable, Mapping
 from functools import cache
-from importlib.metadata import PackageNotFoundError, packages_distributions, version
 from pathlib import Path
-from sysconfig import get_paths
 from typing import Any
 
 import numpy as np
@@ -27,6 +26,7 @@ from pfdist.kernels.fingerprint import bytecode
 from pfdist.kernels.formulas import names_in
 from pfdist.models import ModelSource, StateSpaceModel
 from pfdist.models.beside import own_name
+from pfdist.origins import home_of, is_installed, version_of
 from pfdist.syntax import syntax_of
 
 Meaning = dict[str, Any]
@@ -37,7 +37,6 @@ FORMULAS = (
 )  # fmt: skip
 _SETTINGS = ("initial_noise", "process_noise", "measurement_noise", "linear_gaussian")
 _BY_NAME = sys.stdlib_module_names | {"numpy"}
-_INSTALLED = tuple({f"{get_paths()[kind]}/" for kind in ("purelib", "platlib")})
 
 # With these a function may use more than the names in it say.
 _DYNAMIC = {"__dict__", "__import__", "eval", "exec", "getattr", "globals", "import_module", "vars"}
@@ -172,7 +171,7 @@ class _Walk(Content):
         function = getattr(value, "py_func", value)
         qualified = getattr(function, "__qualname__", "") if _has_home(function) else ""
         if qualified and "<" not in qualified:
-            home, name = str(_home_of(function)), qualified
+            home, name = str(home_of(function)), qualified
         yield self._enter(f"{own_name(home)}.{name}", value).encode()
 
     def code(self, function: types.FunctionType) -> Parts:
@@ -193,29 +192,27 @@ class _Walk(Content):
         """Give the name of what is not the user's."""
         if value is np.random.mtrand._rand:  # its state is nobody's constant
             return "numpy.random"
-        home = _home_of(value)
-        if home is None:
+        home = home_of(value)
+        if home is None or own_name(home) != home:
             return None
         top = home.partition(".")[0]
         own = getattr(value, "__qualname__", "") or getattr(value, "__name__", "")
-        name = f"{own_name(home)}.{own}"
+        name = f"{home}.{own}"
         if top in _BY_NAME:
             return name
         if top == "pfdist":
             formulas = home == "pfdist" or home.startswith("pfdist.models")
             return None if formulas and not isinstance(value, type) else name
-        if top != self._own and _is_installed(home):
-            return f"{name} of {top} {_version(top)}"
+        if top != self._own and is_installed(home):
+            return f"{name} of {top} {version_of(top)}"
         return None
 
-    def other(self, value: Any, names: Names) -> Parts:  # noqa: C901  a case a kind
+    def other(self, value: Any, names: Names) -> Parts:
         """Give the content of a value of any other kind, by how it would be copied."""
         if type(value) is dict:
             yield from self.entries(list(value.items()), names)
         elif type(value) in (set, frozenset):
             yield from sorted(_digest(self.parts(entry)).encode() for entry in value)
-        elif isinstance(value, np.ufunc):
-            yield _name_of_ufunc(value).encode()
         elif isinstance(value, type):
             yield from self._class_parts(value)
         elif isinstance(value, types.MethodType):
@@ -262,55 +259,12 @@ def _digest(parts: Iterable[bytes]) -> str:
 
 def _numbered(label: str) -> Iterable[str]:
     yield label
-    for number in range(2, sys.maxsize):
+    for number in itertools.count(2):
         yield f"{label}#{number}"
 
 
 def _has_home(value: Any) -> bool:
     return isinstance(value, types.FunctionType | type)
-
-
-def _home_of(value: Any) -> str | None:
-    """Name of the module that a module, class or function belongs to; None of any other value."""
-    if isinstance(value, types.ModuleType):
-        return value.__name__
-    if isinstance(value, types.FunctionType):  # a decorator may copy another's __module__
-        return str(value.__globals__.get("__name__"))
-    if isinstance(value, types.BuiltinFunctionType):
-        owner = value.__self__
-        bound = owner is not None and not isinstance(owner, types.ModuleType | type)
-        return None if bound else value.__module__ or "builtins"
-    if isinstance(value, np.ufunc):
-        return "numpy" if getattr(np, value.__name__, None) is value else None
-    owner = value.__objclass__ if isinstance(value, _SLOTS) else value
-    has_module = isinstance(owner, type | type(np.where))
-    return str(owner.__module__) if has_module else None
-
-
-_SLOTS = (types.WrapperDescriptorType, types.MethodDescriptorType, types.MemberDescriptorType)
-"""What Python has in a class for a function or field written in C."""
-
-
-def _is_installed(module: str) -> bool:
-    file = getattr(sys.modules.get(module), "__file__", None)
-    return file is not None and str(file).startswith(_INSTALLED)
-
-
-@cache
-def _version(top: str) -> str:
-    try:
-        return version(top)
-    except PackageNotFoundError:
-        names = packages_distributions().get(top, [])
-        return ", ".join(f"{name} {version(name)}" for name in sorted(names))
-
-
-def _name_of_ufunc(function: np.ufunc) -> str:
-    """Where a compiled elementwise function of another library is to be found."""
-    special = sys.modules.get("scipy.special")
-    if special is not None and getattr(special, function.__name__, None) is function:
-        return f"scipy.special.{function.__name__} of scipy {_version('scipy')}"
-    raise UnknownContentError(repr(function))
 
 
 def _python_function(value: Any) -> Any:

@@ -1,10 +1,12 @@
 """What a model means: all that its formulas reach, and nothing else."""
 
+import importlib
 import itertools
 import os
 import subprocess
 import sys
 from collections.abc import Callable
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
@@ -12,6 +14,7 @@ import pytest
 from pfdist.errors import ModelError
 from pfdist.meaning import Meaning, check_is_constant, differences, meaning_of
 from pfdist.models import find_model
+from pfdist.origins import version_of
 
 MODEL = """
 import collections, dataclasses, enum, functools, math
@@ -182,6 +185,43 @@ def test_models_that_ship_reach_into_each_other() -> None:
     assert "transition" not in changed  # it is ungm's own
     assert "measurement" in changed
     assert "pfdist.models.bearings_only.wrapped" in found["constant_velocity"]
+
+
+def test_what_another_distribution_has_installed_counts_by_name_and_version(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    installed = tmp_path / "site-packages"
+    for package in ("theirs", "mine"):
+        (installed / package).mkdir(parents=True)
+        (installed / package / "__init__.py").touch()
+    (installed / "theirs-1.0.dist-info").mkdir()
+    metadata = installed / "theirs-1.0.dist-info" / "METADATA"
+    text = MODEL.format(
+        before="from theirs import f\nfrom mine.helper import g", formula="f(g(x[0]))"
+    )
+    (installed / "mine" / "model.py").write_text(text)
+    monkeypatch.syspath_prepend(installed)
+    entry = EntryPoint("plugged", "mine.model:model", "pfdist.models")
+    monkeypatch.setattr("pfdist.models.loader.entry_points", lambda *, group: [entry])
+
+    def means(constant: int, version: str, factor: int) -> Meaning:
+        for name in [name for name in sys.modules if name.partition(".")[0] in ("mine", "theirs")]:
+            del sys.modules[name]
+        version_of.cache_clear()
+        (installed / "theirs" / "__init__.py").write_text(f"C = {constant}\ndef f(x): return C*x\n")
+        (installed / "mine" / "helper.py").write_text(f"def g(x): return {factor} * x\n")
+        metadata.write_text(f"Metadata-Version: 2.1\nName: theirs\nVersion: {version}\n")
+        importlib.invalidate_caches()
+        return meaning_of(*find_model("plugged").record())
+
+    with monkeypatch.context() as patch:
+        patch.setattr(sys, "dont_write_bytecode", True)
+        one = means(1, "1.0", 1)
+        _, source = find_model("plugged").record()
+        assert differences(one, meaning_of(source.load(), source)) == []
+        assert differences(one, means(22, "1.0", 1)) == []
+        assert differences(one, means(1, "1.1", 1)) == ["transition"]
+        assert differences(one, means(1, "1.0", 22)) == ["mine.helper.g"]
 
 
 def test_noise_parameters_data_and_linearity_are_part_of_it(tmp_path: Path) -> None:

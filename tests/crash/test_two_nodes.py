@@ -1,6 +1,7 @@
 """A model with files beside it, on two nodes that have neither these files nor its folder."""
 
 import os
+import secrets
 import socket
 import subprocess
 import sys
@@ -17,6 +18,11 @@ from pfdist.runner.precautions import short_folder
 from pfdist.runner.processes import end, family
 
 pytestmark = pytest.mark.usefixtures("no_figures")
+_ENVIRONMENT = {
+    "RAY_USAGE_STATS_ENABLED": "0",
+    "RAY_AUTH_MODE": "token",
+    "RAY_AUTH_TOKEN": secrets.token_hex(32),
+}
 HELPER = "from shared.numbers import FACTOR\ndef pulled(x):\n    return FACTOR * x\n"
 NUMBERS = "from . import scale\nFACTOR = 0.9 * scale.SCALE\n"
 MODEL = """
@@ -43,6 +49,7 @@ model = StateSpaceModel(
 )
 """
 DRIVER = """
+import importlib
 import sys
 from pathlib import Path
 
@@ -51,6 +58,8 @@ import pfdist
 
 job, run, address, model = sys.argv[1:]
 nodes = set()
+program = importlib.import_module("pfdist.runner.run")
+program.draw_figures = program.figure_files = lambda run: []
 
 
 def say(line):
@@ -76,8 +85,13 @@ def _start(folder: Path, *options: str) -> "subprocess.Popen[bytes]":
             cwd=folder,
             stdout=said,
             stderr=said,
-            env=os.environ | {"RAY_USAGE_STATS_ENABLED": "0"},
+            env=os.environ | _ENVIRONMENT,
         )
+
+
+def _has_started(node: "subprocess.Popen[bytes]", said: Path) -> bool:
+    assert node.poll() is None, said.read_text()[-2000:]
+    return b"Ray runtime started" in said.read_bytes()
 
 
 @contextmanager
@@ -87,7 +101,7 @@ def _two_nodes(folder: Path) -> Iterator[str]:
         server.bind(("127.0.0.1", 0))
         port = server.getsockname()[1]
     address, nodes = f"127.0.0.1:{port}", []
-    head = ["--head", f"--port={port}", "--include-dashboard=false", "--ray-client-server-port=0"]
+    head = ["--head", f"--port={port}", "--include-dashboard=false"]
     here = "--node-ip-address=127.0.0.1"
     temporary = short_folder()
     head += [f"--temp-dir={temporary}"] if temporary else []
@@ -95,7 +109,7 @@ def _two_nodes(folder: Path) -> Iterator[str]:
         for name, options in (("head", head), ("other", [f"--address={address}"])):
             nodes.append(_start(folder / name, here, *options))
             said = folder / name / "said"
-            until(lambda: b"Ray runtime started" in said.read_bytes())  # noqa: B023
+            until(lambda: _has_started(nodes[-1], said))  # noqa: B023
         yield address
     finally:
         for node in nodes:
@@ -129,6 +143,7 @@ def test_helper_modules_and_data_files_arrive_on_nodes_that_lack_them(tmp_path: 
             cwd=tmp_path,
             capture_output=True,
             text=True,
+            env=os.environ | _ENVIRONMENT,
             timeout=300,
             check=False,
         )
