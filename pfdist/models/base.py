@@ -8,6 +8,7 @@ from collections import namedtuple
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -74,12 +75,16 @@ class StateSpaceModel:
     linear_gaussian : bool
         Whether every formula is linear in x and noise, and every noise normal: then
         ``filter.engine = "kalman"`` computes exactly. What is declared is checked.
+    data_files : tuple of str
+        Files that the model's file reads while it is imported, relative to its folder and in it:
+        ``("rates.csv",)`` for ``np.loadtxt(Path(__file__).with_name("rates.csv"))``. They travel to
+        the workers, and a run is known by their content.
 
     Raises
     ------
     ModelError
         A formula does not take its arguments or does not give a tuple of components, a noise is
-        of no known kind, or a parameter lies outside its range.
+        of no known kind, a parameter lies outside its range, or a data file outside the folder.
     """
 
     name: str
@@ -95,12 +100,14 @@ class StateSpaceModel:
     parameter_ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     error: Callable[..., Any] = squared_error
     linear_gaussian: bool = False
+    data_files: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name, arguments in _ARGUMENTS.items():
             self._check_signature(name, arguments)
         for name in ("initial_noise", "process_noise", "measurement_noise"):
             self._check_noise(name)
+        self._check_data_files()
         for name in self.parameter_ranges:
             if name not in self.parameters:
                 raise ModelError(
@@ -171,6 +178,14 @@ class StateSpaceModel:
                 f"component, got {kinds!r}"
             )
 
+    def _check_data_files(self) -> None:
+        files = self.data_files
+        if not isinstance(files, tuple) or not all(map(_is_in_folder, files)):
+            raise ModelError(
+                f"model {self.name}: data_files must be a tuple of names relative to the folder of "
+                f"the model's file, and in it, got {files!r}"
+            )
+
     def _check_parameter(self, name: str, value: float) -> None:
         if not name.isidentifier() or name.startswith("_") or keyword.iskeyword(name):
             raise ModelError(
@@ -216,6 +231,13 @@ class StateSpaceModel:
         if "'Parameters' object" in error:
             return f" (parameters: {', '.join(self.parameters) or 'none'})"
         return ""
+
+
+def _is_in_folder(name: Any) -> bool:
+    if not isinstance(name, str):
+        return False
+    path = PurePosixPath(name)
+    return bool(path.parts) and not path.is_absolute() and ".." not in path.parts
 
 
 def _is_number(value: Any) -> bool:

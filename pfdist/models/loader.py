@@ -5,25 +5,30 @@ A name is that of a model that ships, of an installed entry point of the group
 """
 
 import hashlib
+import importlib
 import importlib.util
+import itertools
 import pkgutil
-import sys
+import tempfile
 import types
-from dataclasses import dataclass
-from functools import cache, cached_property
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
 from pfdist.errors import ModelError
 from pfdist.models.base import StateSpaceModel
+from pfdist.models.beside import Beside, Files, FilesOnDisk
 
 _GROUP = "pfdist.models"
-_NOT_MODELS = ("base", "loader")
+_NOT_MODELS = ("base", "beside", "loader")
+_recordings = itertools.count()
 
 
 @dataclass(frozen=True)
 class ModelSource:
-    """A model as its source: what travels to a worker, and what a run is identified by.
+    """A model as its source: what travels to a worker.
 
     Parameters
     ----------
@@ -35,41 +40,79 @@ class ModelSource:
         The model's name in that file.
     package : str
         What imports in the source are relative to, if it is an installed module's.
-    text : str
-        The source itself: a worker runs this text, so it needs no access to the file.
+    content : bytes
+        The file itself: a worker runs this content, so it needs no access to the file.
+    files : tuple of (str, bytes), optional
+        Modules that it imports from beside it and the model's data files, by their paths relative
+        to the file's folder. None until it has been loaded from there.
     """
 
     name: str
     path: str
     attribute: str
     package: str
-    text: str
+    content: bytes
+    files: tuple[tuple[str, bytes], ...] | None = None
 
-    @cached_property
-    def sha256(self) -> str:
-        """Hash of the source text."""
-        return hashlib.sha256(self.text.encode()).hexdigest()
+    @property
+    def text(self) -> str:
+        """The source's text."""
+        return importlib.util.decode_source(self.content)
 
-    @cache  # noqa: B019  the same source is the same model, and is compiled once a process
+    @property
+    def sha256(self) -> dict[str, str]:
+        """Hash of every file that is known, by its path relative to the model's file."""
+        return {name: hashlib.sha256(content).hexdigest() for name, content in self._files.items()}
+
     def load(self) -> StateSpaceModel:
-        """Run the source and take the model from it.
+        """Run the source and take the model from it; the same source gives the same model.
+
+        It is loaded as a worker loads it: from the source and the files that travel with it.
 
         Raises
         ------
         ModelError
             The source fails, or holds no such model.
         """
-        module = types.ModuleType(f"pfdist_model_{self.sha256[:16]}")
-        module.__file__, module.__package__ = self.path, self.package
-        sys.modules[module.__name__] = module  # dataclasses look their module up there
+        if self.files is None:
+            _, source = self.record()
+            return source.load()
+        return self._taken_from(_loaded(self.path, self.package, tuple(self._files.items())))
+
+    def record(self) -> tuple[StateSpaceModel, "ModelSource"]:
+        """Load the model from its folder, and see which files it takes from there.
+
+        Returns
+        -------
+        StateSpaceModel
+            Loaded anew at every call.
+        ModelSource
+            With `files`.
+
+        Raises
+        ------
+        ModelError
+            The source fails, holds no such model, or a data file cannot be read.
+        """
+        file = Path(self.path)
+        files = FilesOnDisk(file.parent, {file.name: self.content})
+        key = f"recorded_{next(_recordings)}"
+        beside = Beside(key, file, file.parent, files, self.package)
         try:
-            exec(compile(self.text, self.path, "exec"), module.__dict__)  # noqa: S102  it is the user's
-        except ModelError:
-            raise
-        except (Exception, SystemExit) as error:
-            raise ModelError(
-                f"model.name: {self.path} fails when loaded: {type(error).__name__}: {error}"
-            ) from error
+            model = self._taken_from(_run(beside, f"{file} fails when loaded"))
+        finally:
+            beside.forget()
+        for name in model.data_files:
+            _read_data(files, name, model, file)
+        found = sorted(files.contents.items())
+        return model, replace(self, files=tuple(pair for pair in found if pair[0] != file.name))
+
+    @property
+    def _files(self) -> dict[str, bytes]:
+        """All files, the model's own first."""
+        return {Path(self.path).name: self.content, **dict(self.files or ())}
+
+    def _taken_from(self, module: types.ModuleType) -> StateSpaceModel:
         model = module.__dict__.get(self.attribute)
         if not isinstance(model, StateSpaceModel):
             found = [k for k, v in module.__dict__.items() if isinstance(v, StateSpaceModel)]
@@ -79,6 +122,59 @@ class ModelSource:
                 f"models in it: {', '.join(found) or 'none'}"
             )
         return model
+
+
+@cache
+def _loaded(path: str, package: str, contents: tuple[tuple[str, bytes], ...]) -> types.ModuleType:
+    """Load a model's file, the first of these, once a process."""
+    file, files = Path(path), Files(dict(contents))
+    key = hashlib.sha256(repr((path, package, contents)).encode()).hexdigest()[:16]
+    with tempfile.TemporaryDirectory(prefix="pfdist-model-") as folder:
+        place = file.parent
+        if not package:  # what an installed module reads is installed, too
+            place = Path(folder)
+            _write(place, files.contents)
+        beside = Beside(key, file, place, files, package)
+        others = ", ".join(name for name, _ in contents[1:]) or "none"
+        try:
+            return _run(
+                beside,
+                f"{file} fails when loaded as a worker loads it, with the modules that it imports "
+                f"from beside it and its data_files alone ({others})",
+            )
+        except BaseException:
+            beside.forget()
+            raise
+
+
+def _write(folder: Path, contents: Mapping[str, bytes]) -> None:
+    for name, content in contents.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+
+
+def _run(beside: Beside, fails: str) -> types.ModuleType:
+    try:
+        return beside.load()
+    except ModelError:
+        raise
+    except (Exception, SystemExit) as error:
+        reason = beside.told(f"{type(error).__name__}: {error}")
+        raise ModelError(f"model.name: {fails}: {reason}") from error
+
+
+def _read_data(files: FilesOnDisk, name: str, model: StateSpaceModel, file: Path) -> None:
+    try:
+        found = files.read(name) is not None
+        reason = "there is no such file"
+    except OSError as error:
+        found, reason = False, str(error.strerror)
+    if not found:
+        raise ModelError(
+            f"model {model.name}: data_files must name files that can be read, got {name!r}: "
+            f"{file.parent / name}: {reason}"
+        )
 
 
 def find_model(name: str, folder: Path = Path()) -> ModelSource:
@@ -150,8 +246,9 @@ def installed_models() -> dict[str, tuple[str, str]]:
 
 def _read(name: str, path: Path, attribute: str, package: str) -> ModelSource:
     try:
-        text = path.read_text(encoding="utf-8")
+        content = path.read_bytes()
+        content.decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
         raise ModelError(f"model.name: cannot read {path}: {reason} (got {name!r})") from error
-    return ModelSource(name, str(path), attribute, package, text)
+    return ModelSource(name, str(path), attribute, package, content)

@@ -1,7 +1,7 @@
 """From a job's names to objects: model, problem, optimisers, pool."""
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
@@ -10,35 +10,12 @@ from pfdist.errors import CompileError, EngineWarning, ModelError
 from pfdist.job import Execution, Job
 from pfdist.kernels.noise import stream_key
 from pfdist.measurement_times import Times
-from pfdist.models import ModelSource, StateSpaceModel, find_model
 from pfdist.monte_carlo import NUMPY_TIMES_SLOWER, Problem
 from pfdist.particle_filter import KERNEL_VERSION
+from pfdist.runner.chosen import ChosenModel, choose
 from pfdist.runner.pool import Pool, SerialPool
 from pfdist.runner.searches import NamedSearch, Settings, named_search
 from pfdist.work import Estimation
-
-
-@dataclass(frozen=True)
-class ChosenModel:
-    """A model's source, and the parameters that are not its own.
-
-    Parameters
-    ----------
-    source : ModelSource
-    parameters : mapping of str to float
-    """
-
-    source: ModelSource
-    parameters: Mapping[str, float]
-
-    def load(self) -> StateSpaceModel:
-        """Load the model."""
-        return self.source.load().with_parameters(self.parameters)
-
-    @property
-    def content(self) -> tuple[str, dict[str, float]]:
-        """What it is, as JSON values."""
-        return self.source.sha256, dict(self.parameters)
 
 
 @dataclass(frozen=True)
@@ -166,7 +143,7 @@ def build(job: Job) -> Built:
         The model cannot be loaded, a parameter is unknown or out of its range, or an estimator or
         a resampling does not fit.
     """
-    model = ChosenModel(find_model(job.model.name, job.path.parent), dict(job.model.parameters))
+    model = choose(job.model.name, job.path.parent, job.model.parameters)
     source = ProblemSource(
         model=model,
         filter_model=_filter_model(job, model),
@@ -191,11 +168,10 @@ def _filter_model(job: Job, model: ChosenModel) -> ChosenModel:
     section = job.model.filter
     if section.name:
         try:
-            source = find_model(section.name, job.path.parent)
+            return choose(section.name, job.path.parent, section.parameters)
         except ModelError as error:
             raise ModelError(f"model.filter: {error}") from error
-        return ChosenModel(source, dict(section.parameters))
-    return ChosenModel(model.source, {**model.parameters, **section.parameters})
+    return replace(model, parameters={**model.parameters, **section.parameters})
 
 
 def _compiled_or_numpy(source: ProblemSource) -> str:

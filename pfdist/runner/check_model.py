@@ -12,11 +12,13 @@ from pfdist import kalman
 from pfdist.analysis import Moments
 from pfdist.draws import Draws
 from pfdist.errors import CompileError, ModelError
+from pfdist.meaning import Meaning, check_is_constant
 from pfdist.measurement_times import regular
-from pfdist.models import StateSpaceModel, find_model
+from pfdist.models import StateSpaceModel
 from pfdist.monte_carlo import ENGINES, NUMPY_TIMES_SLOWER, Problem
 from pfdist.rounding import rounded, with_error
 from pfdist.runner.check_formulas import compiled_as_in_numpy, elementwise, likelihood, pure
+from pfdist.runner.chosen import loaded_twice
 from pfdist.work import Estimation, Work
 
 _DRAWS = 1000
@@ -68,13 +70,15 @@ def check_model(
     Check
     """
     try:
-        model = find_model(name, folder).load()
+        source, told, again = loaded_twice(name, folder)
+        model = source.load()
         states, measurements, quantities = model.components
     except ModelError as error:
         yield Check("load", "wrong", str(error))
         return
     sizes = f"{states} of x, {measurements} of y, {quantities} of z"
     yield Check("load", "ok", f"{model.name}: components {sizes}")
+    yield Check("loads the same twice", *_constant(source.path, told, again))
     engine, estimation = "compiled", Estimation(particles)
     try:
         Problem(model, horizon).compile(estimation)
@@ -107,6 +111,14 @@ def check_model(
         yield from _filtered(Problem(model, horizon, engine=engine), estimation)
     except ModelError as error:
         yield Check("filter", "wrong", str(error))
+
+
+def _constant(path: str, told: Meaning, again: Meaning) -> tuple[str, str]:
+    try:
+        check_is_constant(told, again, path, "each time it is loaded")
+    except ModelError as error:
+        return "wrong", str(error)
+    return "ok", "formulas, constants and data are the same in a second load"
 
 
 def _linear_gaussian(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:

@@ -32,7 +32,7 @@ from pfdist.store import (
     write_run,
 )
 
-_SHA256 = re.compile("[0-9a-f]{64}")
+_HASH = re.compile("[0-9a-f]{16,64}")
 _LIBRARIES = ("numpy", "scipy", "numba", "ray", "pandas", "pyarrow", "matplotlib")
 
 
@@ -80,7 +80,7 @@ def opened(path: Path, built: Built, say: Callable[[str], Any]) -> Iterator[Stor
             raise _mismatch(path, [f"comparison.draws: {committed} committed -> {draws}"])
         store.sweep()
         _quarantine(store, damages, say)
-        _write_about(path, built.job, identity, key)
+        _write_about(path, built, identity, key)
         yield Store(path, key)
 
 
@@ -96,11 +96,12 @@ def _committed(store: Store, damages: list[Damage]) -> int:
     return store.present("comparison", "draw", without=damaged).size
 
 
-def _write_about(path: Path, job: Job, identity: dict[str, Any], key: str) -> None:
+def _write_about(path: Path, built: Built, identity: dict[str, Any], key: str) -> None:
     """Write job.toml and run.json where they are not, or of fewer draws."""
+    job = built.job
     if not holds_run(path):
         write_job(path, job_toml(job.identity()))
-        write_run(path, {**identity, "provenance": _provenance(job)}, key)
+        write_run(path, {**identity, "provenance": _provenance(built)}, key)
     elif not (path / "job.toml").exists() or read_run(path)[1] != job.identity():
         write_job(path, job_toml(job.identity()))
     confirm(path, key)
@@ -127,10 +128,34 @@ def _identity(built: Built) -> dict[str, Any]:
         "pfdist": version("pfdist"),
         "kernel": KERNEL_VERSION,
         "engine": built.source.engine,
-        "model_sha256": built.source.model.source.sha256,
-        "filter_model_sha256": built.source.filter_model.source.sha256,
+        **meanings(built),
         "estimations": estimations(built),
     }
+
+
+def meanings(built: Built) -> dict[str, dict[str, Any]]:
+    """Give what the model means, and of the filter's model what differs from that."""
+    model, believed = built.source.model.meaning, built.source.filter_model.meaning
+    differs = {name: value for name, value in believed.items() if model.get(name) != value}
+    return {"model": model, "filter_model": differs}
+
+
+def changed_meanings(run: Mapping[str, Any], built: Built) -> dict[str, str]:
+    """Give how a run's models differ from those that are there now, by the names of what differs.
+
+    Parameters
+    ----------
+    run : mapping
+        The run's run.json.
+    built : Built
+    """
+    now = meanings(built)
+    if not all(isinstance(run.get(name), Mapping) for name in now):
+        return {"model": "known by its file alone -> known by all that its formulas reach"}
+    old, new = (
+        {"model": about["model"], "model.filter": about["filter_model"]} for about in (run, now)
+    )
+    return {key: f"{_short(was)} -> {_short(is_)}" for key, was, is_ in _changes(old, new)}
 
 
 def _check_free(path: Path) -> None:
@@ -146,24 +171,19 @@ def _check_free(path: Path) -> None:
 
 
 def _check_same(store: Store, built: Built, identity: dict[str, Any], committed: int) -> None:
-    (run, its), job, source = read_run(store.path), built.job, built.source
-    of = {
-        "model_sha256": f" of {source.model.source.path}",
-        "filter_model_sha256": f" of {source.filter_model.source.path}",
-    }
-    old = dict(_flat({"job": its, **{name: run.get(name) for name in identity}}))
-    new = dict(_flat({"job": job.identity(), **identity}))
-    differences = []
-    for key in sorted(old.keys() | new.keys()):
-        was, is_ = old.get(key, "nothing"), new.get(key, "nothing")
-        if was == is_ or _may_change(key, was, is_, committed):
+    (run, its), job = read_run(store.path), built.job
+    models = meanings(built)
+    old = {"job": its, **{name: run.get(name) for name in identity if name not in models}}
+    new = {"job": job.identity(), **{k: v for k, v in identity.items() if k not in models}}
+    changes = changed_meanings(run, built)
+    for key, was, is_ in _changes(old, new):
+        if _may_change(key, was, is_, committed):
             continue
-        if key == "job.comparison.draws":
-            was = f"{committed} committed"
-        name = key.removeprefix("job.") + of.get(key, "")
-        differences.append(f"{name}: {_short(was)} -> {_short(is_)}")
+        before = f"{committed} committed" if key == "job.comparison.draws" else _short(was)
+        changes[key.removeprefix("job.")] = f"{before} -> {_short(is_)}"
+    differences = [f"{name}: {change}" for name, change in sorted(changes.items())]
     # How searches estimate follows from the job, unless nothing else differs.
-    told = [one for one in differences if not one.startswith("estimations.")] or differences
+    told = [line for line in differences if not line.startswith("estimations.")] or differences
     if told:
         raise _mismatch(store.path, told)
     if not store.manifest.exists():
@@ -173,9 +193,18 @@ def _check_same(store: Store, built: Built, identity: dict[str, Any], committed:
         )
 
 
+def _changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any]]:
+    """Give the key and both values of every leaf that differs."""
+    before, after = dict(_flat(old)), dict(_flat(new))
+    for key in sorted(before.keys() | after.keys()):
+        was, is_ = before.get(key, "nothing"), after.get(key, "nothing")
+        if was != is_:
+            yield key, was, is_
+
+
 def _short(value: Any) -> Any:
     """A hash by its first figures."""
-    return value[:8] if isinstance(value, str) and _SHA256.fullmatch(value) else value
+    return value[:8] if isinstance(value, str) and _HASH.fullmatch(value) else value
 
 
 def _mismatch(path: Path, differences: list[str]) -> RunMismatchError:
@@ -209,11 +238,16 @@ def _flat(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
         yield key, value
 
 
-def _provenance(job: Job) -> dict[str, Any]:
+def _provenance(built: Built) -> dict[str, Any]:
+    job = built.job
     return {
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": sys.argv,
         "folder": str(job.path.parent.absolute()),  # what a model's path is relative to
+        "files": {  # of each model, its own first, by their paths relative to that
+            "model": built.source.model.source.sha256,
+            "filter_model": built.source.filter_model.source.sha256,
+        },
         "python": platform.python_version(),
         "libraries": {name: version(name) for name in _LIBRARIES},
         "machine": {

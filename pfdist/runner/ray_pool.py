@@ -13,7 +13,7 @@ import threading
 import time
 import warnings
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -29,7 +29,7 @@ import ray
 from ray.exceptions import RayActorError, RayError
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
-from pfdist.errors import PoolError
+from pfdist.errors import ModelError, PfdistError, PoolError
 from pfdist.runner.cores import usable_cores
 from pfdist.runner.pool import Outcome, Task, do
 from pfdist.runner.precautions import check_reachable, own_sigterm, short_folder, within
@@ -55,11 +55,15 @@ _OBJECT_STORE_BYTES = 100 * 1024**2  # outcomes are kilobytes
 @ray.remote(num_cpus=1)
 class _Worker:
     def __init__(self, make_function: Callable[[], Callable[[Any], Any]]) -> None:
-        self._function = make_function()
+        self._refusal = ""
+        try:
+            self._function = make_function()
+        except PfdistError as error:  # the driver is told, and ends with the same error
+            self._refusal = str(error)
 
     def about(self) -> dict[str, Any]:
-        """Say who this is; it is the first to be answered."""
-        return _about()
+        """Say who this is, and whether it can work; it is the first to be answered."""
+        return {**_about(), "refusal": self._refusal}
 
     def do(self, task: Task) -> Outcome:
         return do(self._function, task)
@@ -116,6 +120,8 @@ class RayPool:
     ------
     PoolError
         On entering: Ray does not start, or does not answer.
+    ModelError
+        A worker cannot make its function; or means something else by its model than the driver.
     """
 
     def __init__(
@@ -168,7 +174,7 @@ class RayPool:
             ready, _ = ray.wait(list(coming), timeout=max(0.0, deadline - time.monotonic()))
             slot = coming[ready[0]] if ready else next(iter(coming.values()))
             try:
-                _check_versions([ray.get(slot.about, timeout=0 if not ready else FETCH_SECONDS)])
+                _check_about(ray.get(slot.about, timeout=0 if not ready else FETCH_SECONDS))
                 slot.about = None
             except RayActorError:
                 deaths += 1
@@ -226,7 +232,7 @@ class RayPool:
         slot.heard = self._heard = time.monotonic()
         if call is slot.about:
             slot.about = None
-            _check_versions([answer])
+            _check_about(answer)
         else:
             del slot.tasks[call]
             yield answer
@@ -354,13 +360,15 @@ def describe_nodes(address: str) -> list[dict[str, Any]]:
     return nodes
 
 
-def _check_versions(abouts: Iterable[dict[str, Any]]) -> None:
-    for about in abouts:
-        if about["pfdist"] != version("pfdist"):
-            raise PoolError(
-                f"every node must have pfdist {version('pfdist')}, got {about['pfdist']} on "
-                f"{about['host']}: install the same version there"
-            )
+def _check_about(about: Mapping[str, Any]) -> None:
+    """Raise an error if a worker is of another version, or cannot make what it is to apply."""
+    if about["pfdist"] != version("pfdist"):
+        raise PoolError(
+            f"every node must have pfdist {version('pfdist')}, got {about['pfdist']} on "
+            f"{about['host']}: install the same version there"
+        )
+    if about["refusal"]:
+        raise ModelError(f"{about['refusal']} (found by a worker on {about['host']})")
 
 
 def _silent(calls: list[Any]) -> bool:

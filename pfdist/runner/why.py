@@ -22,6 +22,7 @@ from pfdist.measurement_times import Times
 from pfdist.monte_carlo import Problem
 from pfdist.plots import draw_why
 from pfdist.runner.build import Built, build
+from pfdist.runner.identity import changed_meanings
 from pfdist.runner.pace import MOST_SECONDS
 from pfdist.runner.progress import Progress, Report
 from pfdist.store import read_run
@@ -145,23 +146,18 @@ def _build(run: Run) -> Built:
     about, job = read_run(run.path)
     # A path is relative to the job file's folder, which may be another one by now.
     folders = [Path(about.get("provenance", {}).get("folder", ".")), Path(), run.path]
-    changes = []
+    settings = []
     for key, section in (("model", job["model"]), ("model.filter", job["model"].get("filter", {}))):
         file, colon, attribute = section.get("name", "").rpartition(".py:")
         if colon:
             there = [folder for folder in folders if (folder / f"{file}.py").exists()]
             path = (there or folders)[0].absolute() / f"{file}.py"
-            changes.append(f"{key}.name={path}:{attribute}")
-    built = build(load_job(run.path / "job.toml", changes))
-    sources = {"model": built.source.model, "filter_model": built.source.filter_model}
-    differences = []
-    for name, chosen in sources.items():
-        was, is_ = about.get(f"{name}_sha256"), chosen.source.sha256
-        if was != is_:
-            differences.append(f"{name}_sha256 of {chosen.source.path}: {was} -> {is_}")
+            settings.append(f"{key}.name={path}:{attribute}")
+    built = build(load_job(run.path / "job.toml", settings))
+    differences = changed_meanings(about, built)
     if differences:
         message = f"{run.path} is of another model than is there now: the run's -> this one's"
-        raise RunMismatchError(message, tuple(differences))
+        raise RunMismatchError(message, tuple(f"{k}: {v}" for k, v in differences.items()))
     return built
 
 

@@ -27,6 +27,7 @@ model = StateSpaceModel(
 """
 LOOKS = [
     "load",
+    "loads the same twice",
     "compile",
     "simulate",
     "pure",
@@ -146,6 +147,14 @@ def test_a_mistake_is_found(
     check = checks_of(tmp_path, *changes)[look]
     assert check.state == state, check
     assert re.search(says, check.text), check.text
+    assert "\n" not in check.text
+
+
+def test_a_constant_that_is_random_is_found_by_its_name(tmp_path: Path) -> None:
+    change = ("counter = []", "counter = np.random.rand()"), ("0.9 * x[0]", "counter * x[0]")
+    check = checks_of(tmp_path, *change)["loads the same twice"]
+    assert check.state == "wrong"
+    assert "counter of mine.py has another value each time it is loaded" in check.text
     assert "\n" not in check.text
 
 

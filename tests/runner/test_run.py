@@ -181,7 +181,7 @@ def test_an_edited_model_is_refused(tmp_path: Path, small_job: Job) -> None:
     job = small_job.with_changes(['model.name="mine.py:model"'])
     pfdist.run(job, tmp_path / "run")
     model.write_text(source.replace("x[0] / 2", "x[0] / 3"))
-    with pytest.raises(RunMismatchError, match=r"model_sha256 of .*mine.py: \w{8} -> \w{8};"):
+    with pytest.raises(RunMismatchError, match=r"one's: model.transition: \w{8} -> \w{8}$"):
         pfdist.run(job, tmp_path / "run")
 
 

@@ -184,8 +184,11 @@ def test_a_models_file_is_found_from_anywhere_and_must_be_the_runs(
     said: list[str] = []
     why(run.path, draws=2, say=said.append)
     assert said == [f"the model is what {file} says"]
-    file.write_text("from pfdist.models.ungm import model\n# another\n")
-    with pytest.raises(RunMismatchError, match=rf"model_sha256 of {file}: \w+ -> \w+"):
+    file.write_text('"""Another word."""\nfrom pfdist.models.ungm import model\n# another\n')
+    why(run.path, draws=2)
+    file.write_text("from pfdist.models.ungm_gordon import model\n")
+    words = r"model\.measurement: \w{8} -> \w{8}.*model\.parameters\.initial_sd: 5\.0 -> 1\.41"
+    with pytest.raises(RunMismatchError, match=words):
         why(run.path, draws=2)
 
 

@@ -1,0 +1,149 @@
+"""What a run is: the meaning of its models, whatever the words around it."""
+
+import hashlib
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import pfdist
+from pfdist import Job
+from pfdist.errors import ModelError, RunMismatchError
+from pfdist.runner.build import build
+from pfdist.runner.why import why
+from pfdist.work import Estimation
+
+pytestmark = pytest.mark.usefixtures("no_figures")
+MODEL = """
+import numpy as np
+from pathlib import Path
+from helper import f
+from pfdist import StateSpaceModel
+
+C = {constant}
+
+model = StateSpaceModel(
+    name="mine",
+    initial=lambda w, p: (3 * w[0],),
+    transition=lambda x, t, w, p: (C * f(x[0]) + w[0],),
+    measurement=lambda x, t, v, p: (x[0] + v[0],),
+    log_likelihood=lambda y, x, t, p: -0.5 * (y[0] - x[0]) ** 2,
+    quantity_of_interest=lambda x, t, p: (x[0],),
+    initial_noise=("normal",),
+    process_noise=("normal",),
+    measurement_noise=("normal",),
+    data_files=("rates.csv",),
+)
+"""
+HELPER = "def f(x):\n    return 0.9 * x\n"
+
+
+def written(job: Job, *, constant: str = "1.0", helper: str = HELPER, rates: str = "1\n") -> Job:
+    """Write a model with a helper module and data, and give the job with it."""
+    files = {"mine.py": MODEL.format(constant=constant), "helper.py": helper, "rates.csv": rates}
+    for name, text in files.items():
+        job.path.with_name(name).write_text(text)
+    return job.with_changes(['model.name="mine.py:model"'])
+
+
+def stopped_in_the_comparison(job: Job, path: Path) -> None:
+    def stop(progress: Any) -> None:
+        if progress.phase == "comparison" and progress.evaluations:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        pfdist.run(job, path, report=stop)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"helper": HELPER.replace("0.9", "0.5")}, r"model\.helper\.f: \w{8} -> \w{8}$"),
+        ({"constant": "2.0"}, r"model\.mine\.C: \w{8} -> \w{8}$"),
+        ({"rates": "2\n"}, r"model\.data_files\.rates\.csv: \w{8} -> \w{8}$"),
+    ],
+    ids=["helper", "constant", "data"],
+)
+def test_a_run_does_not_go_on_with_another_model(
+    small_job: Job, tmp_path: Path, change: dict[str, str], says: str
+) -> None:
+    stopped_in_the_comparison(written(small_job), tmp_path / "run")
+    with pytest.raises(RunMismatchError, match=says):
+        pfdist.run(written(small_job, **change), tmp_path / "run")
+    pfdist.run(written(small_job), tmp_path / "run")
+    written(small_job, **change)
+    with pytest.raises(RunMismatchError, match=says):
+        why(tmp_path / "run", draws=2)
+
+
+def test_a_run_goes_on_where_words_alone_have_changed(small_job: Job, tmp_path: Path) -> None:
+    stopped_in_the_comparison(written(small_job), tmp_path / "run")
+    other = written(small_job, helper='def f(x):\n    """Pull."""\n    return (0.9 * x)  # so\n')
+    assert pfdist.run(other, tmp_path / "run").state == "finished"
+
+
+def test_evaluations_of_models_that_mean_something_else_are_told_apart(small_job: Job) -> None:
+    def evaluation(**change: str) -> str:
+        source = build(written(small_job, **change)).source
+        return source.evaluation_id((0, 1), 12, 1, Estimation(40))
+
+    same = {evaluation(), evaluation(helper=HELPER + "# so\n")}
+    assert len(same) == 1
+    assert not same & {evaluation(helper=HELPER.replace("9", "8")), evaluation(constant="2.0")}
+
+
+def test_what_a_run_was_made_of_is_kept(small_job: Job, tmp_path: Path) -> None:
+    job = written(small_job)
+    run = pfdist.run(job, tmp_path / "run")
+    about = json.loads((run.path / "run.json").read_text())
+    files = ("mine.py", "helper.py", "rates.csv")
+    hashes = {
+        name: hashlib.sha256(job.path.with_name(name).read_bytes()).hexdigest() for name in files
+    }
+    assert about["provenance"]["files"] == {"model": hashes, "filter_model": hashes}
+    assert {"transition", "helper.f", "mine.C", "process_noise"} < about["model"].keys()
+    assert about["filter_model"] == {}
+
+
+def test_the_filters_model_is_named_where_it_differs(small_job: Job, tmp_path: Path) -> None:
+    text = MODEL.format(constant="1.0").replace("import f", "import g").replace("* f(", "* g(")
+    other = small_job.path.with_name("other.py")
+    other.write_text(text)
+    helper = HELPER + "def g(x):\n    return {} * x\n"
+    job = written(small_job, helper=helper.format(0.8))
+    job = job.with_changes(['model.filter.name="other.py:model"'])
+    about = build(job).source
+    assert about.filter_model.meaning["helper.g"]
+    pfdist.run(job, tmp_path / "run")
+    written(small_job, helper=helper.format(0.7))
+    with pytest.raises(RunMismatchError, match=r"one's: model\.filter\.helper\.g: \w{8} -> \w{8}$"):
+        pfdist.run(job, tmp_path / "run")
+
+
+def test_a_run_that_knew_its_model_by_the_file_alone_is_refused(
+    small_job: Job, tmp_path: Path
+) -> None:
+    run = pfdist.run(small_job, tmp_path / "run")
+    about = json.loads((run.path / "run.json").read_text())
+    del about["model"], about["filter_model"]
+    old = shutil.copytree(run.path, tmp_path / "old")
+    (old / "run.json").write_text(json.dumps(about))
+    with pytest.raises(RunMismatchError, match="model: known by its file alone -> known by all"):
+        why(old, draws=2)
+
+
+def test_a_random_constant_is_refused(small_job: Job, tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match=r"C of mine\.py has another value each time") as caught:
+        pfdist.run(written(small_job, constant="np.random.rand()"), tmp_path / "run")
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_constant_that_differs_on_a_worker_is_refused(
+    small_job: Job, tmp_path: Path, ray_cluster: None
+) -> None:
+    job = written(small_job, constant="__import__('os').getpid() / 2**22")
+    with pytest.raises(ModelError, match=r"C of mine\.py has another value in each p.*by a worker"):
+        pfdist.run(job, tmp_path / "run", pool="ray", workers=2)
