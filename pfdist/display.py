@@ -3,6 +3,7 @@
 import math
 import sys
 import time
+from statistics import mode
 from types import TracebackType
 from typing import Any, Self
 
@@ -144,6 +145,8 @@ def _summary_text(summary: dict[str, Any], files: str) -> str:
             lines.append(f"  degenerate draws      {result['degenerate_draws']:,} (left out)")
         if result["search_cost"] is not None:
             lines.append(_believed(result))
+        if result.get("search_distrust"):
+            lines.append(f"  searched again        {result['search_distrust']}")
         if "mean_relative_gain" in result:
             lines += _gain_lines(result)
         if "gain_over_itself" in result:
@@ -188,7 +191,13 @@ def _believed_on_average(found: list[dict[str, Any]]) -> list[str]:
     if not excesses or found[0]["search_standard_error"] == 0.0:  # they were known exactly
         return []
     excess = sum(excesses) / len(excesses)
-    return [f"found times: the search believed on average {_off(excess, found[0])}"]
+    cause = mode(one["search_cause"] for one in found)
+    off = _off(excess, {**found[0], "search_cause": cause})
+    again = found[0].get("search_distrust")
+    return [
+        f"found times: the search believed on average {off}",
+        *([f"searched again: {again}"] if again else []),
+    ]
 
 
 def _cost_cell(result: dict[str, Any]) -> str:
@@ -253,10 +262,10 @@ def _believed(result: dict[str, Any]) -> str:
 
 
 def _off(excess: float, result: dict[str, Any]) -> str:
-    """Say by how much a search's cost is off, and of what that comes."""
+    """Say by how much a search's cost is off, and why."""
     side = "below" if excess < 0 else "above"
     own = ", ".join(f"{key} = {its}" for key, its in result["search_estimation"].items())
-    reasons = "; ".join(filter(None, ["its draws chose the set", own]))
+    reasons = "; ".join(filter(None, [result["search_cause"], own]))
     return f"{_percent(abs(excess))} {side} the fresh cost ({reasons})"
 
 

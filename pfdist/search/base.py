@@ -20,11 +20,14 @@ class Candidate(NamedTuple):
         Last instant whose errors count, if it is not T.
     draws : int, optional
         On so many of the first draws, if not on as many as an evaluation has.
+    squared : bool
+        Whether by the squared error of the job's own filter, however the search estimates.
     """
 
     measurement_times: Times
     end: int | None = None
     draws: int | None = None
+    squared: bool = False
 
 
 FINALISTS = 8
