@@ -3,6 +3,7 @@
 import math
 import sys
 import textwrap
+from statistics import mode
 from typing import Any
 
 from pfdist.rounding import rounded, with_error, with_interval
@@ -50,6 +51,8 @@ def _summary_text(summary: dict[str, Any], files: str) -> str:
             lines.append(_line("degenerate draws", f"{result['degenerate_draws']:,} (left out)"))
         if result["search_cost"] is not None:
             lines.append(_believed(result))
+        if result.get("search_distrust"):
+            lines += _wrapped("searched again", result["search_distrust"])
         if "mean_relative_gain" in result:
             noise = summary["results"][reference].get("gain_over_itself")
             lines += _gain_lines(result, reference, noise)
@@ -64,15 +67,15 @@ def _line(name: str, text: str) -> str:
     return f"  {name:<21} {text}"
 
 
+def _wrapped(name: str, text: str) -> list[str]:
+    return textwrap.wrap(_line(name, text), _COLUMNS, subsequent_indent=_line("", ""))
+
+
 def _reference_lines(result: dict[str, Any]) -> list[str]:
     """Say what the reference is, and which constraints of the job it breaks."""
     facts = [("what it is", result["description"])]
     facts += [("breaks", constraint) for constraint in result["broken_constraints"]]
-    return [
-        line
-        for name, text in facts
-        for line in textwrap.wrap(_line(name, text), _COLUMNS, subsequent_indent=_line("", ""))
-    ]
+    return [line for name, text in facts for line in _wrapped(name, text)]
 
 
 def _budget_lines(summary: dict[str, Any]) -> list[str]:
@@ -108,7 +111,13 @@ def _believed_on_average(found: list[dict[str, Any]]) -> list[str]:
     if not excesses or found[0]["search_standard_error"] == 0.0:  # they were known exactly
         return []
     excess = sum(excesses) / len(excesses)
-    return [f"found times: the search believed on average {_off(excess, found[0])}"]
+    cause = mode(one["search_cause"] for one in found)
+    off = _off(excess, {**found[0], "search_cause": cause})
+    again = found[0].get("search_distrust")
+    return [
+        f"found times: the search believed on average {off}",
+        *([f"searched again: {again}"] if again else []),
+    ]
 
 
 def _cost_cell(result: dict[str, Any]) -> str:
@@ -174,10 +183,10 @@ def _believed(result: dict[str, Any]) -> str:
 
 
 def _off(excess: float, result: dict[str, Any]) -> str:
-    """Say by how much a search's cost is off, and of what that comes."""
+    """Say by how much a search's cost is off, and why."""
     side = "below" if excess < 0 else "above"
     own = ", ".join(f"{key} = {its}" for key, its in result["search_estimation"].items())
-    reasons = "; ".join(filter(None, ["its draws chose the set", own]))
+    reasons = "; ".join(filter(None, [result["search_cause"], own]))
     return f"{_percent(abs(excess))} {side} the fresh cost ({reasons})"
 
 

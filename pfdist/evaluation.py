@@ -82,6 +82,10 @@ class SearchEvaluation(Evaluation):
     """On draws that a search chooses by: its cost is never reported as a set's own."""
 
 
+class ProbeEvaluation(Evaluation):
+    """On the draws that decide whether a search may believe its estimator, and on no other."""
+
+
 class ShortlistEvaluation(Evaluation):
     """On the draws that decide between what searches have found, and on no other."""
 
@@ -113,6 +117,7 @@ class Purpose(Generic[E]):
 
 
 SEARCH = Purpose("search", SearchEvaluation)
+PROBE = Purpose("probe", ProbeEvaluation)
 SHORTLIST = Purpose("shortlist", ShortlistEvaluation)
 REPORT = Purpose("comparison", ReportEvaluation)
 BUDGET = Purpose("budget", ReportEvaluation)

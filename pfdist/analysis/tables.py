@@ -1,7 +1,7 @@
 """A run as DataFrames and as a summary."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from functools import cached_property
 from pathlib import Path
@@ -16,6 +16,8 @@ from pfdist.analysis.gains import BLOCK, Comparison, gain_over_itself, relative_
 from pfdist.analysis.reference import described
 from pfdist.errors import StoreError
 from pfdist.store import Store, check_entries, read_run
+
+_ERRORS = 4.0  # standard errors, by which a difference is more than chance and choice
 
 
 class Run:
@@ -164,12 +166,14 @@ class Run:
             description (what it is), broken_constraints (see
             `pfdist.constraints.Constraints.broken`) and gain_over_itself (see
             `pfdist.analysis.gains.gain_over_itself`) with its interval and draws; for the others
-            search_excess (search_cost over expected_mse, less 1), search_estimation (how its
-            estimate differs, draws aside), the fields of `GainSummary` and gains_disagree
+            search_excess (search_cost over expected_mse, less 1), search_estimation (how the search
+            that found the set estimates otherwise than the comparison, draws aside), search_cause
+            (why search_cost is not expected_mse), search_distrust (why the search was done again by
+            the squared error, or None), the fields of `GainSummary` and gains_disagree
             (`GainSummary.disagree`).
             Fractions, not per cent; what is infinite or unknown is None. Of a run for several
             numbers of measurements the results are the rows of `budget`, and for those found
-            search_excess and search_estimation.
+            search_excess, search_estimation, search_cause and search_distrust.
         """
         has, results = self._store.has, {}
         if has("compared") and has("comparison"):
@@ -190,7 +194,7 @@ class Run:
             name, worse_than = result.pop("name"), result["worse_than"]
             result["worse_than"] = None if pd.isna(worse_than) else worse_than
             if result["kind"] == FOUND:
-                result |= self._belief(name.rpartition("_")[0], result)
+                result |= self._belief(name.rpartition("_")[0], name, result)
             results[name] = result
         return results
 
@@ -210,7 +214,7 @@ class Run:
                 times = tuple(result["measurement_times"])
                 result |= described(self.job, self.names[0], times) | self._over_itself()
             else:
-                result |= self._belief(str(entry["name"]), result)
+                result |= self._belief(str(entry["name"]), str(entry["name"]), result)
                 summary = statistics.gains[entry["name"]].summary()
                 gain = asdict(summary) | {"gains_disagree": summary.disagree}
                 gain["quantiles"] = {str(key): value for key, value in gain["quantiles"].items()}
@@ -232,13 +236,17 @@ class Run:
             "gain_over_itself_draws": found.count,
         }
 
-    def _belief(self, search: str, result: dict[str, Any]) -> dict[str, Any]:
+    def _belief(self, search: str, name: str, result: dict[str, Any]) -> dict[str, Any]:
         """How far what a search believed is from the truth, and how it estimates otherwise."""
         mse = result["expected_mse"]
         comparable = mse != 0.0 and math.isfinite(mse)
+        distrust = self._distrusts.get(name)
+        own = self.own_estimation(search, again=distrust is not None)
         return {
             "search_excess": result["search_cost"] / mse - 1.0 if comparable else math.nan,
-            "search_estimation": self.own_estimation(search),
+            "search_estimation": own,
+            "search_cause": cause_of_excess(result, own),
+            "search_distrust": distrust,
         }
 
     @property
@@ -246,10 +254,26 @@ class Run:
         """Whether the run says how each search estimated, which older runs do not of "auto"."""
         return "estimations" in self._about
 
-    def own_estimation(self, search: str) -> dict[str, Any]:
+    @cached_property
+    def _distrusts(self) -> dict[str, str]:
+        """By the name of a found set, why its search was done again; of those alone."""
+        rows = self.compared()
+        if "distrust" not in rows:  # an older run
+            return {}
+        rows = rows[rows["distrust"].notna()]
+        return dict(zip(rows["name"].astype(str), rows["distrust"].astype(str), strict=True))
+
+    def own_estimation(self, search: str, *, again: bool = False) -> dict[str, Any]:
         """How a search estimates otherwise than the comparison: particles, resampling, estimator.
 
-        Of an older run's, what "auto" stood for is not known, and left out.
+        In an older run what "auto" stood for is not known, and left out.
+
+        Parameters
+        ----------
+        search : str
+        again : bool
+            Whether the search was done again by the squared error, because its estimator could not
+            be believed.
         """
         compared = {**self.job["filter"], "estimator": "squared_error"}
         if "estimations" in self._about:
@@ -257,7 +281,32 @@ class Run:
         else:
             given = {one["name"]: one.get("evaluation", {}) for one in self.job["search"]}
             own = {key: its for key, its in given[search].items() if its != "auto"}
+        if again:
+            own = {"resampling": own.get("resampling", compared["resampling"])}
         return {key: its for key, its in own.items() if key in compared and its != compared[key]}
+
+
+def cause_of_excess(result: Mapping[str, Any], own: Mapping[str, Any]) -> str:
+    """Say why a search's cost is not the fresh one.
+
+    A difference within a few standard errors is that of the draws: a search takes the set that they
+    flatter. A larger one has another cause, unless the search estimates as the comparison does.
+
+    Parameters
+    ----------
+    result : mapping
+        With search_cost, search_standard_error, expected_mse and standard_error.
+    own : mapping
+        How the search estimates otherwise than the comparison.
+    """
+    apart = result["search_cost"] - result["expected_mse"]
+    error = math.hypot(result["search_standard_error"], result["standard_error"])
+    if not abs(apart) > _ERRORS * error or not own:
+        return "its draws chose the set"
+    if apart > 0:
+        return "the search's filter errs more than the job's own"
+    biased = own.get("estimator", "squared_error") != "squared_error"
+    return "the search's filter underestimates its error" if biased else "its draws chose the set"
 
 
 def open_run(path: str | Path) -> Run:

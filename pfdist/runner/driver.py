@@ -1,6 +1,7 @@
 """The driver: search phases, then the comparison. It knows a pool and a store, and no Ray."""
 
 import uuid
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -26,7 +27,13 @@ FORKED = "forked-from"
 COMPARED = "search"
 
 
-def drive(built: Built, store: Store, pool: Pool, report: Report) -> None:
+def drive(
+    built: Built,
+    store: Store,
+    pool: Pool,
+    report: Report,
+    say: Callable[[str], Any] = lambda line: None,
+) -> None:
     """Compute what a run still lacks; going on and starting are the same.
 
     Parameters
@@ -37,6 +44,8 @@ def drive(built: Built, store: Store, pool: Pool, report: Report) -> None:
         Entered.
     report : callable
         Told of the progress, once an outcome.
+    say : callable, optional
+        Told, in a line, why a search does not believe its estimator.
 
     Raises
     ------
@@ -55,10 +64,9 @@ def drive(built: Built, store: Store, pool: Pool, report: Report) -> None:
         lost = store.manifest.lost()  # to be computed again
         has = store.has("compared") and not store.has_parts("compared")
         if lost or not has or unpublished(store, built.phases):
-            sets = _search(built, collector, progress, report)
+            sets, progress = _search(built, collector, progress, report, say)
         else:
-            sets = compared_sets(store)
-        progress = replace(progress, done=searched)
+            sets, progress = compared_sets(store), replace(progress, done=searched)
         run_comparison(built, sets, collector, progress, report)
         collector.flush()
         store.publish("draws", FORKED, [])
@@ -79,23 +87,33 @@ def compared_sets(store: Store) -> dict[str, Times]:
 
 
 def _search(
-    built: Built, collector: Collector, progress: Progress, report: Report
-) -> dict[str, Times]:
-    """Run every search and give what is to be compared."""
+    built: Built,
+    collector: Collector,
+    progress: Progress,
+    report: Report,
+    say: Callable[[str], Any],
+) -> tuple[dict[str, Times], Progress]:
+    """Run every search; give what is to be compared, and how far the run is."""
     rows: list[dict[str, Any]] = [
         {"name": name, "measurement_times": times} for name, times in built.references.items()
     ]
     for search in built.searches:
-        winners = run_search(built, search, collector, progress, report)
-        progress = replace(progress, done=progress.done + steps(built, search))
+        end = run_search(built, search, collector, progress, report, say)
+        redone = steps(built, search.again) if search.again and end.distrust else 0.0
+        progress = replace(
+            progress,
+            done=progress.done + steps(built, search) + redone,
+            total=progress.total + redone,
+        )
         rows += [
             {
                 "name": name,
                 "measurement_times": winner.measurement_times,
                 "search_cost": winner.believed.cost,
                 "search_standard_error": winner.believed.standard_error,
+                "distrust": end.distrust,
             }
-            for name, winner in winners.items()
+            for name, winner in end.winners.items()
         ]
     found = {row["name"] for row in rows}
     for name in built.names:
@@ -110,7 +128,7 @@ def _search(
     table = pa.Table.from_pylist(rows, schema=schema("compared"))
     # After what the searches have yet to write: from then on they are taken to be done.
     collector.later(partial(_publish_compared, collector.store, table))
-    return {row["name"]: row["measurement_times"] for row in rows}
+    return {row["name"]: row["measurement_times"] for row in rows}, progress
 
 
 def _publish_compared(store: Store, table: pa.Table) -> None:

@@ -108,7 +108,10 @@ def _write_about(path: Path, built: Built, identity: dict[str, Any], key: str) -
 
 
 def estimations(built: Built) -> dict[str, dict[str, Any]]:
-    """How each search estimates, which the job does not say where it is left to pfdist."""
+    """How each search estimates at first, which the job does not say where it is left to pfdist.
+
+    Whether a search was done again by the squared error, the tables say: it is found on the way.
+    """
     if built.problem.exact:
         return {}
     return {search.name: vars(search.settings.estimation) for search in built.searches}

@@ -20,10 +20,12 @@ from pfdist.runner.progress import Progress, Report
 from pfdist.runner.search_tables import commit_generation, committed_generations, publish_search
 from pfdist.runner.searches import Settings
 from pfdist.search import Candidate, Optimiser
+from pfdist.search.trust import new_leaders
 from pfdist.store import schema
-from pfdist.work import Result, Work, cut
+from pfdist.work import Estimation, Result, Work, cut
 
 E = TypeVar("E", bound=Evaluation)
+_Key = tuple[Times, int, int, Estimation]  # with an end, and a stream
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,8 @@ class Phase(Generic[E]):
     built : Built
     evaluated : dict of str to array of float64
         Per-draw MSE of this session by id, where a set may be wanted again.
+    leaders : list of Evaluation
+        Those that led its generations; see `pfdist.search.trust.new_leaders`.
     """
 
     name: str
@@ -48,6 +52,7 @@ class Phase(Generic[E]):
     settings: Settings
     built: Built
     evaluated: dict[str, NDArray[np.float64]] = field(default_factory=dict)
+    leaders: list[E] = field(default_factory=list)
 
     def steps(self) -> float:
         """About how many particle-steps it takes."""
@@ -57,16 +62,15 @@ class Phase(Generic[E]):
 
     def request(self, candidate: Candidate, generation: int) -> "_Request":
         """What is to be known of a candidate."""
-        times, end, draws, individual = candidate
+        times, end, draws, individual, squared = candidate
         fresh = [generation, times if individual is None else individual]
         keyed_by = [] if self.settings.common_noise else fresh
         stream = self.purpose.stream(self.built.job.seed, self.name, *keyed_by)
         last = self.built.job.problem.horizon if end is None else end
-        estimation, draws = self.settings.estimation, draws or self.settings.draws
+        estimation = self.built.comparing if squared else self.settings.estimation
         id_ = self.built.source.evaluation_id(times, last, stream, estimation)
-        return _Request(
-            id_, candidate, last, stream, np.full(draws, np.nan), np.ones(draws, np.bool_)
-        )
+        mse = np.full(draws or self.settings.draws, np.nan)
+        return _Request(id_, candidate, last, stream, estimation, mse, np.isnan(mse))
 
     def alike(self, candidate: Candidate) -> Candidate:
         """Candidate, without its place in the population where copies cannot differ."""
@@ -75,7 +79,7 @@ class Phase(Generic[E]):
 
     def evaluation(self, request: "_Request", exact: float | None = None) -> E:
         """Give what was asked for."""
-        times, end, _, _ = request.candidate
+        times, end, *_ = request.candidate
         policy = self.settings.degenerate_policy
         return self.purpose.evaluation(times, request.mse, policy, exact, end)
 
@@ -88,12 +92,13 @@ class _Request:
     candidate: Candidate
     end: int
     stream: int  # of truth and filter: their roles keep them apart
+    estimation: Estimation
     mse: NDArray[np.float64]
     missing: NDArray[np.bool_]
 
     @property
-    def key(self) -> tuple[Times, int, int]:
-        return self.candidate.measurement_times, self.end, self.stream
+    def key(self) -> "_Key":
+        return self.candidate.measurement_times, self.end, self.stream, self.estimation
 
     def learn(self, draws: Any, mse: Any) -> None:
         """Take the MSE of some draws."""
@@ -152,6 +157,7 @@ def run_phase(
             rows = partial(_rows, name, generation, asked, requests, evaluations)
             collector.later(partial(commit_generation, store, name, generation, rows))
         told = [evaluations[candidate] for candidate in asked]
+        phase.leaders.extend(new_leaders(told, phase.leaders))
         state, generation = optimiser.tell(state, told), generation + 1
         costs, finalists = _whole_costs(told), _whole_costs(optimiser.finalists(state))
         mean = float(np.mean(costs)) if costs else None
@@ -186,7 +192,7 @@ def _evaluate(
     def rows_of(work: Work, result: Result) -> pa.Table:
         return _draw_rows([wanted[key].id for key in _keys(work)], work.draws, result.mse)
 
-    works = _works(list(wanted.values()), phase.settings)
+    works = _works(list(wanted.values()))
     run = collector.run(phase.name, "draws", works, rows_of, more_follows=True)
     with closing(run) as pieces:
         for work, result in pieces:
@@ -215,12 +221,12 @@ def _recall(phase: Phase[E], requests: list[_Request], collector: Collector) -> 
                 phase.evaluated[id_] = request.mse
 
 
-def _works(requests: list[_Request], settings: Settings) -> Iterator[Work]:
+def _works(requests: list[_Request]) -> Iterator[Work]:
     """Put together sets that lack the same draws of one stream: what they share is done once."""
     together: dict[Any, list[_Request]] = defaultdict(list)
     for request in requests:
-        together[request.stream, request.missing.tobytes()].append(request)
-    for (stream, _), group in together.items():
+        together[request.stream, request.estimation, request.missing.tobytes()].append(request)
+    for (stream, estimation, _), group in together.items():
         lacking = group[0].missing
         for draws in cut(np.flatnonzero(lacking), lacking.size):
             yield Work(
@@ -229,12 +235,13 @@ def _works(requests: list[_Request], settings: Settings) -> Iterator[Work]:
                 filter_streams=(stream,) * len(group),
                 draws_stream=stream,
                 draws=draws,
-                estimation=settings.estimation,
+                estimation=estimation,
             )
 
 
-def _keys(work: Work) -> list[tuple[Times, int, int]]:
-    return list(zip(work.measurement_times, work.ends, work.filter_streams, strict=True))
+def _keys(work: Work) -> list[_Key]:
+    sets = zip(work.measurement_times, work.ends, work.filter_streams, strict=True)
+    return [(*each, work.estimation) for each in sets]
 
 
 def _draw_rows(ids: list[str], draws: tuple[int, int], mse: NDArray[np.float64]) -> pa.Table:
@@ -264,6 +271,8 @@ def _rows(
             "copies": copies[request.candidate],
             "measurement_times": request.candidate.measurement_times,
             "end": request.end,
+            "particles": request.estimation.particles,
+            "estimator": request.estimation.estimator,
             "expected_mse": evaluations[request.candidate].expected_mse,
             "standard_error": evaluations[request.candidate].standard_error,
             "draws": evaluations[request.candidate].draws,

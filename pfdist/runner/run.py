@@ -47,7 +47,8 @@ def run(
     report : callable, optional
         Is told of the progress, a `pfdist.runner.progress.Progress` at a time.
     say : callable, optional
-        Is told, in a line each, when the pool is ready, and which files were damaged.
+        Is told, in a line each, when the pool is ready, which files were damaged, and why a search
+        does not believe its estimator.
 
     Returns
     -------
@@ -81,7 +82,7 @@ def run(
             start = perf_counter()
             with make_pool(built, job.execution) as entered:
                 say(_ready(job.execution.pool, entered.workers, perf_counter() - start))
-                drive(built, store, entered, report)
+                drive(built, store, entered, report, say)
         done = open_run(path)
         if not all(file.exists() for file in figure_files(done)):
             draw_figures(done)

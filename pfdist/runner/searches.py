@@ -38,6 +38,9 @@ OPTIMISERS: dict[str, Callable[..., SearchOptimiser]] = {
     "survivors": _of_any_draws(Survivors),
 }
 
+SQUARED_ERROR = Estimation(1).estimator
+"""The estimator that is right for any filter."""
+
 _POLISH_DRAWS = 4096  # at most
 _RACE_DRAWS = 1000  # of the first round
 _NOTHING_OWN = SearchEvaluation()
@@ -91,7 +94,10 @@ class NamedSearch:
     polishing : Settings or None
         Of the exchanges that polish the best it has found, if there are to be any.
     racing : Settings
-        Of the race between what was found.
+        Of the race between what was found: the squared error of the job's own filter decides.
+    again : NamedSearch or None
+        The same search by the squared error, with as many particles as the job's own filter has:
+        what takes its place if its estimator cannot be believed. None if it has no other estimator.
     """
 
     name: str
@@ -99,6 +105,12 @@ class NamedSearch:
     settings: Settings
     polishing: Settings | None
     racing: Settings
+    again: "NamedSearch | None" = None
+
+    @property
+    def probe(self) -> str:
+        """Name of the phase that decides whether the estimator can be believed."""
+        return f"{self.name}.probe"
 
     @property
     def polish(self) -> str:
@@ -113,12 +125,14 @@ class NamedSearch:
     @property
     def phases(self) -> tuple[str, ...]:
         """Names of all that there may be."""
-        return self.name, self.polish, self.shortlist
+        own = self.name, self.polish, self.shortlist
+        return own if self.again is None else (*own, self.probe, *self.again.phases)
 
     @property
     def all_settings(self) -> tuple[Settings, ...]:
         """Of all phases."""
-        return self.settings, self.racing  # what polishes estimates as the search
+        own = self.settings, self.racing  # what polishes estimates as the search
+        return own if self.again is None else (*own, *self.again.all_settings)
 
 
 def _optimiser(job: Job, section: Search, draws: int) -> SearchOptimiser:
@@ -144,20 +158,26 @@ def named_search(job: Job, section: Search, cheapest: str) -> NamedSearch:
         The optimiser cannot search this problem.
     """
     settings = Settings.of(job, section.evaluation, cheapest)
-    polishing = replace(settings, draws=_POLISH_DRAWS, common_noise=True)
-    # It is for the job's own filter that the race decides.
-    estimation = replace(
-        settings.estimation, particles=job.filter.particles, resampling=job.filter.resampling
-    )
     if job.budget is None:
         optimiser = _optimiser(job, section, settings.draws)
     else:
         most = job.feasible(job.budget.most)
         optimiser = Budgets(most, job.budget.least, **section.settings)
-    return NamedSearch(
-        section.name,
-        optimiser,
-        settings,
-        polishing if section.polish and job.budget is None else None,
-        replace(settings, draws=_RACE_DRAWS, common_noise=True, estimation=estimation),
-    )
+    search = _with_settings(job, section, section.name, optimiser, settings)
+    by = settings.estimation
+    if by.estimator == SQUARED_ERROR or job.filter.engine == "kalman":  # which is exact
+        return search
+    by = replace(by, estimator=SQUARED_ERROR, particles=job.filter.particles)
+    settings = replace(settings, estimation=by)
+    again = _with_settings(job, section, f"{section.name}.again", optimiser, settings)
+    return replace(search, again=again)
+
+
+def _with_settings(
+    job: Job, section: Search, name: str, optimiser: SearchOptimiser, settings: Settings
+) -> NamedSearch:
+    own = Estimation(job.filter.particles, job.filter.resampling)
+    polishing = replace(settings, draws=_POLISH_DRAWS, common_noise=True)
+    racing = replace(settings, draws=_RACE_DRAWS, common_noise=True, estimation=own)
+    polishes = section.polish and job.budget is None
+    return NamedSearch(name, optimiser, settings, polishing if polishes else None, racing)

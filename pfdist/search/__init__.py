@@ -15,6 +15,7 @@ from pfdist.search.greedy import GreedyBackward, GreedyForward
 from pfdist.search.race import Race
 from pfdist.search.random_trials import RandomTrials
 from pfdist.search.survivors import Survivors
+from pfdist.search.trust import Probe
 
 __all__ = [
     "Annealing",
@@ -27,6 +28,7 @@ __all__ = [
     "GreedyBackward",
     "GreedyForward",
     "Optimiser",
+    "Probe",
     "Race",
     "RandomTrials",
     "SearchOptimiser",

@@ -23,12 +23,15 @@ class Candidate(NamedTuple):
     individual : int, optional
         Its index in the population, where copies of a set are to be evaluated on fresh draws each.
         Copies without an index share one evaluation, and under common noise all copies do.
+    squared : bool
+        Whether by the squared error of the job's own filter, however the search estimates.
     """
 
     measurement_times: Times
     end: int | None = None
     draws: int | None = None
     individual: int | None = None
+    squared: bool = False
 
 
 FINALISTS = 8

@@ -34,11 +34,14 @@ class RaceState:
         Of the next round.
     evaluations : tuple of ShortlistEvaluation
         Of those that ran the last one, the best first.
+    out : tuple of ShortlistEvaluation
+        Of those that fell out before it.
     """
 
     running: tuple[Times, ...]
     draws: int
     evaluations: tuple[ShortlistEvaluation, ...] = ()
+    out: tuple[ShortlistEvaluation, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -79,12 +82,13 @@ class Race:
         order = sorted(evaluations, key=lambda evaluation: evaluation.cost)
         near = [one for one in order if not difference(one, order[0]).is_worse(_WORSE)]
         running = [one.measurement_times for one in near[: (len(order) + 1) // 2]]
-        return RaceState(tuple(running), 2 * state.draws, tuple(order))
+        fell = tuple(one for one in state.evaluations if one.measurement_times not in state.running)
+        return RaceState(tuple(running), 2 * state.draws, tuple(order), (*fell, *state.out))
 
     def done(self, state: RaceState) -> bool:
         """Whether it is decided."""
         return bool(state.evaluations) and len(state.running) == 1
 
     def finalists(self, state: RaceState) -> tuple[ShortlistEvaluation, ...]:
-        """Give those that ran the last round, the winner first."""
-        return state.evaluations
+        """Give all, each on the most draws that it ran on: the winner first, then by rounds."""
+        return *state.evaluations, *state.out

@@ -49,6 +49,8 @@ _SCHEMAS = {
         _column("copies", pa.int32(), "", "how many of the population are this set"),
         _TIMES,
         _column("end", pa.int16(), "t", "last instant whose errors count, over T + 1"),
+        _column("particles", pa.int32(), "", "of the filter; exact engines have none"),
+        _column("estimator", pa.string(), "", "of a draw's error; exact engines have none"),
         _column("expected_mse", pa.float64(), _MSE, "inf: killed for a degenerate draw"),
         _column("standard_error", pa.float64(), _MSE, "of expected_mse"),
         _column("draws", pa.int32(), "", "draws filtered"),
@@ -65,6 +67,7 @@ _SCHEMAS = {
         _TIMES,
         _column("search_cost", pa.float64(), _MSE, "what the search believed; null: reference"),
         _column("search_standard_error", pa.float64(), _MSE, "of search_cost"),
+        _column("distrust", pa.string(), "", "why the search was done again by the squared error"),
     ],
     "repeated": [
         _column("draw", pa.int64(), "", "index of the draw, as in comparison"),

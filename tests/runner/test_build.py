@@ -116,14 +116,20 @@ def test_an_estimator_or_a_resampling_that_does_not_fit_is_refused(
         build(job)
 
 
-def test_a_search_and_its_race_have_its_estimator_and_its_job_the_others(tmp_path: Path) -> None:
+def test_a_search_has_its_estimator_and_its_race_the_squared_error_of_the_jobs_own_filter(
+    tmp_path: Path,
+) -> None:
     changes = ["evaluation.estimator=filter_variance", "search.random.evaluation.particles=9"]
     changes += ["search.random.evaluation.estimator=two_filters"]
     genetic, trials = build(job_with(tmp_path).with_changes(changes)).searches
-    assert genetic.settings.estimation == genetic.racing.estimation
-    assert genetic.racing.estimation == Estimation(40, "multinomial", "filter_variance")
+    assert genetic.settings.estimation == Estimation(40, "multinomial", "filter_variance")
     assert trials.settings.estimation == Estimation(9, "multinomial", "two_filters")
-    assert trials.racing.estimation == Estimation(40, "multinomial", "two_filters")
+    for search in (genetic, trials):  # the job's own filter, and the only estimator for any filter
+        assert search.racing.estimation == Estimation(40, "multinomial", "squared_error")
+        assert search.again is not None
+        assert search.again.settings.estimation == Estimation(40, "multinomial", "squared_error")
+        assert search.again.racing == search.racing
+        assert search.again.again is None
 
 
 def test_searches_estimate_as_they_like_and_the_comparison_by_the_squared_error(

@@ -53,6 +53,23 @@ def test_it_goes_on_with_those_that_may_be_the_best_and_decides_on_all_their_dra
     assert wins / races > evenly + 2 * standard_error
 
 
+def test_it_gives_all_that_ran_the_winner_first_each_on_the_most_draws_it_ran_on() -> None:
+    sets: list[Times] = [(0, t) for t in range(1, 9)]
+    race = Race(tuple(sets), 250)
+    state, rng = race.init(), np.random.default_rng(0)
+    noise = rng.normal(size=(8, 1000))
+    mse = dict(zip(sets, noise - noise.mean(axis=1, keepdims=True), strict=True))
+    while not race.done(state):
+        asked = [(one.measurement_times, one.draws) for one in race.ask(state, rng)]
+        state = race.tell(
+            state, [ShortlistEvaluation(times, mse[times][:draws]) for times, draws in asked]
+        )
+    found = race.finalists(state)
+    assert [one.draws for one in found] == [1000, 1000, 500, 500, 250, 250, 250, 250]
+    assert {one.measurement_times for one in found} == set(sets)
+    assert found[0].cost <= found[1].cost
+
+
 def test_of_sets_that_no_test_tells_apart_the_worse_half_falls_out() -> None:
     sets: list[Times] = [(0, t) for t in range(1, 9)]
     noise = np.random.default_rng(1).normal(size=(8, 1000))

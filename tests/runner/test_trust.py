@@ -1,0 +1,205 @@
+"""A search does not believe a filter that fools itself: a sharp sensor collapses its cloud."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import pfdist
+from oracles.bytes_of import hashes
+from pfdist import Job
+from pfdist.analysis import Run
+from pfdist.display import print_summary
+from pfdist.errors import TaskError
+from pfdist.evaluation import REPORT
+from pfdist.runner.build import build
+from pfdist.runner.collect import Collector
+from pfdist.work import Work
+
+SHARP = Path(pfdist.__file__).parents[1] / "tests" / "oracles" / "sharp_sensor.toml"
+GOOD = (1, 3, 6, 9)
+SMALL = ["search.survivors.evaluation.draws=100", "comparison.draws=500", "execution.pool=serial"]
+pytestmark = pytest.mark.usefixtures("no_figures")
+
+
+@pytest.fixture(scope="module")
+def job() -> Job:
+    return pfdist.load_job(SHARP, ["execution.pool=serial"])
+
+
+@pytest.fixture(scope="module")
+def planned(job: Job, tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, list[str], list[Any]]:
+    """A plan, what it has said, and its progress."""
+    said, seen = list[str](), list[Any]()
+    folder = tmp_path_factory.mktemp("sharp") / "run"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("pfdist.runner.run.draw_figures", lambda run: [])
+        patch.setattr("pfdist.runner.run.figure_files", lambda run: [])
+        run = pfdist.plan(job, folder, changes=SMALL, say=said.append, report=seen.append)
+    return run, said, seen
+
+
+def _rows(run: Run, phase: str) -> pd.DataFrame:
+    rows = run.evaluations()
+    return rows[rows["phase"] == phase]
+
+
+def test_a_plan_ends_near_the_best_set_though_the_filters_variance_prefers_another(
+    planned: tuple[Run, list[str], list[Any]], job: Job
+) -> None:
+    """Its own particles' variance says 0.1 for {0, 1, 3, 9}, whose error is 6."""
+    found = planned[0].summary()["results"]["survivors"]
+    times, draws = tuple(found["measurement_times"]), 5000
+    stream = REPORT.stream(123)
+    built = build(job)
+    work = Work((times, GOOD), (14, 14), (stream,) * 2, stream, (0, draws), built.comparing)
+    mse = built.problem(work).mse
+    apart = mse[:, 0] - 1.05 * mse[:, 1]
+    assert np.mean(apart) < 4 * np.std(apart) / np.sqrt(draws)
+
+
+def test_distrust_is_said_in_a_line_with_its_reason_and_kept(
+    planned: tuple[Run, list[str], list[Any]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    run, said, _ = planned
+    (line,) = [line for line in said if "cannot be believed" in line]
+    assert line.startswith("search survivors: filter_variance of 100 particles cannot be believed")
+    assert line.endswith("; searching again by the squared error")
+    result = run.summary()["results"]["survivors"]
+    assert result["search_distrust"] in line
+    assert result["search_estimation"] == {"resampling": "systematic"}  # that it ended with
+    print_summary(run.summary(), "")
+    text = capsys.readouterr().out
+    assert f"searched again        {result['search_distrust']}" in text
+    assert "its draws chose the set; resampling = systematic" in text
+
+
+def test_probes_are_what_led_the_search_a_prefix_up_to_its_end(
+    planned: tuple[Run, list[str], list[Any]], job: Job
+) -> None:
+    run, _, _ = planned
+    probes = _rows(run, "survivors.probe")
+    searched = _rows(run, "survivors")
+    first = probes[probes["generation"] == 0]
+    assert set(first["draws"]) == {500}
+    by = first.groupby(["estimator", "particles"]).size()
+    assert by.to_dict() == {
+        ("filter_variance", 100): len(first) / 2,
+        ("squared_error", 500): len(first) / 2,
+    }
+    asked = {(tuple(row.measurement_times), row.end) for row in first.itertuples()}
+    assert (job.problem.feasible.regular(), 14) in asked
+    for _, generation in searched.groupby("generation"):
+        costs = generation["expected_mse"] / (generation["end"] + 1)
+        best = generation.loc[costs.idxmin()]
+        assert (tuple(best["measurement_times"]), best["end"]) in asked
+    ends = {end for times, end in asked if end < 14}
+    assert ends == {times[-1] for times, end in asked if end < 14}
+
+
+def test_the_race_is_by_the_squared_error_of_the_jobs_own_filter(
+    planned: tuple[Run, list[str], list[Any]],
+) -> None:
+    race = _rows(planned[0], "survivors.again.shortlist")
+    assert len(race) > 1
+    assert set(race["estimator"]) == {"squared_error"}
+    assert set(race["particles"]) == {500}
+    again = _rows(planned[0], "survivors.again")
+    assert (set(again["estimator"]), set(again["particles"])) == ({"squared_error"}, {500})
+
+
+def test_the_progress_has_room_for_what_is_done_again(
+    planned: tuple[Run, list[str], list[Any]],
+) -> None:
+    states = planned[2]
+    assert states[-1].done == states[-1].total > states[0].total
+    shares = [state.done / state.total for state in states]
+    assert max(shares) == shares[-1] == 1.0
+
+
+def test_a_search_by_the_squared_error_needs_no_probe(job: Job, tmp_path: Path) -> None:
+    changes = [*SMALL, "search.survivors.evaluation.estimator=squared_error"]
+    run = pfdist.plan(job, tmp_path / "run", changes=changes)
+    phases = {"survivors", "survivors.polish", "survivors.shortlist"}
+    assert set(run.evaluations()["phase"]) == phases
+    assert run.summary()["results"]["survivors"]["search_distrust"] is None
+
+
+def test_an_estimator_that_the_user_chose_is_probed_as_well(job: Job, tmp_path: Path) -> None:
+    said: list[str] = []
+    section = "[{method='random', evaluations=40, evaluation={estimator='filter_variance'}}]"
+    changes = ["evaluation.draws=50", "comparison.draws=2", f"search={section}"]
+    run = pfdist.run(job.with_changes(changes), tmp_path / "run", say=said.append)
+    assert any("search random: filter_variance of 500 particles cannot be" in line for line in said)
+    assert set(_rows(run, "random.again")["estimator"]) == {"squared_error"}
+
+
+def test_where_finalists_change_their_order_the_search_is_done_again(
+    job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said, seen = list[str](), list[Any]()
+
+    def any_two(believed: Any, squared: Any) -> Any:
+        seen.append((believed, squared))
+        return squared[:2]
+
+    monkeypatch.setattr("pfdist.search.trust.BELOW", 10.0)  # the probes fail on nothing
+    monkeypatch.setattr("pfdist.runner.search_phase.misordered", any_two)
+    run = pfdist.plan(job, tmp_path / "run", changes=SMALL, say=said.append)
+    ((believed, squared),) = seen  # once: the squared error is what it is
+    race = _rows(run, "survivors.shortlist")
+    assert {one.measurement_times for one in squared} == set(map(tuple, race["measurement_times"]))
+    assert {one.measurement_times for one in squared} == set(believed)
+    assert set(race["estimator"]) == {"squared_error"}
+    (line,) = [line for line in said if "cannot be believed" in line]
+    assert "it prefers {" in line
+    found = run.summary()["results"]["survivors"]
+    again = _rows(run, "survivors.again.shortlist")
+    assert tuple(found["measurement_times"]) in set(map(tuple, again["measurement_times"]))
+
+
+@pytest.mark.parametrize(
+    ("phase", "pool"),
+    [
+        ("survivors", {}),
+        ("survivors.probe", {}),
+        ("survivors.probe", {"pool": "ray", "workers": 2}),
+        ("survivors.again", {}),
+        ("survivors.again.shortlist", {}),
+    ],
+)
+def test_a_run_that_was_cut_short_distrusts_again_and_ends_with_the_same_bytes(
+    phase: str,
+    pool: dict[str, Any],
+    planned: tuple[Run, list[str], list[Any]],
+    job: Job,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    request: pytest.FixtureRequest,
+) -> None:
+    if pool:
+        request.getfixturevalue("ray_cluster")
+    whole, said, _ = planned
+    real = Collector.run
+
+    def cut_short(self: Collector, name: str, *arguments: Any, **more: Any) -> Iterator[Any]:
+        for piece in real(self, name, *arguments, **more):
+            yield piece
+            if name == phase:
+                raise TaskError("the lights went out", "")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Collector, "run", cut_short)
+        with pytest.raises(TaskError, match="the lights went out"):
+            pfdist.plan(job, tmp_path / "run", changes=SMALL)
+    reached = pfdist.open_run(tmp_path / "run")
+    assert reached.state == "searching"
+    told: list[str] = []
+    pfdist.plan(job, tmp_path / "run", changes=SMALL, say=told.append, **pool)
+    assert hashes(tmp_path / "run") == hashes(whole.path)
+    assert [line for line in told if "believed" in line] == [
+        line for line in said if "believed" in line
+    ]

@@ -1,0 +1,186 @@
+"""What an estimator is distrusted for, and what it is not."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pfdist.evaluation import ProbeEvaluation, SearchEvaluation, ShortlistEvaluation
+from pfdist.feasible import Feasible
+from pfdist.measurement_times import Times
+from pfdist.search import Candidate
+from pfdist.search.trust import (
+    BELOW,
+    ERRORS,
+    PROBE_DRAWS,
+    Probe,
+    ProbeState,
+    judged,
+    misordered,
+    new_leaders,
+)
+
+Array = NDArray[np.float64]
+FEASIBLE = Feasible(horizon=12, measurement_budget=3)
+SET = (1, 2, 3)
+
+
+def _with_moments(mean: float, standard_error: float, draws: int = PROBE_DRAWS) -> Array:
+    """Values of exactly this mean and standard error."""
+    values = np.random.default_rng(1).normal(size=draws)
+    values -= values.mean()
+    return mean + values * standard_error * math.sqrt(draws) / np.std(values, ddof=1)
+
+
+def _pair(estimate: Array, error: Array) -> tuple[ProbeEvaluation, ProbeEvaluation]:
+    return ProbeEvaluation(SET, estimate), ProbeEvaluation(SET, error)
+
+
+@pytest.mark.parametrize(
+    ("estimate", "standard_error", "fails"),
+    [
+        (1.0 - BELOW - 0.01, 0.01, True),
+        (1.0 - BELOW + 0.01, 0.001, False),  # far more than 4 standard errors, and not 15 %
+        (0.5, 0.5 / (ERRORS + 0.1), True),
+        (0.5, 0.5 / (ERRORS - 0.1), False),  # a half, and not 4 standard errors
+        (2.0, 0.01, False),  # too large is another matter: no search seeks that
+    ],
+)
+def test_an_estimator_fails_that_lies_far_below_both_in_share_and_in_standard_errors(
+    estimate: float, standard_error: float, fails: bool
+) -> None:
+    error = _with_moments(1.0, standard_error)
+    assert judged(*_pair(np.full(PROBE_DRAWS, estimate), error)).fails == fails
+
+
+def test_draws_in_which_a_filter_was_degenerate_say_nothing() -> None:
+    error, estimate = _with_moments(1.0, 0.01), np.full(PROBE_DRAWS, 0.5)
+    error[:-1], estimate[-1] = np.nan, 0.0
+    assert not judged(*_pair(estimate, error)).fails
+    error, estimate = _with_moments(1.0, 0.01), np.full(PROBE_DRAWS, 0.5)
+    error[::2] = np.nan
+    assert judged(*_pair(estimate, error)).fails
+
+
+def _probe(
+    estimate: Callable[[Candidate], float], error: Callable[[Candidate], Array]
+) -> tuple[ProbeState, list[list[Candidate]]]:
+    """Run the probes to their end; give the last state, and what was asked for round by round."""
+    probe = Probe(FEASIBLE, (Candidate((2,), 2), Candidate((4, 5, 6))))
+    state, rounds = probe.init(), []
+    while not probe.done(state):
+        asked = probe.ask(state, np.random.default_rng(1))
+        rounds.append(asked)
+        state = probe.tell(
+            state,
+            [
+                ProbeEvaluation(
+                    one.measurement_times,
+                    error(one)[: one.draws]
+                    if one.squared
+                    else np.full(one.draws or 0, estimate(one)),
+                    end=one.end,
+                )
+                for one in asked
+            ],
+        )
+    return state, rounds
+
+
+def test_probes_are_the_regular_times_a_few_random_sets_and_what_led_the_search() -> None:
+    state, rounds = _probe(lambda one: 1.0, lambda one: _with_moments(1.0, 0.01))
+    (asked,) = rounds  # all are as good as they say: one round decides
+    assert not state.failed
+    sets = list(dict.fromkeys((one.measurement_times, one.end) for one in asked))
+    assert sets[0] == (FEASIBLE.regular(), None)
+    assert all(FEASIBLE.accepts(times) and end is None for times, end in sets[1:4])
+    assert sets[4:] == [((2,), 2), ((4, 5, 6), None)]  # a prefix up to its end
+    assert {one.draws for one in asked} == {PROBE_DRAWS}
+    for one in asked:  # each by the estimator, and by the squared error, on the same draws
+        assert one._replace(squared=not one.squared) in asked
+
+
+@pytest.mark.parametrize("sought", [Candidate((2,), 2), Candidate((4, 5, 6))])
+def test_an_estimator_that_fails_on_what_led_the_search_alone_has_failed(sought: Candidate) -> None:
+    def estimate(one: Candidate) -> float:
+        return 0.2 if one.measurement_times == sought.measurement_times else 1.0
+
+    state, _ = _probe(estimate, lambda one: _with_moments(1.0, 0.01))
+    assert [one.measurement_times for one in state.failed] == 2 * [sought.measurement_times]
+    assert [one.expected_mse for one in state.failed] == pytest.approx([0.2, 1.0])
+
+
+def test_draws_are_doubled_where_the_decision_is_open() -> None:
+    rng = np.random.default_rng(2)
+    errors = rng.normal(1.0, 12.0, 100_000)  # a standard error of a half at first
+    state, rounds = _probe(
+        lambda one: 0.2 if one.end else 1.0, lambda one: errors if one.end else np.ones(100_000)
+    )
+    draws = [asked[0].draws for asked in rounds]
+    assert draws == [PROBE_DRAWS * 2**k for k in range(len(draws))]
+    assert len(draws) > 1
+    assert [len(asked) for asked in rounds[1:]] == [2] * (len(rounds) - 1)  # that probe alone
+    assert state.failed[0].draws == draws[-1]
+
+
+def test_what_cannot_be_decided_comes_to_an_end() -> None:
+    errors = np.random.default_rng(3).normal(1.0, 1e3, 100_000)
+    state, rounds = _probe(lambda one: 1.0, lambda one: errors)
+    assert not state.failed
+    probes = [len(asked) // 2 for asked in rounds]
+    assert probes == [6, 3, 2, 1, 1]
+
+
+def _leader(times: Times, cost: float, end: int | None = None) -> SearchEvaluation:
+    return SearchEvaluation(times, np.full(2, cost), end=end)
+
+
+def test_the_leader_of_a_generation_is_the_best_of_its_kind_so_far() -> None:
+    before = [_leader((1, 2), 5.0), _leader((1,), 2.0, end=1)]
+    better, worse = _leader((1, 3), 4.0), _leader((2, 3), 6.0)
+    longer = _leader((1, 2, 3), 4.5)
+    late, soon = _leader((9,), 5.0, end=9), _leader((3,), 4.1, end=3)  # a half, and 1, an instant
+    dead = SearchEvaluation((1, 2, 4), np.array([1.0, np.nan]))
+    assert new_leaders([worse, better, longer, soon, late, dead], before) == [better, longer, late]
+
+
+def _raced(costs: dict[Times, Array]) -> list[ShortlistEvaluation]:
+    return [ShortlistEvaluation(times, mse) for times, mse in costs.items()]
+
+
+def _believed(costs: dict[Times, Array]) -> dict[Times, SearchEvaluation]:
+    return {times: SearchEvaluation(times, mse) for times, mse in costs.items()}
+
+
+A, B = (1, 2, 3), (4, 5, 6)
+
+
+@pytest.mark.parametrize(
+    ("real", "errors", "seen", "seen_errors", "contradicts"),
+    [
+        (1.0, 0.2, -0.5, 0.01, True),
+        (1.0, 0.2, 0.01, 0.001, False),  # the same order
+        (1.0, 0.3, -0.5, 0.01, False),  # the squared error does not tell them apart
+        (1.0, 0.2, -0.1, 0.3, False),  # the estimator has hardly an opinion
+        (-1.0, 0.2, 0.5, 0.01, True),
+    ],
+)
+def test_an_estimator_is_distrusted_that_changes_the_order_of_two_finalists(
+    real: float, errors: float, seen: float, seen_errors: float, contradicts: bool
+) -> None:
+    """Where the squared error tells them apart, and chance explains the other order badly."""
+    common = np.random.default_rng(4).normal(10.0, 5.0, 400)
+    squared = {A: common, B: common + _with_moments(real, errors, 400)}
+    believed = {A: common[::-1], B: common[::-1] + _with_moments(seen, seen_errors, 400)}
+    wrong = misordered(_believed(believed), _raced(squared))
+    assert (wrong is not None) == contradicts
+    if wrong is not None:
+        assert wrong[0].expected_mse < wrong[1].expected_mse
+
+
+def test_a_finalist_that_degenerate_draws_have_killed_contradicts_nobody() -> None:
+    squared = {A: np.array([1.0, np.nan, 1.0]), B: np.array([2.0, 2.0, 2.5])}
+    believed = {A: np.array([1.0, 1.0, 1.1]), B: np.array([3.0, 3.0, 3.1])}
+    assert misordered(_believed(believed), _raced(squared)) is None
