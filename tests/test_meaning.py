@@ -191,26 +191,29 @@ def test_what_another_distribution_has_installed_counts_by_name_and_version(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     installed = tmp_path / "site-packages"
-    for package in ("theirs", "mine"):
+    for package in ("theirs_installed", "ours_installed"):
         (installed / package).mkdir(parents=True)
         (installed / package / "__init__.py").touch()
-    (installed / "theirs-1.0.dist-info").mkdir()
-    metadata = installed / "theirs-1.0.dist-info" / "METADATA"
+    (installed / "theirs_installed-1.0.dist-info").mkdir()
+    metadata = installed / "theirs_installed-1.0.dist-info" / "METADATA"
     text = MODEL.format(
-        before="from theirs import f\nfrom mine.helper import g", formula="f(g(x[0]))"
+        before="from theirs_installed import f\nfrom ours_installed.helper import g",
+        formula="f(g(x[0]))",
     )
-    (installed / "mine" / "model.py").write_text(text)
+    (installed / "ours_installed" / "model.py").write_text(text)
     monkeypatch.syspath_prepend(installed)
-    entry = EntryPoint("plugged", "mine.model:model", "pfdist.models")
+    entry = EntryPoint("plugged", "ours_installed.model:model", "pfdist.models")
     monkeypatch.setattr("pfdist.models.loader.entry_points", lambda *, group: [entry])
 
     def means(constant: int, version: str, factor: int) -> Meaning:
-        for name in [name for name in sys.modules if name.partition(".")[0] in ("mine", "theirs")]:
+        for name in [name for name in sys.modules if "s_installed" in name]:
             del sys.modules[name]
         version_of.cache_clear()
-        (installed / "theirs" / "__init__.py").write_text(f"C = {constant}\ndef f(x): return C*x\n")
-        (installed / "mine" / "helper.py").write_text(f"def g(x): return {factor} * x\n")
-        metadata.write_text(f"Metadata-Version: 2.1\nName: theirs\nVersion: {version}\n")
+        (installed / "theirs_installed" / "__init__.py").write_text(
+            f"C = {constant}\ndef f(x): return C*x\n"
+        )
+        (installed / "ours_installed" / "helper.py").write_text(f"def g(x): return {factor} * x\n")
+        metadata.write_text(f"Metadata-Version: 2.1\nName: theirs_installed\nVersion: {version}\n")
         importlib.invalidate_caches()
         return meaning_of(*find_model("plugged").record())
 
@@ -221,7 +224,7 @@ def test_what_another_distribution_has_installed_counts_by_name_and_version(
         assert differences(one, meaning_of(source.load(), source)) == []
         assert differences(one, means(22, "1.0", 1)) == []
         assert differences(one, means(1, "1.1", 1)) == ["transition"]
-        assert differences(one, means(1, "1.0", 22)) == ["mine.helper.g"]
+        assert differences(one, means(1, "1.0", 22)) == ["ours_installed.helper.g"]
 
 
 def test_noise_parameters_data_and_linearity_are_part_of_it(tmp_path: Path) -> None:

@@ -128,7 +128,7 @@ class ModelSource:
 def _loaded(path: str, package: str, contents: tuple[tuple[str, bytes], ...]) -> types.ModuleType:
     """Load a model's file, the first of these, once a process."""
     file, files = Path(path), Files(dict(contents))
-    key = hashlib.sha256(repr((path, package, contents)).encode()).hexdigest()[:16]
+    key = _key(path, package, contents)
     with tempfile.TemporaryDirectory(prefix="pfdist-model-") as folder:
         place = file.parent
         if not package:  # what an installed module reads is installed, too
@@ -145,6 +145,13 @@ def _loaded(path: str, package: str, contents: tuple[tuple[str, bytes], ...]) ->
         except BaseException:
             beside.forget()
             raise
+
+
+def _key(path: str, package: str, contents: tuple[tuple[str, bytes], ...]) -> str:
+    digest = hashlib.sha256(repr((path, package)).encode())
+    for name, content in contents:
+        digest.update(f"{name!r} {len(content)} ".encode() + content)
+    return digest.hexdigest()[:16]
 
 
 def _write(folder: Path, contents: Mapping[str, bytes]) -> None:

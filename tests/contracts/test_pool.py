@@ -11,13 +11,14 @@ from typing import Any
 
 import pytest
 
-from pfdist.errors import PoolError
+from pfdist.errors import ModelError, PoolError
 from pfdist.runner.pool import Pool, SerialPool, Task
 
 # A pool's function is made in its workers, which need not know this file.
 SQUARE = partial(eval, "lambda work: work ** 2")
 INVERSE = partial(eval, "lambda work: 1 / work")
 ENVIRONMENT = partial(eval, "lambda work: __import__('os').environ.get(work)")
+REFUSES = partial(exec, "from pfdist.errors import ModelError; raise ModelError('not this one')")
 
 
 @pytest.fixture(params=["serial", "ray-1", "ray-2"])
@@ -43,6 +44,14 @@ def test_every_task_has_one_outcome_with_its_value(make_pool: Callable[[Any], Po
     assert all(outcome.error is None and outcome.seconds >= 0 for outcome in outcomes)
     assert all(outcome.worker and outcome.node for outcome in outcomes)
     assert len({outcome.worker for outcome in outcomes}) <= pool.workers
+
+
+def test_a_worker_that_refuses_its_work_ends_the_pool_with_its_own_words(
+    make_pool: Callable[[Any], Pool],
+) -> None:
+    with pytest.raises(ModelError, match=r"^not this one") as caught, make_pool(REFUSES):
+        pass
+    assert "\n" not in str(caught.value)
 
 
 def test_an_exception_is_an_outcome_with_its_traceback(make_pool: Callable[[Any], Pool]) -> None:
