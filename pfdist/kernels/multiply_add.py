@@ -17,6 +17,7 @@ What is not a product of float64 numbers stays as it was written.
 """
 
 import operator
+from typing import Any
 
 from numba import types
 from numba.core import ir
@@ -114,8 +115,8 @@ class _Formula:
     """A formula's variables: how each is defined, and how often it is used."""
 
     def __init__(self, func_ir):
-        self._definitions: dict = {}
-        self._uses: dict = {}
+        self._definitions: dict[str, list[Any]] = {}
+        self._uses: dict[str, int] = {}
         for block in func_ir.blocks.values():
             for statement in block.body:
                 if isinstance(statement, ir.Assign):
@@ -128,7 +129,8 @@ class _Formula:
 
     def rewrite(self, block):
         """Rewrite a block, and say whether anything was changed."""
-        body, here = [], set()
+        body: list[Any] = []
+        here: set[str] = set()
         for statement in block.body:
             if isinstance(statement, ir.Assign):
                 found = self._replacement(statement.value, here)

@@ -17,6 +17,7 @@ from pfdist.job import Job, job_toml
 from pfdist.kernels.noise import stream_key
 from pfdist.particle_filter import KERNEL_VERSION
 from pfdist.runner.build import Built
+from pfdist.runner.processor import processor
 from pfdist.store import (
     ABOUT,
     SCHEMA_VERSION,
@@ -76,7 +77,7 @@ def opened(path: Path, built: Built, say: Callable[[str], Any]) -> Iterator[Stor
             raise _mismatch(path, [f"comparison.draws: {committed} committed -> {draws}"])
         store.sweep()
         _quarantine(store, damages, say)
-        _write_about(path, built.job, identity)
+        _write_about(path, built, identity)
         yield store
 
 
@@ -92,12 +93,13 @@ def _committed(store: Store, damages: list[Damage]) -> int:
     return store.present("comparison", "draw", without=damaged).size
 
 
-def _write_about(path: Path, job: Job, identity: dict[str, Any]) -> None:
+def _write_about(path: Path, built: Built, identity: dict[str, Any]) -> None:
     """Write job.toml and run.json where they are not, or of fewer draws."""
+    job = built.job
     key = _key(identity, job)
     if not holds_run(path):
         write_job(path, job_toml(job.identity()))
-        write_run(path, {**identity, "provenance": _provenance(job)}, key)
+        write_run(path, {**identity, "provenance": _provenance(built)}, key)
     elif not (path / "job.toml").exists() or read_run(path)[1] != job.identity():
         write_job(path, job_toml(job.identity()))
     confirm(path, key)
@@ -206,7 +208,8 @@ def _flat(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
         yield key, value
 
 
-def _provenance(job: Job) -> dict[str, Any]:
+def _provenance(built: Built) -> dict[str, Any]:
+    job = built.job
     return {
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": sys.argv,
@@ -218,6 +221,9 @@ def _provenance(job: Job) -> dict[str, Any]:
             "system": platform.platform(),
             "cores": len(os.sched_getaffinity(0)),
         },
+        "processor": processor(),
+        # Of the C library: where none is called, compiled code gives the same bytes everywhere.
+        "libm_functions": list(built.source.libm_functions()),
         "git": _git(job.path.parent),
         "execution": job.execution.model_dump(mode="json"),
     }

@@ -8,6 +8,7 @@ from pfdist.store.files import remove as remove_file
 from pfdist.store.files import write_file
 from pfdist.store.folder import (
     ABOUT,
+    add_to_provenance,
     confirm,
     holds_run,
     is_identity,
@@ -27,6 +28,7 @@ __all__ = [
     "SCHEMA_VERSION",
     "Damage",
     "Store",
+    "add_to_provenance",
     "check_not_held",
     "comparison_schema",
     "confirm",

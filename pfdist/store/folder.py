@@ -33,6 +33,13 @@ def write_run(path: Path, run: dict[str, Any], identity: str) -> None:
     _write(path / "run.json", json.dumps(run, indent=2) + "\n")
 
 
+def add_to_provenance(path: Path, facts: dict[str, Any]) -> None:
+    """Write more facts into the provenance of a run, which is held."""
+    run, _ = read_run(path)
+    run["provenance"] = {**run.get("provenance", {}), **facts}
+    _write(path / "run.json", json.dumps(run, indent=2) + "\n")
+
+
 def is_identity(path: Path, identity: str) -> bool:
     """Whether this is the hash that a run's identity had when it was started."""
     return (path / _IDENTITY / identity).exists()
