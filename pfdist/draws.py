@@ -13,6 +13,7 @@ from pfdist.errors import ModelError
 from pfdist.kernels.components import naming, reader, writer
 from pfdist.kernels.disk_cache import kept_on_disk
 from pfdist.kernels.formulas import formula, formulas_of
+from pfdist.kernels.libm import libm_functions
 from pfdist.kernels.noise import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, filler
 from pfdist.models import StateSpaceModel
 
@@ -94,6 +95,14 @@ def check_finite(model: StateSpaceModel, *values: NDArray[np.float64]) -> None:
                 f"model {model.name}: a simulation must stay finite, got "
                 f"{name}[{component}] = {value[draw, t, component]} at t = {t}"
             )
+
+
+def libm_of_simulation(model: StateSpaceModel) -> tuple[str, ...]:
+    """Functions of the C library that the compiled simulation calls; see `libm_functions`.
+
+    The simulation was called before.
+    """
+    return libm_functions(_compiled(model))
 
 
 def _compiled(model: StateSpaceModel) -> Callable[..., None]:

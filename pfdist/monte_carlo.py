@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist import kalman, plain
-from pfdist.draws import Draws, simulate
+from pfdist.draws import Draws, libm_of_simulation, simulate
 from pfdist.errors import ModelError
 from pfdist.estimators import one_by_one
 from pfdist.measurement_times import Times
@@ -23,6 +23,7 @@ from pfdist.particle_filter import (
     check_fits,
     filter_draws,
     filter_sets,
+    libm_of_filter,
 )
 from pfdist.work import Estimation, Result, Work, columns
 
@@ -145,6 +146,19 @@ class Problem:
         draws = simulate(self.model, 1, range(1), 0)
         if not self.exact:
             filter_draws(self.believed, draws, (0,), 1, 0, estimation.resampling, dtype=self.dtype)
+
+    def libm_functions(self, estimation: Estimation) -> tuple[str, ...]:
+        """Functions of the C library that the formulas call, compiled; they were before.
+
+        Their last digits may differ between processors. All else that is compiled gives the same
+        bytes on each.
+        """
+        found = set(libm_of_simulation(self.model))
+        if not self.exact:
+            found |= set(
+                libm_of_filter(self.believed, self.model, estimation.resampling, self.dtype)
+            )
+        return tuple(sorted(found))
 
     @property
     def seconds_a_step(self) -> float:

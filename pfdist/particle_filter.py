@@ -19,6 +19,7 @@ from pfdist.draws import Draws
 from pfdist.errors import ModelError
 from pfdist.kernels.formulas import formulas_of
 from pfdist.kernels.fused_filter import fused_filter
+from pfdist.kernels.libm import libm_functions
 from pfdist.kernels.moments import ESTIMATORS
 from pfdist.kernels.noise import stream_key
 from pfdist.kernels.prefixes import plan
@@ -233,6 +234,16 @@ def _check_estimator(model: StateSpaceModel, truth: StateSpaceModel, estimator: 
             f"evaluation.estimator = {estimator!r} needs an error that is the squared Euclidean "
             f"norm, got model {truth.name}, which has one of its own; allowed: {ESTIMATORS[0]!r}"
         )
+
+
+def libm_of_filter(
+    model: StateSpaceModel, truth: StateSpaceModel, resampling: str, dtype: str
+) -> tuple[str, ...]:
+    """Functions of the C library that the compiled filter calls; see `libm_functions`.
+
+    The filter was called before.
+    """
+    return libm_functions(_compiled(model, truth, resampling, dtype))
 
 
 def _compiled(

@@ -8,10 +8,13 @@ all are portable.
 import numpy as np
 from llvmlite import ir
 from numba import types
+from numba.core import cgutils
 from numba.extending import intrinsic, overload
 
 from pfdist.kernels.melting import MELTING
 
+_SHORT = 4
+_SUMS = 64
 LANES = 16  # of a vector of 32-bit numbers
 
 
@@ -101,5 +104,49 @@ def add_ranks(typing_context, weights, first, points, begin, ranks):
             sums[0] = builder.add(sums[0], one)
         builder.store(sums[0], ranks, align=4)
         return context.get_dummy_value()
+
+    return signature, generate
+
+
+@intrinsic
+def row_sum(typing_context, values, row):
+    """Sum of a row, in the same order of additions whatever the processor's vectors.
+
+    Compiled only: ``row_sum(values, row)`` with an array of float64 whose rows are a multiple of
+    `LANES` long. Partial sum number l adds up the values l, l + LANES, l + 2 LANES, ... Then the
+    second half of the partial sums is added to the first half, until one is left.
+    """
+    signature = types.float64(values, types.uintp)
+    index = ir.IntType(64)
+    vector = ir.VectorType(ir.DoubleType(), _SHORT)
+
+    def generate(context, builder, signature, arguments):
+        values = context.make_array(signature.args[0])(context, builder, arguments[0])
+        length = cgutils.unpack_tuple(builder, values.shape)[1]
+        origin = builder.gep(values.data, [builder.mul(arguments[1], length)])
+        zeros = ir.Constant(vector, [0.0] * _SHORT)
+        sums = [cgutils.alloca_once_value(builder, zeros) for _ in range(_SUMS // _SHORT)]
+
+        def add(first, last, sums):
+            number = ir.Constant(index, len(sums) * _SHORT)
+            with cgutils.for_range_slice(builder, first, last, number, index) as (start, _):
+                for k, total in enumerate(sums):
+                    place = builder.add(start, ir.Constant(index, k * _SHORT))
+                    address = builder.bitcast(builder.gep(origin, [place]), vector.as_pointer())
+                    block = builder.load(address, align=8)
+                    builder.store(builder.fadd(builder.load(total), block), total)
+
+        whole = builder.and_(length, ir.Constant(index, -_SUMS))
+        add(ir.Constant(index, 0), whole, sums)
+        add(whole, length, sums[: LANES // _SHORT])
+        parts = [builder.load(total) for total in sums]
+        while len(parts) > 1:
+            half = len(parts) // 2
+            parts = [builder.fadd(a, b) for a, b in zip(parts[:half], parts[half:], strict=True)]
+        low, high = (
+            builder.fadd(*(builder.extract_element(parts[0], ir.Constant(index, k)) for k in pair))
+            for pair in ((0, 2), (1, 3))
+        )
+        return builder.fadd(low, high)
 
     return signature, generate

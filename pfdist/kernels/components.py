@@ -18,7 +18,7 @@ from pfdist.kernels.melting import melted
 
 @cache
 def tuple_of(
-    components: int, arguments: str, entry: str, *, any_order: bool = False
+    components: int, arguments: str, entry: str, **functions: Callable[..., Any]
 ) -> Callable[..., Any]:
     """Compile a function whose result is a tuple.
 
@@ -30,11 +30,11 @@ def tuple_of(
         Names of the function's arguments.
     entry : str
         The expression of entry c, for instance ``"a[c] + b[c]"``.
-    any_order : bool
-        Whether the additions in it may be done in another order: so a sum becomes vectors.
+    **functions : callables
+        What the expression calls, by name.
     """
     entries = "".join(f"{_for_component(c, entry)}," for c in range(components))
-    return _made(f"def result({arguments}):\n    return ({entries})\n", any_order=any_order)
+    return _made(f"def result({arguments}):\n    return ({entries})\n", **functions)
 
 
 def reader(components: int, axes: str) -> Callable[..., Any]:
@@ -72,10 +72,10 @@ def naming(names: tuple[str, ...]) -> Callable[..., Any]:
     """``named(values) -> p``, a named tuple of the entries of an array."""
     kind = namedtuple("Parameters", names)  # type: ignore[misc]
     entries = ", ".join(f"values[{i}]" for i in range(len(names)))
-    return _made(f"def result(values):\n    return kind({entries})\n", kind)
+    return _made(f"def result(values):\n    return kind({entries})\n", kind=kind)
 
 
-def _made(source: str, kind: Any = None, *, any_order: bool = False) -> Callable[..., Any]:
-    scope: dict[str, Any] = {"float64": np.float64, "kind": kind}
+def _made(source: str, **names: Any) -> Callable[..., Any]:
+    scope: dict[str, Any] = {"float64": np.float64, "uintp": np.uintp, **names}
     exec(source, scope)  # noqa: S102  the source is made above, of numbers and our own words
-    return melted(scope["result"], fastmath={"reassoc", "nsz"} if any_order else False)
+    return melted(scope["result"])

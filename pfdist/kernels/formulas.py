@@ -13,6 +13,7 @@ from numba.core.errors import NumbaError
 import pfdist.elementwise  # noqa: F401  how Numba is to take what formulas may call
 from pfdist.errors import CompileError, ModelError, PfdistError
 from pfdist.kernels.melting import melted
+from pfdist.kernels.multiply_add import MultiplyAdd
 from pfdist.kernels.overloads import ELEMENTARY, log_to_base
 
 
@@ -23,7 +24,7 @@ def formula(function: Callable[..., Any]) -> Callable[..., Any]:
     are those of `pfdist.kernels.overloads`. Division by zero gives inf or nan as in NumPy: a
     branch to raise would stop vectorisation.
     """
-    return melted(_seeing(function), fastmath={"arcp", "contract"})
+    return melted(_seeing(function), passes=(MultiplyAdd,))
 
 
 def _seeing(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -73,7 +73,8 @@ def fused_filter(
         size, spacious = width(particles), padded(particles + SPARE)
         cloud = np.empty((2, states, size), kind)
         noise = np.empty((rows, spacious), np.float32)
-        log_weight, weight = np.empty(size), np.zeros((2, size), np.float32)
+        terms, weight = np.empty((quantities, size)), np.zeros((2, size), np.float32)
+        log_weight = terms[0]  # needed no longer when terms are
         weight[_ALIKE, :particles] = 1.0
         cumulative, sums = np.empty(size), np.empty(spacious)
         points, shares = np.empty(spacious, np.uint32), np.empty(spacious, np.uint32)
@@ -86,7 +87,7 @@ def fused_filter(
                     of_filter = filter_draw(
                         streams[k], k, first + d, d, s, y, z, plan, particles, estimator, p, truth,
                         estimate, variance, others, saved, before, cloud, noise, log_weight, weight,
-                        cumulative, sums, points, shares, ancestor, counts,
+                        cumulative, sums, points, shares, ancestor, counts, terms,
                     )  # fmt: skip
                     mse[d, s] = of_filter if k == 0 else mse[d, s] + of_filter
 
@@ -116,7 +117,7 @@ def _filter_draw(
     def filter_draw(
         stream, k, draw, d, s, y, z, plan, particles, estimator, p, truth,
         estimate, variance, others, saved, before, cloud, noise, log_weight, weight,
-        cumulative, sums, points, shares, ancestor, counts,
+        cumulative, sums, points, shares, ancestor, counts, terms,
     ):  # fmt: skip
         measured, begins, ends, sources, stops, slots = plan
         here, stop = np.int64(0), begins[s]
@@ -140,9 +141,9 @@ def _filter_draw(
                     by, total = _WEIGHED, cumulate(weight, _WEIGHED, log_weight.size, cumulative)
                 if total == 0.0:
                     return _ended(before, slots, s, t, np.nan)  # degenerate
-                mean = average(cloud, here, t, p, weight, by, total)
+                mean = average(cloud, here, t, p, weight, by, total, terms)
                 if not by_error_alone:
-                    variances = spread(cloud, here, t, p, weight, by, total, mean)
+                    variances = spread(cloud, here, t, p, weight, by, total, mean, terms)
                     record(estimate, variance, d, t, mean, variances)
                     error += cost_of(estimator, k, others, s, t, mean, variances, truth)
                 error += error_of(read_z(z, d, t), mean, t, truth) if by_error else 0.0

@@ -6,12 +6,13 @@ optimises it once more; without it a filter is compiled in 0.6 of the time.
 """
 
 from collections.abc import Callable
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from typing import Any
 
 from numba import njit
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
+from numba.core.untyped_passes import ReconstructSSA
 from numba.extending import register_jitable
 
 
@@ -26,6 +27,22 @@ class _Compiler(Compiler):  # type: ignore[misc]
         library.enable_object_caching()  # as Numba's own
         self.state.library = library
         return super().define_pipelines()
+
+
+@cache
+def _with_passes(base: type, passes: tuple[type, ...]) -> type:
+    """A compiler that also runs these passes, one after another, before it infers types."""
+
+    class Extended(base):  # type: ignore[misc]
+        def define_pipelines(self) -> Any:
+            managers = super().define_pipelines()
+            for manager in managers:
+                for made in reversed(passes):
+                    manager.add_pass_after(made, ReconstructSSA)
+                manager.finalize()
+            return managers
+
+    return Extended
 
 
 # A call left standing stops vectorisation: 15 times the time.
@@ -45,12 +62,24 @@ and as it stands on NumPy arrays."""
 
 
 class Melted:
-    """A function that compiled ones can call; called from Python it is compiled by itself."""
+    """A function that compiled ones can call; called from Python it is compiled by itself.
 
-    def __init__(self, function: Callable[..., Any], **options: Any) -> None:
+    Parameters
+    ----------
+    function : callable
+    passes : tuple of Numba's passes
+        Over its untyped representation.
+    **options
+        Of `numba.njit`.
+    """
+
+    def __init__(
+        self, function: Callable[..., Any], passes: tuple[type, ...] = (), **options: Any
+    ) -> None:
         self.py_func = function
-        self._options = options
-        self._melting = njit(function, **MELTING, **options)
+        self._options = options | {"pipeline_class": _with_passes(Compiler, passes)}
+        melting = MELTING | {"pipeline_class": _with_passes(_Compiler, passes)}
+        self._melting = njit(function, **melting, **options)
         self._numba_type_ = self._melting._numba_type_  # by which Numba takes it for a function
 
     @cached_property

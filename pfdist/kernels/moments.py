@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
+from pfdist.kernels.arithmetic import row_sum
 from pfdist.kernels.components import reader, tuple_of, writer
 from pfdist.kernels.formulas import formula
 from pfdist.kernels.melting import melted
@@ -20,35 +21,33 @@ def moments(
 ) -> tuple[Callable[..., Any], ...]:
     """Compile the weighted mean of z, and its variance.
 
-    A particle of weight 0 does not count. Sums that may be added in any order become vectors.
+    A particle of weight 0 does not count. The terms are computed first, a vector of whatever length
+    the processor has at a time; then `row_sum` adds them in an order of its own.
     """
     states, _, quantities = components
     quantity, read_x = formula(quantity_of_interest), reader(states, "half, c, i")
-    add = tuple_of(
-        quantities,
-        "sums, weight, values",
-        "sums[c] + weight * (values[c] if weight > 0.0 else 0.0)",
-        any_order=True,
+    weighted = tuple_of(
+        quantities, "weight, values", "weight * (values[c] if weight > 0.0 else 0.0)"
     )
-    divided = tuple_of(quantities, "sums, total", "sums[c] / total")
     squares = tuple_of(quantities, "values, mean", "(values[c] - mean[c]) ** 2")
-    nothing = (0.0,) * quantities
+    write_terms = writer(quantities, "c, i")
+    mean_of = tuple_of(
+        quantities, "terms, total", "row_sum(terms, uintp(c)) / total", row_sum=row_sum
+    )
 
     @melted
-    def average(cloud, here, t, p, weight, row, total):
-        sums = nothing
+    def average(cloud, here, t, p, weight, row, total, terms):
         for i in range(cloud.shape[2]):
             z = quantity(read_x(cloud, here, i), t, p)
-            sums = add(sums, weight[row, i], z)
-        return divided(sums, total)
+            write_terms(terms, i, weighted(weight[row, i], z))
+        return mean_of(terms, total)
 
     @melted
-    def spread(cloud, here, t, p, weight, row, total, mean):
-        sums = nothing
+    def spread(cloud, here, t, p, weight, row, total, mean, terms):
         for i in range(cloud.shape[2]):
             z = quantity(read_x(cloud, here, i), t, p)
-            sums = add(sums, weight[row, i], squares(z, mean))
-        return divided(sums, total)
+            write_terms(terms, i, weighted(weight[row, i], squares(z, mean)))
+        return mean_of(terms, total)
 
     return average, spread
 

@@ -58,6 +58,14 @@ class ProblemSource:
                 problem.compile(estimation)
         return problem
 
+    def libm_functions(self) -> tuple[str, ...]:
+        """Functions of the C library that the compiled formulas call."""
+        if self.engine == "numpy":
+            return ()
+        problem = self.compiled()
+        found = (problem.libm_functions(estimation) for estimation in self.estimations)
+        return tuple(sorted(set().union(*found)))
+
     def evaluation_id(self, times: Times, end: int, stream: int, estimation: Estimation) -> str:
         """Hash all that the per-draw MSE of these times depends on."""
         key = stream_key(

@@ -23,12 +23,27 @@ from pfdist.work import Estimation, Work
 
 _DRAWS = 1000
 _SECONDS = 4.0  # for an evaluation of fewer draws, where a thousand take longer
+
+
+def _same_bytes(model: StateSpaceModel, _: Draws) -> tuple[str, str]:
+    """Whether the compiled formulas give the same bytes on another processor."""
+    called = Problem(model, 1).libm_functions(Estimation(1))
+    if not called:
+        return "ok", "the compiled formulas give the same bytes on all processors"
+    return "note", (
+        f"the formulas call {', '.join(called)} of the C library: results may differ in the last "
+        "digits between machines"
+    )
+
+
 _LOOKS: dict[str, Callable[[StateSpaceModel, Draws], tuple[str, str]]] = {
     "pure": pure,
     "elementwise": elementwise,
     "compiled as in NumPy": compiled_as_in_numpy,
+    "same bytes": _same_bytes,
     "log_likelihood": likelihood,
 }
+_COMPILED = ("compiled as in NumPy", "same bytes")
 
 
 @dataclass(frozen=True)
@@ -101,7 +116,7 @@ def check_model(
     if model.linear_gaussian:
         looks["linear_gaussian"] = _linear_gaussian
     if engine == "numpy":
-        del looks["compiled as in NumPy"]
+        looks = {look: looks[look] for look in looks if look not in _COMPILED}
     for look, function in looks.items():
         try:
             yield Check(look, *function(model, draws))

@@ -17,6 +17,7 @@ from pfdist.job import Job, job_toml
 from pfdist.kernels.noise import stream_key
 from pfdist.particle_filter import KERNEL_VERSION
 from pfdist.runner.build import Built
+from pfdist.runner.processor import processor
 from pfdist.store import (
     ABOUT,
     SCHEMA_VERSION,
@@ -258,6 +259,9 @@ def _provenance(built: Built) -> dict[str, Any]:
             "system": platform.platform(),
             "cores": len(os.sched_getaffinity(0)),
         },
+        "processor": processor(),
+        # Of the C library: where none is called, compiled code gives the same bytes everywhere.
+        "libm_functions": list(built.source.libm_functions()),
         "git": _git(job.path.parent),
         "execution": job.execution.model_dump(mode="json"),
     }

@@ -12,6 +12,7 @@ from pfdist.plots import draw_figures, figure_files, remove_figures
 from pfdist.runner.build import build, make_pool
 from pfdist.runner.driver import FORKED, drive
 from pfdist.runner.identity import opened
+from pfdist.runner.processor import note_processor
 from pfdist.runner.progress import Report
 from pfdist.store import Store, read_run
 
@@ -77,6 +78,7 @@ def run(
             remove_figures(path)  # of fewer draws, or drawn on the way
             if origin is not None:
                 store.adopt(origin, FORKED)
+            note_processor(path, built, say)
             for file in built.model_files:
                 say(f"the model is what {file} says")
             start = perf_counter()

@@ -8,6 +8,7 @@ from pfdist.store.files import remove as remove_file
 from pfdist.store.files import write_file
 from pfdist.store.folder import (
     ABOUT,
+    add_to_provenance,
     confirm,
     has_key,
     holds_run,
@@ -28,6 +29,7 @@ __all__ = [
     "SCHEMA_VERSION",
     "Damage",
     "Store",
+    "add_to_provenance",
     "check_entries",
     "check_not_held",
     "comparison_schema",

@@ -43,6 +43,13 @@ def run_key(path: Path) -> str | None:
     return keys[0] if len(keys) == 1 else None
 
 
+def add_to_provenance(path: Path, facts: dict[str, Any]) -> None:
+    """Write more facts into the provenance of a run, which is held."""
+    run, _ = read_run(path)
+    run["provenance"] = {**run.get("provenance", {}), **facts}
+    _write(path / "run.json", json.dumps(run, indent=2) + "\n")
+
+
 def has_key(path: Path, key: str) -> bool:
     """Whether the run in a folder was started with this key."""
     return (path / _KEY / key).exists()

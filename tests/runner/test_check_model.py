@@ -33,6 +33,7 @@ LOOKS = [
     "pure",
     "elementwise",
     "compiled as in NumPy",
+    "same bytes",
     "log_likelihood",
     "degenerate draws",
     "expected MSE",

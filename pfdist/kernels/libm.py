@@ -1,0 +1,57 @@
+"""Which functions of the C library compiled code calls, if they may round otherwise elsewhere.
+
+The C library chooses an implementation by the processor, and two versions of it differ. What it
+computes exactly, or rounds correctly, is the same everywhere: those functions are not counted, nor
+is the remainder of a division, `fmod`, which is exact.
+"""
+
+import re
+from typing import Any
+
+_DECLARED = re.compile(
+    r"^declare [^@\n]*?\b(?:double|float|double>|float>) @\"?([\w.]+)\"?\(", re.MULTILINE
+)
+_TYPE = re.compile(r"\.(?:nx)?v?\d*[fip]\d+.*$")  # of an intrinsic's arguments: .f64, .v4f32
+_EXACT = frozenset(
+    {
+        *("fma", "fabs", "sqrt", "copysign", "is.fpclass", "fmod"),
+        *("floor", "ceil", "trunc", "rint", "nearbyint", "round", "roundeven", "ldexp"),
+        *("maxnum", "minnum", "maximum", "minimum", "maximumnum", "minimumnum"),
+        *("vector.reduce.fmax", "vector.reduce.fmin"),
+    }
+)
+_MOVES = ("masked.", "experimental.", "vector.insert", "vector.extract", "vector.splice")
+
+
+def libm_functions(compiled: Any) -> tuple[str, ...]:
+    """Names of the functions of the C library on which a compiled function's last digits depend.
+
+    Parameters
+    ----------
+    compiled : compiled function
+        Called before, so that it is compiled or loaded from disk.
+
+    Returns
+    -------
+    tuple of str
+        In alphabetical order; empty if its bytes are the same on every processor.
+    """
+    found = set()
+    for result in compiled.overloads.values():
+        # Numba shows no text of what was loaded from disk; the module is there all the same.
+        found |= named_in(str(result.library._get_module_for_linking()))
+    return tuple(sorted(found))
+
+
+def named_in(module: str) -> set[str]:
+    """Those that the text of an LLVM module declares."""
+    names = set()
+    for symbol in _DECLARED.findall(module):
+        if symbol.startswith(("Py", "NRT_")):
+            continue
+        name = _TYPE.sub("", symbol).removeprefix("llvm.").removeprefix("numba_")
+        if not symbol.startswith("llvm.") and name.endswith("f") and name != "erf":
+            name = name.removesuffix("f")  # of float32
+        if name not in _EXACT and not name.startswith(_MOVES):
+            names.add(name)
+    return names

@@ -1,0 +1,50 @@
+"""Which functions of the C library a formula calls: those alone on which its last digits depend."""
+
+import math
+
+import numpy as np
+import pytest
+from numba import njit
+
+from pfdist.kernels.formulas import formula
+from pfdist.kernels.libm import libm_functions
+
+
+def called_by(function):
+    melting = formula(function)
+
+    @njit
+    def compiled(x, y):
+        return melting(x, y)
+
+    compiled(1.3, 2.7)
+    return libm_functions(compiled)
+
+
+@pytest.mark.parametrize(
+    ("function", "names"),
+    [
+        (lambda x, y: x**y, ("pow",)),
+        (lambda x, y: x**2.5, ("pow",)),
+        (lambda x, y: math.gamma(x) + math.erf(y), ("erf", "gamma")),
+        (lambda x, y: np.logaddexp(x, y), ("exp", "log1p")),
+        (lambda x, y: np.float32(x) ** np.float32(y), ("pow",)),
+    ],
+    ids=["power", "constant power", "gamma and erf", "logaddexp", "float32"],
+)
+def test_functions_that_round_otherwise_elsewhere_are_named(function, names):
+    assert called_by(function) == names
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        lambda x, y: x % y + x // y,
+        lambda x, y: np.sqrt(x) + abs(y) + np.floor(x) + math.ceil(y) + round(x),
+        lambda x, y: x**2 + y**3 + x**0.5 + np.maximum(x, y),
+        lambda x, y: np.exp(x) + math.log(y) + np.hypot(x, y) + np.tanh(x) + math.atan2(x, y),
+    ],
+    ids=["remainders", "rounded correctly", "whole powers and the root", "our own"],
+)
+def test_what_is_the_same_everywhere_is_not_named(function):
+    assert called_by(function) == ()

@@ -1,0 +1,48 @@
+"""The compiled engine gives the same bytes, whichever processor its code is made for.
+
+The text of a formula and of the kernel fixes which additions are done in which order, and which
+multiplications are fused. LLVM chooses the length of vectors by the processor, and nothing else.
+"""
+
+from itertools import cycle
+
+import pytest
+
+from oracles.bytes_under import Case, hashes_under, names
+from pfdist import load_model
+from pfdist.models import installed_models
+from pfdist.particle_filter import DTYPES, RESAMPLING
+
+SHIPPED = sorted(name for name, (module, _) in installed_models().items() if "pfdist." in module)
+FEW = [("ungm", "multinomial", "float64"), ("xray_tumour", "systematic", "float32")]
+
+
+def fitting(model: str) -> list[str]:
+    """Schemes that a model's state allows."""
+    scalar = load_model(model).components[0] == 1
+    return [scheme for scheme in RESAMPLING if scalar or scheme != "sorted_systematic"]
+
+
+def every_scheme_and_model() -> list[Case]:
+    """Each scheme with the paper's model, and each model with a scheme and a dtype in turn."""
+    dtypes, turns = cycle(DTYPES), cycle(range(len(RESAMPLING)))
+    cases = [("ungm", scheme, next(dtypes)) for scheme in RESAMPLING]
+    for model in SHIPPED:
+        schemes = fitting(model)
+        cases.append((model, schemes[next(turns) % len(schemes)], next(dtypes)))
+    return cases
+
+
+@pytest.mark.parametrize(
+    "cases",
+    [FEW, pytest.param(every_scheme_and_model(), marks=pytest.mark.zoo)],
+    ids=["few", "all"],
+)
+def test_bytes_are_the_same_under_the_names_of_all_processors(cases, tmp_path):
+    under = {name: hashes_under(name, cases, tmp_path / name) for name in names()}
+    assert len(under) >= 2, f"nothing was compared: only {list(under)} runs here"
+    first, *others = under
+    for other in others:
+        assert under[other] == under[first], f"{other} differs from {first}"
+    # A simulation for each model; three estimators, at least one, and estimates for each case.
+    assert len(under[first]) >= len({model for model, *_ in cases}) + 2 * len(set(cases))

@@ -1,0 +1,74 @@
+"""Hashes of what the compiled engine computes, in a process whose code is made for a processor."""
+
+import hashlib
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from llvmlite import binding
+
+Case = tuple[str, str, str]  # model, resampling, dtype
+
+_NEEDED = {
+    "haswell": {"avx2", "fma", "bmi2"},
+    "znver3": {"avx2", "fma", "bmi2"},
+    "skylake-avx512": {"avx512f", "avx512dq", "avx512bw", "avx512vl", "avx512cd"},
+}
+"""What of a processor's instructions LLVM uses for loops over numbers, by its name."""
+
+_HORIZON, _DRAWS, _PARTICLES = 8, 20, 150  # particles fill the last vectors in part
+_SETS = [(0, 3, 6), (1, 2, 8)]
+
+
+def names() -> list[str]:
+    """Names of processors whose code this processor runs; "generic" is one on each."""
+    features = {name for name, has in binding.get_host_cpu_features().items() if has}
+    return ["generic", *(name for name, needed in _NEEDED.items() if needed <= features)]
+
+
+def hashes_under(name: str, cases: Sequence[Case], cache: Path) -> dict[str, str]:
+    """Hash what each case computes, in another process."""
+    done = subprocess.run(
+        [sys.executable, __file__, json.dumps(cases)],
+        env={**os.environ, "NUMBA_CPU_NAME": name, "PFDIST_CACHE_DIR": str(cache)},
+        capture_output=True,
+        text=True,
+        timeout=900,
+    )
+    assert done.returncode == 0, done.stderr
+    found: dict[str, str] = json.loads(done.stdout)
+    return found
+
+
+def _hashes(cases: Sequence[Case]) -> dict[str, str]:
+    from pfdist import load_model
+    from pfdist.draws import simulate
+    from pfdist.kernels.moments import ESTIMATORS
+    from pfdist.models import squared_error
+    from pfdist.particle_filter import filter_draws, filter_sets
+
+    found = {}
+    for name, resampling, dtype in cases:
+        model = load_model(name)
+        draws = simulate(model, _HORIZON, range(_DRAWS), 7)
+        what = f"{name} {resampling} {dtype}"
+        found[f"{name} simulation"] = _hash(draws.x, draws.y, draws.z)
+        for estimator in ESTIMATORS if model.error is squared_error else ESTIMATORS[:1]:
+            mse = filter_sets(
+                model, draws, _SETS, _PARTICLES, 5, resampling, dtype, estimator=estimator
+            )
+            found[f"{what} {estimator}"] = _hash(mse)
+        kept = filter_draws(model, draws, _SETS[0], _PARTICLES, 5, resampling, True, dtype)
+        found[f"{what} estimates"] = _hash(kept.mse, kept.estimate, kept.variance)
+    return found
+
+
+def _hash(*arrays: object) -> str:
+    return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()  # type: ignore[attr-defined]
+
+
+if __name__ == "__main__":
+    print(json.dumps(_hashes(json.loads(sys.argv[1]))))
