@@ -88,7 +88,7 @@ def check_is_constant(
     Parameters
     ----------
     here, there : mapping
-        Its meanings.
+        The meanings of both loads.
     path : str
         Of the model's file.
     where : str

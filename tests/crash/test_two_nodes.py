@@ -5,6 +5,7 @@ import secrets
 import socket
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,7 +15,6 @@ import pytest
 import pfdist
 from crash.runs import until
 from oracles.bytes_of import hashes
-from pfdist.runner.precautions import short_folder
 from pfdist.runner.processes import end, family
 
 pytestmark = pytest.mark.usefixtures("no_figures")
@@ -103,8 +103,9 @@ def _two_nodes(folder: Path) -> Iterator[str]:
     address, nodes = f"127.0.0.1:{port}", []
     head = ["--head", f"--port={port}", "--include-dashboard=false"]
     here = "--node-ip-address=127.0.0.1"
-    temporary = short_folder()
-    head += [f"--temp-dir={temporary}"] if temporary else []
+    # A short path, for Ray's sockets, and not where other clusters say that they are.
+    temporary = tempfile.TemporaryDirectory(prefix="ray-", dir="/tmp", ignore_cleanup_errors=True)
+    head.append(f"--temp-dir={temporary.name}")
     try:
         for name, options in (("head", head), ("other", [f"--address={address}"])):
             nodes.append(_start(folder / name, here, *options))
@@ -117,6 +118,7 @@ def _two_nodes(folder: Path) -> Iterator[str]:
             node.kill()
             node.wait()
             end(left)
+        temporary.cleanup()
 
 
 @pytest.mark.fault
