@@ -177,6 +177,10 @@ def _cost(run: Run, regular: float, axes: Axes) -> None:
     evaluations = run.evaluations()
     if "end" not in evaluations:  # an older run, without prefixes
         evaluations = evaluations.assign(end=run.job["problem"]["horizon"])
+    # A search that was done again is shown as it was then: its first costs are not to be believed.
+    redone = {f"{name}.again": name for name in curves if run.distrust(name)}
+    evaluations = evaluations[~evaluations["phase"].isin(redone.values())]
+    evaluations = evaluations.assign(phase=evaluations["phase"].replace(redone))
     plot_cost(axes, evaluations, curves, notes, regular)
 
 
