@@ -1,4 +1,4 @@
-"""All searches on four problems: how far from the best known they end, and after how much work.
+"""All searches on five problems: how far from the best known they end, and after how much work.
 
 What is counted is all that a search does, its shortlist included. What it found is then filtered
 with fresh draws beside all else that was found for the problem, and beside the sets in
@@ -43,10 +43,12 @@ PROBLEMS: dict[str, list[str]] = {
     "tumour": [],
     "linear_gaussian": [],
     "linear_gaussian, short": ["problem.horizon=25", "problem.measurement_budget=5"],
+    "sharp_sensor": [],
 }
-"""Jobs that ship, and what is changed in them."""
+"""Jobs that ship, or lie with the tests, and what is changed in them."""
+FOLDERS = ("jobs", "tests/oracles")
 EXACT = ("linear_gaussian", "linear_gaussian, short")  # where draws are no part of the work
-SHORT = ("linear_gaussian, short",)  # where every set can be tried
+SHORT = ("linear_gaussian, short", "sharp_sensor")  # where every set can be tried
 SMALL = ["problem.horizon=14", "problem.measurement_budget=4", "evaluation.draws=50"]
 
 
@@ -137,7 +139,8 @@ def measure(quick: bool, say: Say) -> Tables:
 
 def _jobs(problem: str, quick: bool) -> list[tuple[dict[str, Any], Job]]:
     """All runs of a problem."""
-    file = HERE.parent / "jobs" / f"{problem.partition(',')[0]}.toml"
+    name = f"{problem.partition(',')[0]}.toml"
+    file = next(file for folder in FOLDERS if (file := HERE.parent / folder / name).exists())
     changes = [*PROBLEMS[problem], "comparison.draws=2", *(SMALL if quick else [])]
     # As many as searches take that are given none: the paper's two would take the job's.
     particles = CommonEvaluation().particles_of(load_job(file).filter.particles)
@@ -258,9 +261,10 @@ def plot(tables: Tables) -> Figure:
     """Draw excess against work, mean and range over the seeds, a panel a problem."""
     found = _found(tables)
     problems = list(found["problem"].unique())
-    size = (2 * COLUMN_INCHES, 1.8 * COLUMN_INCHES)
+    size = (2 * COLUMN_INCHES, 2.6 * COLUMN_INCHES)
     figure = Figure(figsize=size, layout="constrained")
-    for axes, problem in zip(figure.subplots(2, 2).flat, problems, strict=True):
+    for place, problem in enumerate(problems):
+        axes = figure.add_subplot((len(problems) + 1) // 2, 2, place + 1)
         _panel(axes, found[found["problem"] == problem])
         axes.set_title(problem)
         axes.set_xlabel("steps of the Kalman filter" if problem in EXACT else "particle-steps")

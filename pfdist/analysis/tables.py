@@ -194,7 +194,7 @@ class Run:
             name, worse_than = result.pop("name"), result["worse_than"]
             result["worse_than"] = None if pd.isna(worse_than) else worse_than
             if result["kind"] == FOUND:
-                result |= self._belief(name.rpartition("_")[0], name, result)
+                result |= self._belief(name.rpartition("_")[0], result)
             results[name] = result
         return results
 
@@ -214,7 +214,7 @@ class Run:
                 times = tuple(result["measurement_times"])
                 result |= described(self.job, self.names[0], times) | self._over_itself()
             else:
-                result |= self._belief(str(entry["name"]), str(entry["name"]), result)
+                result |= self._belief(str(entry["name"]), result)
                 summary = statistics.gains[entry["name"]].summary()
                 gain = asdict(summary) | {"gains_disagree": summary.disagree}
                 gain["quantiles"] = {str(key): value for key, value in gain["quantiles"].items()}
@@ -236,17 +236,16 @@ class Run:
             "gain_over_itself_draws": found.count,
         }
 
-    def _belief(self, search: str, name: str, result: dict[str, Any]) -> dict[str, Any]:
+    def _belief(self, search: str, result: dict[str, Any]) -> dict[str, Any]:
         """How far what a search believed is from the truth, and how it estimates otherwise."""
         mse = result["expected_mse"]
         comparable = mse != 0.0 and math.isfinite(mse)
-        distrust = self._distrusts.get(name)
-        own = self.own_estimation(search, again=distrust is not None)
+        own = self.own_estimation(search)
         return {
             "search_excess": result["search_cost"] / mse - 1.0 if comparable else math.nan,
             "search_estimation": own,
             "search_cause": cause_of_excess(result, own),
-            "search_distrust": distrust,
+            "search_distrust": self.distrust(search),
         }
 
     @property
@@ -256,24 +255,25 @@ class Run:
 
     @cached_property
     def _distrusts(self) -> dict[str, str]:
-        """By the name of a found set, why its search was done again; of those alone."""
+        """By the name of a search that was done again, the reason."""
         rows = self.compared()
         if "distrust" not in rows:  # an older run
             return {}
         rows = rows[rows["distrust"].notna()]
-        return dict(zip(rows["name"].astype(str), rows["distrust"].astype(str), strict=True))
+        names = rows["name"].astype(str)
+        if self.has_budget:  # a search has a set for each number of measurements
+            names = names.str.rpartition("_")[0]
+        return dict(zip(names, rows["distrust"].astype(str), strict=True))
 
-    def own_estimation(self, search: str, *, again: bool = False) -> dict[str, Any]:
+    def distrust(self, search: str) -> str | None:
+        """Why a search was done again by the squared error; None if it was not."""
+        return self._distrusts.get(search)
+
+    def own_estimation(self, search: str) -> dict[str, Any]:
         """How a search estimates otherwise than the comparison: particles, resampling, estimator.
 
-        In an older run what "auto" stood for is not known, and left out.
-
-        Parameters
-        ----------
-        search : str
-        again : bool
-            Whether the search was done again by the squared error, because its estimator could not
-            be believed.
+        For a search that was done again by the squared error it is how it estimated then. In an
+        older run what "auto" stood for is not known, and left out.
         """
         compared = {**self.job["filter"], "estimator": "squared_error"}
         if "estimations" in self._about:
@@ -281,7 +281,7 @@ class Run:
         else:
             given = {one["name"]: one.get("evaluation", {}) for one in self.job["search"]}
             own = {key: its for key, its in given[search].items() if its != "auto"}
-        if again:
+        if self.distrust(search):
             own = {"resampling": own.get("resampling", compared["resampling"])}
         return {key: its for key, its in own.items() if key in compared and its != compared[key]}
 

@@ -216,6 +216,10 @@ def _cost(run: Run, kinds: dict[str, list[str]], mse: float, panels: Sequence[Ax
     evaluations = run.evaluations()
     if "end" not in evaluations:  # an older run, without prefixes
         evaluations = evaluations.assign(end=run.job["problem"]["horizon"])
+    # A search that was done again is shown as it was then: its first costs are not to be believed.
+    redone = {f"{name}.again": name for name in methods if run.distrust(name)}
+    evaluations = evaluations[~evaluations["phase"].isin(redone.values())]
+    evaluations = evaluations.assign(phase=evaluations["phase"].replace(redone))
     reference = (label(run.names[0]), mse)
     for axes, (kind, names) in zip(panels, kinds.items(), strict=True):
         curves = {name: CURVES.get(methods[name], by_generation) for name in names}

@@ -31,8 +31,9 @@ def _no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def raced(small_job: Job, tmp_path: Path) -> Run:
+def raced(small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
     """A run whose search ended with several sets, between which a race on other draws decided."""
+    monkeypatch.setattr("pfdist.search.trust.BELOW", 10.0)  # 20 particles are believed
     text = small_job.path.read_text()
     head, _, rest = text.partition("[[search]]")
     small_job.path.write_text(head + SURVIVORS + rest[rest.index("[comparison]") :])
@@ -64,9 +65,10 @@ def test_what_a_search_believed_is_its_own_and_nothing_of_its_race_is_reported(
         "above" if fresh < result["search_cost"] else "below",
     )
     believed = with_error(result["search_cost"], result["search_standard_error"])
+    cause = result["search_cause"]
     assert (
         f"{believed}, {excess:.2f} % "
-        f"{side} the fresh cost (its draws chose the set; particles = 20, "
+        f"{side} the fresh cost ({cause}; particles = 20, "
         "resampling = systematic, estimator = filter_variance)"
     ) in text
     for cost in race["expected_mse"]:

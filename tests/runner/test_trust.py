@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.figure import Figure
 
 import pfdist
 from oracles.bytes_of import hashes
@@ -15,6 +16,7 @@ from pfdist.analysis import Run
 from pfdist.display import print_summary
 from pfdist.errors import TaskError
 from pfdist.evaluation import REPORT
+from pfdist.plots import figures
 from pfdist.runner.build import build
 from pfdist.runner.collect import Collector
 from pfdist.work import Work
@@ -203,3 +205,16 @@ def test_a_run_that_was_cut_short_distrusts_again_and_ends_with_the_same_bytes(
     assert [line for line in told if "believed" in line] == [
         line for line in said if "believed" in line
     ]
+
+
+def test_the_figure_of_costs_shows_the_search_that_was_done_again(
+    planned: tuple[Run, list[str], list[Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[Any] = []
+    monkeypatch.setattr(figures, "plot_cost", lambda *arguments: drawn.append(arguments))
+    figures._cost(planned[0], 1.0, Figure().subplots())
+    (_, evaluations, _, notes, _) = drawn[0]
+    shown = evaluations[evaluations["phase"] == "survivors"]
+    assert set(shown["estimator"]) == {"squared_error"}
+    assert len(shown) == len(_rows(planned[0], "survivors.again"))
+    assert notes == {"survivors": ""}  # as the line of the regular times
