@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import pfdist
+from oracles.figures_under import CORES, figures_under
 from oracles.kalman import SCALAR, THREE, TRACKING, LinearGaussian, riccati_cost
 from pfdist import Job, StateSpaceModel, kalman, linear_gaussian, load_model
 from pfdist.draws import simulate
@@ -152,3 +153,11 @@ def test_the_filter_must_know_the_truth() -> None:
     wrong = model.with_parameters({"step_sd": 2.0})
     with pytest.raises(ModelError, match="knows the truth"):
         Problem(model, 12, filter_model=wrong, engine="kalman")
+
+
+def test_figures_in_numpy_agree_to_12_digits_under_the_names_of_other_processors():
+    first, *others = map(figures_under, CORES)
+    for other in others:
+        assert other.keys() == first.keys()
+        for name, figures in first.items():
+            np.testing.assert_allclose(other[name], figures, rtol=1e-12, err_msg=name)

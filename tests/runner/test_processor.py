@@ -1,0 +1,95 @@
+"""Which processors computed a run stands in run.json; what may differ between them is said."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+import pfdist
+from pfdist import Job, load_job
+from pfdist.runner import identity, processor
+
+HERE = {"compiled_for": "haswell", "model": "A processor"}
+THERE = {"compiled_for": "znver3", "model": "Another processor"}
+
+POWER = """
+from pfdist import StateSpaceModel
+
+model = StateSpaceModel(
+    name="power",
+    initial=lambda w, p: (w[0],),
+    transition=lambda x, t, w, p: (abs(x[0]) ** 0.9 + w[0],),
+    measurement=lambda x, t, v, p: (x[0] + v[0],),
+    log_likelihood=lambda y, x, t, p: -0.5 * (y[0] - x[0]) ** 2,
+    quantity_of_interest=lambda x, t, p: (x[0],),
+    initial_noise=("normal",),
+    process_noise=("normal",),
+    measurement_noise=("normal",),
+)
+"""
+
+
+def lines_when_it_goes_on(
+    job: Job, path: Path, monkeypatch: pytest.MonkeyPatch, *elsewhere: dict[str, str]
+) -> list[str]:
+    """What is said of processors when a run goes on with more draws, on each of them in turn."""
+    for module in (identity, processor):
+        monkeypatch.setattr(module, "processor", lambda: HERE)
+    pfdist.run(job, path)
+    said: list[str] = []
+    for more, other in enumerate(elsewhere, 1):
+        monkeypatch.setattr(processor, "processor", lambda other=other: other)
+        draws = job.comparison.draws + 10 * more
+        pfdist.run(job.with_changes([f"comparison.draws={draws}"]), path, say=said.append)
+    return [line for line in said if "processor" in line]
+
+
+def provenance(path: Path) -> dict[str, object]:
+    about = json.loads((path / "run.json").read_text())
+    found: dict[str, object] = about["provenance"]
+    return found
+
+
+def test_the_processor_stands_in_the_provenance(
+    small_job: Job, tmp_path: Path, no_figures: None
+) -> None:
+    pfdist.run(small_job, tmp_path / "run")
+    found = provenance(tmp_path / "run")
+    assert found["processor"] == processor.processor()
+    assert set(processor.processor()) == {"compiled_for", "model"}
+    assert all(processor.processor().values())
+    assert found["libm_functions"] == []
+
+
+def test_nothing_is_said_where_nothing_may_differ(
+    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, no_figures: None
+) -> None:
+    path = tmp_path / "run"
+    assert lines_when_it_goes_on(small_job, path, monkeypatch, HERE, THERE, THERE, HERE) == []
+    assert provenance(path)["processor"] == HERE
+    assert provenance(path)["continued_on"] == [THERE]
+
+
+def test_the_functions_of_the_c_library_are_named_when_a_run_goes_on_elsewhere(
+    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, no_figures: None
+) -> None:
+    (tmp_path / "power.py").write_text(POWER)
+    text = small_job.path.read_text()
+    small_job.path.write_text(text + '[model]\nname = "power.py:model"\n')
+    job, path = load_job(small_job.path), tmp_path / "run"
+    assert lines_when_it_goes_on(job, path, monkeypatch, HERE, THERE) == [
+        "this run was started on A processor (haswell) and goes on on Another processor (znver3): "
+        "the last digits may differ, because the formulas call pow of the C library"
+    ]
+    assert provenance(path)["libm_functions"] == ["pow"]
+
+
+def test_an_engine_in_numpy_agrees_to_12_digits_and_says_so(
+    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, no_figures: None
+) -> None:
+    changes = ['filter.engine="numpy"', "comparison.draws=20", "evaluation.draws=5"]
+    job = small_job.with_changes(changes)
+    (line,) = lines_when_it_goes_on(job, tmp_path / "run", monkeypatch, THERE)
+    assert line.endswith(
+        "figures of filter.engine = 'numpy' agree to about 12 digits, not to the last"
+    )
