@@ -16,6 +16,7 @@ from pfdist.kernels.formulas import formula, formulas_of
 from pfdist.kernels.noise import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, filler
 from pfdist.models import StateSpaceModel
 
+_FORMULAS = ("initial", "transition", "measurement", "quantity_of_interest")
 _TOGETHER = 64  # draws that are simulated side by side: a few vectors of noise
 
 
@@ -79,7 +80,7 @@ def simulate(model: StateSpaceModel, horizon: int, index: range, stream: int) ->
         raise ValueError(f"index must be a range with step 1, got {index}")
     shape = (len(index), horizon + 1)
     x, y, z = (np.empty((*shape, count)) for count in model.components)
-    with formulas_of(model.name):
+    with formulas_of(model.name, model.formulas):
         _compiled(model)(np.uint64(stream), index.start, np.array(model.p), x, y, z)
     check_finite(model, x, y, z)
     return Draws(model, index, x, y, z)
@@ -112,7 +113,7 @@ def _compile(
     components: tuple[int, int, int],
     parameters: tuple[str, ...],
 ) -> Callable[..., None]:
-    initial, transition, measurement, quantity = map(formula, functions)
+    initial, transition, measurement, quantity = map(formula, functions, _FORMULAS)
     fill_w0, fill_w, fill_v = (filler(kinds, of_draws=True) for kinds in noise)
     read_w0, read_w, read_v = (reader(len(kinds), "c, i") for kinds in noise)
     read_x = reader(components[0], "d, t, c")

@@ -161,7 +161,7 @@ def _filter(
     planned, place = plan(tuple(checked), instants, tuple(end + 1 for end in last))
     mse, truth = np.empty((count, len(planned.measured))), draws.model
     streams = np.array(filter_streams(stream, estimator), np.uint64)
-    with formulas_of(model.name):
+    with formulas_of(model.name, model.formulas | {"error": truth.error}):
         _compiled(model, truth, resampling, dtype)(
             streams, draws.index.start, draws.y, draws.z, tuple(planned), planned.clouds, particles,
             ESTIMATORS.index(estimator), np.array(model.p), np.array(truth.p), mse, *moments,

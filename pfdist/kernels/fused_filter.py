@@ -21,6 +21,8 @@ from pfdist.kernels.resampling import RESAMPLE, SORTED, SPARE
 from pfdist.kernels.sorting import DIGITS, sort_by_state
 from pfdist.kernels.weights import IMPOSSIBLE, cumulate, weigh, width
 
+_OF_A_CLOUD = ("initial", "transition", "log_likelihood")
+
 # The rows of weights: where nothing is measured, and where something is.
 _ALIKE, _WEIGHED = np.uintp(0), np.uintp(1)
 
@@ -107,7 +109,7 @@ def _filter_draw(
     """
     begin, propagate, explain = _cloud_steps(functions[:3], noise_kinds, components)
     average, spread = moments(functions[3], components)
-    read_z, error_of = reader(components[2], "d, t, c"), formula(functions[4])
+    read_z, error_of = reader(components[2], "d, t, c"), formula(functions[4], "error")
     record, cost_of = recorders(functions[4], components[2])
     resample = RESAMPLE[resampling]
     in_line = sort_by_state if resampling in SORTED else _as_it_is
@@ -170,7 +172,7 @@ def _cloud_steps(
 
     The cloud is (2, states, particles): what is computed from one half goes to the other.
     """
-    initial, transition, log_likelihood = map(formula, functions)
+    initial, transition, log_likelihood = map(formula, functions, _OF_A_CLOUD)
     fill_w0, fill_w = map(filler, noise_kinds)
     read_w0, read_w = (reader(len(kinds), "c, i") for kinds in noise_kinds)
     states, measurements, _ = components

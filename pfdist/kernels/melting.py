@@ -6,7 +6,7 @@ optimises it once more; without it a filter is compiled in 0.6 of the time.
 """
 
 from collections.abc import Callable
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from typing import Any
 
 from numba import njit
@@ -20,12 +20,18 @@ class _Library(JITCodeLibrary):  # type: ignore[misc]
         """Leave it to the callers."""
 
 
-class _Compiler(Compiler):  # type: ignore[misc]
-    def define_pipelines(self) -> Any:
-        library = _Library(self.state.targetctx.codegen(), self.state.func_id.func_qualname)
-        library.enable_object_caching()  # as Numba's own
-        self.state.library = library
-        return super().define_pipelines()
+@cache
+def melting(compiler: type) -> type:
+    """Give the same compiler for functions that melt."""
+
+    class Melting(compiler):  # type: ignore[misc]
+        def define_pipelines(self) -> Any:
+            library = _Library(self.state.targetctx.codegen(), self.state.func_id.func_qualname)
+            library.enable_object_caching()  # as Numba's own
+            self.state.library = library
+            return super().define_pipelines()
+
+    return Melting
 
 
 # A call left standing stops vectorisation: 15 times the time.
@@ -34,7 +40,7 @@ MELTING = {
     **_STANDING,
     "no_cpython_wrapper": True,
     "no_cfunc_wrapper": True,
-    "pipeline_class": _Compiler,
+    "pipeline_class": melting(Compiler),
 }
 
 """How Numba is to take a function that melts."""
@@ -47,10 +53,12 @@ and as it stands on NumPy arrays."""
 class Melted:
     """A function that compiled ones can call; called from Python it is compiled by itself."""
 
-    def __init__(self, function: Callable[..., Any], **options: Any) -> None:
+    def __init__(
+        self, function: Callable[..., Any], compiler: type = Compiler, **options: Any
+    ) -> None:
         self.py_func = function
-        self._options = options
-        self._melting = njit(function, **MELTING, **options)
+        self._options = options | {"pipeline_class": compiler}
+        self._melting = njit(function, **MELTING | options | {"pipeline_class": melting(compiler)})
         self._numba_type_ = self._melting._numba_type_  # by which Numba takes it for a function
 
     @cached_property

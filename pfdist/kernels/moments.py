@@ -23,7 +23,7 @@ def moments(
     A particle of weight 0 does not count. Sums that may be added in any order become vectors.
     """
     states, _, quantities = components
-    quantity, read_x = formula(quantity_of_interest), reader(states, "half, c, i")
+    quantity, read_x = formula(quantity_of_interest, "quantity_of_interest"), reader(states, "half, c, i")
     add = tuple_of(
         quantities,
         "sums, weight, values",
@@ -58,7 +58,7 @@ def recorders(error: Callable[..., Any], quantities: int) -> tuple[Callable[...,
 
     Of two filters each gives half of its variance; the first one leaves its mean to the second.
     """
-    error_of = formula(error)
+    error_of = formula(error, "error")
     write_z = writer(quantities, "d, t, c")
     read_other, write_other = (make(quantities, "s, t, c") for make in (reader, writer))
 

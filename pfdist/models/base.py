@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from pfdist.errors import ModelError
+from pfdist.places import place_of
 
 NOISE_KINDS = ("normal", "uniform")
 _ARGUMENTS = {
@@ -134,6 +135,11 @@ class StateSpaceModel:
             self._call("error", z, z, 0, self.p)
         return len(x), len(y), len(z)
 
+    @cached_property
+    def formulas(self) -> dict[str, Callable[..., Any]]:
+        """The formulas by their names."""
+        return {name: getattr(self, name) for name in _ARGUMENTS}
+
     def with_parameters(self, overrides: Mapping[str, float]) -> "StateSpaceModel":
         """Give the model with some parameters changed.
 
@@ -194,7 +200,7 @@ class StateSpaceModel:
         except Exception as error:
             raise ModelError(
                 f"model {self.name}: {name} failed on arrays: {type(error).__name__}: {error}"
-                f"{self._advice(str(error))}"
+                f"{place_of(error)}{self._advice(str(error))}"
             ) from error
         if name in _ONE_NUMBER:
             if not _is_number(value):
