@@ -121,10 +121,9 @@ def _compile(
     rows = max(map(len, noise))
     named = naming(parameters)
 
-    @njit(nogil=True, error_model="numpy")
-    def simulate_draws(stream, first, parameters, x, y, z):  # type: ignore[no-untyped-def]
+    @njit(nogil=True, error_model="numpy", _nrt=False)
+    def simulate_draws(stream, first, parameters, noise, x, y, z):  # type: ignore[no-untyped-def]
         p = named(parameters)
-        noise = np.empty((rows, _TOGETHER), np.float32)
         for begin in range(0, x.shape[0], _TOGETHER):
             draw, count = first + begin, min(_TOGETHER, x.shape[0] - begin)
             fill_w0(noise, count, stream, draw, np.int64(0), TRUTH_INITIAL)
@@ -143,4 +142,11 @@ def _compile(
                     following = transition(read_x(x, begin + i, t), t, read_w(noise, i), p)
                     write_x(x, begin + i, t + 1, following)
 
-    return kept_on_disk(simulate_draws, functions, noise, components, parameters)
+    compiled = kept_on_disk(simulate_draws, functions, noise, components, parameters)
+
+    def with_scratch(*arguments: Any) -> None:
+        """Compiled code that raises an error frees no array of its own."""
+        *given, x, y, z = arguments
+        compiled(*given, np.empty((rows, _TOGETHER), np.float32), x, y, z)
+
+    return with_scratch

@@ -39,4 +39,4 @@ def _is_a_models(file: str) -> bool:
     return not any(map(path.is_relative_to, _LIBRARIES))
 
 
-_LIBRARIES = [Path(package.__file__).parent for package in (numba, np)]
+_LIBRARIES = [Path(str(package.__file__)).parent for package in (numba, np)]

@@ -1,7 +1,8 @@
 """The content of a function and of all that it uses, as a hash.
 
-Two functions with one fingerprint compile to the same code: their own code, constants, defaults,
-closures, the globals and the modules' attributes they name, all the way down. What is NumPy's, the
+Two functions with one fingerprint compile to the same code: their own code and the lines it stands
+in, constants, defaults, closures, the globals and the modules' attributes they name, all the way
+down. What is NumPy's, the
 standard library's or this floor's is told by its name; `pfdist.kernels.disk_cache` adds versions
 and source.
 """
@@ -96,6 +97,7 @@ def _function_parts(function: types.FunctionType, seen: list[Any]) -> Iterator[b
 
 def _code_parts(code: types.CodeType, names: frozenset[str], seen: list[Any]) -> Iterator[bytes]:
     yield code.co_code
+    yield f"{code.co_filename} {list(code.co_lines())}".encode()  # compiled errors tell their line
     yield f"{code.co_flags} {code.co_argcount} {code.co_kwonlyargcount}".encode()
     yield from _parts((code.co_names, code.co_varnames, code.co_freevars), names, seen)
     for constant in code.co_consts:

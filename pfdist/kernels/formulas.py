@@ -24,8 +24,8 @@ def formula(function: Callable[..., Any], name: str = "") -> Callable[..., Any]:
     """Compile a formula.
 
     Functions it calls by their own names are compiled with it, and NumPy's elementary functions
-    are those of `pfdist.kernels.overloads`. Division by zero gives inf or nan as in NumPy: a
-    branch to raise would stop vectorisation. Indices and integers are checked, see
+    are those of `pfdist.kernels.overloads`. A float divided by zero gives inf or nan as in NumPy:
+    a branch to raise would stop vectorisation. Indices and integers are checked, see
     `pfdist.kernels.guarded`.
 
     Parameters
@@ -41,7 +41,8 @@ def _compiled(
     function: Callable[..., Any], name: str, callers: tuple[Callable[..., Any], ...]
 ) -> Callable[..., Any]:
     seen = _seeing(function, name, (*callers, function))
-    return melted(seen, Guarded, fastmath={"arcp", "contract"})
+    # It may make arrays, which the filter it melts into cannot.
+    return melted(seen, Guarded, fastmath={"arcp", "contract"}, _nrt=True)
 
 
 def _seeing(

@@ -61,7 +61,9 @@ class _Errors(CPUCallConv):  # type: ignore[misc]
         name = f"{UNWRAPPED}{len(kinds)}"
         if name in module.globals:
             return module.globals[name]
-        function = ir.Function(module, ir.FunctionType(cgutils.voidptr_t, [cgutils.voidptr_t]), name)
+        function = ir.Function(
+            module, ir.FunctionType(cgutils.voidptr_t, [cgutils.voidptr_t]), name
+        )
         function.linkage = "linkonce_odr"
         function.attributes.add("noinline")
         builder = ir.IRBuilder(function.append_basic_block())
@@ -245,7 +247,7 @@ def _power_fits(base, exponent):
 
 def _indices(kind):
     """The kinds of the integers that an index is made of; none if it is something else."""
-    kinds = kind.types if isinstance(kind, types.BaseTuple) else (kind,)
+    kinds = kind.types if isinstance(kind, types.BaseTuple) else (kind,)  # type: ignore[attr-defined]
     return kinds if _are_integers(kinds) else ()
 
 
@@ -273,6 +275,7 @@ class Guarded(Compiler):  # type: ignore[misc]
         context.enable_boundscheck = True
 
     def define_pipelines(self) -> Any:
+        """Give Numba's pipelines, with the lowering that checks."""
         pipelines = super().define_pipelines()
         for pipeline in pipelines:
             pipeline.passes = [
@@ -281,5 +284,3 @@ class Guarded(Compiler):  # type: ignore[misc]
             ]
             pipeline.finalize()
         return pipelines
-
-

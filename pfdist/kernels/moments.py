@@ -23,7 +23,10 @@ def moments(
     A particle of weight 0 does not count. Sums that may be added in any order become vectors.
     """
     states, _, quantities = components
-    quantity, read_x = formula(quantity_of_interest, "quantity_of_interest"), reader(states, "half, c, i")
+    quantity, read_x = (
+        formula(quantity_of_interest, "quantity_of_interest"),
+        reader(states, "half, c, i"),
+    )
     add = tuple_of(
         quantities,
         "sums, weight, values",

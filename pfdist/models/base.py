@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from pfdist.errors import ModelError
+from pfdist.jitted import check_bounds_in
 from pfdist.places import place_of
 
 NOISE_KINDS = ("normal", "uniform")
@@ -110,6 +111,8 @@ class StateSpaceModel:
                 )
         for name, value in self.parameters.items():
             self._check_parameter(name, value)
+        for function in self.formulas.values():
+            check_bounds_in(function)
         self.components  # noqa: B018  evaluated here so that a wrong formula is found here
 
     @cached_property

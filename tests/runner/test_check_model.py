@@ -33,6 +33,7 @@ LOOKS = [
     "elementwise",
     "compiled as in NumPy",
     "log_likelihood",
+    "every instant",
     "degenerate draws",
     "expected MSE",
     "an evaluation",
