@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from pfdist.kernels.arithmetic import shaped
 from pfdist.kernels.components import naming, reader, writer
 from pfdist.kernels.disk_cache import kept_on_disk
 from pfdist.kernels.formulas import formula
@@ -76,10 +77,15 @@ def fused_filter(
         mse, estimate, variance, scratch,
     ):  # fmt: skip
         p, truth = named(parameters), named_truth(truths)
-        (
-            cloud, noise, log_weight, weight, cumulative, sums, points, shares, ancestor, counts,
-            saved, before, others,
-        ) = scratch  # fmt: skip
+        size, spacious = width(particles), padded(particles + SPARE)
+        cloud = shaped(scratch[0], (2, states, size))
+        noise = shaped(scratch[1], (rows, spacious))
+        log_weight, weight = shaped(scratch[2], (size,)), shaped(scratch[3], (2, size))
+        cumulative, sums = shaped(scratch[4], (size,)), shaped(scratch[5], (spacious,))
+        points, shares = shaped(scratch[6], (spacious,)), shaped(scratch[7], (spacious,))
+        ancestor, counts = shaped(scratch[8], (spacious,)), shaped(scratch[9], (2, DIGITS))
+        before, others = scratch[11], scratch[12]
+        saved = shaped(scratch[10], (before.size, states, size))
         for d in range(mse.shape[0]):
             for k in range(streams.size):
                 for s in range(mse.shape[1]):
