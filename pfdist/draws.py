@@ -15,8 +15,10 @@ from pfdist.kernels.disk_cache import kept_on_disk
 from pfdist.kernels.formulas import formula, formulas_of
 from pfdist.kernels.libm import libm_functions
 from pfdist.kernels.noise import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, filler
+from pfdist.kernels.scratch import WithScratch
 from pfdist.models import StateSpaceModel
 
+_FORMULAS = ("initial", "transition", "measurement", "quantity_of_interest")
 _TOGETHER = 64  # draws that are simulated side by side: a few vectors of noise
 
 
@@ -80,7 +82,7 @@ def simulate(model: StateSpaceModel, horizon: int, index: range, stream: int) ->
         raise ValueError(f"index must be a range with step 1, got {index}")
     shape = (len(index), horizon + 1)
     x, y, z = (np.empty((*shape, count)) for count in model.components)
-    with formulas_of(model.name):
+    with formulas_of(model.name, model.formulas):
         _compiled(model)(np.uint64(stream), index.start, np.array(model.p), x, y, z)
     check_finite(model, x, y, z)
     return Draws(model, index, x, y, z)
@@ -102,10 +104,10 @@ def libm_of_simulation(model: StateSpaceModel) -> tuple[str, ...]:
 
     The simulation was called before.
     """
-    return libm_functions(_compiled(model))
+    return libm_functions(_compiled(model).compiled)
 
 
-def _compiled(model: StateSpaceModel) -> Callable[..., None]:
+def _compiled(model: StateSpaceModel) -> WithScratch:
     return _compile(
         (model.initial, model.transition, model.measurement, model.quantity_of_interest),
         (model.initial_noise, model.process_noise, model.measurement_noise),
@@ -120,8 +122,8 @@ def _compile(
     noise: tuple[tuple[str, ...], ...],
     components: tuple[int, int, int],
     parameters: tuple[str, ...],
-) -> Callable[..., None]:
-    initial, transition, measurement, quantity = map(formula, functions)
+) -> WithScratch:
+    initial, transition, measurement, quantity = map(formula, functions, _FORMULAS)
     fill_w0, fill_w, fill_v = (filler(kinds, of_draws=True) for kinds in noise)
     read_w0, read_w, read_v = (reader(len(kinds), "c, i") for kinds in noise)
     read_x = reader(components[0], "d, t, c")
@@ -129,10 +131,9 @@ def _compile(
     rows = max(map(len, noise))
     named = naming(parameters)
 
-    @njit(nogil=True, error_model="numpy")
-    def simulate_draws(stream, first, parameters, x, y, z):  # type: ignore[no-untyped-def]
+    @njit(nogil=True, error_model="numpy", _nrt=False)
+    def simulate_draws(stream, first, parameters, noise, x, y, z):  # type: ignore[no-untyped-def]
         p = named(parameters)
-        noise = np.empty((rows, _TOGETHER), np.float32)
         for begin in range(0, x.shape[0], _TOGETHER):
             draw, count = first + begin, min(_TOGETHER, x.shape[0] - begin)
             fill_w0(noise, count, stream, draw, np.int64(0), TRUTH_INITIAL)
@@ -151,4 +152,10 @@ def _compile(
                     following = transition(read_x(x, begin + i, t), t, read_w(noise, i), p)
                     write_x(x, begin + i, t + 1, following)
 
-    return kept_on_disk(simulate_draws, functions, noise, components, parameters)
+    compiled = kept_on_disk(simulate_draws, functions, noise, components, parameters)
+
+    def with_scratch(*arguments: Any) -> None:
+        *given, x, y, z = arguments
+        compiled(*given, np.empty((rows, _TOGETHER), np.float32), x, y, z)
+
+    return WithScratch(compiled, with_scratch)

@@ -88,7 +88,7 @@ def linear_gaussian(model: StateSpaceModel, horizon: int) -> LinearGaussian:
 
     instants = range(horizon + 1)
     moved, seen = (states + len(kinds) for kinds in (model.process_noise, model.measurement_noise))
-    with formulas_of(model.name):
+    with formulas_of(model.name, model.formulas):
         return LinearGaussian(
             affine("initial", 0, 0, len(model.initial_noise)),
             tuple(affine("transition", t, states, moved) for t in instants[:-1]),

@@ -9,7 +9,7 @@ References
 Arulampalam, Maskell, Gordon, Clapp, "A tutorial on particle filters", 2002, algorithm 4.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +24,7 @@ from pfdist.kernels.moments import ESTIMATORS
 from pfdist.kernels.noise import stream_key
 from pfdist.kernels.prefixes import plan
 from pfdist.kernels.resampling import RESAMPLE, SORTED
+from pfdist.kernels.scratch import WithScratch
 from pfdist.measurement_times import Times, validated
 from pfdist.models import StateSpaceModel, squared_error
 
@@ -162,7 +163,7 @@ def _filter(
     planned, place = plan(tuple(checked), instants, tuple(end + 1 for end in last))
     mse, truth = np.empty((count, len(planned.measured))), draws.model
     streams = np.array(filter_streams(stream, estimator), np.uint64)
-    with formulas_of(model.name):
+    with formulas_of(model.name, model.formulas | {"error": truth.error}):
         _compiled(model, truth, resampling, dtype)(
             streams, draws.index.start, draws.y, draws.z, tuple(planned), planned.clouds, particles,
             ESTIMATORS.index(estimator), np.array(model.p), np.array(truth.p), mse, *moments,
@@ -243,12 +244,12 @@ def libm_of_filter(
 
     The filter was called before.
     """
-    return libm_functions(_compiled(model, truth, resampling, dtype))
+    return libm_functions(_compiled(model, truth, resampling, dtype).compiled)
 
 
 def _compiled(
     model: StateSpaceModel, truth: StateSpaceModel, resampling: str, dtype: str
-) -> Callable[..., None]:
+) -> WithScratch:
     formulas = (model.initial, model.transition, model.log_likelihood, model.quantity_of_interest)
     return fused_filter(
         (*formulas, truth.error),

@@ -40,7 +40,7 @@ def simulate(model: StateSpaceModel, horizon: int, index: range, stream: int) ->
     def noise(kinds: tuple[str, ...], t: int, role: SupportsIndex) -> tuple[Array, ...]:
         return tuple(w[:, 0] for w in _noise(kinds, 1, stream, index, t, role))
 
-    with formulas_of(model.name), np.errstate(all="ignore"):
+    with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
         state = model.initial(noise(model.initial_noise, 0, TRUTH_INITIAL), model.p)
         for t in range(horizon + 1):
             v = noise(model.measurement_noise, t, TRUTH_MEASUREMENT)
@@ -69,7 +69,7 @@ def filter_draws(
     times = validated(measurement_times, draws.z.shape[1] - 1)
     check_filter(model, draws.model, particles, resampling, dtype)
     count = max(1, _AT_ONCE // particles)
-    with formulas_of(model.name), np.errstate(all="ignore"):
+    with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
         blocks = [
             _filter(
                 model, draws[first : first + count], times, particles, stream, resampling, dtype

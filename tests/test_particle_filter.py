@@ -1,7 +1,9 @@
 """The intermittent particle filter against exact filters, its plain twin, and published figures."""
 
+import resource
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -309,3 +311,40 @@ def test_a_filter_of_another_size_is_refused(
     draws = simulate(ungm, 4, range(2), 0)
     with pytest.raises(ModelError, match="as many components of y as the model ungm, 1, got 2"):
         engine(THREE.as_model(), draws, (1,), 10, 1)
+
+
+TABLE = np.array([1.0, 2.0, 3.0])
+
+
+def test_an_error_in_the_middle_of_a_filter_leaves_no_array_behind(ungm: StateSpaceModel) -> None:
+    draws = simulate(ungm, 12, range(20), 1)
+    short = replace(ungm, transition=lambda x, t, w, p: (x[0] / 2 + w[0] + TABLE[t],))
+
+    def resident() -> int:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
+
+    before = 0
+    for repetition in range(60):  # each with 5 MB of arrays
+        before = resident() if repetition < 20 else before
+        with pytest.raises(ModelError, match="transition failed: IndexError"):
+            filter_draws(short, draws, (0, 3, 6), 50_000, 1)
+    assert resident() - before < 40 * 50_000 * 8 / 4  # a quarter of the smallest
+    again = filter_draws(ungm, draws, (0, 3, 6), 50, 1)
+    assert np.isfinite(again.mse).all()
+
+
+def test_what_lies_behind_the_last_particle_raises_no_error(ungm: StateSpaceModel) -> None:
+    # The transition fails where its noise is larger than that of any particle that there is.
+    draws, largest = simulate(ungm, 5, range(50), 1), [0.0]
+
+    def seen(x: Any, t: Any, w: Any, p: Any) -> Any:
+        largest[0] = max(largest[0], np.abs(w[0]).max())
+        return (x[0] / 2 + w[0],)
+
+    plain.filter_draws(replace(ungm, transition=seen), draws, (2,), 1, 3)
+    bound = largest[0]
+
+    def edged(x: Any, t: Any, w: Any, p: Any) -> Any:
+        return (x[0] / 2 + w[0] + TABLE[np.int64(np.abs(w[0]) > bound) * 3],)
+
+    filter_draws(replace(ungm, transition=edged), draws, (2,), 1, 3)

@@ -10,6 +10,7 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic, overload
+from numba.np.arrayobj import populate_array
 
 from pfdist.kernels.melting import MELTING
 
@@ -150,3 +151,29 @@ def row_sum(typing_context, values, row):
         return builder.fadd(low, high)
 
     return signature, generate
+
+
+@intrinsic
+def shaped(typing_context, array, shape):
+    """The memory of an array, with the shape as it is computed here.
+
+    LLVM does not know the size of an array that is given; where it sees that a size is a multiple
+    of a vector's, a loop has no rest to be done one by one.
+    """
+    kind = array.copy(ndim=len(shape), layout="C")
+
+    def generate(context, builder, signature, arguments):
+        given = context.make_array(array)(context, builder, arguments[0])
+        sizes = cgutils.unpack_tuple(builder, arguments[1], len(shape))
+        itemsize = context.get_abi_sizeof(context.get_data_type(array.dtype))
+        strides = [context.get_constant(types.intp, itemsize)]
+        for size in reversed(sizes[1:]):
+            strides.insert(0, builder.mul(strides[0], size))
+        result = context.make_array(kind)(context, builder)
+        populate_array(
+            result, data=given.data, shape=sizes, strides=strides, itemsize=strides[-1],
+            meminfo=given.meminfo,
+        )  # fmt: skip
+        return result._getvalue()
+
+    return kind(array, shape), generate

@@ -33,6 +33,7 @@ from numba.core.serialize import dumps
 
 from pfdist.errors import EngineWarning
 from pfdist.kernels.fingerprint import UnknownContentError, fingerprint
+from pfdist.kernels.guarded import UNWRAPPED
 
 FOLDER_VARIABLE = "PFDIST_CACHE_DIR"
 _DIGEST_BYTES = 16
@@ -101,7 +102,9 @@ class _DiskCache:
     def _is_closed(self, library: Any) -> bool:
         """Whether every function in it has a name of its own: all others are inlined."""
         defined = re.findall(r"^define [^@\n]*@(\S+?)\(", library.get_llvm_str(), re.MULTILINE)
-        return all(self._content in name or name.startswith("NRT_") for name in defined)
+        return all(
+            self._content in name or name.startswith(("NRT_", UNWRAPPED)) for name in defined
+        )
 
     def _path(self, signature: Any, codegen: Any) -> Path | None:
         key = fingerprint(self._content, str(signature), *map(str, codegen.magic_tuple()))

@@ -1,8 +1,8 @@
 """The content of a function and of all that it uses, as a hash: a name for compiled code.
 
-Two functions with one fingerprint compile to the same code: their own bytecode, constants,
-defaults, closures, the globals and the modules' attributes they name, all the way down. What
-belongs to NumPy, to the standard library or to this floor is told by its name;
+Two functions with one fingerprint compile to the same code: their own bytecode and the lines it
+stands in, constants, defaults, closures, the globals and the modules' attributes they name, all the
+way down. What belongs to NumPy, to the standard library or to this floor is told by its name;
 `pfdist.kernels.disk_cache` adds versions and source.
 """
 
@@ -53,7 +53,8 @@ class _Compiled(Content):
     """What decides how Numba compiles a function."""
 
     def code(self, function: types.FunctionType) -> Parts:
-        return bytecode(self, function.__code__)
+        yield from bytecode(self, function.__code__)
+        yield from _lines(function.__code__)  # which compiled errors tell
 
     def by_name(self, value: Any) -> str | None:
         if isinstance(value, types.ModuleType):
@@ -77,6 +78,13 @@ class _Compiled(Content):
             raise UnknownContentError(repr(value))
         yield str(getattr(value, "_fields", "")).encode()
         yield from self.entries(value, names)
+
+
+def _lines(code: types.CodeType) -> Parts:
+    yield f"{code.co_filename} {list(code.co_lines())}".encode()
+    for constant in code.co_consts:
+        if isinstance(constant, types.CodeType):
+            yield from _lines(constant)
 
 
 def _is_versioned(module: str) -> bool:

@@ -1,6 +1,7 @@
 """A model's formulas as compiled functions that melt into the loop that calls them."""
 
 import contextlib
+import inspect
 import math
 import re
 import types
@@ -9,43 +10,73 @@ from typing import Any
 
 import numpy as np
 from numba.core.errors import NumbaError
+from numba.core.registry import CPUDispatcher
 
 import pfdist.elementwise  # noqa: F401  how Numba is to take what formulas may call
 from pfdist.errors import CompileError, ModelError, PfdistError
-from pfdist.kernels.melting import melted
+from pfdist.kernels.guarded import Guarded
+from pfdist.kernels.melting import melted, with_passes
 from pfdist.kernels.multiply_add import MultiplyAdd
 from pfdist.kernels.overloads import ELEMENTARY, log_to_base
+from pfdist.places import frames_of, place_of
+
+_COMPILER = with_passes(Guarded, (MultiplyAdd,))
 
 
-def formula(function: Callable[..., Any]) -> Callable[..., Any]:
+def formula(function: Callable[..., Any], name: str = "") -> Callable[..., Any]:
     """Compile a formula.
 
     Functions it calls by their own names are compiled with it, and NumPy's elementary functions
-    are those of `pfdist.kernels.overloads`. Division by zero gives inf or nan as in NumPy: a
-    branch to raise would stop vectorisation.
+    are those of `pfdist.kernels.overloads`. A float divided by zero gives inf or nan as in NumPy:
+    a branch to raise would stop vectorisation. Indices and integers are checked, see
+    `pfdist.kernels.guarded`.
+
+    Parameters
+    ----------
+    function : callable
+    name : str
+        What the formula is called in errors; by default the function's name.
     """
-    return melted(_seeing(function), passes=(MultiplyAdd,))
+    return _compiled(function, name or function.__name__, ())
 
 
-def _seeing(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The same function, seeing what can be compiled where it sees what its author wrote."""
+def _compiled(
+    function: Callable[..., Any], name: str, callers: tuple[Callable[..., Any], ...]
+) -> Callable[..., Any]:
+    seen = _seeing(function, name, (*callers, function))
+    # It may make arrays, which the filter it melts into cannot.
+    return melted(seen, _COMPILER, _nrt=True)
+
+
+def _seeing(
+    function: Callable[..., Any], name: str, callers: tuple[Callable[..., Any], ...]
+) -> Callable[..., Any]:
+    """The same function, seeing what can be compiled where it sees what its author wrote.
+
+    What calls itself stays as it is written, and Numba refuses it: it might never end.
+    """
 
     def seen(value: Any) -> Any:
-        if isinstance(value, types.FunctionType) and value is not function:
-            return value if is_ours(value) else formula(value)
+        if isinstance(value, CPUDispatcher):  # compiled by its author: here with checks
+            value = value.py_func
+        if isinstance(value, types.FunctionType) and value not in callers:
+            return value if is_ours(value) else _compiled(value, name, callers)
         return _INSTEAD.get(id(value), value)
 
     scope = function.__globals__
     used = {name: seen(scope[name]) for name in names_in(function.__code__) if name in scope}
     cells = [types.CellType(seen(cell.cell_contents)) for cell in function.__closure__ or ()]
     # Its module's name would be kept with the compiled code, and be unknown to another process.
-    return types.FunctionType(
+    compilable: Any = types.FunctionType(
         function.__code__,
         scope | used | {"__name__": __name__},
-        function.__name__,
+        name,
         function.__defaults__,
         tuple(cells),
     )
+    compilable.__qualname__ = name
+    compilable.takes_t = len(callers) == 1 and "t" in inspect.signature(function).parameters
+    return compilable
 
 
 def is_ours(function: types.FunctionType) -> bool:
@@ -90,15 +121,22 @@ _REASON = re.compile(
 
 
 @contextlib.contextmanager
-def formulas_of(model: str) -> Iterator[None]:
+def formulas_of(model: str, formulas: Mapping[str, Callable[..., Any]]) -> Iterator[None]:
     """Turn what goes wrong in a model's formulas into one line.
+
+    Parameters
+    ----------
+    model : str
+        The model's name.
+    formulas : mapping of str to callable
+        The model's formulas by their names.
 
     Raises
     ------
     CompileError
         A formula cannot be compiled, with the reason and the line at fault.
     ModelError
-        A formula raised.
+        A formula raised, with the formula's name, the instant if it is known, and the line.
     """
     try:
         yield
@@ -115,6 +153,28 @@ def formulas_of(model: str) -> Iterator[None]:
     except (MemoryError, PfdistError):
         raise
     except Exception as error:  # a formula may raise whatever it likes
+        name, instant = _formula_at_fault(error, formulas)
+        kind, message = type(error).__name__, _message(error)
+        at = f" at t = {instant}" if instant is not None and " at t = " not in message else ""
         raise ModelError(
-            f"model {model}: a formula failed: {type(error).__name__}: {error}"
+            f"model {model}: {name} failed: {kind}: {message}{at}{place_of(error)}"
         ) from error
+
+
+def _formula_at_fault(
+    error: Exception, formulas: Mapping[str, Callable[..., Any]]
+) -> tuple[str, int | None]:
+    """Name of the formula that an error passed through, and t in it where Python ran it."""
+    names = {function.__code__: name for name, function in formulas.items()}
+    for frame, _ in frames_of(error):
+        name = names.get(frame.f_code, frame.f_code.co_name)  # compiled code tells it by its name
+        if name in formulas:
+            return name, frame.f_locals.get("t")
+    return "a formula", None
+
+
+def _message(error: Exception) -> str:
+    """What an error says; compiled code cannot put integers into a text, so it is done here."""
+    text, *values = error.args or ("",)
+    formatted = isinstance(text, str) and values and text.count("{}") == len(values)
+    return text.format(*values) if formatted else str(error)

@@ -4,13 +4,16 @@ Inside, arrays are named and their rows and draws numbered: a part of an array t
 to hand, or two that change names, cost an atomic count each, 0.07 ns a particle-step in all.
 """
 
+import math
 from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
+from pfdist.kernels.arithmetic import shaped
 from pfdist.kernels.components import naming, reader, writer
 from pfdist.kernels.disk_cache import kept_on_disk
 from pfdist.kernels.formulas import formula
@@ -18,8 +21,13 @@ from pfdist.kernels.melting import melted
 from pfdist.kernels.moments import SQUARED_ERROR, moments, recorders
 from pfdist.kernels.noise import FILTER_INITIAL, FILTER_PROCESS, filler, padded
 from pfdist.kernels.resampling import RESAMPLE, SORTED, SPARE
+from pfdist.kernels.scratch import WithScratch
 from pfdist.kernels.sorting import DIGITS, sort_by_state
 from pfdist.kernels.weights import IMPOSSIBLE, cumulate, weigh, width
+
+_OF_A_CLOUD = ("initial", "transition", "log_likelihood")
+
+_LINE = 64  # bytes
 
 # The rows of weights: where nothing is measured, and where something is.
 _ALIKE, _WEIGHED = np.uintp(0), np.uintp(1)
@@ -33,7 +41,7 @@ def fused_filter(
     parameters: tuple[tuple[str, ...], ...],
     resampling: str,
     dtype: str,
-) -> Callable[..., None]:
+) -> WithScratch:
     """Compile a filter, or load it from disk.
 
     Parameters
@@ -52,7 +60,7 @@ def fused_filter(
 
     Returns
     -------
-    callable
+    WithScratch
         ``filter_draws(streams, first, y, z, plan, clouds, particles, estimator, parameters, truths,
         mse, estimate, variance)`` fills mse (D, U), the errors up to each set's end over T + 1, as
         `pfdist.kernels.prefixes.plan` has the sets; and estimate and variance (D, T+1, q) of one
@@ -64,23 +72,22 @@ def fused_filter(
     rows, kind = max(1, *map(len, noise_kinds)), np.dtype(dtype).type
     states, _, quantities = components
 
-    @njit(nogil=True, error_model="numpy")
+    @njit(nogil=True, error_model="numpy", _nrt=False)
     def filter_draws(
-        streams, first, y, z, plan, clouds, particles, estimator, parameters, truths,
-        mse, estimate, variance,
+        streams, first, y, z, plan, particles, estimator, parameters, truths,
+        mse, estimate, variance, scratch,
     ):  # fmt: skip
         p, truth = named(parameters), named_truth(truths)
         size, spacious = width(particles), padded(particles + SPARE)
-        cloud = np.empty((2, states, size), kind)
-        noise = np.empty((rows, spacious), np.float32)
-        terms, weight = np.empty((quantities, size)), np.zeros((2, size), np.float32)
-        log_weight = terms[0]  # needed no longer when terms are
-        weight[_ALIKE, :particles] = 1.0
-        cumulative, sums = np.empty(size), np.empty(spacious)
-        points, shares = np.empty(spacious, np.uint32), np.empty(spacious, np.uint32)
-        ancestor, counts = np.zeros(spacious, np.uint32), np.empty((2, DIGITS), np.uint32)
-        saved, before = np.empty((clouds, states, size), kind), np.empty(clouds)
-        others = np.empty((mse.shape[1] if streams.size > 1 else 0, y.shape[1], quantities))
+        cloud = shaped(scratch[0], (2, states, size))
+        noise = shaped(scratch[1], (rows, spacious))
+        terms, weight = shaped(scratch[2], (quantities, size)), shaped(scratch[3], (2, size))
+        log_weight = shaped(scratch[2], (size,))  # needed no longer when terms are
+        cumulative, sums = shaped(scratch[4], (size,)), shaped(scratch[5], (spacious,))
+        points, shares = shaped(scratch[6], (spacious,)), shaped(scratch[7], (spacious,))
+        ancestor, counts = shaped(scratch[8], (spacious,)), shaped(scratch[9], (2, DIGITS))
+        before, others = scratch[11], scratch[12]
+        saved = shaped(scratch[10], (before.size, states, size))
         for d in range(mse.shape[0]):
             for k in range(streams.size):
                 for s in range(mse.shape[1]):
@@ -91,9 +98,61 @@ def fused_filter(
                     )  # fmt: skip
                     mse[d, s] = of_filter if k == 0 else mse[d, s] + of_filter
 
-    return kept_on_disk(
+    compiled = kept_on_disk(
         filter_draws, functions, noise_kinds, components, parameters, resampling, dtype
     )
+
+    def with_scratch(
+        streams, first, y, z, plan, clouds, particles, estimator, parameters, truths,
+        mse, estimate, variance,
+    ):  # fmt: skip
+        second = mse.shape[1] if streams.size > 1 else 0
+        scratch = _scratch((states, quantities), rows, particles, clouds, kind)
+        others = _aligned((second, y.shape[1], quantities), np.float64)
+        compiled(
+            streams, first, y, z, plan, particles, estimator, parameters, truths,
+            mse, estimate, variance, (*scratch, others),
+        )  # fmt: skip
+
+    return WithScratch(compiled, with_scratch)
+
+
+def _scratch(
+    components: tuple[int, int], rows: int, particles: int, clouds: int, dtype: Any
+) -> tuple[NDArray[Any], ...]:
+    """Arrays that a filter of draws works in, by the numbers of components of x and z.
+
+    They are made here because compiled code that raises an error frees no array of its own.
+    """
+    (states, quantities), size = components, int(width(particles))
+    spacious = int(padded(particles + SPARE))
+    weight = _aligned((2, size), np.float32)
+    weight[:] = 0.0
+    weight[_ALIKE, :particles] = 1.0
+    ancestor = _aligned((spacious,), np.uint32)
+    ancestor[:] = 0
+    return (
+        _aligned((2, states, size), dtype),
+        _aligned((rows, spacious), np.float32),
+        _aligned((quantities, size), np.float64),
+        weight,
+        _aligned((size,), np.float64),
+        _aligned((spacious,), np.float64),
+        _aligned((spacious,), np.uint32),
+        _aligned((spacious,), np.uint32),
+        ancestor,
+        _aligned((2, DIGITS), np.uint32),
+        _aligned((clouds, states, size), dtype),
+        _aligned((clouds,), np.float64),
+    )
+
+
+def _aligned(shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:
+    """An array that begins where a line of the cache does."""
+    size = math.prod(shape) * np.dtype(dtype).itemsize
+    buffer = np.empty(size + _LINE, np.uint8)
+    start = -buffer.ctypes.data % _LINE
+    return buffer[start : start + size].view(dtype).reshape(shape)
 
 
 def _filter_draw(
@@ -108,7 +167,7 @@ def _filter_draw(
     """
     begin, propagate, explain = _cloud_steps(functions[:3], noise_kinds, components)
     average, spread = moments(functions[3], components)
-    read_z, error_of = reader(components[2], "d, t, c"), formula(functions[4])
+    read_z, error_of = reader(components[2], "d, t, c"), formula(functions[4], "error")
     record, cost_of = recorders(functions[4], components[2])
     resample = RESAMPLE[resampling]
     in_line = sort_by_state if resampling in SORTED else _as_it_is
@@ -171,7 +230,7 @@ def _cloud_steps(
 
     The cloud is (2, states, particles): what is computed from one half goes to the other.
     """
-    initial, transition, log_likelihood = map(formula, functions)
+    initial, transition, log_likelihood = map(formula, functions, _OF_A_CLOUD)
     fill_w0, fill_w = map(filler, noise_kinds)
     read_w0, read_w = (reader(len(kinds), "c, i") for kinds in noise_kinds)
     states, measurements, _ = components
@@ -184,6 +243,7 @@ def _cloud_steps(
             _copy(saved, source, cloud, 0)
             return before[source]
         fill_w0(noise, particles, stream, draw, np.int64(0), FILTER_INITIAL)
+        _repeat_first(noise, particles, cloud.shape[2])
         for i in range(cloud.shape[2]):
             write_x(cloud, 0, i, initial(read_w0(noise, i), p))
         return 0.0
@@ -191,6 +251,7 @@ def _cloud_steps(
     @melted
     def propagate(stream, draw, t, noise, particles, p, cloud, here):
         fill_w(noise, particles, stream, draw, t, FILTER_PROCESS)
+        _repeat_first(noise, particles, cloud.shape[2])
         for i in range(cloud.shape[2]):
             x = transition(read_x(cloud, here, i), t, read_w(noise, i), p)
             write_x(cloud, 1 - here, i, x)
@@ -247,10 +308,18 @@ def _copy(clouds, one, others, other):
 
 
 @melted
+def _repeat_first(noise, particles, size):
+    """Repeat the first particle behind the last: no formula fails there that fails nowhere else."""
+    for row in range(noise.shape[0]):
+        for i in range(particles, size):
+            noise[row, i] = noise[row, 0]
+
+
+@melted
 def _take(cloud, here, particles, ancestor):
-    """Copy each particle's ancestor to the other half; what lies behind the last is any one."""
+    """Copy each particle's ancestor to the other half; behind the last the first is repeated."""
     for i in range(particles, cloud.shape[2]):
-        ancestor[i] = 0
+        ancestor[i] = ancestor[0]
     for component in range(cloud.shape[1]):
         for i in range(cloud.shape[2]):
             cloud[1 - here, component, i] = cloud[here, component, ancestor[i]]

@@ -21,17 +21,23 @@ class _Library(JITCodeLibrary):  # type: ignore[misc]
         """Leave it to the callers."""
 
 
-class _Compiler(Compiler):  # type: ignore[misc]
-    def define_pipelines(self) -> Any:
-        library = _Library(self.state.targetctx.codegen(), self.state.func_id.func_qualname)
-        library.enable_object_caching()  # as Numba's own
-        self.state.library = library
-        return super().define_pipelines()
+@cache
+def melting(compiler: type) -> type:
+    """Give the same compiler for functions that melt."""
+
+    class Melting(compiler):  # type: ignore[misc]
+        def define_pipelines(self) -> Any:
+            library = _Library(self.state.targetctx.codegen(), self.state.func_id.func_qualname)
+            library.enable_object_caching()  # as Numba's own
+            self.state.library = library
+            return super().define_pipelines()
+
+    return Melting
 
 
 @cache
-def _with_passes(base: type, passes: tuple[type, ...]) -> type:
-    """A compiler that also runs these passes, one after another, before it infers types."""
+def with_passes(base: type, passes: tuple[type, ...]) -> type:
+    """Give a compiler that also runs these passes, one after another, before it infers types."""
 
     class Extended(base):  # type: ignore[misc]
         def define_pipelines(self) -> Any:
@@ -51,7 +57,7 @@ MELTING = {
     **_STANDING,
     "no_cpython_wrapper": True,
     "no_cfunc_wrapper": True,
-    "pipeline_class": _Compiler,
+    "pipeline_class": melting(Compiler),
 }
 
 """How Numba is to take a function that melts."""
@@ -67,19 +73,18 @@ class Melted:
     Parameters
     ----------
     function : callable
-    passes : tuple of Numba's passes
-        Over its untyped representation.
+    compiler : type
+        One of Numba's.
     **options
         Of `numba.njit`.
     """
 
     def __init__(
-        self, function: Callable[..., Any], passes: tuple[type, ...] = (), **options: Any
+        self, function: Callable[..., Any], compiler: type = Compiler, **options: Any
     ) -> None:
         self.py_func = function
-        self._options = options | {"pipeline_class": _with_passes(Compiler, passes)}
-        melting = MELTING | {"pipeline_class": _with_passes(_Compiler, passes)}
-        self._melting = njit(function, **melting, **options)
+        self._options = options | {"pipeline_class": compiler}
+        self._melting = njit(function, **MELTING | options | {"pipeline_class": melting(compiler)})
         self._numba_type_ = self._melting._numba_type_  # by which Numba takes it for a function
 
     @cached_property

@@ -25,7 +25,8 @@ def moments(
     the processor has at a time; then `row_sum` adds them in an order of its own.
     """
     states, _, quantities = components
-    quantity, read_x = formula(quantity_of_interest), reader(states, "half, c, i")
+    quantity = formula(quantity_of_interest, "quantity_of_interest")
+    read_x = reader(states, "half, c, i")
     weighted = tuple_of(
         quantities, "weight, values", "weight * (values[c] if weight > 0.0 else 0.0)"
     )
@@ -57,7 +58,7 @@ def recorders(error: Callable[..., Any], quantities: int) -> tuple[Callable[...,
 
     Of two filters each gives half of its variance; the first one leaves its mean to the second.
     """
-    error_of = formula(error)
+    error_of = formula(error, "error")
     write_z = writer(quantities, "d, t, c")
     read_other, write_other = (make(quantities, "s, t, c") for make in (reader, writer))
 

@@ -25,7 +25,11 @@ from numba.core.compiler_machinery import FunctionPass, register_pass
 from numba.extending import overload
 
 from pfdist.kernels.arithmetic import fma
-from pfdist.kernels.melting import MELTING
+from pfdist.kernels.guarded import Guarded
+from pfdist.kernels.melting import MELTING, melting
+
+# Where the operands are integers, the operation is checked as any other of a formula.
+_CHECKED = {**MELTING, "pipeline_class": melting(Guarded), "error_model": "numpy"}
 
 _FIXED_ARGUMENTS = ("t", "p")
 _FIXED_OPERATIONS = frozenset(
@@ -64,28 +68,28 @@ def _fuses(a, b, c):
     return _are_numbers(a, b, c) and types.float64 in (a, b)
 
 
-@overload(product_plus, jit_options=MELTING)
+@overload(product_plus, jit_options=_CHECKED)
 def _product_plus(a, b, c):
     if _fuses(a, b, c):
         return lambda a, b, c: fma(float(a), float(b), float(c))
     return lambda a, b, c: a * b + c
 
 
-@overload(product_minus, jit_options=MELTING)
+@overload(product_minus, jit_options=_CHECKED)
 def _product_minus(a, b, c):
     if _fuses(a, b, c):
         return lambda a, b, c: fma(float(a), float(b), -float(c))
     return lambda a, b, c: a * b - c
 
 
-@overload(minus_product, jit_options=MELTING)
+@overload(minus_product, jit_options=_CHECKED)
 def _minus_product(a, b, c):
     if _fuses(a, b, c):
         return lambda a, b, c: fma(-float(a), float(b), float(c))
     return lambda a, b, c: c - a * b
 
 
-@overload(quotient, jit_options={**MELTING, "error_model": "numpy"})
+@overload(quotient, jit_options=_CHECKED)
 def _quotient(a, d):
     if a == types.float64 and _are_numbers(d):
         return lambda a, d: a * (1.0 / float(d))

@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 
 from pfdist.errors import ModelError
+from pfdist.jitted import check_bounds_in
+from pfdist.places import place_of
 
 NOISE_KINDS = ("normal", "uniform")
 _ARGUMENTS = {
@@ -116,6 +118,8 @@ class StateSpaceModel:
                 )
         for name, value in self.parameters.items():
             self._check_parameter(name, value)
+        for function in self.formulas.values():
+            check_bounds_in(function)
         self.components  # noqa: B018  evaluated here so that a wrong formula is found here
 
     @cached_property
@@ -140,6 +144,11 @@ class StateSpaceModel:
             self._call("log_likelihood", y, x, 0, self.p)
             self._call("error", z, z, 0, self.p)
         return len(x), len(y), len(z)
+
+    @cached_property
+    def formulas(self) -> dict[str, Callable[..., Any]]:
+        """The formulas by their names."""
+        return {name: getattr(self, name) for name in _ARGUMENTS}
 
     def with_parameters(self, overrides: Mapping[str, float]) -> "StateSpaceModel":
         """Give the model with some parameters changed.
@@ -209,7 +218,7 @@ class StateSpaceModel:
         except Exception as error:
             raise ModelError(
                 f"model {self.name}: {name} failed on arrays: {type(error).__name__}: {error}"
-                f"{self._advice(str(error))}"
+                f"{place_of(error)}{self._advice(str(error))}"
             ) from error
         if name in _ONE_NUMBER:
             if not _is_number(value):

@@ -4,6 +4,7 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from pfdist import kalman
 from pfdist.analysis import Moments
 from pfdist.draws import Draws
 from pfdist.errors import CompileError, ModelError
+from pfdist.kernels.formulas import formulas_of
 from pfdist.meaning import Meaning, check_is_constant
 from pfdist.measurement_times import regular
 from pfdist.models import StateSpaceModel
@@ -22,6 +24,8 @@ from pfdist.runner.chosen import loaded_twice
 from pfdist.work import Estimation, Work
 
 _DRAWS = 1000
+_FEW = 10  # draws, for what is done instant by instant in NumPy
+_FEW_PARTICLES = 50
 _SECONDS = 4.0  # for an evaluation of fewer draws, where a thousand take longer
 
 
@@ -117,11 +121,14 @@ def check_model(
         looks["linear_gaussian"] = _linear_gaussian
     if engine == "numpy":
         looks = {look: looks[look] for look in looks if look not in _COMPILED}
+    looks["every instant"] = partial(_every_instant, engine)
     for look, function in looks.items():
         try:
-            yield Check(look, *function(model, draws))
-        except Exception as error:  # a formula may raise whatever it likes
-            yield Check(look, "wrong", f"a formula failed: {type(error).__name__}: {error}")
+            with formulas_of(model.name, model.formulas):
+                state, text = function(model, draws)
+            yield Check(look, state, text)
+        except ModelError as error:
+            yield Check(look, "wrong", str(error))
     try:
         yield from _filtered(Problem(model, horizon, engine=engine), estimation)
     except ModelError as error:
@@ -134,6 +141,16 @@ def _constant(path: str, told: Meaning, again: Meaning) -> tuple[str, str]:
     except ModelError as error:
         return "wrong", str(error)
     return "ok", "formulas, constants and data are the same in a second load"
+
+
+def _every_instant(engine: str, model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
+    """Call every formula at every instant, both ways: a search may measure at any of them."""
+    few, instants = draws[:_FEW], range(draws.x.shape[1])
+    for name in dict.fromkeys([engine, "numpy"]):
+        ENGINES[name].simulate(model, instants[-1], few.index, 0)
+        for times in ((), tuple(instants)):
+            ENGINES[name].filter_draws(model, few, times, _FEW_PARTICLES, 0)
+    return "ok", "no formula fails at any instant, measured or not"
 
 
 def _linear_gaussian(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:

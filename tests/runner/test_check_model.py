@@ -35,6 +35,7 @@ LOOKS = [
     "compiled as in NumPy",
     "same bytes",
     "log_likelihood",
+    "every instant",
     "degenerate draws",
     "expected MSE",
     "an evaluation",

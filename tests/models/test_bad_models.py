@@ -1,0 +1,139 @@
+"""Models that read what is not theirs or compute what is no number: refused with their line."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from pfdist import evaluate
+from pfdist.errors import ModelError
+from pfdist.runner.check_model import check_model
+
+MODEL = """
+import numpy as np
+from numba import njit
+from pfdist import StateSpaceModel
+
+TABLE = np.array([1.0, 2.0, 3.0])
+SQUARE = np.arange(9.0).reshape(3, 3)
+PAIR = (1.0, 2.0)
+
+
+def look_up(k):
+    return TABLE[k]  # HELPER
+
+
+@njit
+def compiled_look_up(k):
+    return TABLE[k]
+
+
+def picky(t):
+    if t > 5:
+        raise ValueError("no such instant")  # RAISED
+    return 0.0
+
+
+def transition(x, t, w, p):
+    return (0.5 * x[0] + w[0] + TRANSITION,)  # HERE
+
+
+def log_likelihood(y, x, t, p):
+    return -0.5 * (y[0] - x[0]) ** 2 + LIKELIHOOD  # THERE
+
+
+model = StateSpaceModel(
+    name="mine",
+    initial=lambda w, p: (w[0],),
+    transition=transition,
+    measurement=lambda x, t, v, p: (x[0] + v[0],),
+    log_likelihood=log_likelihood,
+    quantity_of_interest=lambda x, t, p: (x[0],),
+    initial_noise=("normal",),
+    process_noise=("normal",),
+    measurement_noise=("normal",),
+)
+"""
+JOB = """
+seed = 1
+[model]
+name = "mine.py:model"
+[problem]
+horizon = 12
+measurement_budget = 4
+[[search]]
+method = "random"
+"""
+EVERY_TIME = range(13)
+BAD = {
+    "a table too short": ("transition", "TABLE[t]", "IndexError", "HERE"),
+    "a tuple too short": ("transition", "PAIR[t]", "IndexError", "HERE"),
+    "in a helper": ("transition", "look_up(t)", "IndexError", "HELPER"),
+    "not a number": ("transition", "TABLE[np.int64(np.sqrt(1 - x[0] ** 2))]", "IndexError", "HERE"),
+    "by zero": ("transition", "1 // (t - 3)", "ZeroDivisionError", "HERE"),
+    "an error of its own": ("transition", "picky(t)", "ValueError", "RAISED"),
+    "only where it is measured": ("log_likelihood", "1 % (t - 5)", "ZeroDivisionError", "THERE"),
+}
+
+
+def written(folder: Path, formula: str, term: str) -> str:
+    terms = {"transition": "0.0", "log_likelihood": "0.0"} | {formula: term}
+    text = MODEL.replace("TRANSITION", terms["transition"])
+    text = text.replace("LIKELIHOOD", terms["log_likelihood"])
+    (folder / "mine.py").write_text(text)
+    (folder / "mine.toml").write_text(JOB)
+    return text
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_a_bad_formula_is_refused_with_its_line_whatever_computes_it(
+    case: str, tmp_path: Path
+) -> None:
+    formula, term, kind, mark = BAD[case]
+    text = written(tmp_path, formula, term)
+    (line,) = (i for i, row in enumerate(text.splitlines(), 1) if row.endswith(f"# {mark}"))
+    message = rf"^model mine: {formula} failed: {kind}: [^\n]*mine\.py:{line}\)$"
+    for engine in ("compiled", "numpy"):
+        job = tmp_path / f"{engine}.toml"
+        job.write_text(f'{JOB}[filter]\nengine = "{engine}"\nparticles = 20\n')
+        with pytest.raises(ModelError, match=message):
+            evaluate(job, EVERY_TIME, draws=20)
+    checks = list(check_model("mine.py:model", horizon=12, particles=20, folder=tmp_path))
+    wrong = [check.text for check in checks if check.state == "wrong"]
+    assert any(re.search(message, text) for text in wrong), checks
+
+
+def test_right_indices_and_integers_give_in_compiled_code_what_they_give_in_numpy(
+    tmp_path: Path,
+) -> None:
+    terms = ["TABLE[t % 3]", "TABLE[-1 - t % 3]", "PAIR[-1 - t % 2]", "SQUARE[-3, t % 3]"]
+    terms += ["7 // (t + 1)", "compiled_look_up(t % 3)", "0.1 * (t << 3)", "0.1 * t**3"]
+    written(tmp_path, "transition", " + ".join(terms))
+    found = []
+    for engine in ("compiled", "numpy"):
+        job = tmp_path / f"{engine}.toml"
+        job.write_text(f'{JOB}[filter]\nengine = "{engine}"\nparticles = 20\n')
+        found.append(evaluate(job, (0, 3, 6), draws=20).expected_mse)
+    assert found[0] == pytest.approx(found[1], rel=1e-9)
+    checks = list(check_model("mine.py:model", horizon=12, particles=20, folder=tmp_path))
+    assert not [check for check in checks if check.state == "wrong"]
+
+
+def test_a_compiled_helpers_indices_are_checked_also_where_numpy_calls_it(tmp_path: Path) -> None:
+    written(tmp_path, "transition", "compiled_look_up(t)")
+    for engine in ("compiled", "numpy"):
+        job = tmp_path / f"{engine}.toml"
+        job.write_text(f'{JOB}[filter]\nengine = "{engine}"\nparticles = 20\n')
+        with pytest.raises(ModelError, match=r"transition failed: IndexError: .*mine\.py:\d+\)$"):
+            evaluate(job, (0, 3, 6), draws=20)
+
+
+def test_an_index_far_outside_ends_in_a_line_and_not_in_the_process(tmp_path: Path) -> None:
+    written(tmp_path, "transition", "TABLE[(t // 3) * 10**12]")
+    code = f"import pfdist; pfdist.evaluate({str(tmp_path / 'mine.toml')!r}, (0, 3), draws=20)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 1, done  # and not -11, a signal's
+    last = done.stderr.splitlines()[-1]
+    assert "index 1000000000000 is out of bounds for axis 0 with size 3 at t = 3" in last
