@@ -334,17 +334,18 @@ def test_an_error_in_the_middle_of_a_filter_leaves_no_array_behind(ungm: StateSp
 
 
 def test_what_lies_behind_the_last_particle_raises_no_error(ungm: StateSpaceModel) -> None:
-    # The transition fails where its noise is larger than that of any particle that there is.
+    # The transition fails where its noise is larger than that of any particle that there is. Under
+    # this key 57 of the variates that lie behind it are.
     draws, largest = simulate(ungm, 5, range(50), 1), [0.0]
 
     def seen(x: Any, t: Any, w: Any, p: Any) -> Any:
         largest[0] = max(largest[0], np.abs(w[0]).max())
         return (x[0] / 2 + w[0],)
 
-    plain.filter_draws(replace(ungm, transition=seen), draws, (2,), 1, 3)
+    plain.filter_draws(replace(ungm, transition=seen), draws, (2,), 1, 10)
     bound = largest[0]
 
     def edged(x: Any, t: Any, w: Any, p: Any) -> Any:
         return (x[0] / 2 + w[0] + TABLE[np.int64(np.abs(w[0]) > bound) * 3],)
 
-    filter_draws(replace(ungm, transition=edged), draws, (2,), 1, 3)
+    filter_draws(replace(ungm, transition=edged), draws, (2,), 1, 10)
