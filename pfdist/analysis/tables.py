@@ -260,9 +260,9 @@ class Run:
         if "distrust" not in rows:  # an older run
             return {}
         rows = rows[rows["distrust"].notna()]
-        names = rows["name"].astype(str)
+        names = [str(name) for name in rows["name"]]
         if self.has_budget:  # a search has a set for each number of measurements
-            names = names.str.rpartition("_")[0]
+            names = [name.rpartition("_")[0] for name in names]
         return dict(zip(names, rows["distrust"].astype(str), strict=True))
 
     def distrust(self, search: str) -> str | None:

@@ -87,7 +87,8 @@ def _search(
 @every
 def test_it_asks_for_sorted_sets_of_distinct_times_within_the_horizon(name: str) -> None:
     asked, found = _search(OPTIMISERS[name], 1)
-    for times, end, draws, *_ in (one for generation in asked for one in generation):
+    for times, end, draws, _, squared in (one for generation in asked for one in generation):
+        assert not squared  # a search estimates in one way
         assert all(a < b for a, b in itertools.pairwise(times))
         assert all(0 <= time <= (FEASIBLE.horizon if end is None else end) for time in times)
         assert draws is None or 2 <= draws <= DRAWS
