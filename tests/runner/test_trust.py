@@ -75,7 +75,7 @@ def test_distrust_is_said_in_a_line_with_its_reason_and_kept(
     assert result["search_estimation"] == {"resampling": "systematic"}  # that it ended with
     print_summary(run.summary(), "")
     text = capsys.readouterr().out
-    assert f"searched again        {result['search_distrust']}" in text
+    assert f"searched again {result['search_distrust']}" in " ".join(text.split())
     assert "its draws chose the set; resampling = systematic" in text
 
 
@@ -212,9 +212,10 @@ def test_the_figure_of_costs_shows_the_search_that_was_done_again(
 ) -> None:
     drawn: list[Any] = []
     monkeypatch.setattr(figures, "plot_cost", lambda *arguments: drawn.append(arguments))
-    figures._cost(planned[0], 1.0, Figure().subplots())
-    (_, evaluations, _, notes, _) = drawn[0]
+    kinds = figures._kinds(planned[0])
+    assert kinds == {"systematic resampling": ["survivors"]}  # by the squared error
+    figures._cost(planned[0], kinds, 1.0, [Figure().subplots()])
+    ((_, evaluations, *_),) = drawn
     shown = evaluations[evaluations["phase"] == "survivors"]
     assert set(shown["estimator"]) == {"squared_error"}
     assert len(shown) == len(_rows(planned[0], "survivors.again"))
-    assert notes == {"survivors": ""}  # as the line of the regular times
