@@ -100,6 +100,7 @@ def filter_draws(
     kept = np.full((2, *draws.z.shape) if trajectories else (2, 0, 0, 0), np.nan)
     sets, by = [measurement_times], ESTIMATORS[0]
     mse = _filter(model, draws, sets, particles, stream, resampling, dtype, by, kept)[:, 0]
+    kept[np.isnan(kept)] = np.nan  # which NaN an operation gives depends on the processor
     return Filtered(mse, *kept) if trajectories else Filtered(mse)
 
 
