@@ -31,7 +31,7 @@ def _run(search: SearchOptimiser, horizon: int, cost: Cost) -> tuple[Any, int]:
     state, asked, rng = search.init(), set(), np.random.default_rng(0)
     while not search.done(state):
         told = []
-        for times, end, _ in search.ask(state, rng):
+        for times, end, *_ in search.ask(state, rng):
             last = horizon if end is None else end
             asked.add((times, last))
             told.append(SearchEvaluation(times, np.empty(0), exact=cost(times, last), end=end))
