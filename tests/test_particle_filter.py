@@ -271,8 +271,11 @@ def test_a_formula_may_call_its_authors_functions(ungm: StateSpaceModel) -> None
     ("transition", "message"),
     [
         (lambda x, t, w, p: (np.clip(x[0], 0, 1),), r"compiled by Numba: .*clip.*filter\.py:\d+"),
-        (lambda x, t, w, p: (TABLE["a"] * x[0],), r"compiled by Numba: .*TABLE.*filter\.py:\d+"),
-        (lambda x, t, w, p: (x[0] + (1, 2)[t],), "a formula failed: IndexError"),
+        (
+            lambda x, t, w, p: (SETTINGS["a"] * x[0],),
+            r"compiled by Numba: .*SETTINGS.*filter\.py:\d+",
+        ),
+        (lambda x, t, w, p: (x[0] + (1, 2)[t],), "transition failed: IndexError"),
     ],
     ids=["a function Numba lacks", "a global dict", "raises"],
 )
@@ -285,7 +288,7 @@ def test_a_formula_that_does_not_work_is_one_line_with_its_place(
     assert "\n" not in str(error.value)
 
 
-TABLE = {"a": 1.0}
+SETTINGS = {"a": 1.0}
 
 
 @pytest.mark.parametrize(
