@@ -4,6 +4,7 @@ The text of a formula and of the kernel fixes which additions are done in which 
 multiplications are fused. LLVM chooses the length of vectors by the processor, and nothing else.
 """
 
+from concurrent.futures import ThreadPoolExecutor
 from itertools import cycle
 
 import pytest
@@ -12,6 +13,7 @@ from oracles.bytes_under import Case, hashes_under, names
 from pfdist import load_model
 from pfdist.models import installed_models
 from pfdist.particle_filter import DTYPES, RESAMPLING
+from pfdist.runner.cores import usable_cores
 
 SHIPPED = sorted(name for name, (module, _) in installed_models().items() if "pfdist." in module)
 FEW = [("ungm", "multinomial", "float64"), ("xray_tumour", "systematic", "float32")]
@@ -41,7 +43,10 @@ def every_scheme_and_model() -> list[Case]:
     ],
 )
 def test_bytes_are_the_same_under_the_names_of_all_processors(cases, most, tmp_path):
-    under = {name: hashes_under(name, cases, tmp_path / name) for name in names()[:most]}
+    compared = names()[:most]
+    with ThreadPoolExecutor(usable_cores()) as processes:
+        found = processes.map(lambda name: hashes_under(name, cases, tmp_path / name), compared)
+        under = dict(zip(compared, found, strict=True))
     assert len(under) >= 2, f"nothing was compared: only {list(under)} runs here"
     first, *others = under
     for other in others:
