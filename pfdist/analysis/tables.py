@@ -1,7 +1,7 @@
 """A run as DataFrames and as a summary."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import asdict
 from functools import cached_property
 from pathlib import Path
@@ -11,13 +11,12 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
+from pfdist.analysis.belief import cause_of_excess
 from pfdist.analysis.budget import FOUND, budget_table, reaching
 from pfdist.analysis.gains import BLOCK, Comparison, gain_over_itself, relative_gain
 from pfdist.analysis.reference import described
 from pfdist.errors import StoreError
 from pfdist.store import Store, check_entries, read_run
-
-_ERRORS = 4.0  # standard errors, by which a difference is more than chance and choice
 
 
 class Run:
@@ -284,29 +283,6 @@ class Run:
         if self.distrust(search):
             own = {"resampling": own.get("resampling", compared["resampling"])}
         return {key: its for key, its in own.items() if key in compared and its != compared[key]}
-
-
-def cause_of_excess(result: Mapping[str, Any], own: Mapping[str, Any]) -> str:
-    """Say why a search's cost is not the fresh one.
-
-    A difference within a few standard errors is that of the draws: a search takes the set that they
-    flatter. A larger one has another cause, unless the search estimates as the comparison does.
-
-    Parameters
-    ----------
-    result : mapping
-        With search_cost, search_standard_error, expected_mse and standard_error.
-    own : mapping
-        How the search estimates otherwise than the comparison.
-    """
-    apart = result["search_cost"] - result["expected_mse"]
-    error = math.hypot(result["search_standard_error"], result["standard_error"])
-    if not abs(apart) > _ERRORS * error or not own:
-        return "its draws chose the set"
-    if apart > 0:
-        return "the search's filter errs more than the job's own"
-    biased = own.get("estimator", "squared_error") != "squared_error"
-    return "the search's filter underestimates its error" if biased else "its draws chose the set"
 
 
 def open_run(path: str | Path) -> Run:

@@ -4,14 +4,12 @@ Inside, arrays are named and their rows and draws numbered: a part of an array t
 to hand, or two that change names, cost an atomic count each, 0.07 ns a particle-step in all.
 """
 
-import math
 from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from pfdist.kernels.arithmetic import shaped
 from pfdist.kernels.components import naming, reader, writer
@@ -21,16 +19,11 @@ from pfdist.kernels.melting import melted
 from pfdist.kernels.moments import SQUARED_ERROR, moments, recorders
 from pfdist.kernels.noise import FILTER_INITIAL, FILTER_PROCESS, filler, padded
 from pfdist.kernels.resampling import RESAMPLE, SORTED, SPARE
-from pfdist.kernels.scratch import WithScratch
+from pfdist.kernels.scratch import ALIKE, WEIGHED, WithScratch, aligned, filter_scratch
 from pfdist.kernels.sorting import DIGITS, sort_by_state
 from pfdist.kernels.weights import IMPOSSIBLE, cumulate, weigh, width
 
 _OF_A_CLOUD = ("initial", "transition", "log_likelihood")
-
-_LINE = 64  # bytes
-
-# The rows of weights: where nothing is measured, and where something is.
-_ALIKE, _WEIGHED = np.uintp(0), np.uintp(1)
 
 
 @lru_cache(maxsize=32)
@@ -107,52 +100,14 @@ def fused_filter(
         mse, estimate, variance,
     ):  # fmt: skip
         second = mse.shape[1] if streams.size > 1 else 0
-        scratch = _scratch((states, quantities), rows, particles, clouds, kind)
-        others = _aligned((second, y.shape[1], quantities), np.float64)
+        scratch = filter_scratch((states, quantities), rows, particles, clouds, kind)
+        others = aligned((second, y.shape[1], quantities), np.float64)
         compiled(
             streams, first, y, z, plan, particles, estimator, parameters, truths,
             mse, estimate, variance, (*scratch, others),
         )  # fmt: skip
 
     return WithScratch(compiled, with_scratch)
-
-
-def _scratch(
-    components: tuple[int, int], rows: int, particles: int, clouds: int, dtype: Any
-) -> tuple[NDArray[Any], ...]:
-    """Arrays that a filter of draws works in, by the numbers of components of x and z.
-
-    They are made here because compiled code that raises an error frees no array of its own.
-    """
-    (states, quantities), size = components, int(width(particles))
-    spacious = int(padded(particles + SPARE))
-    weight = _aligned((2, size), np.float32)
-    weight[:] = 0.0
-    weight[_ALIKE, :particles] = 1.0
-    ancestor = _aligned((spacious,), np.uint32)
-    ancestor[:] = 0
-    return (
-        _aligned((2, states, size), dtype),
-        _aligned((rows, spacious), np.float32),
-        _aligned((quantities, size), np.float64),
-        weight,
-        _aligned((size,), np.float64),
-        _aligned((spacious,), np.float64),
-        _aligned((spacious,), np.uint32),
-        _aligned((spacious,), np.uint32),
-        ancestor,
-        _aligned((2, DIGITS), np.uint32),
-        _aligned((clouds, states, size), dtype),
-        _aligned((clouds,), np.float64),
-    )
-
-
-def _aligned(shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:
-    """An array that begins where a line of the cache does."""
-    size = math.prod(shape) * np.dtype(dtype).itemsize
-    buffer = np.empty(size + _LINE, np.uint8)
-    start = -buffer.ctypes.data % _LINE
-    return buffer[start : start + size].view(dtype).reshape(shape)
 
 
 def _filter_draw(
@@ -189,15 +144,15 @@ def _filter_draw(
                 if t > 0:
                     propagate(stream, draw, t - 1, noise, particles, p, cloud, here)
                     here = 1 - here
-                by, total = _ALIKE, float(particles)
+                by, total = ALIKE, float(particles)
                 if measured[s, t]:
                     explain(cloud, here, particles, y, d, t, p, log_weight)
-                    weigh(log_weight, weight, _WEIGHED)
+                    weigh(log_weight, weight, WEIGHED)
                     here = in_line(
-                        cloud, here, particles, weight, _WEIGHED, log_weight,
+                        cloud, here, particles, weight, WEIGHED, log_weight,
                         counts, points, shares, ancestor,
                     )  # fmt: skip
-                    by, total = _WEIGHED, cumulate(weight, _WEIGHED, log_weight.size, cumulative)
+                    by, total = WEIGHED, cumulate(weight, WEIGHED, log_weight.size, cumulative)
                 if total == 0.0:
                     return _ended(before, slots, s, t, np.nan)  # degenerate
                 mean = average(cloud, here, t, p, weight, by, total, terms)

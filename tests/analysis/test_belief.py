@@ -2,7 +2,7 @@
 
 import pytest
 
-from pfdist.analysis.tables import cause_of_excess
+from pfdist.analysis.belief import cause_of_excess
 
 CHOSE = "its draws chose the set"
 UNDERESTIMATES = "the search's filter underestimates its error"
