@@ -28,7 +28,7 @@ from pfdist.kernels.scratch import WithScratch
 from pfdist.measurement_times import Times, validated
 from pfdist.models import StateSpaceModel, squared_error
 
-KERNEL_VERSION = 3
+KERNEL_VERSION = 4
 """Counts the changes after which the same keys give other figures; part of a run's identity."""
 
 RESAMPLING = tuple(RESAMPLE)

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from oracles.kalman import SCALAR, THREE
-from pfdist import StateSpaceModel, plain
+from pfdist import StateSpaceModel, load_model, plain
 from pfdist.draws import simulate
 from pfdist.errors import ModelError
 
@@ -16,6 +16,14 @@ def test_compiled_and_plain_draws_are_the_same(ungm: StateSpaceModel) -> None:
     fast, slow = (f(ungm, 20, range(3, 8), 99) for f in (simulate, plain.simulate))
     for name in "xyz":
         np.testing.assert_allclose(getattr(fast, name), getattr(slow, name), rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["lorenz63", "random_walk"])
+def test_formulas_without_elementary_functions_have_the_bits_of_numpy(name: str) -> None:
+    model = load_model(name)
+    fast, slow = (f(model, 60, range(20), 99) for f in (simulate, plain.simulate))
+    for array in "xyz":
+        assert getattr(fast, array).tobytes() == getattr(slow, array).tobytes()
 
 
 def test_any_numbers_of_components() -> None:

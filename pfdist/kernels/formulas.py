@@ -15,12 +15,9 @@ from numba.core.registry import CPUDispatcher
 import pfdist.elementwise  # noqa: F401  how Numba is to take what formulas may call
 from pfdist.errors import CompileError, ModelError, PfdistError
 from pfdist.kernels.guarded import Guarded
-from pfdist.kernels.melting import melted, with_passes
-from pfdist.kernels.multiply_add import MultiplyAdd
+from pfdist.kernels.melting import melted
 from pfdist.kernels.overloads import ELEMENTARY, log_to_base
 from pfdist.places import frames_of, place_of
-
-_COMPILER = with_passes(Guarded, (MultiplyAdd,))
 
 
 def formula(function: Callable[..., Any], name: str = "") -> Callable[..., Any]:
@@ -45,7 +42,7 @@ def _compiled(
 ) -> Callable[..., Any]:
     seen = _seeing(function, name, (*callers, function))
     # It may make arrays, which the filter it melts into cannot.
-    return melted(seen, _COMPILER, _nrt=True)
+    return melted(seen, Guarded, _nrt=True)
 
 
 def _seeing(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from pfdist.kernels.arithmetic import fma, larger
+from pfdist.kernels.arithmetic import LANES, fma, larger, row_sum
 
 KINDS = {"float32": np.float32, "float64": np.float64}
 BITS = {"float32": 24, "float64": 53}
@@ -111,3 +111,29 @@ def test_fma_and_larger_keep_the_kind(kind):
     one = KINDS[kind](1.0)
     kept = njit(lambda x: (np.array([fma(x, x, x)]), np.array([larger(x, x)])))(one)
     assert [array.dtype for array in kept] == [np.dtype(kind)] * 2
+
+
+@njit
+def compiled_sum(values, row):
+    return row_sum(values, np.uintp(row))
+
+
+@pytest.mark.parametrize("blocks", range(1, 11))
+def test_a_row_is_added_in_64_partial_sums(blocks):
+    rng = np.random.default_rng(blocks)
+    values = rng.normal(size=(2, blocks * LANES)) * 10.0 ** rng.integers(-8, 8, blocks * LANES)
+    for row in (0, 1):
+        assert compiled_sum(values, row) == in_64_partial_sums(values[row])
+
+
+def in_64_partial_sums(values):
+    whole = values.size // 64 * 64
+    sums = np.zeros(64)
+    for begin in range(0, whole, 64):
+        sums += values[begin : begin + 64]
+    for begin in range(whole, values.size, LANES):
+        sums[:LANES] += values[begin : begin + LANES]
+    while sums.size > 1:
+        half = sums.size // 2
+        sums = sums[:half] + sums[half:]
+    return sums[0]

@@ -218,3 +218,48 @@ def test_what_is_no_formulas_fault_passes():
 def test_the_logarithm_of_the_standard_library_may_have_a_base(base):
     compiled = formula(lambda x: math.log(x, base))
     assert compiled(7.0) == pytest.approx(math.log(7.0, base), rel=1e-15)
+
+
+# --- compiled arithmetic is NumPy's ---
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        lambda a, b, c, d: a * b + c,
+        lambda a, b, c, d: a * b - c * d,
+        lambda a, b, c, d: a**2 - b**2,
+        lambda a, b, c, d: (a + b) / 49.0 - c / d,
+        lambda a, b, c, d: np.sqrt(np.abs(a * a - b * c)) + d / 3,
+    ],
+)
+def test_each_operation_is_rounded_as_in_numpy(function):
+    """IEEE 754: nothing is fused, reordered, or replaced by a reciprocal."""
+    rng = np.random.default_rng(1)
+    numbers = rng.normal(size=(4, 1000)) * 10.0 ** rng.integers(-3, 4, (4, 1000))
+    compiled = formula(function)
+    one_by_one = np.array([compiled(*column) for column in numbers.T.tolist()])
+    assert one_by_one.tobytes() == function(*numbers).tobytes()
+
+
+@pytest.mark.parametrize(
+    ("function", "x"),
+    [
+        (lambda x: x * x - 0.1 * 0.1, 0.1),  # fused, it is the rounding error of 0.1 * 0.1
+        (lambda x: x / 49.0 - 1.0, 49.0),  # 49 * (1 / 49) is less than 1
+    ],
+)
+def test_equal_numbers_differ_by_zero(function, x):
+    assert formula(lambda x, p: function(x))(x, 0.1) == 0.0
+    assert formula(lambda x, p: x * x - p * p)(0.1, 0.1) == 0.0
+    assert formula(lambda x, p: x / p)(49.0, 49.0) == 1.0
+
+
+@pytest.mark.parametrize(
+    "function", [lambda a, b, c: a * b + c, lambda a, p: a / p, lambda x, p: x / 3 + p * x]
+)
+def test_llvm_is_given_no_liberty(function):
+    compiled = formula(function)
+    compiled(*(0.5,) * function.__code__.co_argcount)
+    (module,) = compiled._standing.inspect_llvm().values()
+    assert not re.search(r"\bf(add|sub|mul|div) (fast|reassoc|arcp|contract|afn)\b", module)

@@ -1,7 +1,7 @@
 """The compiled engine gives the same bytes, whichever processor its code is made for.
 
-The text of a formula and of the kernel fixes which additions are done in which order, and which
-multiplications are fused. LLVM chooses the length of vectors by the processor, and nothing else.
+Each operation of a formula is rounded as it is written, and the kernel's source fixes the order of
+its additions. LLVM chooses the length of vectors by the processor, and nothing else.
 """
 
 from concurrent.futures import ThreadPoolExecutor
