@@ -128,7 +128,14 @@ def plot_command(options: argparse.Namespace) -> None:
 def why_command(options: argparse.Namespace) -> None:
     """Say what each measurement of a finished run is worth, and draw it."""
     with Display() as display:
-        found = why(options.run, options.draws, report=display.report, say=display.say).as_json()
+        found = why(
+            options.run,
+            options.draws,
+            model=options.model,
+            filter_model=options.filter_model,
+            report=display.report,
+            say=display.say,
+        ).as_json()
     if options.json:
         _print_json(found)
         return

@@ -189,7 +189,7 @@ class StateSpaceModel:
 
     def _check_data_files(self) -> None:
         files = self.data_files
-        if not isinstance(files, tuple) or not all(map(_is_in_folder, files)):
+        if not isinstance(files, tuple) or not all(map(is_in_folder, files)):
             raise ModelError(
                 f"model {self.name}: data_files must be a tuple of names relative to the folder of "
                 f"the model's file, and in it, got {files!r}"
@@ -242,11 +242,14 @@ class StateSpaceModel:
         return ""
 
 
-def _is_in_folder(name: Any) -> bool:
+def is_in_folder(name: Any) -> bool:
+    """Whether a file's name is relative to a folder, and leads to a file in it."""
     if not isinstance(name, str):
         return False
     path = PurePosixPath(name)
-    return bool(path.parts) and not path.is_absolute() and ".." not in path.parts
+    return (
+        bool(path.parts) and "\0" not in name and not path.is_absolute() and ".." not in path.parts
+    )
 
 
 def _is_number(value: Any) -> bool:

@@ -252,6 +252,8 @@ def installed_models() -> dict[str, tuple[str, str]]:
 
 
 def _read(name: str, path: Path, attribute: str, package: str) -> ModelSource:
+    if path.exists() and not path.is_file():  # to open a pipe would wait for ever
+        raise ModelError(f"model.name: {path} must be a file, got something else ({name!r})")
     try:
         content = path.read_bytes()
         content.decode("utf-8")

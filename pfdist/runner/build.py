@@ -12,7 +12,8 @@ from pfdist.kernels.noise import stream_key
 from pfdist.measurement_times import Times
 from pfdist.monte_carlo import NUMPY_TIMES_SLOWER, Problem
 from pfdist.particle_filter import KERNEL_VERSION
-from pfdist.runner.chosen import ChosenModel, choose
+from pfdist.runner.chosen import Choose, ChosenModel
+from pfdist.runner.named_by_a_run import chooser
 from pfdist.runner.pool import Pool, SerialPool
 from pfdist.runner.searches import NamedSearch, Settings, named_search
 from pfdist.work import Estimation
@@ -97,12 +98,6 @@ class Built:
         return self.source.make()
 
     @property
-    def model_files(self) -> list[str]:
-        """Files that were run to make the models, unless they are an installed package's."""
-        sources = {self.source.model.source, self.source.filter_model.source}
-        return sorted(source.path for source in sources if not source.package)
-
-    @property
     def phases(self) -> list[str]:
         """Phases of the searches."""
         return [phase for search in self.searches for phase in search.phases]
@@ -142,19 +137,29 @@ class Built:
         return f"{name}_{number:0{len(str(self.job.problem.horizon + 1))}}"
 
 
-def build(job: Job) -> Built:
+def build(job: Job, choose: Choose | None = None) -> Built:
     """Make the objects of a job.
+
+    Parameters
+    ----------
+    job : Job
+    choose : callable, optional
+        Chooses the job's models. By default they are those that the job names, because the user
+        has named the job; but where it is the job of a run, nothing of its folder is run unasked.
 
     Raises
     ------
+    StoreError
+        It is the job of a run, and names a model's file that the user has not run before.
     ModelError
         The model cannot be loaded, a parameter is unknown or out of its range, or an estimator or
         a resampling does not fit.
     """
-    model = choose(job.model.name, job.path.parent, job.model.parameters)
+    choose = choose or chooser(job)
+    model = choose("model", job.model.name, job.path.parent, job.model.parameters)
     source = ProblemSource(
         model=model,
-        filter_model=_filter_model(job, model),
+        filter_model=_filter_model(job, model, choose),
         horizon=job.problem.horizon,
         dtype=job.filter.dtype,
         engine=job.filter.engine,
@@ -171,12 +176,12 @@ def _comparing(job: Job) -> Estimation:
     return Estimation(job.filter.particles, job.filter.resampling)
 
 
-def _filter_model(job: Job, model: ChosenModel) -> ChosenModel:
+def _filter_model(job: Job, model: ChosenModel, choose: Choose) -> ChosenModel:
     """What the filter takes for the truth: the same model, unless [model.filter] names one."""
     section = job.model.filter
     if section.name:
         try:
-            return choose(section.name, job.path.parent, section.parameters)
+            return choose("filter_model", section.name, job.path.parent, section.parameters)
         except ModelError as error:
             raise ModelError(f"model.filter: {error}") from error
     return replace(model, parameters={**model.parameters, **section.parameters})
