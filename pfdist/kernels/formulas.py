@@ -13,12 +13,14 @@ from numba.core.errors import NumbaError
 from numba.core.registry import CPUDispatcher
 
 import pfdist.elementwise  # noqa: F401  how Numba is to take what formulas may call
+from pfdist.endings import is_interrupt, kept_alive, told
 from pfdist.errors import CompileError, ModelError, PfdistError
 from pfdist.kernels.guarded import Guarded
 from pfdist.kernels.melting import melted, with_passes
 from pfdist.kernels.multiply_add import MultiplyAdd
 from pfdist.kernels.overloads import ELEMENTARY, log_to_base
 from pfdist.places import frames_of, place_of
+from pfdist.remedies import remedy
 
 _COMPILER = with_passes(Guarded, (MultiplyAdd,))
 
@@ -139,7 +141,8 @@ def formulas_of(model: str, formulas: Mapping[str, Callable[..., Any]]) -> Itera
         A formula raised, with the formula's name, the instant if it is known, and the line.
     """
     try:
-        yield
+        with kept_alive():
+            yield
     except NumbaError as error:
         text = str(error)
         reason = (_REASON.findall(text) or text.strip().splitlines())[0].strip()
@@ -152,17 +155,19 @@ def formulas_of(model: str, formulas: Mapping[str, Callable[..., Any]]) -> Itera
         ) from error
     except (MemoryError, PfdistError):
         raise
-    except Exception as error:  # a formula may raise whatever it likes
+    except BaseException as error:  # a formula may raise whatever it likes
         name, instant = _formula_at_fault(error, formulas)
-        kind, message = type(error).__name__, _message(error)
+        if is_interrupt(error) or not (isinstance(error, Exception) or place_of(error)):
+            raise
+        message = told(error)
         at = f" at t = {instant}" if instant is not None and " at t = " not in message else ""
         raise ModelError(
-            f"model {model}: {name} failed: {kind}: {message}{at}{place_of(error)}"
+            f"model {model}: {name} failed: {message}{at}{remedy(error)}{place_of(error)}"
         ) from error
 
 
 def _formula_at_fault(
-    error: Exception, formulas: Mapping[str, Callable[..., Any]]
+    error: BaseException, formulas: Mapping[str, Callable[..., Any]]
 ) -> tuple[str, int | None]:
     """Name of the formula that an error passed through, and t in it where Python ran it."""
     names = {function.__code__: name for name, function in formulas.items()}
@@ -171,10 +176,3 @@ def _formula_at_fault(
         if name in formulas:
             return name, frame.f_locals.get("t")
     return "a formula", None
-
-
-def _message(error: Exception) -> str:
-    """What an error says; compiled code cannot put integers into a text, so it is done here."""
-    text, *values = error.args or ("",)
-    formatted = isinstance(text, str) and values and text.count("{}") == len(values)
-    return text.format(*values) if formatted else str(error)
