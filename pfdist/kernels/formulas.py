@@ -15,6 +15,7 @@ from numba.core.registry import CPUDispatcher
 import pfdist.elementwise  # noqa: F401  how Numba is to take what formulas may call
 from pfdist.endings import is_interrupt, kept_alive, told
 from pfdist.errors import CompileError, ModelError, PfdistError
+from pfdist.kernels.choices import CHOICES
 from pfdist.kernels.guarded import Guarded
 from pfdist.kernels.melting import melted, with_passes
 from pfdist.kernels.multiply_add import MultiplyAdd
@@ -103,10 +104,11 @@ def _replaced(module: types.ModuleType, by: Mapping[str, Any]) -> types.ModuleTy
 
 _MATH = {name.replace("arc", "a"): function for name, function in ELEMENTARY.items()}
 _MATH["log"] = log_to_base
+_NUMPY = {**ELEMENTARY, **CHOICES}
 _INSTEAD: dict[int, Any] = {
-    id(np): _replaced(np, ELEMENTARY),
+    id(np): _replaced(np, _NUMPY),
     id(math): _replaced(math, _MATH),
-    **{id(getattr(np, name)): function for name, function in ELEMENTARY.items()},
+    **{id(getattr(np, name)): function for name, function in _NUMPY.items()},
     **{id(getattr(math, name)): function for name, function in _MATH.items()},
 }
 """By its identity, what a formula sees instead of a module or function that it names."""
