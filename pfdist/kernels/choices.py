@@ -90,11 +90,15 @@ def _heaviside(x1, x2):
 @overload(interp, jit_options=MELTING)
 def _interp(x, xp, fp, left=None, right=None):
     tables = all(isinstance(kind, types.Array) and kind.ndim == 1 for kind in (xp, fp))
-    if not (_is_number(x) and tables):
-        if _is_none(left) and _is_none(right):
-            return lambda x, xp, fp, left=None, right=None: np.interp(x, xp, fp)
-        return None
     has_left, has_right = not _is_none(left), not _is_none(right)
+    if not (_is_number(x) and tables):
+        numpys = lambda x, xp, fp, left=None, right=None: np.interp(x, xp, fp)  # noqa: E731
+        return None if has_left or has_right else numpys
+    return _interpolation(has_left, has_right)
+
+
+def _interpolation(has_left, has_right):
+    """How a number is interpolated, with or without values of its own beyond the ends."""
 
     def on_numbers(x, xp, fp, left=None, right=None):
         size = xp.size

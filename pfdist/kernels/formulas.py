@@ -3,19 +3,18 @@
 import contextlib
 import inspect
 import math
-import re
 import types
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
-from numba.core.errors import NumbaError
 from numba.core.registry import CPUDispatcher
 
 import pfdist.elementwise  # noqa: F401  how Numba is to take what formulas may call
 from pfdist.endings import is_interrupt, kept_alive, told
 from pfdist.errors import CompileError, ModelError, PfdistError
 from pfdist.kernels.choices import CHOICES
+from pfdist.kernels.compile_errors import NOT_COMPILED, reason_of
 from pfdist.kernels.guarded import Guarded
 from pfdist.kernels.melting import melted, with_passes
 from pfdist.kernels.multiply_add import MultiplyAdd
@@ -116,13 +115,6 @@ _INSTEAD: dict[int, Any] = {
 
 # --- what goes wrong in them --------------------------------------------------------------------
 
-_NOT_THEIRS = re.compile(r"(^|/)(numba/|pfdist/(kernels/|models/base\.py|draws\.py))")
-_REASON = re.compile(
-    r"^.*(?:Untyped global name|No implementation of function|Unknown attribute|Cannot|cannot"
-    r"|Invalid use|Use of unsupported).*$",
-    re.MULTILINE,
-)
-
 
 @contextlib.contextmanager
 def formulas_of(model: str, formulas: Mapping[str, Callable[..., Any]]) -> Iterator[None]:
@@ -145,14 +137,9 @@ def formulas_of(model: str, formulas: Mapping[str, Callable[..., Any]]) -> Itera
     try:
         with kept_alive():
             yield
-    except NumbaError as error:
-        text = str(error)
-        reason = (_REASON.findall(text) or text.strip().splitlines())[0].strip()
-        places = re.findall(r'File "(.*?)", line (\d+)', text)
-        own = [f"{file}:{line}" for file, line in places if not _NOT_THEIRS.search(file)]
-        place = f" ({own[0]})" if own else ""
+    except NOT_COMPILED as error:
         raise CompileError(
-            f"model {model} cannot be compiled by Numba: {reason}{place}; formulas may use "
+            f"model {model} cannot be compiled by Numba: {reason_of(error)}; formulas may use "
             "operators, NumPy's elementwise functions on numbers, pfdist.where and pfdist.clip"
         ) from error
     except (MemoryError, PfdistError):

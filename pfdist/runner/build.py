@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
 
+from pfdist.draws import Draws
 from pfdist.errors import CompileError, EngineWarning, ModelError
 from pfdist.job import Execution, Job
 from pfdist.kernels.noise import stream_key
@@ -13,6 +14,7 @@ from pfdist.measurement_times import Times
 from pfdist.monte_carlo import NUMPY_TIMES_SLOWER, Problem
 from pfdist.particle_filter import KERNEL_VERSION
 from pfdist.runner.chosen import Choose, ChosenModel
+from pfdist.runner.formula_contract import check_compiled, check_formulas, few_draws
 from pfdist.runner.named_by_a_run import chooser
 from pfdist.runner.pool import Pool, SerialPool
 from pfdist.runner.searches import NamedSearch, Settings, named_search
@@ -169,7 +171,35 @@ def build(job: Job, choose: Choose | None = None) -> Built:
     searches = tuple(named_search(job, section, cheapest) for section in job.search)
     wanted = (settings.estimation for search in searches for settings in search.all_settings)
     source = replace(source, estimations=tuple(dict.fromkeys([*source.estimations, *wanted])))
-    return Built(job, replace(source, engine=_compiled_or_numpy(source)), searches)
+    draws = _checked_formulas(source)
+    source = replace(source, engine=_compiled_or_numpy(source))
+    if draws and source.engine == "compiled":
+        check_compiled(draws.model, draws)
+    return Built(job, source, searches)
+
+
+def _checked_formulas(source: ProblemSource) -> Draws | None:
+    """Refuse formulas that are wrong, but for models that ship; give a few draws of the truth."""
+    draws = None
+    if not _ships(source.model):
+        model = source.model.load()
+        draws = few_draws(model, source.horizon)
+        check_formulas(model, draws)
+    if source.filter_model.meaning != source.model.meaning and not _ships(source.filter_model):
+        believed = source.filter_model.load()
+        try:
+            believed_draws = few_draws(believed, source.horizon)
+        except ModelError:  # it need not stay finite: measurements lead the particles
+            return draws
+        try:
+            check_formulas(believed, believed_draws)
+        except ModelError as error:
+            raise ModelError(f"model.filter: {error}") from error
+    return draws
+
+
+def _ships(model: ChosenModel) -> bool:
+    return model.source.package.partition(".")[0] == "pfdist"
 
 
 def _comparing(job: Job) -> Estimation:
