@@ -82,9 +82,24 @@ def _add_what_asks(added: Any) -> None:
     one.add_argument("run", metavar="RUN", help="a run's folder")
 
     one = _command(added, "why", commands.why_command)
-    one.add_argument("run", metavar="RUN", help="a run's folder; its model is run again")
+    one.add_argument(
+        "run", metavar="RUN", help="a run's folder; its model is run again, if it may be"
+    )
     one.add_argument(
         "--draws", type=int, default=DRAWS, metavar="K", help=f"how many, of their own ({DRAWS})"
+    )
+    one.add_argument(
+        "--model",
+        default="",
+        metavar="FILE.py:OBJECT",
+        help="run this model in the place of the file that RUN names, which runs only if it is "
+        "unchanged and you have run it on this machine",
+    )
+    one.add_argument(
+        "--filter-model",
+        default="",
+        metavar="FILE.py:OBJECT",
+        help="likewise, what the filter takes for the truth",
     )
     _add_json(one)
 

@@ -36,6 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         signal.signal(signal.SIGINT, _leave)
     # Here and not above: it takes a second, in which one may be asked to end.
     from pfdist.arguments import make_parser  # noqa: PLC0415
+    from pfdist.commands import answers_alone  # noqa: PLC0415
 
     options = make_parser().parse_args(arguments)
     _preempted.clear()
@@ -44,7 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if listens:
         signal.signal(signal.SIGINT, _interrupt)
     try:
-        with _warnings_as_lines():
+        with _warnings_as_lines(), answers_alone(options, ends=arguments is None):
             options.command(options)
     except PfdistError as error:
         if options.debug:

@@ -2,11 +2,13 @@
 
 import argparse
 import ast
+import contextlib
 import dataclasses
 import json
+import os
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -105,7 +107,7 @@ def evaluate_command(options: argparse.Namespace) -> None:
         "seconds": round(time.perf_counter() - start, 3),
     }
     if options.json:
-        _print_json(answer)
+        _print_json(answer, options)
         return
     for constraint in broken:
         print(f"pfdist: note: these times break a constraint: {constraint}", file=sys.stderr)
@@ -128,9 +130,16 @@ def plot_command(options: argparse.Namespace) -> None:
 def why_command(options: argparse.Namespace) -> None:
     """Say what each measurement of a finished run is worth, and draw it."""
     with Display() as display:
-        found = why(options.run, options.draws, report=display.report, say=display.say).as_json()
+        found = why(
+            options.run,
+            options.draws,
+            model=options.model,
+            filter_model=options.filter_model,
+            report=display.report,
+            say=display.say,
+        ).as_json()
     if options.json:
-        _print_json(found)
+        _print_json(found, options)
         return
     print_why(found)
 
@@ -187,7 +196,7 @@ def _print_checks(checks: Iterable[Check], options: argparse.Namespace) -> list[
         if not options.json:
             print_check(check)
     if options.json:
-        _print_json({"checks": [dataclasses.asdict(check) for check in done]})
+        _print_json({"checks": [dataclasses.asdict(check) for check in done]}, options)
     return [check.name for check in done if check.state == "wrong"]
 
 
@@ -202,14 +211,60 @@ def _times(text: str) -> list[int]:
 
 def _print_run(summary: dict[str, Any], options: argparse.Namespace) -> None:
     if options.json:
-        _print_json(summary)
+        _print_json(summary, options)
         return
     path = summary["run"]
     print_summary(summary, f"tables: {path}/tables   figures: {path}/figures")
 
 
-def _print_json(value: dict[str, Any]) -> None:
-    print(json.dumps(finite(value), indent=2, allow_nan=False))
+def _print_json(value: dict[str, Any], options: argparse.Namespace) -> None:
+    print(json.dumps(finite(value), indent=2, allow_nan=False), file=options.answers)
+
+
+@contextlib.contextmanager
+def answers_alone(options: argparse.Namespace, *, ends: bool) -> Iterator[None]:
+    """Keep standard output for the JSON object that is asked for, whatever a model prints.
+
+    Parameters
+    ----------
+    options : Namespace
+        Whose `answers` becomes the stream for the object. All else goes to standard error, also
+        what compiled code and other processes print.
+    ends : bool
+        Whether the process ends with this command, so that nothing that follows is an answer.
+    """
+    if not getattr(options, "json", False):
+        yield
+        return
+    with contextlib.ExitStack() as stack:
+        options.answers = stack.enter_context(_own_output(sys.stdout, ends=ends))
+        stack.enter_context(contextlib.redirect_stdout(sys.stderr))
+        yield
+
+
+@contextlib.contextmanager
+def _own_output(stream: Any, *, ends: bool) -> Iterator[Any]:
+    """Give a stream to where another one leads, and let its descriptor and 1 lead to 2."""
+    try:
+        stream.flush()
+        kept = {number: os.dup(number) for number in {1, stream.fileno()}}
+    except (AttributeError, OSError):  # closed, or none of a process, as in a notebook
+        yield stream
+        return
+    for number in kept:
+        try:
+            os.dup2(2, number)
+        except OSError:  # standard error is closed
+            os.dup2(os.open(os.devnull, os.O_WRONLY), number)
+    answers = os.dup(kept[stream.fileno()])
+    try:
+        with open(answers, "w", encoding=stream.encoding, errors=stream.errors) as own:
+            yield own
+    finally:
+        for number, copy in kept.items():
+            if not ends:
+                os.dup2(copy, number)
+            os.close(copy)
 
 
 RESUMABLE = (run_command, plan_command, budget_command)

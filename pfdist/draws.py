@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, SupportsIndex
 
 import numpy as np
 from numba import njit
@@ -13,10 +13,11 @@ from pfdist.errors import ModelError
 from pfdist.kernels.components import naming, reader, writer
 from pfdist.kernels.disk_cache import kept_on_disk
 from pfdist.kernels.formulas import formula, formulas_of
-from pfdist.kernels.libm import libm_functions
-from pfdist.kernels.noise import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, filler
+from pfdist.kernels.libm import libm_functions, makes_arrays
+from pfdist.kernels.noise import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, filler, variates
 from pfdist.kernels.scratch import WithScratch
 from pfdist.models import StateSpaceModel
+from pfdist.places import place_of, place_of_function
 
 _FORMULAS = ("initial", "transition", "measurement", "quantity_of_interest")
 _TOGETHER = 64  # draws that are simulated side by side: a few vectors of noise
@@ -84,19 +85,65 @@ def simulate(model: StateSpaceModel, horizon: int, index: range, stream: int) ->
     x, y, z = (np.empty((*shape, count)) for count in model.components)
     with formulas_of(model.name, model.formulas):
         _compiled(model)(np.uint64(stream), index.start, np.array(model.p), x, y, z)
-    check_finite(model, x, y, z)
-    return Draws(model, index, x, y, z)
+    draws = Draws(model, index, x, y, z)
+    check_finite(model, draws, stream)
+    return draws
 
 
-def check_finite(model: StateSpaceModel, *values: NDArray[np.float64]) -> None:
-    """Raise a `ModelError` that names the first value of x, y or z that is not finite."""
-    for name, value in zip("xyz", values, strict=True):
-        if not np.isfinite(value).all():
-            draw, t, component = np.argwhere(~np.isfinite(value))[0]
-            raise ModelError(
-                f"model {model.name}: a simulation must stay finite, got "
-                f"{name}[{component}] = {value[draw, t, component]} at t = {t}"
-            )
+def check_finite(model: StateSpaceModel, draws: Draws, stream: int) -> None:
+    """Raise a `ModelError` that names the first value that is not finite, and what gave it.
+
+    Parameters
+    ----------
+    model : StateSpaceModel
+    draws : Draws
+    stream : int
+        What they were simulated with.
+    """
+    for name in "xyz":
+        values = getattr(draws, name)
+        if np.isfinite(values).all():
+            continue
+        row, t, component = (int(i) for i in np.argwhere(~np.isfinite(values))[0])
+        one = Draws(model, draws.index[row : row + 1], draws.x[row], draws.y[row], draws.z[row])
+        raise ModelError(
+            f"model {model.name}: a simulation must stay finite, got "
+            f"{name}[{component}] = {values[row, t, component]} at t = {t}"
+            f"{_cause(model, name, one, t, stream)}"
+        )
+
+
+def _cause(model: StateSpaceModel, name: str, draw: Draws, t: int, stream: int) -> str:
+    """Which formula gave a value that is not finite, the operation in it, and the line."""
+
+    def noise(kinds: tuple[str, ...], t: int, role: SupportsIndex) -> tuple[Any, ...]:
+        index = np.array(draw.index)
+        return tuple(
+            variates(kind, 1, stream, index, t, role, component)[:, 0]
+            for component, kind in enumerate(kinds)
+        )
+
+    x, before = (tuple(draw.x[max(0, i)][:, None]) for i in (t, t - 1))
+    given: dict[str, tuple[str, tuple[Any, ...]]] = {
+        "x": (
+            "transition",
+            (before, t - 1, noise(model.process_noise, max(0, t - 1), TRUTH_PROCESS)),
+        ),
+        "y": ("measurement", (x, t, noise(model.measurement_noise, t, TRUTH_MEASUREMENT))),
+        "z": ("quantity_of_interest", (x, t)),
+    }
+    if name == "x" and t == 0:
+        given["x"] = ("initial", (noise(model.initial_noise, 0, TRUTH_INITIAL),))
+    formula_name, arguments = given[name]
+    function = getattr(model, formula_name)
+    try:
+        with np.errstate(all="raise", under="ignore"):
+            function(*arguments, model.p)
+    except FloatingPointError as error:
+        return f": {formula_name}: {error}{place_of(error)}"
+    except Exception:  # noqa: S110  that it is not finite is what is told
+        pass
+    return f": {formula_name} gave it{place_of_function(function)}"
 
 
 def libm_of_simulation(model: StateSpaceModel) -> tuple[str, ...]:
@@ -105,6 +152,11 @@ def libm_of_simulation(model: StateSpaceModel) -> tuple[str, ...]:
     The simulation was called before.
     """
     return libm_functions(_compiled(model).compiled)
+
+
+def simulation_makes_arrays(model: StateSpaceModel) -> bool:
+    """Whether the compiled simulation, which was called before, makes arrays for each particle."""
+    return makes_arrays(_compiled(model).compiled)
 
 
 def _compiled(model: StateSpaceModel) -> WithScratch:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist import kalman, plain
-from pfdist.draws import Draws, libm_of_simulation, simulate
+from pfdist.draws import Draws, libm_of_simulation, simulate, simulation_makes_arrays
 from pfdist.errors import ModelError
 from pfdist.estimators import one_by_one
 from pfdist.measurement_times import Times
@@ -22,6 +22,7 @@ from pfdist.particle_filter import (
     check_filter,
     check_fits,
     filter_draws,
+    filter_makes_arrays,
     filter_sets,
     libm_of_filter,
 )
@@ -159,6 +160,13 @@ class Problem:
                 libm_of_filter(self.believed, self.model, estimation.resampling, self.dtype)
             )
         return tuple(sorted(found))
+
+    def makes_arrays(self, estimation: Estimation) -> bool:
+        """Whether formulas, compiled before, make arrays for each particle."""
+        by = estimation.resampling, self.dtype
+        return simulation_makes_arrays(self.model) or filter_makes_arrays(
+            self.believed, self.model, *by
+        )
 
     @property
     def seconds_a_step(self) -> float:

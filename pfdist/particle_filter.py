@@ -19,7 +19,7 @@ from pfdist.draws import Draws
 from pfdist.errors import ModelError
 from pfdist.kernels.formulas import formulas_of
 from pfdist.kernels.fused_filter import fused_filter
-from pfdist.kernels.libm import libm_functions
+from pfdist.kernels.libm import libm_functions, makes_arrays
 from pfdist.kernels.moments import ESTIMATORS
 from pfdist.kernels.noise import stream_key
 from pfdist.kernels.prefixes import plan
@@ -246,6 +246,13 @@ def libm_of_filter(
     The filter was called before.
     """
     return libm_functions(_compiled(model, truth, resampling, dtype).compiled)
+
+
+def filter_makes_arrays(
+    model: StateSpaceModel, truth: StateSpaceModel, resampling: str, dtype: str
+) -> bool:
+    """Whether the compiled filter, which was called before, makes arrays for each particle."""
+    return makes_arrays(_compiled(model, truth, resampling, dtype).compiled)
 
 
 def _compiled(

@@ -4,6 +4,7 @@ import sysconfig
 from collections.abc import Iterator
 from pathlib import Path
 from types import FrameType
+from typing import Any
 
 import numba
 import numpy as np
@@ -17,7 +18,7 @@ def frames_of(error: BaseException) -> Iterator[tuple[FrameType, int]]:
     """Frames and lines of an error's traceback that are a model's, the outermost first."""
     trace = error.__traceback__
     while trace is not None:
-        if _is_a_models(trace.tb_frame.f_code.co_filename):
+        if is_a_models(trace.tb_frame.f_code.co_filename):
             yield trace.tb_frame, trace.tb_lineno
         trace = trace.tb_next
 
@@ -28,7 +29,14 @@ def place_of(error: BaseException) -> str:
     return places[-1] if places else ""
 
 
-def _is_a_models(file: str) -> bool:
+def place_of_function(function: Any) -> str:
+    """Give where a function is defined as `` (file:line)``; empty of what has no source."""
+    code = getattr(function, "__code__", None)
+    return f" ({code.co_filename}:{code.co_firstlineno})" if code else ""
+
+
+def is_a_models(file: str) -> bool:
+    """Whether a source file is a model's: neither pfdist's nor a library's."""
     path = Path(file)
     if file.startswith("<"):
         return False

@@ -4,6 +4,7 @@ The same keys and the same formulas, on arrays (draws, particles); no compiled c
 also the engine for models that Numba cannot compile, about 100 times slower.
 """
 
+import math
 from typing import Any, SupportsIndex
 
 import numpy as np
@@ -51,8 +52,9 @@ def simulate(model: StateSpaceModel, horizon: int, index: range, stream: int) ->
                 break
             w = noise(model.process_noise, t, TRUTH_PROCESS)
             state = model.transition(state, t, w, model.p)
-    check_finite(model, x, y, z)
-    return Draws(model, index, x, y, z)
+    draws = Draws(model, index, x, y, z)
+    check_finite(model, draws, stream)
+    return draws
 
 
 def filter_draws(
@@ -95,22 +97,23 @@ def _filter(
     mean, variance = np.full_like(draws.z, np.nan), np.full_like(draws.z, np.nan)
     total, alive = np.zeros(count), np.ones(count, np.bool_)
     noise = _noise(model.initial_noise, particles, stream, draws.index, 0, FILTER_INITIAL)
-    x = _kept(model.initial(noise, model.p), cloud, dtype)
+    x = _kept(model.initial(_flat(noise), model.p), cloud, dtype)
     for t in range(instants):
         if t > 0:
             w = _noise(model.process_noise, particles, stream, draws.index, t - 1, FILTER_PROCESS)
-            x = _kept(model.transition(x, t - 1, w, model.p), cloud, dtype)
+            x = _kept(model.transition(_flat(x), t - 1, _flat(w), model.p), cloud, dtype)
         weight = np.ones(cloud)
         if t in times:
-            y = tuple(draws.y[:, t, k, None] for k in range(draws.y.shape[2]))
-            weight = plain_weights(_like(model.log_likelihood(y, x, t, model.p), cloud))
+            y = tuple(np.repeat(draws.y[:, t, k], particles) for k in range(draws.y.shape[2]))
+            log_weight = model.log_likelihood(y, _flat(x), t, model.p)
+            weight = plain_weights(_of_cloud(log_weight, cloud))
             if resampling in SORTED:
                 x, weight = _in_line(x, weight)
             degenerate = alive & ~weight.any(axis=1)
             total[degenerate], alive[degenerate] = np.nan, False
         share = weight / weight.sum(axis=1, keepdims=True)
-        for k, values in enumerate(model.quantity_of_interest(x, t, model.p)):
-            counted = np.where(weight > 0, _like(values, cloud), 0.0)
+        for k, values in enumerate(model.quantity_of_interest(_flat(x), t, model.p)):
+            counted = np.where(weight > 0, _of_cloud(values, cloud), 0.0)
             mean[:, t, k] = np.sum(share * counted, axis=1)
             variance[:, t, k] = np.sum(share * (counted - mean[:, t, k, None]) ** 2, axis=1)
         error = draws.model.error(tuple(draws.z[:, t].T), tuple(mean[:, t].T), t, draws.model.p)
@@ -145,9 +148,19 @@ def _like(value: Any, shape: tuple[int, ...]) -> Array:
     return np.broadcast_to(np.asarray(value, np.float64), shape)
 
 
+def _flat(components: tuple[Array, ...]) -> tuple[Array, ...]:
+    """Components as a formula has them: all particles of all draws along one axis."""
+    return tuple(component.reshape(-1) for component in components)
+
+
+def _of_cloud(value: Any, cloud: tuple[int, ...]) -> Array:
+    """What a formula gave for particles along one axis, as an array (D, particles)."""
+    return _like(value, (math.prod(cloud),)).reshape(cloud)
+
+
 def _kept(x: tuple[Any, ...], shape: tuple[int, ...], dtype: str) -> tuple[Array, ...]:
     """States as they are kept: rounded to dtype."""
-    return tuple(_like(component, shape).astype(dtype).astype(np.float64) for component in x)
+    return tuple(_of_cloud(component, shape).astype(dtype).astype(np.float64) for component in x)
 
 
 def _put(array: Array, t: int, components: tuple[Any, ...]) -> None:

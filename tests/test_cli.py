@@ -270,7 +270,7 @@ def test_to_read_a_run_runs_no_code_of_it(
     model.write_text(f"open({str(flag)!r}, 'w').close()\nfrom pfdist.models.ungm import model\n")
     command = ["run", str(small_job.path), "--results", str(run)]
     assert main([*command, "--set", 'model.name="mine.py:model"']) == 0
-    assert f"the model is what {model} says\n" in capsys.readouterr().err
+    assert f"runs the model file {model}, which your job names\n" in capsys.readouterr().err
     flag.unlink()  # to compute, the model's file was run
     for reads in ("status", "plot", "verify", "repair"):
         assert main([reads, str(run)]) == 0

@@ -112,6 +112,11 @@ class _DiskCache:
         return folder / key if folder else None
 
 
+def own_folder() -> Path | None:
+    """Give the folder that only this user can write; None, with a warning, if it cannot be used."""
+    return _folder()
+
+
 def _digest(payload: bytes) -> bytes:
     return hashlib.blake2b(payload, digest_size=_DIGEST_BYTES).digest()
 

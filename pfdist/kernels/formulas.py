@@ -3,21 +3,23 @@
 import contextlib
 import inspect
 import math
-import re
 import types
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
-from numba.core.errors import NumbaError
 from numba.core.registry import CPUDispatcher
 
 import pfdist.elementwise  # noqa: F401  how Numba is to take what formulas may call
+from pfdist.endings import is_interrupt, kept_alive, told
 from pfdist.errors import CompileError, ModelError, PfdistError
+from pfdist.kernels.choices import CHOICES
+from pfdist.kernels.compile_errors import NOT_COMPILED, reason_of
 from pfdist.kernels.guarded import Guarded
 from pfdist.kernels.melting import melted
 from pfdist.kernels.overloads import ELEMENTARY, log_to_base
 from pfdist.places import frames_of, place_of
+from pfdist.remedies import remedy
 
 
 def formula(function: Callable[..., Any], name: str = "") -> Callable[..., Any]:
@@ -98,23 +100,17 @@ def _replaced(module: types.ModuleType, by: Mapping[str, Any]) -> types.ModuleTy
 
 _MATH = {name.replace("arc", "a"): function for name, function in ELEMENTARY.items()}
 _MATH["log"] = log_to_base
+_NUMPY = {**ELEMENTARY, **CHOICES}
 _INSTEAD: dict[int, Any] = {
-    id(np): _replaced(np, ELEMENTARY),
+    id(np): _replaced(np, _NUMPY),
     id(math): _replaced(math, _MATH),
-    **{id(getattr(np, name)): function for name, function in ELEMENTARY.items()},
+    **{id(getattr(np, name)): function for name, function in _NUMPY.items()},
     **{id(getattr(math, name)): function for name, function in _MATH.items()},
 }
 """By its identity, what a formula sees instead of a module or function that it names."""
 
 
 # --- what goes wrong in them --------------------------------------------------------------------
-
-_NOT_THEIRS = re.compile(r"(^|/)(numba/|pfdist/(kernels/|models/base\.py|draws\.py))")
-_REASON = re.compile(
-    r"^.*(?:Untyped global name|No implementation of function|Unknown attribute|Cannot|cannot"
-    r"|Invalid use|Use of unsupported).*$",
-    re.MULTILINE,
-)
 
 
 @contextlib.contextmanager
@@ -136,30 +132,28 @@ def formulas_of(model: str, formulas: Mapping[str, Callable[..., Any]]) -> Itera
         A formula raised, with the formula's name, the instant if it is known, and the line.
     """
     try:
-        yield
-    except NumbaError as error:
-        text = str(error)
-        reason = (_REASON.findall(text) or text.strip().splitlines())[0].strip()
-        places = re.findall(r'File "(.*?)", line (\d+)', text)
-        own = [f"{file}:{line}" for file, line in places if not _NOT_THEIRS.search(file)]
-        place = f" ({own[0]})" if own else ""
+        with kept_alive():
+            yield
+    except NOT_COMPILED as error:
         raise CompileError(
-            f"model {model} cannot be compiled by Numba: {reason}{place}; formulas may use "
+            f"model {model} cannot be compiled by Numba: {reason_of(error)}; formulas may use "
             "operators, NumPy's elementwise functions on numbers, pfdist.where and pfdist.clip"
         ) from error
     except (MemoryError, PfdistError):
         raise
-    except Exception as error:  # a formula may raise whatever it likes
+    except BaseException as error:  # a formula may raise whatever it likes
         name, instant = _formula_at_fault(error, formulas)
-        kind, message = type(error).__name__, _message(error)
+        if is_interrupt(error) or not (isinstance(error, Exception) or place_of(error)):
+            raise
+        message = told(error)
         at = f" at t = {instant}" if instant is not None and " at t = " not in message else ""
         raise ModelError(
-            f"model {model}: {name} failed: {kind}: {message}{at}{place_of(error)}"
+            f"model {model}: {name} failed: {message}{at}{remedy(error)}{place_of(error)}"
         ) from error
 
 
 def _formula_at_fault(
-    error: Exception, formulas: Mapping[str, Callable[..., Any]]
+    error: BaseException, formulas: Mapping[str, Callable[..., Any]]
 ) -> tuple[str, int | None]:
     """Name of the formula that an error passed through, and t in it where Python ran it."""
     names = {function.__code__: name for name, function in formulas.items()}
@@ -168,10 +162,3 @@ def _formula_at_fault(
         if name in formulas:
             return name, frame.f_locals.get("t")
     return "a formula", None
-
-
-def _message(error: Exception) -> str:
-    """What an error says; compiled code cannot put integers into a text, so it is done here."""
-    text, *values = error.args or ("",)
-    formatted = isinstance(text, str) and values and text.count("{}") == len(values)
-    return text.format(*values) if formatted else str(error)

@@ -12,6 +12,7 @@ _DECLARED = re.compile(
     r"^declare [^@\n]*?\b(?:double|float|double>|float>) @\"?([\w.]+)\"?\(", re.MULTILINE
 )
 _TYPE = re.compile(r"\.(?:nx)?v?\d*[fip]\d+.*$")  # of an intrinsic's arguments: .f64, .v4f32
+_ALLOCATES = re.compile(r"(?:call|invoke) [^\n]*@NRT_(?:MemInfo_(?:alloc|new|varsize)|Allocate)")
 _EXACT = frozenset(
     {
         *("fma", "fabs", "sqrt", "copysign", "is.fpclass", "fmod"),
@@ -41,6 +42,14 @@ def libm_functions(compiled: Any) -> tuple[str, ...]:
         # Numba shows no text of what was loaded from disk; the module is there all the same.
         found |= named_in(str(result.library._get_module_for_linking()))
     return tuple(sorted(found))
+
+
+def makes_arrays(compiled: Any) -> bool:
+    """Whether a compiled function allocates memory, which Numba does for arrays and lists."""
+    texts = (
+        str(result.library._get_module_for_linking()) for result in compiled.overloads.values()
+    )
+    return any(_ALLOCATES.search(text) for text in texts)
 
 
 def named_in(module: str) -> set[str]:

@@ -4,7 +4,7 @@ Here only NumPy and the elementwise functions: a model is formulas, and knows ne
 simulation.
 """
 
-from pfdist.models.base import StateSpaceModel, squared_error
+from pfdist.models.base import StateSpaceModel, is_in_folder, squared_error
 from pfdist.models.loader import ModelSource, find_model, installed_models, load_model
 
 __all__ = [
@@ -12,6 +12,7 @@ __all__ = [
     "StateSpaceModel",
     "find_model",
     "installed_models",
+    "is_in_folder",
     "load_model",
     "squared_error",
 ]

@@ -1,5 +1,6 @@
 """What a model is: a handful of pure formulas (paper, equations 1 to 4)."""
 
+import contextlib
 import dataclasses
 import inspect
 import keyword
@@ -13,9 +14,11 @@ from typing import Any
 
 import numpy as np
 
+from pfdist.endings import is_interrupt, kept_alive, told
 from pfdist.errors import ModelError
 from pfdist.jitted import check_bounds_in
-from pfdist.places import place_of
+from pfdist.places import place_of, place_of_function
+from pfdist.remedies import remedy
 
 NOISE_KINDS = ("normal", "uniform")
 _ARGUMENTS = {
@@ -27,6 +30,7 @@ _ARGUMENTS = {
     "error": ("z", "estimate", "t", "p"),
 }
 
+_PROBED = 2  # particles
 _ONE_NUMBER = {
     "log_likelihood": "one number a particle",
     "error": "one number for z and its estimate",
@@ -176,7 +180,8 @@ class StateSpaceModel:
         try:
             signature.bind(*arguments)
         except TypeError as error:
-            raise ModelError(f"{expected}, got {signature}") from error
+            place = place_of_function(function)
+            raise ModelError(f"{expected}, got {signature}{place}") from error
 
     def _check_noise(self, name: str) -> None:
         kinds = getattr(self, name)
@@ -189,7 +194,7 @@ class StateSpaceModel:
 
     def _check_data_files(self) -> None:
         files = self.data_files
-        if not isinstance(files, tuple) or not all(map(_is_in_folder, files)):
+        if not isinstance(files, tuple) or not all(map(is_in_folder, files)):
             raise ModelError(
                 f"model {self.name}: data_files must be a tuple of names relative to the folder of "
                 f"the model's file, and in it, got {files!r}"
@@ -210,45 +215,90 @@ class StateSpaceModel:
             )
 
     def _probe(self, kinds: tuple[str, ...]) -> tuple[Any, ...]:
-        return tuple(np.full(2, 0.5) for _ in kinds)
+        return tuple(np.full(_PROBED, 0.5) for _ in kinds)
 
     def _call(self, name: str, *arguments: Any) -> Any:
         try:
-            value = getattr(self, name)(*arguments)
-        except Exception as error:
+            with kept_alive():
+                value = getattr(self, name)(*arguments)
+        except BaseException as error:  # a formula may raise whatever it likes
+            if is_interrupt(error):
+                raise
             raise ModelError(
-                f"model {self.name}: {name} failed on arrays: {type(error).__name__}: {error}"
-                f"{place_of(error)}{self._advice(str(error))}"
+                f"model {self.name}: {name} failed on arrays: {told(error)}"
+                f"{self._advice(name, arguments, error)}{place_of(error)}"
             ) from error
+        place = place_of_function(getattr(self, name))
         if name in _ONE_NUMBER:
             if not _is_number(value):
                 raise ModelError(
                     f"model {self.name}: {name} must give {_ONE_NUMBER[name]}, "
-                    f"got {'a ' if isinstance(value, tuple) else ''}{type(value).__name__}"
+                    f"got {_told(value)}{place}"
                 )
         elif not (isinstance(value, tuple) and value and all(map(_is_number, value))):
             raise ModelError(
                 f"model {self.name}: {name} must give a tuple of components, also of one: (a,), "
-                f"got {value!r}"
+                f"got {_told(value)}{place}"
             )
+        for number in value if isinstance(value, tuple) else (value,):
+            if np.shape(number) not in ((), (_PROBED,)):
+                raise ModelError(
+                    f"model {self.name}: {name} must give a number or an array of {_PROBED} for "
+                    f"{_PROBED} particles, got an array of shape {np.shape(number)}: is a tuple "
+                    f"taken for a component, w for w[0]?{place}"
+                )
         return value
 
-    def _advice(self, error: str) -> str:
-        """What to do about the two commonest mistakes."""
-        if "truth value of an array" in error:
-            return " (a branch is pfdist.where(condition, a, b), `and` is &, `or` is |)"
-        if "'Parameters' object" in error:
-            return f" (parameters: {', '.join(self.parameters) or 'none'})"
-        return ""
+    def _advice(self, name: str, arguments: tuple[Any, ...], error: BaseException) -> str:
+        """What to write instead, with the sizes that only the model knows."""
+        if "tuple index out of range" in str(error):
+            sizes = [
+                f"{argument} has {len(value)}"
+                for argument, value in zip(_ARGUMENTS[name], arguments, strict=True)
+                if argument != "p" and isinstance(value, tuple)
+            ]
+            return f"; of components {', '.join(sizes)}, and the first is [0]"
+        if "'Parameters' object" in str(error):
+            return f"; parameters: {', '.join(self.parameters) or 'none'}"
+        return remedy(error)
 
 
-def _is_in_folder(name: Any) -> bool:
+def is_in_folder(name: Any) -> bool:
+    """Whether a file's name is relative to a folder, and leads to a file in it."""
     if not isinstance(name, str):
         return False
     path = PurePosixPath(name)
-    return bool(path.parts) and not path.is_absolute() and ".." not in path.parts
+    return (
+        bool(path.parts) and "\0" not in name and not path.is_absolute() and ".." not in path.parts
+    )
 
 
 def _is_number(value: Any) -> bool:
     """Whether it is a number or an array of them."""
     return not isinstance(value, tuple | list) and np.asarray(value).dtype.kind in "fiub"
+
+
+def _told(value: Any) -> str:
+    """Say what a formula gave that it must not give, and what it lacks."""
+    if value is None:
+        return "None: is there no `return`?"
+    if isinstance(value, list):
+        return "a list: write (a, b) in the place of [a, b]"
+    if isinstance(value, tuple):
+        wrong = next((entry for entry in value if not _is_number(entry)), None)
+        if wrong is None:
+            return f"{'an empty' if not value else 'a'} tuple"
+        return f"a tuple with {_kind(wrong)} in it"
+    return _kind(value)
+
+
+def _kind(value: Any) -> str:
+    if isinstance(value, tuple | list):
+        return f"a {type(value).__name__}"
+    with contextlib.suppress(TypeError, ValueError):
+        kind = np.asarray(value).dtype.kind
+        if kind == "c":
+            return "complex numbers"
+        if kind in "fiub":
+            return "an array" if np.ndim(value) else "a number"
+    return type(value).__name__

@@ -17,9 +17,11 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
+from pfdist.endings import is_interrupt, kept_alive, told
 from pfdist.errors import ModelError
 from pfdist.models.base import StateSpaceModel
 from pfdist.models.beside import Beside, Files, FilesOnDisk
+from pfdist.places import place_of
 
 _GROUP = "pfdist.models"
 _NOT_MODELS = ("base", "beside", "loader")
@@ -163,12 +165,15 @@ def _write(folder: Path, contents: Mapping[str, bytes]) -> None:
 
 def _run(beside: Beside, fails: str) -> types.ModuleType:
     try:
-        return beside.load()
+        with kept_alive():
+            return beside.load()
     except ModelError:
         raise
-    except (Exception, SystemExit) as error:
-        reason = beside.told(f"{type(error).__name__}: {error}")
-        raise ModelError(f"model.name: {fails}: {reason}") from error
+    except BaseException as error:  # a model may raise whatever it likes
+        if is_interrupt(error):
+            raise
+        reason = beside.told(told(error))
+        raise ModelError(f"model.name: {fails}: {reason}{place_of(error)}") from error
 
 
 def _read_data(files: FilesOnDisk, name: str, model: StateSpaceModel, file: Path) -> None:
@@ -252,6 +257,8 @@ def installed_models() -> dict[str, tuple[str, str]]:
 
 
 def _read(name: str, path: Path, attribute: str, package: str) -> ModelSource:
+    if path.exists() and not path.is_file():  # to open a pipe would wait for ever
+        raise ModelError(f"model.name: {path} must be a file, got something else ({name!r})")
     try:
         content = path.read_bytes()
         content.decode("utf-8")

@@ -6,13 +6,16 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
 
+from pfdist.draws import Draws
 from pfdist.errors import CompileError, EngineWarning, ModelError
 from pfdist.job import Execution, Job
 from pfdist.kernels.noise import stream_key
 from pfdist.measurement_times import Times
 from pfdist.monte_carlo import NUMPY_TIMES_SLOWER, Problem
 from pfdist.particle_filter import KERNEL_VERSION
-from pfdist.runner.chosen import ChosenModel, choose
+from pfdist.runner.chosen import Choose, ChosenModel
+from pfdist.runner.formula_contract import check_compiled, check_formulas, few_draws
+from pfdist.runner.named_by_a_run import chooser
 from pfdist.runner.pool import Pool, SerialPool
 from pfdist.runner.searches import NamedSearch, Settings, named_search
 from pfdist.work import Estimation
@@ -97,12 +100,6 @@ class Built:
         return self.source.make()
 
     @property
-    def model_files(self) -> list[str]:
-        """Files that were run to make the models, unless they are an installed package's."""
-        sources = {self.source.model.source, self.source.filter_model.source}
-        return sorted(source.path for source in sources if not source.package)
-
-    @property
     def phases(self) -> list[str]:
         """Phases of the searches."""
         return [phase for search in self.searches for phase in search.phases]
@@ -142,19 +139,29 @@ class Built:
         return f"{name}_{number:0{len(str(self.job.problem.horizon + 1))}}"
 
 
-def build(job: Job) -> Built:
+def build(job: Job, choose: Choose | None = None) -> Built:
     """Make the objects of a job.
+
+    Parameters
+    ----------
+    job : Job
+    choose : callable, optional
+        Chooses the job's models. By default they are those that the job names, because the user
+        has named the job; but where it is the job of a run, nothing of its folder is run unasked.
 
     Raises
     ------
+    StoreError
+        It is the job of a run, and names a model's file that the user has not run before.
     ModelError
         The model cannot be loaded, a parameter is unknown or out of its range, or an estimator or
         a resampling does not fit.
     """
-    model = choose(job.model.name, job.path.parent, job.model.parameters)
+    choose = choose or chooser(job)
+    model = choose("model", job.model.name, job.path.parent, job.model.parameters)
     source = ProblemSource(
         model=model,
-        filter_model=_filter_model(job, model),
+        filter_model=_filter_model(job, model, choose),
         horizon=job.problem.horizon,
         dtype=job.filter.dtype,
         engine=job.filter.engine,
@@ -164,19 +171,47 @@ def build(job: Job) -> Built:
     searches = tuple(named_search(job, section, cheapest) for section in job.search)
     wanted = (settings.estimation for search in searches for settings in search.all_settings)
     source = replace(source, estimations=tuple(dict.fromkeys([*source.estimations, *wanted])))
-    return Built(job, replace(source, engine=_compiled_or_numpy(source)), searches)
+    draws = _checked_formulas(source)
+    source = replace(source, engine=_compiled_or_numpy(source))
+    if draws and source.engine == "compiled":
+        check_compiled(draws.model, draws)
+    return Built(job, source, searches)
+
+
+def _checked_formulas(source: ProblemSource) -> Draws | None:
+    """Refuse formulas that are wrong, but for models that ship; give a few draws of the truth."""
+    draws = None
+    if not _ships(source.model):
+        model = source.model.load()
+        draws = few_draws(model, source.horizon)
+        check_formulas(model, draws)
+    if source.filter_model.meaning != source.model.meaning and not _ships(source.filter_model):
+        believed = source.filter_model.load()
+        try:
+            believed_draws = few_draws(believed, source.horizon)
+        except ModelError:  # it need not stay finite: measurements lead the particles
+            return draws
+        try:
+            check_formulas(believed, believed_draws)
+        except ModelError as error:
+            raise ModelError(f"model.filter: {error}") from error
+    return draws
+
+
+def _ships(model: ChosenModel) -> bool:
+    return model.source.package.partition(".")[0] == "pfdist"
 
 
 def _comparing(job: Job) -> Estimation:
     return Estimation(job.filter.particles, job.filter.resampling)
 
 
-def _filter_model(job: Job, model: ChosenModel) -> ChosenModel:
+def _filter_model(job: Job, model: ChosenModel, choose: Choose) -> ChosenModel:
     """What the filter takes for the truth: the same model, unless [model.filter] names one."""
     section = job.model.filter
     if section.name:
         try:
-            return choose(section.name, job.path.parent, section.parameters)
+            return choose("filter_model", section.name, job.path.parent, section.parameters)
         except ModelError as error:
             raise ModelError(f"model.filter: {error}") from error
     return replace(model, parameters={**model.parameters, **section.parameters})

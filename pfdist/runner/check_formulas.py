@@ -15,11 +15,13 @@ from pfdist.draws import Draws
 from pfdist.kernels.noise import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, variates
 from pfdist.models import StateSpaceModel
 from pfdist.monte_carlo import ENGINES
+from pfdist.places import place_of_function
 from pfdist.rounding import with_error
 
 Array = NDArray[np.float64]
 
 _MEASUREMENTS = 20_000  # simulated at one state, to compare with the log-likelihood
+_MOST_INSTANTS = 500  # at which formulas are called on arrays
 _PAIRS = 8  # of states, at each of a few instants
 _LARGEST_Z = 5.0  # standard errors; 1 in 10^6 of right models is blamed for each comparison
 
@@ -75,12 +77,18 @@ def pure(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
         again = _values(model, name, arguments, len(draws.index))
         after = [np.array(part) for group in arguments[:-1] for part in np.atleast_1d(group)]
         if not np.array_equal(first, again, equal_nan=True):
+            reason = "; take randomness from the noise it is given"
+            if not all(map(np.array_equal, before, after)):
+                reason = ", because it changes its arguments: a = a + b in the place of a += b"
             return "wrong", (
                 f"{name} must be a pure function, got other values when called twice with the "
-                "same arguments: take randomness from the noise it is given"
+                f"same arguments{reason}{place_of_function(getattr(model, name))}"
             )
         if not all(map(np.array_equal, before, after)):
-            return "wrong", f"{name} must not change its arguments, got one that does"
+            return "wrong", (
+                f"{name} must not change its arguments, got one that does: a = a + b in the place "
+                f"of a += b{place_of_function(getattr(model, name))}"
+            )
     return "ok", "a formula called twice gives the same, and leaves its arguments as they are"
 
 
@@ -96,7 +104,9 @@ def elementwise(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
         if not np.allclose(together, np.array(alone).T, rtol=1e-9, atol=1e-12, equal_nan=True):
             return "wrong", (
                 f"{name} must treat each particle alone, got other values for an array of "
-                "particles than for its entries one by one (a mean or sum over an array?)"
+                "particles than for its entries one by one (a mean, sum or norm over an array? "
+                "write a + b in the place of np.sum, np.hypot(a, b) of np.linalg.norm)"
+                f"{place_of_function(getattr(model, name))}"
             )
     return "ok", "an array of particles gives what its entries give one by one"
 
@@ -104,12 +114,23 @@ def elementwise(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
 def _entry(argument: Any, i: int) -> Any:
     """One particle's part of an argument; t and p belong to all."""
     if type(argument) is tuple:
-        return tuple(float(component[i]) for component in argument)
+        return tuple(component[i] for component in argument)  # of NumPy: x / 0 is infinite
     return argument
 
 
-def compiled_as_in_numpy(model: StateSpaceModel, _: Draws) -> tuple[str, str]:
+def on_arrays(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
+    """Call each formula at every instant, or at many: `formulas_of` says what is raised."""
+    last = draws.x.shape[1] - 1
+    for t in sorted({round(t) for t in np.linspace(0, last, min(last + 1, _MOST_INSTANTS))}):
+        for name, arguments in _calls(model, draws, t).items():
+            if name != "transition" or t < last:
+                _values(model, name, arguments, len(draws.index))
+    return "ok", "no formula fails on arrays, at any instant"
+
+
+def compiled_as_in_numpy(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
     """Simulate two instants both ways: later ones of a chaotic model differ by the last digit."""
+    del draws  # these are too long
     few = range(100)
     compiled, plain = (
         ENGINES[engine].simulate(model, 1, few, 0) for engine in ("compiled", "numpy")

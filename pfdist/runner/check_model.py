@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -13,14 +13,15 @@ from pfdist import kalman
 from pfdist.analysis import Moments
 from pfdist.draws import Draws
 from pfdist.errors import CompileError, ModelError
-from pfdist.kernels.formulas import formulas_of
 from pfdist.meaning import Meaning, check_is_constant
 from pfdist.measurement_times import regular
 from pfdist.models import StateSpaceModel
 from pfdist.monte_carlo import ENGINES, NUMPY_TIMES_SLOWER, Problem
 from pfdist.rounding import rounded, with_error
-from pfdist.runner.check_formulas import compiled_as_in_numpy, elementwise, likelihood, pure
+from pfdist.runner.check_formulas import compiled_as_in_numpy, likelihood
+from pfdist.runner.check_speed import speed
 from pfdist.runner.chosen import loaded_twice
+from pfdist.runner.formula_contract import Look, few_draws, look_at_formulas, looked
 from pfdist.work import Estimation, Work
 
 _DRAWS = 1000
@@ -40,14 +41,13 @@ def _same_bytes(model: StateSpaceModel, _: Draws) -> tuple[str, str]:
     )
 
 
-_LOOKS: dict[str, Callable[[StateSpaceModel, Draws], tuple[str, str]]] = {
-    "pure": pure,
-    "elementwise": elementwise,
+_LOOKS: dict[str, Look] = {
     "compiled as in NumPy": compiled_as_in_numpy,
     "same bytes": _same_bytes,
+    "speed": speed,
     "log_likelihood": likelihood,
 }
-_COMPILED = ("compiled as in NumPy", "same bytes")
+_COMPILED = ("compiled as in NumPy", "same bytes", "speed")
 
 
 @dataclass(frozen=True)
@@ -98,15 +98,29 @@ def check_model(
     sizes = f"{states} of x, {measurements} of y, {quantities} of z"
     yield Check("load", "ok", f"{model.name}: components {sizes}")
     yield Check("loads the same twice", *_constant(source.path, told, again))
-    engine, estimation = "compiled", Estimation(particles)
+    try:
+        few = few_draws(model, horizon)
+    except ModelError as error:
+        yield Check("simulate", "wrong", str(error))
+        return
+    state = ""
+    for look, state, text in look_at_formulas(model, few):
+        yield Check(look, state, text)
+    if state != "wrong":
+        yield from _computed(model, horizon, Estimation(particles))
+
+
+def _computed(model: StateSpaceModel, horizon: int, estimation: Estimation) -> Iterator[Check]:
+    """Look at a model whose formulas are right in NumPy, as an engine computes it."""
+    engine = "compiled"
     try:
         Problem(model, horizon).compile(estimation)
         yield Check("compile", "ok", "Numba compiles every formula")
     except CompileError as error:
         engine = "numpy"
         yield Check("compile", "note", f"{error}: it runs about {NUMPY_TIMES_SLOWER} times slower")
-    except ModelError as error:
-        yield Check("compile", "wrong", str(error))
+    except ModelError as error:  # it compiles, and fails when it is called
+        yield Check("simulate", "wrong", str(error))
         return
     try:
         draws = ENGINES[engine].simulate(model, horizon, range(_DRAWS), 0)
@@ -123,12 +137,7 @@ def check_model(
         looks = {look: looks[look] for look in looks if look not in _COMPILED}
     looks["every instant"] = partial(_every_instant, engine)
     for look, function in looks.items():
-        try:
-            with formulas_of(model.name, model.formulas):
-                state, text = function(model, draws)
-            yield Check(look, state, text)
-        except ModelError as error:
-            yield Check(look, "wrong", str(error))
+        yield Check(look, *looked(function, model, draws))
     try:
         yield from _filtered(Problem(model, horizon, engine=engine), estimation)
     except ModelError as error:

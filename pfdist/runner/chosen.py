@@ -4,10 +4,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Protocol
 
 from pfdist.kernels.noise import stream_key
 from pfdist.meaning import Meaning, check_is_constant, loaded_meaning, meaning_of, parameters_of
 from pfdist.models import ModelSource, StateSpaceModel, find_model
+from pfdist.runner.known_models import remember
 
 
 @dataclass(frozen=True)
@@ -52,8 +54,25 @@ class ChosenModel:
         return f"{stream_key(self.meaning):016x}"
 
 
-def choose(name: str, folder: Path, parameters: Mapping[str, float]) -> ChosenModel:
-    """Choose a model by its name, as a job has it.
+class Choose(Protocol):
+    """How the models of a job are chosen; see `choose`."""
+
+    def __call__(
+        self, part: str, name: str, folder: Path, parameters: Mapping[str, float], /
+    ) -> ChosenModel:
+        """Give the model of a part of the job, "model" or "filter_model"."""
+
+
+def choose(part: str, name: str, folder: Path, parameters: Mapping[str, float]) -> ChosenModel:
+    """Choose a model that the user names, as a job does it.
+
+    Parameters
+    ----------
+    part : {"model", "filter_model"}
+    name : str
+    folder : Path
+        What a path in the name is relative to.
+    parameters : mapping of str to float
 
     Raises
     ------
@@ -63,6 +82,17 @@ def choose(name: str, folder: Path, parameters: Mapping[str, float]) -> ChosenMo
     source, told, again = loaded_twice(name, folder)
     check_is_constant(told, again, source.path, "each time it is loaded")
     return ChosenModel(source, dict(parameters), again)
+
+
+def chosen_from(source: ModelSource, parameters: Mapping[str, float]) -> ChosenModel:
+    """Choose a model whose files are at hand: no other file is read.
+
+    Raises
+    ------
+    ModelError
+        It cannot be loaded.
+    """
+    return ChosenModel(source, dict(parameters), loaded_meaning(source))
 
 
 def loaded_twice(name: str, folder: Path) -> tuple[ModelSource, Meaning, Meaning]:
@@ -76,5 +106,6 @@ def loaded_twice(name: str, folder: Path) -> tuple[ModelSource, Meaning, Meaning
         The same, unless a constant is random.
     """
     recorded, source = find_model(name, folder).record()
+    remember(source)
     told = meaning_of(recorded, source)  # before anything uses it
     return source, told, loaded_meaning(source)

@@ -12,6 +12,7 @@ from pfdist.plots import draw_figures, figure_files, remove_figures
 from pfdist.runner.build import build, make_pool
 from pfdist.runner.driver import FORKED, drive
 from pfdist.runner.identity import opened
+from pfdist.runner.named_by_a_run import files_named
 from pfdist.runner.processor import note_processor
 from pfdist.runner.progress import Report
 from pfdist.store import Store, read_run
@@ -48,8 +49,8 @@ def run(
     report : callable, optional
         Is told of the progress, a `pfdist.runner.progress.Progress` at a time.
     say : callable, optional
-        Is told, in a line each, when the pool is ready, which files were damaged, and why a search
-        does not believe its estimator.
+        Is told, in a line each, which model files are run, when the pool is ready, which files
+        were damaged, and why a search does not believe its estimator.
 
     Returns
     -------
@@ -72,6 +73,8 @@ def run(
     origin, path = (None, path) if fork is None else (Store(path), Path(fork))
     if origin is not None:
         read_run(origin.path)  # or there is nothing to start from
+    for file in files_named(job):
+        say(f"runs the model file {file}, which your job names")
     built = build(job)
     with opened(path, built, say) as store:
         if open_run(path).state != "finished":
@@ -79,8 +82,6 @@ def run(
             if origin is not None:
                 store.adopt(origin, FORKED)
             note_processor(path, built, say)
-            for file in built.model_files:
-                say(f"the model is what {file} says")
             start = perf_counter()
             with make_pool(built, job.execution) as entered:
                 say(_ready(job.execution.pool, entered.workers, perf_counter() - start))

@@ -3,7 +3,7 @@
 Computed anew, on draws of its own: neither those that chose the times nor those that compared them.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -23,6 +23,7 @@ from pfdist.monte_carlo import Problem
 from pfdist.plots import draw_why
 from pfdist.runner.build import Built, build
 from pfdist.runner.identity import changed_meanings
+from pfdist.runner.named_by_a_run import NamedByRun
 from pfdist.runner.pace import MOST_SECONDS
 from pfdist.runner.progress import Progress, Report
 from pfdist.store import read_run
@@ -82,12 +83,16 @@ def why(
     run: str | Path,
     draws: int = DRAWS,
     *,
+    model: str = "",
+    filter_model: str = "",
     report: Report = lambda progress: None,
     say: Callable[[str], Any] = lambda line: None,
 ) -> Why:
     """Find how the error goes over time, and what each measurement of a finished run is worth.
 
-    It runs the model's file, and draws the figures ``why-<search>`` into the run's.
+    It runs the model, and draws the figures ``why-<search>`` into the run's. A model's file that
+    the run's folder names is compared first, and not run unless it is the file that the run was
+    made with and the user has run it on this machine before.
 
     Parameters
     ----------
@@ -95,10 +100,13 @@ def why(
         A finished run's folder.
     draws : int
         On which all is computed, in this process; memory does not grow with them.
+    model, filter_model : str, optional
+        ``path/file.py:object`` in the place of the file that the run names for the model, or for
+        the filter's: what the user names is run, and must mean the same as the run's.
     report : callable, optional
         Is told of the progress.
     say : callable, optional
-        Is told, in a line each, which files are run as the model.
+        Is told, in a line each, which files are run as the model, before they are.
 
     Returns
     -------
@@ -107,7 +115,8 @@ def why(
     Raises
     ------
     StoreError
-        The folder holds no finished run, or one of another model than is there now.
+        The folder holds no finished run, or one of another model than is there now; or it names a
+        file that is not run unasked.
     JobError, ModelError
         There are too few draws, or the model cannot be loaded.
     """
@@ -120,9 +129,7 @@ def why(
         raise StoreError(
             f"{opened.path} has times of several numbers of measurements: why takes a run of one"
         )
-    built = _build(opened)
-    for file in built.model_files:
-        say(f"the model is what {file} says")
+    built = _build(opened, {"model": model, "filter_model": filter_model}, say)
     sets = opened.compared().set_index("name")["measurement_times"]
     examined = []
     for number, (name, times) in enumerate(sets.items()):
@@ -141,19 +148,12 @@ def _tell(report: Report, draws: int, before: Progress, share: float) -> None:
     report(replace(before, done=before.done + share, evaluations=round(draws * share)))
 
 
-def _build(run: Run) -> Built:
+def _build(run: Run, instead: Mapping[str, str], say: Callable[[str], Any]) -> Built:
     """Make the run's problem of its own job, and see that its models are those it was run with."""
-    about, job = read_run(run.path)
-    # A path is relative to the job file's folder, which may be another one by now.
-    folders = [Path(about.get("provenance", {}).get("folder", ".")), Path(), run.path]
-    settings = []
-    for key, section in (("model", job["model"]), ("model.filter", job["model"].get("filter", {}))):
-        file, colon, attribute = section.get("name", "").rpartition(".py:")
-        if colon:
-            there = [folder for folder in folders if (folder / f"{file}.py").exists()]
-            path = (there or folders)[0].absolute() / f"{file}.py"
-            settings.append(f"{key}.name={path}:{attribute}")
-    built = build(load_job(run.path / "job.toml", settings))
+    about, _ = read_run(run.path)
+    remedy = "to have a model run that you trust, name it: {part} = FILE.py:OBJECT"
+    choose = NamedByRun(run.path, about, instead, say, remedy)
+    built = build(load_job(run.path / "job.toml"), choose)
     differences = changed_meanings(about, built)
     if differences:
         message = f"{run.path} is of another model than is there now: the run's -> this one's"

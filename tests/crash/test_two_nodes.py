@@ -60,11 +60,18 @@ job, run, address, model = sys.argv[1:]
 nodes = set()
 program = importlib.import_module("pfdist.runner.run")
 program.draw_figures = program.figure_files = lambda run: []
+make_pool = program.make_pool
+
+
+def make_pool_without_the_file(*arguments):
+    Path(model).rename(f"{model}-gone")  # before a worker starts
+    return make_pool(*arguments)
+
+
+program.make_pool = make_pool_without_the_file
 
 
 def say(line):
-    if line.startswith("the model is what"):  # before a worker starts
-        Path(model).rename(f"{model}-gone")
     if line.startswith("Ray is ready"):
         actors = ray._private.state.actors().values()
         nodes.update(actor["Address"]["NodeID"] for actor in actors if actor["State"] == "ALIVE")

@@ -89,7 +89,7 @@ ERRORS = {
         {"log_likelihood": lambda y, x, t, p, q: 0.0},
         ["log_likelihood", "(y, x, t, p)", "got (y, x, t, p, q)"],
     ),
-    "no tuple": ({"initial": lambda w, p: w[0]}, ["initial", "tuple", "(a,)", "got array"]),
+    "no tuple": ({"initial": lambda w, p: w[0]}, ["initial", "tuple", "(a,)", "got an array"]),
     "no value": ({"measurement": lambda x, t, v, p: None}, ["measurement", "got None"]),
     "a likelihood that is a tuple": (
         {"log_likelihood": lambda y, x, t, p: (0.0,)},
@@ -115,11 +115,11 @@ ERRORS = {
     "a formula that raises": ({"quantity_of_interest": fails}, ["KeyError: 'nothing here'"]),
     "a likelihood without return": (
         {"log_likelihood": lambda y, x, t, p: None},
-        ["log_likelihood", "one number", "got NoneType"],
+        ["log_likelihood", "one number", "got None: is there no"],
     ),
     "no quantity of interest": (
         {"quantity_of_interest": lambda x, t, p: ()},
-        ["quantity_of_interest", "tuple", "got ()"],
+        ["quantity_of_interest", "tuple", "got an empty tuple"],
     ),
     "a builtin": ({"initial": min}, ["initial", "must be a function of (w, p)"]),
     "a range of nothing": (

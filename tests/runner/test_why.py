@@ -183,13 +183,17 @@ def test_a_models_file_is_found_from_anywhere_and_must_be_the_runs(
     monkeypatch.chdir(tmp_path / "elsewhere")
     said: list[str] = []
     why(run.path, draws=2, say=said.append)
-    assert said == [f"the model is what {file} says"]
+    unchanged = f"named by {run.path}: unchanged since that run, and you have run it before"
+    assert said == [f"runs the model file {file}, {unchanged}"]
     file.write_text('"""Another word."""\nfrom pfdist.models.ungm import model\n# another\n')
-    why(run.path, draws=2)
+    with pytest.raises(StoreError, match=r"mine\.py is not the file that .* so nothing was run"):
+        why(run.path, draws=2)
+    why(run.path, draws=2, model=f"{file}:model", say=said.append)
+    assert said[1:] == [f"runs the model {file}:model, as you name it"]
     file.write_text("from pfdist.models.ungm_gordon import model\n")
     words = r"model\.measurement: \w{8} -> \w{8}.*model\.parameters\.initial_sd: 5\.0 -> 1\.41"
     with pytest.raises(RunMismatchError, match=words):
-        why(run.path, draws=2)
+        why(run.path, draws=2, model=f"{file}:model")
 
 
 @pytest.mark.usefixtures("no_figures")
