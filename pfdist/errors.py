@@ -16,7 +16,40 @@
     EngineWarning                   a model is computed in NumPy, or compiled code is not kept
 """
 
+import reprlib
+from typing import Any
+
 _SHOWN = 8  # differences of two runs
+_LONGEST = 80  # characters of a value that an error shows
+_shortener = reprlib.Repr()
+_shortener.maxstring = _shortener.maxother = _shortener.maxlong = _LONGEST
+_shortener.maxlevel = 3
+
+
+def shown(value: Any) -> str:
+    """Give a value as an error shows it: as Python writes it, without the middle of a long one.
+
+    Parameters
+    ----------
+    value : object
+        From a file or the command line: of any size and depth.
+
+    Examples
+    --------
+    >>> shown("fresh"), shown([1, 2, 3])
+    ("'fresh'", '[1, 2, 3]')
+    >>> shown("x" * 3_000_000).count("x") < 100
+    True
+    """
+    # Python converts no whole number of thousands of digits to text.
+    if isinstance(value, int) and value.bit_length() > 4 * _LONGEST:
+        return f"a whole number of {value.bit_length():,} bits"
+    return shown_text(_shortener.repr(value))
+
+
+def shown_text(text: str) -> str:
+    """Give a text as an error shows it: without the middle of a long one."""
+    return text if len(text) <= 3 * _LONGEST else f"{text[: 2 * _LONGEST]}...{text[-_LONGEST:]}"
 
 
 class PfdistError(Exception):
@@ -53,9 +86,9 @@ class RunMismatchError(StoreError):
     """
 
     def __init__(self, message: str, differences: tuple[str, ...]) -> None:
-        shown = "; ".join(differences[:_SHOWN])
+        told = "; ".join(differences[:_SHOWN])
         more = f"; and {len(differences) - _SHOWN} more" if len(differences) > _SHOWN else ""
-        super().__init__(f"{message}: {shown}{more}")
+        super().__init__(f"{message}: {told}{more}")
         self.differences = differences
 
 

@@ -1,6 +1,5 @@
 """The job file: TOML in, frozen and validated data out. Data only: nothing is built here."""
 
-import tomllib
 from collections.abc import Iterable, Mapping
 from copy import deepcopy
 from dataclasses import replace
@@ -10,10 +9,11 @@ from typing import Annotated, Any, Final, Literal, Self
 import tomli_w
 from pydantic import Field, PrivateAttr, ValidationError, field_validator, model_validator
 
-from pfdist.errors import JobError, MeasurementTimesError
+from pfdist.errors import JobError, MeasurementTimesError, shown, shown_text
 from pfdist.feasible import Feasible
 from pfdist.measurement_times import Times, validated
 from pfdist.overrides import override
+from pfdist.parsing import parse_toml, read_text
 from pfdist.problem import ProblemSection
 from pfdist.search_sections import (
     PLANNER,
@@ -90,7 +90,7 @@ class Comparison(Section):
         if not whole:
             raise ValueError(
                 f"comparison.reference must be {REGULAR!r} or a list of times, for instance "
-                f"[0, 3, 6], got {value!r}"
+                f"[0, 3, 6], got {shown(value)}"
             )
         return tuple(sorted(value))
 
@@ -130,6 +130,12 @@ class Job(Section):
     execution: Execution = Execution()
     _path: Path = PrivateAttr(default=Path("job.toml"))
     _names_its_searches: bool = PrivateAttr(default=False)
+
+    def __init__(self, **data: Any) -> None:
+        try:
+            super().__init__(**data)
+        except ValidationError as error:
+            raise JobError(explained(error, Job)) from error
 
     @model_validator(mode="after")
     def _names_differ(self) -> Self:
@@ -233,10 +239,10 @@ def load_job(
     """
     path = Path(path)
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
+        data = parse_toml(read_text(path))
     except OSError as error:
         raise JobError(f"cannot read the job file {path}: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except ValueError as error:
         raise JobError(f"the job file must be TOML, got an error: {error} ({path})") from error
     return _validated(data | dict(sections), path, overrides, "search" in data)
 
@@ -265,9 +271,9 @@ def _validated(
     for change in given:
         override(data, change)
     try:
-        job = Job.model_validate(data)
-    except ValidationError as error:
-        where = f"{path} with {' '.join(given)}" if given else str(path)
-        raise JobError(explained(error, Job, where)) from error
+        job = Job(**data)
+    except JobError as error:
+        where = f"{path} with {shown_text(' '.join(given))}" if given else str(path)
+        raise JobError(f"{error} ({where})") from error
     job._path, job._names_its_searches = path, names_its_searches
     return job

@@ -14,9 +14,10 @@ import pyarrow as pa
 from pfdist.analysis.belief import cause_of_excess
 from pfdist.analysis.budget import FOUND, budget_table, reaching
 from pfdist.analysis.gains import BLOCK, Comparison, gain_over_itself, relative_gain
+from pfdist.analysis.recorded import read_recorded
 from pfdist.analysis.reference import described
 from pfdist.errors import StoreError
-from pfdist.store import Store, check_entries, read_run
+from pfdist.store import Store, check_entries
 
 
 class Run:
@@ -32,7 +33,7 @@ class Run:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._about, self.job = read_run(path)
+        self._about, self.job = read_recorded(path)
         self._store = Store(path)
 
     def evaluations(self) -> pd.DataFrame:

@@ -12,7 +12,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from pfdist.errors import RunMismatchError, StoreError
+from pfdist.analysis import read_recorded
+from pfdist.errors import RunMismatchError, StoreError, shown_text
 from pfdist.job import Job, job_toml
 from pfdist.kernels.noise import stream_key
 from pfdist.particle_filter import KERNEL_VERSION
@@ -28,7 +29,6 @@ from pfdist.store import (
     has_key,
     held,
     holds_run,
-    read_run,
     write_job,
     write_run,
 )
@@ -103,7 +103,7 @@ def _write_about(path: Path, built: Built, identity: dict[str, Any], key: str) -
     if not holds_run(path):
         write_job(path, job_toml(job.identity()))
         write_run(path, {**identity, "provenance": _provenance(built)}, key)
-    elif not (path / "job.toml").exists() or read_run(path)[1] != job.identity():
+    elif not (path / "job.toml").exists() or read_recorded(path)[1] != job.identity():
         write_job(path, job_toml(job.identity()))
     confirm(path, key)
 
@@ -175,7 +175,7 @@ def _check_free(path: Path) -> None:
 
 
 def _check_same(store: Store, built: Built, identity: dict[str, Any], committed: int) -> None:
-    (run, its), job = read_run(store.path), built.job
+    (run, its), job = read_recorded(store.path), built.job
     models = meanings(built)
     old = {"job": its, **{name: run.get(name) for name in identity if name not in models}}
     new = {"job": job.identity(), **{k: v for k, v in identity.items() if k not in models}}
@@ -206,9 +206,11 @@ def _changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[tuple[s
             yield key, was, is_
 
 
-def _short(value: Any) -> Any:
-    """A hash by its first figures."""
-    return value[:8] if isinstance(value, str) and _HASH.fullmatch(value) else value
+def _short(value: Any) -> str:
+    """A hash by its first figures, and any other value without the middle of a long one."""
+    if isinstance(value, str) and _HASH.fullmatch(value):
+        return value[:8]
+    return shown_text(str(value))
 
 
 def _mismatch(path: Path, differences: list[str]) -> RunMismatchError:

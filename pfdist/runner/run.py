@@ -14,7 +14,7 @@ from pfdist.runner.driver import FORKED, drive
 from pfdist.runner.identity import opened
 from pfdist.runner.processor import note_processor
 from pfdist.runner.progress import Report
-from pfdist.store import Store, read_run
+from pfdist.store import Store
 
 
 def run(
@@ -71,7 +71,7 @@ def run(
     path = Path("results") / job.path.stem if results is None else Path(results)
     origin, path = (None, path) if fork is None else (Store(path), Path(fork))
     if origin is not None:
-        read_run(origin.path)  # or there is nothing to start from
+        open_run(origin.path)  # or there is nothing to start from
     built = build(job)
     with opened(path, built, say) as store:
         if open_run(path).state != "finished":

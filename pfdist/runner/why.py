@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from pfdist.analysis import Moments, Run, finite, open_run
+from pfdist.analysis import Moments, Run, finite, open_run, read_recorded
 from pfdist.errors import JobError, RunMismatchError, StoreError
 from pfdist.evaluation import Purpose, ReportEvaluation
 from pfdist.feasible import Feasible
@@ -25,7 +25,6 @@ from pfdist.runner.build import Built, build
 from pfdist.runner.identity import changed_meanings
 from pfdist.runner.pace import MOST_SECONDS
 from pfdist.runner.progress import Progress, Report
-from pfdist.store import read_run
 from pfdist.work import Work, cut
 
 WHY = Purpose("why", ReportEvaluation)
@@ -143,7 +142,7 @@ def _tell(report: Report, draws: int, before: Progress, share: float) -> None:
 
 def _build(run: Run) -> Built:
     """Make the run's problem of its own job, and see that its models are those it was run with."""
-    about, job = read_run(run.path)
+    about, job = read_recorded(run.path)
     # A path is relative to the job file's folder, which may be another one by now.
     folders = [Path(about.get("provenance", {}).get("folder", ".")), Path(), run.path]
     settings = []
