@@ -4,19 +4,21 @@ import math
 import sys
 import textwrap
 from statistics import mode
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from pfdist.errors import one_line
 from pfdist.rounding import rounded, with_error, with_interval
-from pfdist.runner.check_model import Check
-from pfdist.runner.why import CHANGES
+
+if TYPE_CHECKING:  # to look at a run wants none of what a check does
+    from pfdist.runner.check_model import Check
 
 _COLUMNS = 80
 _EXACT = 1e-12  # of an exact value: less is the rounding of doubles
 
 
-def print_check(check: Check) -> None:
+def print_check(check: "Check") -> None:
     """Print what was found about a model, a line."""
-    print(f"{check.state:5} {check.name}: {check.text}", flush=True)  # noqa: T201  its output
+    print(one_line(f"{check.state:5} {check.name}: {check.text}"), flush=True)  # noqa: T201  its output
 
 
 def print_summary(summary: dict[str, Any], files: str) -> None:
@@ -34,7 +36,7 @@ def print_summary(summary: dict[str, Any], files: str) -> None:
 
 def _summary_text(summary: dict[str, Any], files: str) -> str:
     lines = [
-        f"{summary['run']}: {summary['state']}, {summary['evaluations']:,} evaluations, "
+        f"{one_line(summary['run'])}: {summary['state']}, {summary['evaluations']:,} evaluations, "
         f"{summary['draws_compared']:,} draws compared"
     ]
     if any("kind" in result for result in summary["results"].values()):
@@ -158,13 +160,14 @@ def print_why(found: dict[str, Any]) -> None:
             cells = "  ".join(f"{rise:>{width}}" for rise in row[1:])
             lines.append(f"  {row[0]:>5}  {cells}".rstrip())
         lines.append("")
-    print("\n".join(lines + found["figures"]))  # noqa: T201  its output
+    print("\n".join(lines + [one_line(file) for file in found["figures"]]))  # noqa: T201  its output
 
 
 def _rises(row: dict[str, Any], mse: float) -> list[str]:
     """Give a measurement and its rises as text: of a shift that is impossible, nothing."""
     cells = [str(row["t"])]
-    for change in CHANGES:
+    changes = [key for key in row if f"{key}_error" in row]
+    for change in changes:
         mean, error = row[change], row[f"{change}_error"]
         rounded_off = error == 0.0 and mean is not None and abs(mean) < _EXACT * abs(mse)
         mean = 0.0 if rounded_off else mean

@@ -52,6 +52,24 @@ def shown_text(text: str) -> str:
     return text if len(text) <= 3 * _LONGEST else f"{text[: 2 * _LONGEST]}...{text[-_LONGEST:]}"
 
 
+def one_line(text: str) -> str:
+    """Give a text as one line without control characters, which a path or a table may hold.
+
+    Examples
+    --------
+    >>> one_line("results/a\\nb"), one_line("results/\\x1b[2J")
+    ('results/a b', 'results/?[2J')
+    """
+    return "".join(map(_printable, text))
+
+
+def _printable(character: str) -> str:
+    byte_of_a_path = "\udc80" <= character <= "\udcff"  # which is not UTF-8
+    if character.isprintable() or byte_of_a_path:
+        return character
+    return " " if character.isspace() else "?"
+
+
 class PfdistError(Exception):
     """Base of all errors of pfdist; the command line prints it as one line and exits with 1."""
 
