@@ -107,9 +107,7 @@ def _add_doctor(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--results", default="results", metavar="DIR", help="where runs go (results)"
     )
-    parser.add_argument(
-        "--address", default="", help="of a Ray cluster, whose nodes are looked at"
-    )
+    parser.add_argument("--address", default="", help="of a Ray cluster, whose nodes are looked at")
     _add_json(parser)
 
 

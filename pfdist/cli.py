@@ -53,7 +53,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except PfdistError as error:
         if options.debug:
             raise
-        return _failed(str(error), " (--debug shows the traceback)" * isinstance(error, TaskError))
+        hint = " (--debug shows the traceback)" if isinstance(error, TaskError) else ""
+        return _failed(str(error), f" (--{error.argument})" if error.argument else hint)
     except KeyboardInterrupt:
         ended = "asked to end" if _preempted else "interrupted"
         go_on = f"; {_GO_ON}" if options.goes_on else ""

@@ -40,11 +40,14 @@ def _summary_text(summary: dict[str, Any], files: str) -> str:
         f"{summary['draws_compared']:,} draws compared"
     ]
     if any("kind" in result for result in summary["results"].values()):
-        return "\n".join([*lines, *_budget_lines(summary), "", files])
+        return "\n".join([*lines, *_budget_lines(summary), *_ending(files)])
     reference = next(iter(summary["results"]), "")
     for name, result in summary["results"].items():
         times = ", ".join(map(str, result["measurement_times"]))
         lines += ["", f"{name}: measure at t = {times}"]
+        if "expected_mse" not in result:  # the comparison has not begun
+            lines += [] if result["search_cost"] is None else [_believed(result)]
+            continue
         if name == reference:
             lines += _reference_lines(result)
         cost = with_error(_cost(result["expected_mse"]), result["standard_error"])
@@ -62,7 +65,11 @@ def _summary_text(summary: dict[str, Any], files: str) -> str:
             interval = result["gain_over_itself_interval"]
             gain = _percent_of(result["gain_over_itself"], interval)
             lines.append(_line("gain over itself", f"{gain}, from filter noise alone"))
-    return "\n".join([*lines, "", files])
+    return "\n".join([*lines, *_ending(files)])
+
+
+def _ending(files: str) -> list[str]:
+    return ["", files] if files else []
 
 
 def _line(name: str, text: str) -> str:
@@ -181,7 +188,7 @@ def _believed(result: dict[str, Any]) -> str:
         return _line("exactly", f"{rounded(result['search_cost'])}, as the search knew")
     believed = with_error(result["search_cost"], result["search_standard_error"])
     line = _line("the search believed", believed)
-    excess = result["search_excess"]
+    excess = result.get("search_excess")
     return line if excess is None else f"{line}, {_off(excess, result)}"
 
 

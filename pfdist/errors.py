@@ -71,7 +71,19 @@ def _printable(character: str) -> str:
 
 
 class PfdistError(Exception):
-    """Base of all errors of pfdist; the command line prints it as one line and exits with 1."""
+    """Base of all errors of pfdist; the command line prints it as one line and exits with 1.
+
+    Parameters
+    ----------
+    message : str
+        In words that hold in Python and on the command line.
+    argument : str
+        The argument that is to be changed, if there is one: the command line names its option.
+    """
+
+    def __init__(self, message: str = "", *, argument: str = "") -> None:
+        super().__init__(message)
+        self.argument = argument
 
 
 class JobError(PfdistError):

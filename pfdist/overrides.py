@@ -24,9 +24,14 @@ def override(data: dict[str, Any], change: str) -> None:
     key, equals, text = change.partition("=")
     path = [part.strip() for part in key.split(".")]
     if not equals or not all(path) or "\n" in change:
-        raise JobError(f"--set must be key=value, for instance seed=3, got {shown(change)}")
+        raise JobError(
+            f"changes must be key=value, for instance seed=3, got {shown(change)}", argument="set"
+        )
     if len(path) > MOST_LEVELS:
-        raise JobError(f"--set keys must have at most {MOST_LEVELS} parts, got {len(path):,}")
+        raise JobError(
+            f"keys of changes must have at most {MOST_LEVELS} parts, got {len(path):,}",
+            argument="set",
+        )
     value = _value(text.strip())
     section: Any = data
     if path[0] == "search" and len(path) > 1:
@@ -34,9 +39,15 @@ def override(data: dict[str, Any], change: str) -> None:
     for part in path[:-1]:
         section = section.setdefault(part, {})
         if not isinstance(section, dict):
-            raise JobError(f"--set {shown_text(change)}: {shown_text(part)} is no section, so it has no keys")
+            raise JobError(
+                f"change {shown_text(change)}: {shown_text(part)} is no section, so it has no keys",
+                argument="set",
+            )
     if not path:
-        raise JobError(f"--set {shown_text(change)}: name a key of the search, search.NAME.KEY=value")
+        raise JobError(
+            f"change {shown_text(change)}: name a key of the search, search.NAME.KEY=value",
+            argument="set",
+        )
     section[path[-1]] = value
 
 
@@ -45,12 +56,12 @@ def _value(text: str) -> Any:
     try:
         text.encode()
     except UnicodeEncodeError as error:
-        raise JobError(f"--set must be UTF-8 text, got {shown(text)}") from error
+        raise JobError(f"changes must be UTF-8 text, got {shown(text)}", argument="set") from error
     try:
         return parse_toml(f"value = {text}")["value"]
     except ValueError as error:
         if text[:1] in ("[", "{") or text.strip("+-").isdecimal():
-            raise JobError(f"--set {shown_text(text)}: {error}") from error
+            raise JobError(f"change {shown_text(text)}: {error}", argument="set") from error
     return text  # a bare word: filter.resampling=systematic
 
 
@@ -61,6 +72,9 @@ def _search_named(data: dict[str, Any], name: str, change: str) -> dict[str, Any
     names = [str(search.get("name", search.get("method"))) for search in searches]
     if name not in names:
         allowed = ", ".join(names) or "none, there is no [[search]]"
-        raise JobError(f"--set {shown_text(change)}: the job has no search {shown(name)}, allowed: {allowed}")
+        raise JobError(
+            f"change {shown_text(change)}: the job has no search {shown(name)}, allowed: {allowed}",
+            argument="set",
+        )
     found: dict[str, Any] = searches[names.index(name)]
     return found

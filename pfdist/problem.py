@@ -105,7 +105,9 @@ def _spelt(value: Any, key: str) -> range:
         return range(value, value + 1)
     found = _RANGE.fullmatch(value) if isinstance(value, str) else None
     if found is None:
-        raise ValueError(f"{key} must name times, as 20, and ranges, as '20-30', got {shown(value)}")
+        raise ValueError(
+            f"{key} must name times, as 20, and ranges, as '20-30', got {shown(value)}"
+        )
     first, last = (int(found[1]), int(found[2])) if found[1] else (int(found[3]),) * 2
     if last < first:
         raise ValueError(f"{key} must have ranges from a time to a later one, got {value!r}")

@@ -42,7 +42,9 @@ def _sentence(error: ErrorDetails, job: type[BaseModel]) -> str:
     if kind == "extra_forbidden":
         section, _, name = key.rpartition(".")
         place = f" in [{section}]" if section else ""
-        return f"unknown key {shown(name)}{place}, allowed: {', '.join(_allowed_keys(section, job))}"
+        return (
+            f"unknown key {shown(name)}{place}, allowed: {', '.join(_allowed_keys(section, job))}"
+        )
     if kind == "missing":
         return f"{key} must be given"
     if kind in ("union_tag_invalid", "union_tag_not_found"):

@@ -77,8 +77,7 @@ def opened(path: Path, built: Built, say: Callable[[str], Any]) -> Iterator[Stor
         if all((path / name).exists() for name in ABOUT) and not about:
             _check_same(store, built, identity, committed)
         elif known and built.job.comparison.draws < committed:
-            draws = built.job.comparison.draws
-            raise _mismatch(path, [f"comparison.draws: {committed} committed -> {draws}"])
+            raise _too_few(path, built.job, committed)
         store.sweep()
         _quarantine(store, damages, say)
         _write_about(path, built, identity, key)
@@ -164,13 +163,14 @@ def changed_meanings(run: Mapping[str, Any], built: Built) -> dict[str, str]:
 
 def _check_free(path: Path) -> None:
     if path.exists() and not path.is_dir():
-        raise StoreError(f"--results must be a folder, got the file {path}")
+        raise StoreError(f"results must be a folder, got the file {path}", argument="results")
     # These are what a start leaves that was killed before it wrote run.json.
     strange = {entry.name for entry in path.glob("[!.]*")} - {"job.toml", "manifest"}
     if strange:
         raise StoreError(
-            f"--results must be a new folder, an empty one or a run's, got {path} "
-            f"with {', '.join(sorted(strange)[:3])} in it"
+            f"results must be a new folder, an empty one or a run's, got {path} "
+            f"with {', '.join(sorted(strange)[:3])} in it",
+            argument="results",
         )
 
 
@@ -188,12 +188,14 @@ def _check_same(store: Store, built: Built, identity: dict[str, Any], committed:
     differences = [f"{name}: {change}" for name, change in sorted(changes.items())]
     # How searches estimate follows from the job, unless nothing else differs.
     told = [line for line in differences if not line.startswith("estimations.")] or differences
+    if told and all(line.startswith("comparison.draws: ") for line in told):
+        raise _too_few(store.path, job, committed)
     if told:
         raise _mismatch(store.path, told)
     if not store.manifest.exists():
         raise StoreError(
             f"{store.path} has lost its folder manifest, which says what its files must hold: put "
-            "it back, or give --results another folder"
+            "it back, or give results another folder"
         )
 
 
@@ -215,8 +217,15 @@ def _short(value: Any) -> str:
 
 def _mismatch(path: Path, differences: list[str]) -> RunMismatchError:
     return RunMismatchError(
-        f"{path} holds another run (give --results another folder): the run's -> this one's",
+        f"{path} holds another run (give results another folder): the run's -> this one's",
         tuple(differences),
+    )
+
+
+def _too_few(path: Path, job: Job, committed: int) -> StoreError:
+    return StoreError(
+        f"comparison.draws must be at least the {committed} draws that {path} has compared, got "
+        f"{job.comparison.draws}: a run keeps its draws (or give results another folder)"
     )
 
 

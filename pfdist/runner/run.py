@@ -1,6 +1,6 @@
 """Run a job: compute what its run lacks, then draw the figures."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -25,6 +25,7 @@ def run(
     *,
     address: str | None = None,
     fork: str | Path | None = None,
+    changes: Iterable[str] = (),
     report: Report = lambda progress: None,
     say: Callable[[str], Any] = lambda line: None,
 ) -> Run:
@@ -45,6 +46,8 @@ def run(
     fork : str or Path, optional
         The folder of a new run, of a job that differs from that of `results`: evaluations of which
         nothing differs are taken from there.
+    changes : iterable of str, optional
+        ``key=value`` each, as `pfdist.load_job` takes them.
     report : callable, optional
         Is told of the progress, a `pfdist.runner.progress.Progress` at a time.
     say : callable, optional
@@ -61,8 +64,8 @@ def run(
         Whatever went wrong; what was committed is kept, and the same call goes on from there.
     """
     execution = {"pool": pool, "workers": workers, "address": address}
-    changes = [f"execution.{k}={v}" for k, v in execution.items() if v is not None]
-    job = as_job(job, changes)
+    chosen = [f"execution.{k}={v}" for k, v in execution.items() if v is not None]
+    job = as_job(job, [*changes, *chosen])
     if job.execution.pool == "serial" and (job.execution.workers > 1 or job.execution.address):
         raise JobError(
             "execution.pool = 'serial' is one worker in this process, got workers = "

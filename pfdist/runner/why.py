@@ -111,7 +111,7 @@ def why(
         There are too few draws, or the model cannot be loaded.
     """
     if draws < 2:
-        raise JobError(f"draws must be at least 2, got {draws} (--draws)")
+        raise JobError(f"draws must be at least 2, got {draws}", argument="draws")
     opened = open_run(run)
     if opened.state != "finished":
         raise StoreError(f"{opened.path} is not finished ({opened.state}): run its job on first")
