@@ -87,7 +87,7 @@ def _write_what_can_be_encoded() -> None:
 
 
 def _replacement(error: UnicodeError) -> tuple[str | bytes, int]:
-    """Give what is written for characters that cannot be encoded: a path's own bytes as they are."""
+    """Give what is written where characters cannot be encoded: a path's bytes as they are."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     lacking = error.object[error.start : error.end]

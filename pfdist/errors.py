@@ -21,7 +21,18 @@ from typing import Any
 
 _SHOWN = 8  # differences of two runs
 _LONGEST = 80  # characters of a value that an error shows
-_shortener = reprlib.Repr()
+
+
+class _Shortener(reprlib.Repr):
+    """Cuts values, also whole numbers of thousands of digits, which Python does not write."""
+
+    def repr_int(self, x: int, level: int) -> str:
+        if x.bit_length() > 4 * _LONGEST:
+            return f"a whole number of {x.bit_length():,} bits"
+        return super().repr_int(x, level)
+
+
+_shortener = _Shortener()
 _shortener.maxstring = _shortener.maxother = _shortener.maxlong = _LONGEST
 _shortener.maxlevel = 3
 
@@ -41,9 +52,6 @@ def shown(value: Any) -> str:
     >>> shown("x" * 3_000_000).count("x") < 100
     True
     """
-    # Python converts no whole number of thousands of digits to text.
-    if isinstance(value, int) and value.bit_length() > 4 * _LONGEST:
-        return f"a whole number of {value.bit_length():,} bits"
     return shown_text(_shortener.repr(value))
 
 
@@ -53,11 +61,11 @@ def shown_text(text: str) -> str:
 
 
 def one_line(text: str) -> str:
-    """Give a text as one line without control characters, which a path or a table may hold.
+    r"""Give a text as one line without control characters, which a path or a table may hold.
 
     Examples
     --------
-    >>> one_line("results/a\\nb"), one_line("results/\\x1b[2J")
+    >>> one_line("results/a\nb"), one_line("results/\x1b[2J")
     ('results/a b', 'results/?[2J')
     """
     return "".join(map(_printable, text))

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
 import tomli_w
-from pydantic import Field, PrivateAttr, ValidationError, field_validator, model_validator
+from pydantic import AfterValidator, Field, PrivateAttr, ValidationError, field_validator, model_validator
 
 from pfdist.errors import JobError, MeasurementTimesError, shown, shown_text
 from pfdist.feasible import Feasible
@@ -28,20 +28,34 @@ from pfdist.validation import explained
 REGULAR: Final = "regular"
 GIVEN: Final = "reference"
 RESERVED: Final = (REGULAR, GIVEN, "comparison")  # names that no search may have
+MOST_SEARCHES: Final = 100  # of which a figure can still be made
+_LONGEST_TEXT = 4096  # of a path
 _NO_SECTIONS: Mapping[str, Any] = {}
+
+
+def _has_no_nul(text: str) -> str:
+    if "\0" in text or len(text) > _LONGEST_TEXT:
+        raise ValueError(
+            f"names must have at most {_LONGEST_TEXT:,} characters, and none that is NUL, got "
+            f"{shown(text)}"
+        )
+    return text
+
+
+Text = Annotated[str, AfterValidator(_has_no_nul)]
 
 
 class FilterModel(Section):
     """What the filter takes for the truth: another model, or the same with other parameters."""
 
-    name: str = ""
+    name: Text = ""
     parameters: dict[str, float] = Field(default_factory=dict)
 
 
 class Model(Section):
     """The system: a model that ships, an entry point, or ``path/file.py:object``."""
 
-    name: str = "ungm"
+    name: Text = "ungm"
     parameters: dict[str, float] = Field(default_factory=dict)
     filter: FilterModel = FilterModel()
 
@@ -103,17 +117,17 @@ class Comparison(Section):
 class Budget(Section):
     """For which numbers of measurements times are wanted, which `pfdist budget` asks."""
 
-    least: Annotated[int, Field(ge=2)]
-    most: Annotated[int, Field(ge=2)]
+    least: Annotated[int, Field(ge=2, lt=2**63)]
+    most: Annotated[int, Field(ge=2, lt=2**63)]
 
 
 class Execution(Section):
     """Where a run is computed; never part of what it is."""
 
     pool: Literal["ray", "serial"] = "ray"
-    workers: Annotated[int, Field(ge=0)] = 0
-    address: str = ""
-    failures: Annotated[int, Field(ge=0)] = 3
+    workers: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    address: Text = ""
+    failures: Annotated[int, Field(ge=0, lt=2**63)] = 3
 
 
 class Job(Section):
@@ -124,7 +138,9 @@ class Job(Section):
     problem: ProblemSection
     filter: Filter = Filter()
     evaluation: EvaluationSection = EvaluationSection()
-    search: tuple[Search, ...] = Field(default=(SurvivorSearch(),), min_length=1, strict=False)
+    search: tuple[Search, ...] = Field(
+        default=(SurvivorSearch(),), min_length=1, max_length=MOST_SEARCHES, strict=False
+    )
     comparison: Comparison = Comparison()
     budget: Budget | None = None
     execution: Execution = Execution()

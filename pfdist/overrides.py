@@ -32,7 +32,7 @@ def override(data: dict[str, Any], change: str) -> None:
             f"keys of changes must have at most {MOST_LEVELS} parts, got {len(path):,}",
             argument="set",
         )
-    value = _value(text.strip())
+    value = _value(text.strip(), change)
     section: Any = data
     if path[0] == "search" and len(path) > 1:
         section, path = _search_named(data, path[1], change), path[2:]
@@ -51,17 +51,17 @@ def override(data: dict[str, Any], change: str) -> None:
     section[path[-1]] = value
 
 
-def _value(text: str) -> Any:
+def _value(text: str, change: str) -> Any:
     """The value that the text spells in TOML; what spells none is itself a string."""
     try:
         text.encode()
     except UnicodeEncodeError as error:
-        raise JobError(f"changes must be UTF-8 text, got {shown(text)}", argument="set") from error
+        raise JobError(f"changes must be UTF-8 text, got {shown(change)}") from error
     try:
-        return parse_toml(f"value = {text}")["value"]
+        return parse_toml(f"it = {text}")["it"]
     except ValueError as error:
         if text[:1] in ("[", "{") or text.strip("+-").isdecimal():
-            raise JobError(f"change {shown_text(text)}: {error}", argument="set") from error
+            raise JobError(f"change {shown_text(change)}: {error}") from error
     return text  # a bare word: filter.resampling=systematic
 
 

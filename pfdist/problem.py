@@ -20,12 +20,12 @@ class ProblemSection(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     horizon: Annotated[int, Field(ge=1, le=32_000)]
-    measurement_budget: Annotated[int, Field(ge=2)] | None = None
+    measurement_budget: Annotated[int, Field(ge=2, lt=2**63)] | None = None
     forbidden: tuple[int | str, ...] | None = None
     required: tuple[int | str, ...] | None = None
-    minimum_spacing: Annotated[int, Field(ge=1)] | None = None
+    minimum_spacing: Annotated[int, Field(ge=1, lt=2**63)] | None = None
     cost: tuple[int, ...] | dict[str, int] | None = None
-    total_cost: Annotated[int, Field(ge=1)] | None = None
+    total_cost: Annotated[int, Field(ge=1, lt=2**63)] | None = None
 
     @field_validator("forbidden", "required", mode="before")
     @classmethod

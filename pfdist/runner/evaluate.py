@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pfdist.errors import MeasurementTimesError
+from pfdist.errors import MeasurementTimesError, shown
 from pfdist.evaluation import Purpose, ReportEvaluation
 from pfdist.job import Job, as_job
 from pfdist.measurement_times import Times, validated
@@ -62,7 +62,11 @@ def prepare(
 ) -> Callable[[], ReportEvaluation]:
     """Give a function that evaluates: `evaluate`, with all that must be compiled done before."""
     given = {"evaluation.draws": draws, "filter.particles": particles, "seed": seed}
-    changes = [f"{key}={value}" for key, value in given.items() if value is not None]
+    changes = [
+        f"{key}={shown(value) if isinstance(value, int) else value}"
+        for key, value in given.items()
+        if value is not None
+    ]
     job = as_job(job, changes)
     try:
         times = validated(measurement_times, job.problem.horizon)

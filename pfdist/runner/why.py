@@ -14,7 +14,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from pfdist.analysis import Moments, Run, finite, open_run, read_recorded
-from pfdist.errors import JobError, RunMismatchError, StoreError
+from pfdist.errors import JobError, RunMismatchError, StoreError, shown
 from pfdist.evaluation import Purpose, ReportEvaluation
 from pfdist.feasible import Feasible
 from pfdist.job import load_job
@@ -29,6 +29,7 @@ from pfdist.work import Work, cut
 
 WHY = Purpose("why", ReportEvaluation)
 DRAWS = 2000
+MOST_DRAWS = 100_000_000  # as of a comparison
 CHANGES = ("removed", "earlier", "later")
 _COLUMNS = [f"{change}{part}" for change in CHANGES for part in ("", "_error")]
 
@@ -110,8 +111,9 @@ def why(
     JobError, ModelError
         There are too few draws, or the model cannot be loaded.
     """
-    if draws < 2:
-        raise JobError(f"draws must be at least 2, got {draws}", argument="draws")
+    if not 2 <= draws <= MOST_DRAWS:
+        least = "at least 2" if draws < 2 else f"at most {MOST_DRAWS:,}"
+        raise JobError(f"draws must be {least}, got {shown(draws)}", argument="draws")
     opened = open_run(run)
     if opened.state != "finished":
         raise StoreError(f"{opened.path} is not finished ({opened.state}): run its job on first")
