@@ -1,6 +1,8 @@
 """The command line: parse, call, and say what went wrong; no logic."""
 
+import codecs
 import contextlib
+import importlib
 import os
 import signal
 import sys
@@ -9,9 +11,12 @@ from collections.abc import Iterator, Sequence
 from types import FrameType
 from typing import Any
 
-from pfdist.errors import EngineWarning, PfdistError, TaskError
+from pfdist.arguments import make_parser
+from pfdist.errors import EngineWarning, PfdistError, TaskError, one_line
 
 _GO_ON = "what was done is committed; the same command goes on from there"
+_LONGEST = 1200  # characters of an error's line: longer ones lose their middle
+_SPELT = {"±": "+-"}  # where the encoding lacks it
 
 
 _preempted: list[int] = []  # signals by which a batch system has asked for the machine
@@ -34,10 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     listens = signal.getsignal(signal.SIGINT) in (signal.default_int_handler, _leave)
     if listens:
         signal.signal(signal.SIGINT, _leave)
-    # Here and not above: it takes a second, in which one may be asked to end.
-    from pfdist.arguments import make_parser  # noqa: PLC0415
-    from pfdist.commands import answers_alone  # noqa: PLC0415
-
+    _write_what_can_be_encoded()
     options = make_parser().parse_args(arguments)
     _preempted.clear()
     for number in (signal.SIGTERM, signal.SIGUSR1):
@@ -45,13 +47,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if listens:
         signal.signal(signal.SIGINT, _interrupt)
     try:
-        with _warnings_as_lines(), answers_alone(options, ends=arguments is None):
-            options.command(options)
+        with _warnings_as_lines():
+            # Here and not above: importing what a command needs takes a second.
+            commands = importlib.import_module("pfdist.commands")
+            with commands.answers_alone(options, ends=arguments is None):
+                getattr(commands, options.command)(options)
     except PfdistError as error:
         if options.debug:
             raise
-        print(f"pfdist: {_one_line(error)}", file=sys.stderr)
-        return 1
+        hint = " (--debug shows the traceback)" if isinstance(error, TaskError) else ""
+        return _failed(str(error), f" (--{error.argument})" if error.argument else hint)
     except KeyboardInterrupt:
         ended = "asked to end" if _preempted else "interrupted"
         go_on = f"; {_GO_ON}" if options.goes_on else ""
@@ -60,13 +65,38 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of our output has gone, as `head` does
         sys.stderr.close()
         return 1
-    except OSError as error:
-        print(f"pfdist: {error}", file=sys.stderr)
-        return 1
+    except (OSError, ImportError) as error:
+        return _failed(str(error))
     except MemoryError:
-        print("pfdist: not enough memory: fewer draws or particles need less", file=sys.stderr)
-        return 1
+        return _failed("not enough memory: fewer draws or particles need less")
     return 0
+
+
+def _failed(reason: str, hint: str = "") -> int:
+    line = one_line(" ".join(reason.split()))
+    if len(line) > _LONGEST:
+        line = f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 2 :]}"
+    print(f"pfdist: {line}{hint}", file=sys.stderr)
+    return 1
+
+
+def _write_what_can_be_encoded() -> None:
+    """Let no character end the program that the terminal's encoding lacks."""
+    codecs.register_error("pfdist", _replacement)
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="pfdist")
+
+
+def _replacement(error: UnicodeError) -> tuple[str | bytes, int]:
+    """Give what is written where characters cannot be encoded: a path's bytes as they are."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    lacking = error.object[error.start : error.end]
+    try:
+        return lacking.encode("ascii", "surrogateescape"), error.end
+    except UnicodeEncodeError:
+        return "".join(_SPELT.get(character, "?") for character in lacking), error.end
 
 
 def _leave(number: int, frame: FrameType | None) -> None:
@@ -90,14 +120,9 @@ def _preempt(number: int, frame: FrameType | None) -> None:
 @contextlib.contextmanager
 def _warnings_as_lines() -> Iterator[None]:
     def show(message: Warning | str, *_: Any, **__: Any) -> None:
-        print(f"pfdist: warning: {message}", file=sys.stderr)
+        print(f"pfdist: warning: {one_line(str(message))}", file=sys.stderr)
 
     with warnings.catch_warnings():
         warnings.simplefilter("always", EngineWarning)
         warnings.showwarning = show
         yield
-
-
-def _one_line(error: PfdistError) -> str:
-    hint = " (--debug shows the traceback)" if isinstance(error, TaskError) else ""
-    return " ".join(str(error).split()) + hint

@@ -10,10 +10,8 @@ import sys
 import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from pfdist.analysis import finite, open_run
-from pfdist.display import print_check, print_summary, print_why
 from pfdist.errors import (
     JobError,
     MeasurementTimesError,
@@ -21,24 +19,24 @@ from pfdist.errors import (
     PfdistError,
     PoolError,
     StoreError,
+    one_line,
+    shown,
 )
-from pfdist.job import load_job
-from pfdist.models import find_model, installed_models
-from pfdist.plots import draw_figures
-from pfdist.progress_display import Display
-from pfdist.rounding import rounded, with_error
-from pfdist.runner.budget import budget
-from pfdist.runner.check_model import Check, check_model
-from pfdist.runner.doctor import examine
-from pfdist.runner.evaluate import evaluate
-from pfdist.runner.plan import plan
-from pfdist.runner.repair import repair_run, verify_run
-from pfdist.runner.run import run
-from pfdist.runner.why import why
+from pfdist.parsing import whole_number
+
+if TYPE_CHECKING:
+    from pfdist.progress_display import Display
+    from pfdist.runner.check_model import Check
+
+# Each command imports what it needs: to look at a run wants no Numba, and no command all libraries.
 
 
 def run_command(options: argparse.Namespace) -> None:
     """Run a job, or go on with its run where it stopped."""
+    from pfdist.job import load_job
+    from pfdist.progress_display import Display
+    from pfdist.runner.run import run
+
     with Display() as display:
         finished = run(load_job(options.job, options.set), **_settings(options, display))
     _print_run(finished.summary(), options)
@@ -46,6 +44,9 @@ def run_command(options: argparse.Namespace) -> None:
 
 def plan_command(options: argparse.Namespace) -> None:
     """Find measurement times for a job's problem and prove them."""
+    from pfdist.progress_display import Display
+    from pfdist.runner.plan import plan
+
     with Display() as display:
         settings = _settings(options, display)
         finished = plan(options.job, search=options.search, changes=options.set, **settings)
@@ -54,6 +55,9 @@ def plan_command(options: argparse.Namespace) -> None:
 
 def budget_command(options: argparse.Namespace) -> None:
     """Say how the error falls with the number of measurements, and how many are enough."""
+    from pfdist.progress_display import Display
+    from pfdist.runner.budget import budget
+
     numbers, target = _range(options.measurements), options.target
     with Display() as display:
         finished = budget(
@@ -70,15 +74,19 @@ def budget_command(options: argparse.Namespace) -> None:
 
 def _range(text: str) -> tuple[int, int]:
     least, _, most = text.partition(":")
-    if not (least.isdecimal() and most.isdecimal() and 2 <= int(least) <= int(most)):
+    try:
+        numbers = whole_number(least), whole_number(most)
+    except ValueError:
+        numbers = (0, 0)
+    if not 2 <= numbers[0] <= numbers[1]:
         raise JobError(
             "--measurements must be two numbers A:B with 2 <= A <= B, for instance 5:41, "
-            f"got {text!r}"
+            f"got {shown(text)}"
         )
-    return int(least), int(most)
+    return numbers
 
 
-def _settings(options: argparse.Namespace, display: Display) -> dict[str, Any]:
+def _settings(options: argparse.Namespace, display: "Display") -> dict[str, Any]:
     """What a command that computes is told besides its job."""
     names = ("results", "pool", "workers", "address", "fork")
     chosen = {name: getattr(options, name) for name in names}
@@ -87,16 +95,23 @@ def _settings(options: argparse.Namespace, display: Display) -> dict[str, Any]:
 
 def status_command(options: argparse.Namespace) -> None:
     """Say how far a run is and what it has found."""
+    from pfdist.analysis import open_run
+
     _print_run(open_run(options.run).summary(), options)
 
 
 def evaluate_command(options: argparse.Namespace) -> None:
     """Estimate the expected MSE of one set of times."""
-    start = time.perf_counter()
+    from pfdist.job import load_job
+    from pfdist.rounding import rounded, with_error
+    from pfdist.runner.evaluate import prepare
+
     job = load_job(options.job, options.set)
-    evaluation = evaluate(
-        job, _times(options.times), options.draws, options.particles, options.seed
-    )
+    times = _times(options.times)
+    compute = prepare(job, times, options.draws, options.particles, options.seed)
+    start = time.perf_counter()  # what was compiled was compiled
+    evaluation = compute()
+    seconds = time.perf_counter() - start
     broken = job.problem.feasible.broken(evaluation.measurement_times)
     answer = {
         "expected_mse": evaluation.expected_mse,
@@ -104,7 +119,7 @@ def evaluate_command(options: argparse.Namespace) -> None:
         "draws": evaluation.draws,
         "degenerate_draws": evaluation.degenerate_draws,
         "broken_constraints": broken,
-        "seconds": round(time.perf_counter() - start, 3),
+        "seconds": round(seconds, 3),
     }
     if options.json:
         _print_json(answer, options)
@@ -123,12 +138,19 @@ def evaluate_command(options: argparse.Namespace) -> None:
 
 def plot_command(options: argparse.Namespace) -> None:
     """Draw the figures of a run from its tables."""
+    from pfdist.analysis import open_run
+    from pfdist.plots import draw_figures
+
     for file in draw_figures(open_run(options.run)):
-        print(file)
+        print(one_line(str(file)))
 
 
 def why_command(options: argparse.Namespace) -> None:
     """Say what each measurement of a finished run is worth, and draw it."""
+    from pfdist.display import print_why
+    from pfdist.progress_display import Display
+    from pfdist.runner.why import why
+
     with Display() as display:
         found = why(
             options.run,
@@ -146,23 +168,35 @@ def why_command(options: argparse.Namespace) -> None:
 
 def verify_command(options: argparse.Namespace) -> None:
     """Look at every byte, row and key of a run."""
+    from pfdist.runner.repair import verify_run
+
     path = Path(options.run)
     damages = list(verify_run(path))
     for damage in damages:
-        print(f"{path / damage.path} {damage.what}")
+        print(one_line(f"{path / damage.path} {damage.what}"))
     if damages:
+        if all(damage.is_missing for damage in damages):
+            raise StoreError(
+                f"{path}: {len(damages)} missing: the job, run again with --results {path}, makes "
+                "them again"
+            )
         raise StoreError(f"{path}: {len(damages)} wrong; `pfdist repair {path}` says what to do")
-    print(f"{path}: every file is what was committed, every row and key is there")
+    print(f"{one_line(options.run)}: every file is what was committed, every row and key is there")
 
 
 def repair_command(options: argparse.Namespace) -> None:
     """Move damaged files of a run to quarantine."""
+    from pfdist.runner.repair import repair_run
+
     lines = list(repair_run(Path(options.run)))
-    print("\n".join(lines) or f"{options.run}: nothing to repair")
+    for line in lines or [f"{options.run}: nothing to repair"]:
+        print(one_line(line))
 
 
 def doctor_command(options: argparse.Namespace) -> None:
     """Say whether this machine is fit for a run."""
+    from pfdist.runner.doctor import examine
+
     wrong = _print_checks(examine(Path(options.results), options.address), options)
     if wrong:
         raise PoolError(f"not fit for a run: {', '.join(wrong)}")
@@ -170,6 +204,8 @@ def doctor_command(options: argparse.Namespace) -> None:
 
 def models_command(options: argparse.Namespace) -> None:
     """List the models that can be named in a job."""
+    from pfdist.models import find_model, installed_models
+
     names = sorted(installed_models())
     width = max(map(len, names))
     for name in names:
@@ -182,14 +218,18 @@ def models_command(options: argparse.Namespace) -> None:
 
 def check_model_command(options: argparse.Namespace) -> None:
     """Find what is wrong with a model."""
+    from pfdist.runner.check_model import check_model
+
     checks = check_model(options.name, options.horizon, options.particles)
     wrong = _print_checks(checks, options)
     if wrong:
         raise ModelError(f"{options.name}: wrong: {', '.join(wrong)}")
 
 
-def _print_checks(checks: Iterable[Check], options: argparse.Namespace) -> list[str]:
+def _print_checks(checks: Iterable["Check"], options: argparse.Namespace) -> list[str]:
     """Print them as they come, or as one object; give the names of those that are wrong."""
+    from pfdist.display import print_check
+
     done = []
     for check in checks:
         done.append(check)
@@ -202,22 +242,27 @@ def _print_checks(checks: Iterable[Check], options: argparse.Namespace) -> list[
 
 def _times(text: str) -> list[int]:
     try:
-        return [int(time) for time in text.rstrip(",").split(",")]
+        return [whole_number(time.strip()) for time in text.strip().rstrip(",").split(",")]
     except ValueError as error:
         raise MeasurementTimesError(
-            f"--times must be integers separated by commas, for instance 0,3,6, got {text!r}"
+            f"--times must be integers separated by commas, for instance 0,3,6, got {shown(text)}"
         ) from error
 
 
 def _print_run(summary: dict[str, Any], options: argparse.Namespace) -> None:
+    from pfdist.display import print_summary
+
     if options.json:
         _print_json(summary, options)
         return
-    path = summary["run"]
-    print_summary(summary, f"tables: {path}/tables   figures: {path}/figures")
+    path = Path(summary["run"])
+    folders = [name for name in ("tables", "figures") if (path / name).is_dir()]
+    print_summary(summary, "   ".join(one_line(f"{name}: {path / name}") for name in folders))
 
 
 def _print_json(value: dict[str, Any], options: argparse.Namespace) -> None:
+    from pfdist.analysis import finite
+
     print(json.dumps(finite(value), indent=2, allow_nan=False), file=options.answers)
 
 
@@ -265,7 +310,3 @@ def _own_output(stream: Any, *, ends: bool) -> Iterator[Any]:
             if not ends:
                 os.dup2(copy, number)
             os.close(copy)
-
-
-RESUMABLE = (run_command, plan_command, budget_command)
-"""Those that go on from what is committed, if they are given again."""

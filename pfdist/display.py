@@ -4,19 +4,21 @@ import math
 import sys
 import textwrap
 from statistics import mode
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from pfdist.errors import one_line
 from pfdist.rounding import rounded, with_error, with_interval
-from pfdist.runner.check_model import Check
-from pfdist.runner.why import CHANGES
+
+if TYPE_CHECKING:  # to look at a run wants none of what a check does
+    from pfdist.runner.check_model import Check
 
 _COLUMNS = 80
 _EXACT = 1e-12  # of an exact value: less is the rounding of doubles
 
 
-def print_check(check: Check) -> None:
+def print_check(check: "Check") -> None:
     """Print what was found about a model, a line."""
-    print(f"{check.state:5} {check.name}: {check.text}", flush=True)  # noqa: T201  its output
+    print(one_line(f"{check.state:5} {check.name}: {check.text}"), flush=True)  # noqa: T201  its output
 
 
 def print_summary(summary: dict[str, Any], files: str) -> None:
@@ -34,15 +36,18 @@ def print_summary(summary: dict[str, Any], files: str) -> None:
 
 def _summary_text(summary: dict[str, Any], files: str) -> str:
     lines = [
-        f"{summary['run']}: {summary['state']}, {summary['evaluations']:,} evaluations, "
+        f"{one_line(summary['run'])}: {summary['state']}, {summary['evaluations']:,} evaluations, "
         f"{summary['draws_compared']:,} draws compared"
     ]
     if any("kind" in result for result in summary["results"].values()):
-        return "\n".join([*lines, *_budget_lines(summary), "", files])
+        return "\n".join([*lines, *_budget_lines(summary), *_ending(files)])
     reference = next(iter(summary["results"]), "")
     for name, result in summary["results"].items():
         times = ", ".join(map(str, result["measurement_times"]))
         lines += ["", f"{name}: measure at t = {times}"]
+        if "expected_mse" not in result:  # the comparison has not begun
+            lines += [] if result["search_cost"] is None else [_believed(result)]
+            continue
         if name == reference:
             lines += _reference_lines(result)
         cost = with_error(_cost(result["expected_mse"]), result["standard_error"])
@@ -60,7 +65,11 @@ def _summary_text(summary: dict[str, Any], files: str) -> str:
             interval = result["gain_over_itself_interval"]
             gain = _percent_of(result["gain_over_itself"], interval)
             lines.append(_line("gain over itself", f"{gain}, from filter noise alone"))
-    return "\n".join([*lines, "", files])
+    return "\n".join([*lines, *_ending(files)])
+
+
+def _ending(files: str) -> list[str]:
+    return ["", files] if files else []
 
 
 def _line(name: str, text: str) -> str:
@@ -158,13 +167,14 @@ def print_why(found: dict[str, Any]) -> None:
             cells = "  ".join(f"{rise:>{width}}" for rise in row[1:])
             lines.append(f"  {row[0]:>5}  {cells}".rstrip())
         lines.append("")
-    print("\n".join(lines + found["figures"]))  # noqa: T201  its output
+    print("\n".join(lines + [one_line(file) for file in found["figures"]]))  # noqa: T201  its output
 
 
 def _rises(row: dict[str, Any], mse: float) -> list[str]:
     """Give a measurement and its rises as text: of a shift that is impossible, nothing."""
     cells = [str(row["t"])]
-    for change in CHANGES:
+    changes = [key for key in row if f"{key}_error" in row]
+    for change in changes:
         mean, error = row[change], row[f"{change}_error"]
         rounded_off = error == 0.0 and mean is not None and abs(mean) < _EXACT * abs(mse)
         mean = 0.0 if rounded_off else mean
@@ -178,7 +188,7 @@ def _believed(result: dict[str, Any]) -> str:
         return _line("exactly", f"{rounded(result['search_cost'])}, as the search knew")
     believed = with_error(result["search_cost"], result["search_standard_error"])
     line = _line("the search believed", believed)
-    excess = result["search_excess"]
+    excess = result.get("search_excess")
     return line if excess is None else f"{line}, {_off(excess, result)}"
 
 

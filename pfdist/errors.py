@@ -16,11 +16,82 @@
     EngineWarning                   a model is computed in NumPy, or compiled code is not kept
 """
 
+import reprlib
+from typing import Any
+
 _SHOWN = 8  # differences of two runs
+_LONGEST = 80  # characters of a value that an error shows
+
+
+class _Shortener(reprlib.Repr):
+    """Cuts values, also whole numbers of thousands of digits, which Python does not write."""
+
+    def repr_int(self, x: int, level: int) -> str:
+        if x.bit_length() > 4 * _LONGEST:
+            return f"a whole number of {x.bit_length():,} bits"
+        return super().repr_int(x, level)
+
+
+_shortener = _Shortener()
+_shortener.maxstring = _shortener.maxother = _shortener.maxlong = _LONGEST
+_shortener.maxlevel = 3
+
+
+def shown(value: Any) -> str:
+    """Give a value as an error shows it: as Python writes it, without the middle of a long one.
+
+    Parameters
+    ----------
+    value : object
+        From a file or the command line: of any size and depth.
+
+    Examples
+    --------
+    >>> shown("fresh"), shown([1, 2, 3])
+    ("'fresh'", '[1, 2, 3]')
+    >>> shown("x" * 3_000_000).count("x") < 100
+    True
+    """
+    return shown_text(_shortener.repr(value))
+
+
+def shown_text(text: str) -> str:
+    """Give a text as an error shows it: without the middle of a long one."""
+    return text if len(text) <= 3 * _LONGEST else f"{text[: 2 * _LONGEST]}...{text[-_LONGEST:]}"
+
+
+def one_line(text: str) -> str:
+    r"""Give a text as one line without control characters, which a path or a table may hold.
+
+    Examples
+    --------
+    >>> one_line("results/a\nb"), one_line("results/\x1b[2J")
+    ('results/a b', 'results/?[2J')
+    """
+    return "".join(map(_printable, text))
+
+
+def _printable(character: str) -> str:
+    byte_of_a_path = "\udc80" <= character <= "\udcff"  # which is not UTF-8
+    if character.isprintable() or byte_of_a_path:
+        return character
+    return " " if character.isspace() else "?"
 
 
 class PfdistError(Exception):
-    """Base of all errors of pfdist; the command line prints it as one line and exits with 1."""
+    """Base of all errors of pfdist; the command line prints it as one line and exits with 1.
+
+    Parameters
+    ----------
+    message : str
+        In words that hold in Python and on the command line.
+    argument : str
+        The argument that is to be changed, if there is one: the command line names its option.
+    """
+
+    def __init__(self, message: str = "", *, argument: str = "") -> None:
+        super().__init__(message)
+        self.argument = argument
 
 
 class JobError(PfdistError):
@@ -53,9 +124,9 @@ class RunMismatchError(StoreError):
     """
 
     def __init__(self, message: str, differences: tuple[str, ...]) -> None:
-        shown = "; ".join(differences[:_SHOWN])
+        told = "; ".join(differences[:_SHOWN])
         more = f"; and {len(differences) - _SHOWN} more" if len(differences) > _SHOWN else ""
-        super().__init__(f"{message}: {shown}{more}")
+        super().__init__(f"{message}: {told}{more}")
         self.differences = differences
 
 

@@ -1,6 +1,5 @@
 """The job file: TOML in, frozen and validated data out. Data only: nothing is built here."""
 
-import tomllib
 from collections.abc import Iterable, Mapping
 from copy import deepcopy
 from dataclasses import replace
@@ -8,12 +7,20 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
 import tomli_w
-from pydantic import Field, PrivateAttr, ValidationError, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    PrivateAttr,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
-from pfdist.errors import JobError, MeasurementTimesError
+from pfdist.errors import JobError, MeasurementTimesError, shown, shown_text
 from pfdist.feasible import Feasible
 from pfdist.measurement_times import Times, validated
 from pfdist.overrides import override
+from pfdist.parsing import parse_toml, read_text
 from pfdist.problem import ProblemSection
 from pfdist.search_sections import (
     PLANNER,
@@ -28,20 +35,34 @@ from pfdist.validation import explained
 REGULAR: Final = "regular"
 GIVEN: Final = "reference"
 RESERVED: Final = (REGULAR, GIVEN, "comparison")  # names that no search may have
+MOST_SEARCHES: Final = 100  # of which a figure can still be made
+_LONGEST_TEXT = 4096  # of a path
 _NO_SECTIONS: Mapping[str, Any] = {}
+
+
+def _has_no_nul(text: str) -> str:
+    if "\0" in text or len(text) > _LONGEST_TEXT:
+        raise ValueError(
+            f"names must have at most {_LONGEST_TEXT:,} characters, and none that is NUL, got "
+            f"{shown(text)}"
+        )
+    return text
+
+
+Text = Annotated[str, AfterValidator(_has_no_nul)]
 
 
 class FilterModel(Section):
     """What the filter takes for the truth: another model, or the same with other parameters."""
 
-    name: str = ""
+    name: Text = ""
     parameters: dict[str, float] = Field(default_factory=dict)
 
 
 class Model(Section):
     """The system: a model that ships, an entry point, or ``path/file.py:object``."""
 
-    name: str = "ungm"
+    name: Text = "ungm"
     parameters: dict[str, float] = Field(default_factory=dict)
     filter: FilterModel = FilterModel()
 
@@ -90,7 +111,7 @@ class Comparison(Section):
         if not whole:
             raise ValueError(
                 f"comparison.reference must be {REGULAR!r} or a list of times, for instance "
-                f"[0, 3, 6], got {value!r}"
+                f"[0, 3, 6], got {shown(value)}"
             )
         return tuple(sorted(value))
 
@@ -103,17 +124,17 @@ class Comparison(Section):
 class Budget(Section):
     """For which numbers of measurements times are wanted, which `pfdist budget` asks."""
 
-    least: Annotated[int, Field(ge=2)]
-    most: Annotated[int, Field(ge=2)]
+    least: Annotated[int, Field(ge=2, lt=2**63)]
+    most: Annotated[int, Field(ge=2, lt=2**63)]
 
 
 class Execution(Section):
     """Where a run is computed; never part of what it is."""
 
     pool: Literal["ray", "serial"] = "ray"
-    workers: Annotated[int, Field(ge=0)] = 0
-    address: str = ""
-    failures: Annotated[int, Field(ge=0)] = 3
+    workers: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    address: Text = ""
+    failures: Annotated[int, Field(ge=0, lt=2**63)] = 3
 
 
 class Job(Section):
@@ -124,12 +145,20 @@ class Job(Section):
     problem: ProblemSection
     filter: Filter = Filter()
     evaluation: EvaluationSection = EvaluationSection()
-    search: tuple[Search, ...] = Field(default=(SurvivorSearch(),), min_length=1, strict=False)
+    search: tuple[Search, ...] = Field(
+        default=(SurvivorSearch(),), min_length=1, max_length=MOST_SEARCHES, strict=False
+    )
     comparison: Comparison = Comparison()
     budget: Budget | None = None
     execution: Execution = Execution()
     _path: Path = PrivateAttr(default=Path("job.toml"))
     _names_its_searches: bool = PrivateAttr(default=False)
+
+    def __init__(self, **data: Any) -> None:
+        try:
+            super().__init__(**data)
+        except ValidationError as error:
+            raise JobError(explained(error, Job)) from error
 
     @model_validator(mode="after")
     def _names_differ(self) -> Self:
@@ -233,10 +262,10 @@ def load_job(
     """
     path = Path(path)
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
+        data = parse_toml(read_text(path))
     except OSError as error:
         raise JobError(f"cannot read the job file {path}: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except ValueError as error:
         raise JobError(f"the job file must be TOML, got an error: {error} ({path})") from error
     return _validated(data | dict(sections), path, overrides, "search" in data)
 
@@ -265,9 +294,9 @@ def _validated(
     for change in given:
         override(data, change)
     try:
-        job = Job.model_validate(data)
-    except ValidationError as error:
-        where = f"{path} with {' '.join(given)}" if given else str(path)
-        raise JobError(explained(error, Job, where)) from error
+        job = Job(**data)
+    except JobError as error:
+        where = f"{path} with {shown_text(' '.join(given))}" if given else str(path)
+        raise JobError(f"{error} ({where})") from error
     job._path, job._names_its_searches = path, names_its_searches
     return job

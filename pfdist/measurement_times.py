@@ -1,11 +1,12 @@
 """Sets of measurement times: check, make regular ones, draw random ones."""
 
 from collections.abc import Iterable
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.errors import MeasurementTimesError
+from pfdist.errors import MeasurementTimesError, shown
 
 Times = tuple[int, ...]
 
@@ -40,17 +41,20 @@ def validated(measurement_times: Iterable[int], horizon: int, where: str = "") -
     times = list(measurement_times)
     for time in times:
         if isinstance(time, bool) or not isinstance(time, (int, np.integer)):
-            raise MeasurementTimesError(f"measurement_times must be integers, got {time!r}{place}")
+            raise MeasurementTimesError(
+                f"measurement_times must be integers, got {shown(time)}{place}"
+            )
         if not 0 <= time <= horizon:
             raise MeasurementTimesError(
-                f"measurement_times must lie in 0..{horizon}, got {time}{place}"
+                f"measurement_times must lie in 0..{horizon}, got {shown(int(time))}{place}"
             )
-    twice = {time for time in times if times.count(time) > 1}
-    if twice:
-        raise MeasurementTimesError(
-            f"measurement_times must differ from each other, got {min(twice)} twice{place}"
-        )
-    return tuple(sorted(int(time) for time in times))
+    ordered = tuple(sorted(int(time) for time in times))
+    for time, following in pairwise(ordered):
+        if time == following:
+            raise MeasurementTimesError(
+                f"measurement_times must differ from each other, got {time} twice{place}"
+            )
+    return ordered
 
 
 def regular(horizon: int, measurement_budget: int) -> Times:

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
-from pfdist.errors import MeasurementTimesError
+from pfdist.errors import MeasurementTimesError, shown
 from pfdist.feasible import Feasible
 from pfdist.measurement_times import Times
 
@@ -20,12 +20,12 @@ class ProblemSection(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     horizon: Annotated[int, Field(ge=1, le=32_000)]
-    measurement_budget: Annotated[int, Field(ge=2)] | None = None
+    measurement_budget: Annotated[int, Field(ge=2, lt=2**63)] | None = None
     forbidden: tuple[int | str, ...] | None = None
     required: tuple[int | str, ...] | None = None
-    minimum_spacing: Annotated[int, Field(ge=1)] | None = None
+    minimum_spacing: Annotated[int, Field(ge=1, lt=2**63)] | None = None
     cost: tuple[int, ...] | dict[str, int] | None = None
-    total_cost: Annotated[int, Field(ge=1)] | None = None
+    total_cost: Annotated[int, Field(ge=1, lt=2**63)] | None = None
 
     @field_validator("forbidden", "required", mode="before")
     @classmethod
@@ -33,7 +33,7 @@ class ProblemSection(BaseModel):
         if value is not None and not isinstance(value, (list, tuple)):
             raise ValueError(
                 f"problem.{info.field_name} must be a list of times and of ranges as "
-                f"'20-30', got {value!r}"
+                f"'20-30', got {shown(value)}"
             )
         for one in value or ():
             _spelt(one, f"problem.{info.field_name}")
@@ -48,11 +48,11 @@ class ProblemSection(BaseModel):
         elif value is not None and not isinstance(value, (list, tuple)):
             raise ValueError(
                 "problem.cost must be a list of horizon + 1 numbers, or a section of ranges as "
-                f'"20-30" = 2, got {value!r}'
+                f'"20-30" = 2, got {shown(value)}'
             )
         for one in value.values() if isinstance(value, dict) else value or ():
             if not isinstance(one, int) or isinstance(one, bool):
-                raise ValueError(f"problem.cost must be whole numbers, got {one!r}")
+                raise ValueError(f"problem.cost must be whole numbers, got {shown(one)}")
         return tuple(value) if isinstance(value, list) else value
 
     @model_validator(mode="after")
@@ -105,7 +105,9 @@ def _spelt(value: Any, key: str) -> range:
         return range(value, value + 1)
     found = _RANGE.fullmatch(value) if isinstance(value, str) else None
     if found is None:
-        raise ValueError(f"{key} must name times, as 20, and ranges, as '20-30', got {value!r}")
+        raise ValueError(
+            f"{key} must name times, as 20, and ranges, as '20-30', got {shown(value)}"
+        )
     first, last = (int(found[1]), int(found[2])) if found[1] else (int(found[3]),) * 2
     if last < first:
         raise ValueError(f"{key} must have ranges from a time to a later one, got {value!r}")

@@ -5,14 +5,38 @@ from types import TracebackType
 from typing import Any, Self
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    ProgressColumn,
+    TaskProgressColumn,
+    TextColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Column
 
+from pfdist.errors import one_line
 from pfdist.rounding import rounded, with_error
 from pfdist.runner.progress import Found
 from pfdist.runner.progress import Progress as State
 
+WIDE = 110  # columns, from which a bar has room
 LINE_SECONDS = 5.0  # between two lines where there is no terminal
+
+
+def _columns(with_bar: bool) -> list[ProgressColumn]:
+    """What a line shows: what must be seen comes first, and only the description is cut."""
+    return [
+        TaskProgressColumn(table_column=Column(min_width=4, no_wrap=True)),
+        TimeRemainingColumn(compact=True, table_column=Column(min_width=5, no_wrap=True)),
+        TextColumn("left", table_column=Column(min_width=4, no_wrap=True)),
+        *([BarColumn(bar_width=16)] if with_bar else []),
+        TextColumn(
+            "{task.description}",
+            markup=False,
+            table_column=Column(no_wrap=True, overflow="ellipsis", ratio=1),
+        ),
+    ]
 
 
 class Display:
@@ -24,11 +48,7 @@ class Display:
     def __init__(self, console: Console | None = None) -> None:
         self._console = console or Console(stderr=True, highlight=False)
         self._bar = Progress(
-            BarColumn(bar_width=16),
-            TaskProgressColumn(),
-            TimeRemainingColumn(compact=True),
-            TextColumn("left"),
-            TextColumn("{task.description}", table_column=Column(no_wrap=True)),
+            *_columns(self._console.width >= WIDE),
             console=self._console,
             transient=True,
         )
@@ -52,7 +72,7 @@ class Display:
 
     def say(self, line: str) -> None:
         """Print one line."""
-        self._console.print(line, soft_wrap=True)
+        self._console.print(one_line(line), soft_wrap=True, markup=False, emoji=False)
 
     def report(self, state: State) -> None:
         """Show how far a run is."""

@@ -75,8 +75,8 @@ class GeneticSearch(SearchSection):
     """The paper's genetic algorithm."""
 
     method: Literal["genetic"]
-    population: Annotated[int, Field(ge=2, multiple_of=2)] = 50
-    generations: Annotated[int, Field(ge=1)] = 25
+    population: Annotated[int, Field(ge=2, lt=2**63, multiple_of=2)] = 50
+    generations: Annotated[int, Field(ge=1, lt=2**63)] = 25
     crossover_probability: Probability = 1.0
     mutation_probability: Probability = 0.003
     sigma_scaling: Annotated[float, Field(gt=0.0, allow_inf_nan=False)] = 1.0
@@ -87,7 +87,7 @@ class RandomSearch(SearchSection):
     """The paper's random trials."""
 
     method: Literal["random"]
-    evaluations: Annotated[int, Field(ge=1)] = 1250
+    evaluations: Annotated[int, Field(ge=1, lt=2**63)] = 1250
 
 
 class SurvivorSearch(SearchSection):
@@ -97,7 +97,7 @@ class SurvivorSearch(SearchSection):
     name: Name = "survivors"
     evaluation: CommonEvaluation = CommonEvaluation()
     polish: bool = True
-    survivors: Annotated[int, Field(ge=1)] = 2
+    survivors: Annotated[int, Field(ge=1, lt=2**63)] = 2
     by_previous: bool = False
 
 
@@ -113,8 +113,8 @@ class AnnealingSearch(SearchSection):
 
     method: Literal["annealing"]
     evaluation: CommonEvaluation = CommonEvaluation()
-    chains: Annotated[int, Field(ge=1)] = 4
-    steps: Annotated[int, Field(ge=1)] = 500
+    chains: Annotated[int, Field(ge=1, lt=2**63)] = 4
+    steps: Annotated[int, Field(ge=1, lt=2**63)] = 500
     coldest: Annotated[float, Field(gt=0.0, le=1.0)] = 0.03
 
 
@@ -123,8 +123,8 @@ class CrossEntropySearch(SearchSection):
 
     method: Literal["cross_entropy"]
     evaluation: CommonEvaluation = CommonEvaluation()
-    population: Annotated[int, Field(ge=1)] = 100
-    generations: Annotated[int, Field(ge=1)] = 50
+    population: Annotated[int, Field(ge=1, lt=2**63)] = 100
+    generations: Annotated[int, Field(ge=1, lt=2**63)] = 50
     elite: Annotated[float, Field(gt=0.0, le=1.0)] = 0.1
     smoothing: Annotated[float, Field(gt=0.0, le=1.0)] = 0.4
 
@@ -134,7 +134,7 @@ class ExhaustiveSearch(SearchSection):
 
     method: Literal["exhaustive"]
     evaluation: CommonEvaluation = CommonEvaluation()
-    limit: Annotated[int, Field(ge=1)] = 100_000
+    limit: Annotated[int, Field(ge=1, lt=2**63)] = 100_000
 
 
 SEARCHES: dict[str, type[SearchSection]] = {

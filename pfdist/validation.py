@@ -6,19 +6,18 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
+from pfdist.errors import shown
 from pfdist.search_sections import SEARCHES
 
 
-def explained(error: ValidationError, job: type[BaseModel], where: str) -> str:
-    """Say in one sentence what is wrong with a job: what, got, allowed, where.
+def explained(error: ValidationError, job: type[BaseModel]) -> str:
+    """Say in one sentence what is wrong with a job: what, got, allowed.
 
     Parameters
     ----------
     error : ValidationError
     job : type
         Of what was to be validated: it has the keys that are allowed.
-    where : str
-        The file, and what was changed of it.
 
     Returns
     -------
@@ -26,7 +25,7 @@ def explained(error: ValidationError, job: type[BaseModel], where: str) -> str:
     """
     first, *others = _by_weight(error)
     more = f"; {len(others)} more like this" if others else ""
-    return f"{_sentence(first, job)} ({where}){more}"
+    return f"{_sentence(first, job)}{more}"
 
 
 def _by_weight(error: ValidationError) -> list[ErrorDetails]:
@@ -43,19 +42,21 @@ def _sentence(error: ErrorDetails, job: type[BaseModel]) -> str:
     if kind == "extra_forbidden":
         section, _, name = key.rpartition(".")
         place = f" in [{section}]" if section else ""
-        return f"unknown key {name!r}{place}, allowed: {', '.join(_allowed_keys(section, job))}"
+        return (
+            f"unknown key {shown(name)}{place}, allowed: {', '.join(_allowed_keys(section, job))}"
+        )
     if kind == "missing":
         return f"{key} must be given"
     if kind in ("union_tag_invalid", "union_tag_not_found"):
         method = got.get("method") if isinstance(got, dict) else got
-        return f"search.method must be one of {', '.join(map(repr, SEARCHES))}, got {method!r}"
+        return f"search.method must be one of {', '.join(map(repr, SEARCHES))}, got {shown(method)}"
     if key == "search":
-        return f"search must be one or more [[search]] sections, got {got!r}"
+        return f"search must be one or more [[search]] sections, got {shown(got)}"
     if kind == "value_error":
         return str(error["ctx"]["error"])
     rule = re.sub(r"^(Input|String|Value) should ", "must ", error["msg"])
     rule = re.sub(r"a valid dictionary or instance of \w+", "a section", rule)
-    return f"{key} {rule}, got {got!r}"
+    return f"{key} {rule}, got {shown(got)}"
 
 
 def _allowed_keys(section: str, job: type[BaseModel]) -> list[str]:

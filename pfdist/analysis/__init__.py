@@ -15,6 +15,7 @@ from pfdist.analysis.gains import (
     summarise_gain,
 )
 from pfdist.analysis.moments import Moments
+from pfdist.analysis.recorded import read_recorded
 from pfdist.analysis.tables import Run, finite, open_run
 
 __all__ = [
@@ -29,6 +30,7 @@ __all__ = [
     "finite",
     "open_run",
     "reaching",
+    "read_recorded",
     "relative_gain",
     "summarise_gain",
 ]

@@ -14,9 +14,10 @@ import pyarrow as pa
 from pfdist.analysis.belief import cause_of_excess
 from pfdist.analysis.budget import FOUND, budget_table, reaching
 from pfdist.analysis.gains import BLOCK, Comparison, gain_over_itself, relative_gain
+from pfdist.analysis.recorded import read_recorded
 from pfdist.analysis.reference import described
 from pfdist.errors import StoreError
-from pfdist.store import Store, check_entries, read_run
+from pfdist.store import Store, check_entries
 
 
 class Run:
@@ -32,7 +33,7 @@ class Run:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._about, self.job = read_run(path)
+        self._about, self.job = read_recorded(path)
         self._store = Store(path)
 
     def evaluations(self) -> pd.DataFrame:
@@ -172,11 +173,15 @@ class Run:
             (`GainSummary.disagree`).
             Fractions, not per cent; what is infinite or unknown is None. Of a run for several
             numbers of measurements the results are the rows of `budget`, and for those found
-            search_excess, search_estimation, search_cause and search_distrust.
+            search_excess, search_estimation, search_cause and search_distrust. Before the
+            comparison has begun, each result has measurement_times, search_cost and
+            search_standard_error alone.
         """
         has, results = self._store.has, {}
         if has("compared") and has("comparison"):
             results = self._budget_results() if self.has_budget else self._results()
+        elif has("compared"):
+            results = self._found()
         evaluations = int(self.evaluations()["copies"].sum()) if has("evaluations") else 0
         return {
             "state": self.state,
@@ -196,6 +201,17 @@ class Run:
                 result |= self._belief(name.rpartition("_")[0], result)
             results[name] = result
         return results
+
+    def _found(self) -> dict[str, Any]:
+        """What is known before the comparison has begun: the times, and what searches believed."""
+        return {
+            str(entry["name"]): {
+                "measurement_times": [int(time) for time in entry["measurement_times"]],
+                "search_cost": float(entry["search_cost"]),
+                "search_standard_error": float(entry["search_standard_error"]),
+            }
+            for entry in self.compared().to_dict("records")
+        }
 
     def _results(self) -> dict[str, Any]:
         results, statistics = dict[str, Any](), self.statistics()

@@ -1,12 +1,18 @@
 """Cost against the number of evaluations (the paper's figure 2)."""
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 
 from pfdist.plots.style import GREY, SERIES
+
+_LINE_INCHES = 0.14  # of a legend
+_LONGEST_NAME = 22  # of which two, with the kinds of their curves, have room in a line
 
 Curve = Callable[[pd.DataFrame], pd.DataFrame]
 
@@ -35,7 +41,7 @@ def plot_cost(
         How these searches estimate, if that is to be said.
     """
     styles = {"average": "-", "minimum": "--", "best so far": "--", "best of a step": "--"}
-    for colour, (name, curve_of) in zip(SERIES * 9, curves.items(), strict=False):
+    for colour, (name, curve_of) in zip(_colours(len(curves)), curves.items(), strict=True):
         curve = curve_of(evaluations[evaluations["phase"] == name])
         for kind, costs in curve.items():
             label = f"{name}, {kind}"
@@ -47,13 +53,36 @@ def plot_cost(
     axes.set_ylabel(r"$\hat{\mathbb{E}}_{\mathrm{MSE}}$" if reference else "estimated cost")
     axes.set_xlim(left=0)
     axes.legend(
-        ncols=2,
+        ncols=_columns(curves),
         loc="lower center",
         bbox_to_anchor=(0.5, 1.0),
         borderaxespad=0.2,
         title=title or None,
         title_fontsize=7,
     )
+
+
+def legend_inches(names: Collection[str]) -> float:
+    """Give how high the legend of a panel with these searches is, at least 0.5 inches.
+
+    Parameters
+    ----------
+    names : collection of str
+        Of the searches, each of which has at most two curves.
+    """
+    return max(0.5, _LINE_INCHES * math.ceil(2 * len(names) / _columns(names)))
+
+
+def _columns(names: Collection[str]) -> int:
+    """How many columns of a legend have room beside each other."""
+    return 2 if max(map(len, names)) <= _LONGEST_NAME else 1
+
+
+def _colours(count: int) -> Sequence[Any]:
+    """A colour for each search."""
+    if count <= len(SERIES):
+        return SERIES[:count]
+    return [colormaps["turbo"](0.05 + 0.9 * number / (count - 1)) for number in range(count)]
 
 
 def by_generation(rows: pd.DataFrame) -> pd.DataFrame:

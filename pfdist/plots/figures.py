@@ -6,7 +6,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -20,12 +19,14 @@ from pfdist.plots.cost import (
     best_of_each_step,
     best_so_far,
     by_generation,
+    legend_inches,
     one_by_one,
     plot_cost,
 )
 from pfdist.plots.gain_histogram import plot_gain_histogram
+from pfdist.plots.library import styled
 from pfdist.plots.one_draw import MOST_COMPONENTS, components, plot_one_draw, typical_draw
-from pfdist.plots.style import COLUMN_INCHES, STYLE
+from pfdist.plots.style import COLUMN_INCHES
 from pfdist.plots.why import plot_profile, plot_removals, plot_shifts
 from pfdist.store import remove_file, write_file
 
@@ -114,7 +115,7 @@ def draw_target(run: Run, target: float) -> list[Path]:
 
 def _drawn(run: Run, plots: _Plots) -> list[Path]:
     files = []
-    with mpl.rc_context(STYLE):
+    with styled():
         for name, plot in plots.items():
             figure = Figure(figsize=(COLUMN_INCHES, plot.height), layout="constrained")
             plot.draw(figure.subplots(plot.panels, squeeze=False)[:, 0].tolist())
@@ -141,7 +142,8 @@ def _budget_plot(run: Run, name: str, target: float | None = None) -> _Plots:
 def _plots(run: Run) -> _Plots:
     known, kinds = run.statistics(), _kinds(run)
     cost = partial(_cost, run, kinds, known.mse[run.names[0]].mean)
-    plots: _Plots = {"cost": _Plot(2.4 * len(kinds), cost, len(kinds))}
+    tallest = max(map(legend_inches, kinds.values()))
+    plots: _Plots = {"cost": _Plot((1.9 + tallest) * len(kinds), cost, len(kinds))}
     trajectories = run.trajectories()
     gains = run.gains(draws=int(trajectories["draw"].max()) + 1).set_index("draw")
     panels = min(components(trajectories), MOST_COMPONENTS)
@@ -171,7 +173,7 @@ def draw_why(run: Run, profile: pd.DataFrame, measurements: pd.DataFrame, draws:
         The files written.
     """
     files, (reference, *searches) = list[Path](), run.names
-    with mpl.rc_context(STYLE):
+    with styled():
         for name in searches:
             figure, both = (
                 Figure(figsize=(COLUMN_INCHES, 5.2), layout="constrained"),

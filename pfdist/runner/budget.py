@@ -57,15 +57,16 @@ def budget(
         As `pfdist.run`.
     """
     if draws < 2:
-        raise JobError(f"draws must be at least 2, got {draws} (--draws)")
+        raise JobError(f"draws must be at least 2, got {draws}", argument="draws")
     least, most = measurements
     asked = {"budget": {"least": least, "most": most}, "comparison": {"draws": draws}}
     search = [{"method": PLANNER, "polish": False}]
     job = as_job(job, changes, {"search": search, **asked})
     if job.with_changes((), asked) != job:
         raise JobError(
-            "--set of a budget must leave [budget] and [comparison] as --measurements and --draws "
-            f"say, got {' '.join(changes)}"
+            "changes of a budget must leave [budget] and [comparison] as measurements and draws "
+            f"say, got {' '.join(changes)}",
+            argument="set",
         )
     # Whatever one number it is that the job is for, the run is the same.
     job = job.with_changes([f"problem.measurement_budget={most}"])

@@ -12,7 +12,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from pfdist.errors import RunMismatchError, StoreError
+from pfdist.analysis import read_recorded
+from pfdist.errors import RunMismatchError, StoreError, shown_text
 from pfdist.job import Job, job_toml
 from pfdist.kernels.noise import stream_key
 from pfdist.particle_filter import KERNEL_VERSION
@@ -28,7 +29,6 @@ from pfdist.store import (
     has_key,
     held,
     holds_run,
-    read_run,
     write_job,
     write_run,
 )
@@ -77,8 +77,7 @@ def opened(path: Path, built: Built, say: Callable[[str], Any]) -> Iterator[Stor
         if all((path / name).exists() for name in ABOUT) and not about:
             _check_same(store, built, identity, committed)
         elif known and built.job.comparison.draws < committed:
-            draws = built.job.comparison.draws
-            raise _mismatch(path, [f"comparison.draws: {committed} committed -> {draws}"])
+            raise _too_few(path, built.job, committed)
         store.sweep()
         _quarantine(store, damages, say)
         _write_about(path, built, identity, key)
@@ -103,7 +102,7 @@ def _write_about(path: Path, built: Built, identity: dict[str, Any], key: str) -
     if not holds_run(path):
         write_job(path, job_toml(job.identity()))
         write_run(path, {**identity, "provenance": _provenance(built)}, key)
-    elif not (path / "job.toml").exists() or read_run(path)[1] != job.identity():
+    elif not (path / "job.toml").exists() or read_recorded(path)[1] != job.identity():
         write_job(path, job_toml(job.identity()))
     confirm(path, key)
 
@@ -164,18 +163,19 @@ def changed_meanings(run: Mapping[str, Any], built: Built) -> dict[str, str]:
 
 def _check_free(path: Path) -> None:
     if path.exists() and not path.is_dir():
-        raise StoreError(f"--results must be a folder, got the file {path}")
+        raise StoreError(f"results must be a folder, got the file {path}", argument="results")
     # These are what a start leaves that was killed before it wrote run.json.
     strange = {entry.name for entry in path.glob("[!.]*")} - {"job.toml", "manifest"}
     if strange:
         raise StoreError(
-            f"--results must be a new folder, an empty one or a run's, got {path} "
-            f"with {', '.join(sorted(strange)[:3])} in it"
+            f"results must be a new folder, an empty one or a run's, got {path} "
+            f"with {', '.join(sorted(strange)[:3])} in it",
+            argument="results",
         )
 
 
 def _check_same(store: Store, built: Built, identity: dict[str, Any], committed: int) -> None:
-    (run, its), job = read_run(store.path), built.job
+    (run, its), job = read_recorded(store.path), built.job
     models = meanings(built)
     old = {"job": its, **{name: run.get(name) for name in identity if name not in models}}
     new = {"job": job.identity(), **{k: v for k, v in identity.items() if k not in models}}
@@ -188,12 +188,14 @@ def _check_same(store: Store, built: Built, identity: dict[str, Any], committed:
     differences = [f"{name}: {change}" for name, change in sorted(changes.items())]
     # How searches estimate follows from the job, unless nothing else differs.
     told = [line for line in differences if not line.startswith("estimations.")] or differences
+    if told and all(line.startswith("comparison.draws: ") for line in told):
+        raise _too_few(store.path, job, committed)
     if told:
         raise _mismatch(store.path, told)
     if not store.manifest.exists():
         raise StoreError(
             f"{store.path} has lost its folder manifest, which says what its files must hold: put "
-            "it back, or give --results another folder"
+            "it back, or give results another folder"
         )
 
 
@@ -206,15 +208,24 @@ def _changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[tuple[s
             yield key, was, is_
 
 
-def _short(value: Any) -> Any:
-    """A hash by its first figures."""
-    return value[:8] if isinstance(value, str) and _HASH.fullmatch(value) else value
+def _short(value: Any) -> str:
+    """A hash by its first figures, and any other value without the middle of a long one."""
+    if isinstance(value, str) and _HASH.fullmatch(value):
+        return value[:8]
+    return shown_text(str(value))
 
 
 def _mismatch(path: Path, differences: list[str]) -> RunMismatchError:
     return RunMismatchError(
-        f"{path} holds another run (give --results another folder): the run's -> this one's",
+        f"{path} holds another run (give results another folder): the run's -> this one's",
         tuple(differences),
+    )
+
+
+def _too_few(path: Path, job: Job, committed: int) -> StoreError:
+    return StoreError(
+        f"comparison.draws must be at least the {committed} draws that {path} has compared, got "
+        f"{job.comparison.draws}: a run keeps its draws (or give results another folder)"
     )
 
 

@@ -1,6 +1,6 @@
 """Run a job: compute what its run lacks, then draw the figures."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -15,7 +15,7 @@ from pfdist.runner.identity import opened
 from pfdist.runner.named_by_a_run import files_named
 from pfdist.runner.processor import note_processor
 from pfdist.runner.progress import Report
-from pfdist.store import Store, read_run
+from pfdist.store import Store
 
 
 def run(
@@ -26,6 +26,7 @@ def run(
     *,
     address: str | None = None,
     fork: str | Path | None = None,
+    changes: Iterable[str] = (),
     report: Report = lambda progress: None,
     say: Callable[[str], Any] = lambda line: None,
 ) -> Run:
@@ -46,6 +47,8 @@ def run(
     fork : str or Path, optional
         The folder of a new run, of a job that differs from that of `results`: evaluations of which
         nothing differs are taken from there.
+    changes : iterable of str, optional
+        ``key=value`` each, as `pfdist.load_job` takes them.
     report : callable, optional
         Is told of the progress, a `pfdist.runner.progress.Progress` at a time.
     say : callable, optional
@@ -62,8 +65,8 @@ def run(
         Whatever went wrong; what was committed is kept, and the same call goes on from there.
     """
     execution = {"pool": pool, "workers": workers, "address": address}
-    changes = [f"execution.{k}={v}" for k, v in execution.items() if v is not None]
-    job = as_job(job, changes)
+    chosen = [f"execution.{k}={v}" for k, v in execution.items() if v is not None]
+    job = as_job(job, [*changes, *chosen])
     if job.execution.pool == "serial" and (job.execution.workers > 1 or job.execution.address):
         raise JobError(
             "execution.pool = 'serial' is one worker in this process, got workers = "
@@ -72,7 +75,7 @@ def run(
     path = Path("results") / job.path.stem if results is None else Path(results)
     origin, path = (None, path) if fork is None else (Store(path), Path(fork))
     if origin is not None:
-        read_run(origin.path)  # or there is nothing to start from
+        open_run(origin.path)  # or there is nothing to start from
     for file in files_named(job):
         say(f"runs the model file {file}, which your job names")
     built = build(job)

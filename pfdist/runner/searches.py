@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 from pfdist.errors import JobError
 from pfdist.job import Job
+from pfdist.runner.memory import check_memory
 from pfdist.search import (
     Annealing,
     Budgets,
@@ -158,6 +159,7 @@ def named_search(job: Job, section: Search, cheapest: str) -> NamedSearch:
         The optimiser cannot search this problem.
     """
     settings = Settings.of(job, section.evaluation, cheapest)
+    check_memory(job, section, settings.draws)
     if job.budget is None:
         optimiser = _optimiser(job, section, settings.draws)
     else:

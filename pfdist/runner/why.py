@@ -13,8 +13,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from pfdist.analysis import Moments, Run, finite, open_run
-from pfdist.errors import JobError, RunMismatchError, StoreError
+from pfdist.analysis import Moments, Run, finite, open_run, read_recorded
+from pfdist.errors import JobError, RunMismatchError, StoreError, shown
 from pfdist.evaluation import Purpose, ReportEvaluation
 from pfdist.feasible import Feasible
 from pfdist.job import load_job
@@ -26,11 +26,11 @@ from pfdist.runner.identity import changed_meanings
 from pfdist.runner.named_by_a_run import NamedByRun
 from pfdist.runner.pace import MOST_SECONDS
 from pfdist.runner.progress import Progress, Report
-from pfdist.store import read_run
 from pfdist.work import Work, cut
 
 WHY = Purpose("why", ReportEvaluation)
 DRAWS = 2000
+MOST_DRAWS = 100_000_000  # as of a comparison
 CHANGES = ("removed", "earlier", "later")
 _COLUMNS = [f"{change}{part}" for change in CHANGES for part in ("", "_error")]
 
@@ -120,8 +120,9 @@ def why(
     JobError, ModelError
         There are too few draws, or the model cannot be loaded.
     """
-    if draws < 2:
-        raise JobError(f"draws must be at least 2, got {draws} (--draws)")
+    if not 2 <= draws <= MOST_DRAWS:
+        least = "at least 2" if draws < 2 else f"at most {MOST_DRAWS:,}"
+        raise JobError(f"draws must be {least}, got {shown(draws)}", argument="draws")
     opened = open_run(run)
     if opened.state != "finished":
         raise StoreError(f"{opened.path} is not finished ({opened.state}): run its job on first")
@@ -150,7 +151,7 @@ def _tell(report: Report, draws: int, before: Progress, share: float) -> None:
 
 def _build(run: Run, instead: Mapping[str, str], say: Callable[[str], Any]) -> Built:
     """Make the run's problem of its own job, and see that its models are those it was run with."""
-    about, _ = read_run(run.path)
+    about, _ = read_recorded(run.path)
     remedy = "to have a model run that you trust, name it: {part} = FILE.py:OBJECT"
     choose = NamedByRun(run.path, about, instead, say, remedy)
     built = build(load_job(run.path / "job.toml"), choose)

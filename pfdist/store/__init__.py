@@ -4,6 +4,7 @@ Only this package touches a run's files. It knows tables, columns and keys; what
 search is the driver's.
 """
 
+from pfdist.store.about import read_run, unreadable
 from pfdist.store.files import remove as remove_file
 from pfdist.store.files import write_file
 from pfdist.store.folder import (
@@ -12,7 +13,6 @@ from pfdist.store.folder import (
     confirm,
     has_key,
     holds_run,
-    read_run,
     write_job,
     write_run,
 )
@@ -43,6 +43,7 @@ __all__ = [
     "schema",
     "strange_entries",
     "trajectories_schema",
+    "unreadable",
     "verify",
     "write_file",
     "write_job",

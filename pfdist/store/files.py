@@ -12,9 +12,9 @@ from typing import Any
 from uuid import uuid4
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from pfdist.errors import StoreError
+from pfdist.store.arrow_files import write_table
 
 _TEMPORARY = re.compile(r"\.(?P<host>.+)-(?P<process>\d+)\.[0-9a-f]{32}\.tmp")
 
@@ -38,7 +38,7 @@ def prepare_table(folder: Path, table: pa.Table) -> Prepared:
     """Write a table as a Parquet file that is to lie in a folder."""
 
     def write(path: Path) -> None:
-        pq.write_table(table, path, compression="zstd", write_page_checksum=True)
+        write_table(table, path)
         pa.default_memory_pool().release_unused()  # else memory grows with what was written
 
     return _prepare(folder, write, table.num_rows)

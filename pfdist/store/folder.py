@@ -1,14 +1,13 @@
-"""The two files that say what a run is: job.toml and run.json."""
+"""Write the two files that say what a run is, job.toml and run.json, and find a run by them."""
 
 import json
-import tomllib
 from pathlib import Path
 from typing import Any
 
 from pfdist.errors import StoreError
 from pfdist.store import files
+from pfdist.store.about import read_run
 from pfdist.store.manifest import FOLDER, Manifest
-from pfdist.store.schema import SCHEMA_VERSION
 
 ABOUT = ("job.toml", "run.json")
 _KEY = f"{FOLDER}/run"
@@ -79,33 +78,3 @@ def _write(path: Path, text: str) -> None:
     before = manifest.expect(path, prepared.stamp)
     files.give_name(prepared, path, replace=True)
     manifest.settle(path, prepared.stamp, before)
-
-
-def read_run(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Read run.json and job.toml.
-
-    Raises
-    ------
-    StoreError
-        The folder holds no run, or one that cannot be read.
-    """
-    try:
-        run = json.loads((path / "run.json").read_text(encoding="utf-8"))
-        job = tomllib.loads((path / "job.toml").read_text(encoding="utf-8"))
-    except (FileNotFoundError, NotADirectoryError) as error:
-        name = Path(str(error.filename)).name
-        raise StoreError(f"{path} holds no run: there is no {name} in it") from error
-    except (OSError, ValueError) as error:
-        raise StoreError(f"cannot read the run {path}: {error}") from error
-    try:
-        complete = run["schema_version"], job["comparison"]["draws"], job["search"][0]["name"]
-    except (KeyError, TypeError, IndexError) as error:
-        raise StoreError(
-            f"cannot read the run {path}: run.json or job.toml lacks {error}"
-        ) from error
-    if complete[0] > SCHEMA_VERSION:
-        raise StoreError(
-            f"{path} is of schema version {complete[0]}; this pfdist reads up to {SCHEMA_VERSION}: "
-            "use the newer pfdist that wrote it"
-        )
-    return run, job

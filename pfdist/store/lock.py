@@ -90,8 +90,8 @@ def _take(lock: int, kind: int, folder: Path) -> None:
         fcntl.flock(lock, kind | fcntl.LOCK_NB)
     except BlockingIOError as error:
         raise StoreError(
-            f"{folder} is being computed by {_holder(folder)}: wait for it, end it, or give "
-            "--results another folder"
+            f"{folder} is being computed by {_holder(folder)}: wait for it, end it, or "
+            "give results another folder"
         ) from error
     except OSError as error:
         if error.errno not in _NO_LOCKS:

@@ -21,6 +21,7 @@ from pfdist.store.tables import signed_by
 FOLDER, QUARANTINE = "manifest", "quarantine"
 _STAMP = re.compile(r"\d+-[0-9a-f]{64}")
 _NEW = ".new"
+_MISSING = "is missing"
 _UNKNOWN = f"0-{'0' * 64}"
 _PUBLISHED = re.compile(r"[a-z][a-z0-9_]*-\d{5}\.parquet")
 
@@ -39,6 +40,11 @@ class Damage:
 
     path: Path
     what: str
+
+    @property
+    def is_missing(self) -> bool:
+        """Whether the file is not there, so that nothing has to be moved: the job makes it."""
+        return self.what == _MISSING
 
 
 class Manifest:
@@ -117,7 +123,7 @@ class Manifest:
         for path in sorted(present | entries.keys()):
             if path not in present:
                 if any(not name.endswith(_NEW) for name in entries[path]):
-                    yield Damage(path, "is missing")
+                    yield Damage(path, _MISSING)
                 continue
             expected = {_own_stamp(path)} if path.parts[0] == "parts" else stamps.get(path, set())
             if wrong := self._wrong(path, expected):

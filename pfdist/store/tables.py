@@ -6,9 +6,9 @@ from typing import Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
 from pfdist.errors import StoreError
+from pfdist.store.arrow_files import read_schema, read_table
 from pfdist.store.schema import RUN_KEY, SCHEMA_VERSION
 
 
@@ -43,7 +43,7 @@ def signed_by(path: Path) -> str | None:
     StoreError
         The file is not a readable Parquet file.
     """
-    metadata = guarded(path, lambda: pq.read_schema(path)).metadata or {}
+    metadata = guarded(path, lambda: read_schema(path)).metadata or {}
     return metadata[RUN_KEY].decode(errors="replace") if RUN_KEY in metadata else None
 
 
@@ -87,11 +87,10 @@ def read_file(
     """
     table: pa.Table = guarded(
         path,
-        lambda: pq.read_table(
+        lambda: read_table(
             path,
             columns=columns,
             filters=filters,
-            partitioning=None,
             use_threads=False,  # each would keep memory of its own
             page_checksum_verification=True,
         ),

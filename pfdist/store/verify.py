@@ -4,8 +4,7 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
-import pyarrow.parquet as pq
-
+from pfdist.store.arrow_files import count_rows
 from pfdist.store.manifest import Damage
 from pfdist.store.parquet import Store
 from pfdist.store.schema import KEYS
@@ -31,7 +30,7 @@ def verify(store: Store) -> Iterator[Damage]:
     wrong = {damage.path for damage in damages}
     for path, stamps in store.manifest.stamps().items():
         if path not in wrong and path.suffix == ".parquet" and (store.path / path).exists():
-            rows = pq.read_metadata(store.path / path).num_rows
+            rows = count_rows(store.path / path)
             if rows not in {int(stamp.partition("-")[0]) for stamp in stamps}:
                 yield Damage(path, f"has {rows:,} rows, which is not what was committed")
     if not wrong:

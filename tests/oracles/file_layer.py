@@ -6,7 +6,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import pyarrow.parquet as pq
 import pytest
 
 from pfdist.store import files
@@ -32,7 +31,7 @@ class FileLayer:
         self.count, self._folder, self._at = 0, folder, -1
         self._fault: str | None = None
         for place, name, needs_space in (
-            (pq, "write_table", True),
+            (files, "write_table", True),
             (Path, "write_text", True),
             (Path, "touch", True),
             (Path, "mkdir", True),

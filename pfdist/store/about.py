@@ -1,0 +1,109 @@
+"""What run.json must look like, and job.toml as data: both may have been edited or damaged."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+
+from pfdist.errors import StoreError, shown
+from pfdist.parsing import parse_json, parse_toml, read_text
+from pfdist.store.schema import SCHEMA_VERSION
+from pfdist.validation import explained
+
+
+class _Part(BaseModel):
+    """Keys that are read; a run.json of another version may have others."""
+
+    model_config = ConfigDict(frozen=True, extra="allow", strict=True)
+
+
+def _is_path_text(value: Any) -> Any:
+    if not isinstance(value, str) or "\0" in value:
+        raise ValueError(f"provenance.folder must be a path, got {shown(value)}")
+    return value
+
+
+# A path need not be UTF-8, which pydantic's own strings must be.
+_PathText = Annotated[Any, AfterValidator(_is_path_text)]
+
+
+class _Processor(_Part):
+    """On what a run was computed."""
+
+    model: str
+    compiled_for: str
+
+
+class _Estimation(_Part):
+    """How a search estimated at first."""
+
+    particles: int
+    resampling: str
+    estimator: str
+
+
+class _Provenance(_Part):
+    """Where and when a run was started."""
+
+    folder: _PathText = "."
+    processor: _Processor | None = None
+    continued_on: list[_Processor] = []
+
+
+class _RunFile(_Part):
+    """All of run.json that is read, with what older versions lack left open."""
+
+    schema_version: Annotated[int, Field(ge=1)]
+    pfdist: str = ""
+    kernel: int = 0
+    engine: str = ""
+    model: dict[str, Any] = {}
+    filter_model: dict[str, Any] = {}
+    estimations: dict[str, _Estimation] = {}
+    provenance: _Provenance = _Provenance()
+
+
+def read_run(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Read run.json, which is checked, and job.toml, whose meaning is for others to check.
+
+    Raises
+    ------
+    StoreError
+        The folder holds no run, or one that cannot be read.
+    """
+    run, job = (
+        _read(path, name, parse)
+        for name, parse in (("run.json", parse_json), ("job.toml", parse_toml))
+    )
+    if not isinstance(run, dict):
+        raise unreadable(path, "run.json", "it must be one JSON object")
+    version = run.get("schema_version")
+    if isinstance(version, int) and version > SCHEMA_VERSION:
+        raise StoreError(
+            f"{path} is of schema version {version}; this pfdist reads up to {SCHEMA_VERSION}: "
+            "use the newer pfdist that wrote it"
+        )
+    try:
+        _RunFile.model_validate(run)
+    except ValidationError as error:
+        raise unreadable(path, "run.json", explained(error, _RunFile)) from error
+    return run, job
+
+
+def unreadable(path: Path, name: str, reason: str) -> StoreError:
+    """Make the error of a run whose run.json or job.toml is not what pfdist writes."""
+    return StoreError(
+        f"cannot read {path / name}: {reason}; `pfdist verify {path}` says which files are not "
+        "what was committed, and the job, run again, makes them anew"
+    )
+
+
+def _read(path: Path, name: str, parse: Any) -> Any:
+    try:
+        return parse(read_text(path / name))
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise StoreError(f"{path} holds no run: there is no {name} in it") from error
+    except OSError as error:
+        raise StoreError(f"cannot read {path / name}: {error.strerror}") from error
+    except ValueError as error:
+        raise unreadable(path, name, str(error)) from error
