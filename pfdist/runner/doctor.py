@@ -129,7 +129,7 @@ def _results(results: Path) -> Finding:
 
 def _nodes(address: str) -> Iterator[Check]:
     # Here and not above: without a cluster nothing of this needs Ray.
-    from pfdist.runner.ray_pool import describe_nodes  # noqa: PLC0415
+    from pfdist.runner.ray_cluster import describe_nodes  # noqa: PLC0415
 
     here = {"Python": platform.python_version(), "pfdist": version("pfdist")}
     try:

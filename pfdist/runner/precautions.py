@@ -3,13 +3,15 @@
 import contextlib
 import os
 import signal
-import socket
+import stat
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
-CONNECT_SECONDS = 10.0
+from pfdist.errors import PoolError
+
 LONGEST_FOLDER = 38  # a socket's path has 107 characters, of which Ray needs 69
 
 
@@ -28,10 +30,38 @@ def own_sigterm() -> Iterator[None]:
             signal.signal(signal.SIGTERM, before)
 
 
-def short_folder() -> str | None:
-    """Where Ray keeps its sockets, if its own choice has too long a path for them."""
-    folder = os.environ.get("RAY_TMPDIR") or tempfile.gettempdir()
-    return None if len(folder) <= LONGEST_FOLDER else f"/tmp/pfdist-ray-{os.getuid()}"  # noqa: S108
+def private_folder() -> str:
+    """Give a folder for Ray's sockets and logs, with a short path, that nobody else can enter.
+
+    Ray lets everyone write to the folder that it is given, so that one lies in another.
+
+    Raises
+    ------
+    PoolError
+        What has the folder's name is no folder, or is not this user's alone.
+    """
+    name = f"pfdist-ray-{os.getuid()}"
+    parent = os.environ.get("RAY_TMPDIR") or tempfile.gettempdir()
+    if len(f"{parent}/{name}/r") > LONGEST_FOLDER:
+        parent = "/tmp"  # noqa: S108  the folder in it is looked at
+    folder = Path(parent, name)
+    with contextlib.suppress(FileExistsError):
+        folder.mkdir(0o700)
+    found = folder.lstat()
+    if stat.S_ISLNK(found.st_mode):
+        wrong = "a link"
+    elif not stat.S_ISDIR(found.st_mode):
+        wrong = "no folder"
+    elif found.st_uid != os.getuid():
+        wrong = f"a folder of user {found.st_uid}"
+    elif found.st_mode & 0o077:
+        wrong = f"a folder of mode {stat.S_IMODE(found.st_mode):03o}"
+    else:
+        return str(folder / "r")
+    raise PoolError(
+        f"Ray's sockets need a folder that only user {os.getuid()} can enter (mode 700), and "
+        f"{folder} is {wrong}: remove it, or let RAY_TMPDIR name another folder with a short path"
+    )
 
 
 def within(seconds: float, function: Callable[[], Any]) -> threading.Thread:
@@ -40,10 +70,3 @@ def within(seconds: float, function: Callable[[], Any]) -> threading.Thread:
     thread.start()
     thread.join(seconds)
     return thread
-
-
-def check_reachable(address: str) -> None:
-    """Ray itself waits for minutes where nobody listens."""
-    host, colon, port = address.removeprefix("ray://").rpartition(":")
-    if colon and port.isdigit():
-        socket.create_connection((host, int(port)), timeout=CONNECT_SECONDS).close()

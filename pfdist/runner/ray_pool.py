@@ -6,34 +6,27 @@ last one.
 """
 
 import contextlib
-import logging
-import os
-import platform
 import threading
 import time
-import warnings
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any, Self
 
-# Before Ray is imported: its defaults speak of themselves on standard error and to their makers.
-os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
-os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-# Answers of more bytes go through Ray's object store, for which a driver may wait for ever.
-os.environ.setdefault("RAY_max_direct_call_object_size", f"{8 * 1024**2}")
-
-import ray
-from ray.exceptions import RayActorError, RayError
-from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
-
 from pfdist.errors import ModelError, PfdistError, PoolError
-from pfdist.runner.cores import usable_cores
 from pfdist.runner.pool import Outcome, Task, do
-from pfdist.runner.precautions import check_reachable, own_sigterm, short_folder, within
-from pfdist.runner.processes import Process, end, family
+from pfdist.runner.precautions import within
+from pfdist.runner.ray_cluster import (
+    ANSWER_BYTES,
+    START_SECONDS,
+    STOP_SECONDS,
+    about,
+    connected,
+    ray,
+    shortened,
+)
+from pfdist.runner.ray_rehearsal import reason
 
 IN_FLIGHT = 2  # tasks a worker: the one it does and the one that waits for it
 DEATHS = 3  # of workers that had a task and no other, before the task is given up
@@ -44,12 +37,9 @@ LOOK_SECONDS = 1.0  # between two looks for those that are silent
 STILL_SECONDS = 5.0  # without a look: this process itself was stopped, or had other things to do
 ANSWER_SECONDS = 40.0  # when all are silent for so long, nobody will answer
 FETCH_SECONDS = 10.0
-START_SECONDS = 120.0
-STOP_SECONDS = 5.0
 _ENVIRONMENT = {
     f"{library}_NUM_THREADS": "1" for library in ("OMP", "MKL", "OPENBLAS", "NUMBA", "NUMEXPR")
-} | {name: os.environ[name] for name in ("RAY_max_direct_call_object_size",)}
-_OBJECT_STORE_BYTES = 100 * 1024**2  # outcomes are kilobytes
+} | ANSWER_BYTES
 
 
 @ray.remote(num_cpus=1)
@@ -63,18 +53,10 @@ class _Worker:
 
     def about(self) -> dict[str, Any]:
         """Say who this is, and whether it can work; it is the first to be answered."""
-        return {**_about(), "refusal": self._refusal}
+        return {**about(), "refusal": self._refusal}
 
     def do(self, task: Task) -> Outcome:
         return do(self._function, task)
-
-
-def _about() -> dict[str, Any]:
-    return {
-        "host": platform.node(),
-        "python": platform.python_version(),
-        "pfdist": version("pfdist"),
-    }
 
 
 @dataclass(eq=False)
@@ -114,7 +96,7 @@ class RayPool:
         How many; 0 takes all cores: those this process may use on a local cluster, all CPUs of an
         existing one.
     address : str
-        Of an existing cluster; empty starts a local one, unless this process has joined one.
+        Of an existing cluster; empty or local starts one, unless this process has joined one.
 
     Raises
     ------
@@ -132,24 +114,22 @@ class RayPool:
     ) -> None:
         self._make_function = make_function
         self._address = address
-        self._started = False
-        self._before: list[Process] = []
+        self._cluster = contextlib.ExitStack()
         self._slots: list[_Slot] = []
         self.workers = workers
 
     def __enter__(self) -> Self:
         try:
-            self._connect()
+            self._cluster.enter_context(connected(self._address, self.workers))
             if not self.workers:
                 self.workers = max(1, int(ray.cluster_resources().get("CPU", 1)))
             self._slots = [self._new_slot() for _ in range(self.workers)]
             self._wait_for_all()
-        except (RayError, OSError, RuntimeError, ValueError) as error:
+        except (ray.exceptions.RayError, OSError, RuntimeError, ValueError) as error:
             self.__exit__()
-            reason = str(error).strip().splitlines()
+            where = f" at {shortened(self._address)}" if self._address else ""
             raise PoolError(
-                f"Ray could not start workers{f' at {self._address!r}' if self._address else ''}: "
-                f"{reason[-1] if reason else type(error).__name__}; "
+                f"Ray could not start workers{where}: {reason(error)}; "
                 "--pool serial computes the same without Ray"
             ) from error
         except BaseException:
@@ -159,10 +139,8 @@ class RayPool:
 
     def __exit__(self, *_: object) -> None:
         slots, self._slots = self._slots, []
-        if self._started:
-            self._started = False
-            _shut_down([] if self._address else self._servers())  # the workers go with it
-        elif ray.is_initialized():
+        self._cluster.close()  # the workers go with a cluster that was joined or started here
+        if ray.is_initialized():
             deadline = time.monotonic() + STOP_SECONDS
             for ending in [_end(slot.actor) for slot in slots]:
                 ending.join(max(0.0, deadline - time.monotonic()))
@@ -176,7 +154,7 @@ class RayPool:
             try:
                 _check_about(ray.get(slot.about, timeout=0 if not ready else FETCH_SECONDS))
                 slot.about = None
-            except RayActorError:
+            except ray.exceptions.RayActorError:
                 deaths += 1
                 if deaths >= DEATHS:
                     raise
@@ -224,7 +202,7 @@ class RayPool:
         slot = next(slot for slot in self._slots if call in slot.calls)
         try:
             answer = ray.get(call, timeout=FETCH_SECONDS)
-        except RayError as error:
+        except ray.exceptions.RayError as error:
             if slot.tasks:  # it had said who it is: such deaths are few
                 self._heard = time.monotonic()
             yield from self._replace(slot, f"{type(error).__name__}: {error}", DEATHS)
@@ -277,87 +255,10 @@ class RayPool:
     def _calls(self) -> list[Any]:
         return [call for slot in self._slots for call in slot.calls]
 
-    def _servers(self) -> list[Process]:
-        """Servers of the cluster that this process has started, and their workers."""
-        return family(os.getpid(), str(Path(ray.__file__).parent), self._before)
-
     def _new_slot(self) -> _Slot:
         options = _Worker.options(runtime_env={"env_vars": _ENVIRONMENT})  # type: ignore[attr-defined]
         actor = options.remote(self._make_function)
         return _Slot(actor, actor.about.remote())
-
-    def _connect(self) -> None:
-        if ray.is_initialized():
-            return
-        options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
-        if self._address:
-            check_reachable(self._address)
-            options["address"] = self._address
-        else:
-            options |= {
-                "address": "local",
-                "num_cpus": self.workers or usable_cores(),
-                "_temp_dir": short_folder(),
-                "num_gpus": 0,
-                "include_dashboard": False,
-                "object_store_memory": _OBJECT_STORE_BYTES,
-            }
-        self._before = family(os.getpid())
-        self._started = True
-        with own_sigterm(), _loopback(not self._address), warnings.catch_warnings():
-            warnings.simplefilter("ignore", FutureWarning)
-            ray.init(**options)
-
-
-@contextlib.contextmanager
-def _loopback(alone: bool) -> Iterator[None]:
-    """Have the servers of a cluster that is this machine alone hear nobody else.
-
-    They do what they are told, whoever says it. Ray has it so where it builds no clusters, on macOS
-    and Windows.
-    """
-    constants, name = ray._private.ray_constants, "ENABLE_RAY_CLUSTER"
-    before = getattr(constants, name, True)
-    setattr(constants, name, before and not alone)
-    try:
-        yield
-    finally:
-        setattr(constants, name, before)
-
-
-@ray.remote(num_cpus=0)  # type: ignore[untyped-decorator]
-def _about_node() -> dict[str, Any]:
-    return _about()
-
-
-def describe_nodes(address: str) -> list[dict[str, Any]]:
-    """Ask every node of an existing cluster for its host, Python and pfdist.
-
-    Raises
-    ------
-    PoolError
-        The cluster, or one of its nodes, does not answer.
-    """
-    joined = not ray.is_initialized()
-    try:
-        check_reachable(address)
-        if joined:
-            ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
-        calls = [
-            _about_node.options(
-                scheduling_strategy=NodeAffinitySchedulingStrategy(node["NodeID"], soft=False)
-            ).remote()
-            for node in ray.nodes()
-            if node["Alive"]
-        ]
-        nodes: list[dict[str, Any]] = ray.get(calls, timeout=START_SECONDS)
-    except (RayError, OSError, RuntimeError, ValueError) as error:
-        reason = str(error).strip().splitlines() or [type(error).__name__]
-        raise PoolError(f"the Ray cluster at {address!r} does not answer: {reason[-1]}") from error
-    finally:
-        if joined and ray.is_initialized():
-            _shut_down()
-    return nodes
 
 
 def _check_about(about: Mapping[str, Any]) -> None:
@@ -380,14 +281,7 @@ def _end(actor: Any) -> threading.Thread:
     """End a worker, though it may be stopped; whoever is asked to may be stopped too."""
 
     def kill() -> None:
-        with contextlib.suppress(RayError, ValueError):
+        with contextlib.suppress(ray.exceptions.RayError, ValueError):
             ray.kill(actor)
 
     return within(0.0, kill)
-
-
-def _shut_down(servers: Iterable[Process] = ()) -> None:
-    """Leave a cluster, and end its servers: they may be stopped, or have been starting."""
-    shutdown = within(STOP_SECONDS, ray.shutdown)
-    end(servers)
-    shutdown.join(STOP_SECONDS)
