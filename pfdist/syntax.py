@@ -1,9 +1,10 @@
-"""The syntax of a function, told so that only what it does matters.
+"""The syntax of a function, told so that only what it does matters; and what functions import.
 
 Comments, docstrings, annotations, positions and the version of Python make no difference.
 """
 
 import ast
+import importlib.util
 import types
 from collections import defaultdict
 from collections.abc import Iterator
@@ -132,3 +133,46 @@ def _does_nothing(node: Any) -> bool:
     """Whether it is a docstring, or another statement without effect."""
     constant = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
     return constant or isinstance(node, ast.Pass)
+
+
+def imported_in(text: str, package: str, by_functions: bool = False) -> Iterator[str]:
+    """Give the modules that a source may import, with the packages around them.
+
+    A name may turn out to be a variable's: ``from helper import C`` gives ``helper, helper.C``.
+
+    Parameters
+    ----------
+    text : str
+        The source.
+    package : str
+        What its imports are relative to.
+    by_functions : bool
+        Whether only those count that functions do when they are called.
+
+    Raises
+    ------
+    SyntaxError, ValueError
+        The text is no source.
+    """
+    tree = ast.parse(text)
+    functions = [node for node in ast.walk(tree) if isinstance(node, _Function)]
+    around = functions if by_functions else [tree]
+    for statement in (node for outer in around for node in ast.walk(outer)):
+        if isinstance(statement, ast.Import | ast.ImportFrom):
+            for name in _imported(statement, package):
+                parts = name.split(".")
+                yield from (".".join(parts[: count + 1]) for count in range(len(parts)))
+
+
+def _imported(statement: ast.Import | ast.ImportFrom, package: str) -> Iterator[str]:
+    names = [alias.name for alias in statement.names]
+    if isinstance(statement, ast.Import):
+        yield from names
+        return
+    module = statement.module or ""
+    if statement.level:
+        try:
+            module = importlib.util.resolve_name(f"{'.' * statement.level}{module}", package)
+        except ImportError:  # it leads out of the package: an error when it is called
+            return
+    yield from (f"{module}.{name}" for name in names)

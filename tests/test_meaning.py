@@ -15,12 +15,22 @@ from pfdist.errors import ModelError
 from pfdist.meaning import Meaning, check_is_constant, differences, meaning_of
 from pfdist.models import find_model
 from pfdist.origins import version_of
+from pfdist.runner.chosen import choose
 
 MODEL = """
-import collections, dataclasses, enum, functools, math
+import collections, contextlib, dataclasses, enum, functools, math, re, threading, types
 import numpy as np
 import numba
 from pfdist import StateSpaceModel, clip
+
+class Scaled:
+    def __init__(self, f, scale):
+        functools.update_wrapper(self, f)
+        self.scale = scale
+    def __call__(self, x): return self.scale * self.__wrapped__(x)
+
+class Locked:
+    def __init__(self, a): self.a, self.lock = a, threading.Lock()
 {before}
 
 model = StateSpaceModel(
@@ -102,6 +112,27 @@ HELPERS = "from helper import f\nimport helper"
         ("", "{} * x[0]", "2.0", "3.0", "transition"),
         ("g = np.frompyfunc(lambda x: {} * x, 1, 1)", "x[0] + (g(t) > 9)", "2.0", "3.0", "mine.g"),
         ("C = iter([{}])", "x[0] * bool(C)", "2.0", "3.0", "mine.C"),
+        ("__C = {}", "__C * x[0]", "2.0", "3.0", "mine.__C"),
+        ("__version__ = {}", "__version__ * x[0]", "2.0", "3.0", "mine.__version__"),
+        ("def __f(x): return {} * x", "__f(x[0])", "2.0", "3.0", "mine.__f"),
+        ("C = types.MappingProxyType({'a': {}})", "C['a'] * x[0]", "2.0", "3.0", "mine.C"),
+        ("C = {'a': {}}.values()", "list(C)[0] * x[0]", "2.0", "3.0", "mine.C"),
+        ("C = re.compile('{}')", "float(C.pattern) * x[0]", "2.0", "3.0", "mine.C"),
+        ("C = numba.typed.List([{}])", "C[0] * x[0]", "2.0", "3.0", "mine.C"),
+        ("C = Locked({})", "C.a * x[0]", "2.0", "3.0", "mine.C"),
+        ("C = {}\n@numba.njit('f8(f8)')\ndef g(x): return C * x",
+         "x[0] + g(1.0)", "2.0", "3.0", "mine.C"),
+        ("@numba.njit('f8({})')\ndef g(x): return x",
+         "x[0] + g(1.0)", "f8", "f4", "mine.g"),
+        ("@numba.cfunc('f8(f8)')\ndef g(x): return {} * x",
+         "x[0] * bool(g)", "2.0", "3.0", "mine.g"),
+        ("g = Scaled(lambda x: x, {})", "g(x[0])", "2.0", "3.0", "mine.g"),
+        ("g = Scaled(lambda x: {} * x, 1)", "g(x[0])", "2.0", "3.0", "mine.g"),
+        ("@functools.singledispatch\ndef g(x): return {} * x", "g(x[0])", "2.0", "3.0", "mine.g"),
+        ("@contextlib.contextmanager\ndef g(): yield {}",
+         "x[0] + (lambda: g().__enter__())()", "2.0", "3.0", "mine.g"),
+        ("class M(type):\n    A = property(lambda cls: {})\nclass P(metaclass=M): pass",
+         "P.A * x[0]", "2.0", "3.0", "mine.P"),
     ],
 )  # fmt: skip
 def test_a_change_of_what_a_formula_reaches_is_named(
@@ -171,10 +202,118 @@ def test_what_is_reached_dynamically_counts_by_the_text_of_all_files(
     assert differences(one, other) == ["transition"]
 
 
-def test_an_import_in_a_formula_counts_by_the_text_of_all_files(means: Means) -> None:
-    before = "def g(x):\n    from helper import f\n    return f(x)\n"
-    one, other = (means(before, "g(x[0])", helper=f"def f(x): return {k} * x") for k in (2, 3))
-    assert differences(one, other) == ["mine.g"]
+@pytest.mark.parametrize(
+    ("before", "formula"),
+    [
+        ("def g(x):\n    from helper import C\n    return C * x", "g(x[0])"),
+        ("def g(x):\n    import helper\n    return helper.C * x", "g(x[0])"),
+        ("def g(x):\n    import helper as h\n    return use(h) * x", "g(x[0])"),
+        ("def g(x):\n    return x if x.sum() < 9 else late()\n"
+         "def late():\n    import helper\n    return helper.C", "g(x[0])"),
+        ("import helper", "use(helper) * x[0]"),
+        ("import helper", "use_all(helper) * x[0]"),
+        ("import helper\nimport operator\ng = operator.attrgetter('C')", "g(helper) * x[0]"),
+        ("import helper\ndef g(): return helper", "g().C * x[0]"),
+        ("import helper\ndef g(m=helper): return use(m)", "g() * x[0]"),
+        ("import helper\ng = [helper]", "use(g[0]) * x[0]"),
+        ("import helper\ndef make(m):\n    return lambda: use(m)\ng = make(helper)", "g() * x[0]"),
+        ("import helper", "vars(helper)['C'] * x[0]"),
+        ("import helper", "helper.__dict__['C'] * x[0]"),
+        ("from helper import C", "eval('C') * x[0]"),
+        ("from helper import C", "globals()['C'] * x[0]"),
+    ],
+    ids=[
+        *("from, in a function", "import, in a function", "import as, passed on"),
+        *("import in a branch", "passed on", "in star-arguments", "to attrgetter", "returned"),
+        *("a default", "in a list", "in a closure", "vars", "__dict__", "eval", "globals"),
+    ],
+)  # fmt: skip
+def test_what_a_helper_module_holds_counts_by_its_value_wherever_the_module_goes(
+    means: Means, before: str, formula: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    uses = "\ndef use(m): return m.C\ndef use_all(*ms): return ms[0].C\n"
+    found = []
+    for constant in ("2.0", "3.0"):  # the text of all files is the same
+        monkeypatch.setenv("PFDIST_TEST_C", constant)
+        helper = "import os\nC = float(os.environ['PFDIST_TEST_C'])\n"
+        found.append(means(before + uses, formula, helper=helper))
+    assert {"helper.C", "mine.C"} & set(differences(*found))
+
+
+def test_a_module_on_the_path_that_a_formula_imports_counts(
+    means: Means, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    before = "def g(x):\n    import on_the_path\n    return on_the_path.C * x\n"
+    found = []
+    for constant in ("2.0", "3.00"):
+        (tmp_path / "on_the_path.py").write_text(f"C = {constant}\n")
+        monkeypatch.delitem(sys.modules, "on_the_path", raising=False)
+        importlib.invalidate_caches()
+        found.append(means(before, "g(x[0])"))
+    monkeypatch.delitem(sys.modules, "on_the_path")
+    assert differences(*found) == ["on_the_path.C"]
+
+
+def test_what_a_module_makes_up_when_it_is_asked_counts(means: Means) -> None:
+    one, other = (
+        means("import helper", "helper.C * x[0]", helper=f"def __getattr__(name): return {value}")
+        for value in (2, 3)
+    )
+    assert differences(one, other) == ["helper.__getattr__"]
+
+
+def test_of_a_module_that_is_not_passed_on_only_what_is_named_counts(means: Means) -> None:
+    before = "import helper\ndef g(x):\n    import helper as h\n    return h.C * x\n"
+    one, other = (
+        means(before, "g(x[0]) + helper.C", helper=f"C = 1.0\nunused = {value}") for value in (2, 3)
+    )
+    assert differences(one, other) == []
+
+
+@pytest.mark.parametrize(
+    ("before", "formula", "kind"),
+    [
+        pytest.param("C = (v for v in [1])", "x[0] * bool(C)", "'generator'", id="generator"),
+        pytest.param("C = open(__file__)", "x[0] * bool(C)", "'TextIOWrapper'", id="file"),
+        pytest.param("C = {'a': [np.nditer([1.0])]}", "x[0] * len(C)", "'nditer'", id="inside"),
+        pytest.param("class P:\n    def __reduce_ex__(self, k): return 1 / 0\nC = P()",
+                     "x[0] * bool(C)", "kind 'P'", id="raises"),
+        pytest.param("C = []\nfor k in range(9999): C = [C]", "x[0] * len(C)", "nested", id="deep"),
+    ],
+)  # fmt: skip
+def test_a_value_that_cannot_be_read_is_refused_in_one_line(
+    means: Means, before: str, formula: str, kind: str
+) -> None:
+    with pytest.raises(
+        ModelError, match=f"C of mine.py is or holds .*{kind}.*: use numbers"
+    ) as error:
+        means(before, formula)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("before", "formula"),
+    [
+        pytest.param("__C = np.random.rand()", "__C * x[0]", id="two underscores"),
+        pytest.param("C = np.random.rand()\n@numba.njit('f8(f8)')\ndef g(v): return v * C",
+                     "g(1.0) * x[0]", id="used by a compiled function of fixed types"),
+        pytest.param("D = types.MappingProxyType({'C': np.random.rand()})", "D['C'] * x[0]",
+                     id="in a mapping"),
+        pytest.param("def g():\n    from helper import C\n    return C", "g() * x[0]",
+                     id="imported in a function"),
+        pytest.param("C = np.random.rand()\ng = np.frompyfunc(lambda v: C * v, 1, 1)",
+                     "x[0] + (g(t) > 9)", id="used by a ufunc"),
+    ],
+)  # fmt: skip
+def test_a_random_constant_differs_between_two_loads(
+    tmp_path: Path, before: str, formula: str
+) -> None:
+    (tmp_path / "helper.py").write_text("import numpy as np\nC = np.random.rand()\n")
+    (tmp_path / "mine.py").write_text(MODEL.format(before=before, formula=formula))
+    with pytest.raises(ModelError, match="has another value each time it is loaded"):
+        choose("mine.py:model", tmp_path, {})
 
 
 def test_models_that_ship_reach_into_each_other() -> None:

@@ -4,23 +4,19 @@ One walk serves two readers. The cache of compiled code reads bytecode
 (`pfdist.kernels.fingerprint`); the identity of a run reads syntax (`pfdist.meaning`).
 """
 
-import dis
 import types
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
-from functools import cache
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 from numba.core.registry import CPUDispatcher
 
-from pfdist.kernels.formulas import names_in
+from pfdist.kernels.uses import Uses, globals_in, uses_in
 
 Parts = Iterator[bytes]
-Names = frozenset[str] | None
 
 _PLAIN = (bool, int, float, complex, str, bytes, type(None), type(Ellipsis))
-_GLOBAL = ("LOAD_GLOBAL", "LOAD_NAME", "LOAD_FROM_DICT_OR_GLOBALS")
 
 
 class UnknownContentError(Exception):
@@ -46,20 +42,25 @@ class Content(ABC):
     def by_name(self, value: Any) -> str | None:
         """Give the name of a value that is told by its name; None if it is walked through."""
 
-    def variable(self, scope: Mapping[str, Any], name: str, names: Names) -> Parts:
-        """Give the content of a module's global variable, which a function with `names` uses."""
+    def variable(self, scope: Mapping[str, Any], name: str, uses: Uses | None) -> Parts:
+        """Give the content of a module's global variable, of which a function uses this."""
         yield name.encode()
-        yield from self.parts(scope[name], names)
+        yield from self.parts(scope[name], uses)
 
-    def other(self, value: Any, names: Names) -> Parts:
+    def dispatcher(self, function: CPUDispatcher) -> Parts:
+        """Give the content of a function that its author compiled with Numba."""
+        yield repr(sorted(function.targetoptions.items())).encode()
+        yield from self.parts(function.py_func)
+
+    def other(self, value: Any) -> Parts:
         """Give the content of a value of a kind that is not known here."""
         raise UnknownContentError(repr(value))
 
-    def parts(self, value: Any, names: Names = None) -> Parts:
+    def parts(self, value: Any, uses: Uses | None = None) -> Parts:
         """Give the content of a value.
 
-        `names` are those that the code around the value uses: of a module only these matter. None
-        stands for all.
+        `uses` are those of the code around the value: of a module only what is named there
+        matters. None stands for all, also for modules that lie in the value.
         """
         yield type(value).__name__.encode()
         name = self.by_name(value)
@@ -74,67 +75,53 @@ class Content(ABC):
         elif isinstance(value, types.FunctionType):
             yield from self._function(value)
         elif isinstance(value, types.ModuleType):
-            yield from self._module(value, names)
+            yield from self._module(value, uses)
         elif id(value) in self._within:  # a list in itself
             yield str(self._within.index(id(value))).encode()
         else:
             self._within.append(id(value))
-            yield from self._structure(value, names)
+            yield from self._structure(value)
             self._within.pop()
 
-    def entries(self, values: Any, names: Names) -> Parts:
+    def entries(self, values: Collection[Any]) -> Parts:
         """Give the content of the entries of a sequence."""
         yield str(len(values)).encode()
         for entry in values:
-            yield from self.parts(entry, names)
+            yield from self.parts(entry)
 
-    def _structure(self, value: Any, names: Names) -> Parts:
+    def cell(self, cell: types.CellType, uses: Uses | None = None) -> Parts:
+        """Give the content of a variable in a closure."""
+        yield from self.parts(cell.cell_contents, uses)
+
+    def _structure(self, value: Any) -> Parts:
         if type(value) in (tuple, list):
-            yield from self.entries(value, names)
+            yield from self.entries(value)
         elif isinstance(value, CPUDispatcher):
-            if value.locals or not value._can_compile:  # types that its author has fixed
-                raise UnknownContentError(repr(value))
-            yield repr(sorted(value.targetoptions.items())).encode()
-            yield from self.parts(value.py_func, names)
+            yield from self.dispatcher(value)
         else:
-            yield from self.other(value, names)
+            yield from self.other(value)
 
     def _function(self, function: types.FunctionType) -> Parts:
         if function in self.told:
             yield str(self.told.index(function)).encode()
             return
         self.told.append(function)
-        names = frozenset(names_in(function.__code__))
+        code, scope = function.__code__, function.__globals__
+        uses = uses_in(code)
         yield from self.code(function)
         keywords = tuple(sorted((function.__kwdefaults__ or {}).items()))
-        yield from self.parts((function.__defaults__, keywords), names)
-        for cell in function.__closure__ or ():
-            yield from self.parts(cell.cell_contents, names)
-        scope = function.__globals__
-        for name in sorted(globals_in(function.__code__) & scope.keys()):
-            yield from self.variable(scope, name, names)
+        yield from self.parts((function.__defaults__, keywords))
+        for name, cell in zip(code.co_freevars, function.__closure__ or (), strict=True):
+            yield from self.cell(cell, uses.of(name))
+        for name in sorted(globals_in(code) & scope.keys()):
+            yield from self.variable(scope, name, uses.of(name))
 
-    def _module(self, module: types.ModuleType, names: Names) -> Parts:
+    def _module(self, module: types.ModuleType, uses: Uses | None) -> Parts:
         yield module.__name__.rpartition(".")[2].encode()
-        if (module, names) in self.told:
+        if (module, uses) in self.told:
             return
-        self.told.append((module, names))
+        self.told.append((module, uses))
         scope = vars(module)
-        for name in sorted(scope.keys() if names is None else names & scope.keys()):
-            yield from self.variable(scope, name, names)
-
-
-@cache
-def globals_in(code: types.CodeType) -> frozenset[str]:
-    """Names of global variables that a function and those it defines read."""
-    names = {step.argval for step in dis.get_instructions(code) if step.opname in _GLOBAL}
-    inner = [globals_in(inner) for inner in code.co_consts if isinstance(inner, types.CodeType)]
-    return frozenset(names).union(*inner)
-
-
-@cache
-def imports(code: types.CodeType) -> bool:
-    """Whether a function, or one that it defines, imports something when it is called."""
-    inner = (inner for inner in code.co_consts if isinstance(inner, types.CodeType))
-    own = any(step.opname == "IMPORT_NAME" for step in dis.get_instructions(code))
-    return own or any(map(imports, inner))
+        wanted = scope.keys() if uses is None else {*uses.named, "__getattr__"} & scope.keys()
+        for name in sorted(wanted):
+            yield from self.variable(scope, name, None if uses is None else uses.of(name))

@@ -11,8 +11,9 @@ import types
 from typing import Any
 
 import numpy as np
+from numba.core.registry import CPUDispatcher
 
-from pfdist.kernels.content import Content, Names, Parts, UnknownContentError
+from pfdist.kernels.content import Content, Parts, UnknownContentError
 from pfdist.kernels.formulas import is_ours
 
 __all__ = ["UnknownContentError", "bytecode", "fingerprint"]
@@ -30,7 +31,7 @@ def fingerprint(*values: Any) -> str:
     """
     digest = hashlib.blake2b(digest_size=16)
     try:
-        for part in _Compiled().entries(values, frozenset()):
+        for part in _Compiled().entries(values):
             digest.update(len(part).to_bytes(8, "little") + part)
     except (AttributeError, RecursionError, ValueError) as error:  # an empty cell, for instance
         raise UnknownContentError(str(error)) from error
@@ -69,7 +70,12 @@ class _Compiled(Content):
         )
         return str(value.__name__) if known else None
 
-    def other(self, value: Any, names: Names) -> Parts:
+    def dispatcher(self, function: CPUDispatcher) -> Parts:
+        if function.locals or not function._can_compile:  # types that its author has fixed
+            raise UnknownContentError(repr(function))
+        yield from super().dispatcher(function)
+
+    def other(self, value: Any) -> Parts:
         for kind in (bool, int, float, complex, str):
             if isinstance(value, kind):  # an IntEnum
                 yield kind.__repr__(value).encode()
@@ -77,7 +83,7 @@ class _Compiled(Content):
         if not isinstance(value, tuple | list):
             raise UnknownContentError(repr(value))
         yield str(getattr(value, "_fields", "")).encode()
-        yield from self.entries(value, names)
+        yield from self.entries(value)
 
 
 def _lines(code: types.CodeType) -> Parts:

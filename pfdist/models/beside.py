@@ -20,6 +20,8 @@ from importlib.machinery import ModuleSpec
 from pathlib import Path
 from typing import Any
 
+from pfdist.syntax import imported_in
+
 _PREFIX = "pfdist_model_"
 _FIRST = sys.stdlib_module_names | {"numpy", "pfdist"}
 
@@ -96,21 +98,26 @@ class Beside(MetaPathFinder, InspectLoader):
         self._file, self._place, self._package = file, place, package
         self._files = files
         self._found = {self._main: file.name}
+        self._forgotten: dict[str, types.ModuleType] = {}
 
     def load(self) -> types.ModuleType:
         """Run the model's file, and with it what it imports."""
         outer = types.ModuleType(self._name)
         outer.__path__ = []
-        sys.modules[self._name] = outer
-        sys.meta_path.append(self)
+        self._forgotten = {self._name: outer}
+        self._recall()
         return importlib.import_module(self._main)
 
     def forget(self) -> None:
-        """Have Python forget these modules."""
+        """Have Python forget these modules, until one of them imports another."""
         with contextlib.suppress(ValueError):
             sys.meta_path.remove(self)
         for name in [name for name in sys.modules if f"{name}.".startswith(f"{self._name}.")]:
-            del sys.modules[name]
+            self._forgotten[name] = sys.modules.pop(name)
+
+    def _recall(self) -> None:
+        sys.modules.update(self._forgotten)
+        sys.meta_path.append(self)
 
     def told(self, text: str) -> str:
         """Give an error's text with the names and paths that the user knows."""
@@ -150,7 +157,22 @@ class Beside(MetaPathFinder, InspectLoader):
         shown, text = str(self._file.parent / file), self.get_source(module.__name__)
         # Tracebacks show these lines, though the file is edited, or is not on this machine.
         linecache.cache[shown] = (len(text), None, text.splitlines(keepends=True), shown)
-        exec(compile(text, shown, "exec", dont_inherit=True), module.__dict__)  # noqa: S102  it is the user's
+        code = compile(text, shown, "exec", dont_inherit=True)
+        self._find_imports(text, str(module.__package__), by_functions=True)
+        exec(code, module.__dict__)  # noqa: S102  it is the user's
+
+    def _find_imports(self, text: str, package: str, by_functions: bool = False) -> None:
+        """Find what may be imported from beside later, when functions are called: it travels."""
+        for written in imported_in(text, package, by_functions):
+            name = written.removeprefix(f"{self._name}.")
+            full = f"{self._name}.{name}"
+            if full in self._found or not self._is_beside(name.partition(".")[0]):
+                continue
+            spec = self.find_spec(full, None)
+            if spec is not None and spec.loader is not None:
+                inner = full if spec.submodule_search_locations is not None else spec.parent
+                with contextlib.suppress(SyntaxError, ValueError):  # an error when it is imported
+                    self._find_imports(self.get_source(full), str(inner))
 
     def _import(
         self,
@@ -161,6 +183,12 @@ class Beside(MetaPathFinder, InspectLoader):
         level: int = 0,
     ) -> types.ModuleType:
         """What an import statement in one of these modules does."""
+        if self._name not in sys.modules:  # a formula imports, and the model was forgotten
+            self._recall()
+            try:
+                return self._import(name, globals, locals, fromlist, level)
+            finally:
+                self.forget()
         top = name.partition(".")[0]
         if level or not self._is_beside(top):
             return builtins.__import__(name, globals, locals, fromlist, level)

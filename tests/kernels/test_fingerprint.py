@@ -26,6 +26,7 @@ def module_of(name="other", **attributes):
 
 
 ONE, OTHER = made("def f(x): return 2.0 * x"), made("def f(x): return 3.0 * x")
+USE = made("def f(m): return m.C")
 
 
 @pytest.mark.parametrize(
@@ -84,6 +85,7 @@ def test_functions_of_different_source_differ(one, other):
             {"m": module_of(n=module_of(C=2.0))},
             {"m": module_of(n=module_of(C=3.0))},
         ),
+        ("h(m) * x", *({"m": module_of(C=c), "h": USE} for c in (2.0, 3.0))),
         (
             "C.a * x",
             {"C": namedtuple("C", "a b")(1.0, 2.0)},
@@ -101,6 +103,7 @@ def test_functions_of_different_source_differ(one, other):
         *("a helper's body", "a helper's global", "a compiled helper", "a compiler's option"),
         *("NumPy's function", "the standard library's", "whose", "whose module"),
         *("a module's attribute", "an inner module's attribute"),
+        "an attribute of a module that is passed on",
         *("a named tuple's names", "a function of a model that ships"),
     ],
 )

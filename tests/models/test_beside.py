@@ -193,3 +193,32 @@ def test_an_import_that_fails_is_named_as_the_user_knows_it(
     assert reason in str(caught.value)
     assert "pfdist_model" not in str(caught.value)
     assert not [name for name in sys.modules if name.startswith("pfdist_model_recorded")]
+
+
+LATE = """
+def late(x, t):
+    if t > 4:  # which no model is tried with when it is loaded
+        from inner import deep as inner_deep
+        import later
+        return inner_deep.three() + later.first() + x
+    return x
+"""
+
+
+def test_what_functions_may_import_later_travels_and_is_found_after_the_model_is_forgotten(
+    write: Write,
+) -> None:
+    later = "def first():\n    from last import ONE\n    return ONE\n"
+    source = write(LATE, "late(x[0], t)", later=later, last="ONE = 1", broken="def")
+    model, recorded = source.record()
+    assert {name for name, _ in recorded.files or ()} == {
+        "inner/__init__.py", "inner/deep.py", "inner/other.py", "last.py", "later.py",
+    }  # fmt: skip
+    for loaded in (model, recorded.load()):
+        assert loaded.transition((2.0,), 5, (0.0,), loaded.p)[0] == 3 + 1 + 2.0
+    assert not [name for name in sys.modules if name.startswith("pfdist_model_recorded")]
+
+
+def test_a_broken_module_that_a_function_may_import_breaks_nothing_before(write: Write) -> None:
+    source = write(LATE.replace("later", "broken"), "late(x[0], t)", broken="def")
+    assert moved(source) == 2.0
