@@ -106,15 +106,46 @@ def check_finite(model: StateSpaceModel, draws: Draws, stream: int) -> None:
             continue
         row, t, component = (int(i) for i in np.argwhere(~np.isfinite(values))[0])
         one = Draws(model, draws.index[row : row + 1], draws.x[row], draws.y[row], draws.z[row])
-        raise ModelError(
-            f"model {model.name}: a simulation must stay finite, got "
-            f"{name}[{component}] = {values[row, t, component]} at t = {t}"
-            f"{_cause(model, name, one, t, stream)}"
-        )
+        formula, arguments = _given(model, name, one, t, stream)
+        got = values[row, t, component]
+        raise ModelError(not_finite(model, formula, arguments, f"{name}[{component}] = {got}", t))
 
 
-def _cause(model: StateSpaceModel, name: str, draw: Draws, t: int, stream: int) -> str:
-    """Which formula gave a value that is not finite, the operation in it, and the line."""
+def not_finite(
+    model: StateSpaceModel, formula: str, arguments: tuple[Any, ...], got: str, t: int
+) -> str:
+    """Say which formula gave what is not finite, and the operation and the line at fault.
+
+    Parameters
+    ----------
+    model : StateSpaceModel
+    formula : str
+        Its name.
+    arguments : tuple
+        With which it gave that.
+    got : str
+        The value, as ``x[0] = nan``.
+    t : int
+    """
+    function = getattr(model, formula)
+    cause = place_of_function(function)
+    try:
+        with np.errstate(all="raise", under="ignore"):
+            function(*arguments)
+    except FloatingPointError as error:
+        cause = f": {error}{place_of(error)}"
+    except Exception:  # noqa: S110  that it is not finite is what is told
+        pass
+    return (
+        f"model {model.name}: a simulation must stay finite, got {got} at t = {t} from {formula}"
+        f"{cause}"
+    )
+
+
+def _given(
+    model: StateSpaceModel, name: str, draw: Draws, t: int, stream: int
+) -> tuple[str, tuple[Any, ...]]:
+    """The formula that gives x, y or z of a draw at t, and its arguments."""
 
     def noise(kinds: tuple[str, ...], t: int, role: SupportsIndex) -> tuple[Any, ...]:
         index = np.array(draw.index)
@@ -124,26 +155,14 @@ def _cause(model: StateSpaceModel, name: str, draw: Draws, t: int, stream: int) 
         )
 
     x, before = (tuple(draw.x[max(0, i)][:, None]) for i in (t, t - 1))
-    given: dict[str, tuple[str, tuple[Any, ...]]] = {
-        "x": (
-            "transition",
-            (before, t - 1, noise(model.process_noise, max(0, t - 1), TRUTH_PROCESS)),
-        ),
-        "y": ("measurement", (x, t, noise(model.measurement_noise, t, TRUTH_MEASUREMENT))),
-        "z": ("quantity_of_interest", (x, t)),
-    }
-    if name == "x" and t == 0:
-        given["x"] = ("initial", (noise(model.initial_noise, 0, TRUTH_INITIAL),))
-    formula_name, arguments = given[name]
-    function = getattr(model, formula_name)
-    try:
-        with np.errstate(all="raise", under="ignore"):
-            function(*arguments, model.p)
-    except FloatingPointError as error:
-        return f": {formula_name}: {error}{place_of(error)}"
-    except Exception:  # noqa: S110  that it is not finite is what is told
-        pass
-    return f": {formula_name} gave it{place_of_function(function)}"
+    if name == "y":
+        return "measurement", (x, t, noise(model.measurement_noise, t, TRUTH_MEASUREMENT), model.p)
+    if name == "z":
+        return "quantity_of_interest", (x, t, model.p)
+    if t == 0:
+        return "initial", (noise(model.initial_noise, 0, TRUTH_INITIAL), model.p)
+    w = noise(model.process_noise, t - 1, TRUTH_PROCESS)
+    return "transition", (before, t - 1, w, model.p)
 
 
 def libm_of_simulation(model: StateSpaceModel) -> tuple[str, ...]:

@@ -13,9 +13,9 @@ from pfdist.kernels.noise import stream_key
 from pfdist.measurement_times import Times
 from pfdist.monte_carlo import NUMPY_TIMES_SLOWER, Problem
 from pfdist.particle_filter import KERNEL_VERSION
+from pfdist.runner import chosen
 from pfdist.runner.chosen import Choose, ChosenModel
 from pfdist.runner.formula_contract import check_compiled, check_formulas, few_draws
-from pfdist.runner.named_by_a_run import chooser
 from pfdist.runner.pool import Pool, SerialPool
 from pfdist.runner.searches import NamedSearch, Settings, named_search
 from pfdist.work import Estimation
@@ -157,7 +157,7 @@ def build(job: Job, choose: Choose | None = None) -> Built:
         The model cannot be loaded, a parameter is unknown or out of its range, or an estimator or
         a resampling does not fit.
     """
-    choose = choose or chooser(job)
+    choose = choose or _chooser(job)
     model = choose("model", job.model.name, job.path.parent, job.model.parameters)
     source = ProblemSource(
         model=model,
@@ -176,6 +176,16 @@ def build(job: Job, choose: Choose | None = None) -> Built:
     if draws and source.engine == "compiled":
         check_compiled(draws.model, draws)
     return Built(job, source, searches)
+
+
+def _chooser(job: Job) -> Choose:
+    """What chooses the models of a job: with more care where it is the job of a run."""
+    if not (job.path.parent / "run.json").exists():
+        return chosen.choose
+    # Here and not above: a worker, which chooses nothing, then imports no pyarrow.
+    from pfdist.runner.named_by_a_run import of_a_runs_job  # noqa: PLC0415
+
+    return of_a_runs_job(job)
 
 
 def _checked_formulas(source: ProblemSource) -> Draws | None:

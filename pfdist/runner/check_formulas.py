@@ -21,7 +21,6 @@ from pfdist.rounding import with_error
 Array = NDArray[np.float64]
 
 _MEASUREMENTS = 20_000  # simulated at one state, to compare with the log-likelihood
-_MOST_INSTANTS = 500  # at which formulas are called on arrays
 _PAIRS = 8  # of states, at each of a few instants
 _LARGEST_Z = 5.0  # standard errors; 1 in 10^6 of right models is blamed for each comparison
 
@@ -116,16 +115,6 @@ def _entry(argument: Any, i: int) -> Any:
     if type(argument) is tuple:
         return tuple(component[i] for component in argument)  # of NumPy: x / 0 is infinite
     return argument
-
-
-def on_arrays(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
-    """Call each formula at every instant, or at many: `formulas_of` says what is raised."""
-    last = draws.x.shape[1] - 1
-    for t in sorted({round(t) for t in np.linspace(0, last, min(last + 1, _MOST_INSTANTS))}):
-        for name, arguments in _calls(model, draws, t).items():
-            if name != "transition" or t < last:
-                _values(model, name, arguments, len(draws.index))
-    return "ok", "no formula fails on arrays, at any instant"
 
 
 def compiled_as_in_numpy(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:

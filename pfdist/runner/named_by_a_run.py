@@ -16,9 +16,9 @@ from typing import Any
 from pfdist.errors import StoreError
 from pfdist.job import Job
 from pfdist.models import ModelSource, is_in_folder
-from pfdist.runner.chosen import Choose, ChosenModel, choose, chosen_from
+from pfdist.runner.chosen import ChosenModel, choose, chosen_from
 from pfdist.runner.known_models import is_known
-from pfdist.store import holds_run, read_run
+from pfdist.store import read_run
 
 _LONGEST = 4096  # characters of a path
 _HASH = re.compile("[0-9a-f]{64}")
@@ -129,13 +129,11 @@ class NamedByRun:
         return hashes
 
 
-def chooser(job: Job, say: Callable[[str], Any] = lambda line: None) -> Choose:
-    """Give what chooses the models of a job: where it is the job of a run, as `NamedByRun`."""
+def of_a_runs_job(job: Job) -> NamedByRun:
+    """Give what chooses the models of a job that lies in a run's folder."""
     folder = job.path.parent
-    if not holds_run(folder):
-        return choose
     remedy = "to have them run, copy job.toml to a folder of yours, and the files that it names"
-    return NamedByRun(folder, read_run(folder)[0], {}, say, remedy)
+    return NamedByRun(folder, read_run(folder)[0], {}, lambda line: None, remedy)
 
 
 def files_named(job: Job) -> list[Path]:

@@ -28,7 +28,6 @@ model = StateSpaceModel(
 LOOKS = [
     "load",
     "loads the same twice",
-    "on arrays",
     "pure",
     "elementwise",
     "compile",

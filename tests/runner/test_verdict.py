@@ -159,7 +159,8 @@ def test_nan_at_the_first_instant_is_named_with_its_formula_and_line(tmp_path: P
     )
     for text in refused(tmp_path, job):
         assert re.search(
-            r"stay finite, got x\[0\] = nan at t = 0: initial: invalid .* in log \(.*:20\)", text
+            r"stay finite, got x\[0\] = nan at t = 0 from initial: invalid .* in log \(.*:20\)",
+            text,
         )
 
 
