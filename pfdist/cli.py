@@ -10,6 +10,7 @@ from types import FrameType
 from typing import Any
 
 from pfdist.errors import EngineWarning, PfdistError, TaskError
+from pfdist.runner.streams import flush_output, make_harmless
 
 _GO_ON = "what was done is committed; the same command goes on from there"
 
@@ -30,6 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int
         The exit code.
     """
+    make_harmless()
     # As by nohup, it may be ignored.
     listens = signal.getsignal(signal.SIGINT) in (signal.default_int_handler, _leave)
     if listens:
@@ -46,6 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         with _warnings_as_lines():
             options.command(options)
+            flush_output()
     except PfdistError as error:
         if options.debug:
             raise
@@ -60,12 +63,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stderr.close()
         return 1
     except OSError as error:
-        print(f"pfdist: {error}", file=sys.stderr)
+        print(f"pfdist: {_unwritten() or error}", file=sys.stderr)
         return 1
     except MemoryError:
         print("pfdist: not enough memory: fewer draws or particles need less", file=sys.stderr)
         return 1
     return 0
+
+
+def _unwritten() -> OSError | None:
+    """Give what is wrong with standard output, if something is."""
+    try:
+        flush_output()
+    except OSError as error:
+        return error
+    return None
 
 
 def _leave(number: int, frame: FrameType | None) -> None:
