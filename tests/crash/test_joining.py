@@ -54,7 +54,9 @@ def test_a_server_that_is_no_ray_is_said_in_one_line_of_ours(
     port: int, small_job: Job, tmp_path: Path, record_property: Record
 ) -> None:
     start = time.monotonic()
-    with running(small_job.path, tmp_path / "run", "--address", f"127.0.0.1:{port}") as one:
+    with running(
+        small_job.path, tmp_path / "run", "--pool", "ray", "--address", f"127.0.0.1:{port}"
+    ) as one:
         assert one.wait() == 1
         assert time.monotonic() - start < MOST_SECONDS
         assert f"the Ray cluster at '127.0.0.1:{port}' does not answer" in one.said[-1]
@@ -75,7 +77,7 @@ def test_a_server_that_is_no_ray_is_said_in_one_line_of_ours(
 def test_where_nobody_listens_a_run_ends_with_one_line_of_ours(
     address: str, small_job: Job, tmp_path: Path, record_property: Record
 ) -> None:
-    options = ("--address", address)
+    options = ("--pool", "ray", "--address", address)
     start = time.monotonic()
     with running(small_job.path, tmp_path / "run", *options, RAY_ADDRESS="127.0.0.1:2") as one:
         assert one.wait() == 1
