@@ -13,6 +13,7 @@ from typing import Any
 
 from pfdist.arguments import make_parser
 from pfdist.errors import EngineWarning, PfdistError, TaskError, one_line
+from pfdist.runner.streams import flush_output, make_harmless
 
 _GO_ON = "what was done is committed; the same command goes on from there"
 _LONGEST = 1200  # characters of an error's line: longer ones lose their middle
@@ -35,6 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int
         The exit code.
     """
+    make_harmless()
     # As by nohup, it may be ignored.
     listens = signal.getsignal(signal.SIGINT) in (signal.default_int_handler, _leave)
     if listens:
@@ -52,6 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             commands = importlib.import_module("pfdist.commands")
             with commands.answers_alone(options, ends=arguments is None):
                 getattr(commands, options.command)(options)
+            flush_output()
     except PfdistError as error:
         if options.debug:
             raise
@@ -66,7 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stderr.close()
         return 1
     except (OSError, ImportError) as error:
-        return _failed(str(error))
+        return _failed(str(_unwritten() or error))
     except MemoryError:
         return _failed("not enough memory: fewer draws or particles need less")
     return 0
@@ -97,6 +100,15 @@ def _replacement(error: UnicodeError) -> tuple[str | bytes, int]:
         return lacking.encode("ascii", "surrogateescape"), error.end
     except UnicodeEncodeError:
         return "".join(_SPELT.get(character, "?") for character in lacking), error.end
+
+
+def _unwritten() -> OSError | None:
+    """Give what is wrong with standard output, if something is."""
+    try:
+        flush_output()
+    except OSError as error:
+        return error
+    return None
 
 
 def _leave(number: int, frame: FrameType | None) -> None:

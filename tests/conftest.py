@@ -1,6 +1,5 @@
 """What tests share: models, small jobs, and one Ray cluster a process."""
 
-import logging
 import sys
 from collections import defaultdict
 from collections.abc import Iterator
@@ -51,19 +50,10 @@ def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(scope="session")
 def ray_cluster() -> Iterator[None]:
     """Two CPUs, for all tests of this process that want Ray."""
-    from pfdist.runner import ray_pool  # sets Ray's environment before Ray is imported
+    from pfdist.runner.ray_cluster import connected
 
-    ray_pool.ray.init(
-        address="local",
-        num_cpus=2,
-        num_gpus=0,
-        include_dashboard=False,
-        log_to_driver=False,
-        logging_level=logging.ERROR,
-        object_store_memory=100 * 1024**2,
-    )
-    yield
-    ray_pool.ray.shutdown()
+    with connected("local", 2):
+        yield
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -29,7 +29,14 @@ from pfdist.errors import PoolError
 from pfdist.runner.cores import usable_cores
 from pfdist.runner.guard import Guard, environment
 from pfdist.runner.precautions import own_sigterm, private_folder, within
-from pfdist.runner.ray_rehearsal import only_loopback, reason, rehearse
+from pfdist.runner.ray_rehearsal import (
+    host_and_port,
+    only_loopback,
+    reach,
+    reason,
+    rehearse,
+    shortened,
+)
 
 __all__ = ["about", "connected", "describe_nodes", "ray"]
 
@@ -38,7 +45,6 @@ ANSWER_BYTES = {name: os.environ[name] for name in ("RAY_max_direct_call_object_
 START_SECONDS = 120.0
 STOP_SECONDS = 5.0
 _ADDRESS = "RAY_ADDRESS"
-_SHOWN = 80  # characters of an address
 _OBJECT_STORE_BYTES = 100 * 1024**2  # outcomes are kilobytes
 _QUIET: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.CRITICAL}
 
@@ -98,10 +104,11 @@ def _start(cores: int, folder: str, guard: Guard) -> None:
 
 
 def _join(address: str, guard: Guard) -> None:
+    host_and_port(address)  # what is no address is no cluster's fault
     try:
         with guard.watching():
             loopback = rehearse(address)
-    except (PoolError, ValueError) as error:
+    except PoolError as error:
         raise PoolError(
             f"the Ray cluster at {shortened(address)} does not answer: {error}; "
             "--pool serial computes without Ray"
@@ -169,6 +176,8 @@ def describe_nodes(address: str) -> list[dict[str, Any]]:
         The cluster, or one of its nodes, does not answer.
     """
     try:
+        if ray.is_initialized() and not is_own(address):
+            reach(address)
         with connected(address):
             calls = [
                 _about_node.options(
@@ -183,8 +192,3 @@ def describe_nodes(address: str) -> list[dict[str, Any]]:
             f"the Ray cluster at {shortened(address)} does not answer: {reason(error)}"
         ) from error
     return nodes
-
-
-def shortened(address: str) -> str:
-    """Give an address in quotes, cut if it is long."""
-    return repr(address if len(address) <= _SHOWN else f"{address[:_SHOWN]}...")

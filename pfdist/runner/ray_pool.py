@@ -1,4 +1,4 @@
-"""The pool of Ray workers. Ray is a pool here and nothing else, and is named nowhere else.
+"""The pool of Ray workers. Ray is a pool here and nothing else.
 
 The workers are long-lived actors: a call to one costs 0.7 ms, a stateless task 2 to 5 ms, and an
 actor loads its filter once, or compiles it. Each is handed its next task before it has ended the
@@ -24,9 +24,8 @@ from pfdist.runner.ray_cluster import (
     about,
     connected,
     ray,
-    shortened,
 )
-from pfdist.runner.ray_rehearsal import reason
+from pfdist.runner.ray_rehearsal import reason, shortened
 
 IN_FLIGHT = 2  # tasks a worker: the one it does and the one that waits for it
 DEATHS = 3  # of workers that had a task and no other, before the task is given up
@@ -71,6 +70,7 @@ class _Slot:
     about: Any  # the answer to `_Worker.about`, until it has come
     tasks: dict[Any, Task] = field(default_factory=dict)
     room: int = IN_FLIGHT  # for so many tasks
+    called_for: bool = False  # Ray itself has said that the one before has ended
     heard: float = field(default_factory=time.monotonic)
 
     @property
@@ -83,6 +83,16 @@ class _Slot:
         """Seconds it may be silent."""
         expected = max((task.seconds for task in self.tasks.values()), default=0.0)
         return max(PATIENCE_SECONDS, PATIENCE_TIMES * expected)
+
+    @property
+    def answer_patience(self) -> float:
+        """Seconds that all may be silent, because of this one.
+
+        Where Ray answers, a worker that is starting has as long to load and to compile as the
+        first ones had.
+        """
+        starting = self.called_for and self.about is not None
+        return START_SECONDS if starting else max(ANSWER_SECONDS, 2 * self.patience)
 
 
 class RayPool:
@@ -226,7 +236,7 @@ class RayPool:
             if slot.tasks and now - slot.heard > slot.patience and _silent(slot.calls):
                 why = f"TimeoutError: no answer in {now - slot.heard:.0f} s"
                 yield from self._replace(slot, why, SILENCES)
-        patience = max(ANSWER_SECONDS, *(2 * slot.patience for slot in self._slots))
+        patience = max(slot.answer_patience for slot in self._slots)
         if now - self._heard > patience and _silent(self._calls):
             raise PoolError(
                 f"no worker has answered for {now - self._heard:.0f} s{self._last_loss}; run the "
@@ -243,7 +253,8 @@ class RayPool:
         """
         self._last_loss = f" (the last was lost by {why.splitlines()[0]})"
         _end(slot.actor)
-        self._slots[self._slots.index(slot)] = self._new_slot()
+        self._slots[self._slots.index(slot)] = new = self._new_slot()
+        new.called_for = most == DEATHS
         for task in slot.tasks.values():
             self._lost[task.key] += len(slot.tasks) == 1
             if self._lost[task.key] < most:

@@ -18,11 +18,12 @@ from typing import Any
 from pfdist.errors import PoolError
 from pfdist.runner.guard import python_command
 
-ANSWER_SECONDS = 25  # from the moment at which Ray is loaded
+ANSWER_SECONDS = 18  # from the moment at which Ray is loaded
 LOAD_SECONDS = 120
 CONNECT_SECONDS = 5.0
 LEAVE_SECONDS = 5
 _SHOWN = 300  # characters of what Ray says
+_SHOWN_ADDRESS = 80
 
 
 def rehearse(address: str) -> bool:
@@ -50,8 +51,8 @@ def rehearse(address: str) -> bool:
         answer = trial.stdout.readline()
     if not answer:
         raise PoolError(
-            f"no answer from a Ray cluster in {ANSWER_SECONDS} s; besides the cluster, there must "
-            "be a node of the cluster on this machine (ray start --address=...)"
+            f"no answer from a Ray cluster in {ANSWER_SECONDS} s; it may want another token "
+            "(RAY_AUTH_MODE, RAY_AUTH_TOKEN), or a node on this machine (ray start --address=...)"
             if trial.returncode == -signal.SIGALRM
             else f"Ray ended with code {trial.returncode} as it joined the cluster"
         )
@@ -64,11 +65,12 @@ def rehearse(address: str) -> bool:
 def main() -> None:
     """Print whether the cluster at the address in the command line can be joined, and how."""
     answer = os.dup(1)
-    with open(os.devnull, "w") as nowhere:  # noqa: PTH123
+    with open(os.devnull, "w") as nowhere:
         for stream in (1, 2):
             os.dup2(nowhere.fileno(), stream)
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.alarm(LOAD_SECONDS)
+    found: dict[str, bool | str]
     try:
         found = {"loopback": _join(sys.argv[1])}
     except Exception as error:
@@ -79,9 +81,7 @@ def main() -> None:
 
 
 def _join(address: str) -> bool:
-    host, port = _host_and_port(address)
-    if port:
-        _connect(host, port)
+    reach(address)
     # Here and not above: where nobody listens, this is said at once.
     import ray  # noqa: PLC0415
 
@@ -92,26 +92,50 @@ def _join(address: str) -> bool:
     return loopback
 
 
-def _host_and_port(address: str) -> tuple[str, int]:
-    """Take an address apart; Ray itself finds out what ``auto`` is."""
+def host_and_port(address: str) -> tuple[str, int]:
+    """Take an address apart; Ray itself finds out what ``auto`` is.
+
+    Raises
+    ------
+    PoolError
+        It is no address.
+    """
     if address == "auto":
         return "", 0
     host, _, port = address.rpartition("://")[2].rpartition(":")
-    if not (host and port.isascii() and port.isdecimal() and 0 < int(port[:9]) < 2**16):
-        raise PoolError("an address must be host:port, ray://host:port, auto or local")
+    if not (
+        host.isprintable()
+        and host
+        and port.isascii()
+        and port.isdecimal()
+        and 0 < int(port[:9]) < 2**16
+    ):
+        raise PoolError(
+            "the address of a Ray cluster must be host:port, ray://host:port, auto or local, got "
+            f"{shortened(address)}"
+        )
     return host.strip("[]"), int(port)
 
 
-def _connect(host: str, port: int) -> None:
+def reach(address: str) -> None:
+    """Connect to whoever listens at an address, and say nothing.
+
+    Raises
+    ------
+    PoolError
+        It is no address, or nobody listens there.
+    """
+    host, port = host_and_port(address)
+    if not port:
+        return
+    where = shortened(f"{host}:{port}")
     try:
         socket.create_connection((host, port), timeout=CONNECT_SECONDS).close()
     except TimeoutError as error:
-        raise PoolError(
-            f"nobody answers at {host}:{port} within {CONNECT_SECONDS:.0f} s"
-        ) from error
+        raise PoolError(f"nobody answers at {where} in {CONNECT_SECONDS:.0f} s") from error
     except (OSError, UnicodeError) as error:
-        said = getattr(error, "strerror", None) or error
-        raise PoolError(f"nobody can be reached at {host}:{port}: {said}") from error
+        said = getattr(error, "strerror", None) or reason(error)
+        raise PoolError(f"nobody can be reached at {where}: {said}") from error
 
 
 def _is_loopback_alone(ray: Any, address: str) -> bool:
@@ -124,7 +148,7 @@ def _is_loopback_alone(ray: Any, address: str) -> bool:
         with only_loopback(ray, loopback):
             place = ray._private.services.canonicalize_bootstrap_address(address)
         try:
-            _connect(*_host_and_port(place or ""))
+            reach(place)
         except PoolError as error:
             refusal = refusal or error
         else:
@@ -158,6 +182,12 @@ def reason(error: Exception) -> str:
     """Give what an error of Ray says, in one line of bounded length."""
     said = " ".join(str(error).split()) or type(error).__name__
     return said if len(said) <= _SHOWN else f"{said[:_SHOWN]}..."
+
+
+def shortened(address: str) -> str:
+    """Give an address in quotes, cut if it is long."""
+    shown = _SHOWN_ADDRESS
+    return repr(address if len(address) <= shown else f"{address[:shown]}...")
 
 
 def _leave() -> None:

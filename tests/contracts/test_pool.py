@@ -217,6 +217,38 @@ def test_when_no_worker_answers_the_pool_says_so_and_nothing_hangs(
 
 
 @pytest.mark.crash
+def test_workers_that_were_all_killed_are_replaced_however_long_it_takes_to_load(
+    impatient: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, record_property: Record
+) -> None:
+    """A model may take longer to compile than silent workers are waited for."""
+    from pfdist.runner import ray_pool
+
+    monkeypatch.setattr(ray_pool, "ANSWER_SECONDS", 4.0)
+    slow = tmp_path / "slow"
+    source = f"""
+import os, pathlib, time
+
+def function(work):
+    time.sleep(0.05)
+    return os.getpid()
+
+if pathlib.Path({str(slow)!r}).exists():
+    time.sleep(15)
+"""
+    with ray_pool.RayPool(_made(source), 2) as pool:
+        run = pool.run(_tasks(60))
+        first = [next(run).value for _ in range(10)]
+        slow.touch()
+        for worker in set(first):
+            os.kill(worker, signal.SIGKILL)
+        rest = [outcome.value for outcome in run]
+    assert len(rest) == 50
+    assert len(set(first)) == 2
+    assert set(rest) - set(first)
+    record_property("faults", f"{DIES}: 2")
+
+
+@pytest.mark.crash
 def test_nobody_listens_to_an_answer_that_comes_too_late(
     impatient: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, record_property: Record
 ) -> None:

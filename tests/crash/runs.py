@@ -5,8 +5,9 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from ipaddress import IPv4Address, IPv6Address, ip_address
 from pathlib import Path
 
 from oracles.bytes_of import hashes
@@ -107,6 +108,23 @@ def command_of(process: Process) -> str:
         return Path(f"/proc/{process.id}/cmdline").read_text(errors="replace")
     except OSError:
         return ""
+
+
+def listening(processes: Iterable[int]) -> Iterator[IPv4Address | IPv6Address]:
+    """Addresses at which these wait for connections; see proc(5)."""
+    sockets = set()
+    for process in processes:
+        for handle in Path(f"/proc/{process}/fd").glob("*"):
+            with suppress(OSError):  # it is closed, or the process gone
+                sockets.add(str(handle.readlink()))
+    for table in ("tcp", "tcp6"):
+        for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
+            _, local, _, state, *rest = line.split()
+            if state == "0A" and f"socket:[{rest[5]}]" in sockets:
+                address = bytes.fromhex(local.partition(":")[0])
+                words = range(0, len(address), 4)  # each in the machine's own order
+                found = ip_address(b"".join(address[k : k + 4][::-1] for k in words))
+                yield getattr(found, "ipv4_mapped", None) or found
 
 
 def all_gone(processes: list[Process]) -> bool:

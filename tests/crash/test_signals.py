@@ -1,6 +1,7 @@
 """Asked to end, by a person or by a batch system: what is done is kept, and nobody waits long."""
 
 import os
+import secrets
 import signal
 import subprocess
 import sys
@@ -14,6 +15,7 @@ import pfdist
 from crash.runs import GONE_SECONDS, PATIENCE_SECONDS, all_gone, finish, running, until
 from oracles.bytes_of import hashes
 from pfdist import Job
+from pfdist.runner.processes import marked
 
 ASKED = "Ctrl-C"
 NOTICE_SECONDS = 20.0  # what a batch system gives
@@ -135,3 +137,28 @@ def test_a_run_that_is_asked_to_end_while_ray_starts_does_so(
         until(lambda: all_gone(everything), GONE_SECONDS)
     assert finish(small_job.path, tmp_path / "run") == finish(small_job.path, tmp_path / "whole")
     record_property("faults", f"{ASKED}: 1")
+
+
+@pytest.mark.crash
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGHUP])
+@pytest.mark.parametrize("after", [1.0, 3.0, 5.0, "search", "comparison"])
+def test_nothing_outlives_a_run_on_ray_that_is_killed(
+    number: signal.Signals,
+    after: float | str,
+    small_job: Job,
+    tmp_path: Path,
+    record_property: Record,
+) -> None:
+    """Whenever it is: while Ray starts, and in each phase."""
+    job, run, mark = small_job.path, tmp_path / "run", secrets.token_hex(8)
+    job.write_text(job.read_text().replace("draws = 250", "draws = 1_000_000"))
+    with running(job, run, "--pool", "ray", "--workers", "2", PFDIST_TEST=mark) as one:
+        if isinstance(after, str):
+            one.wait_for(lambda: one.parts({"search": "draws"}.get(after, after)))
+        else:
+            one.wait_for((run / "run.json").exists)
+            time.sleep(after)
+        one.process.send_signal(number)
+        assert one.wait() == -number
+        until(lambda: not marked("PFDIST_TEST", mark), GONE_SECONDS)
+    record_property("faults", "nothing hangs: 1")

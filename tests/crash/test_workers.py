@@ -1,20 +1,27 @@
 """Workers, nodes and servers of Ray that die, stop or vanish in the midst of a run."""
 
-import contextlib
 import os
 import random
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
-from ipaddress import IPv4Address, IPv6Address, ip_address
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 import pfdist
-from crash.runs import GONE_SECONDS, Running, all_gone, command_of, finish, running, until
+from crash.runs import (
+    GONE_SECONDS,
+    Running,
+    all_gone,
+    command_of,
+    finish,
+    listening,
+    running,
+    until,
+)
 from oracles.bytes_of import hashes
 from pfdist import Job
 from pfdist.runner.processes import Process, family
@@ -196,33 +203,36 @@ def test_a_run_whose_nodes_vanish_ends_with_the_same_bytes(
     record_property("faults", f"{DIES}: 3")
 
 
-def _listening(processes: Iterable[int]) -> Iterator[IPv4Address | IPv6Address]:
-    """Addresses at which these wait for connections; see proc(5)."""
-    sockets = set()
-    for process in processes:
-        for handle in Path(f"/proc/{process}/fd").glob("*"):
-            with contextlib.suppress(OSError):  # it is closed, or the process gone
-                sockets.add(str(handle.readlink()))
-    for table in ("tcp", "tcp6"):
-        for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
-            _, local, _, state, *rest = line.split()
-            if state == "0A" and f"socket:[{rest[5]}]" in sockets:
-                address = bytes.fromhex(local.partition(":")[0])
-                words = range(0, len(address), 4)  # each in the machine's own order
-                found = ip_address(b"".join(address[k : k + 4][::-1] for k in words))
-                yield getattr(found, "ipv4_mapped", None) or found
+@pytest.mark.crash
+@pytest.mark.parametrize("phase", ["search", "comparison"])
+def test_a_run_whose_workers_are_all_killed_at_once_ends_with_the_same_bytes(
+    phase: str, make_job: Callable[[int], Path], tmp_path: Path, record_property: Record
+) -> None:
+    job = make_job(100_000)
+    table = {"search": "draws", "comparison": "comparison"}[phase]
+    with running(job, tmp_path / "run", *TWO) as one:
+        one.wait_for(lambda: one.parts(table) and len(one.workers()) == 2)
+        killed = one.workers()
+        for worker in killed:
+            os.kill(worker.id, signal.SIGKILL)
+        assert one.wait() == 0, one.said[-3:]
+    assert hashes(tmp_path / "run") == _whole(job)
+    record_property("faults", f"{DIES}: {len(killed)}")
 
 
 @pytest.mark.crash
+@pytest.mark.parametrize(
+    "address", [(), ("--address", "local"), ("--set", "execution.address=local")]
+)
 def test_ray_that_a_run_has_started_is_heard_on_this_machine_alone(
-    make_job: Callable[[int], Path], tmp_path: Path
+    address: tuple[str, ...], make_job: Callable[[int], Path], tmp_path: Path
 ) -> None:
-    with running(make_job(100_000), tmp_path / "run", *TWO) as one:
+    with running(make_job(100_000), tmp_path / "run", *TWO, *address) as one:
         one.wait_for(lambda: _is_comparing(one))
-        found = set(_listening([one.process.pid, *(process.id for process in one.family())]))
+        found = set(listening([one.process.pid, *(process.id for process in one.family())]))
         commands = [command_of(process) for process in one.family()]
     assert found
-    assert all(address.is_loopback for address in found), found
+    assert all(place.is_loopback for place in found), found
     dashboards = [command for command in commands if "dashboard.py" in command]
     assert all("--disable-frontend" in command for command in dashboards)  # there are no pages
 

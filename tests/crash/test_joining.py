@@ -1,0 +1,106 @@
+"""Addresses at which somebody listens who is no Ray cluster, or one that wants another token."""
+
+import os
+import re
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from crash.runs import running
+from pfdist import Job
+from pfdist.errors import PoolError
+from pfdist.runner.ray_rehearsal import rehearse
+
+HANGS = "nothing hangs"
+MOST_SECONDS = 60.0  # 30 on an idle machine
+_RAYS = re.compile(r"^\[|Traceback|ray/")  # lines of Ray's log
+
+Record = Callable[[str, object], None]
+
+
+@pytest.fixture(params=["says-nothing", "closes-at-once", "says-rubbish"])
+def port(request: pytest.FixtureRequest) -> Iterator[int]:
+    """Where a server accepts, and does something else than Ray does."""
+    kept = []
+
+    def serve(server: socket.socket) -> None:
+        while True:
+            try:
+                connection, _ = server.accept()
+                if request.param == "closes-at-once":
+                    connection.close()
+                    continue
+                kept.append(connection)
+                if request.param == "says-rubbish":
+                    connection.sendall(b"HTTP/1.0 400 rubbish\r\n\r\n" * 20)
+            except OSError:
+                if server.fileno() < 0:
+                    return
+
+    with socket.create_server(("", 0)) as server:
+        threading.Thread(target=serve, args=[server], daemon=True).start()
+        yield server.getsockname()[1]
+        server.shutdown(socket.SHUT_RDWR)
+    for connection in kept:
+        connection.close()
+
+
+@pytest.mark.crash
+def test_a_server_that_is_no_ray_is_said_in_one_line_of_ours(
+    port: int, small_job: Job, tmp_path: Path, record_property: Record
+) -> None:
+    start = time.monotonic()
+    with running(
+        small_job.path, tmp_path / "run", "--pool", "ray", "--address", f"127.0.0.1:{port}"
+    ) as one:
+        assert one.wait() == 1
+        assert time.monotonic() - start < MOST_SECONDS
+        assert f"the Ray cluster at '127.0.0.1:{port}' does not answer" in one.said[-1]
+        assert not [line for line in one.said if _RAYS.search(line)]
+    record_property("faults", f"{HANGS}: 1")
+
+
+@pytest.mark.crash
+@pytest.mark.parametrize(
+    "address",
+    [
+        pytest.param("127.0.0.1:1", id="closed-port"),
+        pytest.param("nowhere.invalid:6379", id="no-such-name"),
+        pytest.param("auto", id="auto-with-RAY_ADDRESS"),
+        pytest.param("ray://127.0.0.1:1", id="ray-client"),
+    ],
+)
+def test_where_nobody_listens_a_run_ends_with_one_line_of_ours(
+    address: str, small_job: Job, tmp_path: Path, record_property: Record
+) -> None:
+    options = ("--pool", "ray", "--address", address)
+    start = time.monotonic()
+    with running(small_job.path, tmp_path / "run", *options, RAY_ADDRESS="127.0.0.1:2") as one:
+        assert one.wait() == 1
+        assert time.monotonic() - start < MOST_SECONDS
+        assert "nobody can be reached at" in one.said[-1]
+        assert not [line for line in one.said if _RAYS.search(line)]
+    record_property("faults", f"{HANGS}: 1")
+
+
+@pytest.mark.crash
+@pytest.mark.parametrize("token", ["", "0" * 64], ids=["no-token", "another-token"])
+def test_our_own_cluster_obeys_nobody_who_lacks_the_token(
+    token: str, ray_cluster: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from pfdist.runner.ray_cluster import ray
+
+    address = ray.get_runtime_context().gcs_address
+    assert rehearse(address)  # with the token, which is in the environment, on loopback
+    assert os.environ["RAY_AUTH_TOKEN"] != token
+    if token:
+        monkeypatch.setenv("RAY_AUTH_TOKEN", token)
+    else:
+        monkeypatch.setenv("RAY_AUTH_MODE", "disabled")
+        monkeypatch.delenv("RAY_AUTH_TOKEN")
+    with pytest.raises(PoolError, match="it may want another token"):
+        rehearse(address)
