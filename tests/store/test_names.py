@@ -12,7 +12,7 @@ import pytest
 from pfdist import Job
 from pfdist.cli import main
 
-SMALL = "search.genetic.generations=1 search.random.evaluations=2 comparison.draws=20".split()
+SMALL = ["search.genetic.generations=1", "search.random.evaluations=2", "comparison.draws=20"]
 NAMES = [
     pytest.param("exp:1", id="a colon"),
     pytest.param("s3:", id="an address"),
