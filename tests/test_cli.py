@@ -3,8 +3,10 @@
 import json
 import re
 import shlex
+import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -13,6 +15,7 @@ import pfdist
 from pfdist import Job
 from pfdist.cli import main
 from pfdist.rounding import with_error
+from pfdist.runner.build import Built, build
 
 
 @pytest.fixture(scope="module")
@@ -199,7 +202,7 @@ def test_models_lists_every_model_with_a_line(capsys: pytest.CaptureFixture[str]
             "run {job} --set model.parameters.sd=1",
             "unknown parameter 'sd' .* allowed: .*process_sd",
         ),
-        ("run {job} --results {job}", "--results must be a folder, got the file"),
+        ("run {job} --results {job}", r"results must be a folder, got the file .* \(--results\)"),
         ("run {job} --workers -3", "execution.workers .* got -3"),
         ("evaluate {job} --times 0,3,13", r"must lie in 0\.\.12, got 13 \(--times\)"),
         ("evaluate {job} --times 3,3", r"got 3 twice \(--times\)"),
@@ -223,6 +226,40 @@ def test_every_mistake_is_one_line_and_exit_code_1(
     assert captured.err.count("\n") == 1
     assert captured.err.startswith("pfdist: ")
     assert re.search(words, captured.err)
+
+
+def test_the_seconds_of_evaluate_are_those_of_the_draws(
+    finished: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def slowly(job: Job) -> Built:  # as where all must be compiled
+        time.sleep(1.5)
+        return build(job)
+
+    monkeypatch.setattr("pfdist.runner.evaluate.build", slowly)
+    seconds = []
+    for _ in range(3):
+        assert main(["evaluate", _job(finished), "--times", "0,3", "--json"]) == 0
+        seconds.append(json.loads(capsys.readouterr().out)["seconds"])
+    assert min(seconds) < 1.0
+
+
+def test_a_missing_file_is_told_as_what_the_job_makes_again(
+    finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = shutil.copytree(finished, tmp_path / "run")
+    damaged = run / "tables" / "comparison" / "comparison-00000.parquet"
+    damaged.write_bytes(b"damaged")
+    assert main(["verify", str(run)]) == 1
+    assert "`pfdist repair " in capsys.readouterr().err
+    for command in ("repair", "repair"):  # the second time there is nothing to move
+        assert main([command, str(run)]) == 0
+        assert f"the job, run again with --results {run}, makes it" in capsys.readouterr().out
+    assert main(["verify", str(run)]) == 1
+    error = capsys.readouterr().err
+    assert f"1 missing: the job, run again with --results {run}, makes" in error
+    assert "repair" not in error
+    assert main(["run", _job(finished), "--results", str(run)]) == 0
+    assert main(["verify", str(run)]) == 0
 
 
 @pytest.mark.parametrize(

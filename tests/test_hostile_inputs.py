@@ -1,4 +1,4 @@
-"""Whatever a job file or an option holds: one line that says what, got, allowed, where; exit 1 or 2."""
+"""Whatever a job file or an option holds: one line that says what, got, allowed; exit 1 or 2."""
 
 import re
 import time
@@ -53,12 +53,11 @@ def _refused(words: list[str], capsys: pytest.CaptureFixture[str], code: int = 1
         pytest.param(_changed("seed = 1", ""), "seed must be given", id="nothing required"),
         pytest.param(_changed("seed = 1", "seed = nan"), "seed must be .* got nan", id="NaN"),
         pytest.param(_changed("seed = 1", "seed = 1979-05-27"), "seed must be", id="a date"),
-        pytest.param(_changed("[problem]", "[[problem]]"), "problem must be", id="a list of tables"),
+        pytest.param(_changed("[problem]", "[[problem]]"), "problem must be", id="a list"),
         pytest.param(_changed("[filter]", "[[filter]]"), "filter must be", id="a list of filters"),
         pytest.param(_changed("horizon = 12", "horizon = 1e300"), "horizon .* 1e", id="1e300"),
         pytest.param(
-            _changed('name = "random"' if 'name = "random"' in JOB else 'method = "random"',
-                     'method = "random"\nname = "a\\u0000b"'),
+            _changed('method = "random"', 'method = "random"\nname = "a\\u0000b"'),
             "name must", id="NUL in a search's name",
         ),
         pytest.param(
@@ -150,7 +149,7 @@ def test_a_hostile_option_is_refused_in_one_line(
 @pytest.mark.parametrize(
     ("words", "code", "told"),
     [
-        pytest.param(["budget", "{job}", "--measurements", "\u0662:5"], 1, "A:B", id="Arabic range"),
+        pytest.param(["budget", "{job}", "--measurements", "\u0662:5"], 1, "A:B", id="Arabic"),
         pytest.param(["budget", "{job}", "--measurements", f"2:{_NINES}"], 1, "A:B", id="range"),
         pytest.param(
             ["budget", "{job}", "--measurements", "2:3", "--target", "1_0"], 2, "finite",

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 
 from pfdist.plots.style import GREY, SERIES
 
-_LINE_INCHES = 0.14  # of a legend
+_LINE_INCHES = 0.15  # of a legend
 _LONGEST_NAME = 22  # of which two, with the kinds of their curves, have room in a line
 
 Curve = Callable[[pd.DataFrame], pd.DataFrame]

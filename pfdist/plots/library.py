@@ -1,4 +1,4 @@
-"""Matplotlib, imported and used so that no setting of the machine ends a run or changes a figure."""
+"""Matplotlib, imported so that no setting of the machine ends a run or changes a figure."""
 
 import logging
 import os

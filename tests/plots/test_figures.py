@@ -1,7 +1,11 @@
 """The paper's figures show what the tables say."""
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
 import pandas as pd
 import pytest
@@ -14,11 +18,14 @@ from pfdist.plots.cost import (
     best_of_each_step,
     best_so_far,
     by_generation,
+    legend_inches,
     one_by_one,
     plot_cost,
 )
 from pfdist.plots.gain_histogram import plot_gain_histogram
+from pfdist.plots.library import styled
 from pfdist.plots.one_draw import components, plot_one_draw, typical_draw
+from pfdist.plots.style import COLUMN_INCHES
 from pfdist.plots.why import plot_profile, plot_removals, plot_shifts
 
 EVALUATIONS = pd.DataFrame(
@@ -242,3 +249,51 @@ def test_a_measurements_worth_is_a_stem_and_its_shifts_are_triangles_with_interv
     plot_shifts(axes, measurements, ("regular", "found"))
     shown = {(line.get_marker(), *np.asarray(line.get_ydata())) for line in axes.get_lines()}
     assert {("<", 0.5, 0.25), (">", -1.0), (">", 0.75)} <= shown
+
+
+@pytest.mark.parametrize("name", ["random_{}", "a_search_with_quite_a_long_name_{}"])
+def test_a_figure_of_twenty_searches_has_room_for_curves_and_legend(name: str) -> None:
+    names = [name.format(number) for number in range(20)]
+    rows = [EVALUATIONS[EVALUATIONS["phase"] == "random"].assign(phase=one) for one in names]
+    with styled():
+        height = 1.9 + legend_inches(names)
+        figure = Figure(figsize=(COLUMN_INCHES, height), layout="constrained")
+        axes = figure.subplots()
+        plot_cost(axes, pd.concat(rows), dict.fromkeys(names, one_by_one), ("regular times", 31.2))
+        figure.draw_without_rendering()
+    legend = axes.get_legend().get_window_extent()
+    border = 0.4 * 7 / 72 * figure.dpi  # empty, about the entries: 0.4 of their 7 points
+    assert len(axes.get_legend().get_texts()) == 41
+    assert len({line.get_color() for line in axes.get_lines()}) == 21  # a colour for each search
+    assert axes.get_window_extent().height > 1.0 * figure.dpi
+    assert legend.height < figure.bbox.height
+    assert -border <= legend.x0 < legend.x1 <= figure.bbox.width + border
+    assert legend.y1 <= figure.bbox.height + border
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        pytest.param({"MPLBACKEND": "nonsense"}, id="a backend that does not exist"),
+        pytest.param({"MPLBACKEND": "TkAgg"}, id="a backend that needs a screen"),
+        pytest.param({"HOME": "/proc", "MPLCONFIGDIR": ""}, id="no home to write to"),
+        pytest.param({"MPLCONFIGDIR": "/proc/x"}, id="no folder for settings to write to"),
+    ],
+)
+def test_no_setting_of_the_machine_ends_the_drawing_or_is_told(settings: dict[str, str]) -> None:
+    script = "import os, pfdist.plots\nprint(os.environ.get('MPLBACKEND'))"
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        env=os.environ | settings,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.strip() == settings.get("MPLBACKEND", os.environ.get("MPLBACKEND", "None"))
+
+
+def test_figures_do_not_depend_on_settings_of_matplotlib() -> None:
+    with mpl.rc_context({"text.usetex": True, "axes.grid": True}), styled():
+        assert (mpl.rcParams["text.usetex"], mpl.rcParams["axes.grid"]) == (False, False)

@@ -109,7 +109,7 @@ def test_the_command_says_how_many_are_enough(
         ("--measurements 2:x", "got '2:x'"),
         ("--measurements 2:14", "budget of 14 measurements: .* at most horizon . 1 = 13, got 14"),
         ("--measurements 2:3 --set search.survivors.survivors=0", "survivors .* got 0"),
-        ("--measurements 2:3 --set comparison.draws=9", "as --measurements and --draws say, got c"),
+        ("--measurements 2:3 --set comparison.draws=9", "as measurements and draws say, got c"),
         ("--measurements 2:3 --set search.survivors.polish=true", "polish = false, got true"),
         ("--measurements 2:3 --draws 1", r"draws must be at least 2, got 1 \(--draws\)"),
         ("--measurements 2:3 --set problem.required=[1,2,3]", "budget of 2 .* at least 3"),

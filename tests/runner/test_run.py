@@ -13,11 +13,20 @@ import pfdist
 from oracles.bytes_of import hashes
 from oracles.counted import A_DRAW, count_draws
 from pfdist import Job, load_job
-from pfdist.errors import JobError, PfdistError, RunMismatchError, SearchError, TaskError
+from pfdist.cli import main
+from pfdist.errors import (
+    JobError,
+    PfdistError,
+    RunMismatchError,
+    SearchError,
+    StoreError,
+    TaskError,
+)
 from pfdist.monte_carlo import Problem
 from pfdist.runner import collect
 from pfdist.runner.pace import Pace
 from pfdist.runner.pool import Outcome, SerialPool
+from pfdist.runner.progress import Progress
 from pfdist.store import parquet
 from pfdist.work import Work
 
@@ -163,7 +172,6 @@ def test_more_draws_of_comparison_compute_only_the_new_and_give_the_same_bytes(
         ("problem.measurement_budget=5", "problem.measurement_budget: 4 -> 5"),
         ("search.genetic.generations=5", "search.genetic.generations: 4 -> 5"),
         ("model.parameters.process_sd=2.0", "model.parameters.process_sd: nothing -> 2.0"),
-        ("comparison.draws=100", "comparison.draws: 250 committed -> 100"),
     ],
 )
 def test_another_job_is_refused_with_the_difference(
@@ -172,6 +180,37 @@ def test_another_job_is_refused_with_the_difference(
     pfdist.run(small_job, tmp_path / "run")
     with pytest.raises(RunMismatchError, match=difference):
         pfdist.run(small_job.with_changes([change]), tmp_path / "run")
+
+
+def test_fewer_draws_than_are_there_are_refused_by_saying_so(
+    small_job: Job, tmp_path: Path
+) -> None:
+    pfdist.run(small_job, tmp_path / "run")
+    with pytest.raises(StoreError, match=r"must be at least the 250 draws .* got 100") as refused:
+        pfdist.run(small_job, tmp_path / "run", changes=["comparison.draws=100"])
+    assert "another run" not in str(refused.value)
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_between_search_and_comparison_the_found_times_are_told(
+    small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def stop(progress: Progress) -> None:
+        if progress.phase == "comparison":
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        pfdist.run(small_job, tmp_path / "run", report=stop)
+    summary = pfdist.open_run(tmp_path / "run").summary()
+    assert (summary["state"], summary["draws_compared"]) == ("comparing", 0)
+    assert set(summary["results"]) == {"regular", "genetic", "random"}
+    assert len(summary["results"]["genetic"]["measurement_times"]) == 4
+    assert main(["status", str(tmp_path / "run")]) == 0
+    text = capsys.readouterr().out
+    assert "genetic: measure at t = " in text
+    assert "the search believed" in text
+    assert f"tables: {tmp_path / 'run' / 'tables'}" in text
+    assert "figures" not in text  # there is no such folder yet
 
 
 def test_an_edited_model_is_refused(tmp_path: Path, small_job: Job) -> None:
@@ -251,7 +290,7 @@ def test_tables_without_what_says_whose_they_are_are_left_alone(
     run = pfdist.run(small_job, tmp_path / "run")
     (run.path / "run.json").unlink()
     shutil.rmtree(run.path / "manifest")
-    with pytest.raises(PfdistError, match=r"--results must be .*parts, tables"):
+    with pytest.raises(PfdistError, match=r"results must be .*parts, tables"):
         pfdist.run(small_job, run.path)
 
 

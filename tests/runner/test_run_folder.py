@@ -24,7 +24,7 @@ def test_the_tables_are_read_with_pandas_alone(small_job: Job, tmp_path: Path) -
 
 def test_a_folder_with_other_things_is_left_alone(small_job: Job, tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("do not touch")
-    with pytest.raises(PfdistError, match=r"--results must be .*thesis\.tex"):
+    with pytest.raises(PfdistError, match=r"results must be .*thesis\.tex"):
         pfdist.run(small_job, tmp_path)
 
 

@@ -212,7 +212,7 @@ def test_what_is_impossible_is_said(quick: Job, tmp_path: Path) -> None:
             2,
         ),
         (StoreError, "holds no run", tmp_path, 2),
-        (JobError, r"draws must be at least 2, got 1 \(--draws\)", tmp_path / "run", 1),
+        (JobError, r"draws must be at least 2, got 1$", tmp_path / "run", 1),
     ]
     for error, words, path, draws in wrong:
         with pytest.raises(error, match=words):

@@ -1,0 +1,82 @@
+"""The folder of a run may have any name that the file system takes."""
+
+import io
+import json
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from pfdist import Job
+from pfdist.cli import main
+
+SMALL = ["search.genetic.generations=1", "search.random.evaluations=2", "comparison.draws=20"]
+NAMES = [
+    pytest.param("exp:1", id="a colon"),
+    pytest.param("s3:", id="an address"),
+    pytest.param("~root", id="a tilde"),
+    pytest.param("a  b%41", id="spaces and a percent sign"),
+    pytest.param(os.fsdecode(b"a\xffb"), id="not UTF-8"),
+    pytest.param("-x", id="a dash"),
+    pytest.param("a\nb\x1b[2Jc", id="control characters"),
+    pytest.param("[bold]:smile:[/x]", id="marks of a terminal's library"),
+    pytest.param("n" * 200, id="200 characters"),
+    pytest.param("*?[a]", id="wild cards"),
+]
+
+
+Say = Callable[..., str]
+
+
+@pytest.fixture
+def say(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Say:
+    """Run a command, which must succeed; give its standard output, a path's own bytes in it."""
+    monkeypatch.chdir(tmp_path)
+
+    def said(*words: str) -> str:
+        out, error = io.BytesIO(), io.BytesIO()
+        for stream, name in ((out, "stdout"), (error, "stderr")):
+            monkeypatch.setattr(sys, name, io.TextIOWrapper(stream, "utf-8", write_through=True))
+        assert main(words) == 0, error.getvalue()
+        assert b"\x1b" not in out.getvalue() + error.getvalue()
+        return os.fsdecode(out.getvalue())
+
+    return said
+
+
+@pytest.mark.usefixtures("no_figures")
+@pytest.mark.parametrize("name", NAMES)
+def test_a_run_lies_in_a_folder_of_any_name(name: str, small_job: Job, say: Say) -> None:
+    job, printed = str(small_job.path), name.replace("\n", " ").replace("\x1b", "?")
+    assert say("run", job, f"--results={name}", "--set", *SMALL).startswith(f"{printed}: finished")
+    assert Path(name, "run.json").exists()
+    for command in ("status", "verify", "repair"):
+        assert say(command, "--", name).startswith(f"{printed}: ")
+    assert json.loads(say("status", "--json", "--", name))["run"] == name
+    fork = f"{name}.fork"
+    words = ["run", job, f"--results={name}", f"--fork={fork}", "--set", *SMALL]
+    assert "finished" in say(*words, "comparison.draws=30")
+    assert "finished" in say("status", "--", fork)
+
+
+@pytest.mark.parametrize("name", ["exp:1", os.fsdecode(b"a\xffb")])
+def test_figures_are_drawn_into_a_folder_of_any_name(name: str, small_job: Job, say: Say) -> None:
+    say("run", str(small_job.path), f"--results={name}", "--set", *SMALL)
+    say("plot", name)
+    assert f"{name}/figures/why-genetic.png" in say("why", name, "--draws", "20")
+    assert Path(name, "figures", "why-genetic.png").exists()
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param("n" * 256, id="256 characters"), pytest.param("d/" * 3000, id="deep")]
+)
+@pytest.mark.parametrize("command", ["status", "verify", "repair", "plot", "why"])
+def test_a_name_that_no_file_can_have_is_refused_in_one_line(
+    name: str, command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([command, name]) == 1
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert len(error) < 1300
