@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from pfdist.errors import RunMismatchError, StoreError
-from pfdist.job import Job, job_toml
-from pfdist.kernels.noise import stream_key
+from pfdist.job import job_toml
 from pfdist.particle_filter import KERNEL_VERSION
 from pfdist.runner.build import Built
 from pfdist.runner.processor import processor
@@ -28,6 +27,8 @@ from pfdist.store import (
     has_key,
     held,
     holds_run,
+    key_of,
+    own_key,
     read_run,
     write_job,
     write_run,
@@ -58,8 +59,8 @@ def opened(path: Path, built: Built, say: Callable[[str], Any]) -> Iterator[Stor
         Another process computes it, it cannot be read or written, or holds other things than a run.
     """
     identity = _identity(built)
-    key = _key(identity, built.job)
-    known = has_key(path, key)
+    key = key_of(identity, built.job.identity())
+    known = has_key(path, key) or own_key(path) == key
     store = Store(path, key if known else None)  # another run is looked at by its own key
     if not known and not holds_run(path):
         _check_free(path)
@@ -116,14 +117,6 @@ def estimations(built: Built) -> dict[str, dict[str, Any]]:
     if built.problem.exact:
         return {}
     return {search.name: vars(search.settings.estimation) for search in built.searches}
-
-
-def _key(identity: Mapping[str, Any], job: Job) -> str:
-    """Hash what may not change while a run goes on."""
-    fixed = job.identity()
-    for changing in ("draws", "until"):
-        del fixed["comparison"][changing]
-    return f"{stream_key(identity, fixed):016x}"
 
 
 def _identity(built: Built) -> dict[str, Any]:
