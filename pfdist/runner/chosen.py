@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from pfdist.kernels.noise import stream_key
+from pfdist.kernels.streams import stream_key
 from pfdist.meaning import Meaning, check_is_constant, loaded_meaning, meaning_of, parameters_of
 from pfdist.models import ModelSource, StateSpaceModel, find_model
 

@@ -152,7 +152,7 @@ def changed_meanings(run: Mapping[str, Any], built: Built) -> dict[str, str]:
     old, new = (
         {"model": about["model"], "model.filter": about["filter_model"]} for about in (run, now)
     )
-    return {key: f"{_short(was)} -> {_short(is_)}" for key, was, is_ in _changes(old, new)}
+    return {key: f"{_short(was)} -> {_short(is_now)}" for key, was, is_now in _changes(old, new)}
 
 
 def _check_free(path: Path) -> None:
@@ -168,16 +168,16 @@ def _check_free(path: Path) -> None:
 
 
 def _check_same(store: Store, built: Built, identity: dict[str, Any], committed: int) -> None:
-    (run, its), job = read_run(store.path), built.job
+    (run, old_job), job = read_run(store.path), built.job
     models = meanings(built)
-    old = {"job": its, **{name: run.get(name) for name in identity if name not in models}}
+    old = {"job": old_job, **{name: run.get(name) for name in identity if name not in models}}
     new = {"job": job.identity(), **{k: v for k, v in identity.items() if k not in models}}
     changes = changed_meanings(run, built)
-    for key, was, is_ in _changes(old, new):
-        if _may_change(key, was, is_, committed):
+    for key, was, is_now in _changes(old, new):
+        if _may_change(key, was, is_now, committed):
             continue
         before = f"{committed} committed" if key == "job.comparison.draws" else _short(was)
-        changes[key.removeprefix("job.")] = f"{before} -> {_short(is_)}"
+        changes[key.removeprefix("job.")] = f"{before} -> {_short(is_now)}"
     differences = [f"{name}: {change}" for name, change in sorted(changes.items())]
     # How searches estimate follows from the job, unless nothing else differs.
     told = [line for line in differences if not line.startswith("estimations.")] or differences
@@ -194,9 +194,9 @@ def _changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[tuple[s
     """Give the key and both values of every leaf that differs."""
     before, after = dict(_flat(old)), dict(_flat(new))
     for key in sorted(before.keys() | after.keys()):
-        was, is_ = before.get(key, "nothing"), after.get(key, "nothing")
-        if was != is_:
-            yield key, was, is_
+        was, is_now = before.get(key, "nothing"), after.get(key, "nothing")
+        if was != is_now:
+            yield key, was, is_now
 
 
 def _short(value: Any) -> Any:
@@ -211,13 +211,13 @@ def _mismatch(path: Path, differences: list[str]) -> RunMismatchError:
     )
 
 
-def _may_change(key: str, was: Any, is_: Any, committed: int) -> bool:
+def _may_change(key: str, was: Any, is_now: Any, committed: int) -> bool:
     """Whether a run goes on all the same: with more draws, or until its intervals are narrower."""
-    if "nothing" in (was, is_):
+    if "nothing" in (was, is_now):
         return False
     if key == "job.comparison.until.half_width":
-        return bool(is_ < was)
-    return bool(key == "job.comparison.draws" and is_ >= committed)
+        return bool(is_now < was)
+    return bool(key == "job.comparison.draws" and is_now >= committed)
 
 
 def _flat(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
