@@ -22,7 +22,7 @@ from benchmarks.results import Tables, markdown
 from benchmarks.search_runs import fresh_costs, search
 from pfdist import Job, load_job
 from pfdist.job import Execution
-from pfdist.kernels.noise import stream_key
+from pfdist.kernels.streams import stream_key
 from pfdist.measurement_times import Times
 from pfdist.particle_filter import KERNEL_VERSION
 from pfdist.plots.style import BLUE, COLUMN_INCHES, GREEN, GREY, ORANGE, RED

@@ -21,10 +21,10 @@ from pfdist.kernels.formulas import formulas_of
 from pfdist.kernels.fused_filter import fused_filter
 from pfdist.kernels.libm import libm_functions, makes_arrays
 from pfdist.kernels.moments import ESTIMATORS
-from pfdist.kernels.noise import stream_key
 from pfdist.kernels.prefixes import plan
 from pfdist.kernels.resampling import RESAMPLE, SORTED
 from pfdist.kernels.scratch import WithScratch
+from pfdist.kernels.streams import stream_key
 from pfdist.measurement_times import Times, validated
 from pfdist.models import StateSpaceModel, squared_error
 

@@ -6,6 +6,7 @@ from decimal import Decimal
 _DIGITS = 5  # of a number without an error
 _DIGITS_OF_UNKNOWN = 3  # of a number whose error is not known
 _SMALLEST, _LARGEST = 1e-4, 1e6  # between these no exponent is written
+_SMALLEST_PLACE = -5  # a zero is not written with more decimals than the smallest of these numbers
 _MOST_DIGITS = 12  # beyond them a double's own rounding begins to show
 
 
@@ -66,7 +67,7 @@ def with_error(value: float | None, error: float | None, sign: bool = False) -> 
         return f"{rounded(value, sign=sign)} ± {error:.1e}"
     if _SMALLEST <= size < _LARGEST:
         return f"{_fixed(value, place, plus)} ± {_fixed(error, place)}"
-    exponent = _exponent(size)
+    exponent = int(f"{size:.{_exponent(size) - place}e}".partition("e")[2])  # once it is rounded
     # As decimals: a power of ten may be too large or too small for a double.
     mantissa, error_part = (Decimal(part).scaleb(-exponent) for part in (value, error))
     decimals = max(0, exponent - place)
@@ -108,8 +109,8 @@ def _word(value: float | None) -> str:
 
 
 def _exponent(value: float) -> int:
-    """Of the first significant digit; 0 for 0."""
-    return math.floor(math.log10(abs(value))) if value else 0
+    """Exponent of the first significant digit; 0 for 0."""
+    return Decimal(value).adjusted() if value else 0
 
 
 def _last_place(error: float) -> int:
@@ -119,8 +120,11 @@ def _last_place(error: float) -> int:
 
 def _text(value: float, place: int, plus: str = "") -> str:
     """Round to a decimal place, with an exponent where the number is large or small."""
-    if value and not _SMALLEST <= abs(value) < _LARGEST and _exponent(value) >= place:
-        return f"{value:{plus}.{_exponent(value) - place}e}"
+    nearest = round(value, -place) + 0.0
+    if nearest and not _SMALLEST <= abs(nearest) < _LARGEST:
+        return f"{nearest:{plus}.{max(0, _exponent(nearest) - place)}e}"
+    if not nearest and place < _SMALLEST_PLACE:
+        return f"{0:{plus}}"
     return _fixed(value, place, plus)
 
 

@@ -6,6 +6,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 PLANNER: Final = "survivors"
 AUTO: Final = "auto"
+CLEAR_ERRORS: Final = 4.0
+"""By so many standard errors two estimates differ where chance alone would not explain it."""
 _FEWEST, _SHARE = 100, 5  # of the particles of a search's own filter
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=40)]

@@ -71,12 +71,28 @@ def test_rounding_moves_neither_by_more_than_half_of_the_errors_second_digit(
         (0.25, 0.25, 0.25, ("0.25000", "0.25000", "0.25000")),
         (14.7351, None, None, ("14.7", "unknown", "unknown")),
         (-8e108, -9e108, -7e108, ("-8.0e+108", "-9.0e+108", "-7.0e+108")),
+        (1e-9, 0.0, 2e-9, ("1.0e-09", "0", "2.0e-09")),
+        (1e-9, 1e-12, 2e-9, ("1.0e-09", "0", "2.0e-09")),
+        (9.99e-9, 8.9e-9, 1.1e-8, ("1.00e-08", "8.9e-09", "1.10e-08")),
     ],
 )
 def test_an_interval_has_the_places_of_two_digits_of_its_half_width(
     value: float, low: float | None, high: float | None, texts: tuple[str, ...]
 ) -> None:
     assert with_interval(value, low, high) == texts
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [
+        (9.99e-9, 1e-9, "(1.00 ± 0.10)e-08"),
+        (9.99e9, 1e9, "(1.00 ± 0.10)e+10"),
+        (1e-320, 1e-321, "(1.00 ± 0.10)e-320"),  # a double of few digits
+        (0.0, 1e-9, "(0.0 ± 1.0)e-09"),
+    ],
+)
+def test_the_exponent_is_that_of_the_rounded_value(value: float, error: float, text: str) -> None:
+    assert with_error(value, error) == text
 
 
 def test_a_number_without_an_error_has_five_digits() -> None:

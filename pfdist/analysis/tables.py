@@ -194,7 +194,7 @@ class Run:
     def _budget_results(self) -> dict[str, Any]:
         results = dict[str, Any]()
         for row in self.budget().to_dict("records"):
-            result: dict[str, Any] = {str(key): its for key, its in row.items()}
+            result: dict[str, Any] = {str(key): value for key, value in row.items()}
             name, worse_than = result.pop("name"), result["worse_than"]
             result["worse_than"] = None if pd.isna(worse_than) else worse_than
             if result["kind"] == FOUND:
@@ -255,13 +255,20 @@ class Run:
         """How far what a search believed is from the truth, and how it estimates otherwise."""
         mse = result["expected_mse"]
         comparable = mse != 0.0 and math.isfinite(mse)
-        own = self.own_estimation(search)
+        own, count = self.own_estimation(search), self._evaluations_of(search)
         return {
             "search_excess": result["search_cost"] / mse - 1.0 if comparable else math.nan,
             "search_estimation": own,
-            "search_cause": cause_of_excess(result, own),
+            "search_cause": cause_of_excess(result, own, str(self.path), count),
             "search_distrust": self.distrust(search),
         }
+
+    def _evaluations_of(self, search: str) -> int:
+        """How many sets a search evaluated, polishing and shortlist among them."""
+        if not self._store.has("evaluations"):
+            return 1
+        phases = self.evaluations()["phase"].astype(str).str.partition(".")[0]
+        return max(1, int((phases == search).sum()))
 
     @property
     def knows_estimations(self) -> bool:

@@ -13,8 +13,6 @@ additions, multiplications (fused ones too) and square roots of float32 are used
 compiled and plain noise agree to the last bit on every machine.
 """
 
-import hashlib
-import json
 from collections.abc import Callable
 from functools import cache
 from typing import Any, SupportsIndex
@@ -24,6 +22,7 @@ from numpy.typing import NDArray
 
 from pfdist.kernels.arithmetic import LANES, fma
 from pfdist.kernels.melting import inlined, melted
+from pfdist.kernels.streams import stream_key
 from pfdist.kernels.threefry import threefry4x32
 
 # What a noise is for. The simulation's roles and the filter's never meet in one stream, but
@@ -35,23 +34,6 @@ FILTER_INITIAL, FILTER_PROCESS, RESAMPLING = np.arange(3, 6)
 # Particles come in tiles: the four words of each of LANES blocks lie LANES apart, so that the
 # compiled loop over the blocks writes whole vectors.
 TILE = 4 * LANES
-
-
-def stream_key(*parts: Any) -> int:
-    """Hash what a stream of noise is for to 64 bits.
-
-    Parameters
-    ----------
-    *parts : JSON values
-        For instance the seed, a phase's name, a generation, measurement times.
-
-    Returns
-    -------
-    int
-        The same for the same parts, always and everywhere.
-    """
-    text = json.dumps(parts, separators=(",", ":"), sort_keys=True)
-    return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=8).digest(), "little")
 
 
 def generator(*parts: Any) -> np.random.Generator:

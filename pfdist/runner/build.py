@@ -9,7 +9,7 @@ from typing import Any
 from pfdist.draws import Draws
 from pfdist.errors import CompileError, EngineWarning, ModelError
 from pfdist.job import Execution, Job
-from pfdist.kernels.noise import stream_key
+from pfdist.kernels.streams import stream_key
 from pfdist.measurement_times import Times
 from pfdist.monte_carlo import NUMPY_TIMES_SLOWER, Problem
 from pfdist.particle_filter import KERNEL_VERSION

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import pyarrow as pa
 
 from pfdist.errors import TaskError
-from pfdist.kernels.noise import stream_key
+from pfdist.kernels.streams import stream_key
 from pfdist.runner.pace import Pace, bundles
 from pfdist.runner.pool import Outcome, Pool, Task
 from pfdist.store import Store, schema

@@ -15,7 +15,6 @@ from typing import Any
 from pfdist.analysis import read_recorded
 from pfdist.errors import RunMismatchError, StoreError, shown_text
 from pfdist.job import Job, job_toml
-from pfdist.kernels.noise import stream_key
 from pfdist.particle_filter import KERNEL_VERSION
 from pfdist.runner.build import Built
 from pfdist.runner.processor import processor
@@ -29,6 +28,8 @@ from pfdist.store import (
     has_key,
     held,
     holds_run,
+    key_of,
+    own_key,
     write_job,
     write_run,
 )
@@ -58,8 +59,8 @@ def opened(path: Path, built: Built, say: Callable[[str], Any]) -> Iterator[Stor
         Another process computes it, it cannot be read or written, or holds other things than a run.
     """
     identity = _identity(built)
-    key = _key(identity, built.job)
-    known = has_key(path, key)
+    key = key_of(identity, built.job.identity())
+    known = has_key(path, key) or own_key(path) == key
     store = Store(path, key if known else None)  # another run is looked at by its own key
     if not known and not holds_run(path):
         _check_free(path)
@@ -117,14 +118,6 @@ def estimations(built: Built) -> dict[str, dict[str, Any]]:
     return {search.name: vars(search.settings.estimation) for search in built.searches}
 
 
-def _key(identity: Mapping[str, Any], job: Job) -> str:
-    """Hash what may not change while a run goes on."""
-    fixed = job.identity()
-    for changing in ("draws", "until"):
-        del fixed["comparison"][changing]
-    return f"{stream_key(identity, fixed):016x}"
-
-
 def _identity(built: Built) -> dict[str, Any]:
     return {
         "schema_version": SCHEMA_VERSION,
@@ -158,7 +151,7 @@ def changed_meanings(run: Mapping[str, Any], built: Built) -> dict[str, str]:
     old, new = (
         {"model": about["model"], "model.filter": about["filter_model"]} for about in (run, now)
     )
-    return {key: f"{_short(was)} -> {_short(is_)}" for key, was, is_ in _changes(old, new)}
+    return {key: f"{_short(was)} -> {_short(is_now)}" for key, was, is_now in _changes(old, new)}
 
 
 def _check_free(path: Path) -> None:
@@ -175,16 +168,16 @@ def _check_free(path: Path) -> None:
 
 
 def _check_same(store: Store, built: Built, identity: dict[str, Any], committed: int) -> None:
-    (run, its), job = read_recorded(store.path), built.job
+    (run, old_job), job = read_recorded(store.path), built.job
     models = meanings(built)
-    old = {"job": its, **{name: run.get(name) for name in identity if name not in models}}
+    old = {"job": old_job, **{name: run.get(name) for name in identity if name not in models}}
     new = {"job": job.identity(), **{k: v for k, v in identity.items() if k not in models}}
     changes = changed_meanings(run, built)
-    for key, was, is_ in _changes(old, new):
-        if _may_change(key, was, is_, committed):
+    for key, was, is_now in _changes(old, new):
+        if _may_change(key, was, is_now, committed):
             continue
         before = f"{committed} committed" if key == "job.comparison.draws" else _short(was)
-        changes[key.removeprefix("job.")] = f"{before} -> {_short(is_)}"
+        changes[key.removeprefix("job.")] = f"{before} -> {_short(is_now)}"
     differences = [f"{name}: {change}" for name, change in sorted(changes.items())]
     # How searches estimate follows from the job, unless nothing else differs.
     told = [line for line in differences if not line.startswith("estimations.")] or differences
@@ -203,9 +196,9 @@ def _changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[tuple[s
     """Give the key and both values of every leaf that differs."""
     before, after = dict(_flat(old)), dict(_flat(new))
     for key in sorted(before.keys() | after.keys()):
-        was, is_ = before.get(key, "nothing"), after.get(key, "nothing")
-        if was != is_:
-            yield key, was, is_
+        was, is_now = before.get(key, "nothing"), after.get(key, "nothing")
+        if was != is_now:
+            yield key, was, is_now
 
 
 def _short(value: Any) -> str:
@@ -229,13 +222,13 @@ def _too_few(path: Path, job: Job, committed: int) -> StoreError:
     )
 
 
-def _may_change(key: str, was: Any, is_: Any, committed: int) -> bool:
+def _may_change(key: str, was: Any, is_now: Any, committed: int) -> bool:
     """Whether a run goes on all the same: with more draws, or until its intervals are narrower."""
-    if "nothing" in (was, is_):
+    if "nothing" in (was, is_now):
         return False
     if key == "job.comparison.until.half_width":
-        return bool(is_ < was)
-    return bool(key == "job.comparison.draws" and is_ >= committed)
+        return bool(is_now < was)
+    return bool(key == "job.comparison.draws" and is_now >= committed)
 
 
 def _flat(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:

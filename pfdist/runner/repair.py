@@ -5,13 +5,19 @@ from pathlib import Path
 
 from pfdist.errors import StoreError
 from pfdist.store import (
+    ABOUT,
     Damage,
+    Manifest,
     Store,
     check_not_held,
     held,
     holds_run,
+    keep_key,
+    kept_keys,
     lacking_evaluations,
+    own_key,
     read_run,
+    run_key,
     strange_entries,
     verify,
 )
@@ -26,9 +32,9 @@ def verify_run(path: Path) -> Iterator[Damage]:
         The folder holds no run, one without checksums, or one that is being computed; or a file
         cannot be read.
     """
-    store = _store(path)
+    _check_verifiable(path)
     check_not_held(path)
-    yield from verify(store)
+    yield from verify(Store(path))
 
 
 def repair_run(path: Path) -> Iterator[str]:
@@ -39,21 +45,44 @@ def repair_run(path: Path) -> Iterator[str]:
     StoreError
         As `verify_run`; or another process computes the run, or a file cannot be moved.
     """
-    store = _store(path)
+    _check_verifiable(path)
     with held(path):
+        manifest = Manifest(path)
         strange = [Damage(*entry) for entry in strange_entries(path)]
-        yield from _moved(store, strange)  # first: nothing is read past a link
-        damages = list(store.manifest.damages())
-        yield from _moved(store, damages)
-        if strange or damages:
+        moved = list(_moved(manifest, strange))  # first: nothing is read past a link
+        moved += _with_one_key(path)
+        store = Store(path)
+        moved += _moved(store.manifest, list(store.manifest.damages()))
+        yield from moved
+        if moved:
             yield f"the job, run again with --results {path}, makes it again: {_to_do(store)}"
 
 
-def _moved(store: Store, damages: list[Damage]) -> Iterator[str]:
+def _with_one_key(path: Path) -> Iterator[str]:
+    """Have a folder keep the key of one run, and say what was done."""
+    keys, own = kept_keys(path), own_key(path)
+    try:
+        run_key(path)
+    except StoreError:
+        kept = ", ".join(keys[:3]) + (", ..." if len(keys) > 3 else "") if keys else "no key"
+    else:
+        return
+    if own is not None:
+        keep_key(path, own)
+        yield f"manifest/run held {kept}: it holds {own} now, which job.toml and run.json give"
+        return
+    yield f"manifest/run holds {kept}, and job.toml and run.json do not say which is the run's own"
+    found = [Path(name) for name in ABOUT]
+    found += [file.relative_to(path) for file in sorted(path.glob("tables/*/*.parquet"))]
+    found += [file.relative_to(path) for file in sorted(path.glob("parts/*/*.parquet"))]
+    yield from _moved(Manifest(path), [Damage(file, "may be another run's") for file in found])
+
+
+def _moved(manifest: Manifest, damages: list[Damage]) -> Iterator[str]:
     """Move damaged files to quarantine, and say of each what was wrong and where it is now."""
     for damage in damages:
-        place = store.manifest.quarantine(damage)
-        moved = f": it is now {place.relative_to(store.path)}" if place else ""
+        place = manifest.quarantine(damage)
+        moved = f": it is now {place.relative_to(manifest.folder)}" if place else ""
         yield f"{damage.path} {damage.what}{moved}"
 
 
@@ -69,11 +98,11 @@ def _to_do(store: Store) -> str:
     return ", ".join(parts) or "nothing that takes time"
 
 
-def _store(path: Path) -> Store:
-    store = Store(path)
-    if not holds_run(path) and not store.manifest.exists():
+def _check_verifiable(path: Path) -> None:
+    exists = Manifest(path).exists()
+    if not holds_run(path) and not exists:
         raise StoreError(f"{path} holds no run: there is no run.json in it")
-    if not store.manifest.exists():
+    if not exists:
         run, _ = read_run(path)
         raise StoreError(
             f"{path} was written by schema version 1, which kept no checksums: it can be read, "
@@ -81,4 +110,3 @@ def _store(path: Path) -> Store:
             if run["schema_version"] == 1
             else f"{path} has lost its folder manifest, which says what its files must hold"
         )
-    return store

@@ -29,7 +29,14 @@ from pfdist.runner.progress import Progress, Report
 from pfdist.runner.searches import NamedSearch
 from pfdist.search import Candidate, Exchange, Probe, Race
 from pfdist.search.base import FINALISTS
-from pfdist.search.trust import PROBE_DRAWS, failed_probe, misordered, wrong_order
+from pfdist.search.trust import (
+    PROBE_DRAWS,
+    failed_probe,
+    judged,
+    misordered,
+    unchecked_probe,
+    wrong_order,
+)
 
 _UNPOLISHED = 2  # that race all the same
 _REACH = 2.5  # mean gaps: how far an exchange that polishes moves a time
@@ -93,6 +100,7 @@ class _Runner:
     collector: Collector
     progress: Progress
     report: Report
+    say: Callable[[str], Any]
 
     def run(self, phase: Phase[E]) -> list[E]:
         """Give what a phase ended with, without the sets that degenerate draws have killed."""
@@ -115,9 +123,13 @@ class _Runner:
         led = [*attempt.leaders, *(attempt.found if self.built.numbers else ())]
         sought = dict.fromkeys(Candidate(one.measurement_times, one.end) for one in led)
         phase = _probing(self.built, search, tuple(sought))
-        failed = run_phase(phase, self.collector, self.progress, self.report)
+        probe = run_phase(phase, self.collector, self.progress, self.report)
         self.progress = replace(self.progress, done=self.progress.done + phase.steps())
-        return failed_probe(*failed) if failed else None
+        if probe and not judged(*probe).known:
+            by = f"{search.settings.estimation.estimator} could not be checked"
+            self.say(f"search {search.name}: {by}: {unchecked_probe(*probe)}")
+            return None
+        return failed_probe(*probe) if probe else None
 
     def race(self, search: NamedSearch, attempt: _Attempt) -> list[ShortlistEvaluation]:
         """Let the sets that were found race, if there are several; give all, the winner first."""
@@ -170,7 +182,7 @@ def run_search(
     TaskError, PoolError, StoreError
         A task failed, no worker answers, or a file cannot be read or written.
     """
-    runner = _Runner(built, collector, progress, report)
+    runner = _Runner(built, collector, progress, report, say)
     attempt = runner.attempt(search)
     again = search.again
     distrust = runner.distrust(search, attempt) if again else None

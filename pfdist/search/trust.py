@@ -28,13 +28,12 @@ from pfdist.feasible import Feasible
 from pfdist.measurement_times import Times
 from pfdist.search.base import Candidate
 from pfdist.search.paired import difference
+from pfdist.search_sections import CLEAR_ERRORS
 
 PROBE_DRAWS = 500
 """Draws of the first round of probes."""
 BELOW = 0.15
-"""An estimator fails that lies this share below the squared error,"""
-ERRORS = 4.0
-"""and so many standard errors."""
+"""An estimator fails that lies this share, and `CLEAR_ERRORS`, below the squared error."""
 
 _MOST_DRAWS = 8000
 _RANDOM_SETS = 3
@@ -53,11 +52,14 @@ class Verdict(NamedTuple):
     fails : bool
     open : bool
         Whether more draws may change that.
+    known : bool
+        Whether enough draws could be used to say anything.
     """
 
     excess: float
     fails: bool
     open: bool
+    known: bool = True
 
 
 def judged(estimated: Evaluation, squared: Evaluation) -> Verdict:
@@ -71,11 +73,11 @@ def judged(estimated: Evaluation, squared: Evaluation) -> Verdict:
     """
     usable = np.isfinite(estimated.mse) & np.isfinite(squared.mse)
     if np.sum(usable) < 2:
-        return Verdict(-math.inf, fails=False, open=False)
+        return Verdict(-math.inf, fails=False, open=False, known=False)
     estimates, errors = estimated.mse[usable], squared.mse[usable]
     excess = _standard_scores((1 - BELOW) * errors - estimates)
     below = _standard_scores(errors - estimates)
-    fails = excess > 0 and below > ERRORS
+    fails = excess > 0 and below > CLEAR_ERRORS
     return Verdict(excess, fails, open=not fails and excess > -_SURE)
 
 
@@ -96,11 +98,14 @@ class ProbeState:
         Draws of the next round.
     failed : tuple of ProbeEvaluation
         By the estimator and by the squared error, for the probe on which the estimator failed.
+    unknown : tuple of ProbeEvaluation
+        The same for the first probe on which it could not be checked.
     """
 
     undecided: tuple[Candidate, ...] | None = None
     draws: int = PROBE_DRAWS
     failed: tuple[ProbeEvaluation, ...] = ()
+    unknown: tuple[ProbeEvaluation, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -159,6 +164,7 @@ class Probe:
         if failed:  # a whole set, if there is any: its figures say most to a reader
             told = min(failed, key=lambda place: pairs[place][0].end is not None)
             return replace(state, undecided=(), failed=pairs[told])
+        unknown = [pair for pair, verdict in zip(pairs, verdicts, strict=True) if not verdict.known]
         undecided = [place for place in order if verdicts[place].open]
         if 2 * state.draws > _MOST_DRAWS:
             undecided = []
@@ -166,8 +172,9 @@ class Probe:
         probes = (pairs[place][0] for place in worse)
         return replace(
             state,
-            undecided=tuple(Candidate(one.measurement_times, one.end) for one in probes),
+            undecided=tuple(Candidate(probe.measurement_times, probe.end) for probe in probes),
             draws=2 * state.draws,
+            unknown=state.unknown or (unknown[0] if unknown else ()),
         )
 
     def done(self, state: ProbeState) -> bool:
@@ -175,8 +182,8 @@ class Probe:
         return state.undecided == ()
 
     def finalists(self, state: ProbeState) -> tuple[ProbeEvaluation, ...]:
-        """Give both evaluations of the probe on which the estimator failed, if it has."""
-        return state.failed
+        """Give both evaluations of the probe on which it failed, or could not be checked."""
+        return state.failed or state.unknown
 
 
 def new_leaders(told: Iterable[E], before: Iterable[E]) -> list[E]:
@@ -227,15 +234,17 @@ def misordered(
     squared : sequence of Evaluation
         By the squared error of the job's own filter, on common draws.
     """
-    for one, other in combinations(squared, 2):
-        real = difference(one, other)
-        better, worse = (one, other) if real.mean < 0 else (other, one)
-        told_apart = real.is_worse(ERRORS) or real.is_better(ERRORS)
+    for first, second in combinations(squared, 2):
+        real = difference(first, second)
+        better, worse = (first, second) if real.mean < 0 else (second, first)
+        told_apart = real.is_worse(CLEAR_ERRORS) or real.is_better(CLEAR_ERRORS)
         if not math.isfinite(real.mean) or not told_apart:
             continue
         seen = difference(*(believed[each.measurement_times] for each in (better, worse)))
         apart = seen.mean + abs(real.mean)
-        if seen.mean > 0 and apart > ERRORS * math.hypot(real.standard_error, seen.standard_error):
+        if seen.mean > 0 and apart > CLEAR_ERRORS * math.hypot(
+            real.standard_error, seen.standard_error
+        ):
             return better, worse
     return None
 
@@ -255,6 +264,21 @@ def failed_probe(estimated: Evaluation, squared: Evaluation) -> str:
     return (
         f"it gives {estimate:.4g} for {_text(estimated.measurement_times)}{upto}, where the "
         f"squared error of the job's own filter is {error:.4g} ± {spread:.2g}"
+    )
+
+
+def unchecked_probe(estimated: Evaluation, squared: Evaluation) -> str:
+    """Say in words on which probe an estimator could not be checked.
+
+    Parameters
+    ----------
+    estimated, squared : Evaluation
+        As `judged` takes them.
+    """
+    usable = int(np.sum(np.isfinite(estimated.mse) & np.isfinite(squared.mse)))
+    return (
+        f"in {_text(estimated.measurement_times)} only {usable} of {estimated.mse.size} draws had "
+        "no degenerate filter, and 2 are needed; more filter.particles would help"
     )
 
 

@@ -8,16 +8,15 @@ from pfdist.store.about import read_run, unreadable
 from pfdist.store.files import remove as remove_file
 from pfdist.store.files import write_file
 from pfdist.store.folder import (
-    ABOUT,
     add_to_provenance,
     confirm,
-    has_key,
     holds_run,
     write_job,
     write_run,
 )
+from pfdist.store.keys import ABOUT, has_key, keep_key, kept_keys, key_of, own_key, run_key
 from pfdist.store.lock import check_not_held, held
-from pfdist.store.manifest import Damage
+from pfdist.store.manifest import Damage, Manifest
 from pfdist.store.parquet import ROWS_IN_A_FILE, Store
 from pfdist.store.schema import SCHEMA_VERSION, comparison_schema, schema, trajectories_schema
 from pfdist.store.strange import check_entries, strange_entries
@@ -28,6 +27,7 @@ __all__ = [
     "ROWS_IN_A_FILE",
     "SCHEMA_VERSION",
     "Damage",
+    "Manifest",
     "Store",
     "add_to_provenance",
     "check_entries",
@@ -37,9 +37,14 @@ __all__ = [
     "has_key",
     "held",
     "holds_run",
+    "keep_key",
+    "kept_keys",
+    "key_of",
     "lacking_evaluations",
+    "own_key",
     "read_run",
     "remove_file",
+    "run_key",
     "schema",
     "strange_entries",
     "trajectories_schema",

@@ -59,11 +59,11 @@ class Manifest:
     """
 
     def __init__(self, folder: Path, run_key: str | None = None) -> None:
-        self._folder, self._run_key = folder, run_key
+        self.folder, self._run_key = folder, run_key
 
     def exists(self) -> bool:
         """Whether there is one: runs of schema version 1 have none."""
-        return (self._folder / FOLDER).is_dir()
+        return (self.folder / FOLDER).is_dir()
 
     def expect(self, path: Path, stamp: str) -> list[Path]:
         """Say what a file is going to hold, before it gets its name.
@@ -89,12 +89,12 @@ class Manifest:
     def forget_lost(self) -> None:
         """Expect no more what is not there, once all was made that can be made again."""
         for path in self.lost():
-            for entry in self._entry(self._folder / path).glob("*"):
+            for entry in self._entry(self.folder / path).glob("*"):
                 files.remove(entry)
 
     def lost(self) -> list[Path]:
         """Files that are expected and not there, relative to the run's folder."""
-        return sorted(path for path in self._entries() if not (self._folder / path).exists())
+        return sorted(path for path in self._entries() if not (self.folder / path).exists())
 
     def stamps(self) -> dict[Path, set[str]]:
         """What each file may hold, by its path relative to the run's folder."""
@@ -102,6 +102,10 @@ class Manifest:
             path: {name.removesuffix(_NEW) for name in names}
             for path, names in self._entries().items()
         }
+
+    def stamps_of(self, path: Path) -> set[str]:
+        """What one file may hold."""
+        return {entry.name.removesuffix(_NEW) for entry in self._entry(path).glob("*")}
 
     def damages(self) -> Iterator[Damage]:
         """Read every file of the run and give those that are not what was committed.
@@ -114,12 +118,12 @@ class Manifest:
         StoreError
             A file cannot be read.
         """
-        strange = [Damage(path, wrong) for path, wrong in strange_entries(self._folder)]
+        strange = [Damage(path, wrong) for path, wrong in strange_entries(self.folder)]
         if strange:
             yield from strange
             return
         entries, stamps = self._entries(), self.stamps()
-        present = {file.relative_to(self._folder) for file in self._files()}
+        present = {file.relative_to(self.folder) for file in self._files()}
         for path in sorted(present | entries.keys()):
             if path not in present:
                 if any(not name.endswith(_NEW) for name in entries[path]):
@@ -134,7 +138,7 @@ class Manifest:
 
         It is expected from now on, if it is one that the run could have made.
         """
-        path, folder = self._folder / damage.path, self._folder / QUARANTINE / damage.path.parent
+        path, folder = self.folder / damage.path, self.folder / QUARANTINE / damage.path.parent
         if not os.path.lexists(path):
             return None
         if damage.path.parts[0] in (FOLDER, QUARANTINE):
@@ -152,10 +156,10 @@ class Manifest:
         if not any(map(_STAMP.fullmatch, expected)):
             return "is not a file of this run"
         try:
-            digest = files.digest(self._folder / path)
+            digest = files.digest(self.folder / path)
             if digest not in {stamp.partition("-")[2] for stamp in expected}:
                 return "is not what was committed: its SHA-256 differs"
-            key = signed_by(self._folder / path) if path.suffix == ".parquet" else self._run_key
+            key = signed_by(self.folder / path) if path.suffix == ".parquet" else self._run_key
         except FileNotFoundError:  # published meanwhile
             return ""
         except StoreError:
@@ -164,14 +168,14 @@ class Manifest:
             if error.errno != errno.EIO:  # the disk's fault, and not that of who asks
                 raise StoreError(f"cannot read {path}: {error.strerror}") from error
             return f"cannot be read: {error.strerror}"
-        return "belongs to another run" if self._run_key not in (None, key) else ""
+        return "" if key == self._run_key else "belongs to another run"
 
     def _entry(self, path: Path) -> Path:
-        return self._folder / FOLDER / path.relative_to(self._folder)
+        return self.folder / FOLDER / path.relative_to(self.folder)
 
     def _entries(self) -> dict[Path, set[str]]:
         found: dict[Path, set[str]] = {}
-        root = self._folder / FOLDER
+        root = self.folder / FOLDER
         try:
             for entry in root.rglob("*"):
                 if _STAMP.fullmatch(entry.name.removesuffix(_NEW)):
@@ -182,10 +186,10 @@ class Manifest:
 
     def _files(self) -> Iterator[Path]:
         for name in ("job.toml", "run.json"):
-            if (self._folder / name).exists():
-                yield self._folder / name
+            if (self.folder / name).exists():
+                yield self.folder / name
         for folder in ("parts", "tables"):
-            for path in (self._folder / folder).rglob("*"):
+            for path in (self.folder / folder).rglob("*"):
                 if path.is_file() and not files.is_temporary(path):
                     yield path
 

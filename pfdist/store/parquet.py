@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from pfdist.errors import StoreError
 from pfdist.store import files
-from pfdist.store.folder import run_key as folder_key
+from pfdist.store.keys import run_key as folder_key
 from pfdist.store.manifest import Manifest
 from pfdist.store.schema import KEYS, schema
 from pfdist.store.tables import cut_rows, read_file, signed

@@ -76,7 +76,7 @@ def read_file(
     filters : pyarrow.compute.Expression, optional
         Which rows are wanted.
     run_key : str, optional
-        The run that the file must belong to.
+        The run that the file must belong to; None: a run whose files carry no key.
 
     Raises
     ------
@@ -102,9 +102,10 @@ def read_file(
             f"{path} is of schema version {version}; this pfdist reads up to {SCHEMA_VERSION}: "
             "use the newer pfdist that wrote it"
         )
-    if run_key is not None and metadata.get(RUN_KEY) != run_key.encode():
+    if metadata.get(RUN_KEY) != (run_key.encode() if run_key else None):
+        carries = f"the run's key {run_key}" if run_key else "no key"
         raise StoreError(
-            f"{path} belongs to another run: every file here must carry the run's key {run_key}, "
+            f"{path} belongs to another run: every file here must carry {carries}, "
             f"got {metadata.get(RUN_KEY, b'none').decode(errors='replace')}; `pfdist repair` moves "
             "such files to quarantine"
         )

@@ -13,7 +13,8 @@ from crash.runs import running
 from oracles.bytes_of import hashes
 from pfdist import Job
 from pfdist.cli import main
-from pfdist.kernels.noise import TRUTH_MEASUREMENT, stream_key, variates
+from pfdist.kernels.noise import TRUTH_MEASUREMENT, variates
+from pfdist.kernels.streams import stream_key
 from pfdist.runner import comparison_phase
 
 pytestmark = pytest.mark.usefixtures("no_figures")

@@ -17,8 +17,7 @@ from pfdist.runner import collect
 from pfdist.runner.pace import Pace
 from pfdist.runner.progress import Progress
 from pfdist.runner.repair import repair_run, verify_run
-from pfdist.store import Store
-from pfdist.store.folder import run_key
+from pfdist.store import Store, run_key
 from pfdist.store.tables import signed_by
 
 pytestmark = pytest.mark.fault
@@ -126,6 +125,89 @@ def test_a_reader_refuses_rows_of_another_run_and_repair_moves_them(
     assert capsys.readouterr().err.count("\n") == 1
     assert any("belongs to another run" in line for line in repair_run(run))
     assert not (run / file).exists()
+    record_property("faults", f"{PROMISE}: 1")
+
+
+def _with_the_others_key_alone(run: Path, other: Path) -> None:
+    shutil.rmtree(run / "manifest" / "run")
+    shutil.copytree(other / "manifest" / "run", run / "manifest" / "run")
+
+
+MIX: dict[str, Callable[[Path, Path], object]] = {
+    "both keys": lambda run, other: None,
+    "the other's key alone": _with_the_others_key_alone,
+    "no key": lambda run, other: shutil.rmtree(run / "manifest" / "run"),
+}
+
+
+@pytest.mark.parametrize("how", MIX)
+@pytest.mark.parametrize("state", ["finished", "comparing"])
+def test_two_runs_in_one_folder_are_told_apart_by_job_and_model(
+    how: str,
+    state: str,
+    job: Job,
+    runs: dict[tuple[int, str], Path],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    record_property: Record,
+) -> None:
+    run, other = shutil.copytree(runs[1, state], tmp_path / "run"), runs[2, state]
+    for folder in ["tables", "manifest", *(["parts"] if state == "comparing" else [])]:
+        shutil.copytree(other / folder, run / folder, dirs_exist_ok=True)
+    MIX[how](run, other)
+    for command in ("status", "verify", "plot"):
+        assert main([command, str(run)]) == 1
+        (line,) = capsys.readouterr().err.splitlines()
+        assert "manifest/run must hold the key" in line
+        assert f"`pfdist repair {run}`" in line
+    with pytest.raises(StoreError):
+        pfdist.open_run(run)
+    again = shutil.copytree(run, tmp_path / "again")  # going on heals it, too
+    said = list(repair_run(run))
+    assert f"it holds {run_key(runs[1, state])} now" in said[0]
+    assert [line for line in said if "belongs to another run" in line]
+    for folder in (run, again):
+        pfdist.run(job, folder)
+        assert hashes(folder) == hashes(runs[1, "finished"])
+        assert not list(verify_run(folder))
+    record_property("faults", f"{PROMISE}: 2")
+
+
+def test_where_nothing_says_whose_files_they_are_repair_moves_them_all(
+    job: Job, runs: dict[tuple[int, str], Path], tmp_path: Path, record_property: Record
+) -> None:
+    run = shutil.copytree(runs[1, "finished"], tmp_path / "run")
+    for folder in ("tables", "manifest"):
+        shutil.copytree(runs[2, "finished"] / folder, run / folder, dirs_exist_ok=True)
+    (run / "run.json").write_text("{}")
+    files = [path.relative_to(run) for path in run.glob("tables/*/*.parquet")]
+    with pytest.raises(StoreError, match="must hold one run's key, got 2 keys"):
+        list(verify_run(run))
+    said = list(repair_run(run))
+    assert "do not say which is the run's own" in said[0]
+    assert not list(run.glob("tables/*/*.parquet"))
+    assert all((run / "quarantine" / file).exists() for file in files)
+    pfdist.run(job, run)  # either job goes on from there
+    assert hashes(run) == hashes(runs[1, "finished"])
+    assert not list(verify_run(run))
+    record_property("faults", f"{PROMISE}: 1")
+
+
+def test_a_signed_file_is_no_file_of_a_run_of_an_older_version(
+    runs: dict[tuple[int, str], Path], tmp_path: Path, record_property: Record
+) -> None:
+    old = Path(__file__).parents[1] / "assets" / "schema-2"
+    run = shutil.copytree(old, tmp_path / "run")
+    table = next(path for path in run.glob("tables/compared/*.parquet")).relative_to(run)
+    for name in (table, "manifest" / table):
+        copy = shutil.copytree if (run / name).is_dir() else shutil.copy
+        shutil.rmtree(run / name) if (run / name).is_dir() else (run / name).unlink()
+        foreign = runs[1, "finished"] / name
+        source = foreign if foreign.exists() else next(foreign.parent.glob("*"))
+        copy(source, run / name)
+    assert [damage.what for damage in verify_run(run)] == ["belongs to another run"]
+    with pytest.raises(StoreError, match="every file here must carry no key"):
+        pfdist.open_run(run).compared()
     record_property("faults", f"{PROMISE}: 1")
 
 

@@ -9,7 +9,8 @@ from numba import njit
 from scipy import stats
 
 from pfdist.kernels import noise
-from pfdist.kernels.noise import FILL, LANES, TILE, filler, generator, padded, stream_key, variates
+from pfdist.kernels.noise import FILL, LANES, TILE, filler, generator, padded, variates
+from pfdist.kernels.streams import stream_key
 from pfdist.kernels.threefry import threefry4x32
 
 KINDS = tuple(FILL)

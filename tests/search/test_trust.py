@@ -13,14 +13,15 @@ from pfdist.measurement_times import Times
 from pfdist.search import Candidate
 from pfdist.search.trust import (
     BELOW,
-    ERRORS,
     PROBE_DRAWS,
     Probe,
     ProbeState,
     judged,
     misordered,
     new_leaders,
+    unchecked_probe,
 )
+from pfdist.search_sections import CLEAR_ERRORS
 
 Array = NDArray[np.float64]
 FEASIBLE = Feasible(horizon=12, measurement_budget=3)
@@ -43,8 +44,8 @@ def _pair(estimate: Array, error: Array) -> tuple[ProbeEvaluation, ProbeEvaluati
     [
         (1.0 - BELOW - 0.01, 0.01, True),
         (1.0 - BELOW + 0.01, 0.001, False),  # far more than 4 standard errors, and not 15 %
-        (0.5, 0.5 / (ERRORS + 0.1), True),
-        (0.5, 0.5 / (ERRORS - 0.1), False),  # a half, and not 4 standard errors
+        (0.5, 0.5 / (CLEAR_ERRORS + 0.1), True),
+        (0.5, 0.5 / (CLEAR_ERRORS - 0.1), False),  # a half, and not 4 standard errors
         (2.0, 0.01, False),  # too large is another matter: no search seeks that
     ],
 )
@@ -62,6 +63,24 @@ def test_draws_in_which_a_filter_was_degenerate_say_nothing() -> None:
     error, estimate = _with_moments(1.0, 0.01), np.full(PROBE_DRAWS, 0.5)
     error[::2] = np.nan
     assert judged(*_pair(estimate, error)).fails
+
+
+@pytest.mark.parametrize("usable", [0, 1])
+def test_an_estimator_that_no_draws_can_check_is_said_to_be_unchecked(usable: int) -> None:
+    def error(one: Candidate) -> Array:
+        errors = _with_moments(1.0, 0.01)
+        if one.measurement_times == (4, 5, 6):
+            errors[usable:] = np.nan
+        return errors
+
+    assert not judged(*_pair(np.ones(PROBE_DRAWS), error(Candidate((4, 5, 6))))).known
+    state, _ = _probe(lambda one: 1.0, error)
+    pair = Probe(FEASIBLE).finalists(state)
+    assert not state.failed
+    assert [one.measurement_times for one in pair] == 2 * [(4, 5, 6)]
+    text = unchecked_probe(*pair)
+    assert f"in {{4, 5, 6}} only {usable} of {PROBE_DRAWS} draws" in text
+    assert "more filter.particles" in text
 
 
 def _probe(
