@@ -313,7 +313,7 @@ def test_a_random_constant_differs_between_two_loads(
     (tmp_path / "helper.py").write_text("import numpy as np\nC = np.random.rand()\n")
     (tmp_path / "mine.py").write_text(MODEL.format(before=before, formula=formula))
     with pytest.raises(ModelError, match="has another value each time it is loaded"):
-        choose("mine.py:model", tmp_path, {})
+        choose("model", "mine.py:model", tmp_path, {})
 
 
 def test_models_that_ship_reach_into_each_other() -> None:
