@@ -64,9 +64,9 @@ def loaded_meaning(source: ModelSource) -> Meaning:
     return meaning_of(source.load(), source)
 
 
-def differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
+def differences(here: Mapping[str, Any], there: Mapping[str, Any]) -> list[str]:
     """Names of what has not the same meaning in two models."""
-    return sorted(name for name in one.keys() | other.keys() if one.get(name) != other.get(name))
+    return sorted(name for name in here.keys() | there.keys() if here.get(name) != there.get(name))
 
 
 def check_is_constant(
