@@ -17,7 +17,7 @@ def frames_of(error: BaseException) -> Iterator[tuple[FrameType, int]]:
     """Frames and lines of an error's traceback that are a model's, the outermost first."""
     trace = error.__traceback__
     while trace is not None:
-        if _is_a_models(trace.tb_frame.f_code.co_filename):
+        if is_a_models(trace.tb_frame.f_code.co_filename):
             yield trace.tb_frame, trace.tb_lineno
         trace = trace.tb_next
 
@@ -28,7 +28,8 @@ def place_of(error: BaseException) -> str:
     return places[-1] if places else ""
 
 
-def _is_a_models(file: str) -> bool:
+def is_a_models(file: str) -> bool:
+    """Whether a file holds a model's source, and not a library's."""
     path = Path(file)
     if file.startswith("<"):
         return False

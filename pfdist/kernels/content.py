@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numba.core.registry import CPUDispatcher
 
-from pfdist.kernels.formulas import names_in
+from pfdist.jitted import names_in
 
 Parts = Iterator[bytes]
 Names = frozenset[str] | None

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from pfdist.errors import ModelError
-from pfdist.jitted import check_bounds_in
+from pfdist.jitted import guard_what_it_calls
 from pfdist.places import place_of
 
 NOISE_KINDS = ("normal", "uniform")
@@ -119,7 +119,7 @@ class StateSpaceModel:
         for name, value in self.parameters.items():
             self._check_parameter(name, value)
         for function in self.formulas.values():
-            check_bounds_in(function)
+            guard_what_it_calls(function)
         self.components  # noqa: B018  evaluated here so that a wrong formula is found here
 
     @cached_property
