@@ -50,7 +50,7 @@ def reached(*roots: Any) -> list[Any]:
     at libraries.
     """
     found: dict[int, Any] = {}
-    scopes: list[Mapping[str, Any]] = []  # of modules, classes and objects
+    scopes: dict[int, Mapping[str, Any]] = {}  # of modules, classes and objects
     names: set[str] = set()
     waiting = list(roots)
     while waiting:
@@ -63,11 +63,11 @@ def reached(*roots: Any) -> list[Any]:
                 names |= names_in(value.__code__)
             scope = _scope_of(value)
             if scope is not None:
-                scopes.append(scope)
+                scopes[id(scope)] = scope
             waiting += _parts_of(value)
         waiting += [
             value
-            for scope in scopes
+            for scope in scopes.values()
             for name, value in list(scope.items())
             if (name in names or name in _UNNAMED) and id(value) not in found
         ]

@@ -149,6 +149,14 @@ def test_whatever_compiled_it(kind):
             call(3)
 
 
+def test_integers_are_checked_where_python_calls_compiled_code():
+    power = njit(lambda k: 10**k)
+    guard_what_it_calls(lambda t: power(t))
+    assert power(18) == 10**18
+    with pytest.raises(OverflowError):
+        power(19)
+
+
 def test_a_general_function_is_checked_in_numpy_and_not_compiled():
     gather = guvectorize(["void(float64[:], int64[:], float64[:])"], "(n),(m)->(m)")(gathered)
 
