@@ -8,7 +8,7 @@ from numba.core.errors import NumbaError, UnsupportedBytecodeError
 NOT_COMPILED = (NumbaError, UnsupportedBytecodeError)
 """What Numba raises where it cannot compile."""
 
-_NOT_THEIRS = re.compile(r"(^|/)(numba/|pfdist/(kernels/|models/base\.py|draws\.py))")
+_NOT_THEIRS = re.compile(r"(^|/)(numba/|pfdist/(kernels/|jitted/|models/base\.py|draws\.py))")
 _TOLD = re.compile(
     r"^.*(?:Untyped global name|No implementation of function|Unknown attribute|Cannot|cannot"
     r"|Invalid use|Use of unsupported|NameError).*$",
@@ -32,10 +32,6 @@ _KINDS = {
 _MISSING = re.compile(r"No implementation of function Function\(<(?:(?:built-in )?[a-z]+ )?'?(\w+)")
 _SIGNATURE = re.compile(r">>> \w+\((.*)\)")
 _OURS = {
-    "product_plus": "a * b + c",
-    "product_minus": "a * b - c",
-    "minus_product": "c - a * b",
-    "quotient": "a / b",
     "exception_match": "`except` of one kind of error (`except Exception` it has)",
 }
 _OF_A_MODULE = re.compile(r"Unknown attribute '(\w+)' of type Module\(<module '([\w.]+)'")

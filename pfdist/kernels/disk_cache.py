@@ -32,8 +32,8 @@ from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
 from pfdist.errors import EngineWarning
+from pfdist.jitted import UNWRAPPED
 from pfdist.kernels.fingerprint import UnknownContentError, fingerprint
-from pfdist.kernels.guarded import UNWRAPPED
 
 FOLDER_VARIABLE = "PFDIST_CACHE_DIR"
 _DIGEST_BYTES = 16
@@ -146,6 +146,7 @@ def _folder() -> Path | None:
 def _hash_of_own_source() -> str:
     """Hash of the source that compiled code is made of."""
     files = sorted((_PACKAGE / "kernels").glob("*.py"))
+    files += sorted((_PACKAGE / "jitted").glob("*.py"))
     names = ("elementwise.py", "draws.py")
     files += [_PACKAGE / name for name in names]
     return fingerprint(*(file.read_bytes() for file in files))

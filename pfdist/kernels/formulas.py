@@ -13,13 +13,17 @@ from numba.core.registry import CPUDispatcher
 import pfdist.elementwise  # noqa: F401  how Numba is to take what formulas may call
 from pfdist.endings import is_interrupt, kept_alive, told
 from pfdist.errors import CompileError, ModelError, PfdistError
+from pfdist.jitted import Guarded, InCallError, admit, is_library, names_in
 from pfdist.kernels.choices import CHOICES
 from pfdist.kernels.compile_errors import NOT_COMPILED, reason_of
-from pfdist.kernels.guarded import Guarded
 from pfdist.kernels.melting import melted
 from pfdist.kernels.overloads import ELEMENTARY, log_to_base
-from pfdist.places import frames_of, place_of
+from pfdist.places import frames_of, is_a_models, place_of
 from pfdist.remedies import remedy
+
+__all__ = ["formula", "formulas_of", "is_ours", "names_in"]
+
+admit(*ELEMENTARY.values(), log_to_base, *CHOICES.values())
 
 
 def formula(function: Callable[..., Any], name: str = "") -> Callable[..., Any]:
@@ -28,7 +32,7 @@ def formula(function: Callable[..., Any], name: str = "") -> Callable[..., Any]:
     Functions it calls by their own names are compiled with it, and NumPy's elementary functions
     are those of `pfdist.kernels.overloads`. A float divided by zero gives inf or nan as in NumPy:
     a branch to raise would stop vectorisation. Indices and integers are checked, see
-    `pfdist.kernels.guarded`.
+    `pfdist.jitted.guarded`.
 
     Parameters
     ----------
@@ -54,23 +58,35 @@ def _seeing(
 
     What calls itself stays as it is written, and Numba refuses it: it might never end.
     """
+    scope, names = function.__globals__, names_in(function.__code__)
+    modules: dict[int, types.ModuleType] = {}
 
     def seen(value: Any) -> Any:
-        if isinstance(value, CPUDispatcher):  # compiled by its author: here with checks
+        if isinstance(value, CPUDispatcher):  # compiled by its author: here as a formula is
             value = value.py_func
         if isinstance(value, types.FunctionType) and value not in callers:
             return value if is_ours(value) else _compiled(value, name, callers)
+        if type(value) is tuple:
+            return tuple(map(seen, value))
+        if isinstance(value, types.ModuleType) and not is_library(value.__name__):
+            return seen_in(value)
         return _INSTEAD.get(id(value), value)
 
-    scope = function.__globals__
-    used = {name: seen(scope[name]) for name in names_in(function.__code__) if name in scope}
+    def seen_in(module: types.ModuleType) -> types.ModuleType:
+        if id(module) not in modules:
+            modules[id(module)] = copy = _replaced(module, {})
+            own = vars(module)
+            copy.__dict__.update({key: seen(own[key]) for key in names if key in own})
+        return modules[id(module)]
+
+    used = {key: seen(scope[key]) for key in names if key in scope}
     cells = [types.CellType(seen(cell.cell_contents)) for cell in function.__closure__ or ()]
     # Its module's name would be kept with the compiled code, and be unknown to another process.
     compilable: Any = types.FunctionType(
         function.__code__,
         scope | used | {"__name__": __name__},
         name,
-        function.__defaults__,
+        function.__defaults__ and tuple(map(seen, function.__defaults__)),
         tuple(cells),
     )
     compilable.__qualname__ = name
@@ -82,14 +98,6 @@ def is_ours(function: types.FunctionType) -> bool:
     """Whether it is one of those that a formula may call and that know how they are compiled."""
     module = str(function.__globals__.get("__name__"))
     return module == "pfdist.elementwise" or module.startswith("pfdist.kernels.")
-
-
-def names_in(code: types.CodeType) -> set[str]:
-    """Names of globals and attributes in a function and in those it defines."""
-    inner = [
-        names_in(constant) for constant in code.co_consts if isinstance(constant, types.CodeType)
-    ]
-    return set(code.co_names).union(*inner)
 
 
 def _replaced(module: types.ModuleType, by: Mapping[str, Any]) -> types.ModuleType:
@@ -143,22 +151,35 @@ def formulas_of(model: str, formulas: Mapping[str, Callable[..., Any]]) -> Itera
         raise
     except BaseException as error:  # a formula may raise whatever it likes
         name, instant = _formula_at_fault(error, formulas)
-        if is_interrupt(error) or not (isinstance(error, Exception) or place_of(error)):
+        cause, place = _cause_of(error)
+        if is_interrupt(cause) or not (isinstance(error, Exception) or place):
             raise
-        message = told(error)
+        message = told(cause)
         at = f" at t = {instant}" if instant is not None and " at t = " not in message else ""
         raise ModelError(
-            f"model {model}: {name} failed: {message}{at}{remedy(error)}{place_of(error)}"
+            f"model {model}: {name} failed: {message}{at}{remedy(cause)}{place}"
         ) from error
 
 
 def _formula_at_fault(
     error: BaseException, formulas: Mapping[str, Callable[..., Any]]
 ) -> tuple[str, int | None]:
-    """Name of the formula that an error passed through, and t in it where Python ran it."""
+    """Name of the formula that an error passed through, and t in it where it is known."""
+    instant = error.t if isinstance(error, InCallError) else None
     names = {function.__code__: name for name, function in formulas.items()}
     for frame, _ in frames_of(error):
         name = names.get(frame.f_code, frame.f_code.co_name)  # compiled code tells it by its name
         if name in formulas:
-            return name, frame.f_locals.get("t")
-    return "a formula", None
+            return name, instant if instant is not None else frame.f_locals.get("t")
+    return "a formula", instant
+
+
+def _cause_of(error: BaseException) -> tuple[BaseException, str]:
+    """The error that was raised first, and its innermost place in a model as `` (file:line)``."""
+    if not isinstance(error, InCallError):
+        return error, place_of(error)
+    layers = list(error.layers())
+    places = [place_of(error)]
+    places += [f" ({at[1]}:{at[2]})" for _, _, at in layers if at and is_a_models(at[1])]
+    kind, arguments, _ = layers[-1]
+    return kind(*arguments), places[-1]

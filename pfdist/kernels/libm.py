@@ -2,7 +2,8 @@
 
 The C library chooses an implementation by the processor, and two versions of it differ. What it
 computes exactly, or rounds correctly, is the same everywhere: those functions are not counted, nor
-is the remainder of a division, `fmod`, which is exact.
+is the remainder of a division, `fmod`, which is exact. BLAS and LAPACK, which ``np.dot``, ``@`` and
+``np.linalg`` call, choose by the processor, too.
 """
 
 import re
@@ -11,6 +12,7 @@ from typing import Any
 _DECLARED = re.compile(
     r"^declare [^@\n]*?\b(?:double|float|double>|float>) @\"?([\w.]+)\"?\(", re.MULTILINE
 )
+_LINEAR_ALGEBRA = re.compile(r"^declare [^@\n]*@\"?numba_(xx|ez_)(\w+)\"?\(", re.MULTILINE)
 _TYPE = re.compile(r"\.(?:nx)?v?\d*[fip]\d+.*$")  # of an intrinsic's arguments: .f64, .v4f32
 _ALLOCATES = re.compile(r"(?:call|invoke) [^\n]*@NRT_(?:MemInfo_(?:alloc|new|varsize)|Allocate)")
 _EXACT = frozenset(
@@ -54,9 +56,10 @@ def makes_arrays(compiled: Any) -> bool:
 
 def named_in(module: str) -> set[str]:
     """Those that the text of an LLVM module declares."""
-    names = set()
+    libraries = {"xx": "BLAS", "ez_": "LAPACK"}
+    names = {f"{name} ({libraries[kind]})" for kind, name in _LINEAR_ALGEBRA.findall(module)}
     for symbol in _DECLARED.findall(module):
-        if symbol.startswith(("Py", "NRT_")):
+        if symbol.startswith(("Py", "NRT_", "numba_xx", "numba_ez_")):
             continue
         name = _TYPE.sub("", symbol).removeprefix("llvm.").removeprefix("numba_")
         if not symbol.startswith("llvm.") and name.endswith("f") and name != "erf":

@@ -16,7 +16,7 @@ import numpy as np
 
 from pfdist.endings import is_interrupt, kept_alive, told
 from pfdist.errors import ModelError
-from pfdist.jitted import check_bounds_in
+from pfdist.jitted import guard_what_it_calls
 from pfdist.places import place_of, place_of_function
 from pfdist.remedies import remedy
 
@@ -123,7 +123,7 @@ class StateSpaceModel:
         for name, value in self.parameters.items():
             self._check_parameter(name, value)
         for function in self.formulas.values():
-            check_bounds_in(function)
+            guard_what_it_calls(function)
         self.components  # noqa: B018  evaluated here so that a wrong formula is found here
 
     @cached_property

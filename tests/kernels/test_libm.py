@@ -9,6 +9,8 @@ from numba import njit
 from pfdist.kernels.formulas import formula
 from pfdist.kernels.libm import libm_functions
 
+VECTOR, MATRIX = np.ones(3), np.ones((3, 3))
+
 
 def called_by(function):
     melting = formula(function)
@@ -29,8 +31,10 @@ def called_by(function):
         (lambda x, y: math.gamma(x) + math.erf(y), ("erf", "gamma")),
         (lambda x, y: 2 * np.logaddexp(x, y), ("exp", "log1p")),
         (lambda x, y: np.float32(x) ** np.float32(y), ("pow",)),
+        (lambda x, y: np.dot(VECTOR, x * VECTOR), ("dot (BLAS)",)),
+        (lambda x, y: (x * MATRIX @ VECTOR)[0], ("gemv (BLAS)",)),
     ],
-    ids=["power", "constant power", "gamma and erf", "logaddexp", "float32"],
+    ids=["power", "constant power", "gamma and erf", "logaddexp", "float32", "np.dot", "@"],
 )
 def test_functions_that_round_otherwise_elsewhere_are_named(function, names):
     assert called_by(function) == names
@@ -48,3 +52,11 @@ def test_functions_that_round_otherwise_elsewhere_are_named(function, names):
 )
 def test_what_is_the_same_everywhere_is_not_named(function):
     assert called_by(function) == ()
+
+
+def test_linear_algebra_is_named():
+    assert any("LAPACK" in name or "BLAS" in name for name in called_by(least_eigenvalue))
+
+
+def least_eigenvalue(x, y):
+    return np.linalg.eigvalsh(x * MATRIX)[0]
