@@ -159,7 +159,7 @@ class Walk(Content):
     def _imported(self, function: types.FunctionType, statement: Import) -> Parts:
         """Give the content of what a function imports when it is called."""
         name, level, names, variables = statement
-        load = function.__builtins__["__import__"]
+        load = function.__builtins__["__import__"]  # type: ignore[attr-defined,unused-ignore]
         try:
             module = load(name, function.__globals__, None, names, level)
         except Exception as error:  # where it is called, this is what happens
