@@ -43,11 +43,14 @@ def write(tmp_path):
     return job_file
 
 
-@pytest.mark.parametrize("name", ["paper", "quick"])
-def test_the_jobs_that_ship_are_valid(name):
+@pytest.mark.parametrize(
+    ("name", "searches"),
+    [("paper", ["genetic", "random"]), ("quick", ["survivors", "genetic"]), ("plan", ["survivors"])],
+)
+def test_the_jobs_that_ship_are_valid(name, searches):
     job = load_job(JOBS / f"{name}.toml")
     assert (job.problem.horizon, job.problem.measurement_budget) == (60, 21)
-    assert [search.name for search in job.search] == ["genetic", "random"]
+    assert [search.name for search in job.search] == searches
 
 
 def test_the_papers_job_is_the_papers_experiment():  # Paper, sections 2.4 and 3.
