@@ -10,7 +10,7 @@ import pytest
 
 import pfdist
 from pfdist import Job
-from pfdist.errors import ModelError, RunMismatchError
+from pfdist.errors import ModelError, RunMismatchError, StoreError
 from pfdist.runner.build import build
 from pfdist.runner.why import why
 from pfdist.work import Estimation
@@ -73,9 +73,11 @@ def test_a_run_does_not_go_on_with_another_model(
     with pytest.raises(RunMismatchError, match=says):
         pfdist.run(written(small_job, **change), tmp_path / "run")
     pfdist.run(written(small_job), tmp_path / "run")
-    written(small_job, **change)
-    with pytest.raises(RunMismatchError, match=says):
+    model = f"{written(small_job, **change).path.with_name('mine.py')}:model"
+    with pytest.raises(StoreError, match="is not the file that"):
         why(tmp_path / "run", draws=2)
+    with pytest.raises(RunMismatchError, match=says):
+        why(tmp_path / "run", draws=2, model=model)
 
 
 def test_a_run_goes_on_where_words_alone_have_changed(small_job: Job, tmp_path: Path) -> None:
