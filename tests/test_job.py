@@ -45,7 +45,11 @@ def write(tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "searches"),
-    [("paper", ["genetic", "random"]), ("quick", ["survivors", "genetic"]), ("plan", ["survivors"])],
+    [
+        ("paper", ["genetic", "random"]),
+        ("quick", ["survivors", "genetic"]),
+        ("plan", ["survivors"]),
+    ],
 )
 def test_the_jobs_that_ship_are_valid(name, searches):
     job = load_job(JOBS / f"{name}.toml")
