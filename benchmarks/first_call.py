@@ -15,8 +15,8 @@ _CHILD = """
 import json, sys, time
 start = time.perf_counter()
 import pfdist
-from pfdist.draws import simulate
-from pfdist.particle_filter import filter_draws
+from pfdist.filters.draws import simulate
+from pfdist.filters.particle_filter import filter_draws
 imported = time.perf_counter()
 model = pfdist.load_model(sys.argv[1])
 draws = simulate(model, 60, range(1000), 1)

@@ -20,9 +20,9 @@ from benchmarks.results import Tables, markdown
 from benchmarks.search_runs import filtered, search
 from pfdist import load_job
 from pfdist.analysis import relative_gain
-from pfdist.evaluation import REPORT
-from pfdist.job import Execution
-from pfdist.measurement_times import Times
+from pfdist.evaluation.estimate import REPORT
+from pfdist.job.job import Execution
+from pfdist.times.measurement_times import Times
 from pfdist.plots.style import COLUMN_INCHES, GREY, RED
 from pfdist.runner.build import build, make_pool
 

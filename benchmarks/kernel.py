@@ -17,11 +17,11 @@ from benchmarks.first_call import measure_first_calls
 from benchmarks.measure import Say, one_core, take_turns
 from benchmarks.results import Tables, markdown, with_range
 from pfdist import load_model
-from pfdist.draws import Draws, simulate
+from pfdist.filters.draws import Draws, simulate
 from pfdist.kernels.resampling import SORTED
-from pfdist.measurement_times import regular
+from pfdist.times.measurement_times import regular
 from pfdist.models.loader import installed_models
-from pfdist.particle_filter import DTYPES, RESAMPLING, filter_draws
+from pfdist.filters.particle_filter import DTYPES, RESAMPLING, filter_draws
 from pfdist.plots.style import COLUMN_INCHES, SERIES
 
 TITLE = "The kernel"

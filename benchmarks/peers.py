@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from benchmarks.measure import Say, one_core, take_turns
 from benchmarks.results import Tables, markdown
 from pfdist import load_model
-from pfdist.draws import Draws, simulate
-from pfdist.measurement_times import regular
-from pfdist.particle_filter import filter_draws
+from pfdist.filters.draws import Draws, simulate
+from pfdist.times.measurement_times import regular
+from pfdist.filters.particle_filter import filter_draws
 from pfdist.plots.style import BLUE, COLUMN_INCHES, RED
 
 TITLE = "The same job by others"

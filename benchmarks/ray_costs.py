@@ -8,10 +8,10 @@ from typing import Any
 import pandas as pd
 
 from benchmarks.measure import Say
-from pfdist.measurement_times import regular
-from pfdist.runner.pool import Task
-from pfdist.runner.ray_pool import RayPool
-from pfdist.work import Estimation, Work
+from pfdist.times.measurement_times import regular
+from pfdist.pools.base import Task
+from pfdist.pools.ray_pool import RayPool
+from pfdist.evaluation.work import Estimation, Work
 
 _WORK = Work(
     (regular(60, 21),), (60,), (1,), 2, (0, 1000), Estimation(500)

@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 
 from pfdist import Job
 from pfdist.errors import TaskError
-from pfdist.evaluation import REPORT, SHORTLIST
-from pfdist.measurement_times import Times
+from pfdist.evaluation.estimate import REPORT, SHORTLIST
+from pfdist.times.measurement_times import Times
 from pfdist.runner.build import Built, build
 from pfdist.runner.driver import compared_sets, drive
-from pfdist.runner.pool import Outcome, Pool, Task
+from pfdist.pools.base import Outcome, Pool, Task
 from pfdist.search import Race
 from pfdist.store import Store
-from pfdist.work import Work
+from pfdist.evaluation.work import Work
 
 STANDARD_ERROR = 0.12  # per cent, of an excess
 ROUND = 5000  # draws

@@ -3,16 +3,16 @@ from .analysis import open_run as open_run
 from .elementwise import clip as clip
 from .elementwise import where as where
 from .errors import PfdistError as PfdistError
-from .evaluation import Evaluation as Evaluation
-from .job import Job as Job
-from .job import load_job as load_job
+from .evaluation.estimate import Evaluation as Evaluation
+from .job.job import Job as Job
+from .job.job import load_job as load_job
 from .models import StateSpaceModel as StateSpaceModel
 from .models import load_model as load_model
 from .models.linear_gaussian import linear_gaussian as linear_gaussian
-from .runner.budget import budget as budget
-from .runner.evaluate import evaluate as evaluate
-from .runner.plan import plan as plan
-from .runner.run import run as run
+from .api.budget import budget as budget
+from .api.evaluate import evaluate as evaluate
+from .api.plan import plan as plan
+from .api.run import run as run
 
 __all__: list[str]
 __version__: str

@@ -2,6 +2,6 @@
 
 import sys
 
-from pfdist.cli import main
+from pfdist.cli.main import main
 
 sys.exit(main())

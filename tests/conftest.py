@@ -43,14 +43,14 @@ def small_job(tmp_path: Path) -> Job:
 @pytest.fixture
 def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """They are drawn at the end, from the tables, and take longer than all else of a small run."""
-    monkeypatch.setattr("pfdist.runner.run.draw_figures", lambda run: [])
-    monkeypatch.setattr("pfdist.runner.run.figure_files", lambda run: [])
+    monkeypatch.setattr("pfdist.api.run.draw_figures", lambda run: [])
+    monkeypatch.setattr("pfdist.api.run.figure_files", lambda run: [])
 
 
 @pytest.fixture(scope="session")
 def ray_cluster() -> Iterator[None]:
     """Two CPUs, for all tests of this process that want Ray."""
-    from pfdist.runner.ray_cluster import connected
+    from pfdist.pools.ray_cluster import connected
 
     with connected("local", 2):
         yield

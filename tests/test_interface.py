@@ -28,7 +28,7 @@ def test_every_exported_name_is_documented(name: str) -> None:
 
 
 def test_a_worker_does_not_wait_for_what_it_does_not_need() -> None:
-    imports = "import sys, pfdist.runner.ray_pool, pfdist.runner.build"
+    imports = "import sys, pfdist.pools.ray_pool, pfdist.runner.build"
     heavy = "{'pandas', 'pyarrow', 'matplotlib', 'scipy.stats'}"
     code = f"{imports}; print({heavy} & {{*sys.modules}})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from pfdist.errors import JobError
-from pfdist.job import Job
+from pfdist.job.job import Job
 from pfdist.store import read_run, unreadable
 
 

@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from typing import Any
 
-from pfdist.job import REGULAR
-from pfdist.measurement_times import Times
-from pfdist.problem import ProblemSection
+from pfdist.job.job import REGULAR
+from pfdist.times.measurement_times import Times
+from pfdist.times.problem_section import ProblemSection
 
 
 def described(job: Mapping[str, Any], name: str, times: Times) -> dict[str, Any]:

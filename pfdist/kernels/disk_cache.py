@@ -147,7 +147,7 @@ def _hash_of_own_source() -> str:
     """Hash of the source that compiled code is made of."""
     files = sorted((_PACKAGE / "kernels").glob("*.py"))
     files += sorted((_PACKAGE / "jitted").glob("*.py"))
-    names = ("elementwise.py", "draws.py")
+    names = ("elementwise.py", "filters/draws.py")
     files += [_PACKAGE / name for name in names]
     return fingerprint(*(file.read_bytes() for file in files))
 

@@ -18,8 +18,8 @@ from pfdist.kernels.uses import Import, Uses, imports_in, uses_in
 from pfdist.meaning.values import UntoldValueError, copy_of, python_function
 from pfdist.models import ModelSource
 from pfdist.models.beside import own_name
-from pfdist.origins import home_of, is_installed, version_of
-from pfdist.syntax import syntax_of
+from pfdist.meaning.origins import home_of, is_installed, version_of
+from pfdist.meaning.syntax import syntax_of
 
 _BY_NAME = sys.stdlib_module_names | {"numpy"}
 

@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from pfdist.endings import is_interrupt, kept_alive, told
+from pfdist.mistakes.endings import is_interrupt, kept_alive, told
 from pfdist.errors import ModelError
 from pfdist.jitted import guard_what_it_calls
-from pfdist.places import place_of, place_of_function
-from pfdist.remedies import remedy
+from pfdist.mistakes.places import place_of, place_of_function
+from pfdist.mistakes.remedies import remedy
 
 NOISE_KINDS = ("normal", "uniform")
 _ARGUMENTS = {

@@ -163,7 +163,7 @@ def draw_why(run: Run, profile: pd.DataFrame, measurements: pd.DataFrame, draws:
     ----------
     run : Run
     profile, measurements : DataFrame
-        As of `pfdist.runner.why.Why`.
+        As of `pfdist.api.why.Why`.
     draws : int
         Likewise.
 

@@ -29,7 +29,7 @@ def plot_profile(axes: Axes, profile: pd.DataFrame, names: tuple[str, str], draw
     ----------
     axes : matplotlib Axes
     profile : DataFrame
-        Columns name, t, measured, error and standard_error, as of `pfdist.runner.why.Why`.
+        Columns name, t, measured, error and standard_error, as of `pfdist.api.why.Why`.
     names : (str, str)
         Of the two sets, the reference first.
     draws : int
@@ -56,7 +56,7 @@ def plot_removals(axes: Axes, measurements: pd.DataFrame, names: tuple[str, str]
     ----------
     axes : matplotlib Axes
     measurements : DataFrame
-        Columns name, t, removed and removed_error, as of `pfdist.runner.why.Why`.
+        Columns name, t, removed and removed_error, as of `pfdist.api.why.Why`.
     names : (str, str)
         Of the two sets, the reference first.
     """
@@ -78,7 +78,7 @@ def plot_shifts(axes: Axes, measurements: pd.DataFrame, names: tuple[str, str]) 
     ----------
     axes : matplotlib Axes
     measurements : DataFrame
-        Columns name, t, earlier, later and their errors, as of `pfdist.runner.why.Why`.
+        Columns name, t, earlier, later and their errors, as of `pfdist.api.why.Why`.
     names : (str, str)
         Of the two sets, the reference first.
     """

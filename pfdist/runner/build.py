@@ -6,19 +6,19 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
 
-from pfdist.draws import Draws
+from pfdist.filters.draws import Draws
 from pfdist.errors import CompileError, EngineWarning, ModelError
-from pfdist.job import Execution, Job
+from pfdist.job.job import Execution, Job
 from pfdist.kernels.streams import stream_key
-from pfdist.measurement_times import Times
-from pfdist.monte_carlo import NUMPY_TIMES_SLOWER, Problem
-from pfdist.particle_filter import KERNEL_VERSION
-from pfdist.runner import chosen
-from pfdist.runner.chosen import Choose, ChosenModel
-from pfdist.runner.formula_contract import check_compiled, check_formulas, few_draws
-from pfdist.runner.pool import Pool, SerialPool
+from pfdist.times.measurement_times import Times
+from pfdist.evaluation.problem import NUMPY_TIMES_SLOWER, Problem
+from pfdist.filters.particle_filter import KERNEL_VERSION
+from pfdist.meaning import chosen
+from pfdist.meaning.chosen import Choose, ChosenModel
+from pfdist.checks.contract import check_compiled, check_formulas, few_draws
+from pfdist.pools.base import Pool, SerialPool
 from pfdist.runner.searches import NamedSearch, Settings, named_search
-from pfdist.work import Estimation
+from pfdist.evaluation.work import Estimation
 
 
 @dataclass(frozen=True)
@@ -258,6 +258,6 @@ def make_pool(built: Built, execution: Execution) -> Pool:
     if execution.pool == "serial":
         return SerialPool(make_function)
     # Here and not above: `--pool serial` then needs no Ray, and starts 0.3 s sooner.
-    from pfdist.runner.ray_pool import RayPool  # noqa: PLC0415
+    from pfdist.pools.ray_pool import RayPool  # noqa: PLC0415
 
     return RayPool(make_function, execution.workers, execution.address)

@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from pfdist.errors import StoreError
-from pfdist.job import Job
+from pfdist.job.job import Job
 from pfdist.models import ModelSource, is_in_folder
-from pfdist.runner.chosen import ChosenModel, choose, chosen_from
-from pfdist.runner.known_models import is_known
+from pfdist.meaning.chosen import ChosenModel, choose, chosen_from
+from pfdist.meaning.known_models import is_known
 from pfdist.store import read_run
 
 _LONGEST = 4096  # characters of a path
@@ -51,7 +51,7 @@ class NamedByRun:
     def __call__(
         self, part: str, name: str, folder: Path, parameters: Mapping[str, float]
     ) -> ChosenModel:
-        """Choose the model of a part, "model" or "filter_model"; see `pfdist.runner.chosen.choose`.
+        """Choose the model of a part, "model" or "filter_model"; see `pfdist.meaning.chosen.choose`.
 
         Raises
         ------

@@ -13,7 +13,7 @@ supercomputers", IEEE Transactions on Computers 36, 1987.
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
-from pfdist.work import Work
+from pfdist.evaluation.work import Work
 
 MOST_SECONDS = 0.3
 LEAST_SECONDS = 0.015  # ten times what handing a task over costs
@@ -70,7 +70,7 @@ def bundles(works: Iterable[Work], size: Callable[[int], int]) -> Iterator[tuple
 
     Examples
     --------
-    >>> from pfdist.work import Estimation
+    >>> from pfdist.evaluation.work import Estimation
     >>> of = Estimation(particles=10)  # of 10 instants: 100 particle-steps a draw
     >>> works = [Work(((0, 3),), (9,), (1,), 1, (0, draws), of) for draws in (5, 2)]
     >>> [[work.draws for work in bundle] for bundle in bundles(works, lambda remaining: 400)]

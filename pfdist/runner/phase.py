@@ -11,9 +11,9 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from pfdist.evaluation import Evaluation, Purpose
+from pfdist.evaluation.estimate import Evaluation, Purpose
 from pfdist.kernels.noise import generator
-from pfdist.measurement_times import Times
+from pfdist.times.measurement_times import Times
 from pfdist.runner.build import Built
 from pfdist.runner.collect import Collector
 from pfdist.runner.progress import Progress, Report
@@ -22,7 +22,7 @@ from pfdist.runner.searches import Settings
 from pfdist.search import Candidate, Optimiser
 from pfdist.search.trust import new_leaders
 from pfdist.store import schema
-from pfdist.work import Estimation, Result, Work, cut
+from pfdist.evaluation.work import Estimation, Result, Work, cut
 
 E = TypeVar("E", bound=Evaluation)
 _Key = tuple[Times, int, int, Estimation]  # with an end, and a stream

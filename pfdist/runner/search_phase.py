@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from pfdist.evaluation import (
+from pfdist.evaluation.estimate import (
     PROBE,
     SEARCH,
     SHORTLIST,
@@ -21,7 +21,7 @@ from pfdist.evaluation import (
     SearchEvaluation,
     ShortlistEvaluation,
 )
-from pfdist.measurement_times import Times
+from pfdist.times.measurement_times import Times
 from pfdist.runner.build import Built
 from pfdist.runner.collect import Collector
 from pfdist.runner.phase import Phase, run_phase

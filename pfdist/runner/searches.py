@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from pfdist.errors import JobError
-from pfdist.job import Job
+from pfdist.job.job import Job
 from pfdist.runner.memory import check_memory
 from pfdist.search import (
     Annealing,
@@ -19,8 +19,8 @@ from pfdist.search import (
     SearchOptimiser,
     Survivors,
 )
-from pfdist.search_sections import AUTO, Search, SearchEvaluation
-from pfdist.work import Estimation
+from pfdist.job.search_sections import AUTO, Search, SearchEvaluation
+from pfdist.evaluation.work import Estimation
 
 
 def _of_any_draws(optimiser: Callable[..., SearchOptimiser]) -> Callable[..., SearchOptimiser]:

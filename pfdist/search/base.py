@@ -5,8 +5,8 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from pfdist.evaluation import Evaluation, SearchEvaluation
-from pfdist.measurement_times import Times
+from pfdist.evaluation.estimate import Evaluation, SearchEvaluation
+from pfdist.times.measurement_times import Times
 
 
 class Candidate(NamedTuple):

@@ -7,8 +7,8 @@ from itertools import islice
 import numpy as np
 
 from pfdist.errors import JobError
-from pfdist.evaluation import SearchEvaluation
-from pfdist.feasible import Feasible
+from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.times.feasible import Feasible
 from pfdist.search.base import Candidate, best_of
 
 _BATCH = 500  # asked for at once: in their order neighbours share much, and memory stays flat

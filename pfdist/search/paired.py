@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pfdist.evaluation import Evaluation
+from pfdist.evaluation.estimate import Evaluation
 
 
 class Difference(NamedTuple):

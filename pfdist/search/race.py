@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pfdist.evaluation import ShortlistEvaluation
-from pfdist.measurement_times import Times
+from pfdist.evaluation.estimate import ShortlistEvaluation
+from pfdist.times.measurement_times import Times
 from pfdist.search.base import Candidate
 from pfdist.search.paired import difference
 

@@ -25,9 +25,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pfdist.evaluation import SearchEvaluation
-from pfdist.feasible import Feasible
-from pfdist.measurement_times import Times
+from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.times.feasible import Feasible
+from pfdist.times.measurement_times import Times
 from pfdist.search.base import Candidate, best_of
 
 GAPS = 3.0  # mean ones: the largest that is tried at first

@@ -23,12 +23,12 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from pfdist.evaluation import Evaluation, ProbeEvaluation
-from pfdist.feasible import Feasible
-from pfdist.measurement_times import Times
+from pfdist.evaluation.estimate import Evaluation, ProbeEvaluation
+from pfdist.times.feasible import Feasible
+from pfdist.times.measurement_times import Times
 from pfdist.search.base import Candidate
 from pfdist.search.paired import difference
-from pfdist.search_sections import CLEAR_ERRORS
+from pfdist.job.search_sections import CLEAR_ERRORS
 
 PROBE_DRAWS = 500
 """Draws of the first round of probes."""

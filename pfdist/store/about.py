@@ -6,9 +6,9 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from pfdist.errors import StoreError, shown
-from pfdist.parsing import parse_json, parse_toml, read_text
+from pfdist.declared.parsing import parse_json, parse_toml, read_text
 from pfdist.store.schema import SCHEMA_VERSION
-from pfdist.validation import explained
+from pfdist.job.validation import explained
 
 
 class _Part(BaseModel):

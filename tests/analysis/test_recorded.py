@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from pfdist.cli import main
+from pfdist.cli.main import main
 
 ASSET = Path(__file__).parents[1] / "assets" / "schema-2"
 RUN = json.loads((ASSET / "run.json").read_text())

@@ -8,15 +8,16 @@ import numpy as np
 import pytest
 
 import pfdist
-from pfdist import load_job, load_model, plain
-from pfdist.draws import simulate
-from pfdist.measurement_times import regular
+from pfdist import load_job, load_model
+from pfdist.filters import plain
+from pfdist.filters.draws import simulate
+from pfdist.times.measurement_times import regular
 from pfdist.models import installed_models
-from pfdist.monte_carlo import Problem
-from pfdist.particle_filter import filter_draws
+from pfdist.evaluation.problem import Problem
+from pfdist.filters.particle_filter import filter_draws
 from pfdist.plots import figures
-from pfdist.runner.check_model import check_model
-from pfdist.work import Estimation
+from pfdist.checks.model import check_model
+from pfdist.evaluation.work import Estimation
 
 SHIPPED = sorted(name for name, (module, _) in installed_models().items() if "pfdist." in module)
 JOBS = sorted((Path(__file__).parents[2] / "jobs").glob("*.toml"))

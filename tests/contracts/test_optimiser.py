@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pfdist.evaluation import SearchEvaluation
-from pfdist.feasible import Feasible
-from pfdist.measurement_times import Times
+from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.times.feasible import Feasible
+from pfdist.times.measurement_times import Times
 from pfdist.search import (
     Annealing,
     Budgets,

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from pfdist.errors import ModelError, PoolError
-from pfdist.runner.pool import Pool, SerialPool, Task
+from pfdist.pools.base import Pool, SerialPool, Task
 
 # A pool's function is made in its workers, which need not know this file.
 SQUARE = partial(eval, "lambda work: work ** 2")
@@ -27,7 +27,7 @@ def make_pool(request: pytest.FixtureRequest) -> Callable[[Any], Pool]:
     if kind == "serial":
         return SerialPool
     request.getfixturevalue("ray_cluster")
-    from pfdist.runner.ray_pool import RayPool
+    from pfdist.pools.ray_pool import RayPool
 
     return lambda make_function: RayPool(make_function, int(workers))
 
@@ -85,7 +85,7 @@ def test_a_pool_runs_again_and_also_nothing(make_pool: Callable[[Any], Pool]) ->
 
 
 def test_ray_workers_have_one_thread_each(ray_cluster: None) -> None:
-    from pfdist.runner.ray_pool import RayPool
+    from pfdist.pools.ray_pool import RayPool
 
     names = ["OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"]
     with RayPool(ENVIRONMENT, 1) as pool:
@@ -152,7 +152,7 @@ Record = Callable[[str, object], None]
 @pytest.fixture
 def impatient(ray_cluster: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing here takes longer than a moment."""
-    from pfdist.runner import ray_pool
+    from pfdist.pools import ray_pool
 
     monkeypatch.setattr(ray_pool, "PATIENCE_SECONDS", 3.0)  # the machine may be busy
     monkeypatch.setattr(ray_pool, "LOOK_SECONDS", 0.1)
@@ -165,7 +165,7 @@ def impatient(ray_cluster: None, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_ray_worker_that_is_lost_is_replaced_and_its_tasks_are_done(
     fault: str, impatient: None, tmp_path: Path, record_property: Record
 ) -> None:
-    from pfdist.runner.ray_pool import RayPool
+    from pfdist.pools.ray_pool import RayPool
 
     with RayPool(_made(_faulty(fault, times=1)), 2) as pool:
         outcomes = list(pool.run(_tasks_in(tmp_path, 12)))
@@ -180,7 +180,7 @@ def test_a_ray_worker_that_is_lost_is_replaced_and_its_tasks_are_done(
 def test_a_task_that_costs_every_worker_is_given_up_with_an_error(
     fault: str, impatient: None, tmp_path: Path, record_property: Record
 ) -> None:
-    from pfdist.runner import ray_pool
+    from pfdist.pools import ray_pool
 
     with ray_pool.RayPool(_made(_faulty(fault, times=ALWAYS)), 2) as pool:
         outcomes = {outcome.task.work[0]: outcome for outcome in pool.run(_tasks_in(tmp_path, 8))}
@@ -199,7 +199,7 @@ def test_a_task_that_costs_every_worker_is_given_up_with_an_error(
 def test_when_no_worker_answers_the_pool_says_so_and_nothing_hangs(
     impatient: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, record_property: Record
 ) -> None:
-    from pfdist.runner import ray_pool
+    from pfdist.pools import ray_pool
 
     monkeypatch.setattr(ray_pool, "ANSWER_SECONDS", 4.0)
     stop_all = _faulty(STOP, times=ALWAYS).replace("number == 3", "True")
@@ -221,7 +221,7 @@ def test_workers_that_were_all_killed_are_replaced_however_long_it_takes_to_load
     impatient: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, record_property: Record
 ) -> None:
     """A model may take longer to compile than silent workers are waited for."""
-    from pfdist.runner import ray_pool
+    from pfdist.pools import ray_pool
 
     monkeypatch.setattr(ray_pool, "ANSWER_SECONDS", 4.0)
     slow = tmp_path / "slow"
@@ -252,7 +252,7 @@ if pathlib.Path({str(slow)!r}).exists():
 def test_nobody_listens_to_an_answer_that_comes_too_late(
     impatient: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, record_property: Record
 ) -> None:
-    from pfdist.runner import ray_pool
+    from pfdist.pools import ray_pool
 
     end, kept = ray_pool._end, []
 
@@ -282,7 +282,7 @@ def test_workers_that_stood_still_with_everything_else_are_kept(
     impatient: None, monkeypatch: pytest.MonkeyPatch, record_property: Record
 ) -> None:
     """A batch system suspends a job: all its processes, for a while."""
-    from pfdist.runner import ray_pool
+    from pfdist.pools import ray_pool
 
     monkeypatch.setattr(ray_pool, "STILL_SECONDS", 1.0)
     who = _made("import os, time\ndef function(work): time.sleep(0.05); return os.getpid()")

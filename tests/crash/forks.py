@@ -16,11 +16,11 @@ from typing import Any
 import matplotlib.pyplot as plt
 
 from pfdist import load_job
-from pfdist.cli import main
-from pfdist.monte_carlo import Problem
+from pfdist.cli.main import main
+from pfdist.evaluation.problem import Problem
 from pfdist.plots import figures
 from pfdist.runner.build import build
-from pfdist.work import Work
+from pfdist.evaluation.work import Work
 
 
 def compute(job: str, run: str, log: str) -> int:

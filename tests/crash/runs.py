@@ -11,13 +11,13 @@ from ipaddress import IPv4Address, IPv6Address, ip_address
 from pathlib import Path
 
 from oracles.bytes_of import hashes
-from pfdist.runner.processes import Process, end, family
+from pfdist.pools.processes import Process, end, family
 
 PATIENCE_SECONDS = 180.0
 # As a terminal starts it: a shell's background jobs, as CI may be, have SIGINT ignored.
 PROGRAM = """
 import signal, sys
-from pfdist.cli import main
+from pfdist.cli.main import main
 signal.signal(signal.SIGINT, signal.default_int_handler)
 sys.exit(main(sys.argv[1:]))
 """

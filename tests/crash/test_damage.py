@@ -16,11 +16,11 @@ from oracles.bytes_of import hashes
 from oracles.counted import A_DRAW, committed_draws, count_draws
 from oracles.file_layer import Ended, FileLayer
 from pfdist import Job, load_job
-from pfdist.cli import main
+from pfdist.cli.main import main
 from pfdist.errors import StoreError
 from pfdist.runner import collect, comparison_phase
 from pfdist.runner.pace import Pace
-from pfdist.runner.repair import repair_run, verify_run
+from pfdist.store.repair import repair_run, verify_run
 from pfdist.store import files, parquet
 
 PROMISE = "damage is found"
@@ -45,8 +45,8 @@ def _small_files() -> Iterator[None]:
         patch.setattr(comparison_phase, "REPEATED", 10)
         patch.setitem(parquet.ROWS_IN_A_FILE, "comparison", 50)
         patch.setitem(parquet.ROWS_IN_A_FILE, "draws", 100)
-        patch.setattr("pfdist.runner.run.draw_figures", lambda run: [])
-        patch.setattr("pfdist.runner.run.figure_files", lambda run: [])
+        patch.setattr("pfdist.api.run.draw_figures", lambda run: [])
+        patch.setattr("pfdist.api.run.figure_files", lambda run: [])
         yield
 
 

@@ -12,7 +12,7 @@ import pfdist
 from crash.runs import running
 from oracles.bytes_of import hashes
 from pfdist import Job
-from pfdist.cli import main
+from pfdist.cli.main import main
 from pfdist.kernels.noise import TRUTH_MEASUREMENT, variates
 from pfdist.kernels.streams import stream_key
 from pfdist.runner import comparison_phase
@@ -171,7 +171,7 @@ def test_a_draw_that_never_ends_fails(
     monkeypatch: pytest.MonkeyPatch,
     record_property: Record,
 ) -> None:
-    from pfdist.runner import ray_pool
+    from pfdist.pools import ray_pool
 
     monkeypatch.setattr(ray_pool, "PATIENCE_SECONDS", 3.0)
     options = ["--set", "execution.failures=1", "--pool", "ray"]

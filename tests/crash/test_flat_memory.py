@@ -38,7 +38,7 @@ pool = "serial"
 PROGRAM = """
 import sys
 from pathlib import Path
-from pfdist.cli import main
+from pfdist.cli.main import main
 assert main(sys.argv[1:]) == 0
 print(Path("/proc/self/status").read_text())
 """

@@ -13,7 +13,7 @@ import pytest
 import pfdist
 from oracles.bytes_of import hashes
 from pfdist import Job, load_job
-from pfdist.cli import main
+from pfdist.cli.main import main
 from pfdist.errors import StoreError
 from pfdist.store import Store, files, schema
 

@@ -13,7 +13,7 @@ import pytest
 from crash.runs import running
 from pfdist import Job
 from pfdist.errors import PoolError
-from pfdist.runner.ray_rehearsal import rehearse
+from pfdist.pools.ray_rehearsal import rehearse
 
 HANGS = "nothing hangs"
 MOST_SECONDS = 60.0  # 30 on an idle machine
@@ -92,7 +92,7 @@ def test_where_nobody_listens_a_run_ends_with_one_line_of_ours(
 def test_our_own_cluster_obeys_nobody_who_lacks_the_token(
     token: str, ray_cluster: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from pfdist.runner.ray_cluster import ray
+    from pfdist.pools.ray_cluster import ray
 
     address = ray.get_runtime_context().gcs_address
     assert rehearse(address)  # with the token, which is in the environment, on loopback

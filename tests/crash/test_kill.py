@@ -20,9 +20,9 @@ import pfdist
 from crash.runs import finish, running
 from oracles.bytes_of import hashes
 from pfdist import Job
-from pfdist.cli import main
-from pfdist.monte_carlo import Problem
-from pfdist.work import Work
+from pfdist.cli.main import main
+from pfdist.evaluation.problem import Problem
+from pfdist.evaluation.work import Work
 
 JOB = """
 seed = 5

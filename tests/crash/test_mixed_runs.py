@@ -11,12 +11,12 @@ import pfdist
 from oracles.bytes_of import hashes
 from oracles.counted import A_DRAW
 from pfdist import Job, load_job
-from pfdist.cli import main
+from pfdist.cli.main import main
 from pfdist.errors import StoreError
 from pfdist.runner import collect
 from pfdist.runner.pace import Pace
 from pfdist.runner.progress import Progress
-from pfdist.runner.repair import repair_run, verify_run
+from pfdist.store.repair import repair_run, verify_run
 from pfdist.store import Store, run_key
 from pfdist.store.tables import signed_by
 
@@ -31,8 +31,8 @@ def _many_commits() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(collect, "COMMIT_SECONDS", 0.0)
         patch.setattr(Pace, "size", lambda pace, remaining: 90 * A_DRAW)
-        patch.setattr("pfdist.runner.run.draw_figures", lambda run: [])
-        patch.setattr("pfdist.runner.run.figure_files", lambda run: [])
+        patch.setattr("pfdist.api.run.draw_figures", lambda run: [])
+        patch.setattr("pfdist.api.run.figure_files", lambda run: [])
         yield
 
 

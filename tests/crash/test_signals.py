@@ -15,7 +15,7 @@ import pfdist
 from crash.runs import GONE_SECONDS, PATIENCE_SECONDS, all_gone, finish, running, until
 from oracles.bytes_of import hashes
 from pfdist import Job
-from pfdist.runner.processes import marked
+from pfdist.pools.processes import marked
 
 ASKED = "Ctrl-C"
 NOTICE_SECONDS = 20.0  # what a batch system gives
@@ -25,9 +25,9 @@ Record = Callable[[str, object], None]
 # As a terminal or a batch script starts it: SIGINT is not ignored.
 SLOW_TO_LEAVE = """
 import signal, sys, time
-from pfdist.cli import main
-from pfdist.monte_carlo import Problem
-from pfdist.runner.pool import SerialPool
+from pfdist.cli.main import main
+from pfdist.evaluation.problem import Problem
+from pfdist.pools.base import SerialPool
 
 def leave(*_):
     print("leaving", flush=True)
@@ -73,7 +73,7 @@ def test_the_second_ctrl_c_ends_at_once_what_the_first_cannot(
 
 BEGINS = """
 import signal, sys
-from pfdist.cli import main
+from pfdist.cli.main import main
 signal.signal(signal.SIGINT, signal.default_int_handler)
 print("beginning", flush=True)
 sys.exit(main(sys.argv[1:]))

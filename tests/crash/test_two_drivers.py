@@ -16,9 +16,9 @@ import pytest
 import pfdist
 from oracles.bytes_of import hashes
 from pfdist import Job
-from pfdist.cli import main
+from pfdist.cli.main import main
 from pfdist.errors import StoreError
-from pfdist.runner.repair import verify_run
+from pfdist.store.repair import verify_run
 
 pytestmark = pytest.mark.usefixtures("no_figures")
 PROMISE = "two drivers on one run"
@@ -35,7 +35,8 @@ pfdist.run(sys.argv[1], sys.argv[2], report=report)
 # A file system without locks, that takes its time; and as many commits as there are tasks.
 WITHOUT_LOCKS = """
 import errno, fcntl, random, sys, time, pfdist
-from pfdist.runner import collect, pace, run
+from pfdist.runner import collect, pace
+from pfdist.api import run
 run.draw_figures = run.figure_files = lambda run: []
 from pfdist.store import files
 def no_locks(*_):

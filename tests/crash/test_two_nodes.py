@@ -15,7 +15,7 @@ import pytest
 import pfdist
 from crash.runs import until
 from oracles.bytes_of import hashes
-from pfdist.runner.processes import end, family
+from pfdist.pools.processes import end, family
 
 pytestmark = pytest.mark.usefixtures("no_figures")
 _ENVIRONMENT = {
@@ -58,7 +58,7 @@ import pfdist
 
 job, run, address, model = sys.argv[1:]
 nodes = set()
-program = importlib.import_module("pfdist.runner.run")
+program = importlib.import_module("pfdist.api.run")
 program.draw_figures = program.figure_files = lambda run: []
 make_pool = program.make_pool
 

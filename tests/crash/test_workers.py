@@ -24,7 +24,7 @@ from crash.runs import (
 )
 from oracles.bytes_of import hashes
 from pfdist import Job
-from pfdist.runner.processes import Process, family
+from pfdist.pools.processes import Process, family
 from pfdist.runner.progress import Progress
 
 DIES = "one worker or a node dies: the run goes on"

@@ -174,8 +174,9 @@ def test_a_new_folder_is_its_users_alone(folder):
 PROCESS = """
 import json, sys
 from numba.core.event import install_recorder
-from pfdist import load_model, plain
-from pfdist.draws import simulate
+from pfdist import load_model
+from pfdist.filters import plain
+from pfdist.filters.draws import simulate
 from pfdist.kernels.fingerprint import fingerprint
 
 told = []

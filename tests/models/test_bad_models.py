@@ -9,7 +9,7 @@ import pytest
 
 from pfdist import evaluate
 from pfdist.errors import ModelError
-from pfdist.runner.check_model import check_model
+from pfdist.checks.model import check_model
 
 MODEL = """
 import numpy as np

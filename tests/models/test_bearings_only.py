@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
-from pfdist.draws import simulate
+from pfdist.filters.draws import simulate
 from pfdist.models import find_model
-from pfdist.particle_filter import filter_draws
+from pfdist.filters.particle_filter import filter_draws
 
 MODEL = find_model("bearings_only").load()
 KNOT = 1.852 / 60  # km a minute

@@ -3,11 +3,11 @@ import pytest
 from scipy import stats
 from scipy.integrate import solve_ivp
 
-from pfdist.draws import simulate
+from pfdist.filters.draws import simulate
 from pfdist.errors import ModelError
-from pfdist.measurement_times import regular
+from pfdist.times.measurement_times import regular
 from pfdist.models import find_model
-from pfdist.particle_filter import filter_draws
+from pfdist.filters.particle_filter import filter_draws
 
 MODEL = find_model("lorenz63").load()
 SIGMA, RHO, BETA = 10.0, 28.0, 8 / 3

@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pfdist.draws import simulate
+from pfdist.filters.draws import simulate
 from pfdist.errors import ModelError
-from pfdist.measurement_times import regular
+from pfdist.times.measurement_times import regular
 from pfdist.models import find_model
-from pfdist.particle_filter import filter_draws
+from pfdist.filters.particle_filter import filter_draws
 
 TRUTH = find_model("tumour").load()
 FILTER = TRUTH.with_parameters({"frequency_sd": 0.005})

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pfdist.draws import simulate
+from pfdist.filters.draws import simulate
 from pfdist.errors import ModelError
-from pfdist.measurement_times import regular
+from pfdist.times.measurement_times import regular
 from pfdist.models import find_model
-from pfdist.particle_filter import filter_draws
+from pfdist.filters.particle_filter import filter_draws
 
 MODEL = find_model("ungm_gordon").load()
 

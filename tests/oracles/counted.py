@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from pfdist.runner.pool import Outcome, SerialPool
+from pfdist.pools.base import Outcome, SerialPool
 from pfdist.store import Store
 
 SETS = 3  # that the small job compares; it filters the first draws of the comparison once more

@@ -25,7 +25,9 @@ def figures_under(core: str) -> dict[str, list[float]]:
 
 
 def _figures() -> dict[str, list[float]]:
-    from pfdist import kalman, load_model, plain
+    from pfdist import load_model
+    from pfdist.filters import kalman
+    from pfdist.filters import plain
     from pfdist.analysis import Moments
 
     found = {}

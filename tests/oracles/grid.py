@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist import StateSpaceModel
-from pfdist.draws import Draws
+from pfdist.filters.draws import Draws
 
 Array = NDArray[np.float64]
 WRONG = "the grid filter is for one state and additive Gaussian noise of a constant deviation"

@@ -14,10 +14,10 @@ import pfdist
 from oracles.bytes_of import hashes
 from oracles.counted import A_DRAW, SETS, count_draws
 from pfdist import Job
-from pfdist.cli import main
+from pfdist.cli.main import main
 from pfdist.errors import RunMismatchError
 from pfdist.runner.pace import Pace
-from pfdist.runner.pool import Outcome, SerialPool
+from pfdist.pools.base import Outcome, SerialPool
 from pfdist.runner.progress import Progress
 
 BLOCK, MOST = 50, 430

@@ -12,8 +12,8 @@ import pfdist
 from pfdist import Job
 from pfdist.errors import ModelError, RunMismatchError, StoreError
 from pfdist.runner.build import build
-from pfdist.runner.why import why
-from pfdist.work import Estimation
+from pfdist.api.why import why
+from pfdist.evaluation.work import Estimation
 
 pytestmark = pytest.mark.usefixtures("no_figures")
 MODEL = """

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pfdist.runner.pace import LEAST_SECONDS, MOST_ROWS, MOST_SECONDS, Pace, bundles
-from pfdist.work import Estimation, Work
+from pfdist.evaluation.work import Estimation, Work
 
 
 def work(sets: int, first: int, last: int, stream: int = 0) -> Work:

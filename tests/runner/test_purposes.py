@@ -11,8 +11,8 @@ import pytest
 import pfdist
 from pfdist import Job
 from pfdist.runner.collect import Collector
-from pfdist.runner.why import why
-from pfdist.work import Work
+from pfdist.api.why import why
+from pfdist.evaluation.work import Work
 
 SMALL = ["search.survivors.evaluation.draws=20", "search.survivors.evaluation.particles=10"]
 
@@ -64,12 +64,12 @@ def test_no_two_phases_share_a_draw(
     assert not budget["comparison"] & plan["comparison"]
 
     works: list[Work] = []
-    means = "pfdist.runner.why._means"
+    means = "pfdist.api.why._means"
     real = why.__globals__["_means"]
     monkeypatch.setattr(
         means, lambda problem, work, tell: works.append(work) or real(problem, work, tell)
     )
-    monkeypatch.setattr("pfdist.runner.why.draw_why", lambda *found: [])
+    monkeypatch.setattr("pfdist.api.why.draw_why", lambda *found: [])
     why(tmp_path / "plan", draws=2)
     explaining = {key for work in works for key in (work.draws_stream, *work.filter_streams)}
     assert explaining

@@ -13,13 +13,13 @@ import pfdist
 from oracles.bytes_of import hashes
 from pfdist import Job
 from pfdist.analysis import Run
-from pfdist.display import print_summary
+from pfdist.cli.summary import print_summary
 from pfdist.errors import TaskError
-from pfdist.evaluation import REPORT
+from pfdist.evaluation.estimate import REPORT
 from pfdist.plots import figures
 from pfdist.runner.build import build
 from pfdist.runner.collect import Collector
-from pfdist.work import Work
+from pfdist.evaluation.work import Work
 
 SHARP = Path(pfdist.__file__).parents[1] / "tests" / "oracles" / "sharp_sensor.toml"
 GOOD = (1, 3, 6, 9)
@@ -38,8 +38,8 @@ def planned(job: Job, tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, li
     said, seen = list[str](), list[Any]()
     folder = tmp_path_factory.mktemp("sharp") / "run"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("pfdist.runner.run.draw_figures", lambda run: [])
-        patch.setattr("pfdist.runner.run.figure_files", lambda run: [])
+        patch.setattr("pfdist.api.run.draw_figures", lambda run: [])
+        patch.setattr("pfdist.api.run.figure_files", lambda run: [])
         run = pfdist.plan(job, folder, changes=SMALL, say=said.append, report=seen.append)
     return run, said, seen
 

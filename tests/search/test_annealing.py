@@ -8,8 +8,8 @@ import pytest
 from scipy import stats
 
 from oracles.searched import EvenTimes, last, states
-from pfdist.feasible import Feasible
-from pfdist.measurement_times import Times
+from pfdist.times.feasible import Feasible
+from pfdist.times.measurement_times import Times
 from pfdist.search import Annealing
 from pfdist.search.annealing import accepted
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from oracles.kalman import SCALAR, THREE, TRACKING, LinearGaussian, prefix_costs
-from pfdist.evaluation import SearchEvaluation
-from pfdist.feasible import Feasible
-from pfdist.measurement_times import Times
+from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.times.feasible import Feasible
+from pfdist.times.measurement_times import Times
 from pfdist.search import Budgets, SearchOptimiser, Survivors
 
 CONSTRAINED = {

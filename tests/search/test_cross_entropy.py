@@ -6,7 +6,7 @@ import numpy as np
 from scipy import stats
 
 from oracles.searched import EvenTimes, last, states
-from pfdist.feasible import Feasible
+from pfdist.times.feasible import Feasible
 from pfdist.search import CrossEntropy
 from pfdist.search.cross_entropy import conditional_bernoulli
 

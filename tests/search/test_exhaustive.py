@@ -8,7 +8,7 @@ import pytest
 from oracles.searched import last
 from pfdist import load_job
 from pfdist.errors import JobError
-from pfdist.feasible import Feasible
+from pfdist.times.feasible import Feasible
 from pfdist.runner.build import build
 from pfdist.search import Exhaustive
 from pfdist.search.base import FINALISTS

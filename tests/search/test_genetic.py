@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pfdist.evaluation import SearchEvaluation
-from pfdist.feasible import Feasible
+from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.times.feasible import Feasible
 from pfdist.search import GeneticAlgorithm
 from pfdist.search.base import Candidate
 from pfdist.search.genetic import (

@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from pfdist.evaluation import SearchEvaluation, ShortlistEvaluation
-from pfdist.measurement_times import Times
+from pfdist.evaluation.estimate import SearchEvaluation, ShortlistEvaluation
+from pfdist.times.measurement_times import Times
 from pfdist.search import Candidate, Race
 from pfdist.search.paired import difference
 

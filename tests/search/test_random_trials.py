@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from pfdist.evaluation import SearchEvaluation
-from pfdist.feasible import Feasible
+from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.times.feasible import Feasible
 from pfdist.search import RandomTrials
 
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from oracles.kalman import SCALAR, THREE, TRACKING, LinearGaussian, prefix_costs, riccati_cost
-from pfdist.evaluation import SearchEvaluation
-from pfdist.feasible import Feasible
-from pfdist.measurement_times import Times
+from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.times.feasible import Feasible
+from pfdist.times.measurement_times import Times
 from pfdist.search import Survivors
 from pfdist.search.survivors import SurvivorState
 

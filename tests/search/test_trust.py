@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pfdist.evaluation import ProbeEvaluation, SearchEvaluation, ShortlistEvaluation
-from pfdist.feasible import Feasible
-from pfdist.measurement_times import Times
+from pfdist.evaluation.estimate import ProbeEvaluation, SearchEvaluation, ShortlistEvaluation
+from pfdist.times.feasible import Feasible
+from pfdist.times.measurement_times import Times
 from pfdist.search import Candidate
 from pfdist.search.trust import (
     BELOW,
@@ -21,7 +21,7 @@ from pfdist.search.trust import (
     new_leaders,
     unchecked_probe,
 )
-from pfdist.search_sections import CLEAR_ERRORS
+from pfdist.job.search_sections import CLEAR_ERRORS
 
 Array = NDArray[np.float64]
 FEASIBLE = Feasible(horizon=12, measurement_budget=3)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from pfdist import Job
-from pfdist.cli import main
+from pfdist.cli.main import main
 
 SMALL = ["search.genetic.generations=1", "search.random.evaluations=2", "comparison.draws=20"]
 NAMES = [

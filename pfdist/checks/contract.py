@@ -1,0 +1,122 @@
+"""What every formula must be for a run to start: what `check-model` calls wrong, no run accepts."""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pfdist.filters.draws import Draws, not_finite
+from pfdist.errors import ModelError
+from pfdist.kernels.formulas import formulas_of
+from pfdist.models import StateSpaceModel
+from pfdist.checks.formulas import compiled_as_in_numpy, elementwise, pure
+
+Array = NDArray[np.float64]
+Look = Callable[[StateSpaceModel, Draws], tuple[str, str]]
+_LOOKS: dict[str, Look] = {"pure": pure, "elementwise": elementwise}
+_INSTANTS = 500
+_DRAWS = 10  # simulated: a formula must do the same to a particle whatever the others are
+
+
+def few_draws(model: StateSpaceModel, horizon: int) -> Draws:
+    """Simulate a few draws in NumPy, and call every formula at every instant on arrays.
+
+    Of a horizon above 500 the draws are the first 500 instants; formulas are called at 500 more.
+
+    Raises
+    ------
+    ModelError
+        A formula failed, or gave a value that is not finite.
+    """
+    last, rng = min(horizon, _INSTANTS), np.random.default_rng(0)
+    later = sorted({round(t) for t in np.linspace(last, horizon, _INSTANTS)} - {last})
+    instants = [*range(last + 1), *later]
+    parts: tuple[list[Array], ...] = ([], [], [])
+    with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
+        x = _finite(model, "initial", "x", 0, _noise(model.initial_noise, rng))
+        for t in instants:
+            v, w = _noise(model.measurement_noise, rng), _noise(model.process_noise, rng)
+            y = _finite(model, "measurement", "y", t, x, t, v)
+            z = _finite(model, "quantity_of_interest", "z", t, x, t)
+            model.log_likelihood(y, x, t, model.p)
+            model.error(z, z, t, model.p)
+            for part, values in zip(parts, (x, y, z), strict=True):
+                part.append(np.stack(values, axis=1))
+            if t < horizon:
+                x = _finite(model, "transition", "x", t + 1, x, t, w)
+    kept = (np.stack(part[: last + 1], axis=1) for part in parts)
+    return Draws(model, range(_DRAWS), *kept)
+
+
+def _noise(kinds: tuple[str, ...], rng: np.random.Generator) -> tuple[Array, ...]:
+    """Noise as good as the kernel's, and drawn in a hundredth of the time."""
+    return tuple(
+        rng.normal(size=_DRAWS) if kind == "normal" else rng.uniform(size=_DRAWS) for kind in kinds
+    )
+
+
+def _finite(
+    model: StateSpaceModel, formula: str, name: str, t: int, *arguments: Any
+) -> tuple[Array, ...]:
+    """What a formula gives for all draws, which must be finite."""
+    function = getattr(model, formula)
+    values = tuple(
+        np.array(np.broadcast_to(np.asarray(value, float), (_DRAWS,)))
+        for value in function(*arguments, model.p)
+    )
+    for component, value in enumerate(values):
+        if not np.isfinite(value).all():
+            got = value[~np.isfinite(value)][0]
+            what = f"{name}[{component}] = {got}"
+            raise ModelError(not_finite(model, formula, (*arguments, model.p), what, t))
+    return values
+
+
+def look_at_formulas(model: StateSpaceModel, draws: Draws) -> Iterator[tuple[str, str, str]]:
+    """Look at a model's formulas in NumPy, on a few draws: give each look's name, state and text.
+
+    It ends with the first that is wrong: the others would say the same again.
+    """
+    for name, look in _LOOKS.items():
+        state, text = looked(look, model, draws)
+        yield name, state, text
+        if state == "wrong":
+            return
+
+
+def looked(look: Look, model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
+    """Give the state and the text of one look; what a formula raises is wrong."""
+    try:
+        with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
+            return look(model, draws)
+    except ModelError as error:
+        return "wrong", str(error)
+
+
+def check_formulas(model: StateSpaceModel, draws: Draws) -> None:
+    """Refuse a model whose formulas are wrong, before any is compiled or any worker has a task.
+
+    Raises
+    ------
+    ModelError
+        A formula fails at some instant, is not pure, or mixes particles.
+    """
+    for _, state, text in look_at_formulas(model, draws):
+        _refuse(model, state, text)
+
+
+def check_compiled(model: StateSpaceModel, draws: Draws) -> None:
+    """Refuse a model, compiled, whose formulas give other values than in NumPy.
+
+    Raises
+    ------
+    ModelError
+    """
+    _refuse(model, *looked(compiled_as_in_numpy, model, draws))
+
+
+def _refuse(model: StateSpaceModel, state: str, text: str) -> None:
+    prefix = f"model {model.name}: "
+    if state == "wrong":
+        raise ModelError(text if text.startswith(prefix) else prefix + text)

@@ -1,0 +1,216 @@
+"""What formulas must be, looked at on simulated draws: pure, elementwise, and a true likelihood.
+
+A look gives its state, "ok", "note" or "wrong", and a text.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any, SupportsIndex
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pfdist.filters.draws import Draws
+from pfdist.kernels.noise import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, variates
+from pfdist.models import StateSpaceModel
+from pfdist.evaluation.problem import ENGINES
+from pfdist.mistakes.places import place_of_function
+from pfdist.analysis.rounding import with_error
+
+Array = NDArray[np.float64]
+
+_MEASUREMENTS = 20_000  # simulated at one state, to compare with the log-likelihood
+_PAIRS = 8  # of states, at each of a few instants
+_LARGEST_Z = 5.0  # standard errors; 1 in 10^6 of right models is blamed for each comparison
+
+
+# --- formulas as functions ----------------------------------------------------------------------
+
+
+def _calls(model: StateSpaceModel, draws: Draws, t: int) -> dict[str, tuple[Any, ...]]:
+    """Arguments for each formula: the states of all draws at t, and noise."""
+
+    def noise(kinds: tuple[str, ...], role: SupportsIndex) -> tuple[Array, ...]:
+        return tuple(
+            variates(kind, len(draws.index), 1, 0, t, role, component)
+            for component, kind in enumerate(kinds)
+        )
+
+    x, y, z = (tuple(values[:, t].T) for values in (draws.x, draws.y, draws.z))
+    return {
+        "initial": (noise(model.initial_noise, TRUTH_INITIAL), model.p),
+        "transition": (x, t, noise(model.process_noise, TRUTH_PROCESS), model.p),
+        "measurement": (x, t, noise(model.measurement_noise, TRUTH_MEASUREMENT), model.p),
+        "log_likelihood": (y, x, t, model.p),
+        "quantity_of_interest": (x, t, model.p),
+        "error": (z, tuple(np.roll(component, 1) for component in z), t, model.p),
+    }
+
+
+def _instants(draws: Draws) -> list[int]:
+    """A few instants, of which each has a following one."""
+    last = draws.x.shape[1] - 2
+    return sorted({0, last // 3, last})
+
+
+def _calls_of(model: StateSpaceModel, draws: Draws) -> Iterator[tuple[str, tuple[Any, ...]]]:
+    """Each formula's name and arguments, at a few instants."""
+    for t in _instants(draws):
+        yield from _calls(model, draws, t).items()
+
+
+def _values(model: StateSpaceModel, name: str, arguments: tuple[Any, ...], size: int) -> Array:
+    """What a formula gives, (components, size)."""
+    with np.errstate(all="ignore"):
+        value = getattr(model, name)(*arguments)
+    components = value if isinstance(value, tuple) else (value,)
+    return np.stack([np.broadcast_to(np.asarray(one, float), (size,)) for one in components])
+
+
+def pure(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
+    """Call each formula twice: it must give the same, and change nothing."""
+    for name, arguments in _calls_of(model, draws):
+        before = [np.array(part) for group in arguments[:-1] for part in np.atleast_1d(group)]
+        first = _values(model, name, arguments, len(draws.index))
+        again = _values(model, name, arguments, len(draws.index))
+        after = [np.array(part) for group in arguments[:-1] for part in np.atleast_1d(group)]
+        if not np.array_equal(first, again, equal_nan=True):
+            reason = "; take randomness from the noise it is given"
+            if not all(map(np.array_equal, before, after)):
+                reason = ", because it changes its arguments: a = a + b in the place of a += b"
+            return "wrong", (
+                f"{name} must be a pure function, got other values when called twice with the "
+                f"same arguments{reason}{place_of_function(getattr(model, name))}"
+            )
+        if not all(map(np.array_equal, before, after)):
+            return "wrong", (
+                f"{name} must not change its arguments, got one that does: a = a + b in the place "
+                f"of a += b{place_of_function(getattr(model, name))}"
+            )
+    return "ok", "a formula called twice gives the same, and leaves its arguments as they are"
+
+
+def elementwise(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
+    """Call each formula on arrays and on their entries: it must do the same to each."""
+    some = np.linspace(0, len(draws.index) - 1, 10).astype(int)
+    for name, arguments in _calls_of(model, draws):
+        together = _values(model, name, arguments, len(draws.index))[:, some]
+        alone = [
+            _values(model, name, tuple(_entry(part, i) for part in arguments), 1)[:, 0]
+            for i in some
+        ]
+        if not np.allclose(together, np.array(alone).T, rtol=1e-9, atol=1e-12, equal_nan=True):
+            return "wrong", (
+                f"{name} must treat each particle alone, got other values for an array of "
+                "particles than for its entries one by one (a mean, sum or norm over an array? "
+                "write a + b in the place of np.sum, np.hypot(a, b) of np.linalg.norm)"
+                f"{place_of_function(getattr(model, name))}"
+            )
+    return "ok", "an array of particles gives what its entries give one by one"
+
+
+def _entry(argument: Any, i: int) -> Any:
+    """One particle's part of an argument; t and p belong to all."""
+    if type(argument) is tuple:
+        return tuple(component[i] for component in argument)  # of NumPy: x / 0 is infinite
+    return argument
+
+
+def compiled_as_in_numpy(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
+    """Simulate two instants both ways: later ones of a chaotic model differ by the last digit."""
+    del draws  # these are too long
+    few = range(100)
+    compiled, plain = (
+        ENGINES[engine].simulate(model, 1, few, 0) for engine in ("compiled", "numpy")
+    )
+    for name in "xyz":
+        one, other = getattr(compiled, name), getattr(plain, name)
+        if not np.allclose(one, other, rtol=1e-7, atol=1e-9):
+            worst = float(np.abs(one - other).max())
+            return "wrong", (
+                f"{name} must be the same compiled and in NumPy, got a difference of {worst:.3g}: "
+                "does a formula use what Numba treats otherwise?"
+            )
+    return "ok", "x, y and z of the first two instants agree"
+
+
+# --- the log-likelihood against the measurement ---------------------------------------------------
+
+
+def likelihood(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
+    """Compare the log-likelihood with what `measurement` gives.
+
+    For y drawn at a state a, and any other state b at which y is possible, the mean of
+    p(y | b) / p(y | a) is 1: the integral of p(y | b). A factor of the likelihood that depends on y
+    alone cancels. b lies so near to a that the ratio has a small variance.
+    """
+    rng, compared, apart = np.random.default_rng(0), 0, 0
+    for t in _instants(draws):
+        for pair in range(_PAIRS):
+            a, other = rng.choice(draws.x[:, t], size=2, replace=False)
+            y = _measured(model, a, t, pair)
+            log_likelihood = partial(_log_likelihood, model, y, t)
+            impossible = 1 - np.mean(np.isfinite(log_likelihood(a)))
+            if impossible:
+                return "wrong", (
+                    f"log_likelihood must be finite for y measured at x, got NaN or infinity for "
+                    f"{impossible:.2%} of y measured at x = {_told(a)}, t = {t}"
+                )
+            b = _near(log_likelihood, a, other)
+            if b is None:
+                continue
+            ratio = np.exp(log_likelihood(b) - log_likelihood(a))
+            if not ratio.all():  # what is possible at a is not at b
+                apart += 1
+                continue
+            compared += 1
+            error = float(np.std(ratio, ddof=1)) / math.sqrt(_MEASUREMENTS)
+            if not abs(np.mean(ratio) - 1) < _LARGEST_Z * error:
+                states = f"x = {_told(a)} and x = {_told(b)} at t = {t}"
+                found = with_error(float(np.mean(ratio)), error)
+                return "wrong", (
+                    "log_likelihood must be the log-density of measurement, up to a term that does "
+                    f"not depend on x; but over y measured at the first of {states}, their "
+                    f"likelihoods' ratio has the mean {found}, not 1 "
+                    "(a wrong deviation, or a term left out that depends on x?)"
+                )
+    if apart and not compared:
+        return "note", "it cannot be checked: which y are possible depends on x"
+    if not compared:
+        return "note", "it does not depend on x where it was looked at"
+    return "ok", f"it agrees with measurement at {compared} pairs of states"
+
+
+def _measured(model: StateSpaceModel, x: Array, t: int, draw: int) -> tuple[Array, ...]:
+    v = tuple(
+        variates(kind, _MEASUREMENTS, 2, draw, t, TRUTH_MEASUREMENT, component)
+        for component, kind in enumerate(model.measurement_noise)
+    )
+    y = _values(model, "measurement", (tuple(x.tolist()), t, v, model.p), _MEASUREMENTS)
+    return tuple(y)
+
+
+def _log_likelihood(model: StateSpaceModel, y: tuple[Array, ...], t: int, x: Array) -> Array:
+    values = _values(model, "log_likelihood", (y, tuple(x.tolist()), t, model.p), _MEASUREMENTS)
+    log_likelihood: Array = values[0]
+    return log_likelihood
+
+
+def _near(log_likelihood: Callable[[Array], Array], a: Array, other: Array) -> Array | None:
+    """A state between the two whose log-likelihoods differ by about 1/2; None if none does."""
+    at_a = log_likelihood(a)
+    for step in 2.0 ** (-np.arange(60) / 2):
+        b: Array = a + step * (other - a)
+        difference = log_likelihood(b) - at_a
+        impossible = np.isneginf(difference)
+        if np.mean(impossible) > 0.5:
+            continue
+        spread = np.std(difference[~impossible])
+        if spread < 0.6:
+            return b if spread > 1e-6 or impossible.any() else None
+    return None
+
+
+def _told(x: Array) -> str:
+    return f"({', '.join(f'{value:.4g}' for value in x)})"

@@ -1,0 +1,147 @@
+"""Whether a machine is fit for a run: what would else go wrong hours later."""
+
+import os
+import platform
+import shutil
+import socket
+import tempfile
+from collections.abc import Callable, Iterator
+from importlib.metadata import version
+from pathlib import Path
+
+from filelock import FileLock
+
+from pfdist.errors import PfdistError
+from pfdist.checks.model import Check
+from pfdist.pools.control_group import settings
+from pfdist.pools.cores import limits, usable_cores
+
+LEAST_MEMORY = 1.5e9  # Ray takes 0.5e9, the driver and a worker 0.3e9 each
+LEAST_SHARED = 1.5e8  # Ray's object store takes 1e8
+LEAST_DISK = 1e9  # a comparison of a million draws takes 0.05e9
+LEAST_RAY = (2, 52)  # CVE-2025-62593
+
+_MEMORY = Path("/proc/meminfo")
+
+Finding = tuple[str, str]
+
+
+def examine(results: Path, address: str = "") -> Iterator[Check]:
+    """Look at what a run needs.
+
+    Parameters
+    ----------
+    results : Path
+        Where runs are to lie.
+    address : str
+        Of a Ray cluster whose nodes are looked at too.
+
+    Yields
+    ------
+    Check
+    """
+    looks: dict[str, Callable[[], Finding]] = {
+        "cores": _cores,
+        "memory": _memory,
+        "shared memory": _shared_memory,
+        "Ray": _ray,
+        "ports": _ports,
+        "results folder": lambda: _results(results),
+    }
+    for name, look in looks.items():
+        try:
+            yield Check(name, *look())
+        except OSError as error:
+            where = f"{error.filename}: " if error.filename else ""
+            yield Check(name, "wrong", f"{where}{error.strerror or error}")
+    if address:
+        yield from _nodes(address)
+
+
+def _cores() -> Finding:
+    said = ", ".join(f"{name} {count}" for name, count in limits().items())
+    return "ok", f"{usable_cores()} for workers ({said}; the host has {os.cpu_count()})"
+
+
+def _memory() -> Finding:
+    lines = _MEMORY.read_text(encoding="ascii").splitlines()
+    free = 1024 * int(dict(line.split(":") for line in lines)["MemAvailable"].split()[0])
+    for name in ("memory.max", "memory.limit_in_bytes"):
+        limits = (int(text) for (text,) in settings("memory", name) if text.isdecimal())
+        free = min(free, *limits, free)
+    return _enough(free, LEAST_MEMORY, "a run wants", "fewer workers need less")
+
+
+def _shared_memory() -> Finding:
+    free = shutil.disk_usage("/dev/shm").free  # noqa: S108  looked at, not written to
+    return _enough(free, LEAST_SHARED, "Ray wants", "start the container with --shm-size=1g")
+
+
+def _enough(free: float, least: float, who: str, what: str) -> Finding:
+    if free < least:
+        return "wrong", f"{free / 1e9:.2f} GB, and {who} {least / 1e9:.2f}: {what}"
+    return "ok", f"{free / 1e9:.2f} GB free"
+
+
+def _ray() -> Finding:
+    found = version("ray")
+    if tuple(int(part) for part in found.split(".")[:2]) < LEAST_RAY:
+        return (
+            "wrong",
+            f"{found}: pages of a browser may run code here (CVE-2025-62593), 2.52 mends it",
+        )
+    return "ok", found
+
+
+def _ports() -> Finding:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        with socket.create_connection(("127.0.0.1", port), timeout=5):
+            return "ok", "a port of this machine can be opened and reached"
+
+
+def _results(results: Path) -> Finding:
+    """Try what the store needs of a file system, where runs are to lie."""
+    folder = next(one for one in (results.absolute(), *results.absolute().parents) if one.is_dir())
+    doing = "written"
+    try:
+        with tempfile.TemporaryDirectory(dir=folder, prefix=".doctor-") as temporary:
+            one, other = Path(temporary) / "one", Path(temporary) / "other"
+            with one.open("w", encoding="ascii") as file:
+                file.write("written")
+                file.flush()
+                doing = "flushed (fsync)"
+                os.fsync(file.fileno())
+            doing = "given a second name (a hard link)"
+            os.link(one, other)
+            doing = "replaced"
+            one.replace(other)
+            doing = "locked (flock)"
+            with FileLock(other, blocking=False):
+                pass
+    except (OSError, NotImplementedError) as error:
+        reason = getattr(error, "strerror", None) or error
+        return "wrong", f"files in {folder} cannot be {doing}: {reason}; runs must lie elsewhere"
+    free = shutil.disk_usage(folder).free
+    text = f"{folder}: files can be flushed, linked and locked, {free / 1e9:.1f} GB free"
+    return ("ok" if free > LEAST_DISK else "note"), text
+
+
+def _nodes(address: str) -> Iterator[Check]:
+    # Here and not above: without a cluster nothing of this needs Ray.
+    from pfdist.pools.ray_cluster import describe_nodes  # noqa: PLC0415
+
+    here = {"Python": platform.python_version(), "pfdist": version("pfdist")}
+    try:
+        nodes = describe_nodes(address)
+    except PfdistError as error:
+        yield Check("cluster", "wrong", str(error))
+        return
+    for node in nodes:
+        differs = [
+            f"{what} {node[what.lower()]}, and {mine} here: every node must have the same"
+            for what, mine in here.items()
+            if node[what.lower()] != mine
+        ]
+        text = "; ".join(differs) or f"Python {node['python']}, pfdist {node['pfdist']}"
+        yield Check(f"node {node['host']}", "wrong" if differs else "ok", text)

@@ -1,0 +1,197 @@
+"""Find what is wrong with a model before a night on a cluster does."""
+
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from pfdist.filters import kalman
+from pfdist.analysis import Moments
+from pfdist.filters.draws import Draws
+from pfdist.errors import CompileError, ModelError
+from pfdist.meaning import Meaning, check_is_constant
+from pfdist.times.measurement_times import regular
+from pfdist.models import StateSpaceModel
+from pfdist.evaluation.problem import ENGINES, NUMPY_TIMES_SLOWER, Problem
+from pfdist.analysis.rounding import rounded, with_error
+from pfdist.checks.formulas import compiled_as_in_numpy, likelihood
+from pfdist.checks.speed import speed
+from pfdist.meaning.chosen import loaded_twice
+from pfdist.checks.contract import Look, few_draws, look_at_formulas, looked
+from pfdist.evaluation.work import Estimation, Work
+
+_DRAWS = 1000
+_FEW = 10  # draws, for what is done instant by instant in NumPy
+_FEW_PARTICLES = 50
+_SECONDS = 4.0  # for an evaluation of fewer draws, where a thousand take longer
+
+
+def _same_bytes(model: StateSpaceModel, _: Draws) -> tuple[str, str]:
+    """Whether the compiled formulas give the same bytes on another processor."""
+    called = Problem(model, 1).libm_functions(Estimation(1))
+    if not called:
+        return "ok", "the compiled formulas give the same bytes on all processors"
+    return "note", (
+        f"the formulas call {', '.join(called)} of the C library: results may differ in the last "
+        "digits between machines"
+    )
+
+
+_LOOKS: dict[str, Look] = {
+    "compiled as in NumPy": compiled_as_in_numpy,
+    "same bytes": _same_bytes,
+    "speed": speed,
+    "log_likelihood": likelihood,
+}
+_COMPILED = ("compiled as in NumPy", "same bytes", "speed")
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing that was looked at.
+
+    Parameters
+    ----------
+    name : str
+    state : {"ok", "note", "wrong"}
+        A note is worth knowing; what is wrong makes every figure wrong or ends the run.
+    text : str
+        What was found, and what to do.
+    """
+
+    name: str
+    state: str
+    text: str
+
+
+def check_model(
+    name: str, horizon: int = 60, particles: int = 500, folder: Path = Path()
+) -> Iterator[Check]:
+    """Look at a model from all sides; what is found comes as it is found.
+
+    Parameters
+    ----------
+    name : str
+        As a job has it: a model that ships, an entry point, or ``path/file.py:object``.
+    horizon : int
+        T of the draws that are simulated.
+    particles : int
+        Of the filter that is timed.
+    folder : Path
+        What a path in the name is relative to.
+
+    Yields
+    ------
+    Check
+    """
+    try:
+        source, told, again = loaded_twice(name, folder)
+        model = source.load()
+        states, measurements, quantities = model.components
+    except ModelError as error:
+        yield Check("load", "wrong", str(error))
+        return
+    sizes = f"{states} of x, {measurements} of y, {quantities} of z"
+    yield Check("load", "ok", f"{model.name}: components {sizes}")
+    yield Check("loads the same twice", *_constant(source.path, told, again))
+    try:
+        few = few_draws(model, horizon)
+    except ModelError as error:
+        yield Check("simulate", "wrong", str(error))
+        return
+    state = ""
+    for look, state, text in look_at_formulas(model, few):
+        yield Check(look, state, text)
+    if state != "wrong":
+        yield from _computed(model, horizon, Estimation(particles))
+
+
+def _computed(model: StateSpaceModel, horizon: int, estimation: Estimation) -> Iterator[Check]:
+    """Look at a model whose formulas are right in NumPy, as an engine computes it."""
+    engine = "compiled"
+    try:
+        Problem(model, horizon).compile(estimation)
+        yield Check("compile", "ok", "Numba compiles every formula")
+    except CompileError as error:
+        engine = "numpy"
+        yield Check("compile", "note", f"{error}: it runs about {NUMPY_TIMES_SLOWER} times slower")
+    except ModelError as error:  # it compiles, and fails when it is called
+        yield Check("simulate", "wrong", str(error))
+        return
+    try:
+        draws = ENGINES[engine].simulate(model, horizon, range(_DRAWS), 0)
+    except ModelError as error:
+        yield Check("simulate", "wrong", str(error))
+        return
+    yield Check(
+        "simulate", "ok", f"x, y and z are finite in {_DRAWS} draws of {horizon + 1} instants"
+    )
+    looks = dict(_LOOKS)
+    if model.linear_gaussian:
+        looks["linear_gaussian"] = _linear_gaussian
+    if engine == "numpy":
+        looks = {look: looks[look] for look in looks if look not in _COMPILED}
+    looks["every instant"] = partial(_every_instant, engine)
+    for look, function in looks.items():
+        yield Check(look, *looked(function, model, draws))
+    try:
+        yield from _filtered(Problem(model, horizon, engine=engine), estimation)
+    except ModelError as error:
+        yield Check("filter", "wrong", str(error))
+
+
+def _constant(path: str, told: Meaning, again: Meaning) -> tuple[str, str]:
+    try:
+        check_is_constant(told, again, path, "each time it is loaded")
+    except ModelError as error:
+        return "wrong", str(error)
+    return "ok", "formulas, constants and data are the same in a second load"
+
+
+def _every_instant(engine: str, model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
+    """Call every formula at every instant, both ways: a search may measure at any of them."""
+    few, instants = draws[:_FEW], range(draws.x.shape[1])
+    for name in dict.fromkeys([engine, "numpy"]):
+        ENGINES[name].simulate(model, instants[-1], few.index, 0)
+        for times in ((), tuple(instants)):
+            ENGINES[name].filter_draws(model, few, times, _FEW_PARTICLES, 0)
+    return "ok", "no formula fails at any instant, measured or not"
+
+
+def _linear_gaussian(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
+    try:
+        kalman.linear_gaussian(model, draws.x.shape[1] - 1)
+    except ModelError as error:
+        return "wrong", str(error)
+    return "ok", "as it declares: filter.engine = 'kalman' computes it exactly"
+
+
+def _filtered(problem: Problem, estimation: Estimation) -> Iterator[Check]:
+    """What an evaluation costs, and how many draws are degenerate."""
+    times = regular(problem.horizon, max(2, (problem.horizon + 1) // 3))
+    work = Work((times,), (problem.horizon,), (3,), 3, (0, 1), estimation)
+    seconds_a_draw = problem.seconds_a_step * work.steps_a_draw
+    draws = min(_DRAWS, max(1, int(_SECONDS / seconds_a_draw)))
+    start = time.perf_counter()
+    with np.errstate(over="ignore", invalid="ignore"):  # what comes of it is said below
+        mse = problem(replace(work, draws=(0, draws))).mse[:, 0]
+    seconds = (time.perf_counter() - start) * _DRAWS / draws
+    usable = mse[~np.isnan(mse)]
+    share = 1 - usable.size / draws
+    text = (
+        f"{share:.2%} of draws with {len(times)} regular times and {estimation.particles} particles"
+    )
+    yield Check("degenerate draws", "note" if share else "ok", text)
+    known = Moments()
+    known.add(usable)
+    text = f"{with_error(known.mean, known.standard_error)} with these times"
+    if math.isfinite(known.mean) and math.isfinite(known.standard_error):
+        yield Check("expected MSE", "ok", text)
+    else:
+        got = text if usable.size else "no usable draw"
+        yield Check("expected MSE", "wrong", f"it must be finite, and its error, got {got}")
+    yield Check("an evaluation", "ok", f"{rounded(seconds, 2)} s for {_DRAWS:,} draws on one core")

@@ -1,0 +1,143 @@
+"""A unit of work: sets of times to be tried on a range of draws, and what becomes of it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pfdist.kernels.prefixes import plan
+from pfdist.times.measurement_times import Times
+from pfdist.filters.particle_filter import filter_streams
+
+
+@dataclass(frozen=True)
+class Estimation:
+    """How the error of one draw is estimated.
+
+    Parameters
+    ----------
+    particles : int
+        P.
+    resampling : {"multinomial", "stratified", "systematic", "residual", "sorted_systematic"}
+    estimator : {"squared_error", "filter_variance", "two_filters"}
+        See `pfdist.filters.estimators`.
+    """
+
+    particles: int
+    resampling: str = "multinomial"
+    estimator: str = "squared_error"
+
+    @property
+    def steps_an_instant(self) -> int:
+        """Particle-steps of one instant, of all filters."""
+        return self.particles * len(filter_streams(0, self.estimator))
+
+
+@dataclass(frozen=True)
+class Work:
+    """Sets of measurement times to be tried on the same draws.
+
+    Parameters
+    ----------
+    measurement_times : tuple of tuples of int
+        S sets.
+    ends : tuple of int, (S,)
+        Last instant of each set whose error counts.
+    filter_streams : tuple of int, (S,)
+        Key of each filter's noise.
+    draws_stream : int
+        Key of the draws.
+    draws : (int, int)
+        First draw, and the one after the last.
+    estimation : Estimation
+    trajectories : bool
+        Whether z, y and the estimates are wanted.
+    """
+
+    measurement_times: tuple[Times, ...]
+    ends: tuple[int, ...]
+    filter_streams: tuple[int, ...]
+    draws_stream: int
+    draws: tuple[int, int]
+    estimation: Estimation
+    trajectories: bool = False
+
+    @property
+    def steps_a_draw(self) -> int:
+        """Particle-steps of one draw: what sets share is done once."""
+        instants = _instants(self.measurement_times, self.ends, self.filter_streams)
+        return instants * self.estimation.steps_an_instant
+
+    @property
+    def steps(self) -> int:
+        """Particle-steps."""
+        return (self.draws[1] - self.draws[0]) * self.steps_a_draw
+
+
+def columns(streams: Sequence[int]) -> dict[int, list[int]]:
+    """Give the places of the sets that have each stream."""
+    return {
+        stream: [column for column, its in enumerate(streams) if its == stream]
+        for stream in dict.fromkeys(streams)
+    }
+
+
+@lru_cache(maxsize=64)
+def _instants(sets: tuple[Times, ...], ends: tuple[int, ...], streams: tuple[int, ...]) -> int:
+    """Instants that are filtered in all."""
+    if len(sets) == 1:
+        return ends[0] + 1
+    total = 0
+    for of in columns(streams).values():
+        stops = tuple(ends[column] + 1 for column in of)
+        planned, _ = plan(tuple(sets[column] for column in of), max(stops), stops)
+        total += int(np.sum(planned.ends - planned.begins))
+    return total
+
+
+@dataclass(frozen=True)
+class Result:
+    """What became of a `Work` of D draws and S sets.
+
+    Parameters
+    ----------
+    mse : array of float64, (D, S)
+        NaN for a degenerate draw.
+    z, y : array of float64, (D, T+1, q) and (D, T+1, m)
+    estimates : array of float64, (S, D, T+1, q)
+        These three are empty unless trajectories are wanted.
+    """
+
+    mse: NDArray[np.float64]
+    z: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    y: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    estimates: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+
+
+def cut(draws: ArrayLike, block: int) -> list[tuple[int, int]]:
+    """Cut draws that are still to be done into ranges.
+
+    Parameters
+    ----------
+    draws : array-like of int
+        Sorted, without repetition.
+    block : int
+        A range lies between two multiples of this.
+
+    Returns
+    -------
+    list of (int, int)
+        First draw, and the one after the last.
+
+    Examples
+    --------
+    >>> cut([0, 1, 2, 3, 4, 7, 8], block=3)
+    [(0, 3), (3, 5), (7, 9)]
+    """
+    index = np.asarray(draws)
+    if not index.size:
+        return []
+    starts = np.flatnonzero((np.diff(index) > 1) | (index[1:] % block == 0)) + 1
+    return [(int(piece[0]), int(piece[-1]) + 1) for piece in np.split(index, starts)]

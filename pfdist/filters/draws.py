@@ -1,0 +1,232 @@
+"""Simulate draws: realisations of x(0..T), y(0..T) and z(0..T) (paper, equations 1 to 4)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, SupportsIndex
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from pfdist.errors import ModelError
+from pfdist.kernels.components import naming, reader, writer
+from pfdist.kernels.disk_cache import kept_on_disk
+from pfdist.kernels.formulas import formula, formulas_of
+from pfdist.kernels.libm import libm_functions, makes_arrays
+from pfdist.kernels.noise import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, filler, variates
+from pfdist.kernels.scratch import WithScratch
+from pfdist.models import StateSpaceModel
+from pfdist.mistakes.places import place_of, place_of_function
+
+_FORMULAS = ("initial", "transition", "measurement", "quantity_of_interest")
+_TOGETHER = 64  # draws that are simulated side by side: a few vectors of noise
+
+
+@dataclass(frozen=True)
+class Draws:
+    """Realisations of a model.
+
+    Parameters
+    ----------
+    model : StateSpaceModel
+        The truth.
+    index : range
+        Which draws of the stream these are, D of them.
+    x : array of float64, (D, T+1, n)
+        States.
+    y : array of float64, (D, T+1, m)
+        Measurements, also of the times at which nobody measures.
+    z : array of float64, (D, T+1, q)
+        Quantities of interest.
+    """
+
+    model: StateSpaceModel
+    index: range
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    z: NDArray[np.float64]
+
+    def __getitem__(self, which: slice) -> "Draws":
+        """Give some of the draws."""
+        return Draws(self.model, self.index[which], self.x[which], self.y[which], self.z[which])
+
+    def upto(self, end: int) -> "Draws":
+        """Give the same draws up to an instant."""
+        t = slice(end + 1)
+        return Draws(self.model, self.index, self.x[:, t], self.y[:, t], self.z[:, t])
+
+
+def simulate(model: StateSpaceModel, horizon: int, index: range, stream: int) -> Draws:
+    """Simulate some draws of a stream.
+
+    Parameters
+    ----------
+    model : StateSpaceModel
+    horizon : int
+        T.
+    index : range
+        Which draws, one after another; a draw is the same whatever others are simulated with it.
+    stream : int
+        Key of the noise, 64 bits.
+
+    Returns
+    -------
+    Draws
+
+    Raises
+    ------
+    ModelError
+        A formula cannot be compiled or failed, or gave a value that is not finite.
+    """
+    if index.step != 1:
+        raise ValueError(f"index must be a range with step 1, got {index}")
+    shape = (len(index), horizon + 1)
+    x, y, z = (np.empty((*shape, count)) for count in model.components)
+    with formulas_of(model.name, model.formulas):
+        _compiled(model)(np.uint64(stream), index.start, np.array(model.p), x, y, z)
+    draws = Draws(model, index, x, y, z)
+    check_finite(model, draws, stream)
+    return draws
+
+
+def check_finite(model: StateSpaceModel, draws: Draws, stream: int) -> None:
+    """Raise a `ModelError` that names the first value that is not finite, and what gave it.
+
+    Parameters
+    ----------
+    model : StateSpaceModel
+    draws : Draws
+    stream : int
+        What they were simulated with.
+    """
+    for name in "xyz":
+        values = getattr(draws, name)
+        if np.isfinite(values).all():
+            continue
+        row, t, component = (int(i) for i in np.argwhere(~np.isfinite(values))[0])
+        one = Draws(model, draws.index[row : row + 1], draws.x[row], draws.y[row], draws.z[row])
+        formula, arguments = _given(model, name, one, t, stream)
+        got = values[row, t, component]
+        raise ModelError(not_finite(model, formula, arguments, f"{name}[{component}] = {got}", t))
+
+
+def not_finite(
+    model: StateSpaceModel, formula: str, arguments: tuple[Any, ...], got: str, t: int
+) -> str:
+    """Say which formula gave what is not finite, and the operation and the line at fault.
+
+    Parameters
+    ----------
+    model : StateSpaceModel
+    formula : str
+        Its name.
+    arguments : tuple
+        With which it gave that.
+    got : str
+        The value, as ``x[0] = nan``.
+    t : int
+    """
+    function = getattr(model, formula)
+    cause = place_of_function(function)
+    try:
+        with np.errstate(all="raise", under="ignore"):
+            function(*arguments)
+    except FloatingPointError as error:
+        cause = f": {error}{place_of(error)}"
+    except Exception:  # noqa: S110  that it is not finite is what is told
+        pass
+    return (
+        f"model {model.name}: a simulation must stay finite, got {got} at t = {t} from {formula}"
+        f"{cause}"
+    )
+
+
+def _given(
+    model: StateSpaceModel, name: str, draw: Draws, t: int, stream: int
+) -> tuple[str, tuple[Any, ...]]:
+    """The formula that gives x, y or z of a draw at t, and its arguments."""
+
+    def noise(kinds: tuple[str, ...], t: int, role: SupportsIndex) -> tuple[Any, ...]:
+        index = np.array(draw.index)
+        return tuple(
+            variates(kind, 1, stream, index, t, role, component)[:, 0]
+            for component, kind in enumerate(kinds)
+        )
+
+    x, before = (tuple(draw.x[max(0, i)][:, None]) for i in (t, t - 1))
+    if name == "y":
+        return "measurement", (x, t, noise(model.measurement_noise, t, TRUTH_MEASUREMENT), model.p)
+    if name == "z":
+        return "quantity_of_interest", (x, t, model.p)
+    if t == 0:
+        return "initial", (noise(model.initial_noise, 0, TRUTH_INITIAL), model.p)
+    w = noise(model.process_noise, t - 1, TRUTH_PROCESS)
+    return "transition", (before, t - 1, w, model.p)
+
+
+def libm_of_simulation(model: StateSpaceModel) -> tuple[str, ...]:
+    """Functions of the C library that the compiled simulation calls; see `libm_functions`.
+
+    The simulation was called before.
+    """
+    return libm_functions(_compiled(model).compiled)
+
+
+def simulation_makes_arrays(model: StateSpaceModel) -> bool:
+    """Whether the compiled simulation, which was called before, makes arrays for each particle."""
+    return makes_arrays(_compiled(model).compiled)
+
+
+def _compiled(model: StateSpaceModel) -> WithScratch:
+    return _compile(
+        (model.initial, model.transition, model.measurement, model.quantity_of_interest),
+        (model.initial_noise, model.process_noise, model.measurement_noise),
+        model.components,
+        tuple(model.parameters),
+    )
+
+
+@lru_cache(maxsize=32)
+def _compile(
+    functions: tuple[Callable[..., Any], ...],
+    noise: tuple[tuple[str, ...], ...],
+    components: tuple[int, int, int],
+    parameters: tuple[str, ...],
+) -> WithScratch:
+    initial, transition, measurement, quantity = map(formula, functions, _FORMULAS)
+    fill_w0, fill_w, fill_v = (filler(kinds, of_draws=True) for kinds in noise)
+    read_w0, read_w, read_v = (reader(len(kinds), "c, i") for kinds in noise)
+    read_x = reader(components[0], "d, t, c")
+    write_x, write_y, write_z = (writer(count, "d, t, c") for count in components)
+    rows = max(map(len, noise))
+    named = naming(parameters)
+
+    @njit(nogil=True, error_model="numpy", _nrt=False)
+    def simulate_draws(stream, first, parameters, noise, x, y, z):  # type: ignore[no-untyped-def]
+        p = named(parameters)
+        for begin in range(0, x.shape[0], _TOGETHER):
+            draw, count = first + begin, min(_TOGETHER, x.shape[0] - begin)
+            fill_w0(noise, count, stream, draw, np.int64(0), TRUTH_INITIAL)
+            for i in range(count):
+                write_x(x, begin + i, 0, initial(read_w0(noise, i), p))
+            for t in range(x.shape[1]):
+                fill_v(noise, count, stream, draw, t, TRUTH_MEASUREMENT)
+                for i in range(count):
+                    state = read_x(x, begin + i, t)
+                    write_y(y, begin + i, t, measurement(state, t, read_v(noise, i), p))
+                    write_z(z, begin + i, t, quantity(state, t, p))
+                if t + 1 == x.shape[1]:
+                    break
+                fill_w(noise, count, stream, draw, t, TRUTH_PROCESS)
+                for i in range(count):
+                    following = transition(read_x(x, begin + i, t), t, read_w(noise, i), p)
+                    write_x(x, begin + i, t + 1, following)
+
+    compiled = kept_on_disk(simulate_draws, functions, noise, components, parameters)
+
+    def with_scratch(*arguments: Any) -> None:
+        *given, x, y, z = arguments
+        compiled(*given, np.empty((rows, _TOGETHER), np.float32), x, y, z)
+
+    return WithScratch(compiled, with_scratch)

@@ -1,0 +1,218 @@
+"""The exact filter of a model that declares itself linear and Gaussian, and the exact expected MSE.
+
+Its matrices are found by calling its formulas on the unit vectors, so they are written down once.
+The covariances do not depend on what is measured, so the expected MSE needs no draws.
+
+References
+----------
+Kalman, "A new approach to linear filtering and prediction problems", Journal of Basic Engineering
+82, 1960. Sinopoli et al., "Kalman filtering with intermittent observations", IEEE Transactions on
+Automatic Control 49, 2004.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pfdist.filters.draws import Draws
+from pfdist.errors import ModelError
+from pfdist.kernels.formulas import formulas_of
+from pfdist.times.measurement_times import Times, validated
+from pfdist.models import StateSpaceModel, squared_error
+from pfdist.filters.particle_filter import Filtered
+
+Array = NDArray[np.float64]
+
+_TOLERANCE = 1e-9  # of what a formula gives, for the rounding of a linear one
+
+
+@dataclass(frozen=True)
+class Affine:
+    """``offset + matrix @ u``.
+
+    Parameters
+    ----------
+    offset : array of float64, (r,)
+    matrix : array of float64, (r, c)
+    """
+
+    offset: Array
+    matrix: Array
+
+
+@dataclass(frozen=True)
+class LinearGaussian:
+    """A model's formulas as matrices, for t = 0..T.
+
+    Parameters
+    ----------
+    initial : Affine
+        x(0) of w.
+    transition, measurement : tuple of Affine, (T,) and (T+1,)
+        x(t+1) of (x(t), w) and y(t) of (x(t), v).
+    quantity_of_interest : tuple of Affine, (T+1,)
+        z(t) of x(t).
+    """
+
+    initial: Affine
+    transition: tuple[Affine, ...]
+    measurement: tuple[Affine, ...]
+    quantity_of_interest: tuple[Affine, ...]
+
+
+def linear_gaussian(model: StateSpaceModel, horizon: int) -> LinearGaussian:
+    """Find the matrices of a model.
+
+    Raises
+    ------
+    ModelError
+        The model does not declare itself linear-Gaussian, or is not: a noise is not normal, the
+        error not the squared one, or a formula not linear.
+    """
+    _check_declared(model)
+    p, states = model.p, model.components[0]
+
+    def affine(name: str, t: int, split: int, inputs: int) -> Affine:
+        formula = getattr(model, name)
+
+        def at(u: Array) -> tuple[Any, ...]:
+            x, noise = tuple(u[:split]), tuple(u[split:])
+            given = {"initial": (noise,), "quantity_of_interest": (x, t)}.get(name, (x, t, noise))
+            value: tuple[Any, ...] = formula(*given, p)
+            return value
+
+        return _probed(at, inputs, f"model {model.name}: {name} at t = {t}")
+
+    instants = range(horizon + 1)
+    moved, seen = (states + len(kinds) for kinds in (model.process_noise, model.measurement_noise))
+    with formulas_of(model.name, model.formulas):
+        return LinearGaussian(
+            affine("initial", 0, 0, len(model.initial_noise)),
+            tuple(affine("transition", t, states, moved) for t in instants[:-1]),
+            tuple(affine("measurement", t, states, seen) for t in instants),
+            tuple(affine("quantity_of_interest", t, states, states) for t in instants),
+        )
+
+
+def expected_mse(
+    model: StateSpaceModel, horizon: int, sets: Sequence[Times], ends: Sequence[int] | None = None
+) -> Array:
+    """Exact expected MSE of the Kalman filter with each set of times, (S,): no draws are needed.
+
+    Where `ends` are given, each set's errors count up to its own alone; the sum is over T + 1.
+
+    Raises
+    ------
+    MeasurementTimesError, ModelError
+        A set lies outside 0..T, or the model is not linear-Gaussian.
+    """
+    matrices = linear_gaussian(model, horizon)
+    measured = np.zeros((len(sets), horizon + 1), np.bool_)
+    for row, times in zip(measured, sets, strict=True):
+        row[list(validated(times, horizon))] = True
+    covariance = np.repeat(_square(matrices.initial.matrix)[None], len(sets), axis=0)
+    total, last = np.zeros(len(sets)), np.array([horizon] * len(sets) if ends is None else ends)
+    for t in range(horizon + 1):
+        here = measured[:, t]
+        gain, seen = _gain(covariance[here], matrices.measurement[t])
+        covariance[here] -= gain @ seen @ covariance[here]
+        h = matrices.quantity_of_interest[t].matrix
+        total += (t <= last) * np.trace(h @ covariance @ h.T, axis1=1, axis2=2)
+        if t < horizon:
+            covariance = _propagated(covariance, matrices.transition[t])
+    return total / (horizon + 1)
+
+
+def filter_draws(
+    model: StateSpaceModel,
+    draws: Draws,
+    measurement_times: Times,
+    particles: int,
+    stream: int,
+    resampling: str = "multinomial",
+    trajectories: bool = False,
+    dtype: str = "float64",
+) -> Filtered:
+    """Filter draws exactly; arguments as of `pfdist.filters.particle_filter.filter_draws`.
+
+    There are no particles: `particles`, `stream`, `resampling` and `dtype` change nothing.
+    """
+    instants = draws.z.shape[1]
+    times = validated(measurement_times, instants - 1)
+    matrices = linear_gaussian(model, instants - 1)
+    mean = np.repeat(matrices.initial.offset[None], len(draws.index), axis=0)
+    covariance = _square(matrices.initial.matrix)
+    estimate, variance = np.empty_like(draws.z), np.empty_like(draws.z)
+    for t in range(instants):
+        if t in times:
+            gain, seen = _gain(covariance, matrices.measurement[t])
+            surprise = draws.y[:, t] - matrices.measurement[t].offset - mean @ seen.T
+            mean = mean + surprise @ gain.T
+            covariance = covariance - gain @ seen @ covariance
+        wanted = matrices.quantity_of_interest[t]
+        estimate[:, t] = wanted.offset + mean @ wanted.matrix.T
+        variance[:, t] = np.diag(wanted.matrix @ covariance @ wanted.matrix.T)
+        if t + 1 < instants:
+            step = matrices.transition[t]
+            mean = step.offset + mean @ step.matrix[:, : mean.shape[1]].T
+            covariance = _propagated(covariance, step)
+    mse = np.mean(np.sum((draws.z - estimate) ** 2, axis=2), axis=1)
+    return Filtered(mse, estimate, variance) if trajectories else Filtered(mse)
+
+
+def _gain(covariance: Array, measurement: Affine) -> tuple[Array, Array]:
+    """Kalman gain, and the matrix C of y = C x + noise; for one covariance or many."""
+    states = covariance.shape[-1]
+    seen, noise = measurement.matrix[:, :states], measurement.matrix[:, states:]
+    surprise = seen @ covariance @ seen.T + _square(noise)
+    # A measurement without noise may be no surprise at all: then nothing is to be inverted.
+    return covariance @ seen.T @ np.linalg.pinv(surprise, hermitian=True), seen
+
+
+def _propagated(covariance: Array, transition: Affine) -> Array:
+    states = covariance.shape[-1]
+    matrix, noise = transition.matrix[:, :states], transition.matrix[:, states:]
+    return matrix @ covariance @ matrix.T + _square(noise)
+
+
+def _square(matrix: Array) -> Array:
+    return matrix @ matrix.T
+
+
+def _probed(at: Callable[[Array], tuple[Any, ...]], inputs: int, what: str) -> Affine:
+    """Offset and matrix of a linear function, by its values at 0 and at the unit vectors."""
+    elsewhere = np.random.default_rng(0).normal(size=(inputs, 4)) * [0.1, 1, 10, 100]
+    points = np.concatenate([np.zeros((inputs, 1)), np.eye(inputs), elsewhere], axis=1)
+    values = np.stack([np.broadcast_to(value, points.shape[1]) for value in at(points)])
+    offset = values[:, 0]
+    matrix = values[:, 1 : inputs + 1] - offset[:, None]
+    predicted = offset[:, None] + matrix @ elsewhere
+    size = np.abs(offset)[:, None] + np.abs(matrix) @ np.abs(elsewhere) + 1e-300
+    wrong = ~(np.abs(values[:, inputs + 1 :] - predicted) <= _TOLERANCE * size)
+    if wrong.any():
+        component = int(np.argwhere(wrong)[0, 0])
+        raise ModelError(f"{what} must be linear, but component {component} is not")
+    return Affine(offset, matrix)
+
+
+def _check_declared(model: StateSpaceModel) -> None:
+    if not model.linear_gaussian:
+        raise ModelError(
+            f"filter.engine = 'kalman' needs a model that declares itself linear_gaussian, "
+            f"got {model.name}"
+        )
+    for name in ("initial_noise", "process_noise", "measurement_noise"):
+        kinds = set(getattr(model, name)) - {"normal"}
+        if kinds:
+            raise ModelError(
+                f"model {model.name}: {name} of a linear-Gaussian model must be normal, "
+                f"got {kinds.pop()!r}"
+            )
+    if model.error is not squared_error:
+        raise ModelError(
+            f"model {model.name}: error of a linear-Gaussian model must be the squared Euclidean "
+            "norm, got one of its own"
+        )

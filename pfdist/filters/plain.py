@@ -1,0 +1,168 @@
+"""Simulation and filter in plain NumPy: for reading, and to hold the compiled ones against.
+
+The same keys and the same formulas, on arrays (draws, particles); no compiled code of ours. It is
+also the engine for models that Numba cannot compile, about 100 times slower.
+"""
+
+import math
+from typing import Any, SupportsIndex
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pfdist.filters.draws import Draws, check_finite
+from pfdist.kernels.formulas import formulas_of
+from pfdist.kernels.noise import (
+    FILTER_INITIAL,
+    FILTER_PROCESS,
+    TRUTH_INITIAL,
+    TRUTH_MEASUREMENT,
+    TRUTH_PROCESS,
+    variates,
+)
+from pfdist.kernels.plain_resampling import plain_ancestors
+from pfdist.kernels.resampling import SORTED
+from pfdist.kernels.sorting import plain_order
+from pfdist.kernels.weights import plain_weights
+from pfdist.times.measurement_times import Times, validated
+from pfdist.models import StateSpaceModel
+from pfdist.filters.particle_filter import Filtered, check_filter
+
+Array = NDArray[np.float64]
+
+_AT_ONCE = 2**16  # particles in all draws: what fits into a cache
+
+
+def simulate(model: StateSpaceModel, horizon: int, index: range, stream: int) -> Draws:
+    """Plain twin of `pfdist.filters.draws.simulate`."""
+    shape = (len(index), horizon + 1)
+    x, y, z = (np.empty((*shape, count)) for count in model.components)
+
+    def noise(kinds: tuple[str, ...], t: int, role: SupportsIndex) -> tuple[Array, ...]:
+        return tuple(w[:, 0] for w in _noise(kinds, 1, stream, index, t, role))
+
+    with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
+        state = model.initial(noise(model.initial_noise, 0, TRUTH_INITIAL), model.p)
+        for t in range(horizon + 1):
+            v = noise(model.measurement_noise, t, TRUTH_MEASUREMENT)
+            _put(x, t, state)
+            _put(y, t, model.measurement(state, t, v, model.p))
+            _put(z, t, model.quantity_of_interest(state, t, model.p))
+            if t == horizon:
+                break
+            w = noise(model.process_noise, t, TRUTH_PROCESS)
+            state = model.transition(state, t, w, model.p)
+    draws = Draws(model, index, x, y, z)
+    check_finite(model, draws, stream)
+    return draws
+
+
+def filter_draws(
+    model: StateSpaceModel,
+    draws: Draws,
+    measurement_times: Times,
+    particles: int,
+    stream: int,
+    resampling: str = "multinomial",
+    trajectories: bool = False,
+    dtype: str = "float64",
+) -> Filtered:
+    """Plain twin of `pfdist.filters.particle_filter.filter_draws`."""
+    times = validated(measurement_times, draws.z.shape[1] - 1)
+    check_filter(model, draws.model, particles, resampling, dtype)
+    count = max(1, _AT_ONCE // particles)
+    with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
+        blocks = [
+            _filter(
+                model, draws[first : first + count], times, particles, stream, resampling, dtype
+            )
+            for first in range(0, len(draws.index), count)
+        ]
+    mse, estimate, variance = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
+    return Filtered(mse, estimate, variance) if trajectories else Filtered(mse)
+
+
+def _filter(
+    model: StateSpaceModel,
+    draws: Draws,
+    times: Times,
+    particles: int,
+    stream: int,
+    resampling: str,
+    dtype: str,
+) -> tuple[Array, Array, Array]:
+    """Filter D draws; their MSE (D,), and mean and variance of z (D, T+1, q)."""
+    count, instants, _ = draws.z.shape
+    cloud = (count, particles)
+    mean, variance = np.full_like(draws.z, np.nan), np.full_like(draws.z, np.nan)
+    total, alive = np.zeros(count), np.ones(count, np.bool_)
+    noise = _noise(model.initial_noise, particles, stream, draws.index, 0, FILTER_INITIAL)
+    x = _kept(model.initial(_flat(noise), model.p), cloud, dtype)
+    for t in range(instants):
+        if t > 0:
+            w = _noise(model.process_noise, particles, stream, draws.index, t - 1, FILTER_PROCESS)
+            x = _kept(model.transition(_flat(x), t - 1, _flat(w), model.p), cloud, dtype)
+        weight = np.ones(cloud)
+        if t in times:
+            y = tuple(np.repeat(draws.y[:, t, k], particles) for k in range(draws.y.shape[2]))
+            log_weight = model.log_likelihood(y, _flat(x), t, model.p)
+            weight = plain_weights(_of_cloud(log_weight, cloud))
+            if resampling in SORTED:
+                x, weight = _in_line(x, weight)
+            degenerate = alive & ~weight.any(axis=1)
+            total[degenerate], alive[degenerate] = np.nan, False
+        share = weight / weight.sum(axis=1, keepdims=True)
+        for k, values in enumerate(model.quantity_of_interest(_flat(x), t, model.p)):
+            counted = np.where(weight > 0, _of_cloud(values, cloud), 0.0)
+            mean[:, t, k] = np.sum(share * counted, axis=1)
+            variance[:, t, k] = np.sum(share * (counted - mean[:, t, k, None]) ** 2, axis=1)
+        error = draws.model.error(tuple(draws.z[:, t].T), tuple(mean[:, t].T), t, draws.model.p)
+        mean[~alive, t], variance[~alive, t] = np.nan, np.nan
+        total[alive] += _like(error, (count,))[alive]
+        infinite = alive & ~(total < np.inf)
+        total[infinite], alive[infinite] = np.inf, False
+        if t in times:
+            ancestors = plain_ancestors(resampling, weight, stream, draws.index, t)
+            x = tuple(np.take_along_axis(component, ancestors, axis=1) for component in x)
+    return total / instants, mean, variance
+
+
+def _in_line(x: tuple[Array, ...], weight: Array) -> tuple[tuple[Array, ...], Array]:
+    """Particles in the order of their states."""
+    order = plain_order(x[0], weight)
+    return (np.take_along_axis(x[0], order, axis=1),), np.take_along_axis(weight, order, axis=1)
+
+
+def _noise(
+    kinds: tuple[str, ...], particles: int, stream: int, draws: range, t: int, role: SupportsIndex
+) -> tuple[Array, ...]:
+    """A component's variates each, (D, particles)."""
+    return tuple(
+        variates(kind, particles, stream, np.array(draws), t, role, component)
+        for component, kind in enumerate(kinds)
+    )
+
+
+def _like(value: Any, shape: tuple[int, ...]) -> Array:
+    """What a formula gave, also a constant, as an array of this shape."""
+    return np.broadcast_to(np.asarray(value, np.float64), shape)
+
+
+def _flat(components: tuple[Array, ...]) -> tuple[Array, ...]:
+    """Components as a formula has them: all particles of all draws along one axis."""
+    return tuple(component.reshape(-1) for component in components)
+
+
+def _of_cloud(value: Any, cloud: tuple[int, ...]) -> Array:
+    """What a formula gave for particles along one axis, as an array (D, particles)."""
+    return _like(value, (math.prod(cloud),)).reshape(cloud)
+
+
+def _kept(x: tuple[Any, ...], shape: tuple[int, ...], dtype: str) -> tuple[Array, ...]:
+    """States as they are kept: rounded to dtype."""
+    return tuple(_of_cloud(component, shape).astype(dtype).astype(np.float64) for component in x)
+
+
+def _put(array: Array, t: int, components: tuple[Any, ...]) -> None:
+    for k, component in enumerate(components):
+        array[:, t, k] = component

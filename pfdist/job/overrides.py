@@ -1,0 +1,80 @@
+"""Changes of a job's keys, as ``--set`` takes them."""
+
+from typing import Any
+
+from pfdist.errors import JobError, shown, shown_text
+from pfdist.declared.parsing import MOST_LEVELS, parse_toml
+
+
+def override(data: dict[str, Any], change: str) -> None:
+    """Change a key of a job's data, in place.
+
+    Parameters
+    ----------
+    data : dict
+        As of a job file.
+    change : str
+        ``key=value``, with a dotted key and a TOML value; see `pfdist.job.job.load_job`.
+
+    Raises
+    ------
+    JobError
+        It is no such change, or the job has no such section or search.
+    """
+    key, equals, text = change.partition("=")
+    path = [part.strip() for part in key.split(".")]
+    if not equals or not all(path) or "\n" in change:
+        raise JobError(
+            f"changes must be key=value, for instance seed=3, got {shown(change)}", argument="set"
+        )
+    if len(path) > MOST_LEVELS:
+        raise JobError(
+            f"keys of changes must have at most {MOST_LEVELS} parts, got {len(path):,}",
+            argument="set",
+        )
+    value = _value(text.strip(), change)
+    section: Any = data
+    if path[0] == "search" and len(path) > 1:
+        section, path = _search_named(data, path[1], change), path[2:]
+    for part in path[:-1]:
+        section = section.setdefault(part, {})
+        if not isinstance(section, dict):
+            raise JobError(
+                f"change {shown_text(change)}: {shown_text(part)} is no section, so it has no keys",
+                argument="set",
+            )
+    if not path:
+        raise JobError(
+            f"change {shown_text(change)}: name a key of the search, search.NAME.KEY=value",
+            argument="set",
+        )
+    section[path[-1]] = value
+
+
+def _value(text: str, change: str) -> Any:
+    """The value that the text spells in TOML; what spells none is itself a string."""
+    try:
+        text.encode()
+    except UnicodeEncodeError as error:
+        raise JobError(f"changes must be UTF-8 text, got {shown(change)}") from error
+    try:
+        return parse_toml(f"it = {text}")["it"]
+    except ValueError as error:
+        if text[:1] in ("[", "{") or text.strip("+-").isdecimal():
+            raise JobError(f"change {shown_text(change)}: {error}") from error
+    return text  # a bare word: filter.resampling=systematic
+
+
+def _search_named(data: dict[str, Any], name: str, change: str) -> dict[str, Any]:
+    searches = data.get("search")
+    searches = searches if isinstance(searches, list) else []
+    searches = [search for search in searches if isinstance(search, dict)]
+    names = [str(search.get("name", search.get("method"))) for search in searches]
+    if name not in names:
+        allowed = ", ".join(names) or "none, there is no [[search]]"
+        raise JobError(
+            f"change {shown_text(change)}: the job has no search {shown(name)}, allowed: {allowed}",
+            argument="set",
+        )
+    found: dict[str, Any] = searches[names.index(name)]
+    return found

@@ -1,0 +1,194 @@
+"""Starting a Ray cluster of our own, and joining one that exists; leaving either.
+
+A cluster of our own listens on loopback alone, obeys nobody who lacks a token that only this user
+can read, keeps its sockets and logs in a folder that only this user can enter, and ends with this
+process, whatever ends it.
+"""
+
+import contextlib
+import logging
+import os
+import platform
+import secrets
+import warnings
+from collections.abc import Iterator
+from importlib.metadata import version
+from typing import Any
+
+# Before Ray is imported: its defaults speak of themselves on standard error and to their makers.
+os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+# Answers of more bytes go through Ray's object store, for which a driver may wait for ever.
+os.environ.setdefault("RAY_max_direct_call_object_size", f"{8 * 1024**2}")
+
+import ray
+from ray.exceptions import RayError
+from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
+
+from pfdist.errors import PoolError
+from pfdist.pools.cores import usable_cores
+from pfdist.pools.guard import Guard, environment
+from pfdist.pools.precautions import own_sigterm, private_folder, within
+from pfdist.pools.ray_rehearsal import (
+    host_and_port,
+    only_loopback,
+    reach,
+    reason,
+    rehearse,
+    shortened,
+)
+
+__all__ = ["about", "connected", "describe_nodes", "ray"]
+
+ANSWER_BYTES = {name: os.environ[name] for name in ("RAY_max_direct_call_object_size",)}
+"""What our own cluster and our workers on any must know of the size of answers."""
+START_SECONDS = 120.0
+STOP_SECONDS = 5.0
+_ADDRESS = "RAY_ADDRESS"
+_OBJECT_STORE_BYTES = 100 * 1024**2  # outcomes are kilobytes
+_QUIET: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.CRITICAL}
+
+
+@contextlib.contextmanager
+def connected(address: str, cores: int = 0) -> Iterator[None]:
+    """Be connected to a Ray cluster, for a while.
+
+    Parameters
+    ----------
+    address : str
+        Of an existing cluster: host:port, ray://host:port, or auto. If it is empty or local, a
+        cluster of our own is started. If this process has joined a cluster already, that one is
+        used, and not left.
+    cores : int
+        That our own cluster offers; 0 offers all that this process may use.
+
+    Raises
+    ------
+    PoolError
+        The existing cluster cannot be joined, or our own has no folder.
+    """
+    if ray.is_initialized():
+        yield
+        return
+    if address == "auto":
+        address = os.environ.get(_ADDRESS) or address
+    with contextlib.ExitStack() as stack:
+        guard = stack.enter_context(Guard())
+        if is_own(address):
+            folder = private_folder()
+            stack.enter_context(_token())
+            stack.callback(_leave, guard)
+            _start(cores, folder, guard)
+        else:
+            stack.callback(_leave, guard)
+            _join(address, guard)
+        yield
+
+
+def is_own(address: str) -> bool:
+    """Whether an address asks for a cluster of our own."""
+    return address in {"", "local"}
+
+
+def _start(cores: int, folder: str, guard: Guard) -> None:
+    with guard.watching(), _starting(loopback=True):
+        ray.init(
+            address="local",
+            num_cpus=cores or usable_cores(),
+            num_gpus=0,
+            include_dashboard=False,
+            object_store_memory=_OBJECT_STORE_BYTES,
+            _temp_dir=folder,
+            **_QUIET,
+        )
+
+
+def _join(address: str, guard: Guard) -> None:
+    host_and_port(address)  # what is no address is no cluster's fault
+    try:
+        with guard.watching():
+            loopback = rehearse(address)
+    except PoolError as error:
+        raise PoolError(
+            f"the Ray cluster at {shortened(address)} does not answer: {error}; "
+            "--pool serial computes without Ray"
+        ) from error
+    with _starting(loopback):
+        ray.init(address=address, **_QUIET)
+
+
+@contextlib.contextmanager
+def _starting(loopback: bool) -> Iterator[None]:
+    with own_sigterm(), only_loopback(ray, loopback), warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)
+        yield
+
+
+@contextlib.contextmanager
+def _token() -> Iterator[None]:
+    """Have Ray require a new token, for a while.
+
+    The token is in the environment of this process and of Ray's, which other users cannot read,
+    and in no file.
+    """
+    token = {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(32)}
+    try:
+        with environment(token):
+            _read_environment()
+            yield
+    finally:
+        _read_environment()
+
+
+def _read_environment() -> None:
+    """Have Ray forget what it has read of the environment."""
+    ray._raylet.Config.initialize("")
+    ray._raylet.AuthenticationTokenLoader.instance().reset_cache()
+
+
+def _leave(guard: Guard) -> None:
+    """Leave a cluster, and end its servers if it is our own: they may be stopped, or starting."""
+    shutdown = within(STOP_SECONDS, ray.shutdown)
+    guard.end()
+    shutdown.join(STOP_SECONDS)
+
+
+def about() -> dict[str, Any]:
+    """Give the host, Python and pfdist of the process that calls it."""
+    return {
+        "host": platform.node(),
+        "python": platform.python_version(),
+        "pfdist": version("pfdist"),
+    }
+
+
+@ray.remote(num_cpus=0)  # type: ignore[untyped-decorator]
+def _about_node() -> dict[str, Any]:
+    return about()
+
+
+def describe_nodes(address: str) -> list[dict[str, Any]]:
+    """Ask every node of an existing cluster for its host, Python and pfdist.
+
+    Raises
+    ------
+    PoolError
+        The cluster, or one of its nodes, does not answer.
+    """
+    try:
+        if ray.is_initialized() and not is_own(address):
+            reach(address)
+        with connected(address):
+            calls = [
+                _about_node.options(
+                    scheduling_strategy=NodeAffinitySchedulingStrategy(node["NodeID"], soft=False)
+                ).remote()
+                for node in ray.nodes()
+                if node["Alive"]
+            ]
+            nodes: list[dict[str, Any]] = ray.get(calls, timeout=START_SECONDS)
+    except (RayError, OSError, RuntimeError, ValueError) as error:
+        raise PoolError(
+            f"the Ray cluster at {shortened(address)} does not answer: {reason(error)}"
+        ) from error
+    return nodes

@@ -1,0 +1,118 @@
+"""The section [problem] of a job file: how long, and which measurements may be chosen."""
+
+import re
+from collections.abc import Iterable
+from functools import cached_property
+from typing import Annotated, Any, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
+
+from pfdist.errors import MeasurementTimesError, shown
+from pfdist.times.feasible import Feasible
+from pfdist.times.measurement_times import Times
+
+_RANGE = re.compile(r"(\d{1,6})-(\d{1,6})|(\d{1,6})")
+
+
+class ProblemSection(BaseModel):
+    """How long, how many measurements or what they may cost, and when they must and must not be."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    horizon: Annotated[int, Field(ge=1, le=32_000)]
+    measurement_budget: Annotated[int, Field(ge=2, lt=2**63)] | None = None
+    forbidden: tuple[int | str, ...] | None = None
+    required: tuple[int | str, ...] | None = None
+    minimum_spacing: Annotated[int, Field(ge=1, lt=2**63)] | None = None
+    cost: tuple[int, ...] | dict[str, int] | None = None
+    total_cost: Annotated[int, Field(ge=1, lt=2**63)] | None = None
+
+    @field_validator("forbidden", "required", mode="before")
+    @classmethod
+    def _times(cls, value: Any, info: ValidationInfo) -> Any:
+        if value is not None and not isinstance(value, (list, tuple)):
+            raise ValueError(
+                f"problem.{info.field_name} must be a list of times and of ranges as "
+                f"'20-30', got {shown(value)}"
+            )
+        for one in value or ():
+            _spelt(one, f"problem.{info.field_name}")
+        return None if value is None else tuple(value)
+
+    @field_validator("cost", mode="before")
+    @classmethod
+    def _costs(cls, value: Any) -> Any:
+        if isinstance(value, dict):
+            for key in value:
+                _spelt(key, "problem.cost")
+        elif value is not None and not isinstance(value, (list, tuple)):
+            raise ValueError(
+                "problem.cost must be a list of horizon + 1 numbers, or a section of ranges as "
+                f'"20-30" = 2, got {shown(value)}'
+            )
+        for one in value.values() if isinstance(value, dict) else value or ():
+            if not isinstance(one, int) or isinstance(one, bool):
+                raise ValueError(f"problem.cost must be whole numbers, got {shown(one)}")
+        return tuple(value) if isinstance(value, list) else value
+
+    @model_validator(mode="after")
+    def _is_possible(self) -> Self:
+        try:
+            self.feasible  # noqa: B018  made here, so that what is impossible is said here
+        except MeasurementTimesError as error:
+            raise ValueError(str(error)) from error
+        return self
+
+    @cached_property
+    def feasible(self) -> Feasible:
+        """The sets of measurement times that may be chosen."""
+        return Feasible(
+            horizon=self.horizon,
+            measurement_budget=self.measurement_budget,
+            forbidden=_union(self.forbidden or ()),
+            required=_union(self.required or ()),
+            minimum_spacing=self.minimum_spacing or 1,
+            cost=self._cost_of_each,
+            total_cost=self.total_cost,
+        )
+
+    @property
+    def _cost_of_each(self) -> tuple[int, ...] | None:
+        if not isinstance(self.cost, dict):
+            return self.cost
+        of: dict[int, int] = {}
+        for key, cost in self.cost.items():
+            for time in _spelt(key, "problem.cost"):
+                if time in of or time > self.horizon:
+                    what = "twice" if time in of else f"of a horizon of {self.horizon}"
+                    raise MeasurementTimesError(
+                        f"problem.cost must name every time in 0..{self.horizon} once, "
+                        f"got {time} {what}"
+                    )
+                of[time] = cost
+        lacking = [time for time in range(self.horizon + 1) if time not in of]
+        if lacking:
+            raise MeasurementTimesError(
+                f"problem.cost must name every time in 0..{self.horizon} once, "
+                f"got none for {lacking[0]}"
+            )
+        return tuple(of[time] for time in range(self.horizon + 1))
+
+
+def _spelt(value: Any, key: str) -> range:
+    """Times that an integer or a range as '20-30' means."""
+    if isinstance(value, int) and not isinstance(value, bool):
+        return range(value, value + 1)
+    found = _RANGE.fullmatch(value) if isinstance(value, str) else None
+    if found is None:
+        raise ValueError(
+            f"{key} must name times, as 20, and ranges, as '20-30', got {shown(value)}"
+        )
+    first, last = (int(found[1]), int(found[2])) if found[1] else (int(found[3]),) * 2
+    if last < first:
+        raise ValueError(f"{key} must have ranges from a time to a later one, got {value!r}")
+    return range(first, last + 1)
+
+
+def _union(spelt: Iterable[int | str]) -> Times:
+    return tuple(sorted({time for one in spelt for time in _spelt(one, "problem")}))

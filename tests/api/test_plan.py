@@ -1,0 +1,114 @@
+"""`pfdist plan`: one search in the place of a job's own, with all that `run` allows."""
+
+import json
+import shlex
+from pathlib import Path
+
+import pytest
+
+import pfdist
+from oracles.bytes_of import hashes
+from pfdist import Job
+from pfdist.cli.main import main
+from pfdist.errors import JobError, SearchError
+from pfdist.job.search_sections import SEARCHES
+
+EXACT = ["model.name=random_walk", "filter.engine=kalman"]
+pytestmark = pytest.mark.usefixtures("no_figures")
+
+
+@pytest.fixture
+def unnamed(small_job: Job) -> Path:
+    """A job that names no search."""
+    text = small_job.path.read_text()
+    head, _, rest = text.partition("[[search]]")
+    path = small_job.path.with_name("unnamed.toml")
+    path.write_text(head + rest[rest.index("[comparison]") :])
+    return path
+
+
+def test_it_is_the_run_of_a_job_without_searches(unnamed: Path, tmp_path: Path) -> None:
+    pfdist.run(unnamed, tmp_path / "run")
+    pfdist.plan(unnamed, tmp_path / "plan")
+    assert hashes(tmp_path / "plan") == hashes(tmp_path / "run")
+
+
+@pytest.mark.parametrize("method", SEARCHES)
+def test_any_method_may_search_and_the_jobs_own_are_left_aside(
+    method: str, small_job: Job, tmp_path: Path
+) -> None:
+    run = pfdist.plan(small_job, tmp_path / "run", method, changes=[*EXACT, "comparison.draws=2"])
+    assert run.names == ["regular", method]
+    phases = set(run.evaluations()["phase"])
+    assert method in phases <= {method, f"{method}.polish", f"{method}.shortlist"}
+
+
+def test_its_own_folder_unless_the_job_is_the_same(
+    small_job: Job, unnamed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    changes = [*EXACT, "comparison.draws=2"]
+    assert pfdist.plan(unnamed, changes=changes).path == Path("results/unnamed")
+    assert pfdist.plan(pfdist.load_job(unnamed).with_changes(changes)).path == Path(
+        "results/unnamed"
+    )
+    assert pfdist.plan(small_job, changes=changes).path == Path("results/small-plan")
+
+
+def test_the_command_takes_what_run_takes_and_answers_in_the_same_json(
+    small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    job, folder, fork = (
+        shlex.quote(str(one)) for one in (small_job.path, tmp_path / "a", tmp_path / "b")
+    )
+    changes = f"{' '.join(EXACT)} comparison.draws=3 search.survivors.survivors=3"
+    command = f"plan {job} --results {folder} --pool serial --json --set {changes}"
+    assert main(shlex.split(command)) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert main(["status", str(tmp_path / "a"), "--json"]) == 0
+    assert answer == json.loads(capsys.readouterr().out)
+    assert pfdist.open_run(tmp_path / "a").job["search"][0]["survivors"] == 3
+    assert main(shlex.split(f"{command} comparison.draws=4 --fork {fork}")) == 0
+    assert json.loads(capsys.readouterr().out)["draws_compared"] == 4
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (
+            "--search genetic --set search.random.evaluations=3",
+            "no search 'random', allowed: genetic",
+        ),
+        ("--set search.survivors.survivors=0", "survivors must be .* got 0"),
+        ("--search exhaustive --set search.exhaustive.limit=3", r"limit = 3 sets .* got 715"),
+    ],
+)
+def test_a_mistake_is_one_line(options: str, words: str, small_job: Job, tmp_path: Path) -> None:
+    command = ["plan", str(small_job.path), *options.split(), "--results", str(tmp_path / "no")]
+    with pytest.raises(JobError, match=words) as error:
+        main([*command, "--debug"])
+    assert "\n" not in str(error.value)
+
+
+def test_where_the_race_ends_with_degenerate_draws_alone_that_is_said(
+    unnamed: Path, tmp_path: Path
+) -> None:
+    # So few that the search's 20 draws have none, and the race's 1,000 many.
+    (unnamed.parent / "rare.py").write_text(
+        "from dataclasses import replace\n"
+        "import numpy as np\n"
+        "from pfdist import load_model, where\n"
+        "ungm = load_model('ungm')\n"
+        "model = replace(ungm, log_likelihood=lambda y, x, t, p:\n"
+        "    where(y[0] > 27.0, -np.inf, -0.5 * (y[0] - x[0] ** 2 / 20) ** 2))\n"
+    )
+    job = pfdist.load_job(unnamed, ["model.name=rare.py:model"])
+    changes = ["search.survivors.evaluation.draws=20", "search.survivors.polish=false"]
+    with pytest.raises(SearchError, match="every set of times that it ended with had a degenerate"):
+        pfdist.plan(job, tmp_path / "run", changes=changes)
+    rows = pfdist.open_run(tmp_path / "run").evaluations()
+    of_search, of_race = (
+        rows[rows["phase"] == name] for name in ("survivors", "survivors.shortlist")
+    )
+    assert (of_search["degenerate_draws"] == 0).any()
+    assert (of_race["degenerate_draws"] > 0).all()

@@ -1,0 +1,359 @@
+"""A run: what it computes, that it goes on, and that it is the same however it was computed."""
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import pfdist
+from oracles.bytes_of import hashes
+from oracles.counted import A_DRAW, count_draws
+from pfdist import Job, load_job
+from pfdist.cli.main import main
+from pfdist.errors import (
+    JobError,
+    PfdistError,
+    RunMismatchError,
+    SearchError,
+    StoreError,
+    TaskError,
+)
+from pfdist.evaluation.problem import Problem
+from pfdist.runner import collect
+from pfdist.runner.pace import Pace
+from pfdist.pools.base import Outcome, SerialPool
+from pfdist.runner.progress import Progress
+from pfdist.store import parquet
+from pfdist.evaluation.work import Work
+
+ROOT = Path(__file__).parents[2]
+pytestmark = pytest.mark.usefixtures("no_figures")
+
+
+@pytest.fixture(name="count_draws")
+def _count_draws(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """How many draws each task of the serial pool filtered."""
+    return count_draws(monkeypatch)
+
+
+def test_the_tables_hold_every_evaluation_and_every_draw(small_job: Job, tmp_path: Path) -> None:
+    run = pfdist.run(small_job, tmp_path / "run")
+    evaluations, draws = run.evaluations(), run.draws()
+    populations = evaluations.groupby(["phase", "generation"])["copies"].sum()
+    assert populations["genetic"].tolist() == [6, 6, 6, 6]
+    assert populations["random"].tolist() == [10]
+    # each evaluation's figures are those of its draws
+    per_draw = draws.groupby("evaluation")["mse"]
+    evaluations = evaluations.set_index("evaluation")
+    np.testing.assert_allclose(evaluations["expected_mse"], per_draw.mean()[evaluations.index])
+    np.testing.assert_allclose(evaluations["standard_error"], per_draw.sem()[evaluations.index])
+    assert (per_draw.size() == 30).all()
+    comparison = run.comparison()
+    assert comparison.columns.tolist() == ["draw", "mse_regular", "mse_genetic", "mse_random"]
+    assert comparison["draw"].tolist() == list(range(250))
+    gains = run.gains()
+    expected = 1 - comparison["mse_genetic"] / comparison["mse_regular"]
+    np.testing.assert_allclose(gains["gain_genetic"], expected)
+    assert not list((run.path / "parts").rglob("*.parquet"))
+
+
+def test_a_search_reports_what_its_own_evaluation_got(small_job: Job, tmp_path: Path) -> None:
+    run = pfdist.run(small_job, tmp_path / "run")
+    evaluations, results = run.evaluations(), run.summary()["results"]
+    last = evaluations[(evaluations["phase"] == "genetic") & (evaluations["generation"] == 3)]
+    best = last.loc[last["expected_mse"].idxmin()]
+    assert results["genetic"]["search_cost"] == best["expected_mse"]
+    assert results["genetic"]["measurement_times"] == best["measurement_times"].tolist()
+    assert results["regular"]["measurement_times"] == [0, 4, 8, 12]
+    assert results["regular"]["search_cost"] is None
+
+
+def test_the_first_trajectories_belong_to_the_comparison(small_job: Job, tmp_path: Path) -> None:
+    run = pfdist.run(small_job, tmp_path / "run")
+    rows, comparison = run.trajectories(), run.comparison().set_index("draw")
+    assert rows["draw"].nunique() == 100
+    for name in run.names:
+        error = (rows["z_0"] - rows[f"estimate_{name}_0"]) ** 2
+        mse = error.groupby(rows["draw"]).mean()
+        np.testing.assert_allclose(mse, comparison.loc[mse.index, f"mse_{name}"])
+
+
+def test_pools_and_numbers_of_workers_give_the_same_bytes(
+    tmp_path: Path, ray_cluster: None
+) -> None:
+    job = load_job(ROOT / "jobs" / "quick.toml")
+    runs = {"serial": ("serial", 0), "one": ("ray", 1), "two": ("ray", 2)}
+    for name, (pool, workers) in runs.items():
+        pfdist.run(job, tmp_path / name, pool=pool, workers=workers)
+    serial, one, two = (hashes(tmp_path / name) for name in runs)
+    assert len(serial) > 6
+    assert serial == one == two
+
+
+# The survivors are polished on more and more draws, of which a session before did the first.
+SURVIVORS = [
+    "search=[{method='survivors', evaluation={draws=20, particles=100, resampling='multinomial'}}]",
+    "comparison.draws=20",
+]
+
+
+@pytest.mark.parametrize(
+    ("changes", "stop_after"), [([], 3), ([], 25), ([], 40), (SURVIVORS, 250), (SURVIVORS, 330)]
+)
+def test_a_run_that_failed_goes_on_with_what_is_committed_and_ends_with_the_same_bytes(
+    changes: list[str],
+    stop_after: int,
+    small_job: Job,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    count_draws: list[int],
+) -> None:
+    monkeypatch.setattr(Pace, "size", lambda pace, remaining: 60 * A_DRAW)
+    monkeypatch.setattr(collect, "COMMIT_SECONDS", 0.0)  # each task is committed
+    small_job = small_job.with_changes(["execution.failures=0", *changes])
+    whole = pfdist.run(small_job, tmp_path / "whole")
+    needed = sum(count_draws)
+    count_draws.clear()
+    calls, do = 0, Problem.__call__
+
+    def failing(self: Problem, work: Work) -> Any:
+        nonlocal calls
+        calls += 1
+        if calls > stop_after:
+            raise ArithmeticError("the cluster is on fire")
+        return do(self, work)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Problem, "__call__", failing)
+        with pytest.raises(TaskError, match="the cluster is on fire") as failure:
+            pfdist.run(small_job, tmp_path / "again")
+    assert "Traceback" in failure.value.traceback
+    timings = pfdist.open_run(tmp_path / "again").timings()
+    assert timings["failures"].sum() == 1
+    assert timings.loc[timings["failures"] == 1, "error"].str.contains("on fire").all()
+    failed = count_draws.pop()  # counted, and not done
+    again = pfdist.run(small_job, tmp_path / "again")
+    assert sum(count_draws) == needed  # nothing is computed twice
+    assert failed > 0
+    assert hashes(again.path) == hashes(whole.path)
+
+
+def test_a_finished_run_computes_nothing(
+    small_job: Job, tmp_path: Path, count_draws: list[int]
+) -> None:
+    first = pfdist.run(small_job, tmp_path / "run")
+    count_draws.clear()
+    assert pfdist.run(small_job, tmp_path / "run").summary() == first.summary()
+    assert count_draws == []
+
+
+def test_more_draws_of_comparison_compute_only_the_new_and_give_the_same_bytes(
+    small_job: Job, tmp_path: Path, count_draws: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(parquet.ROWS_IN_A_FILE, "comparison", 100)
+    larger = small_job.with_changes(["comparison.draws=430"])
+    at_once = pfdist.run(larger, tmp_path / "at once")
+    pfdist.run(small_job, tmp_path / "grown")
+    count_draws.clear()
+    grown = pfdist.run(larger, tmp_path / "grown")
+    assert sum(count_draws) == (430 - 250) * (3 + 1)  # the reference twice
+    assert hashes(grown.path) == hashes(at_once.path)
+    assert grown.summary()["draws_compared"] == 430
+
+
+@pytest.mark.parametrize(
+    ("change", "difference"),
+    [
+        ("seed=2", "seed: 1 -> 2"),
+        ("problem.measurement_budget=5", "problem.measurement_budget: 4 -> 5"),
+        ("search.genetic.generations=5", "search.genetic.generations: 4 -> 5"),
+        ("model.parameters.process_sd=2.0", "model.parameters.process_sd: nothing -> 2.0"),
+    ],
+)
+def test_another_job_is_refused_with_the_difference(
+    small_job: Job, tmp_path: Path, change: str, difference: str
+) -> None:
+    pfdist.run(small_job, tmp_path / "run")
+    with pytest.raises(RunMismatchError, match=difference):
+        pfdist.run(small_job.with_changes([change]), tmp_path / "run")
+
+
+def test_fewer_draws_than_are_there_are_refused_by_saying_so(
+    small_job: Job, tmp_path: Path
+) -> None:
+    pfdist.run(small_job, tmp_path / "run")
+    with pytest.raises(StoreError, match=r"must be at least the 250 draws .* got 100") as refused:
+        pfdist.run(small_job, tmp_path / "run", changes=["comparison.draws=100"])
+    assert "another run" not in str(refused.value)
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_between_search_and_comparison_the_found_times_are_told(
+    small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def stop(progress: Progress) -> None:
+        if progress.phase == "comparison":
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        pfdist.run(small_job, tmp_path / "run", report=stop)
+    summary = pfdist.open_run(tmp_path / "run").summary()
+    assert (summary["state"], summary["draws_compared"]) == ("comparing", 0)
+    assert set(summary["results"]) == {"regular", "genetic", "random"}
+    assert len(summary["results"]["genetic"]["measurement_times"]) == 4
+    assert main(["status", str(tmp_path / "run")]) == 0
+    text = capsys.readouterr().out
+    assert "genetic: measure at t = " in text
+    assert "the search believed" in text
+    assert f"tables: {tmp_path / 'run' / 'tables'}" in text
+    assert "figures" not in text  # there is no such folder yet
+
+
+def test_an_edited_model_is_refused(tmp_path: Path, small_job: Job) -> None:
+    source = (ROOT / "pfdist" / "models" / "ungm.py").read_text()
+    model = small_job.path.with_name("mine.py")
+    model.write_text(source)
+    job = small_job.with_changes(['model.name="mine.py:model"'])
+    pfdist.run(job, tmp_path / "run")
+    model.write_text(source.replace("x[0] / 2", "x[0] / 3"))
+    with pytest.raises(RunMismatchError, match=r"one's: model.transition: \w{8} -> \w{8}$"):
+        pfdist.run(job, tmp_path / "run")
+
+
+def test_where_nearly_all_differs_a_few_differences_are_named(
+    tmp_path: Path, small_job: Job
+) -> None:
+    pfdist.run(small_job, tmp_path / "run")
+    with pytest.raises(RunMismatchError, match=r"; and \d+ more$") as error:
+        pfdist.plan(small_job, tmp_path / "run")
+    assert str(error.value).count(" -> ") == 1 + 8
+    assert len(error.value.differences) > 8
+
+
+def test_common_noise_evaluates_a_set_once_in_a_whole_search(
+    small_job: Job, tmp_path: Path, count_draws: list[int]
+) -> None:
+    job = small_job.with_changes(["evaluation.noise=common", "search.genetic.generations=12"])
+    run = pfdist.run(job, tmp_path / "run")
+    genetic = run.evaluations().query("phase == 'genetic'")
+    times = genetic["measurement_times"].map(tuple)
+    assert times.nunique() < len(times)  # some sets came back in a later generation
+    assert genetic["evaluation"].nunique() == times.nunique()
+    assert len(run.draws()) == 30 * run.evaluations()["evaluation"].nunique()
+
+
+def test_a_search_that_kills_everything_says_so(small_job: Job, tmp_path: Path) -> None:
+    small_job.path.with_name("hopeless.py").write_text(
+        "from pfdist.models.ungm import model\n"
+        "import dataclasses\n"
+        "hopeless = dataclasses.replace(\n"
+        "    model, log_likelihood=lambda y, x, t, p: x[0] - x[0] - float('inf'))\n"
+    )
+    job = small_job.with_changes(['model.name="hopeless.py:hopeless"'])
+    with pytest.raises(SearchError, match=r"genetic: every set of times .* degenerate"):
+        pfdist.run(job, tmp_path / "run")
+    rows = pfdist.open_run(tmp_path / "run").evaluations()
+    assert (rows["degenerate_draws"] == rows["draws"]).all()
+    assert np.isinf(rows["expected_mse"]).all()
+
+
+def test_the_serial_pool_has_one_worker(small_job: Job, tmp_path: Path) -> None:
+    with pytest.raises(JobError, match="one worker in this process, got workers = 4"):
+        pfdist.run(small_job, tmp_path / "run", workers=4)
+
+
+def test_progress_counts_all_work_once(small_job: Job, tmp_path: Path) -> None:
+    seen: list[Any] = []
+    pfdist.run(small_job, tmp_path / "run", report=seen.append)
+    done = [state.done for state in seen]
+    assert done == sorted(done)
+    assert seen[-1].done == seen[-1].total == ((6 * 4 + 10) * 30 + 250 * 3) * A_DRAW
+    assert {state.phase for state in seen} == {"genetic", "random", "comparison"}
+
+
+def test_the_order_of_the_searches_is_part_of_what_a_run_is(small_job: Job, tmp_path: Path) -> None:
+    pfdist.run(small_job, tmp_path / "run")
+    swapped = small_job.model_copy(update={"search": small_job.search[::-1]})
+    with pytest.raises(
+        RunMismatchError, match=r"search\.order: genetic, random -> random, genetic"
+    ):
+        pfdist.run(swapped, tmp_path / "run")
+
+
+def test_tables_without_what_says_whose_they_are_are_left_alone(
+    small_job: Job, tmp_path: Path
+) -> None:
+    run = pfdist.run(small_job, tmp_path / "run")
+    (run.path / "run.json").unlink()
+    shutil.rmtree(run.path / "manifest")
+    with pytest.raises(PfdistError, match="has lost its folder manifest"):
+        pfdist.run(small_job, run.path)
+
+
+def test_a_wish_for_too_many_draws_can_be_taken_back(small_job: Job, tmp_path: Path) -> None:
+    run = pfdist.run(small_job, tmp_path / "run")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Problem, "__call__", lambda self, work: 1 / 0)
+        with pytest.raises(TaskError, match="ZeroDivisionError"):
+            pfdist.run(small_job.with_changes(["comparison.draws=90000000"]), run.path)
+    again = pfdist.run(small_job, run.path)
+    assert again.state == "finished"
+    assert again.draws_compared == 250
+
+
+def test_trajectories_committed_out_of_order_are_completed(
+    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = pfdist.run(small_job, tmp_path / "whole")
+    monkeypatch.setattr(Pace, "size", lambda pace, remaining: 30 * A_DRAW)
+    do = SerialPool.run
+
+    def backwards_and_killed(self: SerialPool, tasks: Any) -> Iterator[Outcome]:
+        tasks = list(tasks)[::-1]
+        for outcome in do(self, tasks):
+            yield outcome
+            if "trajectories" in outcome.task.key:
+                raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(SerialPool, "run", backwards_and_killed)
+        with pytest.raises(KeyboardInterrupt):
+            pfdist.run(small_job, tmp_path / "run")
+    again = pfdist.run(small_job, tmp_path / "run")
+    assert again.trajectories()["draw"].nunique() == 100
+    assert hashes(again.path) == hashes(whole.path)
+
+
+def test_copies_of_a_set_are_evaluated_afresh_unless_they_share(
+    small_job: Job, tmp_path: Path
+) -> None:
+    """Paper, section 2.4: the cost of each of the 50 individuals of a generation is estimated."""
+
+    def rows(name: str, *changes: str) -> pd.DataFrame:
+        parents_survive = [
+            f"search.genetic.{how}_probability=0.0" for how in ("crossover", "mutation")
+        ]
+        job = small_job.with_changes([*parents_survive, *changes])
+        found = pfdist.run(job, tmp_path / name).evaluations()
+        found = found[found["phase"] == "genetic"]
+        return found.assign(times=found["measurement_times"].map(tuple))
+
+    fresh, keys = rows("fresh"), ["generation", "times"]
+    assert fresh.groupby("generation").size().tolist() == [6] * 4
+    assert (fresh["copies"] == 1).all()
+    repeated = fresh[fresh.duplicated(keys, keep=False)]
+    assert len(repeated) > 0
+    assert not fresh["evaluation"].duplicated().any()
+    assert not repeated.duplicated([*keys, "expected_mse"]).any()
+    for name, change in (
+        ("shared", "search.genetic.share_copies=true"),
+        ("common", "evaluation.noise=common"),
+    ):
+        merged = rows(name, change)
+        assert not merged.duplicated(keys).any()
+        assert merged.groupby("generation")["copies"].sum().tolist() == [6] * 4
+        assert merged["copies"].max() > 1

@@ -1,0 +1,220 @@
+"""Why times are what they are: against the exact recursion, and against filters one by one."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pfdist
+from oracles.bytes_of import hashes
+from pfdist import Job
+from pfdist.filters import kalman
+from pfdist.cli.main import main
+from pfdist.errors import JobError, PfdistError, RunMismatchError, StoreError
+from pfdist.kernels.moments import ESTIMATORS
+from pfdist.analysis.rounding import with_error
+from pfdist.runner.build import build
+from pfdist.store.repair import verify_run
+from pfdist.api.why import CHANGES, WHY, why
+from pfdist.evaluation.work import Estimation, Work
+
+RANDOM = "search.random.evaluations=3"
+
+
+@pytest.fixture
+def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pfdist.api.run.draw_figures", lambda run: [])
+    monkeypatch.setattr("pfdist.api.run.figure_files", lambda run: [])
+    monkeypatch.setattr("pfdist.api.why.draw_why", lambda *found: [])
+
+
+@pytest.fixture
+def quick(small_job: Job) -> Job:
+    return small_job.with_changes([RANDOM, "search.genetic.generations=1", "comparison.draws=20"])
+
+
+def _walk(job: Job, engine: str) -> Job:
+    return job.with_changes(["model.name=random_walk", f"filter.engine={engine}"])
+
+
+def _by_riccati(times: tuple[int, ...], horizon: int) -> dict[tuple[int, str], float]:
+    """By how much the exact expected MSE rises with every change there is."""
+    others: dict[tuple[int, str], set[int]] = {}
+    for t in times:
+        rest = set(times) - {t}
+        others[t, "removed"] = rest
+        others[t, "earlier"], others[t, "later"] = rest | {t - 1}, rest | {t + 1}
+    possible = {
+        key: tuple(sorted(other))
+        for key, other in others.items()
+        if key[1] == "removed"
+        or (len(other) == len(times) and 0 <= min(other) <= max(other) <= horizon)
+    }
+    model = pfdist.load_model("random_walk")
+    whole, *changed = kalman.expected_mse(model, horizon, [times, *possible.values()])
+    return {key: mse - whole for key, mse in zip(possible, changed, strict=True)}
+
+
+def _rises(found: Any, name: str) -> dict[tuple[int, str], tuple[float, float]]:
+    rows = found.measurements[found.measurements["name"] == name]
+    return {
+        (row["t"], change): (row[change], row[f"{change}_error"])
+        for row in rows.to_dict("records")
+        for change in CHANGES
+        if not np.isnan(row[change])
+    }
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_what_a_measurement_is_worth_is_what_the_riccati_recursion_says(
+    quick: Job, tmp_path: Path
+) -> None:
+    particles = 200
+    job = _walk(quick, "compiled").with_changes([f"filter.particles={particles}"])
+    run = pfdist.run(job, tmp_path / "run")
+    found = why(run.path, draws=3000)
+    for name, result in run.summary()["results"].items():
+        exact = _by_riccati(tuple(result["measurement_times"]), 12)
+        rises = _rises(found, name)
+        assert rises.keys() == exact.keys()
+        for key, (rise, error) in rises.items():
+            # beside the draws' error, the filter's of order 1/particles
+            assert abs(rise - exact[key]) < 4 * error + 2 * abs(exact[key]) / particles, (name, key)
+            assert 0 < error < 0.1 * max(abs(exact[key]), 1.0)
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_where_everything_is_known_no_draws_are_taken(quick: Job, tmp_path: Path) -> None:
+    run = pfdist.run(_walk(quick, "kalman"), tmp_path / "run")
+    found = why(run.path)
+    assert found.draws == 0
+    for name, result in run.summary()["results"].items():
+        exact = _by_riccati(tuple(result["measurement_times"]), 12)
+        for key, (rise, error) in _rises(found, name).items():
+            assert (rise, error) == (pytest.approx(exact[key]), 0.0)
+    means = found.profile.groupby("name")["error"].mean()
+    np.testing.assert_allclose(means[found.sets["name"]], found.sets["expected_mse"])
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_a_measurement_is_moved_only_to_where_the_job_allows_it(quick: Job, tmp_path: Path) -> None:
+    bound = ["problem.forbidden=[7, 9]", "problem.required=[4]", "problem.minimum_spacing=3"]
+    job = _walk(quick, "kalman").with_changes(bound)
+    run = pfdist.run(job, tmp_path / "run")
+    found, allowed = why(run.path), set(job.problem.feasible.every())
+    for name, result in run.summary()["results"].items():
+        times = set(result["measurement_times"])
+        moves = {(t, "earlier"): t - 1 for t in times} | {(t, "later"): t + 1 for t in times}
+        possible = {
+            key for key, to in moves.items() if tuple(sorted(times - {key[0]} | {to})) in allowed
+        }
+        assert 0 < len(possible) < len(moves)
+        assert _rises(found, name).keys() == possible | {(t, "removed") for t in times}
+
+
+@pytest.mark.usefixtures("no_figures")
+@pytest.mark.parametrize("estimator", ESTIMATORS)  # of the searches: nothing to the profile
+def test_the_profile_is_the_squared_error_over_time_and_its_mean_the_expected_mse(
+    quick: Job, tmp_path: Path, estimator: str
+) -> None:
+    quick = quick.with_changes([f"evaluation.estimator={estimator}"])
+    run, draws = pfdist.run(quick, tmp_path / "run"), 60
+    found, built = why(run.path, draws), build(quick)
+    for row in found.sets.to_dict("records"):
+        alone = Work(
+            measurement_times=(tuple(row["measurement_times"]),),
+            ends=(12,),
+            filter_streams=(WHY.stream(quick.seed, "filter", row["name"]),),
+            draws_stream=WHY.stream(quick.seed, "draws"),
+            draws=(0, draws),
+            estimation=Estimation(quick.filter.particles, quick.filter.resampling),
+            trajectories=True,
+        )
+        result = built.problem(alone)
+        error = (result.z - result.estimates[0])[:, :, 0] ** 2
+        profile = found.profile[found.profile["name"] == row["name"]]
+        np.testing.assert_allclose(profile["error"], error.mean(axis=0))
+        standard_error = error.std(axis=0, ddof=1) / np.sqrt(draws)
+        np.testing.assert_allclose(profile["standard_error"], standard_error)
+        assert profile["error"].mean() == pytest.approx(row["expected_mse"])
+        assert profile["t"][profile["measured"]].tolist() == row["measurement_times"]
+
+
+def test_the_command_answers_in_json_draws_a_figure_a_search_and_leaves_the_run_as_it_was(
+    quick: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = pfdist.run(quick, tmp_path / "run")
+    before = hashes(run.path)
+    assert main(["why", str(run.path), "--draws", "30", "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert set(answer) == {"run", "draws", "sets", "figures"}
+    assert answer["draws"] == 30
+    assert list(answer["sets"]) == ["regular", "genetic", "random"]
+    regular = answer["sets"]["regular"]
+    assert [row["t"] for row in regular["measurements"]] == [0, 4, 8, 12]
+    assert regular["measurements"][0]["earlier"] is None
+    assert [row["t"] for row in regular["profile"] if row["measured"]] == [0, 4, 8, 12]
+    names = [f"why-{name}.{kind}" for name in ("genetic", "random") for kind in ("png", "svg")]
+    assert [Path(file).name for file in answer["figures"]] == names
+    assert all(Path(file).stat().st_size > 5000 for file in answer["figures"])
+    after = {file: its for file, its in hashes(run.path).items() if "why-" not in file}
+    assert after == before
+    assert not list(verify_run(run.path))
+    assert main(["why", str(run.path), "--draws", "30"]) == 0
+    text = capsys.readouterr().out
+    assert (
+        f"regular: expected MSE {with_error(regular['expected_mse'], regular['standard_error'])} "
+        in text
+    )
+    worth = regular["measurements"][1]
+    assert with_error(worth["removed"], worth["removed_error"], sign=True) in text
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_a_models_file_is_found_from_anywhere_and_must_be_the_runs(
+    quick: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = quick.path.parent / "mine.py"
+    file.write_text("from pfdist.models.ungm import model\n")
+    monkeypatch.chdir(tmp_path)
+    run = pfdist.run(quick.with_changes(["model.name=mine.py:model"]), tmp_path / "run")
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    said: list[str] = []
+    why(run.path, draws=2, say=said.append)
+    unchanged = f"named by {run.path}: unchanged since that run, and you have run it before"
+    assert said == [f"runs the model file {file}, {unchanged}"]
+    file.write_text('"""Another word."""\nfrom pfdist.models.ungm import model\n# another\n')
+    with pytest.raises(StoreError, match=r"mine\.py is not the file that .* so nothing was run"):
+        why(run.path, draws=2)
+    why(run.path, draws=2, model=f"{file}:model", say=said.append)
+    assert said[1:] == [f"runs the model {file}:model, as you name it"]
+    file.write_text("from pfdist.models.ungm_gordon import model\n")
+    words = r"model\.measurement: \w{8} -> \w{8}.*model\.parameters\.initial_sd: 5\.0 -> 1\.41"
+    with pytest.raises(RunMismatchError, match=words):
+        why(run.path, draws=2, model=f"{file}:model")
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_what_is_impossible_is_said(quick: Job, tmp_path: Path) -> None:
+    def stop(progress: Any) -> None:
+        if progress.phase == "comparison":
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        pfdist.run(quick, tmp_path / "run", report=stop)
+    wrong: list[tuple[type[PfdistError], str, Path, int]] = [
+        (
+            StoreError,
+            r"run is not finished \(comparing\): run its job on first",
+            tmp_path / "run",
+            2,
+        ),
+        (StoreError, "holds no run", tmp_path, 2),
+        (JobError, r"draws must be at least 2, got 1$", tmp_path / "run", 1),
+    ]
+    for error, words, path, draws in wrong:
+        with pytest.raises(error, match=words):
+            why(path, draws)

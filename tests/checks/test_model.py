@@ -1,0 +1,179 @@
+"""What `pfdist check-model` finds, on models with one mistake each."""
+
+from pathlib import Path
+
+import pytest
+
+from pfdist.checks.model import Check, check_model
+
+RIGHT = """
+import math
+import numpy as np
+from pfdist import StateSpaceModel
+
+counter = []
+
+model = StateSpaceModel(
+    name="mine",
+    initial=lambda w, p: (3 * w[0],),
+    transition=lambda x, t, w, p: (0.9 * x[0] + w[0],),
+    measurement=lambda x, t, v, p: (x[0] + np.exp(0.1 * x[0]) * v[0],),
+    log_likelihood=lambda y, x, t, p: -0.5 * ((y[0] - x[0]) / np.exp(0.1 * x[0])) ** 2 - 0.1 * x[0],
+    quantity_of_interest=lambda x, t, p: (x[0],),
+    initial_noise=("normal",),
+    process_noise=("normal",),
+    measurement_noise=("normal",),
+)
+"""
+LOOKS = [
+    "load",
+    "loads the same twice",
+    "pure",
+    "elementwise",
+    "compile",
+    "simulate",
+    "compiled as in NumPy",
+    "same bytes",
+    "speed",
+    "log_likelihood",
+    "every instant",
+    "degenerate draws",
+    "expected MSE",
+    "an evaluation",
+]
+
+
+def checks_of(tmp_path: Path, *changes: tuple[str, str]) -> dict[str, Check]:
+    text = RIGHT
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    (tmp_path / "mine.py").write_text(text)
+    found = check_model("mine.py:model", horizon=12, particles=50, folder=tmp_path)
+    return {check.name: check for check in found}
+
+
+def test_a_right_model_passes_every_look(tmp_path: Path) -> None:
+    checks = checks_of(tmp_path)
+    assert list(checks) == LOOKS
+    assert {check.state for check in checks.values()} == {"ok"}
+
+
+@pytest.mark.parametrize(
+    ("look", "state", "says", "change"),
+    [
+        ("load", "wrong", "transition must give a tuple", ("(0.9 * x[0] + w[0],)", "x[0]")),
+        (
+            "load",
+            "wrong",
+            "transition must give as many components as initial, 1, got 2",
+            ("(0.9 * x[0] + w[0],)", "(x[0], x[0])"),
+        ),
+        (
+            "compile",
+            "note",
+            r"Numba: it has no np\.piecewise; write pfdist\.where.*mine\.py:\d+",
+            ("0.9 * x[0]", "np.piecewise(x[0], [x[0] > 0], [1, 2])"),
+        ),
+        (
+            "speed",
+            "note",
+            r"@ in transition \(.*mine\.py:\d+\): write each component out",
+            ("0.9 * x[0]", "(np.eye(1) @ np.array(x))[0]"),
+        ),
+        ("speed", "ok", "no formula makes an array", ("0.9 * x[0]", "np.where(x[0] > 0, 0.5, 1)")),
+        ("simulate", "wrong", r"stay finite, got x\[0\] = ", ("0.9 * x[0]", "np.sqrt(x[0])")),
+        ("same bytes", "note", "call pow of the C library", ("0.9 * x[0]", "abs(x[0]) ** 0.9")),
+        (
+            "pure",
+            "wrong",
+            "measurement must be a pure function",
+            ("x[0] + np.exp(0.1 * x[0]) * v[0],)", "x[0] + np.random.normal(),)"),
+        ),
+        (
+            "elementwise",
+            "wrong",
+            "transition must treat each particle alone",
+            ("0.9 * x[0] + w[0]", "np.mean(x[0]) + w[0]"),
+        ),
+        (
+            "log_likelihood",
+            "wrong",
+            r"the mean 1\.\d+ ± 0\.\d+, not 1",
+            (
+                "np.exp(0.1 * x[0])) ** 2 - 0.1 * x[0]",
+                "(0.9 * np.exp(0.1 * x[0]))) ** 2 - 0.1 * x[0]",
+            ),
+        ),
+        (
+            "log_likelihood",
+            "wrong",
+            "a term left out that depends on x",
+            (" - 0.1 * x[0]", ""),
+        ),
+        (
+            "log_likelihood",
+            "wrong",
+            r"must be finite .* got NaN or infinity for \d+\.\d+% of y",
+            ("-0.5 * ((y[0] - x[0])", "np.log(9 - y[0]) - 0.5 * ((y[0] - x[0])"),
+        ),
+        (
+            "log_likelihood",
+            "note",
+            "which y are possible depends on x",
+            (
+                "-0.5 * ((y[0] - x[0]) / np.exp(0.1 * x[0])) ** 2 - 0.1 * x[0]",
+                "np.log(np.abs(y[0] - x[0]) < 9 * np.exp(0.1 * x[0]))",
+            ),
+        ),
+        (
+            "log_likelihood",
+            "note",
+            "does not depend on x",
+            ("-0.5 * ((y[0] - x[0])", "0 * ((y[0])"),
+        ),
+        (
+            "degenerate draws",
+            "note",
+            "% of draws",
+            ("-0.5 * ((y[0] - x[0])", "np.log(y[0] < 1.0) - 0.5 * ((y[0] - x[0])"),
+        ),
+        (
+            "expected MSE",
+            "wrong",
+            "must be finite",
+            ("(x[0],),\n    initial_noise", "(1e200 * x[0],),\n    initial_noise"),
+        ),
+        (
+            "expected MSE",
+            "wrong",
+            r"must be finite, and its error, got \d.*e\+1\d\d ± inf",
+            ("(x[0],),\n    initial_noise", "(1e80 * x[0],),\n    initial_noise"),
+        ),
+    ],
+)
+def test_a_mistake_is_found(
+    look: str, state: str, says: str, change: tuple[str, str], tmp_path: Path
+) -> None:
+    import re
+
+    changes = [change]
+    if "does not depend" in says:
+        changes.append((" - 0.1 * x[0]", ""))
+    check = checks_of(tmp_path, *changes)[look]
+    assert check.state == state, check
+    assert re.search(says, check.text), check.text
+    assert "\n" not in check.text
+
+
+def test_a_constant_that_is_random_is_found_by_its_name(tmp_path: Path) -> None:
+    change = ("counter = []", "counter = np.random.rand()"), ("0.9 * x[0]", "counter * x[0]")
+    check = checks_of(tmp_path, *change)["loads the same twice"]
+    assert check.state == "wrong"
+    assert "counter of mine.py has another value each time it is loaded" in check.text
+    assert "\n" not in check.text
+
+
+def test_no_such_model(tmp_path: Path) -> None:
+    (check,) = check_model("mine.py:model", folder=tmp_path)
+    assert (check.name, check.state) == ("load", "wrong")

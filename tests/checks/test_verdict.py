@@ -1,0 +1,211 @@
+"""The commonest mistakes: each is named with its formula, its line and what to write instead.
+
+`check-model` and a run come to one verdict.
+"""
+
+import re
+import warnings
+from pathlib import Path
+
+import pytest
+
+from pfdist import evaluate
+from pfdist.errors import EngineWarning, ModelError
+from pfdist.checks.model import check_model
+
+MODEL = """
+import math
+import numpy as np
+import pandas as pd
+from pfdist import StateSpaceModel, where
+
+MATRIX = np.array([[0.9, 0.1], [0.0, 0.8]])
+TABLE = np.linspace(0.0, 1.0, 5)
+RATES = {"a": 0.9}
+FRAME = pd.DataFrame({"a": [0.5]})
+SEEN = [0]
+COUNT = 0
+
+
+def halved(n, a):
+    return a if n == 0 else halved(n - 1, 0.5 * a)
+
+
+def initial(w, p):
+    return (w[0], w[1])
+
+
+def transition(x, t, w, p):
+    BODY
+
+
+def log_likelihood(y, x, t, p):
+    LIKELIHOOD
+
+
+model = StateSpaceModel(
+    name="mine",
+    initial=initial,
+    transition=transition,
+    measurement=lambda x, t, v, p: (x[0] + v[0],),
+    log_likelihood=log_likelihood,
+    quantity_of_interest=lambda x, t, p: (x[0],),
+    initial_noise=("normal", "normal"),
+    process_noise=("normal",),
+    measurement_noise=("normal",),
+    parameters={"a": 0.9},
+)
+"""
+LIKELIHOOD = "return -0.5 * (y[0] - x[0]) ** 2"
+JOB = """
+seed = 1
+[model]
+name = "mine.py:model"
+[problem]
+horizon = 8
+measurement_budget = 2
+[filter]
+particles = 5
+ENGINE
+[[search]]
+method = "random"
+"""
+WHERE = r"pfdist\.where\(condition, a, b\)"
+
+
+def written(folder: Path, body: str, likelihood: str = LIKELIHOOD, engine: str = "auto") -> Path:
+    lines = body.replace("; ", "\n    ")
+    (folder / "mine.py").write_text(MODEL.replace("BODY", lines).replace("LIKELIHOOD", likelihood))
+    job = folder / "mine.toml"
+    job.write_text(JOB.replace("ENGINE", f'engine = "{engine}"'))
+    return job
+
+
+def refused(folder: Path, job: Path) -> list[str]:
+    """What `check-model` and `evaluate` say is wrong."""
+    checks = list(check_model("mine.py:model", horizon=8, particles=5, folder=folder))
+    with pytest.raises(ModelError) as caught:
+        evaluate(job, (0, 3), draws=5)
+    return [*(check.text for check in checks if check.state == "wrong"), str(caught.value)]
+
+
+@pytest.mark.parametrize(
+    ("body", "says"),
+    [
+        pytest.param("return (x[0] if x[0] > 0 else w[0], x[1])", WHERE, id="if on a state"),
+        pytest.param(
+            "if t > 3 and x[0] > 0:; return x;  return (x[0] + w[0], x[1])".replace(
+                ":; ", ":\n        "
+            ).replace(";  ", "\n    "),
+            WHERE,
+            id="if on a state from t = 4 on",
+        ),
+        pytest.param("return (where(0 < x[0] < 1, 0.5, w[0]), x[1])", "is &", id="a < b < c"),
+        pytest.param("return (max(x[0], w[0]), x[1])", r"np\.maximum\(a, b\)", id="max"),
+        pytest.param("return (math.sin(x[0]) + w[0], x[1])", r"write np\.sin in", id="math.sin"),
+        pytest.param("return (math.atan(x[0]) + w[0], x[1])", r"write np\.arctan in", id="atan"),
+        pytest.param("return (x[0] + w[1], x[1])", "w has 1, and the first is", id="w[1] of one"),
+        pytest.param("return (x[2] + w[0], x[1])", "x has 2", id="x[2] of two"),
+        pytest.param(
+            "return ((MATRIX @ np.array((x[0], 1.0)))[0], x[1])", "each component out", id="A @"
+        ),
+        pytest.param("return (MATRIX @ x)[0], x[1], w", "same|as many|tuple", id="three values"),
+        pytest.param(
+            "return 0.9 * x[0] + w[0]", r"also of one: \(a,\), got an array", id="a number"
+        ),
+        pytest.param("return [x[0] + w[0], x[1]]", r"write \(a, b\) in the place of", id="a list"),
+        pytest.param("x[0] + w[0], x[1]", "is there no `return`", id="no return"),
+        pytest.param("return ((x[0] + w[0],), x[1])", "a tuple with a tuple in it", id="nested"),
+        pytest.param("return (x[0] + w, x[1])", r"w for w\[0\]", id="w for w[0]"),
+        pytest.param(
+            "return (0.9 * x + w[0], x[1])", r"first component is x\[0\]", id="x for x[0]"
+        ),
+        pytest.param("return (x.a + w[0], x[1])", r"parameters are p\.name", id="x.a"),
+        pytest.param("return (p['a'] * x[0] + w[0], x[1])", r"read as p\.name", id="p['a']"),
+        pytest.param("return (p.b * x[0] + w[0], x[1])", "parameters: a", id="p.b"),
+        pytest.param("x[0] = w[0]; return x", "give a new tuple", id="x[0] = ..."),
+        pytest.param("a = x[0]; a += w[0]; return (a, x[1])", r"a = a \+ b in the place", id="+="),
+        pytest.param("return (x[0] + np.random.normal(), w[0])", "from the noise", id="np.random"),
+        pytest.param("return (np.mean(x[0]) + w[0], x[1])", "each particle alone", id="np.mean"),
+        pytest.param("return (x[0] * 1j + w[0], x[1])", "complex numbers", id="complex"),
+        pytest.param("return (np.reshape(x[0], (-1, 1)), w[0])", "shape", id="a column"),
+        pytest.param("return (TABLE[t / 2] + w[0], x[1])", "t // 2", id="a float as an index"),
+        pytest.param("return (TABLE[int(x[0])], w[0])", r"np\.int64\(a\)", id="int of a state"),
+        pytest.param("return (TABLE[t] + w[0], x[1])", "index 5 is out of bounds", id="a table"),
+        pytest.param("return (x[0] + wind, w[0])", "'wind' is not defined", id="a name misspelt"),
+        pytest.param("return (np.log(x[0]), w[0])", "encountered in log", id="log of a negative"),
+        pytest.param("return (x[0] ** 0.5, w[0])", "encountered in ", id="root of a negative"),
+        pytest.param("return (x[0] / (t - 3), w[0])", "divide by zero", id="division by zero"),
+        pytest.param("return ('a', w[0])", "a tuple with str in it", id="a string"),
+    ],
+)
+def test_a_mistake_is_refused_by_both_with_formula_line_and_remedy(
+    body: str, says: str, tmp_path: Path
+) -> None:
+    for text in refused(tmp_path, written(tmp_path, body)):
+        assert re.search(says, text), text
+        assert "transition" in text
+        assert re.search(r"mine\.py:\d+\)$", text)
+        assert "\n" not in text
+        assert len(text) < 1000
+
+
+def test_nan_at_the_first_instant_is_named_with_its_formula_and_line(tmp_path: Path) -> None:
+    job = written(tmp_path, "return (x[0] + w[0], x[1])")
+    (tmp_path / "mine.py").write_text(
+        (tmp_path / "mine.py")
+        .read_text()
+        .replace("return (w[0], w[1])", "return (np.log(w[0]), 1)")
+    )
+    for text in refused(tmp_path, job):
+        assert re.search(
+            r"stay finite, got x\[0\] = nan at t = 0 from initial: invalid .* in log \(.*:20\)",
+            text,
+        )
+
+
+@pytest.mark.parametrize(
+    ("body", "says"),
+    [
+        pytest.param("return (RATES['a'] * x[0] + w[0], x[1])", "RATES, a dict", id="a dict"),
+        pytest.param("return (FRAME['a'][0] * x[0] + w[0], x[1])", "to_numpy", id="a DataFrame"),
+        pytest.param("return (halved(2, x[0]) + w[0], x[1])", "calls itself", id="recursion"),
+        pytest.param("return (SEEN[0] * x[0] + w[0], x[1])", "SEEN, a list", id="a list"),
+        pytest.param("import math; return (x[0] + w[0], x[1])", "an import stands", id="an import"),
+        pytest.param(
+            "global COUNT; COUNT = t; return (x[0] + w[0], x[1])", "a global variable", id="global"
+        ),
+        pytest.param(
+            "try:\n        a = x[0]\n    except ValueError:\n        a = 0.0\n    return (a, 0.0)",
+            "`except` of one kind",
+            id="try",
+        ),
+        pytest.param(
+            "return (np.piecewise(x[0], [x[0] > 0], [1, 2]), w[0])", WHERE, id="piecewise"
+        ),
+    ],
+)
+def test_what_numba_cannot_compile_is_a_note_with_line_and_remedy_and_runs(
+    body: str, says: str, tmp_path: Path
+) -> None:
+    job = written(tmp_path, body)
+    checks = list(check_model("mine.py:model", horizon=8, particles=5, folder=tmp_path))
+    assert not [check for check in checks if check.state == "wrong"]
+    (note,) = (check.text for check in checks if check.name == "compile")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", EngineWarning)
+        evaluate(job, (0, 3), draws=5)
+    for text in (note, str(caught[0].message)):
+        assert re.search(rf"cannot be compiled by Numba: .*{says}.*mine\.py:\d+\);", text), text
+        assert "0x" not in text
+        assert "\n" not in text
+
+
+def test_a_matrix_times_an_array_of_components_is_right_in_both_engines(tmp_path: Path) -> None:
+    body = "return tuple(MATRIX @ np.array(x))"
+    out = "return (0.9 * x[0] + 0.1 * x[1], 0.8 * x[1])"
+    found = [
+        evaluate(written(tmp_path, text, engine="numpy"), (0, 3), draws=20).expected_mse
+        for text in (body, out)
+    ]
+    assert found[0] == pytest.approx(found[1], rel=1e-9)

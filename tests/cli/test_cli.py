@@ -1,0 +1,317 @@
+"""The command line: whole outputs, exit codes, and one line for every mistake."""
+
+import json
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import pfdist
+from pfdist import Job
+from pfdist.cli.main import main
+from pfdist.analysis.rounding import with_error
+from pfdist.runner.build import Built, build
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small finished run, its job file beside it."""
+    folder = tmp_path_factory.mktemp("cli")
+    job = folder / "small.toml"
+    job.write_text((Path(__file__).parent / "small.toml").read_text())
+    assert main(["run", str(job), "--results", str(folder / "run")]) == 0
+    return folder / "run"
+
+
+def _job(run: Path) -> str:
+    return str(run.with_name("small.toml"))
+
+
+def test_run_and_status_print_the_same_json_and_nothing_else(
+    finished: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    outputs = []
+    for command in (["run", _job(finished), "--results", str(finished)], ["status", str(finished)]):
+        assert main([*command, "--json"]) == 0
+        captured = capsys.readouterr()
+        outputs.append(json.loads(captured.out))
+        assert captured.err == ""
+    run, status = outputs
+    assert run == status
+    assert set(run) == {"state", "run", "evaluations", "draws_compared", "results"}
+    assert (run["state"], run["evaluations"], run["draws_compared"]) == ("finished", 34, 250)
+    regular, genetic = run["results"]["regular"], run["results"]["genetic"]
+    both = {"measurement_times", "expected_mse", "standard_error", "search_cost"}
+    gains = {
+        "mean_relative_gain",
+        "mean_relative_gain_interval",
+        "positive_fraction",
+        "positive_fraction_interval",
+        "gain_of_means",
+        "gain_of_means_interval",
+        "mean_log10_ratio",
+        "mean_log10_ratio_interval",
+        "quantiles",
+        "search_excess",
+        "gains_disagree",
+    }
+    assert both <= set(regular)
+    assert both | gains <= set(genetic)
+    assert not gains & set(regular)
+    low, high = genetic["mean_relative_gain_interval"]
+    assert low < genetic["mean_relative_gain"] < high < 1
+    assert 0 <= genetic["positive_fraction_interval"][0] <= genetic["positive_fraction"] <= 1
+
+
+def test_the_summary_says_what_a_person_wants_to_know(
+    finished: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["status", str(finished)]) == 0
+    text = capsys.readouterr().out
+    for words in (
+        "finished, 34 evaluations, 250 draws compared",
+        "regular: measure at t = 0, 4, 8, 12",
+        "what it is            regular times (N = 4)",
+        "expected MSE",
+        "±",
+        "against regular",
+        "mean relative gain",
+        "positive gains",
+        "gain of means",
+        "quartiles",
+        "mean log10 of ratio",
+        "the fresh cost (its draws chose the set)",
+        "gain over itself",
+        "95 %",
+        f"tables: {finished}/tables",
+        f"figures: {finished}/figures",
+    ):
+        assert words in text
+
+
+def test_evaluate_prints_json(finished: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = f"evaluate {_job(finished)} --times 8,0,4 --draws 50 --particles 30 --seed 9 --json"
+    assert main(shlex.split(command)) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert set(answer) == {
+        "expected_mse", "standard_error", "draws", "degenerate_draws", "broken_constraints",
+        "seconds",
+    }  # fmt: skip
+    expected = pfdist.evaluate(_job(finished), (0, 4, 8), draws=50, particles=30, seed=9)
+    assert answer["expected_mse"] == expected.expected_mse
+    assert answer["standard_error"] == expected.standard_error
+    assert (answer["draws"], answer["degenerate_draws"]) == (50, 0)
+    assert answer["broken_constraints"] == ["problem.measurement_budget is 4, got 3 times"]
+
+
+def test_evaluate_names_the_constraints_that_are_broken_and_evaluates_all_the_same(
+    finished: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    changes = "--set problem.forbidden=[3] problem.required=[6] problem.minimum_spacing=2"
+    command = f"evaluate {_job(finished)} --draws 20 {changes} --times"
+    assert main(shlex.split(f"{command} 0,2,3,9")) == 0
+    captured = capsys.readouterr()
+    assert re.match(r"expected MSE [\d.]+ ± [\d.]+\n20 draws", captured.out)
+    note = "pfdist: note: these times break a constraint: problem"
+    assert captured.err.splitlines() == [
+        f"{note}.forbidden: 3 is measured",
+        f"{note}.required: 6 is not measured",
+        f"{note}.minimum_spacing is 2, got 2 and 3",
+    ]
+    assert main(shlex.split(f"{command} 0,2,6,9")) == 0
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("scale", "printed"),
+    [("1e-3", r"\d\.\d{1,2}e-\d\d|\(\d\.\d+ ± \d\.\d+\)e-0\d"), ("1e54", r"\(.* ± .*\)e\+1\d\d")],
+)
+def test_evaluate_prints_small_and_large_errors_with_two_digits(
+    scale: str, printed: str, small_job: Job, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (small_job.path.parent / "mine.py").write_text(
+        "import dataclasses\nfrom pfdist.models.random_walk import model\n"
+        "model = dataclasses.replace(model, linear_gaussian=False,\n"
+        f"    quantity_of_interest=lambda x, t, p: (x[0] * {scale},))\n"
+    )
+    command = ["evaluate", str(small_job.path), "--times", "0,4,8,12"]
+    assert main([*command, "--set", "model.name=mine.py:model"]) == 0
+    first, _ = capsys.readouterr().out.splitlines()
+    assert re.fullmatch(f"expected MSE ({printed})", first)
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_what_is_known_exactly_is_said_to_be(
+    small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    exact = "--set model.name=random_walk filter.engine=kalman"
+    job, run = (shlex.quote(str(path)) for path in (small_job.path, tmp_path / "run"))
+    assert main(shlex.split(f"evaluate {job} --times 0,4 {exact}")) == 0
+    assert re.fullmatch(r"expected MSE \d\.\d{4} \(exact\)\n", capsys.readouterr().out)
+    assert main(shlex.split(f"plan {job} --results {run} {exact}")) == 0
+    assert re.search(r"\n  exactly +\d\.\d{4}, as the search knew\n", capsys.readouterr().out)
+
+
+def test_what_is_infinite_is_null_in_json(
+    tmp_path: Path, small_job: Job, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "mine.py").write_text(
+        "import dataclasses\nfrom pfdist.models.ungm import model\n"
+        "model = dataclasses.replace(\n"
+        "    model, log_likelihood=lambda y, x, t, p: x[0] - x[0] - float('inf'))\n"
+    )
+    command = ["evaluate", str(small_job.path), "--times", "3", "--json"]
+    assert main([*command, "--set", "model.name=mine.py:model"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["expected_mse"] is answer["standard_error"] is None
+    assert answer["degenerate_draws"] == answer["draws"] == 30
+
+
+def test_plot_draws_every_figure_as_png_and_svg(
+    finished: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["plot", str(finished)]) == 0
+    files = [Path(line) for line in capsys.readouterr().out.splitlines()]
+    names = {"cost", "draw-genetic", "gain-genetic", "draw-random", "gain-random"}
+    assert {file.name for file in files} == {
+        f"{n}.{kind}" for n in names for kind in ("png", "svg")
+    }
+    assert all(file.stat().st_size > 5000 for file in files)
+
+
+def test_models_lists_every_model_with_a_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["models"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert any(line.startswith("ungm ") and "growth model" in line for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("run missing.toml", "cannot read the job file missing.toml"),
+        ("run {job} --results {run} --set seed=9", "another run .* seed: 1 -> 9"),
+        ("run {job} --set filter.partcles=3", "unknown key 'partcles' .* allowed: particles, res"),
+        ("run {job} --set model.name=nothing", "must be one of .*ungm.*, got 'nothing'"),
+        ("run {job} --set model.parameters.process_sd=-1", r"process_sd .* 0\.\.inf, got -1"),
+        (
+            "run {job} --set model.parameters.sd=1",
+            "unknown parameter 'sd' .* allowed: .*process_sd",
+        ),
+        ("run {job} --results {job}", r"results must be a folder, got the file .* \(--results\)"),
+        ("run {job} --workers -3", "execution.workers .* got -3"),
+        ("evaluate {job} --times 0,3,13", r"must lie in 0\.\.12, got 13 \(--times\)"),
+        ("evaluate {job} --times 3,3", r"got 3 twice \(--times\)"),
+        ("evaluate {job} --times 0,x", "integers separated by commas.* got '0,x'"),
+        ("evaluate {job} --times 1 --draws 1", "evaluation.draws .* got 1"),
+        ("evaluate {job} --times 1 --particles 0", "filter.particles .* got 0"),
+        ("status {job}", "holds no run"),
+        ("status nowhere", "nowhere holds no run: there is no run.json"),
+        ("plot nowhere", "nowhere holds no run"),
+        ("why nowhere", "nowhere holds no run"),
+        ("why {run} --draws 1", r"draws must be at least 2, got 1 \(--draws\)"),
+    ],
+)
+def test_every_mistake_is_one_line_and_exit_code_1(
+    command: str, words: str, finished: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    filled = command.format(job=shlex.quote(_job(finished)), run=shlex.quote(str(finished)))
+    assert main(shlex.split(filled)) == 1
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.count("\n") == 1
+    assert captured.err.startswith("pfdist: ")
+    assert re.search(words, captured.err)
+
+
+def test_the_seconds_of_evaluate_are_those_of_the_draws(
+    finished: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def slowly(job: Job) -> Built:  # as where all must be compiled
+        time.sleep(1.5)
+        return build(job)
+
+    monkeypatch.setattr("pfdist.api.evaluate.build", slowly)
+    seconds = []
+    for _ in range(3):
+        assert main(["evaluate", _job(finished), "--times", "0,3", "--json"]) == 0
+        seconds.append(json.loads(capsys.readouterr().out)["seconds"])
+    assert min(seconds) < 1.0
+
+
+def test_a_missing_file_is_told_as_what_the_job_makes_again(
+    finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = shutil.copytree(finished, tmp_path / "run")
+    damaged = run / "tables" / "comparison" / "comparison-00000.parquet"
+    damaged.write_bytes(b"damaged")
+    assert main(["verify", str(run)]) == 1
+    assert "`pfdist repair " in capsys.readouterr().err
+    for command in ("repair", "repair"):  # the second time there is nothing to move
+        assert main([command, str(run)]) == 0
+        assert f"the job, run again with --results {run}, makes it" in capsys.readouterr().out
+    assert main(["verify", str(run)]) == 1
+    error = capsys.readouterr().err
+    assert f"1 missing: the job, run again with --results {run}, makes" in error
+    assert "repair" not in error
+    assert main(["run", _job(finished), "--results", str(run)]) == 0
+    assert main(["verify", str(run)]) == 0
+
+
+@pytest.mark.parametrize(
+    "command", ["", "walk", "run", "run a.toml --pool dask", "evaluate a.toml"]
+)
+def test_a_misuse_is_exit_code_2(command: str) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(shlex.split(command))
+    assert stop.value.code == 2
+
+
+def test_debug_shows_the_traceback() -> None:
+    with pytest.raises(pfdist.PfdistError):
+        main(["run", "missing.toml", "--debug"])
+
+
+def test_python_m_pfdist_is_the_same_and_a_finished_run_answers_at_once(finished: Path) -> None:
+    command = [sys.executable, "-m", "pfdist", "status", str(finished), "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
+    assert json.loads(done.stdout)["state"] == "finished"
+    assert done.stderr == ""
+
+
+def test_without_a_terminal_progress_is_plain_lines(
+    small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["run", str(small_job.path), "--results", str(tmp_path / "run")]) == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0].startswith("Serial pool is ready: 1 worker")
+    assert lines[-1].startswith("100.0 %  comparison  250 draws")
+    assert "\x1b" not in "".join(lines)  # no escape codes
+    found = pfdist.open_run(tmp_path / "run").summary()["results"]["genetic"]
+    (low, high), (least, most) = (
+        found[f"{gain}_interval"] for gain in ("gain_of_means", "mean_relative_gain")
+    )
+    of_means = with_error(100 * found["gain_of_means"], 50 * (high - low))
+    relative = with_error(100 * found["mean_relative_gain"], 50 * (most - least))
+    assert f"genetic: MSE {of_means} % lower, relative gain {relative} %" in lines[-1]
+
+
+def test_to_read_a_run_runs_no_code_of_it(
+    small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model, flag, run = tmp_path / "mine.py", tmp_path / "flag", tmp_path / "run"
+    model.write_text(f"open({str(flag)!r}, 'w').close()\nfrom pfdist.models.ungm import model\n")
+    command = ["run", str(small_job.path), "--results", str(run)]
+    assert main([*command, "--set", 'model.name="mine.py:model"']) == 0
+    assert f"runs the model file {model}, which your job names\n" in capsys.readouterr().err
+    flag.unlink()  # to compute, the model's file was run
+    for reads in ("status", "plot", "verify", "repair"):
+        assert main([reads, str(run)]) == 0
+    assert not flag.exists()
+    files = [path for path in run.rglob("*") if path.is_file() and path.name != ".lock"]
+    kinds = {path.suffix for path in files if path.stat().st_size}
+    assert kinds == {".toml", ".json", ".parquet", ".png", ".svg"}

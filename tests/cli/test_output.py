@@ -1,0 +1,98 @@
+"""What is written, whatever the terminal takes, and what is imported for it."""
+
+import io
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from pfdist.cli.main import main
+from pfdist.cli.progress import Display
+from pfdist.runner.progress import Found, Progress
+
+HEAVY = ("pandas", "scipy", "matplotlib", "numba", "llvmlite", "pyarrow", "ray", "pydantic", "rich")
+ASSET = Path(__file__).parent / "assets" / "schema-2"
+_FOUND = Found("genetic", 0.238, (0.236, 0.24), 0.8, 0.26, (0.259, 0.263))
+
+
+def _loaded_by(statement: str) -> set[str]:
+    script = f"import sys\n{statement}\nprint(*sys.modules, file=sys.stderr)"
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=120
+    )
+    return set(done.stderr.split())
+
+
+def test_the_version_and_the_help_import_no_library() -> None:
+    calls = "".join(
+        f"\ntry: main(['{option}'])\nexcept SystemExit: pass" for option in ("--version", "--help")
+    )
+    assert not _loaded_by(f"from pfdist.cli.main import main{calls}") & {*HEAVY, "numpy"}
+
+
+def test_to_look_at_a_run_imports_neither_numba_nor_matplotlib_nor_ray() -> None:
+    loaded = _loaded_by(f"from pfdist.cli.main import main\nmain(['status', {str(ASSET)!r}])")
+    assert not loaded & {"matplotlib", "numba", "llvmlite", "ray"}
+
+
+def test_every_command_says_what_it_is_and_exists() -> None:
+    from pfdist.cli import parser as arguments
+    from pfdist.cli import commands
+
+    for name, (summary, _) in arguments._COMMANDS.items():
+        assert summary.endswith(".")
+        assert callable(getattr(commands, f"{name.replace('-', '_')}_command"))
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp437", "utf-8"])
+def test_a_summary_is_written_in_any_encoding(
+    encoding: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, error = io.BytesIO(), io.BytesIO()
+    for name, stream in (("stdout", out), ("stderr", error)):
+        monkeypatch.setattr(sys, name, io.TextIOWrapper(stream, encoding, errors="strict"))
+    assert main(["status", str(ASSET)]) == 0
+    sys.stdout.flush()
+    plus_minus = b"+-" if encoding == "ascii" else "±".encode(encoding)
+    assert re.search(
+        rb"expected MSE +[\d.]+ " + re.escape(plus_minus) + rb" [\d.]+", out.getvalue()
+    )
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "utf-8"])
+def test_a_name_that_is_not_utf8_is_written_as_it_is(
+    encoding: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    error = io.BytesIO()
+    monkeypatch.setattr(sys, "stderr", io.TextIOWrapper(error, encoding, errors="strict"))
+    assert main(["status", "a\udcffb"]) == 1
+    sys.stderr.flush()
+    assert b"a\xffb holds no run" in error.getvalue()
+
+
+@pytest.mark.parametrize("width", [40, 60, 80, 140])
+def test_percentage_and_time_left_are_seen_at_any_width(width: int) -> None:
+    out = io.StringIO()
+    console = Console(file=out, force_terminal=True, width=width, color_system=None)
+    with Display(console) as display:
+        for step in range(3):
+            display.report(
+                Progress("a_search_with_a_name_that_is_long", 300.0 + 100 * step, 1000.0,
+                         evaluations=300, generation=3, generations=25, best=23.45, mean=25.6,
+                         found=(_FOUND,))
+            )  # fmt: skip
+        display._bar.refresh()
+    rows = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", out.getvalue()).replace("\r", "\n").split("\n")
+    shown = [row for row in rows if row.strip()]
+    assert shown
+    assert all(re.match(r" *\d+% +(-|\d)[-\d]*:[-\d]+ left ", row) for row in shown), shown
+    assert all(len(row) <= width for row in shown)
+
+
+def test_what_is_said_is_no_markup() -> None:
+    out = io.StringIO()
+    Display(Console(file=out, width=80)).say("runs/[bold]x[/y]:smile:\n\x1b[2J is ready")
+    assert out.getvalue() == "runs/[bold]x[/y]:smile: ?[2J is ready\n"

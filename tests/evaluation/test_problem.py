@@ -1,0 +1,91 @@
+"""The Monte Carlo estimate, and that it finds what mathematics says is best."""
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from oracles.kalman import SCALAR, TRACKING, LinearGaussian, riccati_cost
+from pfdist import StateSpaceModel
+from pfdist.evaluation.estimate import Evaluation
+from pfdist.times.measurement_times import Times
+from pfdist.evaluation.problem import Problem
+from pfdist.evaluation.work import Estimation, Work, cut
+
+
+def _evaluation(mse: list[float], policy: str = "kill") -> Evaluation:
+    return Evaluation((0, 1), np.array(mse), policy)
+
+
+def test_expected_mse_and_its_standard_error() -> None:
+    evaluation = _evaluation([1.0, 2.0, 6.0])
+    assert evaluation.expected_mse == evaluation.cost == 3.0
+    assert evaluation.standard_error == pytest.approx(math.sqrt(7.0 / 3.0))  # sd^2 = 7, D = 3
+    assert (evaluation.draws, evaluation.degenerate_draws) == (3, 0)
+
+
+def _work(sets: tuple[Times, ...], horizon: int, particles: int, draws: tuple[int, int]) -> Work:
+    return Work(sets, (horizon,) * 2, (5, 6), 4, draws, Estimation(particles))
+
+
+def test_one_degenerate_draw_kills_an_individual() -> None:
+    killed = _evaluation([1.0, math.nan, 3.0])
+    assert killed.cost == killed.standard_error == math.inf
+    assert (killed.draws, killed.degenerate_draws) == (3, 1)
+
+
+def test_left_out_a_degenerate_draw_leaves_the_mean_of_the_others() -> None:
+    assert _evaluation([1.0, math.nan, 3.0], "leave_out").cost == 2.0
+    assert _evaluation([math.nan, math.nan], "leave_out").cost == math.inf
+
+
+def test_the_estimate_does_not_depend_on_how_the_draws_are_cut(ungm: StateSpaceModel) -> None:
+    problem = Problem(ungm, 20)
+
+    def mse(first: int, last: int) -> np.ndarray:
+        return problem(_work(((3, 7), (1, 2)), 20, 64, (first, last))).mse
+
+    np.testing.assert_array_equal(mse(0, 40), np.concatenate([mse(0, 7), mse(7, 40)]))
+
+
+def test_sets_compared_share_their_draws_and_not_their_filters_noise(ungm: StateSpaceModel) -> None:
+    same_set = ((3, 7, 11),) * 2
+    mse = Problem(ungm, 20)(_work(same_set, 20, 200, (0, 400))).mse
+    assert (mse[:, 0] != mse[:, 1]).all()
+    assert np.corrcoef(mse.T)[0, 1] > 0.9
+
+
+def test_trajectories_are_those_of_the_draws(ungm: StateSpaceModel) -> None:
+    result = Problem(ungm, 9)(replace(_work(((3,), (1, 2)), 9, 30, (0, 5)), trajectories=True))
+    error = (result.z[None] - result.estimates) ** 2  # (S, D, T+1, q)
+    np.testing.assert_allclose(error.sum(axis=3).mean(axis=2).T, result.mse)
+
+
+@pytest.mark.parametrize(
+    ("system", "horizon", "budget"), [(SCALAR, 8, 3), (TRACKING, 6, 2)], ids=["n1", "n2"]
+)
+def test_brute_force_finds_the_set_with_the_least_riccati_cost(
+    system: LinearGaussian, horizon: int, budget: int
+) -> None:
+    particles, draws = 200, 1500
+    problem = Problem(system.as_model(), horizon)
+    sets = list(itertools.combinations(range(horizon + 1), budget))
+    exact = np.array([riccati_cost(system, horizon, times) for times in sets])
+    # Common draws and filter noise for all sets: the comparison is paired.
+    by, alike = Estimation(particles, "systematic"), (1,) * len(sets)
+    mse = problem(Work(tuple(sets), (horizon,) * len(sets), alike, 2, (0, draws), by)).mse
+    assert sets[mse.mean(axis=0).argmin()] == sets[exact.argmin()]
+    # The filter's own noise adds a few times 1/particles of the variance to the error.
+    standard_error = mse.std(axis=0) / math.sqrt(draws)
+    assert (np.abs(mse.mean(axis=0) - exact) < 4 * standard_error + 3 * exact / particles).all()
+
+
+@pytest.mark.parametrize("block", [1, 3, 7, 100])
+def test_cut_covers_every_draw_once_and_respects_the_blocks(block: int) -> None:
+    draws = np.flatnonzero(np.random.default_rng(1).random(50) < 0.6)
+    pieces = cut(draws, block)
+    assert [d for first, last in pieces for d in range(first, last)] == draws.tolist()
+    assert all(first // block == (last - 1) // block for first, last in pieces)
+    assert cut([], block) == []

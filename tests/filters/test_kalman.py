@@ -1,0 +1,164 @@
+"""The exact filter, against the joint distribution of everything, conditioned at once."""
+
+import itertools
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pfdist
+from oracles.figures_under import CORES, figures_under
+from oracles.kalman import SCALAR, THREE, TRACKING, LinearGaussian, riccati_cost
+from pfdist import Job, StateSpaceModel, linear_gaussian, load_model
+from pfdist.filters import kalman
+from pfdist.filters.draws import simulate
+from pfdist.errors import ModelError
+from pfdist.models import installed_models
+from pfdist.evaluation.problem import Problem
+
+DECLARED = sorted(
+    name
+    for name, (module, _) in installed_models().items()
+    if "pfdist." in module and load_model(name).linear_gaussian
+)
+VARYING = linear_gaussian(
+    "everything varies",
+    initial_noise=[[1.0, 0.0], [0.5, 2.0]],
+    transition=lambda t: ((0.9, 0.1 * t), (-0.2, 0.8 + 0.1 * np.cos(t))),
+    process_noise=lambda t: ((0.3,), (0.1 * t,)),
+    measurement=lambda t: ((1.0, 0.0), (0.2 * t, 1.0)),
+    measurement_noise=lambda t: ((0.5 + 0.1 * t, 0.0), (0.0, 1.5)),
+    quantity_of_interest=lambda t: ((1.0, 0.1 * t),),
+)
+MODELS = {"varying": VARYING, "tracking": TRACKING.as_model(), "three": THREE.as_model()}
+HORIZON = 7
+
+
+def joint(model: StateSpaceModel) -> tuple[np.ndarray, np.ndarray]:
+    """z (T+1, q, k) and y (T+1, m, k) as linear functions of all noise, by simulating with it."""
+    sizes = [len(model.initial_noise)]
+    sizes += [len(model.process_noise)] * HORIZON
+    sizes += [len(model.measurement_noise)] * (HORIZON + 1)
+    noise = np.split(np.eye(sum(sizes)), np.cumsum(sizes)[:-1])
+    x, z, y = model.initial(tuple(noise[0]), model.p), [], []
+    for t in range(HORIZON + 1):
+        z.append(np.stack(model.quantity_of_interest(x, t, model.p)))
+        v = tuple(noise[HORIZON + 1 + t])
+        y.append(np.stack(model.measurement(x, t, v, model.p)))
+        if t < HORIZON:
+            x = model.transition(x, t, tuple(noise[1 + t]), model.p)
+    return np.array(z), np.array(y)
+
+
+@pytest.mark.parametrize("times", [(), (0, 2, 3, 7), tuple(range(HORIZON + 1))])
+@pytest.mark.parametrize("name", MODELS)
+def test_it_is_the_conditional_distribution(name: str, times: tuple[int, ...]) -> None:
+    model = MODELS[name]
+    draws = simulate(model, HORIZON, range(5), 3)
+    filtered = kalman.filter_draws(model, draws, times, 1, 1, trajectories=True)
+    assert filtered.estimate is not None
+    assert filtered.variance is not None
+    z, y = joint(model)
+    for t in range(HORIZON + 1):
+        known = [s for s in times if s <= t]
+        seen = np.concatenate([y[s] for s in known] or [np.empty((0, z.shape[2]))])
+        values = np.concatenate([draws.y[:, s] for s in known] or [np.empty((5, 0))], axis=1)
+        weights = np.linalg.solve(seen @ seen.T, seen @ z[t].T).T
+        mean = values @ weights.T
+        variance = np.diag((z[t] - weights @ seen) @ z[t].T)
+        np.testing.assert_allclose(filtered.estimate[:, t], mean, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(filtered.variance[0, t], variance, rtol=1e-9, atol=1e-9)
+    cost = kalman.expected_mse(model, HORIZON, [times])
+    assert cost == pytest.approx([filtered.variance[0].sum(axis=1).mean()], rel=1e-12)
+
+
+@pytest.mark.parametrize("name", DECLARED)
+def test_draws_have_the_expected_mse(name: str) -> None:
+    model, times = load_model(name), (0, 5, 6, 20, 30)
+    mse = kalman.filter_draws(model, simulate(model, 30, range(20_000), 1), times, 1, 1).mse
+    (expected,) = kalman.expected_mse(model, 30, [times])
+    assert abs(mse.mean() - expected) < 4.5 * mse.std() / math.sqrt(mse.size)
+
+
+@pytest.mark.parametrize("matrices", [SCALAR, TRACKING, THREE])
+def test_many_sets_at_once_are_as_one_by_one(matrices: LinearGaussian) -> None:
+    sets = list(itertools.combinations(range(8), 3))
+    together = kalman.expected_mse(matrices.as_model(), 7, sets)
+    alone = [riccati_cost(matrices, 7, times) for times in sets]
+    np.testing.assert_allclose(together, alone, rtol=1e-10)
+
+
+def test_a_random_walk_that_is_always_measured_keeps_the_golden_variance() -> None:
+    # The positive root of P = (P + 1) / (P + 2): as much is learnt of a step as it adds.
+    model = load_model("random_walk")
+    draws = simulate(model, 60, range(1), 1)
+    variance = kalman.filter_draws(model, draws, range(61), 1, 1, trajectories=True).variance
+    assert variance is not None
+    assert variance[0, -1, 0] == pytest.approx((math.sqrt(5) - 1) / 2, rel=1e-12)
+
+
+def test_a_measurement_without_noise_may_be_no_surprise() -> None:
+    model = linear_gaussian(
+        "known from the start",
+        initial_noise=[[2.0]],
+        transition=[[1.0]],
+        process_noise=[[0.0]],
+        measurement=[[1.0]],
+        measurement_noise=[[0.0]],
+        quantity_of_interest=[[1.0]],
+    )
+    assert kalman.expected_mse(model, 3, [(), (2,), (1, 2)]) == pytest.approx([4.0, 2.0, 1.0])
+
+
+def test_engine_kalman_evaluates_and_searches_exactly(small_job: Job, tmp_path: Path) -> None:
+    job = small_job.with_changes(["model.name=random_walk", "filter.engine=kalman"])
+    evaluation = pfdist.evaluate(job, (0, 4, 8))
+    model = load_model("random_walk")
+    assert evaluation.expected_mse == kalman.expected_mse(model, 12, [(0, 4, 8)])[0]
+    assert (evaluation.standard_error, evaluation.draws) == (0.0, 0)
+    run = pfdist.run(job, tmp_path / "run", pool="serial")
+    rows = run.evaluations()
+    exact = kalman.expected_mse(model, 12, [tuple(times) for times in rows["measurement_times"]])
+    np.testing.assert_array_equal(rows["expected_mse"], exact)
+    assert (rows["standard_error"] == 0).all()
+    assert len(run.comparison()) == job.comparison.draws
+
+
+NOT_LINEAR = {
+    "does not declare itself": ({"linear_gaussian": False}, "declares itself linear_gaussian"),
+    "noise": ({"process_noise": ("uniform",)}, "process_noise.* must be normal, got 'uniform'"),
+    "error": ({"error": lambda z, e, t, p: abs(z[0] - e[0])}, "error of a linear-Gaussian"),
+    "transition": (
+        {"transition": lambda x, t, w, p: (pfdist.where(t > 3, x[0] * w[0], x[0]),)},
+        "transition at t = 4 must be linear, but component 0 is not",
+    ),
+    "measurement": (
+        {"measurement": lambda x, t, v, p: (x[0] ** 2 + v[0],)},
+        "measurement at t = 0 must be linear",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", NOT_LINEAR)
+def test_what_is_declared_is_checked(case: str) -> None:
+    changes, message = NOT_LINEAR[case]
+    model = replace(load_model("random_walk"), **changes)
+    with pytest.raises(ModelError, match=message):
+        Problem(model, 12, engine="kalman")
+
+
+def test_the_filter_must_know_the_truth() -> None:
+    model = load_model("random_walk")
+    wrong = model.with_parameters({"step_sd": 2.0})
+    with pytest.raises(ModelError, match="knows the truth"):
+        Problem(model, 12, filter_model=wrong, engine="kalman")
+
+
+def test_figures_in_numpy_agree_to_12_digits_under_the_names_of_other_processors():
+    first, *others = map(figures_under, CORES)
+    for other in others:
+        assert other.keys() == first.keys()
+        for name, figures in first.items():
+            np.testing.assert_allclose(other[name], figures, rtol=1e-12, err_msg=name)

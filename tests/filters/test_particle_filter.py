@@ -1,0 +1,359 @@
+"""The intermittent particle filter against exact filters, its plain twin, and published figures."""
+
+import resource
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from oracles.kalman import SCALAR, THREE, TRACKING, LinearGaussian, kalman_filter
+from pfdist import StateSpaceModel, where
+from pfdist.filters import plain
+from pfdist.filters.draws import simulate
+from pfdist.errors import MeasurementTimesError, ModelError
+from pfdist.times.measurement_times import regular
+from pfdist.filters.particle_filter import DTYPES, KERNEL_VERSION, RESAMPLING, filter_draws
+
+HORIZON = 12
+TIMES = {"none": (), "some": (0, 3, 4, 9), "all": tuple(range(HORIZON + 1))}
+
+UNIFORM = StateSpaceModel(
+    name="uniform",
+    initial=lambda w, p: (p.width * (w[0] - 0.5), 1.0),
+    transition=lambda x, t, w, p: (where(x[0] > 0, x[0] - w[0], x[0] + w[0]), x[1]),
+    measurement=lambda x, t, v, p: (x[0] + np.log(v[0] / (1 - v[0])),),
+    log_likelihood=lambda y, x, t, p: -np.abs(y[0] - x[0]),
+    quantity_of_interest=lambda x, t, p: (x[0], x[0] * x[1]),
+    initial_noise=("uniform",),
+    process_noise=("uniform",),
+    measurement_noise=("uniform",),
+    parameters={"width": 4.0},
+)
+
+
+@pytest.mark.parametrize(
+    ("model", "resampling"),
+    [
+        *(("ungm", resampling) for resampling in RESAMPLING),
+        *(("three", resampling) for resampling in ("multinomial", "systematic")),
+        *(("uniform", resampling) for resampling in ("stratified", "residual")),
+    ],
+)
+def test_compiled_and_plain_filter_agree_draw_for_draw(
+    model: str, resampling: str, ungm: StateSpaceModel
+) -> None:
+    chosen = {"ungm": ungm, "three": THREE.as_model(), "uniform": UNIFORM}[model]
+    draws = simulate(chosen, HORIZON, range(5, 11), 17)
+    arguments = (chosen, draws, TIMES["some"], 130, 23, resampling, True)
+    fast, slow = filter_draws(*arguments), plain.filter_draws(*arguments)
+    for name in ("mse", "estimate", "variance"):
+        np.testing.assert_allclose(
+            getattr(fast, name), getattr(slow, name), rtol=1e-9, atol=1e-9, err_msg=name
+        )
+
+
+@pytest.mark.parametrize("times", TIMES.values(), ids=TIMES.keys())
+@pytest.mark.parametrize("system", [SCALAR, TRACKING, THREE], ids=["n1", "n2", "n3"])
+def test_a_linear_gaussian_model_gives_the_kalman_filter(
+    system: LinearGaussian, times: tuple[int, ...]
+) -> None:
+    particles, count = 4000, 100
+    model = system.as_model()
+    draws = simulate(model, HORIZON, range(count), 1)
+    filtered = filter_draws(model, draws, times, particles, 2, trajectories=True)
+    exact = [kalman_filter(system, y, times) for y in draws.y]
+    mean, variance = (np.array(values) for values in zip(*exact, strict=True))
+    # A filter's error over the draws has mean 0, but for a bias of order variance / particles.
+    for estimate, truth, bias in (
+        (filtered.estimate, mean, 5 * np.sqrt(variance) / particles),
+        (filtered.variance, variance, 10 * variance / particles),
+    ):
+        error = estimate - truth
+        standard_error = error.std(axis=0, ddof=1) / np.sqrt(count)
+        assert (np.abs(error.mean(axis=0)) < 4.5 * standard_error + bias[0]).all()
+    # And it is small draw by draw: a tenth of the posterior's standard deviation.
+    rms = np.sqrt(np.mean((filtered.estimate - mean) ** 2, axis=0))
+    assert (rms < 0.1 * np.sqrt(variance[0])).all()
+
+
+def test_the_expected_mse_of_the_regular_times(ungm: StateSpaceModel) -> None:
+    # REFERENCE: multinomial 31.240 ± 0.025, systematic 31.195 ± 0.025 with 500 particles. The
+    # others lie between them, or below by what their smaller variance is worth: 0.05.
+    draws = simulate(ungm, 60, range(8000), 2020)
+    expected = {"multinomial": 31.240, "stratified": 31.2, "systematic": 31.195, "residual": 31.2}
+    expected["sorted_systematic"] = expected["systematic"]
+    for resampling in RESAMPLING:
+        mse = filter_draws(ungm, draws, regular(60, 21), 500, 1, resampling).mse
+        standard_error = np.hypot(mse.std() / np.sqrt(mse.size), 0.025)
+        assert abs(mse.mean() - expected[resampling]) < 3.5 * standard_error
+        assert abs(mse.std() - 11.3) < 4 * 11.3 / np.sqrt(2 * mse.size) * 1.3  # kurtosis 3.7
+
+
+@pytest.mark.parametrize(
+    ("times", "expected", "error"), [((), 55.26, 0.08), (tuple(range(61)), 13.59, 0.03)]
+)
+def test_the_expected_mse_of_no_and_of_all_measurements(
+    ungm: StateSpaceModel, times: tuple[int, ...], expected: float, error: float
+) -> None:
+    draws = simulate(ungm, 60, range(2000), 7)
+    mse = filter_draws(ungm, draws, times, 500, 1).mse
+    assert abs(mse.mean() - expected) < 3.5 * np.hypot(mse.std() / np.sqrt(mse.size), error)
+
+
+def test_a_draw_does_not_depend_on_the_others_filtered_with_it(ungm: StateSpaceModel) -> None:
+    pieces = [range(10), range(4), range(4, 5), range(5, 10)]
+    whole, *parts = (
+        filter_draws(ungm, simulate(ungm, 30, piece, 5), (2, 9, 20), 100, 6).mse for piece in pieces
+    )
+    np.testing.assert_array_equal(whole, np.concatenate(parts))
+
+
+@pytest.mark.parametrize("impossible", [-np.inf, np.inf, np.nan])
+def test_a_draw_is_degenerate_where_no_particle_explains_a_measurement(
+    ungm: StateSpaceModel, impossible: float
+) -> None:
+    # At t = 2 only even draws can be explained; a value that is not finite is no likelihood.
+    model = replace(
+        ungm,
+        measurement=lambda x, t, v, p: (where(v[0] > 0, 1.0, -1.0),),
+        log_likelihood=lambda y, x, t, p: where(y[0] > 0, -0.1 * x[0] ** 2, impossible),
+    )
+    draws = simulate(model, 4, range(20), 3)
+    fast = filter_draws(model, draws, (2,), 50, 1, trajectories=True)
+    slow = plain.filter_draws(model, draws, (2,), 50, 1, trajectories=True)
+    degenerate = draws.y[:, 2, 0] < 0
+    np.testing.assert_array_equal(np.isnan(fast.mse), degenerate)
+    assert np.isnan(fast.estimate[degenerate, 2:]).all()
+    assert np.isfinite(fast.estimate[degenerate, :2]).all()
+    for name in ("mse", "estimate", "variance"):
+        np.testing.assert_allclose(getattr(fast, name), getattr(slow, name), rtol=1e-9, atol=1e-12)
+
+
+def test_particles_that_leave_the_finite_numbers_cost_infinity(ungm: StateSpaceModel) -> None:
+    draws = simulate(ungm, 6, range(3), 3)
+    wild = replace(ungm, transition=lambda x, t, w, p: (x[0] * 1e200 * (1 + t),))
+    np.testing.assert_array_equal(filter_draws(wild, draws, (), 10, 1).mse, np.inf)
+
+
+def test_without_measurements_the_estimate_is_the_mean_of_the_particles() -> None:
+    model = SCALAR.as_model()
+    draws = simulate(model, 8, range(2), 1)
+    estimate = filter_draws(model, draws, (), 5000, 1, trajectories=True).estimate
+    # x(t) has mean 0 and variance at most b0^2 = 9
+    assert (np.abs(estimate) < 4.5 * 3 / np.sqrt(5000)).all()
+
+
+@pytest.mark.parametrize("particles", [1, 2, 16, 63, 65])
+@pytest.mark.parametrize("resampling", RESAMPLING)
+def test_any_number_of_particles(ungm: StateSpaceModel, particles: int, resampling: str) -> None:
+    draws = simulate(ungm, 10, range(3), 1)
+    arguments = (ungm, draws, (1, 5, 10), particles, 4, resampling)
+    fast, slow = filter_draws(*arguments).mse, plain.filter_draws(*arguments).mse
+    np.testing.assert_allclose(fast, slow, rtol=1e-9)
+
+
+def test_times_outside_the_horizon_are_refused(ungm: StateSpaceModel) -> None:
+    draws = simulate(ungm, 10, range(1), 1)
+    with pytest.raises(MeasurementTimesError, match=r"0\.\.10, got 11"):
+        filter_draws(ungm, draws, (3, 11), 10, 1)
+
+
+def test_figures_change_only_with_the_kernels_version(ungm: StateSpaceModel) -> None:
+    # Per-draw MSEs by version: a run must not go on with another kernel. The bits are the same on
+    # every processor.
+    pinned = {
+        4: [
+            [20.030171842834363, 24.745265995748063, 18.405810390855656],
+            [18.54587337892956, 25.641222183567635, 16.659592251747718],
+            [18.86847917204751, 26.091737443268272, 15.741853968594794],
+            [18.464893008930837, 25.392532162206393, 16.592643984117462],
+            [18.329167583809934, 25.695123224351246, 16.495445169886793],
+        ]
+    }
+    draws = simulate(ungm, 60, range(3), 2020)
+    mse = [filter_draws(ungm, draws, regular(60, 21), 500, 1, scheme).mse for scheme in RESAMPLING]
+    np.testing.assert_array_equal(mse, pinned[KERNEL_VERSION])
+
+
+def test_float32_states_give_the_same_mse_within_their_rounding(ungm: StateSpaceModel) -> None:
+    # A rounded state may have another ancestor, and then the draw goes another way: the difference
+    # has mean 0 and is small in most draws.
+    draws = simulate(ungm, 60, range(4000), 5)
+    arguments = (ungm, draws, regular(60, 21), 500, 1, "systematic", False)
+    double, single = (filter_draws(*arguments, dtype=dtype).mse for dtype in DTYPES)
+    difference = single - double
+    standard_error = difference.std() / np.sqrt(difference.size)
+    assert 0 < difference.std() < 0.05 * double.std()
+    assert abs(difference.mean()) < min(4 * standard_error, 1e-3 * double.mean())
+    plainly = plain.filter_draws(ungm, draws[:20], *arguments[2:], dtype="float32").mse
+    np.testing.assert_allclose(single[:20], plainly, rtol=1e-9)
+
+
+def test_compiled_and_plain_filter_have_the_same_mse_on_average(ungm: StateSpaceModel) -> None:
+    # Their sums round otherwise, which may decide an ancestor: then a draw differs, else by 1e-9.
+    draws = simulate(ungm, 60, range(500), 6)
+    arguments = (ungm, draws, regular(60, 21), 500, 1)
+    fast, slow = filter_draws(*arguments).mse, plain.filter_draws(*arguments).mse
+    difference = fast - slow
+    assert (np.abs(difference) > 1e-9 * slow).sum() <= 5
+    assert difference.std() < 0.05 * slow.std()
+    assert abs(difference.mean()) < max(
+        4 * difference.std() / np.sqrt(difference.size), 1e-9 * slow.mean()
+    )
+
+
+def test_the_filters_model_may_be_another_than_the_truth() -> None:
+    # A filter that thinks less of the measurements than it should errs more, as Kalman's does.
+    truth, believed = SCALAR, replace(SCALAR, d=5 * SCALAR.d)
+    draws = simulate(truth.as_model(), HORIZON, range(2000), 1)
+    times = TIMES["some"]
+    filtered = filter_draws(believed.as_model(), draws, times, 2000, 2)
+    exact = np.array([kalman_filter(believed, y, times)[0] for y in draws.y])
+    mse = np.mean((draws.z - exact)[:, :, 0] ** 2, axis=1)
+    right = filter_draws(truth.as_model(), draws, times, 2000, 2).mse
+    difference = filtered.mse - mse
+    assert abs(difference.mean()) < 4 * difference.std() / np.sqrt(mse.size) + 0.01 * mse.mean()
+    assert filtered.mse.mean() > 1.1 * right.mean()
+
+
+def test_the_error_may_be_any_function_of_z_and_its_estimate(ungm: StateSpaceModel) -> None:
+    draws = simulate(ungm, HORIZON, range(20), 1)
+    weighed = replace(
+        draws.model,
+        error=lambda z, estimate, t, p: (t >= 3) * p.price * np.abs(z[0] - estimate[0]),
+        parameters={**ungm.parameters, "price": 2.0},
+    )
+    filtered = filter_draws(ungm, replace(draws, model=weighed), (3, 7), 100, 1, trajectories=True)
+    expected = 2 * np.abs(draws.z - filtered.estimate)[:, 3:, 0].sum(axis=1) / (HORIZON + 1)
+    np.testing.assert_allclose(filtered.mse, expected, rtol=1e-12)
+    assert plain.filter_draws(ungm, replace(draws, model=weighed), (3, 7), 100, 1).mse == (
+        pytest.approx(expected, rel=1e-9)
+    )
+
+
+def test_a_particle_without_weight_does_not_count(ungm: StateSpaceModel) -> None:
+    # Where x < 0 the quantity of interest is NaN; the measurement rules these particles out.
+    model = replace(
+        ungm,
+        initial=lambda w, p: (w[0] + 0.5,),
+        transition=lambda x, t, w, p: (x[0],),
+        measurement=lambda x, t, v, p: (v[0],),
+        log_likelihood=lambda y, x, t, p: where(x[0] > 0, -x[0], -np.inf),
+        quantity_of_interest=lambda x, t, p: (np.sqrt(x[0]),),
+    )
+    truth = replace(model, initial=lambda w, p: (1.0,))
+    draws = simulate(truth, 2, range(5), 1)
+    mse = filter_draws(model, draws, (0, 1, 2), 50, 1).mse
+    assert np.isfinite(mse).all()
+    assert mse == pytest.approx(plain.filter_draws(model, draws, (0, 1, 2), 50, 1).mse, rel=1e-9)
+    assert np.isinf(filter_draws(model, draws, (1,), 50, 1).mse).all()
+
+
+def scaled(a):
+    return a * FACTOR
+
+
+FACTOR = 0.5
+
+
+def test_a_formula_may_call_its_authors_functions(ungm: StateSpaceModel) -> None:
+    def shifted(a):
+        return scaled(a) + 1.0
+
+    model = replace(ungm, transition=lambda x, t, w, p: (shifted(x[0]) + w[0],))
+    draws = simulate(model, 8, range(4), 3)
+    np.testing.assert_allclose(draws.x, plain.simulate(model, 8, range(4), 3).x, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("transition", "message"),
+    [
+        (
+            lambda x, t, w, p: (np.reshape(x[0], np.shape(x[0])),),
+            r"compiled by Numba: .*reshape.*filter\.py:\d+",
+        ),
+        (
+            lambda x, t, w, p: (SETTINGS["a"] * x[0],),
+            r"compiled by Numba: .*SETTINGS.*filter\.py:\d+",
+        ),
+        (lambda x, t, w, p: (x[0] + (1, 2)[t],), "transition failed: IndexError"),
+    ],
+    ids=["a function Numba lacks", "a global dict", "raises"],
+)
+def test_a_formula_that_does_not_work_is_one_line_with_its_place(
+    ungm: StateSpaceModel, transition: Callable[..., Any], message: str
+) -> None:
+    model = replace(ungm, transition=transition)
+    with pytest.raises(ModelError, match=message) as error:
+        simulate(model, 8, range(1), 0)
+    assert "\n" not in str(error.value)
+
+
+SETTINGS = {"a": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"resampling": "best"}, "resampling must be one of multinomial, .* got 'best'"),
+        ({"dtype": "float16"}, "dtype must be one of float64, float32, got 'float16'"),
+        ({"particles": 0}, "particles must be at least 1, got 0"),
+    ],
+)
+@pytest.mark.parametrize("engine", [filter_draws, plain.filter_draws], ids=["compiled", "plain"])
+def test_a_filter_that_is_none_is_refused(
+    engine: Callable[..., Any], changes: dict[str, Any], message: str, ungm: StateSpaceModel
+) -> None:
+    draws = simulate(ungm, 4, range(2), 0)
+    with pytest.raises(ValueError, match=message):
+        engine(ungm, draws, (1,), **{"particles": 10, "stream": 1, **changes})
+
+
+@pytest.mark.parametrize("engine", [filter_draws, plain.filter_draws], ids=["compiled", "plain"])
+def test_a_filter_of_another_size_is_refused(
+    engine: Callable[..., Any], ungm: StateSpaceModel
+) -> None:
+    draws = simulate(ungm, 4, range(2), 0)
+    with pytest.raises(ModelError, match="as many components of y as the model ungm, 1, got 2"):
+        engine(THREE.as_model(), draws, (1,), 10, 1)
+
+
+TABLE = np.array([1.0, 2.0, 3.0])
+
+
+def test_an_error_in_the_middle_of_a_filter_leaves_no_array_behind(ungm: StateSpaceModel) -> None:
+    draws = simulate(ungm, 12, range(20), 1)
+    short = replace(ungm, transition=lambda x, t, w, p: (x[0] / 2 + w[0] + TABLE[t],))
+
+    def resident() -> int:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
+
+    before = 0
+    for repetition in range(60):  # each with 5 MB of arrays
+        before = resident() if repetition < 20 else before
+        with pytest.raises(ModelError, match="transition failed: IndexError"):
+            filter_draws(short, draws, (0, 3, 6), 50_000, 1)
+    assert resident() - before < 40 * 50_000 * 8 / 4  # a quarter of the smallest
+    again = filter_draws(ungm, draws, (0, 3, 6), 50, 1)
+    assert np.isfinite(again.mse).all()
+
+
+def test_what_lies_behind_the_last_particle_raises_no_error(ungm: StateSpaceModel) -> None:
+    # The transition fails where its noise is larger than that of any particle that there is. Under
+    # this key 57 of the variates that lie behind it are.
+    draws, largest = simulate(ungm, 5, range(50), 1), [0.0]
+
+    def seen(x: Any, t: Any, w: Any, p: Any) -> Any:
+        largest[0] = max(largest[0], np.abs(w[0]).max())
+        return (x[0] / 2 + w[0],)
+
+    plain.filter_draws(replace(ungm, transition=seen), draws, (2,), 1, 10)
+    bound = largest[0]
+
+    def edged(x: Any, t: Any, w: Any, p: Any) -> Any:
+        return (x[0] / 2 + w[0] + TABLE[np.int64(np.abs(w[0]) > bound) * 3],)
+
+    filter_draws(replace(ungm, transition=edged), draws, (2,), 1, 10)

@@ -1,0 +1,117 @@
+"""Sets that share their first times share their cloud: the same bits, for less work."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pfdist import StateSpaceModel, load_model, where
+from pfdist.filters.draws import simulate
+from pfdist.kernels.prefixes import plan
+from pfdist.filters.particle_filter import filter_draws, filter_sets
+
+HORIZON = 12
+DEGENERATE = replace(
+    load_model("ungm"),
+    log_likelihood=lambda y, x, t, p: where(y[0] > 20.0, -math.inf, -0.5 * (y[0] - x[0]) ** 2),
+)
+INFINITE = replace(
+    load_model("ungm"),
+    quantity_of_interest=lambda x, t, p: (where(abs(x[0]) > 22.0, math.inf, x[0]),),
+)
+
+
+def random_sets(count: int, seed: int) -> list[tuple[int, ...]]:
+    rng = np.random.default_rng(seed)
+    masks = rng.random((count, HORIZON + 1)) < rng.random((count, 1))
+    return [tuple(np.flatnonzero(mask).tolist()) for mask in masks]
+
+
+SETS = [*random_sets(40, seed=0), (), tuple(range(HORIZON + 1)), (12,), (0,), (12,)]
+
+
+@pytest.mark.parametrize(
+    ("name", "resampling", "dtype"),
+    [
+        ("ungm", "multinomial", "float64"),
+        ("ungm", "systematic", "float32"),
+        ("bearings_only", "multinomial", "float64"),
+    ],
+)
+def test_together_they_are_bit_for_bit_as_one_by_one(
+    name: str, resampling: str, dtype: str
+) -> None:
+    model = load_model(name)
+    draws = simulate(model, HORIZON, range(5), 3)
+    together = filter_sets(model, draws, SETS, 70, 9, resampling, dtype)
+    alone = [
+        filter_draws(model, draws, times, 70, 9, resampling, dtype=dtype).mse for times in SETS
+    ]
+    np.testing.assert_array_equal(together, np.stack(alone, axis=1))
+
+
+@pytest.mark.parametrize(("believed", "value"), [(DEGENERATE, math.nan), (INFINITE, math.inf)])
+def test_a_draw_that_ended_has_ended_for_all_that_share_it(
+    believed: StateSpaceModel, value: float
+) -> None:
+    draws = simulate(load_model("ungm"), HORIZON, range(60), 3)
+    together = filter_sets(believed, draws, SETS, 70, 9)
+    alone = np.stack([filter_draws(believed, draws, times, 70, 9).mse for times in SETS], axis=1)
+    np.testing.assert_array_equal(together, alone)
+    ended = ~np.isfinite(together)
+    np.testing.assert_array_equal(together[ended], value)
+    assert 0.02 < ended.mean() < 0.98
+
+
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("with_ends", [False, True])
+def test_every_distinct_prefix_is_walked_once(with_ends: bool, seed: int) -> None:
+    sets, instants = random_sets(30, seed), HORIZON + 1
+    rng = np.random.default_rng(seed)
+    ends = [instants] * len(sets)
+    if with_ends:
+        ends = [int(rng.integers(max(times, default=0) + 1, instants + 1)) for times in sets]
+    planned, place = plan(tuple(sets), instants, tuple(ends))
+    words = [tuple(t in times for t in range(end)) for times, end in zip(sets, ends, strict=True)]
+    ordered = list(zip(planned.measured, planned.ends, strict=True))
+    assert [tuple(row[:end].tolist()) for row, end in (ordered[k] for k in place)] == words
+    prefixes = {word[: t + 1] for word in words for t in range(len(word))}
+    assert (planned.ends - planned.begins).sum() == len(prefixes)
+    # What a set goes on from is in its place: kept by one with the same times before, and not
+    # overwritten since.
+    kept: dict[int, tuple[bool, ...]] = {}
+    for one, (row, end) in enumerate(ordered):
+        stop = begin = int(planned.begins[one])
+        if begin > 0:
+            assert kept[int(planned.sources[one])] == tuple(row[:begin].tolist())
+        while stop < end:
+            stop = int(planned.stops[one, stop])
+            assert begin < stop <= end
+            if planned.slots[one, stop] >= 0:
+                kept[int(planned.slots[one, stop])] = tuple(row[:stop].tolist())
+    assert len(kept) <= planned.clouds
+
+
+def test_what_is_wanted_up_to_an_end_is_the_sum_of_the_errors_up_to_there() -> None:
+    model, times = load_model("ungm"), (0, 3, 7)
+    draws = simulate(model, HORIZON, range(5), 3)
+    estimate = filter_draws(model, draws, times, 70, 9, trajectories=True).estimate
+    assert estimate is not None
+    errors = np.cumsum((draws.z - estimate)[:, :, 0] ** 2, axis=1) / (HORIZON + 1)
+    cases = [
+        ((), 0),
+        ((0,), 0),
+        ((0,), 2),
+        ((0, 3), 3),
+        ((0, 3), 6),
+        ((0, 3, 7), 7),
+        ((0, 3, 7), 12),
+    ]
+    sets, ends = zip(*cases, strict=True)
+    upto = filter_sets(model, draws, sets, 70, 9, ends=ends)
+    blind = filter_draws(model, draws, (), 70, 9, trajectories=True).estimate
+    assert blind is not None
+    nothing = (draws.z - blind)[:, 0, 0] ** 2 / (HORIZON + 1)
+    np.testing.assert_allclose(upto[:, 0], nothing, rtol=1e-12)
+    np.testing.assert_allclose(upto[:, 1:], errors[:, list(ends[1:])], rtol=1e-12)

@@ -1,0 +1,286 @@
+import re
+import tomllib
+from pathlib import Path
+from typing import get_args
+
+import pytest
+
+from pfdist.errors import JobError
+from pfdist.evaluation.estimate import DEGENERATE_POLICIES
+from pfdist.times.feasible import Feasible
+from pfdist.job.job import EvaluationSection, Filter, job_toml, load_job
+from pfdist.kernels.moments import ESTIMATORS
+from pfdist.filters.particle_filter import RESAMPLING
+
+JOBS = Path(__file__).parents[1] / "jobs"
+JOB = """
+seed = 1
+[model]
+[problem]
+horizon = 10
+measurement_budget = 3
+[filter]
+[evaluation]
+[comparison]
+[execution]
+[[search]]
+method = "genetic"
+[[search]]
+method = "random"
+"""
+
+
+@pytest.fixture
+def write(tmp_path):
+    """Write a job file: JOB with a piece of it replaced."""
+
+    def job_file(old="", new=""):
+        assert old in JOB
+        path = tmp_path / "mine.toml"
+        path.write_text(JOB.replace(old, new, 1), encoding="utf-8")
+        return path
+
+    return job_file
+
+
+@pytest.mark.parametrize(
+    ("name", "searches"),
+    [
+        ("paper", ["genetic", "random"]),
+        ("quick", ["survivors", "genetic"]),
+        ("plan", ["survivors"]),
+    ],
+)
+def test_the_jobs_that_ship_are_valid(name, searches):
+    job = load_job(JOBS / f"{name}.toml")
+    assert (job.problem.horizon, job.problem.measurement_budget) == (60, 21)
+    assert [search.name for search in job.search] == searches
+
+
+def test_the_papers_job_is_the_papers_experiment():  # Paper, sections 2.4 and 3.
+    job = load_job(JOBS / "paper.toml")
+    genetic, trials = (search.settings for search in job.search)
+    assert (job.filter.particles, job.evaluation.draws, job.comparison.draws) == (500, 1000, 10**5)
+    assert (genetic["population"], genetic["generations"]) == (50, 25)
+    assert (genetic["crossover_probability"], genetic["mutation_probability"]) == (1.0, 0.003)
+    assert (genetic["sigma_scaling"], trials["evaluations"]) == (1.0, 50 * 25)
+
+
+@pytest.mark.parametrize("cost", ["[1, 1, 1, 1, 2, 2, 2, 2, 2, 2, 3]", "{0-3=1, 4-9=2, 10=3}"])
+def test_constraints_are_spelt_as_times_or_as_ranges(write, cost):
+    lines = ["forbidden = ['4-6', 8]", "required = [3]", f"cost = {cost}", "total_cost = 7"]
+    problem = load_job(write("measurement_budget = 3", "\n".join(lines))).problem
+    assert problem.feasible == Feasible(
+        10, None, (4, 5, 6, 8), (3,), cost=(1, 1, 1, 1, 2, 2, 2, 2, 2, 2, 3), total_cost=7
+    )
+
+
+def test_what_is_not_constrained_is_no_part_of_what_a_run_is(write):
+    assert load_job(write()).identity()["problem"] == {"horizon": 10, "measurement_budget": 3}
+
+
+def test_a_search_is_named_after_its_method_unless_it_has_a_name(write):
+    job = load_job(write('method = "random"', 'method = "genetic"\nname = "second"'))
+    assert [search.name for search in job.search] == ["genetic", "second"]
+
+
+# A piece of JOB, what stands there instead, and the error it must make.
+MISTAKES = [
+    ("seed = 1", "", r"seed must be given"),
+    ("seed = 1", "seed = -1", r"seed must .* 0, got -1 "),
+    ("seed = 1", "seed = 1.0", r"seed must .* integer, got 1\.0 "),
+    ("seed = 1", "seed = true", r"seed must .* integer, got True "),
+    ("seed = 1", "seed = 1\nsed = 2", r"unknown key 'sed', allowed: seed, model, problem"),
+    ("[filter]", "[filter]\nparticle = 9", r"'particle' in \[filter\], allowed: particles, res"),
+    ("[filter]", "[filter]\nparticles = 0", r"filter\.particles must .* 1, got 0 "),
+    (
+        "[filter]",
+        "[filter]\nresampling = 'x'",
+        r"resampling .* 'residual' or 'sorted_systematic', got",
+    ),
+    (
+        'method = "genetic"',
+        'method = "genetic"\nevaluation = {drawz = 5}',
+        r"'drawz' in \[search\.genetic\.evaluation\], allowed: draws, noise, particles, resam",
+    ),
+    ("[model]", "[model]\nparameters = {sd = '1'}", r"model\.parameters\.sd .* number, got '1' "),
+    ("horizon = 10", "horizon = 0", r"problem\.horizon must .* 1, got 0 "),
+    ("budget = 3", "budget = 1", r"problem\.measurement_budget must .* 2, got 1 "),
+    ("budget = 3", "budget = 12", r"measurement_budget must .* horizon \+ 1 = 11, got 12 "),
+    ("measurement_budget = 3", "", r"problem\.measurement_budget must be given, or problem\.cost"),
+    ("budget = 3", "budget = 3\ntotal_cost = 9", r"measurement_budget or a total_cost, got meas"),
+    ("budget = 3", "budget = 3\nrequired = 5", r"problem\.required must be a list .* got 5 "),
+    ("budget = 3", "budget = 3\nrequired = [1.5]", r"required must name times, .* got 1\.5 "),
+    ("budget = 3", "budget = 3\nrequired = ['3-1']", r"required must have ranges .* got '3-1' "),
+    ("budget = 3", "budget = 3\nforbidden = ['8-11']", r"forbidden must .* 0\.\.10, got 11 "),
+    ("budget = 3", "budget = 3\nminimum_spacing = 6", r"at most 2, .*_spacing = 6, got 3 "),
+    ("measurement_budget = 3", "cost = 2", r"problem\.cost must be a list .* got 2 "),
+    ("measurement_budget = 3", "cost = ['2']", r"problem\.cost must be whole .* got '2' "),
+    (
+        "measurement_budget = 3",
+        "cost = {'0-9' = 1}\ntotal_cost = 3",
+        r"once, got none for 10",
+    ),
+    ("measurement_budget = 3", "cost = {'0-9' = 1, 9 = 2}\ntotal_cost = 3", r"once, got 9 twice"),
+    ("measurement_budget = 3", "cost = {'0-11' = 1}\ntotal_cost = 3", r"once, got 11 of a horizon"),
+    ("[evaluation]", "[evaluation]\nnoise = 'new'", r"\.noise .* 'fresh' or 'common', got 'new' "),
+    ("[evaluation]", "[evaluation]\ndegenerate_draws = 1", r"'kill' or 'leave_out', got 1 "),
+    ("[evaluation]", "[evaluation]\nestimator = 'x'", r"\.estimator .* or 'two_filters', got 'x' "),
+    ("[comparison]", "[comparison]\ndraws = 1", r"comparison\.draws must .* 2, got 1 "),
+    (
+        "[execution]",
+        "[execution]\npool = 'dask'",
+        r"execution\.pool must .* 'ray' or 'serial', got",
+    ),
+    ('"genetic"', '"genetics"', r"search\.method must .* 'genetic', 'random', .*got 'genetics' "),
+    ('method = "random"', "", r"search\.method must .* 'genetic', 'random', .*got None "),
+    ('"genetic"', '"genetic"\npop = 9', r"'pop' in \[search\.genetic\], allowed: .*, population,"),
+    ('"genetic"', '"genetic"\npopulation = 7', r"\.population must .* multiple of 2, got 7 "),
+    ('"genetic"', '"genetic"\nmutation_probability = 1.5', r"_probability must .* 1, got 1\.5 "),
+    ('"random"', '"random"\nevaluations = 0', r"search\.random\.evaluations must .* 1, got 0 "),
+    ('"random"', '"random"\nname = "My"', r"search\.random\.name must .*a-z.*, got 'My' "),
+    ('"random"', '"random"\nname = "regular"', r"names must not be 'regular', .* got 'regular' "),
+    ('"random"', '"random"\nname = "reference"', r"names must not be .* got 'reference' "),
+    ('"random"', '"genetic"', r"search names must be unique, got 'genetic' twice"),
+    ("[comparison]", "[comparison]\nreference = 3", r"reference must be 'regular' or a list .* 3 "),
+    ("[comparison]", "[comparison]\nreference = 'even'", r"reference must be .* got 'even' "),
+    ("[comparison]", "[comparison]\nreference = [0.5]", r"reference must be .* got \[0\.5\] "),
+    ("[comparison]", "[comparison]\nreference = [2, 11]", r"0\.\.10, got 11 \(comparison\.ref"),
+    ("[comparison]", "[comparison]\nreference = [2, 2]", r"got 2 twice \(comparison\.reference"),
+    ("seed = 1", "seed = ", r"must be TOML, .* line 2"),
+]
+
+
+def test_what_a_search_is_given_of_its_evaluation_leaves_its_other_defaults(write):
+    for method in ("annealing", "exchange", "survivors"):
+        (search,) = load_job(
+            write(), [f"search=[{{method='{method}', evaluation={{draws=50}}}}]"]
+        ).search
+        assert (search.evaluation.draws, search.evaluation.noise) == (50, "common")
+
+
+@pytest.mark.parametrize(("old", "new", "message"), MISTAKES)
+def test_a_mistake_is_named_with_what_it_got_what_is_allowed_and_where(write, old, new, message):
+    path = write(old, new)
+    with pytest.raises(JobError, match=rf"{message}.*\({re.escape(str(path))}\)"):
+        load_job(path)
+
+
+def test_a_file_that_is_not_there_is_an_error(tmp_path):
+    with pytest.raises(JobError, match=r"cannot read .*none\.toml: No such file"):
+        load_job(tmp_path / "none.toml")
+
+
+def test_overrides_change_the_keys_they_name(write):
+    job = load_job(
+        write(),
+        [
+            "seed=3",
+            "filter.resampling=systematic",  # a bare word is a string
+            "model.parameters.process_sd=2",
+            "search.genetic.generations=5",
+            "search.random.name=trials",
+            "execution.workers=2",
+        ],
+    )
+    assert (job.seed, job.filter.resampling, job.execution.workers) == (3, "systematic", 2)
+    assert job.model.parameters == {"process_sd": 2.0}
+    assert [search.settings.get("generations") for search in job.search] == [5, None]
+    assert [search.name for search in job.search] == ["genetic", "trials"]
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("seed", r"must be key=value, .* got 'seed'"),
+        ("=3", r"must be key=value, .* got '=3'"),
+        ("seed.=3", r"must be key=value, .* got 'seed\.=3'"),
+        ("seed.low=3", r"seed\.low=3: seed is no section"),
+        ("sed=3", r"unknown key 'sed', allowed: seed, .*mine\.toml with sed=3"),
+        ("seed=x", r"seed must .* got 'x' .*mine\.toml with seed=x"),
+        ("search.trials.evaluations=3", r"no search 'trials', allowed: genetic, random"),
+        ("search.genetic.generation=3", r"unknown key 'generation' .* generations"),
+        ("search.genetic=3", r"search\.genetic=3: .* search\.NAME\.KEY=value"),
+    ],
+)
+def test_a_mistake_in_an_override_is_named(write, override, message):
+    with pytest.raises(JobError, match=message):
+        load_job(write(), [override])
+
+
+def test_any_set_may_be_the_reference_in_any_order(write):
+    in_file = load_job(write("[comparison]", "[comparison]\nreference = [6, 0, 3]"))
+    given = load_job(write(), ["comparison.reference=[0, 3, 6]"])
+    assert in_file.comparison.reference == given.comparison.reference == (0, 3, 6)
+    assert in_file.identity() == given.identity() != load_job(write()).identity()
+    assert load_job(write()).comparison.reference_name == "regular"
+    assert given.comparison.reference_name == "reference"
+
+
+def test_with_changes_leaves_the_job_as_it_was(write):
+    path = write()
+    job = load_job(path)
+    changed = job.with_changes(["search.genetic.generations=5", "problem.horizon=20"])
+    assert (changed.problem.horizon, changed.search[0].settings["generations"]) == (20, 5)
+    assert (job.problem.horizon, job.search[0].settings["generations"]) == (10, 25)
+    assert changed.path == job.path == path
+
+
+def test_identity_is_everything_but_the_execution(write):
+    path = write()
+    here, there = load_job(path, ["execution.pool=serial"]), load_job(path, ["execution.workers=9"])
+    assert here.identity() == there.identity()
+    assert "execution" not in here.identity()
+    assert load_job(path, ["filter.particles=9"]).identity() != here.identity()
+
+
+@pytest.mark.parametrize("name", ["paper", "quick", "constrained"])
+def test_identity_survives_being_written_as_toml(name, tmp_path):
+    identity = load_job(JOBS / f"{name}.toml", ["model.parameters.process_sd=2"]).identity()
+    written = tmp_path / "job.toml"
+    written.write_text(job_toml(identity), encoding="utf-8")
+    assert tomllib.loads(written.read_text(encoding="utf-8")) == identity
+    assert load_job(written).identity() == identity
+
+
+@pytest.mark.parametrize(
+    ("section", "key", "names"),
+    [
+        (Filter, "resampling", RESAMPLING),
+        (EvaluationSection, "degenerate_draws", DEGENERATE_POLICIES),
+        (EvaluationSection, "estimator", ESTIMATORS),
+    ],
+)
+def test_the_job_allows_what_the_program_has(section, key, names):
+    assert set(get_args(section.model_fields[key].annotation)) == set(names)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "override", "message"),
+    [
+        ("[[search]]", "[search]", "seed=1", "search must be one or more|TOML"),
+        ("seed = 1", "search = 5", "seed=1", "TOML"),
+        ('method = "genetic"', 'method = "genetic"\npopulation = 7', "seed=1", r"got 7 \([^;]*\)$"),
+        ("seed = 1", "sed = 1", "evaluation.draws=5", r"^unknown key 'sed'"),
+        ("seed = 1", "seed = 1", "seed=1\nx=3", "must be key=value"),
+        ("seed = 1", "seed = 1", "search.genetic=3", r"search\.NAME\.KEY=value"),
+    ],
+)
+def test_the_most_telling_mistake_is_told(write, old, new, override, message):
+    with pytest.raises(JobError, match=message):
+        load_job(write(old, new), [override])
+
+
+def test_searches_that_are_no_sections_are_an_error_with_an_override_too(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text("search = 5\nseed = 1\n[problem]\nhorizon = 5\nmeasurement_budget = 2\n")
+    with pytest.raises(
+        JobError, match=r"search must be one or more \[\[search\]\] sections, got 5"
+    ):
+        load_job(path)
+    with pytest.raises(JobError, match=r"no search 'genetic', allowed: none"):
+        load_job(path, ["search.genetic.population=4"])
+
+
+def test_spaces_around_a_key_and_a_value_do_not_matter(write):
+    assert load_job(write(), ["seed = 3", "filter.resampling = systematic"]).seed == 3

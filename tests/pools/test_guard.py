@@ -1,0 +1,89 @@
+"""What a command starts ends with the command, whatever ends the command."""
+
+import os
+import secrets
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from pfdist.pools.guard import Guard, environment, python_command
+from pfdist.pools.processes import end, marked
+
+# Begins something that leaves its session and its parent, as Ray's agents do.
+ORPHAN = "import subprocess; subprocess.Popen(['sleep', '60'], start_new_session=True)"
+DRIVER = f"""
+import subprocess, sys, time
+from pfdist.pools.guard import Guard
+
+def main():
+    with Guard() as guard:
+        with guard.watching():
+            subprocess.run([sys.executable, "-c", {ORPHAN!r}], check=True)
+        print("started", flush=True)
+        time.sleep(60)
+"""
+
+
+def _until(reached: Callable[[], bool], seconds: float = 30.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not reached():
+        assert time.monotonic() < deadline, f"not reached in {seconds:.0f} s"
+        time.sleep(0.02)
+
+
+def test_a_mark_is_inherited_and_found_though_sessions_and_parents_change() -> None:
+    value = secrets.token_hex(8)
+    with environment({"PFDIST_TEST": value}):
+        subprocess.run([sys.executable, "-c", ORPHAN], check=True)
+    assert "PFDIST_TEST" not in os.environ
+    (found,) = marked("PFDIST_TEST", value)
+    assert marked("PFDIST_TEST", value[:-1]) == []
+    end([found])
+    _until(lambda: not marked("PFDIST_TEST", value))
+
+
+def test_what_begins_under_a_guard_ends_with_it_and_nothing_else() -> None:
+    value = secrets.token_hex(8)
+    with environment({"PFDIST_TEST": value}), Guard() as guard:
+        with guard.watching():
+            subprocess.run([sys.executable, "-c", ORPHAN], check=True)
+        outside = subprocess.Popen(["sleep", "60"])
+        assert len(marked("PFDIST_TEST", value)) == 3  # the guard, the orphan and the other
+    assert [process.id for process in marked("PFDIST_TEST", value)] == [outside.pid]
+    outside.kill()
+    outside.wait()
+
+
+@pytest.mark.fault
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGHUP])
+def test_nothing_outlives_a_command_that_is_killed(
+    number: signal.Signals, record_property: Callable[[str, object], None]
+) -> None:
+    value = secrets.token_hex(8)
+    command = [sys.executable, "-c", f"{DRIVER}\nmain()"]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, env=os.environ | {"PFDIST_TEST": value}
+    ) as driver:
+        assert driver.stdout is not None
+        assert driver.stdout.readline() == b"started\n"
+        assert len(marked("PFDIST_TEST", value)) == 3
+        driver.send_signal(number)
+        assert driver.wait() == -number
+    _until(lambda: not marked("PFDIST_TEST", value))
+    record_property("faults", "nothing hangs: 1")
+
+
+def test_a_module_is_not_looked_for_in_the_working_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "ray.py").write_text("print('planted')")
+    monkeypatch.chdir(tmp_path)
+    command = python_command("pfdist.pools.ray_rehearsal", "127.0.0.1:0")
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert "must be host:port" in done.stdout
+    assert "planted" not in done.stdout + done.stderr
