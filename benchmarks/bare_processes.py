@@ -9,9 +9,9 @@ from multiprocessing.synchronize import Barrier
 from time import perf_counter
 
 from pfdist import load_model
-from pfdist.times.measurement_times import regular
 from pfdist.evaluation.problem import Problem
 from pfdist.evaluation.work import Estimation, Work
+from pfdist.times.measurement_times import regular
 
 
 def measure_rate(processes: int, draws: int, seconds: float) -> float:

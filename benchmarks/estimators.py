@@ -17,8 +17,8 @@ from benchmarks.measure import Say, one_core, take_turns
 from benchmarks.results import Tables, markdown
 from pfdist import load_model
 from pfdist.filters.draws import simulate
-from pfdist.kernels.moments import ESTIMATORS
 from pfdist.filters.particle_filter import filter_sets, filter_streams
+from pfdist.kernels.moments import ESTIMATORS
 from pfdist.plots.style import COLUMN_INCHES, GREY, SERIES
 
 TITLE = "Estimators"

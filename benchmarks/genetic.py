@@ -22,9 +22,9 @@ from pfdist import load_job
 from pfdist.analysis import relative_gain
 from pfdist.evaluation.estimate import REPORT
 from pfdist.job.job import Execution
-from pfdist.times.measurement_times import Times
 from pfdist.plots.style import COLUMN_INCHES, GREY, RED
 from pfdist.runner.build import build, make_pool
+from pfdist.times.measurement_times import Times
 
 TITLE = "The paper's genetic algorithm"
 TABLES: tuple[str, ...] = ("genetic",)

@@ -18,11 +18,11 @@ from benchmarks.measure import Say, one_core, take_turns
 from benchmarks.results import Tables, markdown, with_range
 from pfdist import load_model
 from pfdist.filters.draws import Draws, simulate
-from pfdist.kernels.resampling import SORTED
-from pfdist.times.measurement_times import regular
-from pfdist.models.loader import installed_models
 from pfdist.filters.particle_filter import DTYPES, RESAMPLING, filter_draws
+from pfdist.kernels.resampling import SORTED
+from pfdist.models.loader import installed_models
 from pfdist.plots.style import COLUMN_INCHES, SERIES
+from pfdist.times.measurement_times import regular
 
 TITLE = "The kernel"
 TABLES: tuple[str, ...] = ("kernel", "first_call")

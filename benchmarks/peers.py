@@ -17,9 +17,9 @@ from benchmarks.measure import Say, one_core, take_turns
 from benchmarks.results import Tables, markdown
 from pfdist import load_model
 from pfdist.filters.draws import Draws, simulate
-from pfdist.times.measurement_times import regular
 from pfdist.filters.particle_filter import filter_draws
 from pfdist.plots.style import BLUE, COLUMN_INCHES, RED
+from pfdist.times.measurement_times import regular
 
 TITLE = "The same job by others"
 TABLES: tuple[str, ...] = ("peers",)

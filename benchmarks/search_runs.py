@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from pfdist import Job
 from pfdist.errors import TaskError
 from pfdist.evaluation.estimate import REPORT, SHORTLIST
-from pfdist.times.measurement_times import Times
+from pfdist.evaluation.work import Work
+from pfdist.pools.base import Outcome, Pool, Task
 from pfdist.runner.build import Built, build
 from pfdist.runner.driver import compared_sets, drive
-from pfdist.pools.base import Outcome, Pool, Task
 from pfdist.search import Race
 from pfdist.store import Store
-from pfdist.evaluation.work import Work
+from pfdist.times.measurement_times import Times
 
 STANDARD_ERROR = 0.12  # per cent, of an excess
 ROUND = 5000  # draws

@@ -1,5 +1,9 @@
 from .analysis import Run as Run
 from .analysis import open_run as open_run
+from .api.budget import budget as budget
+from .api.evaluate import evaluate as evaluate
+from .api.plan import plan as plan
+from .api.run import run as run
 from .elementwise import clip as clip
 from .elementwise import where as where
 from .errors import PfdistError as PfdistError
@@ -9,10 +13,6 @@ from .job.job import load_job as load_job
 from .models import StateSpaceModel as StateSpaceModel
 from .models import load_model as load_model
 from .models.linear_gaussian import linear_gaussian as linear_gaussian
-from .api.budget import budget as budget
-from .api.evaluate import evaluate as evaluate
-from .api.plan import plan as plan
-from .api.run import run as run
 
 __all__: list[str]
 __version__: str

@@ -3,8 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from pfdist.job.job import REGULAR
-from pfdist.times.measurement_times import Times
+from pfdist.times.measurement_times import REGULAR, Times
 from pfdist.times.problem_section import ProblemSection
 
 

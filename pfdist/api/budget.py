@@ -5,11 +5,11 @@ from pathlib import Path
 from typing import Any
 
 from pfdist.analysis import Run
+from pfdist.api.run import run
 from pfdist.errors import JobError
 from pfdist.job.job import Job, as_job
-from pfdist.plots import draw_target
-from pfdist.api.run import run
 from pfdist.job.search_sections import PLANNER
+from pfdist.plots import draw_target
 
 DRAWS = 4000
 

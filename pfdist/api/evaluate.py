@@ -9,13 +9,13 @@ import numpy as np
 
 from pfdist.errors import MeasurementTimesError, shown
 from pfdist.evaluation.estimate import Purpose, ReportEvaluation
-from pfdist.job.job import Job, as_job
-from pfdist.times.measurement_times import Times, validated
 from pfdist.evaluation.problem import Problem
+from pfdist.evaluation.work import Work, cut
+from pfdist.job.job import Job, as_job
 from pfdist.runner.build import build
 from pfdist.runner.pace import MOST_SECONDS
 from pfdist.runner.searches import Settings
-from pfdist.evaluation.work import Work, cut
+from pfdist.times.measurement_times import Times, validated
 
 EVALUATE = Purpose("evaluate", ReportEvaluation)
 

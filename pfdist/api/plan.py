@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from pfdist.analysis import Run
-from pfdist.job.job import Job, as_job
 from pfdist.api.run import run
+from pfdist.job.job import Job, as_job
 from pfdist.job.search_sections import PLANNER
 
 

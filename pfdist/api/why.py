@@ -16,17 +16,17 @@ from numpy.typing import NDArray
 from pfdist.analysis import Moments, Run, finite, open_run, read_recorded
 from pfdist.errors import JobError, RunMismatchError, StoreError, shown
 from pfdist.evaluation.estimate import Purpose, ReportEvaluation
-from pfdist.times.feasible import Feasible
-from pfdist.job.job import load_job
-from pfdist.times.measurement_times import Times
 from pfdist.evaluation.problem import Problem
+from pfdist.evaluation.work import Work, cut
+from pfdist.job.job import load_job
 from pfdist.plots import draw_why
 from pfdist.runner.build import Built, build
 from pfdist.runner.identity import changed_meanings
 from pfdist.runner.named_by_a_run import NamedByRun
 from pfdist.runner.pace import MOST_SECONDS
 from pfdist.runner.progress import Progress, Report
-from pfdist.evaluation.work import Work, cut
+from pfdist.times.feasible import Feasible
+from pfdist.times.measurement_times import Times
 
 WHY = Purpose("why", ReportEvaluation)
 DRAWS = 2000

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.filters.draws import Draws, not_finite
+from pfdist.checks.formulas import compiled_as_in_numpy, elementwise, pure
 from pfdist.errors import ModelError
+from pfdist.filters.draws import Draws, not_finite
 from pfdist.kernels.formulas import formulas_of
 from pfdist.models import StateSpaceModel
-from pfdist.checks.formulas import compiled_as_in_numpy, elementwise, pure
 
 Array = NDArray[np.float64]
 Look = Callable[[StateSpaceModel, Draws], tuple[str, str]]

@@ -11,12 +11,12 @@ from typing import Any, SupportsIndex
 import numpy as np
 from numpy.typing import NDArray
 
+from pfdist.analysis.rounding import with_error
+from pfdist.evaluation.problem import ENGINES
 from pfdist.filters.draws import Draws
 from pfdist.kernels.noise import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, variates
-from pfdist.models import StateSpaceModel
-from pfdist.evaluation.problem import ENGINES
 from pfdist.mistakes.places import place_of_function
-from pfdist.analysis.rounding import with_error
+from pfdist.models import StateSpaceModel
 
 Array = NDArray[np.float64]
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from filelock import FileLock
 
-from pfdist.errors import PfdistError
 from pfdist.checks.model import Check
+from pfdist.errors import PfdistError
 from pfdist.pools.control_group import settings
 from pfdist.pools.cores import limits, usable_cores
 

@@ -9,20 +9,20 @@ from pathlib import Path
 
 import numpy as np
 
-from pfdist.filters import kalman
 from pfdist.analysis import Moments
-from pfdist.filters.draws import Draws
-from pfdist.errors import CompileError, ModelError
-from pfdist.meaning import Meaning, check_is_constant
-from pfdist.times.measurement_times import regular
-from pfdist.models import StateSpaceModel
-from pfdist.evaluation.problem import ENGINES, NUMPY_TIMES_SLOWER, Problem
 from pfdist.analysis.rounding import rounded, with_error
+from pfdist.checks.contract import Look, few_draws, look_at_formulas, looked
 from pfdist.checks.formulas import compiled_as_in_numpy, likelihood
 from pfdist.checks.speed import speed
-from pfdist.meaning.chosen import loaded_twice
-from pfdist.checks.contract import Look, few_draws, look_at_formulas, looked
+from pfdist.errors import CompileError, ModelError
+from pfdist.evaluation.problem import ENGINES, NUMPY_TIMES_SLOWER, Problem
 from pfdist.evaluation.work import Estimation, Work
+from pfdist.filters import kalman
+from pfdist.filters.draws import Draws
+from pfdist.meaning import Meaning, check_is_constant
+from pfdist.meaning.chosen import loaded_twice
+from pfdist.models import StateSpaceModel
+from pfdist.times.measurement_times import regular
 
 _DRAWS = 1000
 _FEW = 10  # draws, for what is done instant by instant in NumPy

@@ -6,11 +6,11 @@ import types
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from pfdist.evaluation.problem import Problem
+from pfdist.evaluation.work import Estimation
 from pfdist.filters.draws import Draws
 from pfdist.kernels.formulas import names_in
 from pfdist.models import StateSpaceModel
-from pfdist.evaluation.problem import Problem
-from pfdist.evaluation.work import Estimation
 
 _OUT = "write each component out, for instance A[0, 0] * x[0] + A[0, 1] * x[1]"
 _SLOW = {

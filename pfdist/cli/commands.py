@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pfdist.declared.parsing import whole_number
 from pfdist.errors import (
     JobError,
     MeasurementTimesError,
@@ -22,20 +23,19 @@ from pfdist.errors import (
     one_line,
     shown,
 )
-from pfdist.declared.parsing import whole_number
 
 if TYPE_CHECKING:
-    from pfdist.cli.progress import Display
     from pfdist.checks.model import Check
+    from pfdist.cli.progress import Display
 
 # Each command imports what it needs: to look at a run wants no Numba, and no command all libraries.
 
 
 def run_command(options: argparse.Namespace) -> None:
     """Run a job, or go on with its run where it stopped."""
-    from pfdist.job.job import load_job
-    from pfdist.cli.progress import Display
     from pfdist.api.run import run
+    from pfdist.cli.progress import Display
+    from pfdist.job.job import load_job
 
     with Display() as display:
         finished = run(load_job(options.job, options.set), **_settings(options, display))
@@ -44,8 +44,8 @@ def run_command(options: argparse.Namespace) -> None:
 
 def plan_command(options: argparse.Namespace) -> None:
     """Find measurement times for a job's problem and prove them."""
-    from pfdist.cli.progress import Display
     from pfdist.api.plan import plan
+    from pfdist.cli.progress import Display
 
     with Display() as display:
         settings = _settings(options, display)
@@ -55,8 +55,8 @@ def plan_command(options: argparse.Namespace) -> None:
 
 def budget_command(options: argparse.Namespace) -> None:
     """Say how the error falls with the number of measurements, and how many are enough."""
-    from pfdist.cli.progress import Display
     from pfdist.api.budget import budget
+    from pfdist.cli.progress import Display
 
     numbers, target = _range(options.measurements), options.target
     with Display() as display:
@@ -102,9 +102,9 @@ def status_command(options: argparse.Namespace) -> None:
 
 def evaluate_command(options: argparse.Namespace) -> None:
     """Estimate the expected MSE of one set of times."""
-    from pfdist.job.job import load_job
     from pfdist.analysis.rounding import rounded, with_error
     from pfdist.api.evaluate import prepare
+    from pfdist.job.job import load_job
 
     job = load_job(options.job, options.set)
     times = _times(options.times)
@@ -147,9 +147,9 @@ def plot_command(options: argparse.Namespace) -> None:
 
 def why_command(options: argparse.Namespace) -> None:
     """Say what each measurement of a finished run is worth, and draw it."""
-    from pfdist.cli.summary import print_why
-    from pfdist.cli.progress import Display
     from pfdist.api.why import why
+    from pfdist.cli.progress import Display
+    from pfdist.cli.summary import print_why
 
     with Display() as display:
         found = why(

@@ -12,8 +12,8 @@ from types import FrameType
 from typing import Any
 
 from pfdist.cli.parser import make_parser
-from pfdist.errors import EngineWarning, PfdistError, TaskError, one_line
 from pfdist.cli.streams import flush_output, make_harmless
+from pfdist.errors import EngineWarning, PfdistError, TaskError, one_line
 
 _GO_ON = "what was done is committed; the same command goes on from there"
 _LONGEST = 1200  # characters of an error's line: longer ones lose their middle

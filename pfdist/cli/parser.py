@@ -6,8 +6,8 @@ from collections.abc import Callable
 from typing import Any, NoReturn
 
 import pfdist
-from pfdist.errors import one_line, shown, shown_text
 from pfdist.declared.parsing import whole_number
+from pfdist.errors import one_line, shown, shown_text
 
 _EPILOG = (
     "Exit codes: 0 done, 1 an error, 2 a misuse, 130 interrupted by Ctrl-C, "

@@ -15,8 +15,8 @@ from rich.progress import (
 )
 from rich.table import Column
 
-from pfdist.errors import one_line
 from pfdist.analysis.rounding import rounded, with_error
+from pfdist.errors import one_line
 from pfdist.runner.progress import Found
 from pfdist.runner.progress import Progress as State
 

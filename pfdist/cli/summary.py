@@ -6,8 +6,8 @@ import textwrap
 from statistics import mode
 from typing import TYPE_CHECKING, Any
 
-from pfdist.errors import one_line
 from pfdist.analysis.rounding import rounded, with_error, with_interval
+from pfdist.errors import one_line
 
 if TYPE_CHECKING:  # to look at a run wants none of what a check does
     from pfdist.checks.model import Check
@@ -18,7 +18,7 @@ _EXACT = 1e-12  # of an exact value: less is the rounding of doubles
 
 def print_check(check: "Check") -> None:
     """Print what was found about a model, a line."""
-    print(one_line(f"{check.state:5} {check.name}: {check.text}"), flush=True)  # noqa: T201  its output
+    print(one_line(f"{check.state:5} {check.name}: {check.text}"), flush=True)
 
 
 def print_summary(summary: dict[str, Any], files: str) -> None:
@@ -31,7 +31,7 @@ def print_summary(summary: dict[str, Any], files: str) -> None:
     files : str
         Where tables and figures lie, as a sentence.
     """
-    print(_summary_text(summary, files), file=sys.stdout)  # noqa: T201  this is its output
+    print(_summary_text(summary, files), file=sys.stdout)
 
 
 def _summary_text(summary: dict[str, Any], files: str) -> str:
@@ -167,7 +167,7 @@ def print_why(found: dict[str, Any]) -> None:
             cells = "  ".join(f"{rise:>{width}}" for rise in row[1:])
             lines.append(f"  {row[0]:>5}  {cells}".rstrip())
         lines.append("")
-    print("\n".join(lines + [one_line(file) for file in found["figures"]]))  # noqa: T201  its output
+    print("\n".join(lines + [one_line(file) for file in found["figures"]]))
 
 
 def _rises(row: dict[str, Any], mse: float) -> list[str]:

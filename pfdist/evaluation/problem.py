@@ -11,14 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.filters import kalman
-
-from pfdist.filters import plain
-from pfdist.filters.draws import Draws, libm_of_simulation, simulate, simulation_makes_arrays
 from pfdist.errors import ModelError
+from pfdist.evaluation.work import Estimation, Result, Work, columns
+from pfdist.filters import kalman, plain
+from pfdist.filters.draws import Draws, libm_of_simulation, simulate, simulation_makes_arrays
 from pfdist.filters.estimators import one_by_one
-from pfdist.times.measurement_times import Times
-from pfdist.models import StateSpaceModel
 from pfdist.filters.particle_filter import (
     Filtered,
     check_filter,
@@ -28,7 +25,8 @@ from pfdist.filters.particle_filter import (
     filter_sets,
     libm_of_filter,
 )
-from pfdist.evaluation.work import Estimation, Result, Work, columns
+from pfdist.models import StateSpaceModel
+from pfdist.times.measurement_times import Times
 
 SECONDS_A_STEP = 2e-9
 """About what a particle-step takes."""

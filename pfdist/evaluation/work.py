@@ -7,9 +7,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pfdist.filters.particle_filter import filter_streams
 from pfdist.kernels.prefixes import plan
 from pfdist.times.measurement_times import Times
-from pfdist.filters.particle_filter import filter_streams
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,8 @@ from pfdist.kernels.formulas import formula, formulas_of
 from pfdist.kernels.libm import libm_functions, makes_arrays
 from pfdist.kernels.noise import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, filler, variates
 from pfdist.kernels.scratch import WithScratch
-from pfdist.models import StateSpaceModel
 from pfdist.mistakes.places import place_of, place_of_function
+from pfdist.models import StateSpaceModel
 
 _FORMULAS = ("initial", "transition", "measurement", "quantity_of_interest")
 _TOGETHER = 64  # draws that are simulated side by side: a few vectors of noise

@@ -27,9 +27,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.filters.draws import Draws
-from pfdist.times.measurement_times import Times
-from pfdist.models import StateSpaceModel
 from pfdist.filters.particle_filter import Filtered, filter_streams
+from pfdist.models import StateSpaceModel
+from pfdist.times.measurement_times import Times
 
 Array = NDArray[np.float64]
 

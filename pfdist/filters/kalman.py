@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.filters.draws import Draws
 from pfdist.errors import ModelError
-from pfdist.kernels.formulas import formulas_of
-from pfdist.times.measurement_times import Times, validated
-from pfdist.models import StateSpaceModel, squared_error
+from pfdist.filters.draws import Draws
 from pfdist.filters.particle_filter import Filtered
+from pfdist.kernels.formulas import formulas_of
+from pfdist.models import StateSpaceModel, squared_error
+from pfdist.times.measurement_times import Times, validated
 
 Array = NDArray[np.float64]
 

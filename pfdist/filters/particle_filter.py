@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.filters.draws import Draws
 from pfdist.errors import ModelError
+from pfdist.filters.draws import Draws
 from pfdist.kernels.formulas import formulas_of
 from pfdist.kernels.fused_filter import fused_filter
 from pfdist.kernels.libm import libm_functions, makes_arrays
@@ -24,9 +24,9 @@ from pfdist.kernels.moments import ESTIMATORS
 from pfdist.kernels.prefixes import plan
 from pfdist.kernels.resampling import RESAMPLE, SORTED
 from pfdist.kernels.scratch import WithScratch
-from pfdist.kernels.streams import stream_key
-from pfdist.times.measurement_times import Times, validated
+from pfdist.declared.streams import stream_key
 from pfdist.models import StateSpaceModel, squared_error
+from pfdist.times.measurement_times import Times, validated
 
 KERNEL_VERSION = 4
 """Counts the changes after which the same keys give other figures; part of a run's identity."""

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.filters.draws import Draws, check_finite
+from pfdist.filters.particle_filter import Filtered, check_filter
 from pfdist.kernels.formulas import formulas_of
 from pfdist.kernels.noise import (
     FILTER_INITIAL,
@@ -24,9 +25,8 @@ from pfdist.kernels.plain_resampling import plain_ancestors
 from pfdist.kernels.resampling import SORTED
 from pfdist.kernels.sorting import plain_order
 from pfdist.kernels.weights import plain_weights
-from pfdist.times.measurement_times import Times, validated
 from pfdist.models import StateSpaceModel
-from pfdist.filters.particle_filter import Filtered, check_filter
+from pfdist.times.measurement_times import Times, validated
 
 Array = NDArray[np.float64]
 

@@ -16,12 +16,9 @@ from pydantic import (
     model_validator,
 )
 
-from pfdist.errors import JobError, MeasurementTimesError, shown, shown_text
-from pfdist.times.feasible import Feasible
-from pfdist.times.measurement_times import Times, validated
-from pfdist.job.overrides import override
 from pfdist.declared.parsing import parse_toml, read_text
-from pfdist.times.problem_section import ProblemSection
+from pfdist.errors import JobError, MeasurementTimesError, shown, shown_text
+from pfdist.job.overrides import override
 from pfdist.job.search_sections import (
     PLANNER,
     Estimator,
@@ -31,8 +28,10 @@ from pfdist.job.search_sections import (
     SurvivorSearch,
 )
 from pfdist.job.validation import explained
+from pfdist.times.feasible import Feasible
+from pfdist.times.measurement_times import REGULAR, Times, validated
+from pfdist.times.problem_section import ProblemSection
 
-REGULAR: Final = "regular"
 GIVEN: Final = "reference"
 RESERVED: Final = (REGULAR, GIVEN, "comparison")  # names that no search may have
 MOST_SEARCHES: Final = 100  # of which a figure can still be made

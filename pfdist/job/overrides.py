@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from pfdist.errors import JobError, shown, shown_text
 from pfdist.declared.parsing import MOST_LEVELS, parse_toml
+from pfdist.errors import JobError, shown, shown_text
 
 
 def override(data: dict[str, Any], change: str) -> None:

@@ -11,13 +11,13 @@ import numpy as np
 from numba.core.registry import CPUDispatcher
 
 import pfdist.elementwise  # noqa: F401  how Numba is to take what formulas may call
-from pfdist.mistakes.endings import is_interrupt, kept_alive, told
 from pfdist.errors import CompileError, ModelError, PfdistError
 from pfdist.jitted import Guarded, InCallError, admit, is_library, names_in
 from pfdist.kernels.choices import CHOICES
 from pfdist.kernels.compile_errors import NOT_COMPILED, reason_of
 from pfdist.kernels.melting import melted
 from pfdist.kernels.overloads import ELEMENTARY, log_to_base
+from pfdist.mistakes.endings import is_interrupt, kept_alive, told
 from pfdist.mistakes.places import frames_of, is_a_models, place_of
 from pfdist.mistakes.remedies import remedy
 

@@ -6,10 +6,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Protocol
 
-from pfdist.kernels.streams import stream_key
+from pfdist.declared.streams import stream_key
 from pfdist.meaning import Meaning, check_is_constant, loaded_meaning, meaning_of, parameters_of
-from pfdist.models import ModelSource, StateSpaceModel, find_model
 from pfdist.meaning.known_models import remember
+from pfdist.models import ModelSource, StateSpaceModel, find_model
 
 
 @dataclass(frozen=True)

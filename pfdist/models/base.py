@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from pfdist.mistakes.endings import is_interrupt, kept_alive, told
 from pfdist.errors import ModelError
 from pfdist.jitted import guard_what_it_calls
+from pfdist.mistakes.endings import is_interrupt, kept_alive, told
 from pfdist.mistakes.places import place_of, place_of_function
 from pfdist.mistakes.remedies import remedy
 

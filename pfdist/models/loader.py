@@ -17,11 +17,11 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
-from pfdist.mistakes.endings import is_interrupt, kept_alive, told
 from pfdist.errors import ModelError
+from pfdist.mistakes.endings import is_interrupt, kept_alive, told
+from pfdist.mistakes.places import place_of
 from pfdist.models.base import StateSpaceModel
 from pfdist.models.beside import Beside, Files, FilesOnDisk
-from pfdist.mistakes.places import place_of
 
 _GROUP = "pfdist.models"
 _NOT_MODELS = ("base", "beside", "loader")

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 import pyarrow as pa
 
 from pfdist.errors import TaskError
-from pfdist.kernels.streams import stream_key
-from pfdist.runner.pace import Pace, bundles
-from pfdist.pools.base import Outcome, Pool, Task
-from pfdist.store import Store, schema
 from pfdist.evaluation.work import Result, Work
+from pfdist.declared.streams import stream_key
+from pfdist.pools.base import Outcome, Pool, Task
+from pfdist.runner.pace import Pace, bundles
+from pfdist.store import Store, schema
 
 COMMIT_SECONDS = 1.0  # at most so much work is lost by a kill, and a task's
 COMMIT_ROWS = 100_000  # and so many wait in memory, however fast a model is

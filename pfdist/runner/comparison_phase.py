@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pfdist.analysis import BLOCK, Comparison
 from pfdist.errors import StoreError
 from pfdist.evaluation.estimate import BUDGET, REPORT
-from pfdist.times.measurement_times import Times
+from pfdist.evaluation.work import Result, Work, cut
 from pfdist.runner.build import Built
 from pfdist.runner.collect import Collector
 from pfdist.runner.progress import Found, Progress, Report
@@ -24,7 +24,7 @@ from pfdist.store import (
     schema,
     trajectories_schema,
 )
-from pfdist.evaluation.work import Result, Work, cut
+from pfdist.times.measurement_times import Times
 
 PHASE = "comparison"
 TRAJECTORIES = 100  # draws whose z, y and estimates are kept

@@ -10,17 +10,17 @@ import pandas as pd
 import pyarrow as pa
 
 from pfdist.errors import SearchError
-from pfdist.times.measurement_times import Times
+from pfdist.pools.base import Pool
 from pfdist.runner import comparison_phase
 from pfdist.runner.build import Built
 from pfdist.runner.collect import Collector
 from pfdist.runner.comparison_phase import run_comparison
 from pfdist.runner.pace import Pace
-from pfdist.pools.base import Pool
 from pfdist.runner.progress import Progress, Report
 from pfdist.runner.search_phase import run_search, steps
 from pfdist.runner.search_tables import unpublished
 from pfdist.store import Store, schema
+from pfdist.times.measurement_times import Times
 
 FORKED = "forked-from"
 """Phase of the rows that were taken from another run; those that are wanted are published."""

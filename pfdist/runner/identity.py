@@ -14,8 +14,8 @@ from typing import Any
 
 from pfdist.analysis import read_recorded
 from pfdist.errors import RunMismatchError, StoreError, shown_text
-from pfdist.job.job import Job, job_toml
 from pfdist.filters.particle_filter import KERNEL_VERSION
+from pfdist.job.job import Job, job_toml
 from pfdist.runner.build import Built
 from pfdist.runner.processor import processor
 from pfdist.store import (

@@ -15,9 +15,9 @@ from typing import Any
 
 from pfdist.errors import StoreError
 from pfdist.job.job import Job
-from pfdist.models import ModelSource, is_in_folder
 from pfdist.meaning.chosen import ChosenModel, choose, chosen_from
 from pfdist.meaning.known_models import is_known
+from pfdist.models import ModelSource, is_in_folder
 from pfdist.store import read_run
 
 _LONGEST = 4096  # characters of a path

@@ -12,8 +12,8 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from pfdist.evaluation.estimate import Evaluation, Purpose
+from pfdist.evaluation.work import Estimation, Result, Work, cut
 from pfdist.kernels.noise import generator
-from pfdist.times.measurement_times import Times
 from pfdist.runner.build import Built
 from pfdist.runner.collect import Collector
 from pfdist.runner.progress import Progress, Report
@@ -22,7 +22,7 @@ from pfdist.runner.searches import Settings
 from pfdist.search import Candidate, Optimiser
 from pfdist.search.trust import new_leaders
 from pfdist.store import schema
-from pfdist.evaluation.work import Estimation, Result, Work, cut
+from pfdist.times.measurement_times import Times
 
 E = TypeVar("E", bound=Evaluation)
 _Key = tuple[Times, int, int, Estimation]  # with an end, and a stream

@@ -21,7 +21,6 @@ from pfdist.evaluation.estimate import (
     SearchEvaluation,
     ShortlistEvaluation,
 )
-from pfdist.times.measurement_times import Times
 from pfdist.runner.build import Built
 from pfdist.runner.collect import Collector
 from pfdist.runner.phase import Phase, run_phase
@@ -37,6 +36,7 @@ from pfdist.search.trust import (
     unchecked_probe,
     wrong_order,
 )
+from pfdist.times.measurement_times import Times
 
 _UNPOLISHED = 2  # that race all the same
 _REACH = 2.5  # mean gaps: how far an exchange that polishes moves a time

@@ -4,7 +4,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from pfdist.errors import JobError
+from pfdist.evaluation.work import Estimation
 from pfdist.job.job import Job
+from pfdist.job.search_sections import AUTO, Search, SearchEvaluation
 from pfdist.runner.memory import check_memory
 from pfdist.search import (
     Annealing,
@@ -19,8 +21,6 @@ from pfdist.search import (
     SearchOptimiser,
     Survivors,
 )
-from pfdist.job.search_sections import AUTO, Search, SearchEvaluation
-from pfdist.evaluation.work import Estimation
 
 
 def _of_any_draws(optimiser: Callable[..., SearchOptimiser]) -> Callable[..., SearchOptimiser]:

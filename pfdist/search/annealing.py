@@ -20,9 +20,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.search.base import Candidate, best_of
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
-from pfdist.search.base import Candidate, best_of
 
 _TRIES = 20  # random neighbours, of which one should be allowed
 _SETS = 4  # random ones, for each chain: their spread is the first temperature

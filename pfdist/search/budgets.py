@@ -17,10 +17,10 @@ from functools import cached_property
 import numpy as np
 
 from pfdist.evaluation.estimate import SearchEvaluation
-from pfdist.times.feasible import Feasible
-from pfdist.times.measurement_times import Times
 from pfdist.search.base import Candidate
 from pfdist.search.survivors import GAPS, PLACES, WIDER, surviving
+from pfdist.times.feasible import Feasible
+from pfdist.times.measurement_times import Times
 
 
 @dataclass(frozen=True)

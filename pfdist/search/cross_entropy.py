@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.search.base import Candidate, best_of
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
-from pfdist.search.base import Candidate, best_of
 
 _CERTAIN = 0.02  # a probability so near to 0 or 1 says what it is
 _TRIES = 20  # independent choices for each set that is wanted, in rounds

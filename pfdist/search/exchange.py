@@ -19,10 +19,10 @@ from functools import cached_property
 import numpy as np
 
 from pfdist.evaluation.estimate import SearchEvaluation
-from pfdist.times.feasible import Feasible
-from pfdist.times.measurement_times import Times
 from pfdist.search.base import Candidate, best_of
 from pfdist.search.paired import difference
+from pfdist.times.feasible import Feasible
+from pfdist.times.measurement_times import Times
 
 _FEWEST = 32  # draws that neighbours are tried on first: a standard error is known by them
 _WORSE = 1.5  # standard errors, by which a neighbour is found worse than the leader, and dropped

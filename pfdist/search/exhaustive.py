@@ -8,8 +8,8 @@ import numpy as np
 
 from pfdist.errors import JobError
 from pfdist.evaluation.estimate import SearchEvaluation
-from pfdist.times.feasible import Feasible
 from pfdist.search.base import Candidate, best_of
+from pfdist.times.feasible import Feasible
 
 _BATCH = 500  # asked for at once: in their order neighbours share much, and memory stays flat
 

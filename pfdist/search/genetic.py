@@ -27,9 +27,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.search.base import Candidate
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
-from pfdist.search.base import Candidate
 
 
 @dataclass(frozen=True)

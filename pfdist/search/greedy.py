@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.search.base import Candidate, best_of
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
-from pfdist.search.base import Candidate, best_of
 
 
 @dataclass(frozen=True)

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from pfdist.evaluation.estimate import ShortlistEvaluation
-from pfdist.times.measurement_times import Times
 from pfdist.search.base import Candidate
 from pfdist.search.paired import difference
+from pfdist.times.measurement_times import Times
 
 _WORSE = 3.0  # standard errors, by which a set is found worse than the leader
 

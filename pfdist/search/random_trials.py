@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pfdist.evaluation.estimate import SearchEvaluation
-from pfdist.times.feasible import Feasible
 from pfdist.search.base import Candidate
+from pfdist.times.feasible import Feasible
 
 _BATCH = 250  # asked for at once: enough to fill the cores, few enough to keep memory flat
 

@@ -26,9 +26,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.search.base import Candidate, best_of
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
-from pfdist.search.base import Candidate, best_of
 
 GAPS = 3.0  # mean ones: the largest that is tried at first
 PLACES = 2.25  # mean gaps, by which a measurement may lie off its proportional place at first

@@ -24,11 +24,11 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from pfdist.evaluation.estimate import Evaluation, ProbeEvaluation
-from pfdist.times.feasible import Feasible
-from pfdist.times.measurement_times import Times
+from pfdist.job.search_sections import CLEAR_ERRORS
 from pfdist.search.base import Candidate
 from pfdist.search.paired import difference
-from pfdist.job.search_sections import CLEAR_ERRORS
+from pfdist.times.feasible import Feasible
+from pfdist.times.measurement_times import Times
 
 PROBE_DRAWS = 500
 """Draws of the first round of probes."""

@@ -5,10 +5,10 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-from pfdist.errors import StoreError, shown
 from pfdist.declared.parsing import parse_json, parse_toml, read_text
-from pfdist.store.schema import SCHEMA_VERSION
+from pfdist.errors import StoreError, shown
 from pfdist.job.validation import explained
+from pfdist.store.schema import SCHEMA_VERSION
 
 
 class _Part(BaseModel):

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from pfdist.errors import StoreError
-from pfdist.kernels.streams import stream_key
+from pfdist.declared.streams import stream_key
 from pfdist.store import files
 from pfdist.store.manifest import FOLDER, Manifest
 from pfdist.store.tables import signed_by

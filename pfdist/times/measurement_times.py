@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from itertools import pairwise
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from pfdist.errors import MeasurementTimesError, shown
 
 Times = tuple[int, ...]
+REGULAR: Final = "regular"  # what the regular times are called in jobs and tables
 
 
 def validated(measurement_times: Iterable[int], horizon: int, where: str = "") -> Times:

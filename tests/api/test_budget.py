@@ -12,9 +12,9 @@ from oracles.bytes_of import hashes
 from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.errors import JobError, StoreError
-from pfdist.times.feasible import Feasible
 from pfdist.filters.kalman import expected_mse
 from pfdist.runner.progress import Progress
+from pfdist.times.feasible import Feasible
 
 EXACT = ["model.name=random_walk", "filter.engine=kalman"]
 

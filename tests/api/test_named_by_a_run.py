@@ -13,9 +13,9 @@ import tomli_w
 
 import pfdist
 from pfdist import Job
+from pfdist.api.why import why
 from pfdist.cli.main import main
 from pfdist.job.job import load_job
-from pfdist.api.why import why
 
 SMALL = Path(__file__).parents[1] / "small.toml"
 HOSTILE = "open({flag!r}, 'w').close()\nfrom pfdist.models.ungm import model\n"

@@ -23,12 +23,12 @@ from pfdist.errors import (
     TaskError,
 )
 from pfdist.evaluation.problem import Problem
+from pfdist.evaluation.work import Work
+from pfdist.pools.base import Outcome, SerialPool
 from pfdist.runner import collect
 from pfdist.runner.pace import Pace
-from pfdist.pools.base import Outcome, SerialPool
 from pfdist.runner.progress import Progress
 from pfdist.store import parquet
-from pfdist.evaluation.work import Work
 
 ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.usefixtures("no_figures")

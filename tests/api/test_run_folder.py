@@ -10,8 +10,8 @@ import pfdist
 from pfdist import Job, load_job
 from pfdist.errors import PfdistError
 from pfdist.runner.build import build
-from pfdist.store.repair import verify_run
 from pfdist.store import parquet
+from pfdist.store.repair import verify_run
 
 ROOT = Path(__file__).parents[2]
 

@@ -9,9 +9,9 @@ import pytest
 import pfdist
 from pfdist import Job
 from pfdist.analysis import Run
+from pfdist.analysis.rounding import with_error, with_interval
 from pfdist.cli.summary import print_summary
 from pfdist.errors import RunMismatchError
-from pfdist.analysis.rounding import with_error, with_interval
 from pfdist.job.search_sections import CommonEvaluation
 
 SURVIVORS = """

@@ -10,15 +10,15 @@ import pytest
 import pfdist
 from oracles.bytes_of import hashes
 from pfdist import Job
-from pfdist.filters import kalman
+from pfdist.analysis.rounding import with_error
+from pfdist.api.why import CHANGES, WHY, why
 from pfdist.cli.main import main
 from pfdist.errors import JobError, PfdistError, RunMismatchError, StoreError
+from pfdist.evaluation.work import Estimation, Work
+from pfdist.filters import kalman
 from pfdist.kernels.moments import ESTIMATORS
-from pfdist.analysis.rounding import with_error
 from pfdist.runner.build import build
 from pfdist.store.repair import verify_run
-from pfdist.api.why import CHANGES, WHY, why
-from pfdist.evaluation.work import Estimation, Work
 
 RANDOM = "search.random.evaluations=3"
 

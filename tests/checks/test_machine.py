@@ -13,10 +13,10 @@ from typing import Any
 import pytest
 from filelock import FileLock
 
-from pfdist.cli.main import main
-from pfdist.pools import control_group
 from pfdist.checks import machine as doctor
 from pfdist.checks.model import Check
+from pfdist.cli.main import main
+from pfdist.pools import control_group
 
 Fault = Callable[[pytest.MonkeyPatch, Path], None]
 LOOKS = ["cores", "memory", "shared memory", "Ray", "ports", "results folder"]

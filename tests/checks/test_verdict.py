@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from pfdist import evaluate
-from pfdist.errors import EngineWarning, ModelError
 from pfdist.checks.model import check_model
+from pfdist.errors import EngineWarning, ModelError
 
 MODEL = """
 import math

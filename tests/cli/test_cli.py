@@ -13,8 +13,8 @@ import pytest
 
 import pfdist
 from pfdist import Job
-from pfdist.cli.main import main
 from pfdist.analysis.rounding import with_error
+from pfdist.cli.main import main
 from pfdist.runner.build import Built, build
 
 
@@ -23,7 +23,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small finished run, its job file beside it."""
     folder = tmp_path_factory.mktemp("cli")
     job = folder / "small.toml"
-    job.write_text((Path(__file__).parent / "small.toml").read_text())
+    job.write_text((Path(__file__).parents[1] / "small.toml").read_text())
     assert main(["run", str(job), "--results", str(folder / "run")]) == 0
     return folder / "run"
 

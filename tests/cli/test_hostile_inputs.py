@@ -13,7 +13,7 @@ from pfdist.cli.main import main
 from pfdist.errors import JobError, MeasurementTimesError
 from pfdist.times.measurement_times import validated
 
-JOB = (Path(__file__).parent / "small.toml").read_text()
+JOB = (Path(__file__).parents[1] / "small.toml").read_text()
 _NINES = "9" * 5000
 _LONG = "x" * 3_000_000
 

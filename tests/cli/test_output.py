@@ -14,7 +14,7 @@ from pfdist.cli.progress import Display
 from pfdist.runner.progress import Found, Progress
 
 HEAVY = ("pandas", "scipy", "matplotlib", "numba", "llvmlite", "pyarrow", "ray", "pydantic", "rich")
-ASSET = Path(__file__).parent / "assets" / "schema-2"
+ASSET = Path(__file__).parents[1] / "assets" / "schema-2"
 _FOUND = Found("genetic", 0.238, (0.236, 0.24), 0.8, 0.26, (0.259, 0.263))
 
 
@@ -39,8 +39,8 @@ def test_to_look_at_a_run_imports_neither_numba_nor_matplotlib_nor_ray() -> None
 
 
 def test_every_command_says_what_it_is_and_exists() -> None:
-    from pfdist.cli import parser as arguments
     from pfdist.cli import commands
+    from pfdist.cli import parser as arguments
 
     for name, (summary, _) in arguments._COMMANDS.items():
         assert summary.endswith(".")

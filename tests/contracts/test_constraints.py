@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from oracles.kalman import TRACKING
-from pfdist.filters import kalman
 from pfdist.evaluation.estimate import SearchEvaluation
-from pfdist.times.feasible import Feasible
-from pfdist.times.measurement_times import Times
+from pfdist.filters import kalman
+from pfdist.job.search_sections import SEARCHES
 from pfdist.runner.searches import OPTIMISERS
 from pfdist.search import Candidate
 from pfdist.search.base import SearchOptimiser
-from pfdist.job.search_sections import SEARCHES
+from pfdist.times.feasible import Feasible
+from pfdist.times.measurement_times import Times
 
 HORIZON, DRAWS = 12, 20
 PRICES = (1, 3, 2) * 4 + (1,)

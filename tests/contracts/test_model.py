@@ -9,15 +9,15 @@ import pytest
 
 import pfdist
 from pfdist import load_job, load_model
+from pfdist.checks.model import check_model
+from pfdist.evaluation.problem import Problem
+from pfdist.evaluation.work import Estimation
 from pfdist.filters import plain
 from pfdist.filters.draws import simulate
-from pfdist.times.measurement_times import regular
-from pfdist.models import installed_models
-from pfdist.evaluation.problem import Problem
 from pfdist.filters.particle_filter import filter_draws
+from pfdist.models import installed_models
 from pfdist.plots import figures
-from pfdist.checks.model import check_model
-from pfdist.evaluation.work import Estimation
+from pfdist.times.measurement_times import regular
 
 SHIPPED = sorted(name for name, (module, _) in installed_models().items() if "pfdist." in module)
 JOBS = sorted((Path(__file__).parents[2] / "jobs").glob("*.toml"))

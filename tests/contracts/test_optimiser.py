@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 
 from pfdist.evaluation.estimate import SearchEvaluation
-from pfdist.times.feasible import Feasible
-from pfdist.times.measurement_times import Times
 from pfdist.search import (
     Annealing,
     Budgets,
@@ -23,6 +21,8 @@ from pfdist.search import (
     Survivors,
 )
 from pfdist.search.base import FINALISTS, SearchOptimiser
+from pfdist.times.feasible import Feasible
+from pfdist.times.measurement_times import Times
 
 FEASIBLE = Feasible(horizon=15, measurement_budget=4)
 DRAWS = 20

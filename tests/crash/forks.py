@@ -18,9 +18,9 @@ import matplotlib.pyplot as plt
 from pfdist import load_job
 from pfdist.cli.main import main
 from pfdist.evaluation.problem import Problem
+from pfdist.evaluation.work import Work
 from pfdist.plots import figures
 from pfdist.runner.build import build
-from pfdist.evaluation.work import Work
 
 
 def compute(job: str, run: str, log: str) -> int:

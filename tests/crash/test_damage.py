@@ -20,8 +20,8 @@ from pfdist.cli.main import main
 from pfdist.errors import StoreError
 from pfdist.runner import collect, comparison_phase
 from pfdist.runner.pace import Pace
-from pfdist.store.repair import repair_run, verify_run
 from pfdist.store import files, parquet
+from pfdist.store.repair import repair_run, verify_run
 
 PROMISE = "damage is found"
 CHANGES = [

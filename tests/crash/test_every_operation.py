@@ -16,8 +16,8 @@ from pfdist import Job
 from pfdist.errors import StoreError
 from pfdist.runner import collect, comparison_phase
 from pfdist.runner.pace import Pace
-from pfdist.store.repair import verify_run
 from pfdist.store import parquet
+from pfdist.store.repair import verify_run
 
 PROMISE = "no half file is ever read as whole"
 CHANGES = [

@@ -14,7 +14,7 @@ from oracles.bytes_of import hashes
 from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.kernels.noise import TRUTH_MEASUREMENT, variates
-from pfdist.kernels.streams import stream_key
+from pfdist.declared.streams import stream_key
 from pfdist.runner import comparison_phase
 
 pytestmark = pytest.mark.usefixtures("no_figures")

@@ -16,8 +16,8 @@ from pfdist.errors import StoreError
 from pfdist.runner import collect
 from pfdist.runner.pace import Pace
 from pfdist.runner.progress import Progress
-from pfdist.store.repair import repair_run, verify_run
 from pfdist.store import Store, run_key
+from pfdist.store.repair import repair_run, verify_run
 from pfdist.store.tables import signed_by
 
 pytestmark = pytest.mark.fault

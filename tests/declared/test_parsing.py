@@ -2,8 +2,15 @@
 
 import pytest
 
+from pfdist.declared.parsing import (
+    MOST_BYTES,
+    MOST_LEVELS,
+    parse_json,
+    parse_toml,
+    read_text,
+    whole_number,
+)
 from pfdist.errors import one_line, shown
-from pfdist.declared.parsing import MOST_BYTES, MOST_LEVELS, parse_json, parse_toml, read_text, whole_number
 
 
 @pytest.mark.parametrize(

@@ -10,9 +10,9 @@ import pytest
 from oracles.kalman import SCALAR, TRACKING, LinearGaussian, riccati_cost
 from pfdist import StateSpaceModel
 from pfdist.evaluation.estimate import Evaluation
-from pfdist.times.measurement_times import Times
 from pfdist.evaluation.problem import Problem
 from pfdist.evaluation.work import Estimation, Work, cut
+from pfdist.times.measurement_times import Times
 
 
 def _evaluation(mse: list[float], policy: str = "kill") -> Evaluation:

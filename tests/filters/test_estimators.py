@@ -11,14 +11,14 @@ import pytest
 
 from oracles.kalman import TRACKING, riccati_cost
 from pfdist import StateSpaceModel, load_model, where
-from pfdist.filters.draws import Draws, simulate
 from pfdist.errors import ModelError
+from pfdist.evaluation.problem import ENGINES, Problem
+from pfdist.evaluation.work import Estimation, Work
+from pfdist.filters.draws import Draws, simulate
 from pfdist.filters.estimators import filter_variance, two_filters
+from pfdist.filters.particle_filter import filter_draws, filter_sets, filter_streams
 from pfdist.kernels.moments import ESTIMATORS
 from pfdist.times.measurement_times import Times, regular
-from pfdist.evaluation.problem import ENGINES, Problem
-from pfdist.filters.particle_filter import filter_draws, filter_sets, filter_streams
-from pfdist.evaluation.work import Estimation, Work
 
 HORIZON = 12
 UNGM = load_model("ungm")

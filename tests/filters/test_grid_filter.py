@@ -12,8 +12,8 @@ from oracles.grid import grid_filter
 from oracles.kalman import SCALAR, kalman_filter
 from pfdist import StateSpaceModel, load_model
 from pfdist.filters.draws import Draws, simulate
-from pfdist.times.measurement_times import regular
 from pfdist.filters.particle_filter import filter_draws
+from pfdist.times.measurement_times import regular
 
 Array = NDArray[np.float64]
 NAMES = ["ungm", "ungm_gordon", "stochastic_volatility"]

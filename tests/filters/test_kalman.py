@@ -12,11 +12,11 @@ import pfdist
 from oracles.figures_under import CORES, figures_under
 from oracles.kalman import SCALAR, THREE, TRACKING, LinearGaussian, riccati_cost
 from pfdist import Job, StateSpaceModel, linear_gaussian, load_model
+from pfdist.errors import ModelError
+from pfdist.evaluation.problem import Problem
 from pfdist.filters import kalman
 from pfdist.filters.draws import simulate
-from pfdist.errors import ModelError
 from pfdist.models import installed_models
-from pfdist.evaluation.problem import Problem
 
 DECLARED = sorted(
     name

@@ -11,11 +11,11 @@ import pytest
 
 from oracles.kalman import SCALAR, THREE, TRACKING, LinearGaussian, kalman_filter
 from pfdist import StateSpaceModel, where
+from pfdist.errors import MeasurementTimesError, ModelError
 from pfdist.filters import plain
 from pfdist.filters.draws import simulate
-from pfdist.errors import MeasurementTimesError, ModelError
-from pfdist.times.measurement_times import regular
 from pfdist.filters.particle_filter import DTYPES, KERNEL_VERSION, RESAMPLING, filter_draws
+from pfdist.times.measurement_times import regular
 
 HORIZON = 12
 TIMES = {"none": (), "some": (0, 3, 4, 9), "all": tuple(range(HORIZON + 1))}

@@ -8,8 +8,8 @@ import pytest
 
 from pfdist import StateSpaceModel, load_model, where
 from pfdist.filters.draws import simulate
-from pfdist.kernels.prefixes import plan
 from pfdist.filters.particle_filter import filter_draws, filter_sets
+from pfdist.kernels.prefixes import plan
 
 HORIZON = 12
 DEGENERATE = replace(

@@ -7,12 +7,12 @@ import pytest
 
 from pfdist.errors import JobError
 from pfdist.evaluation.estimate import DEGENERATE_POLICIES
-from pfdist.times.feasible import Feasible
+from pfdist.filters.particle_filter import RESAMPLING
 from pfdist.job.job import EvaluationSection, Filter, job_toml, load_job
 from pfdist.kernels.moments import ESTIMATORS
-from pfdist.filters.particle_filter import RESAMPLING
+from pfdist.times.feasible import Feasible
 
-JOBS = Path(__file__).parents[1] / "jobs"
+JOBS = Path(__file__).parents[2] / "jobs"
 JOB = """
 seed = 1
 [model]

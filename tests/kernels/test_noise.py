@@ -10,7 +10,7 @@ from scipy import stats
 
 from pfdist.kernels import noise
 from pfdist.kernels.noise import FILL, LANES, TILE, filler, generator, padded, variates
-from pfdist.kernels.streams import stream_key
+from pfdist.declared.streams import stream_key
 from pfdist.kernels.threefry import threefry4x32
 
 KINDS = tuple(FILL)

@@ -11,8 +11,8 @@ import pytest
 
 from oracles.bytes_under import Case, hashes_under, names
 from pfdist import load_model
-from pfdist.models import installed_models
 from pfdist.filters.particle_filter import DTYPES, RESAMPLING
+from pfdist.models import installed_models
 from pfdist.pools.cores import usable_cores
 
 SHIPPED = sorted(name for name, (module, _) in installed_models().items() if "pfdist." in module)

@@ -13,9 +13,9 @@ import pytest
 
 from pfdist.errors import ModelError
 from pfdist.meaning import Meaning, check_is_constant, differences, meaning_of
-from pfdist.models import find_model
-from pfdist.meaning.origins import version_of
 from pfdist.meaning.chosen import choose
+from pfdist.meaning.origins import version_of
+from pfdist.models import find_model
 
 MODEL = """
 import collections, contextlib, dataclasses, enum, functools, math, re, threading, types

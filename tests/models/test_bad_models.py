@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from pfdist import evaluate
-from pfdist.errors import ModelError
 from pfdist.checks.model import check_model
+from pfdist.errors import ModelError
 
 MODEL = """
 import numpy as np

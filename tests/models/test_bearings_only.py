@@ -5,8 +5,8 @@ import pytest
 from scipy import special, stats
 
 from pfdist.filters.draws import simulate
-from pfdist.models import find_model
 from pfdist.filters.particle_filter import filter_draws
+from pfdist.models import find_model
 
 MODEL = find_model("bearings_only").load()
 KNOT = 1.852 / 60  # km a minute

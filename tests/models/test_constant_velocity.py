@@ -5,11 +5,11 @@ import pytest
 from scipy import special, stats
 
 from oracles.kalman import LinearGaussian, kalman_filter
-from pfdist.filters.draws import simulate
 from pfdist.errors import ModelError
-from pfdist.times.measurement_times import regular
-from pfdist.models import find_model
+from pfdist.filters.draws import simulate
 from pfdist.filters.particle_filter import filter_draws
+from pfdist.models import find_model
+from pfdist.times.measurement_times import regular
 
 MODEL = find_model("constant_velocity").load()
 STEP = np.array([[1 / 3, 1 / 2], [1 / 2, 1]])  # of white noise in continuous time, over a unit

@@ -3,11 +3,11 @@ import pytest
 from scipy import stats
 from scipy.integrate import solve_ivp
 
-from pfdist.filters.draws import simulate
 from pfdist.errors import ModelError
-from pfdist.times.measurement_times import regular
-from pfdist.models import find_model
+from pfdist.filters.draws import simulate
 from pfdist.filters.particle_filter import filter_draws
+from pfdist.models import find_model
+from pfdist.times.measurement_times import regular
 
 MODEL = find_model("lorenz63").load()
 SIGMA, RHO, BETA = 10.0, 28.0, 8 / 3

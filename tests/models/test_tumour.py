@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pfdist.filters.draws import simulate
 from pfdist.errors import ModelError
-from pfdist.times.measurement_times import regular
-from pfdist.models import find_model
+from pfdist.filters.draws import simulate
 from pfdist.filters.particle_filter import filter_draws
+from pfdist.models import find_model
+from pfdist.times.measurement_times import regular
 
 TRUTH = find_model("tumour").load()
 FILTER = TRUTH.with_parameters({"frequency_sd": 0.005})

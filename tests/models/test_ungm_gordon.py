@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pfdist.filters.draws import simulate
 from pfdist.errors import ModelError
-from pfdist.times.measurement_times import regular
-from pfdist.models import find_model
+from pfdist.filters.draws import simulate
 from pfdist.filters.particle_filter import filter_draws
+from pfdist.models import find_model
+from pfdist.times.measurement_times import regular
 
 MODEL = find_model("ungm_gordon").load()
 

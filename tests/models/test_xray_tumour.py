@@ -6,11 +6,11 @@ from scipy import stats
 from scipy.linalg import cholesky, expm
 
 from oracles.kalman import LinearGaussian, kalman_filter, riccati_cost
-from pfdist.filters.draws import simulate
 from pfdist.errors import ModelError
-from pfdist.times.measurement_times import regular
-from pfdist.models import find_model
+from pfdist.filters.draws import simulate
 from pfdist.filters.particle_filter import filter_draws
+from pfdist.models import find_model
+from pfdist.times.measurement_times import regular
 
 MODEL = find_model("xray_tumour").load()
 PACE = 2 * math.pi / 4.0  # radians a second

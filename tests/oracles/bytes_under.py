@@ -50,9 +50,9 @@ def hashes_under(name: str, cases: Sequence[Case], cache: Path) -> dict[str, str
 def _hashes(cases: Sequence[Case]) -> dict[str, str]:
     from pfdist import load_model
     from pfdist.filters.draws import simulate
+    from pfdist.filters.particle_filter import filter_draws, filter_sets
     from pfdist.kernels.moments import ESTIMATORS
     from pfdist.models import squared_error
-    from pfdist.filters.particle_filter import filter_draws, filter_sets
 
     found = {}
     for name, resampling, dtype in cases:

@@ -26,9 +26,8 @@ def figures_under(core: str) -> dict[str, list[float]]:
 
 def _figures() -> dict[str, list[float]]:
     from pfdist import load_model
-    from pfdist.filters import kalman
-    from pfdist.filters import plain
     from pfdist.analysis import Moments
+    from pfdist.filters import kalman, plain
 
     found = {}
     for name in ("linear_gaussian", "random_walk"):

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.search import SearchOptimiser
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
-from pfdist.search import SearchOptimiser
 
 
 def states(

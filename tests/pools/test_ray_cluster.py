@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from crash.runs import listening
-from pfdist.errors import PoolError
 from pfdist.checks import machine as doctor
+from pfdist.errors import PoolError
 from pfdist.pools.processes import family
 
 

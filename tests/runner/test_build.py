@@ -11,9 +11,9 @@ import pfdist
 from pfdist import Job, load_job
 from pfdist.cli.main import main
 from pfdist.errors import CompileError, EngineWarning, ModelError, RunMismatchError
+from pfdist.evaluation.work import Estimation
 from pfdist.kernels import disk_cache
 from pfdist.runner.build import build
-from pfdist.evaluation.work import Estimation
 
 pytestmark = pytest.mark.usefixtures("no_figures")
 OTHER = """

@@ -16,8 +16,8 @@ from oracles.counted import A_DRAW, SETS, count_draws
 from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.errors import RunMismatchError
-from pfdist.runner.pace import Pace
 from pfdist.pools.base import Outcome, SerialPool
+from pfdist.runner.pace import Pace
 from pfdist.runner.progress import Progress
 
 BLOCK, MOST = 50, 430

@@ -10,10 +10,10 @@ import pytest
 
 import pfdist
 from pfdist import Job
-from pfdist.errors import ModelError, RunMismatchError, StoreError
-from pfdist.runner.build import build
 from pfdist.api.why import why
+from pfdist.errors import ModelError, RunMismatchError, StoreError
 from pfdist.evaluation.work import Estimation
+from pfdist.runner.build import build
 
 pytestmark = pytest.mark.usefixtures("no_figures")
 MODEL = """

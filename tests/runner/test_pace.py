@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from pfdist.runner.pace import LEAST_SECONDS, MOST_ROWS, MOST_SECONDS, Pace, bundles
 from pfdist.evaluation.work import Estimation, Work
+from pfdist.runner.pace import LEAST_SECONDS, MOST_ROWS, MOST_SECONDS, Pace, bundles
 
 
 def work(sets: int, first: int, last: int, stream: int = 0) -> Work:

@@ -10,9 +10,9 @@ import pytest
 
 import pfdist
 from pfdist import Job
-from pfdist.runner.collect import Collector
 from pfdist.api.why import why
 from pfdist.evaluation.work import Work
+from pfdist.runner.collect import Collector
 
 SMALL = ["search.survivors.evaluation.draws=20", "search.survivors.evaluation.particles=10"]
 

@@ -9,9 +9,9 @@ import pytest
 import pfdist
 from pfdist import Job
 from pfdist.analysis.reference import described
+from pfdist.api.evaluate import evaluate
 from pfdist.cli.main import main
 from pfdist.errors import JobError, RunMismatchError
-from pfdist.api.evaluate import evaluate
 
 SHORT = ["search.genetic.generations=1", "search.random.evaluations=3", "comparison.draws=60"]
 COUNTED = {"horizon": 12, "measurement_budget": 4}

@@ -16,10 +16,10 @@ from pfdist.analysis import Run
 from pfdist.cli.summary import print_summary
 from pfdist.errors import TaskError
 from pfdist.evaluation.estimate import REPORT
+from pfdist.evaluation.work import Work
 from pfdist.plots import figures
 from pfdist.runner.build import build
 from pfdist.runner.collect import Collector
-from pfdist.evaluation.work import Work
 
 SHARP = Path(pfdist.__file__).parents[1] / "tests" / "oracles" / "sharp_sensor.toml"
 GOOD = (1, 3, 6, 9)

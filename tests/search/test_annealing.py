@@ -8,10 +8,10 @@ import pytest
 from scipy import stats
 
 from oracles.searched import EvenTimes, last, states
-from pfdist.times.feasible import Feasible
-from pfdist.times.measurement_times import Times
 from pfdist.search import Annealing
 from pfdist.search.annealing import accepted
+from pfdist.times.feasible import Feasible
+from pfdist.times.measurement_times import Times
 
 
 def test_a_rise_is_accepted_with_metropolis_probability() -> None:

@@ -11,9 +11,9 @@ import pytest
 
 from oracles.kalman import SCALAR, THREE, TRACKING, LinearGaussian, prefix_costs
 from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.search import Budgets, SearchOptimiser, Survivors
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
-from pfdist.search import Budgets, SearchOptimiser, Survivors
 
 CONSTRAINED = {
     "none": Feasible(10, 6),

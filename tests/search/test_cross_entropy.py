@@ -6,9 +6,9 @@ import numpy as np
 from scipy import stats
 
 from oracles.searched import EvenTimes, last, states
-from pfdist.times.feasible import Feasible
 from pfdist.search import CrossEntropy
 from pfdist.search.cross_entropy import conditional_bernoulli
+from pfdist.times.feasible import Feasible
 
 
 def test_sets_are_drawn_with_the_odds_of_their_times() -> None:

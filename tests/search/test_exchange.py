@@ -9,9 +9,9 @@ import pytest
 from oracles.kalman import SCALAR, THREE, TRACKING, LinearGaussian, riccati_cost
 from oracles.searched import last
 from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.search import Candidate, Exchange
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times, regular
-from pfdist.search import Candidate, Exchange
 
 FEASIBLE = Feasible(horizon=14, measurement_budget=4)
 DRAWS = 400

@@ -8,10 +8,10 @@ import pytest
 from oracles.searched import last
 from pfdist import load_job
 from pfdist.errors import JobError
-from pfdist.times.feasible import Feasible
 from pfdist.runner.build import build
 from pfdist.search import Exhaustive
 from pfdist.search.base import FINALISTS
+from pfdist.times.feasible import Feasible
 
 
 def test_it_finds_what_brute_force_finds() -> None:

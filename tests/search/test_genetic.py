@@ -8,7 +8,6 @@ import pytest
 from scipy import stats
 
 from pfdist.evaluation.estimate import SearchEvaluation
-from pfdist.times.feasible import Feasible
 from pfdist.search import GeneticAlgorithm
 from pfdist.search.base import Candidate
 from pfdist.search.genetic import (
@@ -17,6 +16,7 @@ from pfdist.search.genetic import (
     expected_offspring,
     stochastic_universal_sampling,
 )
+from pfdist.times.feasible import Feasible
 
 
 def _genetic(**changes: Any) -> GeneticAlgorithm:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from oracles.searched import last
+from pfdist.search import GreedyBackward, GreedyForward
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
-from pfdist.search import GreedyBackward, GreedyForward
 
 FEASIBLE = Feasible(horizon=11, measurement_budget=4)
 

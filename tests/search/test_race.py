@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from pfdist.evaluation.estimate import SearchEvaluation, ShortlistEvaluation
-from pfdist.times.measurement_times import Times
 from pfdist.search import Candidate, Race
 from pfdist.search.paired import difference
+from pfdist.times.measurement_times import Times
 
 Array = NDArray[np.float64]
 

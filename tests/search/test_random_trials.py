@@ -3,8 +3,8 @@
 import numpy as np
 
 from pfdist.evaluation.estimate import SearchEvaluation
-from pfdist.times.feasible import Feasible
 from pfdist.search import RandomTrials
+from pfdist.times.feasible import Feasible
 
 
 def test_the_best_of_all_trials_is_kept_over_several_askings() -> None:

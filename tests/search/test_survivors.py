@@ -10,10 +10,10 @@ import pytest
 
 from oracles.kalman import SCALAR, THREE, TRACKING, LinearGaussian, prefix_costs, riccati_cost
 from pfdist.evaluation.estimate import SearchEvaluation
-from pfdist.times.feasible import Feasible
-from pfdist.times.measurement_times import Times
 from pfdist.search import Survivors
 from pfdist.search.survivors import SurvivorState
+from pfdist.times.feasible import Feasible
+from pfdist.times.measurement_times import Times
 
 PROBLEMS = [
     (system, Feasible(horizon, budget))

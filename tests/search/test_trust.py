@@ -8,8 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from pfdist.evaluation.estimate import ProbeEvaluation, SearchEvaluation, ShortlistEvaluation
-from pfdist.times.feasible import Feasible
-from pfdist.times.measurement_times import Times
+from pfdist.job.search_sections import CLEAR_ERRORS
 from pfdist.search import Candidate
 from pfdist.search.trust import (
     BELOW,
@@ -21,7 +20,8 @@ from pfdist.search.trust import (
     new_leaders,
     unchecked_probe,
 )
-from pfdist.job.search_sections import CLEAR_ERRORS
+from pfdist.times.feasible import Feasible
+from pfdist.times.measurement_times import Times
 
 Array = NDArray[np.float64]
 FEASIBLE = Feasible(horizon=12, measurement_budget=3)

@@ -19,7 +19,7 @@ from pfdist.store import SCHEMA_VERSION
 pytestmark = [pytest.mark.fault, pytest.mark.usefixtures("no_figures")]
 Record = Callable[[str, object], None]
 PROMISE = "old results stay readable"
-ASSETS = Path(__file__).parent / "assets"
+ASSETS = Path(__file__).parents[1] / "assets"
 
 
 @pytest.fixture
@@ -123,7 +123,7 @@ def test_another_run_is_started_from_it_and_it_stays_as_it_is(
     any_old: Path, tmp_path: Path, record_property: Record
 ) -> None:
     before = _content(any_old)
-    job = load_job(Path(__file__).with_name("small.toml"), ["comparison.draws=20"])
+    job = load_job(ASSETS.with_name("small.toml"), ["comparison.draws=20"])
     forked = pfdist.run(job, any_old, fork=tmp_path / "new")
     assert hashes(forked.path) == hashes(pfdist.run(job, tmp_path / "nothing").path)
     assert _content(any_old) == before
@@ -136,7 +136,7 @@ def test_a_newer_run_is_refused_with_a_sentence(
 ) -> None:
     run = json.loads((old / "run.json").read_text())
     (old / "run.json").write_text(json.dumps({**run, "schema_version": SCHEMA_VERSION + 1}))
-    before, job = _content(old), Path(__file__).with_name("small.toml")
+    before, job = _content(old), ASSETS.with_name("small.toml")
     assert main(shlex.split(command.format(run=old, job=job))) == 1
     assert re.fullmatch(
         rf"pfdist: .* is of schema version {SCHEMA_VERSION + 1}; this pfdist reads up to "

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from pfdist.meaning.syntax import syntax_of
+from pfdist.declared.syntax import syntax_of
 
 _names = itertools.count()
 
