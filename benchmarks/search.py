@@ -21,13 +21,13 @@ from benchmarks.measure import Say
 from benchmarks.results import Tables, markdown
 from benchmarks.search_runs import fresh_costs, search
 from pfdist import Job, load_job
+from pfdist.common.streams import stream_key
 from pfdist.filters.particle_filter import KERNEL_VERSION
 from pfdist.job.job import Execution
-from pfdist.job.search_sections import CommonEvaluation
-from pfdist.declared.streams import stream_key
 from pfdist.plots.style import BLUE, COLUMN_INCHES, GREEN, GREY, ORANGE, RED
 from pfdist.runner.build import build, make_pool
 from pfdist.runner.identity import estimations
+from pfdist.search.section import CommonNoiseSettings
 from pfdist.times.measurement_times import Times
 
 TITLE = "Searches"
@@ -143,7 +143,7 @@ def _jobs(problem: str, quick: bool) -> list[tuple[dict[str, Any], Job]]:
     file = next(file for folder in FOLDERS if (file := HERE.parent / folder / name).exists())
     changes = [*PROBLEMS[problem], "comparison.draws=2", *(SMALL if quick else [])]
     # As many as searches take that are given none: the paper's two would take the job's.
-    particles = CommonEvaluation().particles_of(load_job(file).filter.particles)
+    particles = CommonNoiseSettings().particles_of(load_job(file).filter.particles)
     jobs = []
     for seed in range(1, 2 if quick else SEEDS_OF_SURVIVORS + 1):
         for name in SEARCHES:

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from statistics import NormalDist
 from typing import Any
 
-from pfdist.job.search_sections import CLEAR_ERRORS
+from pfdist.search.paired import CLEAR_ERRORS
 
 _ROUNDING = 1e-9
 _CHOSE = "its draws chose the set"

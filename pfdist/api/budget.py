@@ -8,8 +8,8 @@ from pfdist.analysis import Run
 from pfdist.api.run import run
 from pfdist.errors import JobError
 from pfdist.job.job import Job, as_job
-from pfdist.job.search_sections import PLANNER
 from pfdist.plots import draw_target
+from pfdist.search.methods import DEFAULT_METHOD
 
 DRAWS = 4000
 
@@ -60,7 +60,7 @@ def budget(
         raise JobError(f"draws must be at least 2, got {draws}", argument="draws")
     least, most = measurements
     asked = {"budget": {"least": least, "most": most}, "comparison": {"draws": draws}}
-    search = [{"method": PLANNER, "polish": False}]
+    search = [{"method": DEFAULT_METHOD, "polish": False}]
     job = as_job(job, changes, {"search": search, **asked})
     if job.with_changes((), asked) != job:
         raise JobError(

@@ -7,13 +7,13 @@ from typing import Any
 from pfdist.analysis import Run
 from pfdist.api.run import run
 from pfdist.job.job import Job, as_job
-from pfdist.job.search_sections import PLANNER
+from pfdist.search.methods import DEFAULT_METHOD
 
 
 def plan(
     job: Job | str | Path,
     results: str | Path | None = None,
-    search: str = PLANNER,
+    search: str = DEFAULT_METHOD,
     changes: Iterable[str] = (),
     **options: Any,
 ) -> Run:

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pfdist.declared.parsing import whole_number
+from pfdist.common.parsing import whole_number
 from pfdist.errors import (
     JobError,
     MeasurementTimesError,

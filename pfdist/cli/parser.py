@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any, NoReturn
 
 import pfdist
-from pfdist.declared.parsing import whole_number
+from pfdist.common.parsing import whole_number
 from pfdist.errors import one_line, shown, shown_text
 
 _EPILOG = (
@@ -63,18 +63,18 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
 
 def _add_plan(parser: argparse.ArgumentParser) -> None:
     # Here and not above: it takes a while, and the list of commands does not want it.
-    from pfdist.job.search_sections import PLANNER, SEARCHES  # noqa: PLC0415
+    from pfdist.search.methods import DEFAULT_METHOD, METHODS  # noqa: PLC0415
 
     _add_job(parser)
     stem = "results/<the job file's stem>"
     _add_computing(parser, f"{stem}, or {stem}-plan if the job names searches")
     parser.add_argument(
         "--search",
-        choices=list(SEARCHES),
-        default=PLANNER,
+        choices=list(METHODS),
+        default=DEFAULT_METHOD,
         metavar="METHOD",
-        help=f"one of {', '.join(SEARCHES)}; with its defaults, unless --set "
-        f"search.METHOD.KEY=VALUE changes them ({PLANNER})",
+        help=f"one of {', '.join(METHODS)}; with its defaults, unless --set "
+        f"search.METHOD.KEY=VALUE changes them ({DEFAULT_METHOD})",
     )
     _add_json(parser)
 

@@ -8,7 +8,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.declared.streams import stream_key
+from pfdist.common.streams import stream_key
 from pfdist.times.measurement_times import Times
 
 DEGENERATE_POLICIES = ("kill", "leave_out")

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pfdist.common.streams import stream_key
 from pfdist.errors import ModelError
 from pfdist.filters.draws import Draws
 from pfdist.kernels.formulas import formulas_of
@@ -24,7 +25,6 @@ from pfdist.kernels.moments import ESTIMATORS
 from pfdist.kernels.prefixes import plan
 from pfdist.kernels.resampling import RESAMPLE, SORTED
 from pfdist.kernels.scratch import WithScratch
-from pfdist.declared.streams import stream_key
 from pfdist.models import StateSpaceModel, squared_error
 from pfdist.times.measurement_times import Times, validated
 

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self
 
 import tomli_w
 from pydantic import (
@@ -16,18 +16,13 @@ from pydantic import (
     model_validator,
 )
 
-from pfdist.declared.parsing import parse_toml, read_text
+from pfdist.common.explained import explained
+from pfdist.common.parsing import parse_toml, read_text
+from pfdist.common.section import Section
 from pfdist.errors import JobError, MeasurementTimesError, shown, shown_text
 from pfdist.job.overrides import override
-from pfdist.job.search_sections import (
-    PLANNER,
-    Estimator,
-    Resampling,
-    Search,
-    Section,
-    SurvivorSearch,
-)
-from pfdist.job.validation import explained
+from pfdist.search.methods import DEFAULT_METHOD, METHODS, any_section
+from pfdist.search.section import Estimator, Resampling, SearchSection
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import REGULAR, Times, validated
 from pfdist.times.problem_section import ProblemSection
@@ -37,6 +32,10 @@ RESERVED: Final = (REGULAR, GIVEN, "comparison")  # names that no search may hav
 MOST_SEARCHES: Final = 100  # of which a figure can still be made
 _LONGEST_TEXT = 4096  # of a path
 _NO_SECTIONS: Mapping[str, Any] = {}
+if TYPE_CHECKING:
+    Search = SearchSection
+else:
+    Search = any_section()
 
 
 def _has_no_nul(text: str) -> str:
@@ -145,7 +144,10 @@ class Job(Section):
     filter: Filter = Filter()
     evaluation: EvaluationSection = EvaluationSection()
     search: tuple[Search, ...] = Field(
-        default=(SurvivorSearch(),), min_length=1, max_length=MOST_SEARCHES, strict=False
+        default=(METHODS[DEFAULT_METHOD].section(),),
+        min_length=1,
+        max_length=MOST_SEARCHES,
+        strict=False,
     )
     comparison: Comparison = Comparison()
     budget: Budget | None = None
@@ -187,9 +189,9 @@ class Job(Section):
             raise ValueError(f"budget.least must be at most budget.most = {most}, got {least}")
         if not self.problem.feasible.counted:
             raise ValueError("budget needs problem.measurement_budget, got problem.total_cost")
-        if any(search.method != PLANNER for search in self.search) or len(self.search) > 1:
+        if any(search.method != DEFAULT_METHOD for search in self.search) or len(self.search) > 1:
             methods = ", ".join(search.method for search in self.search)
-            raise ValueError(f"budget needs one search of method {PLANNER!r}, got {methods}")
+            raise ValueError(f"budget needs one search of method {DEFAULT_METHOD!r}, got {methods}")
         if self.search[0].polish:
             raise ValueError("budget needs a search with polish = false, got true")
         for number in (least, most):

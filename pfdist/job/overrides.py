@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from pfdist.declared.parsing import MOST_LEVELS, parse_toml
+from pfdist.common.parsing import MOST_LEVELS, parse_toml
 from pfdist.errors import JobError, shown, shown_text
 
 

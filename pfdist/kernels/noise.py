@@ -20,9 +20,9 @@ from typing import Any, SupportsIndex
 import numpy as np
 from numpy.typing import NDArray
 
+from pfdist.common.streams import stream_key
 from pfdist.kernels.arithmetic import LANES, fma
 from pfdist.kernels.melting import inlined, melted
-from pfdist.declared.streams import stream_key
 from pfdist.kernels.threefry import threefry4x32
 
 # What a noise is for. The simulation's roles and the filter's never meet in one stream, but

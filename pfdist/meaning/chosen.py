@@ -6,7 +6,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Protocol
 
-from pfdist.declared.streams import stream_key
+from pfdist.common.streams import stream_key
 from pfdist.meaning import Meaning, check_is_constant, loaded_meaning, meaning_of, parameters_of
 from pfdist.meaning.known_models import remember
 from pfdist.models import ModelSource, StateSpaceModel, find_model

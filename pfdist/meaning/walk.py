@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from numba.core.registry import CPUDispatcher
 
+from pfdist.common.syntax import syntax_of
 from pfdist.kernels.content import Content, Parts, UnknownContentError
 from pfdist.kernels.fingerprint import bytecode
 from pfdist.kernels.uses import Import, Uses, imports_in, uses_in
 from pfdist.meaning.origins import home_of, is_installed, version_of
-from pfdist.declared.syntax import syntax_of
 from pfdist.meaning.values import UntoldValueError, copy_of, python_function
 from pfdist.models import ModelSource
 from pfdist.models.beside import own_name

@@ -20,7 +20,7 @@ from importlib.machinery import ModuleSpec
 from pathlib import Path
 from typing import Any
 
-from pfdist.declared.syntax import imported_in
+from pfdist.common.syntax import imported_in
 
 _PREFIX = "pfdist_model_"
 _FIRST = sys.stdlib_module_names | {"numpy", "pfdist"}

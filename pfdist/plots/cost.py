@@ -10,6 +10,7 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 
 from pfdist.plots.style import GREY, SERIES
+from pfdist.search.methods import METHODS
 
 _LINE_INCHES = 0.15  # of a legend
 _LONGEST_NAME = 22  # of which two, with the kinds of their curves, have room in a line
@@ -121,3 +122,16 @@ def best_so_far(rows: pd.DataFrame) -> pd.DataFrame:
     cost = rows["expected_mse"].where(whole & np.isfinite(rows["expected_mse"]))
     curve = pd.DataFrame({"best so far": cost.cummin().ffill()})
     return curve.set_index(rows["copies"].cumsum()).dropna()
+
+
+_CURVES: dict[str, Curve] = {
+    "generations": by_generation,
+    "trials": one_by_one,
+    "best so far": best_so_far,
+    "best of a step": best_of_each_step,
+}
+
+
+def curve_of(method: str) -> Curve:
+    """Give what is drawn of a search method; average and minimum of generations, if unknown."""
+    return _CURVES[METHODS[method].curve if method in METHODS else "generations"]

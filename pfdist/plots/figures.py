@@ -14,15 +14,7 @@ from pfdist.analysis import Gain, Run
 from pfdist.analysis.reference import label
 from pfdist.errors import StoreError
 from pfdist.plots.budget import plot_budget
-from pfdist.plots.cost import (
-    Curve,
-    best_of_each_step,
-    best_so_far,
-    by_generation,
-    legend_inches,
-    one_by_one,
-    plot_cost,
-)
+from pfdist.plots.cost import curve_of, legend_inches, plot_cost
 from pfdist.plots.gain_histogram import plot_gain_histogram
 from pfdist.plots.library import styled
 from pfdist.plots.one_draw import MOST_COMPONENTS, components, plot_one_draw, typical_draw
@@ -43,15 +35,6 @@ class _Plot:
 _Plots = dict[str, _Plot]
 
 FORMATS = ("png", "svg")
-CURVES: dict[str, Curve] = {
-    "random": one_by_one,
-    "exhaustive": one_by_one,
-    "survivors": best_so_far,
-    "exchange": best_so_far,
-    "greedy_forward": best_of_each_step,
-    "greedy_backward": best_of_each_step,
-}
-"""By method; the others have populations."""
 
 
 def figure_files(run: Run) -> list[Path]:
@@ -224,7 +207,7 @@ def _cost(run: Run, kinds: dict[str, list[str]], mse: float, panels: Sequence[Ax
     evaluations = evaluations.assign(phase=evaluations["phase"].replace(redone))
     reference = (label(run.names[0]), mse)
     for axes, (kind, names) in zip(panels, kinds.items(), strict=True):
-        curves = {name: CURVES.get(methods[name], by_generation) for name in names}
+        curves = {name: curve_of(methods[name]) for name in names}
         title = f"estimated otherwise than the comparison:\n{kind}" if kind else ""
         plot_cost(axes, evaluations, curves, None if kind else reference, title)
 

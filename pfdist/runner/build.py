@@ -7,13 +7,13 @@ from functools import cached_property, partial
 from typing import Any
 
 from pfdist.checks.contract import check_compiled, check_formulas, few_draws
+from pfdist.common.streams import stream_key
 from pfdist.errors import CompileError, EngineWarning, ModelError
 from pfdist.evaluation.problem import NUMPY_TIMES_SLOWER, Problem
 from pfdist.evaluation.work import Estimation
 from pfdist.filters.draws import Draws
 from pfdist.filters.particle_filter import KERNEL_VERSION
 from pfdist.job.job import Execution, Job
-from pfdist.declared.streams import stream_key
 from pfdist.meaning import chosen
 from pfdist.meaning.chosen import Choose, ChosenModel
 from pfdist.pools.base import Pool, SerialPool

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 
 import pyarrow as pa
 
+from pfdist.common.streams import stream_key
 from pfdist.errors import TaskError
 from pfdist.evaluation.work import Result, Work
-from pfdist.declared.streams import stream_key
 from pfdist.pools.base import Outcome, Pool, Task
 from pfdist.runner.pace import Pace, bundles
 from pfdist.store import Store, schema

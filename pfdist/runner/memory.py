@@ -4,7 +4,7 @@ import os
 
 from pfdist.errors import JobError
 from pfdist.job.job import Job
-from pfdist.job.search_sections import SearchSection
+from pfdist.search.section import SearchSection
 
 _BYTES_A_DRAW = 32  # its number and its error, in a worker's answer and in the table
 _BYTES_A_SET = 1000  # its times, its evaluation and its row

@@ -1,50 +1,21 @@
 """From the sections [[search]] to optimisers, and to how each evaluates."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from pfdist.errors import JobError
 from pfdist.evaluation.work import Estimation
 from pfdist.job.job import Job
-from pfdist.job.search_sections import AUTO, Search, SearchEvaluation
 from pfdist.runner.memory import check_memory
-from pfdist.search import (
-    Annealing,
-    Budgets,
-    CrossEntropy,
-    Exchange,
-    Exhaustive,
-    GeneticAlgorithm,
-    GreedyBackward,
-    GreedyForward,
-    RandomTrials,
-    SearchOptimiser,
-    Survivors,
-)
-
-
-def _of_any_draws(optimiser: Callable[..., SearchOptimiser]) -> Callable[..., SearchOptimiser]:
-    return lambda feasible, draws, **settings: optimiser(feasible, **settings)
-
-
-OPTIMISERS: dict[str, Callable[..., SearchOptimiser]] = {
-    "annealing": _of_any_draws(Annealing),
-    "cross_entropy": _of_any_draws(CrossEntropy),
-    "exchange": Exchange,
-    "exhaustive": _of_any_draws(Exhaustive),
-    "genetic": _of_any_draws(GeneticAlgorithm),
-    "greedy_backward": _of_any_draws(GreedyBackward),
-    "greedy_forward": _of_any_draws(GreedyForward),
-    "random": _of_any_draws(RandomTrials),
-    "survivors": _of_any_draws(Survivors),
-}
+from pfdist.search import Budgets, SearchOptimiser
+from pfdist.search.methods import METHODS
+from pfdist.search.section import AUTO, EvaluationSettings, SearchSection
 
 SQUARED_ERROR = Estimation(1).estimator
 """The estimator that is right for any filter."""
 
 _POLISH_DRAWS = 4096  # at most
 _RACE_DRAWS = 1000  # of the first round
-_NOTHING_OWN = SearchEvaluation()
+_NOTHING_OWN = EvaluationSettings()
 
 
 @dataclass(frozen=True)
@@ -67,7 +38,9 @@ class Settings:
     estimation: Estimation
 
     @classmethod
-    def of(cls, job: Job, own: SearchEvaluation = _NOTHING_OWN, cheapest: str = AUTO) -> "Settings":
+    def of(
+        cls, job: Job, own: EvaluationSettings = _NOTHING_OWN, cheapest: str = AUTO
+    ) -> "Settings":
         """The job's, but for what a search has of its own; `cheapest` stands for "auto"."""
         estimator = own.estimator or job.evaluation.estimator
         return cls(
@@ -136,20 +109,20 @@ class NamedSearch:
         return own if self.again is None else (*own, *self.again.all_settings)
 
 
-def _optimiser(job: Job, section: Search, draws: int) -> SearchOptimiser:
+def _optimiser(job: Job, section: SearchSection, draws: int) -> SearchOptimiser:
     try:
-        return OPTIMISERS[section.method](job.problem.feasible, draws, **section.settings)
+        return METHODS[section.method].make(job.problem.feasible, draws, section.settings)
     except JobError as error:
         raise JobError(f"search.{section.name}: {error} ({job.path})") from error
 
 
-def named_search(job: Job, section: Search, cheapest: str) -> NamedSearch:
+def named_search(job: Job, section: SearchSection, cheapest: str) -> NamedSearch:
     """Make the optimiser of a section, and find out how it evaluates.
 
     Parameters
     ----------
     job : Job
-    section : Search
+    section : SearchSection
     cheapest : str
         The estimator that "auto" stands for.
 
@@ -176,7 +149,7 @@ def named_search(job: Job, section: Search, cheapest: str) -> NamedSearch:
 
 
 def _with_settings(
-    job: Job, section: Search, name: str, optimiser: SearchOptimiser, settings: Settings
+    job: Job, section: SearchSection, name: str, optimiser: SearchOptimiser, settings: Settings
 ) -> NamedSearch:
     own = Estimation(job.filter.particles, job.filter.resampling)
     polishing = replace(settings, draws=_POLISH_DRAWS, common_noise=True)

@@ -21,6 +21,8 @@ import numpy as np
 
 from pfdist.evaluation.estimate import SearchEvaluation
 from pfdist.search.base import Candidate, best_of
+from pfdist.search.methods import method
+from pfdist.search.section import Count, Fraction
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
@@ -48,6 +50,7 @@ class AnnealingState:
     best: tuple[SearchEvaluation, ...] = ()
 
 
+@method("annealing")
 @dataclass(frozen=True)
 class Annealing:
     """Simulated annealing with geometric cooling.
@@ -63,9 +66,9 @@ class Annealing:
     """
 
     feasible: Feasible
-    chains: int
-    steps: int
-    coldest: float
+    chains: Count = 4
+    steps: Count = 500
+    coldest: Fraction = 0.03
 
     @property
     def generations(self) -> int:

@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 
 from pfdist.evaluation.estimate import SearchEvaluation
 from pfdist.search.base import Candidate, best_of
+from pfdist.search.methods import method
+from pfdist.search.section import Count, Fraction
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
@@ -46,6 +48,7 @@ class CrossEntropyState:
     best: tuple[SearchEvaluation, ...] = ()
 
 
+@method("cross_entropy")
 @dataclass(frozen=True)
 class CrossEntropy:
     """Cross-entropy method on sets of measurement times.
@@ -64,10 +67,10 @@ class CrossEntropy:
     """
 
     feasible: Feasible
-    population: int
-    generations: int
-    elite: float
-    smoothing: float
+    population: Count = 100
+    generations: Count = 50
+    elite: Fraction = 0.1
+    smoothing: Fraction = 0.4
 
     @property
     def evaluations(self) -> int:

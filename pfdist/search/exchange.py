@@ -20,6 +20,7 @@ import numpy as np
 
 from pfdist.evaluation.estimate import SearchEvaluation
 from pfdist.search.base import Candidate, best_of
+from pfdist.search.methods import method
 from pfdist.search.paired import difference
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
@@ -54,6 +55,7 @@ class ExchangeState:
     evaluations: tuple[SearchEvaluation, ...] = ()
 
 
+@method("exchange", curve="best so far")
 @dataclass(frozen=True)
 class Exchange:
     """Exchange of one time for another, under paired tests.

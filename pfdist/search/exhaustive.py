@@ -9,6 +9,8 @@ import numpy as np
 from pfdist.errors import JobError
 from pfdist.evaluation.estimate import SearchEvaluation
 from pfdist.search.base import Candidate, best_of
+from pfdist.search.methods import method
+from pfdist.search.section import Count
 from pfdist.times.feasible import Feasible
 
 _BATCH = 500  # asked for at once: in their order neighbours share much, and memory stays flat
@@ -30,6 +32,7 @@ class ExhaustiveState:
     best: tuple[SearchEvaluation, ...] = ()
 
 
+@method("exhaustive", curve="trials")
 @dataclass(frozen=True)
 class Exhaustive:
     """Try every set, in the order of words in a dictionary.
@@ -47,7 +50,7 @@ class Exhaustive:
     """
 
     feasible: Feasible
-    limit: int
+    limit: Count = 100_000
 
     def __post_init__(self) -> None:
         if self.feasible.size > self.limit:

@@ -28,6 +28,8 @@ from numpy.typing import NDArray
 
 from pfdist.evaluation.estimate import SearchEvaluation
 from pfdist.search.base import Candidate
+from pfdist.search.methods import method
+from pfdist.search.section import Count, EvaluationSettings, Even, Flag, Positive, Probability
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
@@ -47,6 +49,7 @@ class GeneticState:
     evaluations: tuple[SearchEvaluation, ...] = ()
 
 
+@method("genetic", evaluation=EvaluationSettings())
 @dataclass(frozen=True)
 class GeneticAlgorithm:
     """Genetic algorithm on sets of measurement times.
@@ -73,12 +76,12 @@ class GeneticAlgorithm:
     """
 
     feasible: Feasible
-    population: int
-    generations: int
-    crossover_probability: float
-    mutation_probability: float
-    sigma_scaling: float
-    share_copies: bool = False
+    population: Even = 50
+    generations: Count = 25
+    crossover_probability: Probability = 1.0
+    mutation_probability: Probability = 0.003
+    sigma_scaling: Positive = 1.0
+    share_copies: Flag = False
 
     @property
     def evaluations(self) -> int:

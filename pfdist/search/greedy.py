@@ -19,6 +19,7 @@ import numpy as np
 
 from pfdist.evaluation.estimate import SearchEvaluation
 from pfdist.search.base import Candidate, best_of
+from pfdist.search.methods import method
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
@@ -70,6 +71,7 @@ class _Greedy:
         raise NotImplementedError
 
 
+@method("greedy_forward", curve="best of a step")
 @dataclass(frozen=True)
 class GreedyForward(_Greedy):
     """Add the time that helps most, from none on, until no more may be added.
@@ -101,6 +103,7 @@ class GreedyForward(_Greedy):
         return self.feasible.additions(times)
 
 
+@method("greedy_backward", curve="best of a step")
 @dataclass(frozen=True)
 class GreedyBackward(_Greedy):
     """Remove the time that is missed least, from all times on, until what is left is allowed.

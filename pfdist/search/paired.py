@@ -7,6 +7,9 @@ import numpy as np
 
 from pfdist.evaluation.estimate import Evaluation
 
+CLEAR_ERRORS = 4.0
+"""Number of standard errors beyond which chance alone does not explain a difference."""
+
 
 class Difference(NamedTuple):
     """An estimate of one cost less another.

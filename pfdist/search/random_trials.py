@@ -7,6 +7,8 @@ import numpy as np
 
 from pfdist.evaluation.estimate import SearchEvaluation
 from pfdist.search.base import Candidate
+from pfdist.search.methods import method
+from pfdist.search.section import Count, EvaluationSettings
 from pfdist.times.feasible import Feasible
 
 _BATCH = 250  # asked for at once: enough to fill the cores, few enough to keep memory flat
@@ -28,6 +30,7 @@ class RandomState:
     best: SearchEvaluation | None = None
 
 
+@method("random", evaluation=EvaluationSettings(), curve="trials")
 @dataclass(frozen=True)
 class RandomTrials:
     """Evaluate random sets of measurement times and keep the best.
@@ -40,7 +43,7 @@ class RandomTrials:
     """
 
     feasible: Feasible
-    evaluations: int
+    evaluations: Count = 1250
 
     @property
     def generations(self) -> int:

@@ -27,6 +27,8 @@ import numpy as np
 
 from pfdist.evaluation.estimate import SearchEvaluation
 from pfdist.search.base import Candidate, best_of
+from pfdist.search.methods import method
+from pfdist.search.section import Count, Flag
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
@@ -65,6 +67,7 @@ class SurvivorState:
     done: bool = False
 
 
+@method("survivors", polish=True, curve="best so far")
 @dataclass(frozen=True)
 class Survivors:
     """Survivor dynamic programme.
@@ -79,8 +82,8 @@ class Survivors:
     """
 
     feasible: Feasible
-    survivors: int = 2
-    by_previous: bool = False
+    survivors: Count = 2
+    by_previous: Flag = False
 
     @property
     def generations(self) -> int:

@@ -24,9 +24,8 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from pfdist.evaluation.estimate import Evaluation, ProbeEvaluation
-from pfdist.job.search_sections import CLEAR_ERRORS
 from pfdist.search.base import Candidate
-from pfdist.search.paired import difference
+from pfdist.search.paired import CLEAR_ERRORS, difference
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 

@@ -5,9 +5,9 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-from pfdist.declared.parsing import parse_json, parse_toml, read_text
+from pfdist.common.explained import explained
+from pfdist.common.parsing import parse_json, parse_toml, read_text
 from pfdist.errors import StoreError, shown
-from pfdist.job.validation import explained
 from pfdist.store.schema import SCHEMA_VERSION
 
 

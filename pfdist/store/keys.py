@@ -12,8 +12,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from pfdist.common.streams import stream_key
 from pfdist.errors import StoreError
-from pfdist.declared.streams import stream_key
 from pfdist.store import files
 from pfdist.store.manifest import FOLDER, Manifest
 from pfdist.store.tables import signed_by

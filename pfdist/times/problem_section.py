@@ -5,8 +5,9 @@ from collections.abc import Iterable
 from functools import cached_property
 from typing import Annotated, Any, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
+from pfdist.common.section import Section
 from pfdist.errors import MeasurementTimesError, shown
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
@@ -14,10 +15,8 @@ from pfdist.times.measurement_times import Times
 _RANGE = re.compile(r"(\d{1,6})-(\d{1,6})|(\d{1,6})")
 
 
-class ProblemSection(BaseModel):
+class ProblemSection(Section):
     """How long, how many measurements or what they may cost, and when they must and must not be."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     horizon: Annotated[int, Field(ge=1, le=32_000)]
     measurement_budget: Annotated[int, Field(ge=2, lt=2**63)] | None = None

@@ -11,7 +11,7 @@ from oracles.bytes_of import hashes
 from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.errors import JobError, SearchError
-from pfdist.job.search_sections import SEARCHES
+from pfdist.search.methods import METHODS
 
 EXACT = ["model.name=random_walk", "filter.engine=kalman"]
 pytestmark = pytest.mark.usefixtures("no_figures")
@@ -33,7 +33,7 @@ def test_it_is_the_run_of_a_job_without_searches(unnamed: Path, tmp_path: Path) 
     assert hashes(tmp_path / "plan") == hashes(tmp_path / "run")
 
 
-@pytest.mark.parametrize("method", SEARCHES)
+@pytest.mark.parametrize("method", METHODS)
 def test_any_method_may_search_and_the_jobs_own_are_left_aside(
     method: str, small_job: Job, tmp_path: Path
 ) -> None:

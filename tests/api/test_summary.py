@@ -12,7 +12,7 @@ from pfdist.analysis import Run
 from pfdist.analysis.rounding import with_error, with_interval
 from pfdist.cli.summary import print_summary
 from pfdist.errors import RunMismatchError
-from pfdist.job.search_sections import CommonEvaluation
+from pfdist.search.section import CommonNoiseSettings
 
 SURVIVORS = """
 [[search]]
@@ -79,7 +79,7 @@ def test_what_a_search_believed_is_its_own_and_nothing_of_its_race_is_reported(
 def test_a_program_that_would_search_otherwise_does_not_go_on(
     raced: Run, small_job: Job, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(CommonEvaluation, "particles_of", lambda own, job_particles: 21)
+    monkeypatch.setattr(CommonNoiseSettings, "particles_of", lambda own, job_particles: 21)
     with pytest.raises(RunMismatchError, match=r"estimations.survivors.particles: 20 -> 21$"):
         pfdist.run(small_job.path, raced.path)
 

@@ -8,10 +8,9 @@ import pytest
 from oracles.kalman import TRACKING
 from pfdist.evaluation.estimate import SearchEvaluation
 from pfdist.filters import kalman
-from pfdist.job.search_sections import SEARCHES
-from pfdist.runner.searches import OPTIMISERS
 from pfdist.search import Candidate
 from pfdist.search.base import SearchOptimiser
+from pfdist.search.methods import METHODS
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
@@ -31,7 +30,6 @@ CONSTRAINTS = {
     "all required": Feasible(HORIZON, 3, required=(2, 5, 9)),
     "all paid for": Feasible(HORIZON, cost=PRICES, total_cost=100),
 }
-METHODS = list(SEARCHES)
 SMALL = {
     "evaluations": 60, "population": 20, "generations": 12, "mutation_probability": 0.1,
     "steps": 40,
@@ -43,9 +41,9 @@ MODEL = TRACKING.as_model()
 
 
 def _optimiser(method: str, feasible: Feasible) -> SearchOptimiser:
-    settings = SEARCHES[method](method=method).settings
+    settings = METHODS[method].section().settings
     small = {key: SMALL.get(key, value) for key, value in settings.items()}
-    return OPTIMISERS[method](feasible, DRAWS, **small)
+    return METHODS[method].make(feasible, DRAWS, small)
 
 
 def _costs(asked: list[Candidate]) -> list[float]:

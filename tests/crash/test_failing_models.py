@@ -13,8 +13,8 @@ from crash.runs import running
 from oracles.bytes_of import hashes
 from pfdist import Job
 from pfdist.cli.main import main
+from pfdist.common.streams import stream_key
 from pfdist.kernels.noise import TRUTH_MEASUREMENT, variates
-from pfdist.declared.streams import stream_key
 from pfdist.runner import comparison_phase
 
 pytestmark = pytest.mark.usefixtures("no_figures")

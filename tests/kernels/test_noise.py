@@ -8,9 +8,9 @@ import pytest
 from numba import njit
 from scipy import stats
 
+from pfdist.common.streams import stream_key
 from pfdist.kernels import noise
 from pfdist.kernels.noise import FILL, LANES, TILE, filler, generator, padded, variates
-from pfdist.declared.streams import stream_key
 from pfdist.kernels.threefry import threefry4x32
 
 KINDS = tuple(FILL)

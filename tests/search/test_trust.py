@@ -8,8 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 from pfdist.evaluation.estimate import ProbeEvaluation, SearchEvaluation, ShortlistEvaluation
-from pfdist.job.search_sections import CLEAR_ERRORS
 from pfdist.search import Candidate
+from pfdist.search.paired import CLEAR_ERRORS
 from pfdist.search.trust import (
     BELOW,
     PROBE_DRAWS,

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from pfdist.declared.syntax import syntax_of
+from pfdist.common.syntax import syntax_of
 
 _names = itertools.count()
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from pfdist.declared.parsing import (
+from pfdist.common.parsing import (
     MOST_BYTES,
     MOST_LEVELS,
     parse_json,

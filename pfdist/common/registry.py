@@ -1,0 +1,60 @@
+"""A table of everything of one kind that can be chosen by name."""
+
+import importlib
+import pkgutil
+from collections.abc import Iterator, Mapping
+from importlib.metadata import entry_points
+from typing import Generic, TypeVar
+
+T = TypeVar("T")
+
+
+class Registry(Mapping[str, T], Generic[T]):
+    """Everything of one kind by its name: what ships, and what installed packages add.
+
+    The modules of a package, and the entry points of a group, declare themselves when they are
+    imported. They are imported when the table is first read.
+
+    Parameters
+    ----------
+    package : str
+        Every module of this package is imported.
+    group : str
+        Every entry point of this group is imported.
+    """
+
+    def __init__(self, package: str, group: str) -> None:
+        self._package, self._group = package, group
+        self._declared: dict[str, T] = {}
+        self._complete = False
+
+    def declare(self, name: str, value: T) -> None:
+        """Put something into the table.
+
+        Raises
+        ------
+        ValueError
+            Something else has this name.
+        """
+        if name in self._declared:
+            raise ValueError(f"{self._group} names must be unique; {name!r} is declared twice")
+        self._declared[name] = value
+
+    def __getitem__(self, name: str) -> T:
+        return self._table()[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(sorted(self._table()))
+
+    def __len__(self) -> int:
+        return len(self._table())
+
+    def _table(self) -> dict[str, T]:
+        if not self._complete:
+            self._complete = True
+            folder = importlib.import_module(self._package).__path__
+            for module in pkgutil.iter_modules(folder):
+                importlib.import_module(f"{self._package}.{module.name}")
+            for entry_point in entry_points(group=self._group):
+                entry_point.load()
+        return self._declared

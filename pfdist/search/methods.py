@@ -1,0 +1,128 @@
+"""The search methods that a job file can name. Each declares itself in its own file."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from functools import reduce
+from operator import or_
+from typing import Annotated, Any, Final, Literal, TypeVar, get_type_hints
+
+from pydantic import Field, create_model
+from pydantic.fields import FieldInfo
+
+from pfdist.common.registry import Registry
+from pfdist.search.base import SearchOptimiser
+from pfdist.search.section import CommonNoiseSettings, EvaluationSettings, Name, SearchSection
+from pfdist.times.feasible import Feasible
+
+DEFAULT_METHOD: Final = "survivors"
+C = TypeVar("C", bound=type[Any])
+Curve = Literal["generations", "trials", "best so far", "best of a step"]
+
+
+@dataclass(frozen=True)
+class Method:
+    """A search method.
+
+    Parameters
+    ----------
+    name : str
+        As job files name it.
+    optimiser : type
+        The optimiser that searches.
+    section : type
+        The section [[search]] of a job file, with the settings of the method.
+    curve : str
+        What the figure of costs shows of the search.
+    """
+
+    name: str
+    optimiser: Callable[..., SearchOptimiser]
+    section: type[SearchSection]
+    curve: Curve
+
+    @property
+    def description(self) -> str:
+        """The method in one line."""
+        return (self.optimiser.__doc__ or "").partition("\n")[0]
+
+    def make(self, feasible: Feasible, draws: int, settings: dict[str, Any]) -> SearchOptimiser:
+        """Make the optimiser.
+
+        Parameters
+        ----------
+        feasible : Feasible
+        draws : int
+            Number of draws of an evaluation.
+        settings : dict
+            As the section has them.
+
+        Raises
+        ------
+        JobError
+            The method cannot search this problem.
+        """
+        if "draws" in self.optimiser.__annotations__:
+            settings = {"draws": draws, **settings}
+        return self.optimiser(feasible, **settings)
+
+
+METHODS: Registry[Method] = Registry("pfdist.search", "pfdist.searches")
+
+
+def method(
+    name: str,
+    evaluation: EvaluationSettings = CommonNoiseSettings(),  # noqa: B008  it is frozen
+    polish: bool = False,
+    curve: Curve = "generations",
+) -> Callable[[C], C]:
+    """Declare an optimiser as a search method.
+
+    The optimiser is a frozen dataclass. Its fields that are annotated with a type of
+    `pfdist.search.section`, such as ``Count``, are the settings of the method, with their defaults.
+    The field ``feasible`` receives the feasible sets. The field ``draws``, if there is one, receives
+    the number of draws of an evaluation.
+
+    Parameters
+    ----------
+    name : str
+        As job files name it.
+    evaluation : EvaluationSettings
+        Defaults of ``[search.evaluation]``.
+    polish : bool
+        Whether exchanges follow the search, by default.
+    curve : str
+        What the figure of costs shows of the search.
+    """
+
+    def declare(optimiser: C) -> C:
+        hints = get_type_hints(optimiser, include_extras=True)
+        definitions: dict[str, Any] = {
+            "name": (Name, name),
+            "evaluation": (type(evaluation), evaluation),
+            "polish": (bool, polish),
+            "method": (Literal[name], name),
+        } | {
+            field.name: (hints[field.name], field.default)
+            for field in fields(optimiser)
+            if any(isinstance(bound, FieldInfo) for bound in _bounds(hints[field.name]))
+        }
+        section = create_model(
+            f"{optimiser.__name__}Section",
+            __base__=SearchSection,
+            __doc__=optimiser.__doc__,
+            **definitions,
+        )
+        METHODS.declare(name, Method(name, optimiser, section, curve))
+        return optimiser
+
+    return declare
+
+
+def any_section() -> Any:
+    """Give the type of any section [[search]]: the method says which one it is."""
+    sections = reduce(or_, (method.section for method in METHODS.values()))
+    return Annotated[sections, Field(discriminator="method")]
+
+
+def _bounds(hint: Any) -> tuple[Any, ...]:
+    return getattr(hint, "__metadata__", ())

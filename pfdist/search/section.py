@@ -1,0 +1,67 @@
+"""A section [[search]] of a job file: a search method, its settings, and how it evaluates sets."""
+
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import Field
+
+from pfdist.common.section import Section
+
+AUTO: Final = "auto"
+_FEWEST_PARTICLES, _SHARE = 100, 5  # of the filter that a search uses
+
+Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=40)]
+Resampling = Literal["multinomial", "stratified", "systematic", "residual", "sorted_systematic"]
+Estimator = Literal["squared_error", "filter_variance", "two_filters"]
+
+Count = Annotated[int, Field(ge=1, lt=2**63)]
+Even = Annotated[int, Field(ge=2, lt=2**63, multiple_of=2)]
+Flag = Annotated[bool, Field()]
+Fraction = Annotated[float, Field(gt=0.0, le=1.0)]
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+Probability = Annotated[float, Field(ge=0.0, le=1.0)]
+
+
+class EvaluationSettings(Section):
+    """How the evaluations of a search differ from [evaluation] and [filter] of the job."""
+
+    draws: Annotated[int, Field(ge=2, le=10_000_000)] | None = None
+    noise: Literal["fresh", "common"] | None = None
+    particles: Annotated[int, Field(ge=1, le=10_000_000)] | None = None
+    resampling: Resampling | None = None
+    estimator: Estimator | Literal["auto"] | None = None
+
+    def particles_of(self, job_particles: int) -> int:
+        """Number of particles, given the number of the job."""
+        return self.particles or job_particles
+
+
+class CommonNoiseSettings(EvaluationSettings):
+    """Default evaluation settings of searches that use common random numbers.
+
+    The filter has a fifth of the job's particles, but at least 100 if the job has as many: with
+    fewer, other sets would be the best.
+    """
+
+    draws: Annotated[int, Field(ge=2, le=10_000_000)] = 300
+    noise: Literal["fresh", "common"] = "common"
+    resampling: Resampling = "systematic"
+    estimator: Estimator | Literal["auto"] = AUTO
+
+    def particles_of(self, job_particles: int) -> int:
+        """Number of particles, given the number of the job."""
+        fewest = min(job_particles, max(_FEWEST_PARTICLES, job_particles // _SHARE))
+        return self.particles or fewest
+
+
+class SearchSection(Section):
+    """Base of the sections [[search]]; each method's section adds the settings of the method."""
+
+    name: Name = ""
+    evaluation: EvaluationSettings = EvaluationSettings()
+    polish: bool = False
+    method: str = ""
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Settings of the search method."""
+        return self.model_dump(exclude={"name", "method", "evaluation", "polish"})
