@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.analysis.rounding import with_error
-from pfdist.evaluation.problem import ENGINES
+from pfdist.evaluation.engines import ENGINES
 from pfdist.filters.draws import Draws
 from pfdist.kernels.noise import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, variates
 from pfdist.mistakes.places import place_of_function

@@ -15,7 +15,8 @@ from pfdist.checks.contract import Look, few_draws, look_at_formulas, looked
 from pfdist.checks.formulas import compiled_as_in_numpy, likelihood
 from pfdist.checks.speed import speed
 from pfdist.errors import CompileError, ModelError
-from pfdist.evaluation.problem import ENGINES, NUMPY_TIMES_SLOWER, Problem
+from pfdist.evaluation.engines import ENGINES, NUMPY_TIMES_SLOWER
+from pfdist.evaluation.problem import Problem
 from pfdist.evaluation.work import Estimation, Work
 from pfdist.filters import kalman
 from pfdist.filters.draws import Draws

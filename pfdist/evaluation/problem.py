@@ -4,51 +4,26 @@ The work is a pure function of its arguments, cut by ranges of draws; whatever t
 MSE is the same, and so is what is computed from all of them in the order of the draws.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.errors import ModelError
+from pfdist.evaluation.engines import COMPILED, ENGINES, KALMAN, Engine
 from pfdist.evaluation.work import Estimation, Result, Work, columns
-from pfdist.filters import kalman, plain
-from pfdist.filters.draws import Draws, libm_of_simulation, simulate, simulation_makes_arrays
-from pfdist.filters.estimators import one_by_one
+from pfdist.filters import kalman
+from pfdist.filters.draws import libm_of_simulation, simulate, simulation_makes_arrays
 from pfdist.filters.particle_filter import (
-    Filtered,
     check_filter,
     check_fits,
     filter_draws,
     filter_makes_arrays,
-    filter_sets,
     libm_of_filter,
 )
 from pfdist.models import StateSpaceModel
 from pfdist.times.measurement_times import Times
-
-SECONDS_A_STEP = 2e-9
-"""About what a particle-step takes."""
-
-
-class Engine(NamedTuple):
-    """What simulates draws, filters them, and filters them with several sets under one noise."""
-
-    simulate: Callable[..., Draws]
-    filter_draws: Callable[..., Filtered]
-    filter_sets: Callable[..., NDArray[np.float64]]
-
-
-ENGINES = {
-    "compiled": Engine(simulate, filter_draws, filter_sets),
-    "numpy": Engine(plain.simulate, plain.filter_draws, one_by_one(plain.filter_draws)),
-    "kalman": Engine(simulate, kalman.filter_draws, one_by_one(kalman.filter_draws)),
-}
-"""The compiled kernel; NumPy, where Numba cannot compile a model; the exact filter of a
-linear-Gaussian one."""
-
-NUMPY_TIMES_SLOWER = 100
 
 _TRAJECTORIES = ("mse", "estimate")
 
@@ -69,7 +44,8 @@ class Problem:
         What the filter takes for the truth; by default it is right.
     dtype : {"float64", "float32"}
         What the particles' states are kept in.
-    engine : {"compiled", "numpy", "kalman"}
+    engine : {"auto", "compiled", "numpy", "kalman"}
+        "auto" is the compiled one here.
 
     Raises
     ------
@@ -88,7 +64,9 @@ class Problem:
         check_fits(self.believed, self.model)
         if self.exact:
             if self.believed != self.model:
-                raise ModelError("filter.engine = 'kalman' needs a filter that knows the truth")
+                raise ModelError(
+                    f"filter.engine = {KALMAN.name!r} needs a filter that knows the truth"
+                )
             kalman.linear_gaussian(self.model, self.horizon)
 
     @property
@@ -97,9 +75,13 @@ class Problem:
         return self.filter_model or self.model
 
     @property
+    def _engine(self) -> Engine:
+        return ENGINES.get(self.engine, COMPILED)
+
+    @property
     def exact(self) -> bool:
         """Whether the expected MSE is known without draws; see `expected_mse`."""
-        return self.engine == "kalman"
+        return self._engine.exact
 
     def expected_mse(
         self, sets: Sequence[Times], ends: Sequence[int] | None = None
@@ -123,7 +105,7 @@ class Problem:
     def check(self, estimation: Estimation) -> None:
         """Raise an error if an error cannot be estimated so.
 
-        Of an exact engine any estimate is exact: what it is made of changes nothing.
+        Exact engines ignore the estimator and the number of particles.
 
         Raises
         ------
@@ -171,7 +153,7 @@ class Problem:
     @property
     def seconds_a_step(self) -> float:
         """About how long a particle-step takes; models differ."""
-        return SECONDS_A_STEP * (NUMPY_TIMES_SLOWER if self.engine == "numpy" else 1)
+        return self._engine.seconds_a_step
 
     def __call__(self, work: Work) -> Result:
         """Do the work: simulate the draws once and filter them with every set of times.
@@ -181,7 +163,7 @@ class Problem:
         ModelError
             As of `check`, or a formula failed.
         """
-        engine, by = ENGINES[self.engine], work.estimation
+        engine, by = self._engine, work.estimation
         self.check(by)
         draws = engine.simulate(self.model, self.horizon, range(*work.draws), work.draws_stream)
         if work.trajectories:

@@ -1,8 +1,8 @@
 """The intermittent particle filter (paper, section 2.1).
 
 Sampling importance resampling: particles are propagated by the model, and weighted and resampled
-only at the measurement times. `pfdist.kernels.fused_filter` compiles it; `pfdist.filters.plain` holds the
-same filter in plain NumPy, for reading.
+only at the measurement times. `pfdist.kernels.fused_filter` compiles it. `pfdist.filters.plain`
+holds the same filter in plain NumPy, for reading.
 
 References
 ----------

@@ -24,7 +24,7 @@ from pfdist.models.base import StateSpaceModel
 from pfdist.models.beside import Beside, Files, FilesOnDisk
 
 _GROUP = "pfdist.models"
-_NOT_MODELS = ("base", "beside", "loader")
+_NOT_MODELS = ("base", "beside", "jitted", "loader")
 _recordings = itertools.count()
 
 

@@ -9,7 +9,8 @@ from typing import Any
 from pfdist.checks.contract import check_compiled, check_formulas, few_draws
 from pfdist.common.streams import stream_key
 from pfdist.errors import CompileError, EngineWarning, ModelError
-from pfdist.evaluation.problem import NUMPY_TIMES_SLOWER, Problem
+from pfdist.evaluation.engines import AUTO, COMPILED, NUMPY, NUMPY_TIMES_SLOWER
+from pfdist.evaluation.problem import Problem
 from pfdist.evaluation.work import Estimation
 from pfdist.filters.draws import Draws
 from pfdist.filters.particle_filter import KERNEL_VERSION
@@ -56,14 +57,14 @@ class ProblemSource:
     def compiled(self) -> Problem:
         """The same with all that it needs compiled."""
         problem = self.make()
-        if self.engine != "numpy":
+        if self.engine != NUMPY.name:
             for estimation in self.estimations:
                 problem.compile(estimation)
         return problem
 
     def libm_functions(self) -> tuple[str, ...]:
         """Functions of the C library that the compiled formulas call."""
-        if self.engine == "numpy":
+        if self.engine == NUMPY.name:
             return ()
         problem = self.compiled()
         found = (problem.libm_functions(estimation) for estimation in self.estimations)
@@ -235,16 +236,16 @@ def _compiled_or_numpy(source: ProblemSource) -> str:
     try:
         source.compiled()  # whatever the engine, so that a wrong model is found at once
     except CompileError as error:
-        if source.engine != "auto":
+        if source.engine != AUTO:
             raise
         warnings.warn(
             f"{error}: computing in NumPy instead, about {NUMPY_TIMES_SLOWER} times slower "
-            '(filter.engine = "numpy" says that you know)',
+            f'(filter.engine = "{NUMPY.name}" says that you know)',
             EngineWarning,
             stacklevel=4,
         )
-        return "numpy"
-    return "compiled" if source.engine == "auto" else source.engine
+        return NUMPY.name
+    return COMPILED.name if source.engine == AUTO else source.engine
 
 
 def _worker(source: ProblemSource) -> Callable[[Any], Any]:

@@ -8,6 +8,7 @@ from typing import Any
 
 from llvmlite import binding
 
+from pfdist.evaluation.engines import COMPILED
 from pfdist.runner.build import Built
 from pfdist.store import add_to_provenance, read_run
 
@@ -57,7 +58,7 @@ def note_processor(path: Path, built: Built, say: Callable[[str], Any]) -> None:
 def what_may_differ(built: Built) -> str:
     """What another processor may compute otherwise; empty if it computes the same bytes."""
     engine, called = built.source.engine, built.source.libm_functions()
-    if engine != "compiled":
+    if engine != COMPILED.name:
         return f"figures of filter.engine = {engine!r} agree to about 12 digits, not to the last"
     if called:
         names = ", ".join(called)

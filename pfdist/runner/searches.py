@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 from pfdist.errors import JobError
+from pfdist.evaluation.engines import KALMAN
 from pfdist.evaluation.work import Estimation
 from pfdist.job.job import Job
 from pfdist.runner.memory import check_memory
@@ -140,7 +141,7 @@ def named_search(job: Job, section: SearchSection, cheapest: str) -> NamedSearch
         optimiser = Budgets(most, job.budget.least, **section.settings)
     search = _with_settings(job, section, section.name, optimiser, settings)
     by = settings.estimation
-    if by.estimator == SQUARED_ERROR or job.filter.engine == "kalman":  # which is exact
+    if by.estimator == SQUARED_ERROR or job.filter.engine == KALMAN.name:  # which is exact
         return search
     by = replace(by, estimator=SQUARED_ERROR, particles=job.filter.particles)
     settings = replace(settings, estimation=by)

@@ -78,9 +78,9 @@ def method(
     """Declare an optimiser as a search method.
 
     The optimiser is a frozen dataclass. Its fields that are annotated with a type of
-    `pfdist.search.section`, such as ``Count``, are the settings of the method, with their defaults.
-    The field ``feasible`` receives the feasible sets. The field ``draws``, if there is one, receives
-    the number of draws of an evaluation.
+    `pfdist.search.section`, such as ``Count``, are the settings of the method, with their
+    defaults. The field ``feasible`` receives the feasible sets. The field ``draws``, if there is
+    one, receives the number of draws of an evaluation.
 
     Parameters
     ----------

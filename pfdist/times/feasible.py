@@ -60,10 +60,11 @@ class Feasible(Constraints):
     def regular(self) -> Times:
         """Give the regular times, or what comes nearest to them.
 
-        With N measurements they are those of the paper's equation 13, or if these are not feasible
-        the set that is nearest to them (see `pfdist.times.measurement_times.nearest`). With money, of
-        the sets that spend as much as any can, those with the most measurements are looked at, and
-        the nearest to regular times is given (see `pfdist.times.affordable.Affordable.nearest`).
+        With N measurements these are the times of the paper's equation 13. If they are not
+        feasible, the nearest feasible set takes their place (see
+        `pfdist.times.measurement_times.nearest`). With costs, only sets that spend as much as any
+        set can are considered. Among those with the most measurements, the nearest to regular
+        times is given (see `pfdist.times.affordable.Affordable.nearest`).
         """
         return self._nearest_regular
 

@@ -12,7 +12,8 @@ import pytest
 from oracles.kalman import TRACKING, riccati_cost
 from pfdist import StateSpaceModel, load_model, where
 from pfdist.errors import ModelError
-from pfdist.evaluation.problem import ENGINES, Problem
+from pfdist.evaluation.engines import ENGINES
+from pfdist.evaluation.problem import Problem
 from pfdist.evaluation.work import Estimation, Work
 from pfdist.filters.draws import Draws, simulate
 from pfdist.filters.estimators import filter_variance, two_filters
