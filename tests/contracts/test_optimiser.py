@@ -1,44 +1,25 @@
 """What every optimiser keeps to: one contract, one test."""
 
 import itertools
-from typing import Any
 
 import numpy as np
 import pytest
 
 from pfdist.evaluation.estimate import SearchEvaluation
-from pfdist.search import (
-    Annealing,
-    Budgets,
-    Candidate,
-    CrossEntropy,
-    Exchange,
-    Exhaustive,
-    GeneticAlgorithm,
-    GreedyBackward,
-    GreedyForward,
-    RandomTrials,
-    Survivors,
-)
+from pfdist.search import Budgets, Candidate
 from pfdist.search.base import FINALISTS, SearchOptimiser
+from pfdist.search.methods import METHODS
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
 FEASIBLE = Feasible(horizon=15, measurement_budget=4)
 DRAWS = 20
 
-OPTIMISERS: dict[str, Any] = {
-    "annealing": Annealing(FEASIBLE, chains=3, steps=100, coldest=0.03),
-    "budgets": Budgets(FEASIBLE, least=4),
-    "cross_entropy": CrossEntropy(FEASIBLE, 40, 20, elite=0.1, smoothing=0.4),
-    "exchange": Exchange(FEASIBLE, DRAWS),
-    "exhaustive": Exhaustive(FEASIBLE, limit=2000),
-    "genetic": GeneticAlgorithm(FEASIBLE, 12, 15, 1.0, 0.02, 1.0),
-    "greedy_backward": GreedyBackward(FEASIBLE),
-    "greedy_forward": GreedyForward(FEASIBLE),
-    "random": RandomTrials(FEASIBLE, 700),
-    "survivors": Survivors(FEASIBLE),
-}
+# Every method that a job can name, with its default settings, and the programme for several N.
+OPTIMISERS: dict[str, SearchOptimiser] = {
+    name: method.make(FEASIBLE, DRAWS, method.section().settings)
+    for name, method in METHODS.items()
+} | {"budgets": Budgets(FEASIBLE, least=4)}
 # How much they ask for does not depend on what they are told.
 FORESEEN = ("exhaustive", "genetic", "greedy_backward", "greedy_forward", "random")
 AT_RANDOM = ("annealing", "cross_entropy", "genetic", "random")
