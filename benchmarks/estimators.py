@@ -171,7 +171,7 @@ def plot(tables: Tables) -> Figure:
         for row in _rows(tables):
             scheme, size = SCHEMES.index(row["resampling"]), PARTICLES.index(row["particles"])
             axes.plot(
-                ESTIMATORS.index(row["estimator"]) + 0.22 * (scheme - 1) + 0.06 * (size - 1),
+                list(ESTIMATORS).index(row["estimator"]) + 0.22 * (scheme - 1) + 0.06 * (size - 1),
                 row[f"saved_{of}"],
                 color=colours[row["resampling"]],
                 **MARKS[row["particles"]],

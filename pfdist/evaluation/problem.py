@@ -22,6 +22,7 @@ from pfdist.filters.particle_filter import (
     filter_makes_arrays,
     libm_of_filter,
 )
+from pfdist.kernels.moments import FILTER_VARIANCE
 from pfdist.models import StateSpaceModel
 from pfdist.times.measurement_times import Times
 
@@ -95,7 +96,7 @@ class Problem:
     @property
     def cheapest_estimator(self) -> str:
         """The estimator whose draws differ least, of those that this problem allows."""
-        by = replace(_ANY, estimator="filter_variance")
+        by = replace(_ANY, estimator=FILTER_VARIANCE.name)
         try:
             self.check(by)
         except ModelError:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pfdist.filters.particle_filter import filter_streams
+from pfdist.kernels.moments import SQUARED_ERROR
 from pfdist.kernels.prefixes import plan
 from pfdist.times.measurement_times import Times
 
@@ -27,7 +28,7 @@ class Estimation:
 
     particles: int
     resampling: str = "multinomial"
-    estimator: str = "squared_error"
+    estimator: str = SQUARED_ERROR.name
 
     @property
     def steps_an_instant(self) -> int:

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from pfdist.filters.draws import Draws
 from pfdist.filters.particle_filter import Filtered, filter_streams
+from pfdist.kernels.moments import ESTIMATORS, SQUARED_ERROR
 from pfdist.models import StateSpaceModel
 from pfdist.times.measurement_times import Times
 
@@ -100,13 +101,13 @@ def two_filters(estimates: Array, variances: Array) -> Array:
 def _mse(filters: Sequence[Filtered], estimator: str) -> Array:
     """Estimate each draw's MSE, (D,); a draw that ended in one filter has ended."""
     mse: Array = np.sum([one.mse for one in filters], axis=0)
-    if estimator == "squared_error":
+    if estimator == SQUARED_ERROR.name:
         return mse
     means, variances = (
         np.array([getattr(one, name) for one in filters]) for name in ("estimate", "variance")
     )
     with np.errstate(all="ignore"):
-        two = estimator == "two_filters"
+        two = ESTIMATORS[estimator].filters == 2
         costs = two_filters(means, variances) if two else filter_variance(variances[0])
         mean = np.mean(costs, axis=1)
     return np.where(np.isnan(mse), np.nan, np.where(mean < np.inf, mean, np.inf))

@@ -21,7 +21,7 @@ from pfdist.filters.draws import Draws
 from pfdist.kernels.formulas import formulas_of
 from pfdist.kernels.fused_filter import fused_filter
 from pfdist.kernels.libm import libm_functions, makes_arrays
-from pfdist.kernels.moments import ESTIMATORS
+from pfdist.kernels.moments import ESTIMATORS, SQUARED_ERROR
 from pfdist.kernels.prefixes import plan
 from pfdist.kernels.resampling import RESAMPLE, SORTED
 from pfdist.kernels.scratch import WithScratch
@@ -98,7 +98,7 @@ def filter_draws(
         A formula cannot be compiled, or failed.
     """
     kept = np.full((2, *draws.z.shape) if trajectories else (2, 0, 0, 0), np.nan)
-    sets, by = [measurement_times], ESTIMATORS[0]
+    sets, by = [measurement_times], SQUARED_ERROR.name
     mse = _filter(model, draws, sets, particles, stream, resampling, dtype, by, kept)[:, 0]
     kept[np.isnan(kept)] = np.nan  # which NaN an operation gives depends on the processor
     return Filtered(mse, *kept) if trajectories else Filtered(mse)
@@ -113,7 +113,7 @@ def filter_sets(
     resampling: str = "multinomial",
     dtype: str = "float64",
     ends: Sequence[int] | None = None,
-    estimator: str = ESTIMATORS[0],
+    estimator: str = SQUARED_ERROR.name,
 ) -> NDArray[np.float64]:
     """Filter draws with several sets of measurement times, all under the same noise.
 
@@ -141,7 +141,7 @@ def filter_sets(
 
 def filter_streams(stream: int, estimator: str) -> list[int]:
     """Keys of the noise of each filter that an estimator takes; the first is the given one."""
-    return [stream, stream_key(stream, "second filter")][: 2 if estimator == "two_filters" else 1]
+    return [stream, stream_key(stream, "second filter")][: ESTIMATORS[estimator].filters]
 
 
 def _filter(
@@ -167,7 +167,7 @@ def _filter(
     with formulas_of(model.name, model.formulas | {"error": truth.error}):
         _compiled(model, truth, resampling, dtype)(
             streams, draws.index.start, draws.y, draws.z, tuple(planned), planned.clouds, particles,
-            ESTIMATORS.index(estimator), np.array(model.p), np.array(truth.p), mse, *moments,
+            list(ESTIMATORS).index(estimator), np.array(model.p), np.array(truth.p), mse, *moments,
         )  # fmt: skip
     return mse[:, place]
 
@@ -194,7 +194,7 @@ def check_filter(
     particles: int,
     resampling: str,
     dtype: str,
-    estimator: str = ESTIMATORS[0],
+    estimator: str = SQUARED_ERROR.name,
 ) -> None:
     """Raise an error if there is no such filter, or it does not fit the truth's draws.
 
@@ -218,7 +218,7 @@ def check_filter(
             f"resampling = {resampling!r} needs a model with a scalar state, got {model.name} with "
             f"{model.components[0]} components of x"
         )
-    if estimator != ESTIMATORS[0]:
+    if not ESTIMATORS[estimator].for_any_filter:
         _check_estimator(model, truth, estimator)
     if particles < 1:
         raise ValueError(f"particles must be at least 1, got {particles}")
@@ -226,15 +226,16 @@ def check_filter(
 
 def _check_estimator(model: StateSpaceModel, truth: StateSpaceModel, estimator: str) -> None:
     """Raise an error unless the particles' variance is what their mean errs by on average."""
+    allowed = SQUARED_ERROR.name
     if model != truth:
         raise ModelError(
             f"evaluation.estimator = {estimator!r} needs a filter that knows the truth, got one "
-            f"with another model or other parameters (model.filter); allowed: {ESTIMATORS[0]!r}"
+            f"with another model or other parameters (model.filter); allowed: {allowed!r}"
         )
     if truth.error is not squared_error:
         raise ModelError(
             f"evaluation.estimator = {estimator!r} needs an error that is the squared Euclidean "
-            f"norm, got model {truth.name}, which has one of its own; allowed: {ESTIMATORS[0]!r}"
+            f"norm, got model {truth.name}, which has one of its own; allowed: {allowed!r}"
         )
 
 

@@ -20,7 +20,9 @@ from pfdist.common.explained import explained
 from pfdist.common.parsing import parse_toml, read_text
 from pfdist.common.section import Section
 from pfdist.errors import JobError, MeasurementTimesError, shown, shown_text
+from pfdist.evaluation.engines import AUTO, ENGINES
 from pfdist.job.overrides import override
+from pfdist.kernels.moments import SQUARED_ERROR
 from pfdist.search.methods import DEFAULT_METHOD, METHODS, any_section
 from pfdist.search.section import Estimator, Resampling, SearchSection
 from pfdist.times.feasible import Feasible
@@ -34,8 +36,10 @@ _LONGEST_TEXT = 4096  # of a path
 _NO_SECTIONS: Mapping[str, Any] = {}
 if TYPE_CHECKING:
     Search = SearchSection
+    EngineName = str
 else:
     Search = any_section()
+    EngineName = Literal[(AUTO, *ENGINES)]
 
 
 def _has_no_nul(text: str) -> str:
@@ -71,7 +75,7 @@ class Filter(Section):
     particles: Annotated[int, Field(ge=1, le=10_000_000)] = 500
     resampling: Resampling = "multinomial"
     dtype: Literal["float64", "float32"] = "float64"
-    engine: Literal["auto", "compiled", "numpy", "kalman"] = "auto"
+    engine: EngineName = AUTO
 
 
 class EvaluationSection(Section):
@@ -80,7 +84,7 @@ class EvaluationSection(Section):
     draws: Annotated[int, Field(ge=2, le=10_000_000)] = 1000
     noise: Literal["fresh", "common"] = "fresh"
     degenerate_draws: Literal["kill", "leave_out"] = "kill"
-    estimator: Estimator = "squared_error"
+    estimator: Estimator = SQUARED_ERROR.name
 
 
 class Until(Section):

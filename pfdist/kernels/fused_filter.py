@@ -16,7 +16,7 @@ from pfdist.kernels.components import naming, reader, writer
 from pfdist.kernels.disk_cache import kept_on_disk
 from pfdist.kernels.formulas import formula
 from pfdist.kernels.melting import melted
-from pfdist.kernels.moments import SQUARED_ERROR, moments, recorders
+from pfdist.kernels.moments import SQUARED_ERROR_INDEX, moments, recorders
 from pfdist.kernels.noise import FILTER_INITIAL, FILTER_PROCESS, filler, padded
 from pfdist.kernels.resampling import RESAMPLE, SORTED, SPARE
 from pfdist.kernels.scratch import ALIKE, WEIGHED, WithScratch, aligned, filter_scratch
@@ -135,7 +135,7 @@ def _filter_draw(
     ):  # fmt: skip
         measured, begins, ends, sources, stops, slots = plan
         here, stop = np.int64(0), begins[s]
-        by_error = estimator == SQUARED_ERROR
+        by_error = estimator == SQUARED_ERROR_INDEX
         by_error_alone = by_error and estimate.size == 0
         error = begin(stream, draw, stop, sources[s], noise, particles, p, cloud, saved, before)
         while stop < ends[s] and error < np.inf:

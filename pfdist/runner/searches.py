@@ -6,13 +6,11 @@ from pfdist.errors import JobError
 from pfdist.evaluation.engines import KALMAN
 from pfdist.evaluation.work import Estimation
 from pfdist.job.job import Job
+from pfdist.kernels.moments import SQUARED_ERROR
 from pfdist.runner.memory import check_memory
 from pfdist.search import Budgets, SearchOptimiser
 from pfdist.search.methods import METHODS
 from pfdist.search.section import AUTO, EvaluationSettings, SearchSection
-
-SQUARED_ERROR = Estimation(1).estimator
-"""The estimator that is right for any filter."""
 
 _POLISH_DRAWS = 4096  # at most
 _RACE_DRAWS = 1000  # of the first round
@@ -141,9 +139,9 @@ def named_search(job: Job, section: SearchSection, cheapest: str) -> NamedSearch
         optimiser = Budgets(most, job.budget.least, **section.settings)
     search = _with_settings(job, section, section.name, optimiser, settings)
     by = settings.estimation
-    if by.estimator == SQUARED_ERROR or job.filter.engine == KALMAN.name:  # which is exact
+    if by.estimator == SQUARED_ERROR.name or job.filter.engine == KALMAN.name:  # which is exact
         return search
-    by = replace(by, estimator=SQUARED_ERROR, particles=job.filter.particles)
+    by = replace(by, estimator=SQUARED_ERROR.name, particles=job.filter.particles)
     settings = replace(settings, estimation=by)
     again = _with_settings(job, section, f"{section.name}.again", optimiser, settings)
     return replace(search, again=again)

@@ -1,17 +1,23 @@
 """A section [[search]] of a job file: a search method, its settings, and how it evaluates sets."""
 
-from typing import Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from pydantic import Field
 
 from pfdist.common.section import Section
+from pfdist.kernels.moments import ESTIMATORS
+from pfdist.kernels.resampling import RESAMPLE
 
 AUTO: Final = "auto"
 _FEWEST_PARTICLES, _SHARE = 100, 5  # of the filter that a search uses
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=40)]
-Resampling = Literal["multinomial", "stratified", "systematic", "residual", "sorted_systematic"]
-Estimator = Literal["squared_error", "filter_variance", "two_filters"]
+if TYPE_CHECKING:
+    Resampling = str
+    Estimator = str
+else:
+    Resampling = Literal[tuple(RESAMPLE)]
+    Estimator = Literal[tuple(ESTIMATORS)]
 
 Count = Annotated[int, Field(ge=1, lt=2**63)]
 Even = Annotated[int, Field(ge=2, lt=2**63, multiple_of=2)]

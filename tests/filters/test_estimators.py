@@ -33,7 +33,7 @@ INFINITE = replace(
 )
 SETS = [(0, 3, 7), (0, 3, 7, 11), (), (0, 4), (0, 3, 8), (12,), (0, 3, 7)]
 ENDS = [12, 12, 5, 12, 8, 12, 7]
-others = pytest.mark.parametrize("estimator", ESTIMATORS[1:])
+others = pytest.mark.parametrize("estimator", list(ESTIMATORS)[1:])
 Array = np.ndarray
 
 
@@ -167,7 +167,7 @@ REFUSED: list[tuple[Problem, dict[str, Any], str]] = [
         {"estimator": estimator},
         f"evaluation.estimator = '{estimator}' needs a filter that knows the truth, .*'squared_er",
     )
-    for estimator in ESTIMATORS[1:]
+    for estimator in list(ESTIMATORS)[1:]
     for engine in ("compiled", "numpy")
 ] + [
     (

@@ -7,9 +7,7 @@ import pytest
 
 from pfdist.errors import JobError
 from pfdist.evaluation.estimate import DEGENERATE_POLICIES
-from pfdist.filters.particle_filter import RESAMPLING
-from pfdist.job.job import EvaluationSection, Filter, job_toml, load_job
-from pfdist.kernels.moments import ESTIMATORS
+from pfdist.job.job import EvaluationSection, job_toml, load_job
 from pfdist.times.feasible import Feasible
 
 JOBS = Path(__file__).parents[2] / "jobs"
@@ -246,9 +244,7 @@ def test_identity_survives_being_written_as_toml(name, tmp_path):
 @pytest.mark.parametrize(
     ("section", "key", "names"),
     [
-        (Filter, "resampling", RESAMPLING),
         (EvaluationSection, "degenerate_draws", DEGENERATE_POLICIES),
-        (EvaluationSection, "estimator", ESTIMATORS),
     ],
 )
 def test_the_job_allows_what_the_program_has(section, key, names):

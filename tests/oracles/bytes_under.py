@@ -60,7 +60,7 @@ def _hashes(cases: Sequence[Case]) -> dict[str, str]:
         draws = simulate(model, _HORIZON, range(_DRAWS), 7)
         what = f"{name} {resampling} {dtype}"
         found[f"{name} simulation"] = _hash(draws.x, draws.y, draws.z)
-        for estimator in ESTIMATORS if model.error is squared_error else ESTIMATORS[:1]:
+        for estimator in ESTIMATORS if model.error is squared_error else list(ESTIMATORS)[:1]:
             mse = filter_sets(
                 model, draws, _SETS, _PARTICLES, 5, resampling, dtype, estimator=estimator
             )
