@@ -25,6 +25,7 @@ PROMISES = (
     "memory is flat",
     "old results stay readable",
 )
+QUICK = ("analysis", "common", "job", "search", "times")  # folders of tests
 SMALL_JOB = (Path(__file__).parent / "small.toml").read_text()
 
 
@@ -58,7 +59,11 @@ def ray_cluster() -> Iterator[None]:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Let `pytest -m crash` run the whole table, and so what is quick enough to run always."""
+    """Mark the quick tests; let `pytest -m crash` run the whole table of faults."""
+    quick = [ROOT / "tests" / folder for folder in QUICK]
+    for item in items:
+        if any(map(item.path.is_relative_to, quick)):
+            item.add_marker("quick")
     if config.option.markexpr == "crash":
         for item in items:
             if item.get_closest_marker("fault"):

@@ -51,7 +51,7 @@ class NamedByRun:
     def __call__(
         self, part: str, name: str, folder: Path, parameters: Mapping[str, float]
     ) -> ChosenModel:
-        """Choose the model of a part, "model" or "filter_model"; see `pfdist.meaning.chosen.choose`.
+        """Choose the model of a part, "model" or "filter_model", as `pfdist.meaning.chosen.choose`.
 
         Raises
         ------
