@@ -161,7 +161,10 @@ class Constraints:
         """Give the distance to the nearest of these times; if there are none, it is far enough."""
         place = bisect_left(times, time)
         beside = times[max(0, place - 1) : place + 1]
-        return min((abs(time - one) for one in beside), default=self.horizon + self.minimum_spacing)
+        return min(
+            (abs(time - neighbour) for neighbour in beside),
+            default=self.horizon + self.minimum_spacing,
+        )
 
     def room(self, times: Iterable[int]) -> int:
         """How many times may be together if these and the required ones, which may, are."""

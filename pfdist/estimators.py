@@ -99,11 +99,12 @@ def two_filters(estimates: Array, variances: Array) -> Array:
 
 def _mse(filters: Sequence[Filtered], estimator: str) -> Array:
     """Estimate each draw's MSE, (D,); a draw that ended in one filter has ended."""
-    mse: Array = np.sum([one.mse for one in filters], axis=0)
+    mse: Array = np.sum([filtered.mse for filtered in filters], axis=0)
     if estimator == "squared_error":
         return mse
     means, variances = (
-        np.array([getattr(one, name) for one in filters]) for name in ("estimate", "variance")
+        np.array([getattr(filtered, name) for filtered in filters])
+        for name in ("estimate", "variance")
     )
     with np.errstate(all="ignore"):
         two = estimator == "two_filters"

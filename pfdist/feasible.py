@@ -87,7 +87,11 @@ class Feasible(Constraints):
         if held is None:
             return []
         smaller = {out: tuple(time for time in times if time != out) for out in times}
-        return [one for out, one in smaller.items() if out not in held or self._held(one)]
+        return [
+            smaller_set
+            for out, smaller_set in smaller.items()
+            if out not in held or self._held(smaller_set)
+        ]
 
     def extensions(self, times: Times) -> Sequence[int]:
         """Give the times that may come next, so that one of them can come of it.

@@ -113,12 +113,12 @@ class Problem:
     @property
     def cheapest_estimator(self) -> str:
         """The estimator whose draws differ least, of those that this problem allows."""
-        by = replace(_ANY, estimator="filter_variance")
+        estimation = replace(_ANY, estimator="filter_variance")
         try:
-            self.check(by)
+            self.check(estimation)
         except ModelError:
             return _ANY.estimator
-        return by.estimator
+        return estimation.estimator
 
     def check(self, estimation: Estimation) -> None:
         """Raise an error if an error cannot be estimated so.
@@ -130,10 +130,14 @@ class Problem:
         ModelError
             The estimator or the resampling does not fit the model, or what the filter takes for it.
         """
-        by = estimation
         if not self.exact:
             check_filter(
-                self.believed, self.model, by.particles, by.resampling, self.dtype, by.estimator
+                self.believed,
+                self.model,
+                estimation.particles,
+                estimation.resampling,
+                self.dtype,
+                estimation.estimator,
             )
 
     def compile(self, estimation: Estimation) -> None:
@@ -163,9 +167,8 @@ class Problem:
 
     def makes_arrays(self, estimation: Estimation) -> bool:
         """Whether formulas, compiled before, make arrays for each particle."""
-        by = estimation.resampling, self.dtype
         return simulation_makes_arrays(self.model) or filter_makes_arrays(
-            self.believed, self.model, *by
+            self.believed, self.model, estimation.resampling, self.dtype
         )
 
     @property
@@ -181,25 +184,27 @@ class Problem:
         ModelError
             As of `check`, or a formula failed.
         """
-        engine, by = ENGINES[self.engine], work.estimation
-        self.check(by)
+        engine, estimation = ENGINES[self.engine], work.estimation
+        self.check(estimation)
         draws = engine.simulate(self.model, self.horizon, range(*work.draws), work.draws_stream)
         if work.trajectories:
             filtered = [
                 engine.filter_draws(
-                    self.believed, draws, times, by.particles, stream, by.resampling,
-                    trajectories=True, dtype=self.dtype,
+                    self.believed, draws, times, estimation.particles, stream,
+                    estimation.resampling, trajectories=True, dtype=self.dtype,
                 )
                 for times, stream in zip(work.measurement_times, work.filter_streams, strict=True)
             ]  # fmt: skip
-            mse, estimates = ([getattr(one, name) for one in filtered] for name in _TRAJECTORIES)
+            mse, estimates = (
+                [getattr(result, name) for result in filtered] for name in _TRAJECTORIES
+            )
             return Result(np.stack(mse, axis=1), draws.z, draws.y, np.stack(estimates))
         values = np.empty((len(draws.index), len(work.measurement_times)))
-        for stream, of in columns(work.filter_streams).items():
-            values[:, of] = engine.filter_sets(
-                self.believed, draws, [work.measurement_times[column] for column in of],
-                by.particles, stream, by.resampling, self.dtype,
-                [work.ends[column] for column in of], by.estimator,
+        for stream, same_noise in columns(work.filter_streams).items():
+            values[:, same_noise] = engine.filter_sets(
+                self.believed, draws, [work.measurement_times[column] for column in same_noise],
+                estimation.particles, stream, estimation.resampling, self.dtype,
+                [work.ends[column] for column in same_noise], estimation.estimator,
             )  # fmt: skip
         return Result(values)
 

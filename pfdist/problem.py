@@ -35,8 +35,8 @@ class ProblemSection(BaseModel):
                 f"problem.{info.field_name} must be a list of times and of ranges as "
                 f"'20-30', got {shown(value)}"
             )
-        for one in value or ():
-            _spelt(one, f"problem.{info.field_name}")
+        for entry in value or ():
+            _spelt(entry, f"problem.{info.field_name}")
         return None if value is None else tuple(value)
 
     @field_validator("cost", mode="before")
@@ -50,9 +50,9 @@ class ProblemSection(BaseModel):
                 "problem.cost must be a list of horizon + 1 numbers, or a section of ranges as "
                 f'"20-30" = 2, got {shown(value)}'
             )
-        for one in value.values() if isinstance(value, dict) else value or ():
-            if not isinstance(one, int) or isinstance(one, bool):
-                raise ValueError(f"problem.cost must be whole numbers, got {shown(one)}")
+        for cost in value.values() if isinstance(value, dict) else value or ():
+            if not isinstance(cost, int) or isinstance(cost, bool):
+                raise ValueError(f"problem.cost must be whole numbers, got {shown(cost)}")
         return tuple(value) if isinstance(value, list) else value
 
     @model_validator(mode="after")
@@ -80,23 +80,23 @@ class ProblemSection(BaseModel):
     def _cost_of_each(self) -> tuple[int, ...] | None:
         if not isinstance(self.cost, dict):
             return self.cost
-        of: dict[int, int] = {}
+        costs: dict[int, int] = {}
         for key, cost in self.cost.items():
             for time in _spelt(key, "problem.cost"):
-                if time in of or time > self.horizon:
-                    what = "twice" if time in of else f"of a horizon of {self.horizon}"
+                if time in costs or time > self.horizon:
+                    what = "twice" if time in costs else f"of a horizon of {self.horizon}"
                     raise MeasurementTimesError(
                         f"problem.cost must name every time in 0..{self.horizon} once, "
                         f"got {time} {what}"
                     )
-                of[time] = cost
-        lacking = [time for time in range(self.horizon + 1) if time not in of]
+                costs[time] = cost
+        lacking = [time for time in range(self.horizon + 1) if time not in costs]
         if lacking:
             raise MeasurementTimesError(
                 f"problem.cost must name every time in 0..{self.horizon} once, "
                 f"got none for {lacking[0]}"
             )
-        return tuple(of[time] for time in range(self.horizon + 1))
+        return tuple(costs[time] for time in range(self.horizon + 1))
 
 
 def _spelt(value: Any, key: str) -> range:
@@ -115,4 +115,4 @@ def _spelt(value: Any, key: str) -> range:
 
 
 def _union(spelt: Iterable[int | str]) -> Times:
-    return tuple(sorted({time for one in spelt for time in _spelt(one, "problem")}))
+    return tuple(sorted({time for entry in spelt for time in _spelt(entry, "problem")}))

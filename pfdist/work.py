@@ -79,7 +79,7 @@ class Work:
 def columns(streams: Sequence[int]) -> dict[int, list[int]]:
     """Give the places of the sets that have each stream."""
     return {
-        stream: [column for column, its in enumerate(streams) if its == stream]
+        stream: [column for column, stream_here in enumerate(streams) if stream_here == stream]
         for stream in dict.fromkeys(streams)
     }
 
@@ -90,9 +90,9 @@ def _instants(sets: tuple[Times, ...], ends: tuple[int, ...], streams: tuple[int
     if len(sets) == 1:
         return ends[0] + 1
     total = 0
-    for of in columns(streams).values():
-        stops = tuple(ends[column] + 1 for column in of)
-        planned, _ = plan(tuple(sets[column] for column in of), max(stops), stops)
+    for same_noise in columns(streams).values():
+        stops = tuple(ends[column] + 1 for column in same_noise)
+        planned, _ = plan(tuple(sets[column] for column in same_noise), max(stops), stops)
         total += int(np.sum(planned.ends - planned.begins))
     return total
 

@@ -70,21 +70,21 @@ def _worse(table: pd.DataFrame, blocks: Iterable[Any]) -> dict[str, int]:
     intervals together are to hold with 95 % (Bonferroni).
     """
     than, apart = {}, defaultdict[str, Moments](Moments)
-    for _, its in table.groupby("kind"):
-        for one, of in zip(its["name"], its["measurements"], strict=True):
-            fewer = its[its["measurements"] < of].dropna(subset="expected_mse")
+    for _, sets in table.groupby("kind"):
+        for name, measurements in zip(sets["name"], sets["measurements"], strict=True):
+            fewer = sets[sets["measurements"] < measurements].dropna(subset="expected_mse")
             if len(fewer):
-                than[one] = fewer.loc[fewer["expected_mse"].idxmin()]
-    pairs = sum(math.comb(len(its), 2) for _, its in table.groupby("kind"))
+                than[name] = fewer.loc[fewer["expected_mse"].idxmin()]
+    pairs = sum(math.comb(len(sets), 2) for _, sets in table.groupby("kind"))
     for rows in blocks:
-        for one, best in than.items():
-            difference = rows[f"mse_{one}"].to_numpy() - rows[f"mse_{best['name']}"].to_numpy()
-            apart[one].add(difference[~np.isnan(difference)])
+        for name, best in than.items():
+            difference = rows[f"mse_{name}"].to_numpy() - rows[f"mse_{best['name']}"].to_numpy()
+            apart[name].add(difference[~np.isnan(difference)])
     confidence = 1 - (1 - CONFIDENCE) / max(1, pairs)
     return {
-        one: int(best["measurements"])
-        for one, best in than.items()
-        if apart[one].interval_of(confidence)[0] > 0
+        name: int(best["measurements"])
+        for name, best in than.items()
+        if apart[name].interval_of(confidence)[0] > 0
     }
 
 
@@ -104,17 +104,17 @@ def reaching(table: pd.DataFrame, target: float) -> dict[str, dict[str, Any]]:
     """
     answer = {}
     for kind in (REGULAR, FOUND):
-        its = table[table["kind"] == kind].set_index("measurements")
+        rows = table[table["kind"] == kind].set_index("measurements")
         # The least of many numbers is sure where the intervals of all hold (Bonferroni).
-        quantile = stats.t.isf((1 - CONFIDENCE) / 2 / len(its), its["draws"] - 1)
-        half = quantile * its["standard_error"]
-        low, high = its["expected_mse"] - half, its["expected_mse"] + half
-        least = _least(its["expected_mse"], target)
-        above = its.index[(low > target) & (its.index > (least or np.inf))]
+        quantile = stats.t.isf((1 - CONFIDENCE) / 2 / len(rows), rows["draws"] - 1)
+        half = quantile * rows["standard_error"]
+        low, high = rows["expected_mse"] - half, rows["expected_mse"] + half
+        least = _least(rows["expected_mse"], target)
+        above = rows.index[(low > target) & (rows.index > (least or np.inf))]
         answer[kind] = {
             "measurements": least,
             "interval": [_least(low, target), _least(high, target)],
-            "measurement_times": None if least is None else its.loc[least, "measurement_times"],
+            "measurement_times": None if least is None else rows.loc[least, "measurement_times"],
             "larger_that_do_not": [int(number) for number in above],
         }
     return answer

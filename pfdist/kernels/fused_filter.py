@@ -144,7 +144,7 @@ def _filter_draw(
                 if t > 0:
                     propagate(stream, draw, t - 1, noise, particles, p, cloud, here)
                     here = 1 - here
-                by, total = ALIKE, float(particles)
+                weighing, total = ALIKE, float(particles)
                 if measured[s, t]:
                     explain(cloud, here, particles, y, d, t, p, log_weight)
                     weigh(log_weight, weight, WEIGHED)
@@ -152,12 +152,15 @@ def _filter_draw(
                         cloud, here, particles, weight, WEIGHED, log_weight,
                         counts, points, shares, ancestor,
                     )  # fmt: skip
-                    by, total = WEIGHED, cumulate(weight, WEIGHED, log_weight.size, cumulative)
+                    weighing, total = (
+                        WEIGHED,
+                        cumulate(weight, WEIGHED, log_weight.size, cumulative),
+                    )
                 if total == 0.0:
                     return _ended(before, slots, s, t, np.nan)  # degenerate
-                mean = average(cloud, here, t, p, weight, by, total, terms)
+                mean = average(cloud, here, t, p, weight, weighing, total, terms)
                 if not by_error_alone:
-                    variances = spread(cloud, here, t, p, weight, by, total, mean, terms)
+                    variances = spread(cloud, here, t, p, weight, weighing, total, mean, terms)
                     record(estimate, variance, d, t, mean, variances)
                     error += cost_of(estimator, k, others, s, t, mean, variances, truth)
                 error += error_of(read_z(z, d, t), mean, t, truth) if by_error else 0.0
@@ -255,11 +258,11 @@ def _mean(error, instants, before, slots, s, stop):
 
 
 @melted
-def _copy(clouds, one, others, other):
+def _copy(clouds, source, others, target):
     """Copy a cloud from one array of them to another."""
     for component in range(clouds.shape[1]):
         for i in range(clouds.shape[2]):
-            others[other, component, i] = clouds[one, component, i]
+            others[target, component, i] = clouds[source, component, i]
 
 
 @melted

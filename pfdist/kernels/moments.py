@@ -71,8 +71,8 @@ def recorders(error: Callable[..., Any], quantities: int) -> tuple[Callable[...,
     @melted
     def cost_of(estimator, k, others, s, t, mean, variances, truth):
         total = 0.0
-        for one in variances:
-            total += one
+        for variance in variances:
+            total += variance
         if others.size > 0:
             total *= 0.5
             total += error_of(read_other(others, s, t), mean, t, truth) if k > 0 else 0.0

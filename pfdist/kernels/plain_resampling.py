@@ -32,7 +32,7 @@ def plain_ancestors(
     ancestors = _PLAIN[scheme]
     if isinstance(draw, int):
         return ancestors(weight, stream, draw, t)
-    rows = [ancestors(row, stream, one, t) for row, one in zip(weight, draw, strict=True)]
+    rows = [ancestors(row, stream, index, t) for row, index in zip(weight, draw, strict=True)]
     return np.array(rows, np.intp).reshape(weight.shape)
 
 

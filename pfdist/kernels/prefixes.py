@@ -72,7 +72,7 @@ def plan(
     wanted = [instants] * len(sets) if ends is None else list(ends)
     # Of sets that differ in their ends alone, the longest first: the others end on its way.
     order = sorted(set(zip(sets, wanted, strict=True)), key=_word)
-    place = {one: position for position, one in enumerate(order)}
+    place = {key: position for position, key in enumerate(order)}
     measured = np.zeros((len(order), instants), np.bool_)
     for row, (times, _) in zip(measured, order, strict=True):
         row[list(times)] = True
@@ -80,12 +80,12 @@ def plan(
     begins, givers = _shared(measured, ends_)
     stops, slots, sources = _kept(begins, givers, ends_, instants)
     found = Plan(measured, begins, ends_, sources, stops, slots)
-    return found, np.array([place[one] for one in zip(sets, wanted, strict=True)])
+    return found, np.array([place[key] for key in zip(sets, wanted, strict=True)])
 
 
-def _word(one: tuple[tuple[int, ...], int]) -> tuple[tuple[int, ...], int]:
+def _word(key: tuple[tuple[int, ...], int]) -> tuple[tuple[int, ...], int]:
     """Sort sets as a dictionary sorts their rows of zeros and ones."""
-    times, end = one
+    times, end = key
     return tuple(-time for time in times), -end
 
 
@@ -94,15 +94,15 @@ def _shared(
 ) -> tuple[NDArray[np.int64], list[int]]:
     """From which instant on each set is new, and which one before it came there first."""
     begins, givers = np.zeros(len(ends), np.int64), [-1] * len(ends)
-    for one in range(1, len(ends)):
-        differ = measured[:one] != measured[one]
+    for index in range(1, len(ends)):
+        differ = measured[:index] != measured[index]
         alike = np.where(differ.any(axis=1), differ.argmax(axis=1), measured.shape[1])
-        upto = np.minimum(np.minimum(alike, ends[:one]), ends[one])
+        upto = np.minimum(np.minimum(alike, ends[:index]), ends[index])
         giver = int(np.flatnonzero(upto == upto.max())[-1])
-        begins[one] = upto[giver]
-        while begins[giver] > begins[one]:  # it did not come there itself
+        begins[index] = upto[giver]
+        while begins[giver] > begins[index]:  # it did not come there itself
             giver = givers[giver]
-        givers[one] = giver
+        givers[index] = giver
     return begins, givers
 
 
@@ -112,20 +112,20 @@ def _kept(
     """What each set keeps, where, and which each goes on from; places are used again."""
     last_use: dict[tuple[int, int], int] = {}
     origins: list[tuple[int, int]] = []
-    for one, (giver, begin) in enumerate(zip(givers, begins.tolist(), strict=True)):
+    for index, (giver, begin) in enumerate(zip(givers, begins.tolist(), strict=True)):
         as_its_giver = begin > 0 and begins[giver] == begin
         origins.append(origins[giver] if as_its_giver else (giver, begin))
         if begin > 0:
-            last_use[origins[one]] = one
+            last_use[origins[index]] = index
     stops = np.repeat(ends[:, None], instants + 1, axis=1)
     slots, sources = np.full_like(stops, -1), np.zeros_like(ends)
     held: dict[tuple[int, int], int] = {}
-    for one in range(len(ends)):
-        if begins[one] > 0:
-            sources[one] = held[origins[one]]
-        held = {what: slot for what, slot in held.items() if last_use[what] > one}
-        for what in sorted((what for what in last_use if what[0] == one), reverse=True):
+    for index in range(len(ends)):
+        if begins[index] > 0:
+            sources[index] = held[origins[index]]
+        held = {what: slot for what, slot in held.items() if last_use[what] > index}
+        for what in sorted((what for what in last_use if what[0] == index), reverse=True):
             held[what] = min(set(range(len(held) + 1)) - set(held.values()))
-            stops[one, : what[1]] = what[1]
-            slots[one, what[1]] = held[what]
+            stops[index, : what[1]] = what[1]
+            slots[index, what[1]] = held[what]
     return stops, slots, sources

@@ -28,11 +28,11 @@ def plot_budget(axes: Axes, table: pd.DataFrame, target: float | None = None) ->
         Where a line is drawn; the least N that reaches it is marked.
     """
     for kind, style in _STYLES.items():
-        its = table[table["kind"] == kind]
-        mean = its["expected_mse"].to_numpy()
-        errors = np.array([mean - its["low"], its["high"] - mean])
+        rows = table[table["kind"] == kind]
+        mean = rows["expected_mse"].to_numpy()
+        errors = np.array([mean - rows["low"], rows["high"] - mean])
         axes.errorbar(
-            its["measurements"], mean, errors, lw=0.8, ms=2.4, mew=0.6, elinewidth=0.6,
+            rows["measurements"], mean, errors, lw=0.8, ms=2.4, mew=0.6, elinewidth=0.6,
             label=f"{kind} times", **style,
         )  # fmt: skip
     axes.set_xlabel("number of measurements $N$")

@@ -149,11 +149,11 @@ class _Known:
         draws = rows["draw"].to_numpy()
         values = np.stack([rows[name].to_numpy() for name in rows.column_names[1:]], axis=1)
         for number in np.unique(draws // BLOCK).tolist():
-            its = draws // BLOCK == number
+            in_block = draws // BLOCK == number
             if number not in self._waiting:
                 size = min(BLOCK, self._draws - number * BLOCK)
                 self._waiting[number] = _Block(size, values.shape[1])
-            self._waiting[number].take(draws[its] - number * BLOCK, values[its])
+            self._waiting[number].take(draws[in_block] - number * BLOCK, values[in_block])
         while not self.enough and (following := self._next()) is not None:
             self._statistics.add(following)
             if self._half_width and self._statistics.half_width() <= self._half_width:

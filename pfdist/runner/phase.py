@@ -168,7 +168,11 @@ def run_phase(
 
 def _whole_costs(evaluations: Iterable[Evaluation]) -> list[float]:
     """Costs of whole sets: that of a prefix is of a part of the horizon."""
-    return [one.cost for one in evaluations if one.end is None and np.isfinite(one.cost)]
+    return [
+        evaluation.cost
+        for evaluation in evaluations
+        if evaluation.end is None and np.isfinite(evaluation.cost)
+    ]
 
 
 def _evaluate(

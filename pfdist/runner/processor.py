@@ -65,5 +65,5 @@ def what_may_differ(built: Built) -> str:
     return ""
 
 
-def _told(of: dict[str, str]) -> str:
-    return f"{of['model']} ({of['compiled_for']})"
+def _told(processor: dict[str, str]) -> str:
+    return f"{processor['model']} ({processor['compiled_for']})"

@@ -106,7 +106,7 @@ class _Runner:
         """Give what a phase ended with, without the sets that degenerate draws have killed."""
         found = run_phase(phase, self.collector, self.progress, self.report)
         self.progress = replace(self.progress, done=self.progress.done + phase.steps())
-        return [one for one in found if np.isfinite(one.cost)]
+        return [evaluation for evaluation in found if np.isfinite(evaluation.cost)]
 
     def attempt(self, search: NamedSearch) -> _Attempt:
         """Search, and polish what was found."""
@@ -121,7 +121,9 @@ class _Runner:
     def distrust(self, search: NamedSearch, attempt: _Attempt) -> str | None:
         """Say on which probe the estimator of a search failed, if on any."""
         led = [*attempt.leaders, *(attempt.found if self.built.numbers else ())]
-        sought = dict.fromkeys(Candidate(one.measurement_times, one.end) for one in led)
+        sought = dict.fromkeys(
+            Candidate(evaluation.measurement_times, evaluation.end) for evaluation in led
+        )
         phase = _probing(self.built, search, tuple(sought))
         probe = run_phase(phase, self.collector, self.progress, self.report)
         self.progress = replace(self.progress, done=self.progress.done + phase.steps())
@@ -148,7 +150,11 @@ class _Runner:
                 self.built.named(name, number): Winner(times, believed[times])
                 for number, times in sorted((len(times), times) for times in believed)
             }
-        sets = [one.measurement_times for one in raced] if len(believed) > 1 else list(believed)
+        sets = (
+            [evaluation.measurement_times for evaluation in raced]
+            if len(believed) > 1
+            else list(believed)
+        )
         return {name: Winner(sets[0], believed[sets[0]])} if sets else {}
 
 

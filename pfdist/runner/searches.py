@@ -166,11 +166,11 @@ def named_search(job: Job, section: Search, cheapest: str) -> NamedSearch:
         most = job.feasible(job.budget.most)
         optimiser = Budgets(most, job.budget.least, **section.settings)
     search = _with_settings(job, section, section.name, optimiser, settings)
-    by = settings.estimation
-    if by.estimator == SQUARED_ERROR or job.filter.engine == "kalman":  # which is exact
+    estimation = settings.estimation
+    if estimation.estimator == SQUARED_ERROR or job.filter.engine == "kalman":  # which is exact
         return search
-    by = replace(by, estimator=SQUARED_ERROR, particles=job.filter.particles)
-    settings = replace(settings, estimation=by)
+    estimation = replace(estimation, estimator=SQUARED_ERROR, particles=job.filter.particles)
+    settings = replace(settings, estimation=estimation)
     again = _with_settings(job, section, f"{section.name}.again", optimiser, settings)
     return replace(search, again=again)
 

@@ -99,8 +99,8 @@ class Annealing:
         """Cool down; at first, start from the best of the random sets."""
         best = best_of([*state.best, *evaluations])
         if not state.chains:
-            order = sorted(evaluations, key=lambda one: one.cost)
-            chains = tuple((one, one) for one in order[: self.chains])
+            order = sorted(evaluations, key=lambda evaluation: evaluation.cost)
+            chains = tuple((evaluation, evaluation) for evaluation in order[: self.chains])
             return AnnealingState(first_temperature(evaluations), 0, chains, best)
         chains = tuple(zip(evaluations[::2], evaluations[1::2], strict=True))
         cooler = state.temperature * self.coldest ** (1 / max(1, self.steps - 1))
@@ -131,11 +131,11 @@ def first_temperature(evaluations: Sequence[SearchEvaluation]) -> float:
 
     If each of the N times of a set had its own share in the cost, this would be a share's.
     """
-    alive = [one for one in evaluations if math.isfinite(one.cost)]
+    alive = [evaluation for evaluation in evaluations if math.isfinite(evaluation.cost)]
     if not alive:
         return 0.0
-    times = np.mean([max(1, len(one.measurement_times)) for one in alive])
-    return float(np.std([one.cost for one in alive]) / np.sqrt(times))
+    times = np.mean([max(1, len(evaluation.measurement_times)) for evaluation in alive])
+    return float(np.std([evaluation.cost for evaluation in alive]) / np.sqrt(times))
 
 
 def accepted(rise: float, temperature: float, rng: np.random.Generator) -> bool:

@@ -42,8 +42,8 @@ E = TypeVar("E", bound=Evaluation)
 
 def best_of(evaluations: Iterable[E]) -> tuple[E, ...]:
     """Give the best different sets, the best first, as many as are tried on fresh draws."""
-    each = {one.measurement_times: one for one in evaluations}
-    return tuple(sorted(each.values(), key=lambda one: one.cost)[:FINALISTS])
+    each = {evaluation.measurement_times: evaluation for evaluation in evaluations}
+    return tuple(sorted(each.values(), key=lambda evaluation: evaluation.cost)[:FINALISTS])
 
 
 class Optimiser(Protocol[E]):

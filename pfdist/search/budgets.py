@@ -103,12 +103,14 @@ class Budgets:
 
     def tell(self, state: BudgetState, evaluations: Sequence[SearchEvaluation]) -> BudgetState:
         """Let the best of each state survive; at the end, widen limits that were in the way."""
-        best = {len(one.measurement_times): one for one in state.whole}
-        for one in evaluations:
-            number = len(one.measurement_times)
-            if one.end is None and (number not in best or one.cost < best[number].cost):
-                best[number] = one
-        prefixes = [one for one in evaluations if one.end is not None]
+        best = {len(evaluation.measurement_times): evaluation for evaluation in state.whole}
+        for evaluation in evaluations:
+            number = len(evaluation.measurement_times)
+            if evaluation.end is None and (
+                number not in best or evaluation.cost < best[number].cost
+            ):
+                best[number] = evaluation
+        prefixes = [evaluation for evaluation in evaluations if evaluation.end is not None]
         front = surviving(prefixes, self.survivors, self.by_previous)
         state = replace(
             state, front=tuple(front), whole=tuple(best[number] for number in sorted(best))
@@ -121,7 +123,7 @@ class Budgets:
 
     def finalists(self, state: BudgetState) -> tuple[SearchEvaluation, ...]:
         """Give the best set of each N, the best of all first."""
-        return tuple(sorted(state.whole, key=lambda one: one.cost))
+        return tuple(sorted(state.whole, key=lambda evaluation: evaluation.cost))
 
     @cached_property
     def _of(self) -> dict[int, Feasible]:
@@ -148,8 +150,8 @@ class Budgets:
         waiting = sum(time > (times[-1] if times else -1) for time in self.feasible.required)
         # One of those required, or another time before them.
         totals = {max(self.least, len(times) + waiting + more) for more in (0, 1)}
-        of = [self._of[total] for total in totals if total <= self.most]
-        return sorted({time for feasible in of for time in feasible.extensions(times)})
+        sets = [self._of[total] for total in totals if total <= self.most]
+        return sorted({time for feasible in sets for time in feasible.extensions(times)})
 
     def _closed(self, state: BudgetState) -> list[Times]:
         """The survivors that are whole sets, and do not end too early."""
@@ -173,14 +175,15 @@ class Budgets:
     def _corridor(self, state: BudgetState, number: int) -> tuple[int, int]:
         """First and last place of a measurement by its number, counted from 1."""
         narrow, wide = (
-            len(self.feasible.allowed) / of for of in (self.most, max(number, self.least))
+            len(self.feasible.allowed) / measurements
+            for measurements in (self.most, max(number, self.least))
         )
         half, off = number - 0.5, PLACES * state.wider
         first = half * narrow - 0.5 - max(2.0, off * narrow)
         return math.floor(first), math.ceil(half * wide - 0.5 + max(2.0, off * wide))
 
     def _ended(self, state: BudgetState) -> BudgetState:
-        best = tuple(one.measurement_times for one in state.whole)
+        best = tuple(evaluation.measurement_times for evaluation in state.whole)
         lacking = len(best) <= self.most - self.least
         leaning = any(self._leans(state, times) for times in {*best} - {*state.before})
         unlimited = PLACES * state.wider >= self.most  # as far as all of them are apart

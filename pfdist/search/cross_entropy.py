@@ -90,7 +90,7 @@ class CrossEntropy:
         self, state: CrossEntropyState, evaluations: Sequence[SearchEvaluation]
     ) -> CrossEntropyState:
         """Learn from the elite."""
-        order = sorted(evaluations, key=lambda one: one.cost)
+        order = sorted(evaluations, key=lambda evaluation: evaluation.cost)
         elite = order[: max(1, math.ceil(self.elite * len(order)))]
         before = state.probabilities or self._shares(order)
         after = (1 - self.smoothing) * np.array(before) + self.smoothing * self._shares(elite)
@@ -142,7 +142,7 @@ def _one_by_one(
 ) -> Times:
     times: Times = ()
     while larger := feasible.additions(times):
-        new = [next(iter({*one} - {*times})) for one in larger]
+        new = [next(iter({*longer} - {*times})) for longer in larger]
         weights = probabilities[new] + np.finfo(float).tiny
         times = larger[rng.choice(len(larger), p=weights / weights.sum())]
     return times

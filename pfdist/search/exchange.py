@@ -99,7 +99,7 @@ class Exchange:
     def tell(self, state: ExchangeState, evaluations: Sequence[SearchEvaluation]) -> ExchangeState:
         """Move to the best neighbour if it is better; else drop those that are worse."""
         best, *others = evaluations
-        order = sorted(others, key=lambda one: one.cost)
+        order = sorted(others, key=lambda evaluation: evaluation.cost)
         last = state.draws == self.draws
         if order and len(state.left) < self.moves:
             leader = order[0].measurement_times
@@ -109,9 +109,11 @@ class Exchange:
                 return replace(self._around(leader), left=(*state.left, state.best))
         if last:
             return replace(state, evaluations=best_of(evaluations))
-        least = min(evaluations, key=lambda one: one.cost)
-        near = [one for one in order if not difference(one, least).is_worse(_WORSE)]
-        names = tuple(one.measurement_times for one in near)
+        least = min(evaluations, key=lambda evaluation: evaluation.cost)
+        near = [
+            evaluation for evaluation in order if not difference(evaluation, least).is_worse(_WORSE)
+        ]
+        names = tuple(evaluation.measurement_times for evaluation in near)
         return replace(state, neighbours=names, draws=min(self.draws, 2 * state.draws))
 
     def done(self, state: ExchangeState) -> bool:

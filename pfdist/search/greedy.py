@@ -54,12 +54,16 @@ class _Greedy:
         if not self.feasible.counted:
             before = steps.pop().cost
 
-        def worth(one: SearchEvaluation) -> float:
-            price = self.feasible.spent({*state.chosen} ^ {*one.measurement_times})
-            return (one.cost - before) / max(1, price)
+        def worth(evaluation: SearchEvaluation) -> float:
+            price = self.feasible.spent({*state.chosen} ^ {*evaluation.measurement_times})
+            return (evaluation.cost - before) / max(1, price)
 
         best = min(steps, key=worth)
-        allowed = [one for one in steps if self.feasible.accepts(one.measurement_times)]
+        allowed = [
+            evaluation
+            for evaluation in steps
+            if self.feasible.accepts(evaluation.measurement_times)
+        ]
         return GreedyState(best.measurement_times, best_of(allowed))
 
     def finalists(self, state: GreedyState) -> tuple[SearchEvaluation, ...]:

@@ -28,18 +28,18 @@ class Difference(NamedTuple):
         return self.mean < -errors * self.standard_error
 
 
-def difference(one: Evaluation, other: Evaluation) -> Difference:
+def difference(first: Evaluation, second: Evaluation) -> Difference:
     """Estimate the cost of one set less that of another, on the draws that both have.
 
     What is common to both sets in a draw cancels, and with it most of the variance.
     """
-    if not (math.isfinite(one.cost) and math.isfinite(other.cost)):
-        mean = 0.0 if one.cost == other.cost else one.cost - other.cost
+    if not (math.isfinite(first.cost) and math.isfinite(second.cost)):
+        mean = 0.0 if first.cost == second.cost else first.cost - second.cost
         return Difference(mean, 0.0)
-    if one.exact is not None and other.exact is not None:
-        return Difference(one.exact - other.exact, 0.0)
-    draws = min(one.draws, other.draws)
-    apart = one.mse[:draws] - other.mse[:draws]
+    if first.exact is not None and second.exact is not None:
+        return Difference(first.exact - second.exact, 0.0)
+    draws = min(first.draws, second.draws)
+    apart = first.mse[:draws] - second.mse[:draws]
     apart = apart[~np.isnan(apart)]
     if apart.size < 2:
         return Difference(0.0, math.inf)

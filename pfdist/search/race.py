@@ -80,9 +80,17 @@ class Race:
     def tell(self, state: RaceState, evaluations: Sequence[ShortlistEvaluation]) -> RaceState:
         """Let the leader and those near it run on."""
         order = sorted(evaluations, key=lambda evaluation: evaluation.cost)
-        near = [one for one in order if not difference(one, order[0]).is_worse(_WORSE)]
-        running = [one.measurement_times for one in near[: (len(order) + 1) // 2]]
-        fell = tuple(one for one in state.evaluations if one.measurement_times not in state.running)
+        near = [
+            evaluation
+            for evaluation in order
+            if not difference(evaluation, order[0]).is_worse(_WORSE)
+        ]
+        running = [evaluation.measurement_times for evaluation in near[: (len(order) + 1) // 2]]
+        fell = tuple(
+            evaluation
+            for evaluation in state.evaluations
+            if evaluation.measurement_times not in state.running
+        )
         return RaceState(tuple(running), 2 * state.draws, tuple(order), (*fell, *state.out))
 
     def done(self, state: RaceState) -> bool:

@@ -144,12 +144,12 @@ class Survivors:
 
     def _advanced(self, state: SurvivorState) -> SurvivorState:
         """Let those survive of what has cost least; the others go on waiting."""
-        spent = [self.feasible.spent(one.measurement_times) for one in state.waiting]
+        spent = [self.feasible.spent(evaluation.measurement_times) for evaluation in state.waiting]
         least = min(spent)
         reached: list[SearchEvaluation] = []
         waiting: list[SearchEvaluation] = []
-        for one, its in zip(state.waiting, spent, strict=True):
-            (reached if its == least else waiting).append(one)
+        for evaluation, spent_so_far in zip(state.waiting, spent, strict=True):
+            (reached if spent_so_far == least else waiting).append(evaluation)
         survivors = surviving(reached, self.survivors, self.by_previous)
         ended = {times for times in survivors if self.feasible.accepts(times)}
         return replace(
@@ -207,10 +207,10 @@ def surviving(
         Whether a state is the last two measured times, or the last alone.
     """
     reached: dict[Times, list[SearchEvaluation]] = defaultdict(list)
-    for one in prefixes:
-        reached[one.measurement_times[-2 if by_previous else -1 :]].append(one)
+    for prefix in prefixes:
+        reached[prefix.measurement_times[-2 if by_previous else -1 :]].append(prefix)
     return [
-        one.measurement_times
+        prefix.measurement_times
         for _, candidates in sorted(reached.items())
-        for one in sorted(candidates, key=lambda one: one.cost)[:survivors]
+        for prefix in sorted(candidates, key=lambda prefix: prefix.cost)[:survivors]
     ]
