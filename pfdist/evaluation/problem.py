@@ -150,9 +150,8 @@ class Problem:
 
     def makes_arrays(self, estimation: Estimation) -> bool:
         """Whether formulas, compiled before, make arrays for each particle."""
-        by = estimation.resampling, self.dtype
         return simulation_makes_arrays(self.model) or filter_makes_arrays(
-            self.believed, self.model, *by
+            self.believed, self.model, estimation.resampling, self.dtype
         )
 
     @property

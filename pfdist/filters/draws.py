@@ -134,8 +134,8 @@ def not_finite(
             function(*arguments)
     except FloatingPointError as error:
         cause = f": {error}{place_of(error)}"
-    except Exception:  # noqa: S110  that it is not finite is what is told
-        pass
+    except Exception as error:  # the formula did not fail before: warnings are errors here
+        cause = f": {type(error).__name__}{place_of(error)}"
     return (
         f"model {model.name}: a simulation must stay finite, got {got} at t = {t} from {formula}"
         f"{cause}"

@@ -151,14 +151,11 @@ def formulas_of(model: str, formulas: Mapping[str, Callable[..., Any]]) -> Itera
         raise
     except BaseException as error:  # a formula may raise whatever it likes
         name, instant = _formula_at_fault(error, formulas)
-        cause, place = _cause_of(error)
-        if is_interrupt(cause) or not (isinstance(error, Exception) or place):
+        message, ending = _message_and_ending(error)
+        if not message:
             raise
-        message = told(cause)
         at = f" at t = {instant}" if instant is not None and " at t = " not in message else ""
-        raise ModelError(
-            f"model {model}: {name} failed: {message}{at}{remedy(cause)}{place}"
-        ) from error
+        raise ModelError(f"model {model}: {name} failed: {message}{at}{ending}") from error
 
 
 def _formula_at_fault(
@@ -172,6 +169,18 @@ def _formula_at_fault(
         if name in formulas:
             return name, instant if instant is not None else frame.f_locals.get("t")
     return "a formula", instant
+
+
+def _message_and_ending(error: BaseException) -> tuple[str, str]:
+    """What a formula raised; what to write instead, and where. Empty if no formula raised it.
+
+    Only text is returned: a local variable that holds the error would keep the filter's arrays
+    alive, by way of the error's traceback.
+    """
+    cause, place = _cause_of(error)
+    if is_interrupt(cause) or not (isinstance(error, Exception) or place):
+        return "", ""
+    return told(cause), f"{remedy(cause)}{place}"
 
 
 def _cause_of(error: BaseException) -> tuple[BaseException, str]:

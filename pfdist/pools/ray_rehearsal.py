@@ -47,8 +47,7 @@ def rehearse(address: str) -> bool:
     with subprocess.Popen(  # noqa: S603  this file
         python_command(__name__, address), stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
     ) as trial:
-        assert trial.stdout is not None  # noqa: S101  for mypy
-        answer = trial.stdout.readline()
+        answer, _ = trial.communicate()
     if not answer:
         raise PoolError(
             f"no answer from a Ray cluster in {ANSWER_SECONDS} s; it may want another token "
@@ -143,18 +142,19 @@ def _is_loopback_alone(ray: Any, address: str) -> bool:
 
     Ray takes the latter for the former, unless it is told to stay on loopback.
     """
-    refusal: PoolError | None = None
+    places = []
     for loopback in (False, True):
         with only_loopback(ray, loopback):
-            place = ray._private.services.canonicalize_bootstrap_address(address)
+            places.append(ray._private.services.canonicalize_bootstrap_address(address))
+    try:
+        reach(places[0])
+    except PoolError as error:
         try:
-            reach(place)
-        except PoolError as error:
-            refusal = refusal or error
-        else:
-            return loopback
-    assert refusal is not None  # noqa: S101  for mypy
-    raise refusal
+            reach(places[1])
+        except PoolError:
+            raise error from None
+        return True
+    return False
 
 
 @contextlib.contextmanager

@@ -102,7 +102,14 @@ SURVIVORS = [
 
 
 @pytest.mark.parametrize(
-    ("changes", "stop_after"), [([], 3), ([], 25), ([], 40), (SURVIVORS, 250), (SURVIVORS, 330)]
+    ("changes", "stop_after"),
+    [
+        ([], 3),
+        ([], 25),
+        ([], 40),
+        pytest.param(SURVIVORS, 250, marks=pytest.mark.crash),
+        pytest.param(SURVIVORS, 330, marks=pytest.mark.crash),
+    ],
 )
 def test_a_run_that_failed_goes_on_with_what_is_committed_and_ends_with_the_same_bytes(
     changes: list[str],
