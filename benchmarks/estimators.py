@@ -18,7 +18,7 @@ from benchmarks.results import Tables, markdown
 from pfdist import load_model
 from pfdist.filters.draws import simulate
 from pfdist.filters.particle_filter import filter_sets, filter_streams
-from pfdist.kernels.moments import ESTIMATORS
+from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.plots.style import COLUMN_INCHES, GREY, SERIES
 
 TITLE = "Estimators"

@@ -19,7 +19,7 @@ from benchmarks.results import Tables, markdown, with_range
 from pfdist import load_model
 from pfdist.filters.draws import Draws, simulate
 from pfdist.filters.particle_filter import DTYPES, RESAMPLING, filter_draws
-from pfdist.kernels.resampling import SORTED
+from pfdist.kernels.schemes import SCHEMES
 from pfdist.models.loader import installed_models
 from pfdist.plots.style import COLUMN_INCHES, SERIES
 from pfdist.times.measurement_times import regular
@@ -99,7 +99,7 @@ def cases(quick: bool) -> Iterator[Case]:
 def _fitting(model: str) -> list[str]:
     """Schemes that a model's state allows."""
     scalar = load_model(model).components[0] == 1
-    return [scheme for scheme in RESAMPLING if scalar or scheme not in SORTED]
+    return [scheme for scheme in RESAMPLING if scalar or not SCHEMES[scheme].sorts]
 
 
 def installed_of(names: tuple[str, ...]) -> list[str]:

@@ -11,7 +11,7 @@ from typing import Any, SupportsIndex
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.analysis.rounding import with_error
+from pfdist.common.rounding import with_error
 from pfdist.evaluation.engines import ENGINES
 from pfdist.filters.draws import Draws
 from pfdist.kernels.noise import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, variates

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from pfdist.analysis import Moments
-from pfdist.analysis.rounding import rounded, with_error
 from pfdist.checks.contract import Look, few_draws, look_at_formulas, looked
 from pfdist.checks.formulas import compiled_as_in_numpy, likelihood
 from pfdist.checks.speed import speed
+from pfdist.common.rounding import rounded, with_error
 from pfdist.errors import CompileError, ModelError
 from pfdist.evaluation.engines import ENGINES, NUMPY_TIMES_SLOWER
 from pfdist.evaluation.problem import Problem

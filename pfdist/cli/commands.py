@@ -102,8 +102,8 @@ def status_command(options: argparse.Namespace) -> None:
 
 def evaluate_command(options: argparse.Namespace) -> None:
     """Estimate the expected MSE of one set of times."""
-    from pfdist.analysis.rounding import rounded, with_error
     from pfdist.api.evaluate import prepare
+    from pfdist.common.rounding import rounded, with_error
     from pfdist.job.job import load_job
 
     job = load_job(options.job, options.set)

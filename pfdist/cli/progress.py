@@ -15,7 +15,7 @@ from rich.progress import (
 )
 from rich.table import Column
 
-from pfdist.analysis.rounding import rounded, with_error
+from pfdist.common.rounding import rounded, with_error
 from pfdist.errors import one_line
 from pfdist.runner.progress import Found
 from pfdist.runner.progress import Progress as State

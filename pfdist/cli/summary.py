@@ -6,7 +6,7 @@ import textwrap
 from statistics import mode
 from typing import TYPE_CHECKING, Any
 
-from pfdist.analysis.rounding import rounded, with_error, with_interval
+from pfdist.common.rounding import rounded, with_error, with_interval
 from pfdist.errors import one_line
 
 if TYPE_CHECKING:  # to look at a run wants none of what a check does

@@ -1,34 +1,28 @@
-"""Engines: what simulates draws and filters them. A job names one by ``filter.engine``."""
+"""The engines that a job can name by ``filter.engine``. They are imported when they are used."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
-
-import numpy as np
-from numpy.typing import NDArray
-
-from pfdist.filters import kalman, plain
-from pfdist.filters.draws import Draws, simulate
-from pfdist.filters.estimators import one_by_one
-from pfdist.filters.particle_filter import Filtered, filter_draws, filter_sets
+from pkgutil import resolve_name
+from typing import Any, Final
 
 AUTO: Final = "auto"  # the compiled engine, or NumPy where Numba cannot compile the model
 
 
 @dataclass(frozen=True)
 class Engine:
-    """What simulates draws and filters them.
+    """Three functions that simulate draws and filter them.
 
     Parameters
     ----------
     name : str
         As job files name it.
-    simulate : callable
-        As `pfdist.filters.draws.simulate`.
-    filter_draws : callable
-        As `pfdist.filters.particle_filter.filter_draws`.
-    filter_sets : callable
-        As `pfdist.filters.particle_filter.filter_sets`.
+    description : str
+        The engine in one line.
+    simulated_by : str
+        The module whose ``simulate`` has the contract of `pfdist.filters.draws.simulate`.
+    filtered_by : str
+        The module whose ``filter_draws`` and ``filter_sets`` have the contracts of those in
+        `pfdist.filters.particle_filter`.
     seconds_a_step : float
         About how long a particle takes for one instant.
     compiled : bool
@@ -38,25 +32,54 @@ class Engine:
     """
 
     name: str
-    simulate: Callable[..., Draws]
-    filter_draws: Callable[..., Filtered]
-    filter_sets: Callable[..., NDArray[np.float64]]
+    description: str
+    simulated_by: str
+    filtered_by: str
     seconds_a_step: float = 2e-9
     compiled: bool = True
     exact: bool = False
 
+    @property
+    def simulate(self) -> Callable[..., Any]:
+        """The function that simulates draws."""
+        return self._function(self.simulated_by, "simulate")
 
-COMPILED = Engine("compiled", simulate, filter_draws, filter_sets)
+    @property
+    def filter_draws(self) -> Callable[..., Any]:
+        """The function that filters draws with one set of times."""
+        return self._function(self.filtered_by, "filter_draws")
+
+    @property
+    def filter_sets(self) -> Callable[..., Any]:
+        """The function that filters draws with several sets of times."""
+        return self._function(self.filtered_by, "filter_sets")
+
+    @staticmethod
+    def _function(module: str, name: str) -> Callable[..., Any]:
+        function: Callable[..., Any] = resolve_name(f"{module}:{name}")
+        return function
+
+
+COMPILED = Engine(
+    "compiled",
+    "Formulas compiled by Numba into one loop over draws, instants and particles.",
+    simulated_by="pfdist.filters.draws",
+    filtered_by="pfdist.filters.particle_filter",
+)
 NUMPY = Engine(
     "numpy",
-    plain.simulate,
-    plain.filter_draws,
-    one_by_one(plain.filter_draws),
+    "Formulas as they stand, on NumPy arrays; for models that Numba cannot compile.",
+    simulated_by="pfdist.filters.plain",
+    filtered_by="pfdist.filters.plain",
     seconds_a_step=2e-7,
     compiled=False,
 )
 KALMAN = Engine(
-    "kalman", simulate, kalman.filter_draws, one_by_one(kalman.filter_draws), exact=True
+    "kalman",
+    "The Kalman filter, which knows the expected MSE of a linear-Gaussian model exactly.",
+    simulated_by="pfdist.filters.draws",
+    filtered_by="pfdist.filters.kalman",
+    exact=True,
 )
 ENGINES = {engine.name: engine for engine in (COMPILED, NUMPY, KALMAN)}
 

@@ -22,7 +22,7 @@ from pfdist.filters.particle_filter import (
     filter_makes_arrays,
     libm_of_filter,
 )
-from pfdist.kernels.moments import FILTER_VARIANCE
+from pfdist.kernels.estimators import FILTER_VARIANCE
 from pfdist.models import StateSpaceModel
 from pfdist.times.measurement_times import Times
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pfdist.filters.particle_filter import filter_streams
-from pfdist.kernels.moments import SQUARED_ERROR
+from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.kernels.prefixes import plan
 from pfdist.times.measurement_times import Times
 
@@ -23,7 +23,7 @@ class Estimation:
         P.
     resampling : {"multinomial", "stratified", "systematic", "residual", "sorted_systematic"}
     estimator : {"squared_error", "filter_variance", "two_filters"}
-        See `pfdist.filters.estimators`.
+        See `pfdist.filters.one_by_one`.
     """
 
     particles: int

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from pfdist.errors import ModelError
 from pfdist.filters.draws import Draws
+from pfdist.filters.one_by_one import one_by_one
 from pfdist.filters.particle_filter import Filtered
 from pfdist.kernels.formulas import formulas_of
 from pfdist.models import StateSpaceModel, squared_error
@@ -216,3 +217,6 @@ def _check_declared(model: StateSpaceModel) -> None:
             f"model {model.name}: error of a linear-Gaussian model must be the squared Euclidean "
             "norm, got one of its own"
         )
+
+
+filter_sets = one_by_one(filter_draws)

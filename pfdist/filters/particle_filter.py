@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from pfdist.common.streams import stream_key
 from pfdist.errors import ModelError
 from pfdist.filters.draws import Draws
+from pfdist.kernels.estimators import ESTIMATORS, SQUARED_ERROR
 from pfdist.kernels.formulas import formulas_of
 from pfdist.kernels.fused_filter import fused_filter
 from pfdist.kernels.libm import libm_functions, makes_arrays
-from pfdist.kernels.moments import ESTIMATORS, SQUARED_ERROR
 from pfdist.kernels.prefixes import plan
-from pfdist.kernels.resampling import RESAMPLE, SORTED
+from pfdist.kernels.schemes import SCHEMES
 from pfdist.kernels.scratch import WithScratch
 from pfdist.models import StateSpaceModel, squared_error
 from pfdist.times.measurement_times import Times, validated
@@ -31,7 +31,7 @@ from pfdist.times.measurement_times import Times, validated
 KERNEL_VERSION = 4
 """Counts the changes after which the same keys give other figures; part of a run's identity."""
 
-RESAMPLING = tuple(RESAMPLE)
+RESAMPLING = tuple(SCHEMES)
 DTYPES = ("float64", "float32")
 
 
@@ -127,7 +127,7 @@ def filter_sets(
         The last instant that is wanted of each set: its errors up to there are added up. T for
         all, unless it is given.
     estimator : {"squared_error", "filter_variance", "two_filters"}
-        What stands for the error of an instant; see `pfdist.filters.estimators`.
+        What stands for the error of an instant; see `pfdist.filters.one_by_one`.
 
     Returns
     -------
@@ -213,7 +213,7 @@ def check_filter(
     ):
         if got not in allowed:
             raise ValueError(f"{name} must be one of {', '.join(allowed)}, got {got!r}")
-    if resampling in SORTED and model.components[0] != 1:
+    if SCHEMES[resampling].sorts and model.components[0] != 1:
         raise ModelError(
             f"resampling = {resampling!r} needs a model with a scalar state, got {model.name} with "
             f"{model.components[0]} components of x"

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.filters.draws import Draws, check_finite
+from pfdist.filters.one_by_one import one_by_one
 from pfdist.filters.particle_filter import Filtered, check_filter
 from pfdist.kernels.formulas import formulas_of
 from pfdist.kernels.noise import (
@@ -22,7 +23,7 @@ from pfdist.kernels.noise import (
     variates,
 )
 from pfdist.kernels.plain_resampling import plain_ancestors
-from pfdist.kernels.resampling import SORTED
+from pfdist.kernels.schemes import SCHEMES
 from pfdist.kernels.sorting import plain_order
 from pfdist.kernels.weights import plain_weights
 from pfdist.models import StateSpaceModel
@@ -107,7 +108,7 @@ def _filter(
             y = tuple(np.repeat(draws.y[:, t, k], particles) for k in range(draws.y.shape[2]))
             log_weight = model.log_likelihood(y, _flat(x), t, model.p)
             weight = plain_weights(_of_cloud(log_weight, cloud))
-            if resampling in SORTED:
+            if SCHEMES[resampling].sorts:
                 x, weight = _in_line(x, weight)
             degenerate = alive & ~weight.any(axis=1)
             total[degenerate], alive[degenerate] = np.nan, False
@@ -166,3 +167,6 @@ def _kept(x: tuple[Any, ...], shape: tuple[int, ...], dtype: str) -> tuple[Array
 def _put(array: Array, t: int, components: tuple[Any, ...]) -> None:
     for k, component in enumerate(components):
         array[:, t, k] = component
+
+
+filter_sets = one_by_one(filter_draws)

@@ -22,7 +22,7 @@ from pfdist.common.section import Section
 from pfdist.errors import JobError, MeasurementTimesError, shown, shown_text
 from pfdist.evaluation.engines import AUTO, ENGINES
 from pfdist.job.overrides import override
-from pfdist.kernels.moments import SQUARED_ERROR
+from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.search.methods import DEFAULT_METHOD, METHODS, any_section
 from pfdist.search.section import Estimator, Resampling, SearchSection
 from pfdist.times.feasible import Feasible

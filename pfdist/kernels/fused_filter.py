@@ -14,11 +14,13 @@ from numba import njit
 from pfdist.kernels.arithmetic import shaped
 from pfdist.kernels.components import naming, reader, writer
 from pfdist.kernels.disk_cache import kept_on_disk
+from pfdist.kernels.estimators import SQUARED_ERROR_INDEX
 from pfdist.kernels.formulas import formula
 from pfdist.kernels.melting import melted
-from pfdist.kernels.moments import SQUARED_ERROR_INDEX, moments, recorders
+from pfdist.kernels.moments import moments, recorders
 from pfdist.kernels.noise import FILTER_INITIAL, FILTER_PROCESS, filler, padded
-from pfdist.kernels.resampling import RESAMPLE, SORTED, SPARE
+from pfdist.kernels.resampling import RESAMPLE, SPARE
+from pfdist.kernels.schemes import SCHEMES
 from pfdist.kernels.scratch import ALIKE, WEIGHED, WithScratch, aligned, filter_scratch
 from pfdist.kernels.sorting import DIGITS, sort_by_state
 from pfdist.kernels.weights import IMPOSSIBLE, cumulate, weigh, width
@@ -58,7 +60,7 @@ def fused_filter(
         mse, estimate, variance)`` fills mse (D, U), the errors up to each set's end over T + 1, as
         `pfdist.kernels.prefixes.plan` has the sets; and estimate and variance (D, T+1, q) of one
         set, unless they are empty. streams (uint64) holds each filter's key, estimator the place in
-        `pfdist.kernels.moments.ESTIMATORS`.
+        `pfdist.kernels.estimators.ESTIMATORS`.
     """
     filter_draw = _filter_draw(functions, noise_kinds, components, resampling)
     named, named_truth = map(naming, parameters)
@@ -125,7 +127,7 @@ def _filter_draw(
     read_z, error_of = reader(components[2], "d, t, c"), formula(functions[4], "error")
     record, cost_of = recorders(functions[4], components[2])
     resample = RESAMPLE[resampling]
-    in_line = sort_by_state if resampling in SORTED else _as_it_is
+    in_line = sort_by_state if SCHEMES[resampling].sorts else _as_it_is
 
     @melted
     def filter_draw(

@@ -1,47 +1,13 @@
 """What is computed of a weighted cloud: mean and variance of z, and what an instant costs."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 from pfdist.kernels.arithmetic import row_sum
 from pfdist.kernels.components import reader, tuple_of, writer
+from pfdist.kernels.estimators import SQUARED_ERROR_INDEX
 from pfdist.kernels.formulas import formula
 from pfdist.kernels.melting import melted
-
-
-@dataclass(frozen=True)
-class Estimator:
-    """How the error of one instant is estimated.
-
-    Parameters
-    ----------
-    name : str
-        As job files name it.
-    filters : int
-        Number of independent filters.
-    for_any_filter : bool
-        Whether the estimate is right for any filter and any error. Otherwise the filter must know
-        the truth, and the error must be the squared Euclidean norm.
-    """
-
-    name: str
-    filters: int = 1
-    for_any_filter: bool = False
-
-
-SQUARED_ERROR = Estimator("squared_error", for_any_filter=True)
-"""The error of the estimate."""
-FILTER_VARIANCE = Estimator("filter_variance")
-"""The variance of z over the particles, summed over the components of z."""
-TWO_FILTERS = Estimator("two_filters", filters=2)
-"""The mean of the variances of two filters, plus the squared distance of their estimates."""
-
-ESTIMATORS = {
-    estimator.name: estimator for estimator in (SQUARED_ERROR, FILTER_VARIANCE, TWO_FILTERS)
-}
-SQUARED_ERROR_INDEX = 0
-"""The compiled filter receives the index of an estimator in this table."""
 
 
 def moments(

@@ -28,6 +28,7 @@ from typing import Any
 
 import numpy as np
 
+from pfdist.kernels import schemes
 from pfdist.kernels.arithmetic import LANES, add_ranks, larger
 from pfdist.kernels.melting import melted
 from pfdist.kernels.noise import FILL, RESAMPLING, padded
@@ -209,11 +210,11 @@ def _residual(cumulative, particles, stream, draw, t, noise, sums, points, share
 
 
 RESAMPLE: dict[str, Callable[..., Any]] = {
-    "multinomial": _multinomial,
-    "stratified": _stratified,
-    "systematic": _systematic,
-    "residual": _residual,
-    "sorted_systematic": _systematic,
+    schemes.MULTINOMIAL.name: _multinomial,
+    schemes.STRATIFIED.name: _stratified,
+    schemes.SYSTEMATIC.name: _systematic,
+    schemes.RESIDUAL.name: _residual,
+    schemes.SORTED_SYSTEMATIC.name: _systematic,
 }
 """By scheme, compiled ``resample(cumulative, particles, stream, draw, t, noise, sums, points,
 shares, ancestor)``.
@@ -222,6 +223,3 @@ cumulative (float64, particles or more) is changed; noise (float32, a row or mor
 points and shares (uint32), all padded(particles + SPARE) long, are scratch; ancestor (uint32,
 particles + SPARE or more) receives the ancestors.
 """
-
-SORTED = ("sorted_systematic",)
-"""Schemes that want particles in line by their states."""

@@ -6,7 +6,7 @@ from pfdist.errors import JobError
 from pfdist.evaluation.engines import KALMAN
 from pfdist.evaluation.work import Estimation
 from pfdist.job.job import Job
-from pfdist.kernels.moments import SQUARED_ERROR
+from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.runner.memory import check_memory
 from pfdist.search import Budgets, SearchOptimiser
 from pfdist.search.methods import METHODS

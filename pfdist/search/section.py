@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 from pydantic import Field
 
 from pfdist.common.section import Section
-from pfdist.kernels.moments import ESTIMATORS
-from pfdist.kernels.resampling import RESAMPLE
+from pfdist.kernels.estimators import ESTIMATORS
+from pfdist.kernels.schemes import SCHEMES
 
 AUTO: Final = "auto"
 _FEWEST_PARTICLES, _SHARE = 100, 5  # of the filter that a search uses
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     Resampling = str
     Estimator = str
 else:
-    Resampling = Literal[tuple(RESAMPLE)]
+    Resampling = Literal[tuple(SCHEMES)]
     Estimator = Literal[tuple(ESTIMATORS)]
 
 Count = Annotated[int, Field(ge=1, lt=2**63)]

@@ -9,8 +9,8 @@ import pytest
 import pfdist
 from pfdist import Job
 from pfdist.analysis import Run
-from pfdist.analysis.rounding import with_error, with_interval
 from pfdist.cli.summary import print_summary
+from pfdist.common.rounding import with_error, with_interval
 from pfdist.errors import RunMismatchError
 from pfdist.search.section import CommonNoiseSettings
 

@@ -10,13 +10,13 @@ import pytest
 import pfdist
 from oracles.bytes_of import hashes
 from pfdist import Job
-from pfdist.analysis.rounding import with_error
 from pfdist.api.why import CHANGES, WHY, why
 from pfdist.cli.main import main
+from pfdist.common.rounding import with_error
 from pfdist.errors import JobError, PfdistError, RunMismatchError, StoreError
 from pfdist.evaluation.work import Estimation, Work
 from pfdist.filters import kalman
-from pfdist.kernels.moments import ESTIMATORS
+from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.runner.build import build
 from pfdist.store.repair import verify_run
 

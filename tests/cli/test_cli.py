@@ -13,8 +13,8 @@ import pytest
 
 import pfdist
 from pfdist import Job
-from pfdist.analysis.rounding import with_error
 from pfdist.cli.main import main
+from pfdist.common.rounding import with_error
 from pfdist.runner.build import Built, build
 
 

@@ -51,7 +51,7 @@ def _hashes(cases: Sequence[Case]) -> dict[str, str]:
     from pfdist import load_model
     from pfdist.filters.draws import simulate
     from pfdist.filters.particle_filter import filter_draws, filter_sets
-    from pfdist.kernels.moments import ESTIMATORS
+    from pfdist.kernels.estimators import ESTIMATORS
     from pfdist.models import squared_error
 
     found = {}

@@ -16,9 +16,9 @@ from pfdist.evaluation.engines import ENGINES
 from pfdist.evaluation.problem import Problem
 from pfdist.evaluation.work import Estimation, Work
 from pfdist.filters.draws import Draws, simulate
-from pfdist.filters.estimators import filter_variance, two_filters
+from pfdist.filters.one_by_one import filter_variance, two_filters
 from pfdist.filters.particle_filter import filter_draws, filter_sets, filter_streams
-from pfdist.kernels.moments import ESTIMATORS
+from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.times.measurement_times import Times, regular
 
 HORIZON = 12

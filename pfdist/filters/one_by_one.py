@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from pfdist.filters.draws import Draws
 from pfdist.filters.particle_filter import Filtered, filter_streams
-from pfdist.kernels.moments import ESTIMATORS, SQUARED_ERROR
+from pfdist.kernels.estimators import ESTIMATORS, SQUARED_ERROR
 from pfdist.models import StateSpaceModel
 from pfdist.times.measurement_times import Times
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pfdist.analysis.rounding import rounded, with_error, with_interval
+from pfdist.common.rounding import rounded, with_error, with_interval
 
 LARGE_AND_SMALL = st.floats(-300, 300).map(lambda exponent: 10.0**exponent)
 exactly = settings(max_examples=300, deadline=None, derandomize=True, database=None)
