@@ -6,10 +6,10 @@ from time import perf_counter
 from typing import Any
 
 from pfdist.analysis import Run, open_run
-from pfdist.errors import JobError
 from pfdist.job.job import Job, as_job
 from pfdist.plots import draw_figures, figure_files, remove_figures
-from pfdist.runner.build import build, make_pool
+from pfdist.pools.kinds import POOLS
+from pfdist.runner.build import build, check_pool, make_pool
 from pfdist.runner.driver import FORKED, drive
 from pfdist.runner.identity import opened
 from pfdist.runner.named_by_a_run import files_named
@@ -38,8 +38,8 @@ def run(
         A job, or the path of its file.
     results : str or Path, optional
         The run's own folder; by default ``results/<the job file's stem>``.
-    pool : {"ray", "serial"}, optional
-        In the place of the job's execution.pool.
+    pool : str, optional
+        Name of a pool, such as "ray" or "serial", in the place of the job's execution.pool.
     workers : int, optional
         In the place of the job's execution.workers; 0 takes all cores.
     address : str, optional
@@ -67,11 +67,7 @@ def run(
     execution = {"pool": pool, "workers": workers, "address": address}
     chosen = [f"execution.{k}={v}" for k, v in execution.items() if v is not None]
     job = as_job(job, [*changes, *chosen])
-    if job.execution.pool == "serial" and (job.execution.workers > 1 or job.execution.address):
-        raise JobError(
-            "execution.pool = 'serial' is one worker in this process, got workers = "
-            f"{job.execution.workers}, address = {job.execution.address!r}; pool 'ray' takes both"
-        )
+    check_pool(job.execution)
     path = Path("results") / job.path.stem if results is None else Path(results)
     origin, path = (None, path) if fork is None else (Store(path), Path(fork))
     if origin is not None:
@@ -96,5 +92,5 @@ def run(
 
 
 def _ready(pool: str, workers: int, seconds: float) -> str:
-    name = "Ray is" if pool == "ray" else "Serial pool is"
-    return f"{name} ready: {workers} worker{'s' * (workers != 1)} in {seconds:.1f} s"
+    title = POOLS[pool].title
+    return f"{title} is ready: {workers} worker{'s' * (workers != 1)} in {seconds:.1f} s"
