@@ -212,10 +212,10 @@ def test_a_draw_that_takes_all_memory_there_is_fails_when_ray_ends_its_worker(
         "RAY_memory_monitor_refresh_ms": "50",
     }
     start = time.monotonic()
-    with running(small_job.path, tmp_path / "run", *words, **monitor) as one:
-        assert one.wait() == 1
+    with running(small_job.path, tmp_path / "run", *words, **monitor) as driver:
+        assert driver.wait() == 1
     assert time.monotonic() - start < 120
-    assert one.said[-1].startswith("pfdist: a task of comparison failed: ")
+    assert driver.said[-1].startswith("pfdist: a task of comparison failed: ")
     (error,) = _failures(tmp_path / "run")
     assert "memory" in error
     assert "nobody has stopped this" not in error
