@@ -21,7 +21,7 @@ from pfdist.common.parsing import parse_toml, read_text
 from pfdist.common.section import Section
 from pfdist.errors import JobError, MeasurementTimesError, shown, shown_text
 from pfdist.evaluation.engines import AUTO, ENGINES
-from pfdist.job.overrides import override
+from pfdist.job.overrides import override, set_values
 from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.search.methods import DEFAULT_METHOD, METHODS, any_section
 from pfdist.search.section import Estimator, Resampling, SearchSection
@@ -33,7 +33,7 @@ GIVEN: Final = "reference"
 RESERVED: Final = (REGULAR, GIVEN, "comparison")  # names that no search may have
 MOST_SEARCHES: Final = 100  # of which a figure can still be made
 _LONGEST_TEXT = 4096  # of a path
-_NO_SECTIONS: Mapping[str, Any] = {}
+_NOTHING: Mapping[str, Any] = {}
 if TYPE_CHECKING:
     Search = SearchSection
     EngineName = str
@@ -225,11 +225,14 @@ class Job(Section):
         return self._path
 
     def with_changes(
-        self, overrides: Iterable[str], sections: Mapping[str, Any] = _NO_SECTIONS
+        self,
+        overrides: Iterable[str] = (),
+        sections: Mapping[str, Any] = _NOTHING,
+        settings: Mapping[str, Any] = _NOTHING,
     ) -> "Job":
-        """Give the job with some keys changed, as ``key=value``; see `load_job`."""
+        """Give the job with some keys changed; parameters and errors as of `load_job`."""
         data = self.model_dump(mode="json", exclude_none=True) | dict(sections)
-        return _validated(data, self.path, overrides, self.names_its_searches)
+        return _validated(data, self.path, overrides, settings, self.names_its_searches)
 
     @property
     def names_its_searches(self) -> bool:
@@ -242,7 +245,10 @@ class Job(Section):
 
 
 def load_job(
-    path: str | Path, overrides: Iterable[str] = (), sections: Mapping[str, Any] = _NO_SECTIONS
+    path: str | Path,
+    overrides: Iterable[str] = (),
+    sections: Mapping[str, Any] = _NOTHING,
+    settings: Mapping[str, Any] = _NOTHING,
 ) -> Job:
     """Read and validate a job file.
 
@@ -254,7 +260,10 @@ def load_job(
         ``key=value`` each, with a dotted key and a TOML value, for instance ``seed=3`` or
         ``search.genetic.generations=5`` (a search goes by its name).
     sections : mapping of str to object, optional
-        Sections that take the place of the file's, before keys are changed.
+        Whole sections that replace those of the file, before the overrides.
+    settings : mapping of str to object, optional
+        Values that replace those of the file, after the overrides: by section and key, as in
+        ``{"filter": {"particles": 100}, "seed": 3}``.
 
     Returns
     -------
@@ -272,19 +281,21 @@ def load_job(
         raise JobError(f"cannot read the job file {path}: {error.strerror}") from error
     except ValueError as error:
         raise JobError(f"the job file must be TOML, got an error: {error} ({path})") from error
-    return _validated(data | dict(sections), path, overrides, "search" in data)
+    return _validated(data | dict(sections), path, overrides, settings, "search" in data)
 
 
 def as_job(
     job: Job | str | Path,
     overrides: Iterable[str] = (),
-    sections: Mapping[str, Any] = _NO_SECTIONS,
+    sections: Mapping[str, Any] = _NOTHING,
+    settings: Mapping[str, Any] = _NOTHING,
 ) -> Job:
-    """Give a job, or that of a file, with changes; as of `load_job`."""
+    """Give a job, or the job of a file, with changes; parameters and errors as of `load_job`."""
     if not isinstance(job, Job):
-        return load_job(job, overrides, sections)
-    changes = list(overrides)
-    return job.with_changes(changes, sections) if changes or sections else job
+        return load_job(job, overrides, sections, settings)
+    overrides = list(overrides)
+    changed = overrides or sections or settings
+    return job.with_changes(overrides, sections, settings) if changed else job
 
 
 def job_toml(identity: Mapping[str, Any]) -> str:
@@ -293,11 +304,16 @@ def job_toml(identity: Mapping[str, Any]) -> str:
 
 
 def _validated(
-    data: dict[str, Any], path: Path, overrides: Iterable[str], names_its_searches: bool
+    data: dict[str, Any],
+    path: Path,
+    overrides: Iterable[str],
+    settings: Mapping[str, Any],
+    names_its_searches: bool,
 ) -> Job:
     given, data = list(overrides), deepcopy(data)
     for change in given:
         override(data, change)
+    given += set_values(data, settings)
     try:
         job = Job(**data)
     except JobError as error:

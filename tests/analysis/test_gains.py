@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pfdist.analysis import BIN, EDGES, Comparison, Gain, Moments, relative_gain, summarise_gain
+from pfdist.analysis import (
+    BIN,
+    EDGES,
+    ComparisonStatistics,
+    Gain,
+    Moments,
+    relative_gain,
+    summarise_gain,
+)
 from pfdist.analysis.gains import QUANTILES, gain_over_itself
 
 Array = np.ndarray
@@ -180,7 +188,7 @@ def test_blocks_give_what_numpy_and_scipy_give_on_the_whole(
 
 def test_the_same_blocks_in_the_same_order_give_the_same_bits() -> None:
     values = np.random.default_rng(1).lognormal(0, 3, (5000, 3))
-    first, second = Comparison(["a", "b", "c"]), Comparison(["a", "b", "c"])
+    first, second = ComparisonStatistics(["a", "b", "c"]), ComparisonStatistics(["a", "b", "c"])
     for block in _blocks(values, 100):
         first.add(block)
         second.add(block.copy(order="F"))

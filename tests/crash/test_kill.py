@@ -271,7 +271,7 @@ def test_a_run_asked_to_end_keeps_what_is_done_and_goes_on(
     whole, run = tmp_path / "whole", tmp_path / "run"
     command = ["run", str(small_job.path), "--results"]
     assert main([*command, str(whole)]) == 0
-    calls, do = itertools.count(1), Problem.__call__
+    calls, do = itertools.count(1), Problem.filtered
 
     def signalled(self: Problem, work: Work) -> Any:
         if len(work.measurement_times) == sets and next(calls) == task:
@@ -281,7 +281,7 @@ def test_a_run_asked_to_end_keeps_what_is_done_and_goes_on(
     # A shell's background jobs, as CI may be, are started with SIGINT ignored.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     with monkeypatch.context() as patch:
-        patch.setattr(Problem, "__call__", signalled)
+        patch.setattr(Problem, "filtered", signalled)
         assert main([*command, str(run)]) == code
     signal.signal(signal.SIGINT, before)
     assert "the same command goes on" in capsys.readouterr().err

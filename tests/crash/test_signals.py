@@ -38,7 +38,7 @@ def forever(*_):
     time.sleep(600)
 
 signal.signal(signal.SIGINT, signal.default_int_handler)
-SerialPool.__exit__, Problem.__call__ = leave, forever
+SerialPool.__exit__, Problem.filtered = leave, forever
 sys.exit(main(sys.argv[1:]))
 """
 
