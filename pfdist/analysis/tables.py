@@ -164,7 +164,7 @@ class Run:
             ``results``: by name, measurement_times, expected_mse, standard_error,
             degenerate_draws, search_cost and search_standard_error; for the reference
             description (what it is), broken_constraints (see
-            `pfdist.times.constraints.Constraints.broken`) and gain_over_itself (see
+            `pfdist.job.problem_section.ProblemSection.broken`) and gain_over_itself (see
             `pfdist.analysis.gains.gain_over_itself`) with its interval and draws; for the others
             search_excess (search_cost over expected_mse, less 1), search_estimation (how the search
             that found the set estimates otherwise than the comparison, draws aside), search_cause

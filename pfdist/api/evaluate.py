@@ -35,7 +35,7 @@ def evaluate(
         A job, or the path of its file.
     measurement_times : iterable of int
         In 0..T, as many as you like. They may break the job's constraints:
-        ``load_job(path).problem.feasible.broken(times)`` says which.
+        ``load_job(path).problem.broken(times)`` says which.
     draws, particles, seed : int, optional
         In the place of the job's evaluation.draws, filter.particles and seed.
 

@@ -20,7 +20,7 @@ from pfdist.runner.progress import Progress, Report
 from pfdist.runner.search_tables import commit_generation, committed_generations, publish_search
 from pfdist.runner.searches import Settings
 from pfdist.search import Candidate, Optimiser
-from pfdist.search.trust import new_leaders
+from pfdist.search.probe import new_leaders
 from pfdist.store import schema
 from pfdist.times.measurement_times import Times
 
@@ -43,7 +43,7 @@ class Phase(Generic[E]):
     evaluated : dict of str to array of float64
         Per-draw MSE of this session by id, where a set may be wanted again.
     leaders : list of Evaluation
-        Those that led its generations; see `pfdist.search.trust.new_leaders`.
+        Those that led its generations; see `pfdist.search.probe.new_leaders`.
     """
 
     name: str

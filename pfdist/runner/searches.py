@@ -8,7 +8,7 @@ from pfdist.evaluation.work import Estimation
 from pfdist.job.job import Job
 from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.runner.memory import check_memory
-from pfdist.search import Budgets, SearchOptimiser
+from pfdist.search import BudgetCurve, SearchOptimiser
 from pfdist.search.methods import METHODS
 from pfdist.search.section import AUTO, EvaluationSettings, SearchSection
 
@@ -136,7 +136,7 @@ def named_search(job: Job, section: SearchSection, cheapest: str) -> NamedSearch
         optimiser = _optimiser(job, section, settings.draws)
     else:
         most = job.feasible(job.budget.most)
-        optimiser = Budgets(most, job.budget.least, **section.settings)
+        optimiser = BudgetCurve(most, job.budget.least, **section.settings)
     search = _with_settings(job, section, section.name, optimiser, settings)
     estimation = settings.estimation
     if (
