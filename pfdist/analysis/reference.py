@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
+from pfdist.job.problem_section import ProblemSection
 from pfdist.times.measurement_times import REGULAR, Times
-from pfdist.times.problem_section import ProblemSection
 
 
 def described(job: Mapping[str, Any], name: str, times: Times) -> dict[str, Any]:
@@ -24,7 +24,8 @@ def described(job: Mapping[str, Any], name: str, times: Times) -> dict[str, Any]
     dict
         ``description``, a phrase, and ``broken_constraints``, a list of sentences.
     """
-    feasible = ProblemSection.model_validate(job["problem"]).feasible
+    problem = ProblemSection.model_validate(job["problem"])
+    feasible = problem.feasible
     number = f"N = {len(times)}"
     if not feasible.counted:
         number += f", spends {feasible.cost_of(times)} of {feasible.total_cost}"
@@ -38,7 +39,7 @@ def described(job: Mapping[str, Any], name: str, times: Times) -> dict[str, Any]
         phrase = f"the feasible set nearest to regular times ({number})"
     else:
         phrase = f"nearest to regular times of the sets with the most measurements ({number})"
-    return {"description": phrase, "broken_constraints": feasible.broken(times)}
+    return {"description": phrase, "broken_constraints": problem.broken(times)}
 
 
 def label(name: str) -> str:

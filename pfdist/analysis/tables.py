@@ -194,7 +194,7 @@ class Run:
             - measurement_times, expected_mse, standard_error, degenerate_draws, search_cost and
               search_standard_error.
             - For the reference: description, broken_constraints (see
-              `pfdist.times.constraints.Constraints.broken`), and gain_over_itself (see
+              `pfdist.job.problem_section.ProblemSection.broken`), and gain_over_itself (see
               `pfdist.analysis.gains.gain_over_itself`) with interval and draws.
             - For the others: search_excess (search_cost over expected_mse, less 1),
               search_estimation (how the search estimated otherwise than the comparison),

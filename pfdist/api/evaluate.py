@@ -35,7 +35,7 @@ def evaluate(
         A job, or the path of a job file.
     measurement_times : iterable of int
         Any number of times in 0..T. They may break the job's constraints:
-        ``load_job(path).problem.feasible.broken(times)`` lists the broken ones.
+        ``load_job(path).problem.broken(times)`` lists the broken ones.
     draws, particles, seed : int, optional
         Replace the job's evaluation.draws, filter.particles and seed.
 

@@ -112,7 +112,7 @@ def evaluate_command(options: argparse.Namespace) -> None:
     start = time.perf_counter()  # what was compiled was compiled
     evaluation = compute()
     seconds = time.perf_counter() - start
-    broken = job.problem.feasible.broken(evaluation.measurement_times)
+    broken = job.problem.broken(evaluation.measurement_times)
     answer = {
         "expected_mse": evaluation.expected_mse,
         "standard_error": evaluation.standard_error,

@@ -22,12 +22,12 @@ from pfdist.common.section import Section
 from pfdist.errors import JobError, MeasurementTimesError, shown, shown_text
 from pfdist.evaluation.engines import AUTO, ENGINES
 from pfdist.job.overrides import override, set_values
+from pfdist.job.problem_section import ProblemSection
 from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.search.methods import DEFAULT_METHOD, METHODS, any_section
 from pfdist.search.section import Estimator, Resampling, SearchSection
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import REGULAR, Times, validated
-from pfdist.times.problem_section import ProblemSection
 
 GIVEN: Final = "reference"
 RESERVED: Final = (REGULAR, GIVEN, "comparison")  # names that no search may have

@@ -20,7 +20,7 @@ from pfdist.runner.progress import Reporter
 from pfdist.runner.search_tables import commit_generation, committed_generations, publish_search
 from pfdist.runner.searches import Settings
 from pfdist.search import Candidate, Optimiser
-from pfdist.search.trust import new_leaders
+from pfdist.search.probe import new_leaders
 from pfdist.store import schema
 from pfdist.times.measurement_times import validated
 
@@ -42,7 +42,7 @@ class Phase(Generic[E]):
     evaluated : dict of str to array of float64
         Per-draw MSE by the evaluation's id, of this session, where a set may be asked for again.
     leaders : list of Evaluation
-        Evaluations that led the generations; see `pfdist.search.trust.new_leaders`.
+        Evaluations that led the generations; see `pfdist.search.probe.new_leaders`.
     """
 
     name: str

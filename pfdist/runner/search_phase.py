@@ -28,8 +28,8 @@ from pfdist.runner.progress import Reporter
 from pfdist.runner.searches import NamedSearch
 from pfdist.search import Candidate, Exchange, Probe, Race
 from pfdist.search.base import FINALISTS
+from pfdist.search.probe import PROBE_DRAWS
 from pfdist.search.trust import (
-    PROBE_DRAWS,
     failed_probe,
     judged,
     misordered,

@@ -10,16 +10,8 @@ from numpy.typing import NDArray
 from pfdist.evaluation.estimate import ProbeEvaluation, SearchEvaluation, ShortlistEvaluation
 from pfdist.search import Candidate
 from pfdist.search.paired import CLEAR_ERRORS
-from pfdist.search.trust import (
-    BELOW,
-    PROBE_DRAWS,
-    Probe,
-    ProbeState,
-    judged,
-    misordered,
-    new_leaders,
-    unchecked_probe,
-)
+from pfdist.search.probe import PROBE_DRAWS, Probe, ProbeState, new_leaders
+from pfdist.search.trust import BELOW, judged, misordered, unchecked_probe
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
@@ -80,7 +72,7 @@ def test_an_estimator_that_no_draws_can_check_is_said_to_be_unchecked(usable: in
     assert [one.measurement_times for one in pair] == 2 * [(4, 5, 6)]
     text = unchecked_probe(*pair)
     assert f"in {{4, 5, 6}} only {usable} of {PROBE_DRAWS} draws" in text
-    assert "more filter.particles" in text
+    assert "more particles" in text
 
 
 def _probe(
