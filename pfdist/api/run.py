@@ -6,10 +6,10 @@ from time import perf_counter
 from typing import Any
 
 from pfdist.analysis import Run, open_run
-from pfdist.errors import JobError
 from pfdist.job.job import Job, as_job
 from pfdist.plots import draw_figures, figure_files, remove_figures
-from pfdist.runner.build import Built, build, make_pool
+from pfdist.pools.kinds import POOLS
+from pfdist.runner.build import Built, build, check_pool, make_pool
 from pfdist.runner.driver import FORKED, drive
 from pfdist.runner.identity import opened
 from pfdist.runner.named_by_a_run import files_named
@@ -38,8 +38,8 @@ def run(
         A job, or the path of a job file.
     results : str or Path, optional
         The run's own folder; by default ``results/<the job file's stem>``.
-    pool : {"ray", "serial"}, optional
-        Replaces the job's execution.pool.
+    pool : str, optional
+        Name of a pool, such as "ray" or "serial". Replaces the job's execution.pool.
     workers : int, optional
         Replaces the job's execution.workers; 0 takes all cores.
     address : str, optional
@@ -67,7 +67,7 @@ def run(
     execution = {"pool": pool, "workers": workers, "address": address}
     given = {key: value for key, value in execution.items() if value is not None}
     job = as_job(job, changes, settings={"execution": given} if given else {})
-    _check_execution(job)
+    check_pool(job.execution)
     path = Path("results") / job.path.stem if results is None else Path(results)
     origin, path = (None, path) if fork is None else (Store(path), Path(fork))
     if origin is not None:
@@ -87,16 +87,6 @@ def run(
     return finished
 
 
-def _check_execution(job: Job) -> None:
-    """Raise a `JobError` if the serial pool is given what only Ray takes."""
-    execution = job.execution
-    if execution.pool == "serial" and (execution.workers > 1 or execution.address):
-        raise JobError(
-            "execution.pool = 'serial' is one worker in this process, got workers = "
-            f"{execution.workers}, address = {execution.address!r}; pool 'ray' takes both"
-        )
-
-
 def _compute(built: Built, store: Store, report: Report, say: Callable[[str], Any]) -> None:
     """Compute what the run lacks, in the pool of the job."""
     execution = built.job.execution
@@ -104,7 +94,6 @@ def _compute(built: Built, store: Store, report: Report, say: Callable[[str], An
     start = perf_counter()
     with make_pool(built, execution) as pool:
         seconds = perf_counter() - start
-        name = "Ray is" if execution.pool == "ray" else "Serial pool is"
         workers = f"{pool.workers} worker{'s' * (pool.workers != 1)}"
-        say(f"{name} ready: {workers} in {seconds:.1f} s")
+        say(f"{POOLS[execution.pool].title} is ready: {workers} in {seconds:.1f} s")
         drive(built, store, pool, report, say)

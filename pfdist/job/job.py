@@ -24,6 +24,7 @@ from pfdist.evaluation.engines import AUTO, ENGINES
 from pfdist.job.overrides import override, set_values
 from pfdist.job.problem_section import ProblemSection
 from pfdist.kernels.estimators import SQUARED_ERROR
+from pfdist.pools.kinds import POOLS
 from pfdist.search.methods import DEFAULT_METHOD, METHODS, any_section
 from pfdist.search.section import Estimator, Resampling, SearchSection
 from pfdist.times.feasible import Feasible
@@ -37,9 +38,11 @@ _NOTHING: Mapping[str, Any] = {}
 if TYPE_CHECKING:
     Search = SearchSection
     EngineName = str
+    PoolName = str
 else:
     Search = any_section()
     EngineName = Literal[(AUTO, *ENGINES)]
+    PoolName = Literal[tuple(POOLS)]
 
 
 def _has_no_nul(text: str) -> str:
@@ -133,7 +136,7 @@ class Budget(Section):
 class Execution(Section):
     """Where a run is computed; never part of what it is."""
 
-    pool: Literal["ray", "serial"] = "ray"
+    pool: PoolName = "ray"
     workers: Annotated[int, Field(ge=0, lt=2**63)] = 0
     address: Text = ""
     failures: Annotated[int, Field(ge=0, lt=2**63)] = 3

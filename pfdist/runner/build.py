@@ -8,7 +8,7 @@ from typing import Any
 
 from pfdist.checks.contract import check_compiled, check_formulas, few_draws
 from pfdist.common.streams import stream_key
-from pfdist.errors import CompileError, EngineWarning, ModelError
+from pfdist.errors import CompileError, EngineWarning, JobError, ModelError
 from pfdist.evaluation.engines import AUTO, COMPILED, NUMPY, NUMPY_TIMES_SLOWER
 from pfdist.evaluation.problem import Problem
 from pfdist.evaluation.work import Estimation
@@ -17,7 +17,8 @@ from pfdist.filters.particle_filter import KERNEL_VERSION
 from pfdist.job.job import Execution, Job
 from pfdist.meaning import chosen
 from pfdist.meaning.chosen import Choose, ChosenModel
-from pfdist.pools.base import Pool, SerialPool
+from pfdist.pools.base import Pool
+from pfdist.pools.kinds import POOLS
 from pfdist.runner.searches import NamedSearch, Settings, named_search
 from pfdist.runner.study import Study, study_of
 from pfdist.times.measurement_times import Times
@@ -233,12 +234,25 @@ def _worker(source: ProblemSource) -> Callable[[Any], Any]:
     return source.compiled().results
 
 
+def check_pool(execution: Execution) -> None:
+    """Refuse an [execution] whose pool cannot have the workers or the address that it asks for.
+
+    Raises
+    ------
+    JobError
+        The pool is one worker, but several workers or an address are given.
+    """
+    name, workers, address = execution.pool, execution.workers, execution.address
+    if POOLS[name].distributed or (workers <= 1 and not address):
+        return
+    both = ", ".join(repr(other) for other, kind in POOLS.items() if kind.distributed)
+    raise JobError(
+        f"execution.pool = {name!r} is one worker {POOLS[name].description}, got workers = "
+        f"{workers}, address = {address!r}; pools that take both: {both}"
+    )
+
+
 def make_pool(built: Built, execution: Execution) -> Pool:
     """The pool that [execution] names; the pool starts when the caller enters it."""
     make_function = partial(_worker, built.source)
-    if execution.pool == "serial":
-        return SerialPool(make_function)
-    # Imported here: the serial pool needs no Ray, and starts 0.3 s sooner without it.
-    from pfdist.pools.ray_pool import RayPool  # noqa: PLC0415
-
-    return RayPool(make_function, execution.workers, execution.address)
+    return POOLS[execution.pool].make(make_function, execution.workers, execution.address)

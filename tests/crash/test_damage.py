@@ -333,7 +333,7 @@ def test_repair_moves_what_is_damaged_and_says_what_going_on_will_compute(
         str(run / name) for name in wrong
     )
     assert re.fullmatch(
-        r"pfdist: \S+: 2 wrong; `pfdist repair \S+` says what to do\n", captured.err
+        r"pfdist: \S+: problems found: 2\. Run `pfdist repair \S+` to move .*\n", captured.err
     )
     assert main(["repair", str(run)]) == 0
     *moved, todo = capsys.readouterr().out.splitlines()

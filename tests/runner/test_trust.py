@@ -17,7 +17,8 @@ from pfdist.cli.summary import print_summary
 from pfdist.errors import TaskError
 from pfdist.evaluation.estimate import REPORT
 from pfdist.evaluation.work import Work
-from pfdist.plots import figures
+from pfdist.plots import cost
+from pfdist.plots.figure import Tables
 from pfdist.runner.build import build
 from pfdist.runner.collect import Collector
 
@@ -211,11 +212,10 @@ def test_the_figure_of_costs_shows_the_search_that_was_done_again(
     planned: tuple[Run, list[str], list[Any]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     drawn: list[Any] = []
-    monkeypatch.setattr(figures, "plot_cost", lambda *arguments: drawn.append(arguments))
-    kinds = figures._kinds(planned[0])
-    assert kinds == {"systematic resampling": ["survivors"]}  # by the squared error
-    figures._cost(planned[0], kinds, 1.0, [Figure().subplots()])
-    ((_, evaluations, *_),) = drawn
+    monkeypatch.setattr(cost, "plot_cost", lambda *arguments: drawn.append(arguments))
+    cost.cost_figure(Tables(planned[0])).draw([Figure().subplots()])
+    ((_, evaluations, _, _, title),) = drawn
+    assert title.endswith("\nsystematic resampling")  # and the squared error
     shown = evaluations[evaluations["phase"] == "survivors"]
     assert set(shown["estimator"]) == {"squared_error"}
     assert len(shown) == len(_rows(planned[0], "survivors.again"))
