@@ -1,4 +1,4 @@
-"""What a search believed of its set, and how far the belief is from the cost on fresh draws."""
+"""The cost that a search believed, and the distance of this cost from that on fresh draws."""
 
 from typing import Any
 

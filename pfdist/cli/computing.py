@@ -1,4 +1,4 @@
-"""What commands that compute a run have in common."""
+"""From parsed arguments to the arguments of the functions that compute a run."""
 
 from argparse import Namespace
 from typing import Any

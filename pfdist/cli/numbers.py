@@ -34,7 +34,7 @@ def percent_with_interval(
     interval : list of float or None
         Lower and upper end.
     unit : str
-        What the fraction is part of, for instance `` of draws``.
+        Follows the per cent sign, for instance `` of draws``.
     """
     value, low, high = with_interval(*(times_100(part) for part in (fraction, *interval)))
     return f"{value} %{unit}  (95 %: {range_of(low, high)})"

@@ -1,4 +1,4 @@
-"""What a figure of a run is. Each is one file of `pfdist.plots` and declares itself."""
+"""Figures of a run. Each is one file of `pfdist.plots` and declares itself."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass

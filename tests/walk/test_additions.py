@@ -68,6 +68,7 @@ model = StateSpaceModel(
     initial_noise=("normal",),
     process_noise=("normal",),
     measurement_noise=("normal",),
+    linear_gaussian=True,
 )
 """,
     "figures": """
@@ -163,7 +164,7 @@ horizon = 12
 measurement_budget = 4
 [filter]
 particles = 50
-engine = "numpy"
+engine = "kalman"
 [[search]]
 method = "shifted"
 shifts = 2
