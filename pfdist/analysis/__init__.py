@@ -15,8 +15,8 @@ from pfdist.analysis.gains import (
     summarise_gain,
 )
 from pfdist.analysis.recorded import read_recorded
+from pfdist.analysis.stored_run import Run, finite, open_run
 from pfdist.analysis.streaming_moments import Moments
-from pfdist.analysis.tables import Run, finite, open_run
 
 __all__ = [
     "BIN",

@@ -10,7 +10,7 @@ from pfdist.search.paired import CLEAR_ERRORS
 from pfdist.search.section import AUTO
 
 if TYPE_CHECKING:
-    from pfdist.analysis.tables import Run
+    from pfdist.analysis.stored_run import Run
 
 _ROUNDING = 1e-9
 _CHOSE = "its draws chose the set"

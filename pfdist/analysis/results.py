@@ -17,7 +17,7 @@ from pfdist.errors import StoreError
 from pfdist.times.measurement_times import Times
 
 if TYPE_CHECKING:
-    from pfdist.analysis.tables import Run
+    from pfdist.analysis.stored_run import Run
 
 
 class Results(Protocol):

@@ -117,7 +117,10 @@ def filter_checked_draws(
     """Filter draws as `filter_draws` does, with arguments that the caller has checked."""
     kept = np.full((2, *draws.z.shape) if trajectories else (2, 0, 0, 0), np.nan)
     sets, estimator = [measurement_times], SQUARED_ERROR.name
-    mse = _filter(model, draws, sets, particles, stream, resampling, dtype, estimator, kept)[:, 0]
+    ends = [draws.z.shape[1] - 1]
+    mse = filter_checked_sets(
+        model, draws, sets, particles, stream, resampling, dtype, ends, estimator, kept
+    )[:, 0]
     kept[np.isnan(kept)] = np.nan  # which NaN an operation gives depends on the processor
     return Filtered(mse, *kept) if trajectories else Filtered(mse)
 
@@ -171,43 +174,31 @@ def filter_checked_sets(
     dtype: str,
     ends: Sequence[int],
     estimator: str,
+    moments: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]:
-    """Filter draws as `filter_sets` does, with arguments that the caller has checked."""
-    moments = np.empty((2, 0, 0, 0))
-    return _filter(
-        model, draws, sets, particles, stream, resampling, dtype, estimator, moments, ends
-    )
+    """Filter draws as `filter_sets` does, with arguments that the caller has checked.
 
-
-def filter_streams(stream: int, estimator: str) -> list[int]:
-    """Keys of the noise of each filter that an estimator takes; the first is the given one."""
-    return [stream, stream_key(stream, "second filter")][: ESTIMATORS[estimator].filters]
-
-
-def _filter(
-    model: StateSpaceModel,
-    draws: Draws,
-    sets: Sequence[Times],
-    particles: int,
-    stream: int,
-    resampling: str,
-    dtype: str,
-    estimator: str,
-    moments: NDArray[np.float64],
-    ends: Sequence[int] | None = None,
-) -> NDArray[np.float64]:
-    """Fill estimate and variance, unless they are empty, and give the mse, (D, S)."""
+    Parameters
+    ----------
+    moments : array of float64, (2, D, T+1, q), optional
+        Receives estimate and variance; only for a single set.
+    """
+    kept = np.empty((2, 0, 0, 0)) if moments is None else moments
     count, instants, _ = draws.z.shape
-    last = [instants - 1] * len(sets) if ends is None else ends
-    planned, place = plan(tuple(sets), instants, tuple(end + 1 for end in last))
+    planned, place = plan(tuple(sets), instants, tuple(end + 1 for end in ends))
     mse, truth = np.empty((count, len(planned.measured))), draws.model
     streams = np.array(filter_streams(stream, estimator), np.uint64)
     with formulas_of(model.name, model.formulas | {"error": truth.error}):
         _compiled(model, truth, resampling, dtype)(
             streams, draws.index.start, draws.y, draws.z, tuple(planned), planned.clouds, particles,
-            list(ESTIMATORS).index(estimator), np.array(model.p), np.array(truth.p), mse, *moments,
+            list(ESTIMATORS).index(estimator), np.array(model.p), np.array(truth.p), mse, *kept,
         )  # fmt: skip
     return mse[:, place]
+
+
+def filter_streams(stream: int, estimator: str) -> list[int]:
+    """Keys of the noise of each filter that an estimator takes; the first is the given one."""
+    return [stream, stream_key(stream, "second filter")][: ESTIMATORS[estimator].filters]
 
 
 def check_fits(model: StateSpaceModel, truth: StateSpaceModel) -> None:

@@ -90,7 +90,8 @@ class Collector:
         TaskError
             Too many tasks failed. All other results are committed.
         """
-        todo: Iterable[Task] = self._tasks(table, works)
+        steps = dict[str, int]()  # of each task, by its key
+        todo: Iterable[Task] = self._tasks(table, works, steps)
         try:
             while todo:
                 failed: list[Task] = []
@@ -101,7 +102,7 @@ class Collector:
                         self._count_failure(phase, outcome.error)
                         failed.append(outcome.task)
                         continue
-                    self._pace.learn(outcome.task.work, outcome.seconds)
+                    self._pace.learn(steps.pop(outcome.task.key), outcome.seconds)
                     pieces = list(zip(outcome.task.work, outcome.value, strict=True))
                     waiting.rows += [rows_of(work, result) for work, result in pieces]
                     yield from pieces
@@ -122,10 +123,11 @@ class Collector:
             times = f"{self._failures} times, the last: " if self._failures > 1 else ""
             raise TaskError(f"a task of {phase} failed: {times}{reason}", error)
 
-    def _tasks(self, table: str, works: Iterable[Work]) -> Iterator[Task]:
+    def _tasks(self, table: str, works: Iterable[Work], steps: dict[str, int]) -> Iterator[Task]:
         for bundle in bundles(works, self._pace.size):
-            key = f"{table}:{stream_key([(work.ids, work.draws) for work in bundle]):016x}"
-            yield Task(key, bundle, self._pace.expected(bundle))
+            key = f"{table}:{stream_key([(work.ids, work.draws) for work in bundle.works]):016x}"
+            steps[key] = bundle.steps
+            yield Task(key, bundle.works, self._pace.seconds * bundle.steps)
 
     def later(self, write: Callable[[], None]) -> None:
         """Write something after the next commit, while the workers are busy."""

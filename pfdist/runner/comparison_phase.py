@@ -19,7 +19,7 @@ from pfdist.runner.progress import Reporter
 from pfdist.store import ROWS_IN_A_FILE, Store, comparison_schema
 from pfdist.times.measurement_times import Times, validated
 
-PHASE = "comparison"
+COMPARISON = "comparison"
 
 
 def run_comparison(
@@ -47,9 +47,9 @@ def run_comparison(
         interim.learn(rows)
     compared = int(present.sum())
     reporter.note(done=reporter.progress.done + compared * work.steps_a_draw)
-    reporter.begin(PHASE, evaluations=compared, found=study.shown(interim.found))
+    reporter.begin(COMPARISON, evaluations=compared, found=study.shown(interim.found))
     for table in study.first_draws:
-        TABLES[table](built, work).fill(PHASE, collector)
+        TABLES[table](built, work).fill(COMPARISON, collector)
     schema = comparison_schema(list(sets))
 
     def rows_of(piece: Work, result: Result) -> pa.Table:
@@ -63,7 +63,7 @@ def run_comparison(
         for lacking in cut(first + np.flatnonzero(~present[first : first + BLOCK]), BLOCK)
     )
     if not interim.enough:
-        with closing(collector.run(PHASE, "comparison", works, rows_of)) as pieces:
+        with closing(collector.run(COMPARISON, "comparison", works, rows_of)) as pieces:
             for piece, result in pieces:
                 interim.learn(rows_of(piece, result))
                 compared += len(result.mse)
@@ -78,7 +78,7 @@ def run_comparison(
     _publish(store, interim.enough or draws)
 
 
-def steps(built: Built) -> int:
+def comparison_steps(built: Built) -> int:
     """How many particle-steps the whole comparison takes."""
     job = built.job
     instants = len(built.names) * (job.problem.horizon + 1)
@@ -108,11 +108,11 @@ def _work(built: Built, sets: Mapping[str, Times]) -> Work:
 
 def _publish(store: Store, draws: int) -> None:
     """Turn parts into tables, as many draws at a time as make a file."""
-    if store.has_parts("comparison", PHASE):
+    if store.has_parts("comparison", COMPARISON):
         if not store.present("comparison", "draw")[:draws].all():
             raise StoreError(
                 f"{store.path} lacks draws that were committed: is another driver at work there? "
                 "Run the same command again"
             )
         rows = ROWS_IN_A_FILE["comparison"]
-        store.publish("comparison", PHASE, store.blocks("comparison", "draw", rows, draws))
+        store.publish("comparison", COMPARISON, store.blocks("comparison", "draw", rows, draws))

@@ -10,13 +10,12 @@ import pyarrow as pa
 
 from pfdist.errors import SearchError
 from pfdist.pools.base import Pool
-from pfdist.runner import comparison_phase
 from pfdist.runner.build import Built
 from pfdist.runner.collect import Collector
-from pfdist.runner.comparison_phase import run_comparison
+from pfdist.runner.comparison_phase import COMPARISON, comparison_steps, run_comparison
 from pfdist.runner.pace import Pace
 from pfdist.runner.progress import Report, Reporter
-from pfdist.runner.search_phase import run_search, steps
+from pfdist.runner.search_phase import run_search, search_steps
 from pfdist.runner.search_tables import unpublished
 from pfdist.store import Store, schema
 from pfdist.times.measurement_times import Times
@@ -56,8 +55,8 @@ def drive(
     failures = built.job.execution.failures
     pace = Pace(built.problem.seconds_a_step, pool.workers)
     collector = Collector(store, pool, uuid.uuid4().hex[:8], pace, failures, store.has("draws"))
-    searched = sum(steps(built, search) for search in built.searches)
-    reporter = Reporter(report, searched + comparison_phase.steps(built))
+    searched = sum(search_steps(built, search) for search in built.searches)
+    reporter = Reporter(report, searched + comparison_steps(built))
     try:
         lost = store.manifest.lost()  # they are computed again
         has = store.has("compared") and not store.has_parts("compared")
@@ -72,7 +71,7 @@ def drive(
         store.manifest.forget_lost()
     finally:
         collector.flush()
-        for phase in (*built.phases, comparison_phase.PHASE):
+        for phase in (*built.phases, COMPARISON):
             _publish_timings(store, phase)
 
 

@@ -3,7 +3,7 @@
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, Generic, TypeVar
 
@@ -27,7 +27,6 @@ from pfdist.times.measurement_times import validated
 E = TypeVar("E", bound=Evaluation)
 
 
-@dataclass(frozen=True)
 class Phase(Generic[E]):
     """An optimiser with the purpose of its draws and the settings of its evaluations.
 
@@ -39,19 +38,27 @@ class Phase(Generic[E]):
     purpose : Purpose
     settings : Settings
     built : Built
+
+    Attributes
+    ----------
     evaluated : dict of str to array of float64
         Per-draw MSE by the evaluation's id, of this session, where a set may be asked for again.
     leaders : list of Evaluation
         Evaluations that led the generations; see `pfdist.search.probe.new_leaders`.
     """
 
-    name: str
-    optimiser: Optimiser[E]
-    purpose: Purpose[E]
-    settings: Settings
-    built: Built
-    evaluated: dict[str, NDArray[np.float64]] = field(default_factory=dict)
-    leaders: list[E] = field(default_factory=list)
+    def __init__(
+        self,
+        name: str,
+        optimiser: Optimiser[E],
+        purpose: Purpose[E],
+        settings: Settings,
+        built: Built,
+    ) -> None:
+        self.name, self.optimiser, self.purpose = name, optimiser, purpose
+        self.settings, self.built = settings, built
+        self.evaluated: dict[str, NDArray[np.float64]] = {}
+        self.leaders: list[E] = []
 
     def steps(self) -> float:
         """About how many particle-steps the phase takes."""
@@ -77,11 +84,6 @@ class Phase(Generic[E]):
         id_ = self.built.source.evaluation_id(times, last, stream, estimation)
         mse = np.full(draws or self.settings.draws, np.nan)
         return _Request(id_, candidate, last, stream, estimation, mse, np.isnan(mse))
-
-    def alike(self, candidate: Candidate) -> Candidate:
-        """The candidate, without its index in the population where copies cannot differ."""
-        same = self.settings.common_noise or self.built.problem.exact
-        return candidate._replace(individual=None) if same else candidate
 
     def evaluation(self, request: "_Request", exact: float | None = None) -> E:
         """The evaluation that was requested."""
@@ -128,9 +130,12 @@ def run_phase(phase: Phase[E], collector: Collector, reporter: Reporter) -> Sequ
     state, generation = optimiser.init(), 0
     share, start = phase.steps() / max(1, optimiser.generations), reporter.progress.done
     reporter.begin(name, generation=1, generations=optimiser.generations)
+    copies_are_alike = phase.settings.common_noise or phase.built.problem.exact
     while not optimiser.done(state):
         rng = generator(phase.built.job.seed, "search", name, generation)
-        asked = [phase.alike(candidate) for candidate in optimiser.ask(state, rng)]
+        asked = list(optimiser.ask(state, rng))
+        if copies_are_alike:
+            asked = [candidate._replace(individual=None) for candidate in asked]
         copies = Counter(asked)
         requests = [phase.request(candidate, generation) for candidate in copies]
         found = optimiser.finalists(state)

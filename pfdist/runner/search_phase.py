@@ -124,7 +124,7 @@ class _Runner:
         estimator = f"{estimation.estimator} of {estimation.particles} particles"
         distrust = f"{estimator} cannot be believed: {distrust}"
         self._say(f"search {search.name}: {distrust}; searching again by the squared error")
-        self._reporter.foresee(steps(self._built, again))
+        self._reporter.foresee(search_steps(self._built, again))
         attempt = self.attempt(again)
         return SearchEnd(self.winners(search.name, attempt, self.race(again, attempt)), distrust)
 
@@ -205,12 +205,12 @@ def run_search(
     """
     start = reporter.progress.done
     end = _Runner(built, collector, reporter, say).run(search)
-    redone = steps(built, search.again) if search.again and end.distrust else 0.0
-    reporter.note(done=start + steps(built, search) + redone)  # as it was foreseen
+    redone = search_steps(built, search.again) if search.again and end.distrust else 0.0
+    reporter.note(done=start + search_steps(built, search) + redone)  # as it was foreseen
     return end
 
 
-def steps(built: Built, search: NamedSearch) -> float:
+def search_steps(built: Built, search: NamedSearch) -> float:
     """About how many particle-steps a search and the phases after it take.
 
     The forecast leaves out that the search may be run again by the squared error.

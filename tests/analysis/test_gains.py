@@ -121,9 +121,13 @@ def test_no_draws_give_no_figures() -> None:
     assert summary.draws == 0
     assert np.isnan(summary.mean_relative_gain)
     assert np.isnan(summary.gain_of_means_interval).all()
-    one = summarise_gain(np.array([1.0]), np.array([2.0]))
-    assert (one.draws, one.gain_of_means, one.mean_log10_ratio) == (1, 0.5, np.log10(0.5))
-    assert np.isnan([*one.gain_of_means_interval, *one.mean_log10_ratio_interval]).all()
+    summary = summarise_gain(np.array([1.0]), np.array([2.0]))
+    assert (summary.draws, summary.gain_of_means, summary.mean_log10_ratio) == (
+        1,
+        0.5,
+        np.log10(0.5),
+    )
+    assert np.isnan([*summary.gain_of_means_interval, *summary.mean_log10_ratio_interval]).all()
 
 
 def test_an_infinite_error_makes_the_mean_infinite_and_the_fraction_count_it() -> None:

@@ -89,9 +89,9 @@ def test_pools_and_numbers_of_workers_give_the_same_bytes(
     runs = {"serial": ("serial", 0), "one": ("ray", 1), "two": ("ray", 2)}
     for name, (pool, workers) in runs.items():
         pfdist.run(job, tmp_path / name, pool=pool, workers=workers)
-    serial, one, two = (hashes(tmp_path / name) for name in runs)
+    serial, one_worker, two_workers = (hashes(tmp_path / name) for name in runs)
     assert len(serial) > 6
-    assert serial == one == two
+    assert serial == one_worker == two_workers
 
 
 # The survivors are polished on more and more draws, of which a session before did the first.

@@ -3,6 +3,7 @@ import tomllib
 from pathlib import Path
 from typing import get_args
 
+import numpy as np
 import pytest
 
 from pfdist.errors import JobError
@@ -299,3 +300,36 @@ def test_searches_that_are_no_sections_are_an_error_with_an_override_too(tmp_pat
 
 def test_spaces_around_a_key_and_a_value_do_not_matter(write):
     assert load_job(write(), ["seed = 3", "filter.resampling = systematic"]).seed == 3
+
+
+def test_settings_are_values_and_not_text_that_is_parsed(write):
+    settings = {"seed": np.int64(7), "execution": {"address": "3", "workers": np.int32(2)}}
+    job = load_job(write(), settings=settings)
+    assert (job.seed, job.execution.address, job.execution.workers) == (7, "3", 2)
+    with pytest.raises(JobError, match=r"execution\.address must be .* string, got 3 "):
+        load_job(write(), ["execution.address=3"])  # the same text is a number to TOML
+
+
+def test_settings_come_after_overrides_and_leave_the_other_keys_of_a_section(write):
+    overrides = ["filter.particles=9", "filter.resampling=systematic"]
+    job = load_job(write(), overrides, settings={"filter": {"particles": 12}})
+    assert (job.filter.particles, job.filter.resampling) == (12, "systematic")
+    again = job.with_changes(settings={"filter": {"particles": 12}})
+    assert again == job
+    assert again.filter.resampling == "systematic"
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"filter": {"particles": 0}}, r"particles .* got 0 \(.* with filter\.particles=0\)"),
+        ({"filter": {"particle": 5}}, r"unknown key 'particle' in \[filter\]"),
+        ({"execution": {"pool": "threads"}}, r"got 'threads' \(.* with execution\.pool=threads\)"),
+        ({"seed": 10**400}, r"seed .* got a whole number of .* bits \(.* with seed=a whole"),
+        ({"seed": 1.5}, r"seed must be .* got 1\.5"),
+    ],
+)
+def test_a_wrong_setting_is_one_line_with_the_setting(write, settings, message):
+    with pytest.raises(JobError, match=message) as error:
+        load_job(write(), settings=settings)
+    assert "\n" not in str(error.value)

@@ -25,7 +25,7 @@ BLOCK, MOST = 50, 430
 
 @pytest.fixture(autouse=True)
 def _small_blocks(monkeypatch: pytest.MonkeyPatch, no_figures: None) -> None:
-    for module in ("analysis.tables", "runner.comparison_phase", "runner.interim"):
+    for module in ("analysis.stored_run", "runner.comparison_phase", "runner.interim"):
         monkeypatch.setattr(f"pfdist.{module}.BLOCK", BLOCK)
     monkeypatch.setattr(Pace, "size", lambda pace, remaining: BLOCK * SETS * A_DRAW)
 
