@@ -159,7 +159,10 @@ def build(job: Job, choose: Choose | None = None) -> Built:
         a resampling does not fit.
     """
     choose = choose or _chooser(job)
-    model = choose("model", job.model.name, job.path.parent, job.model.parameters)
+    try:
+        model = choose("model", job.model.name, job.path.parent, job.model.parameters)
+    except ModelError as error:
+        raise ModelError(f"model.name: {error}") from error
     source = ProblemSource(
         model=model,
         filter_model=_filter_model(job, model, choose),
@@ -224,7 +227,7 @@ def _filter_model(job: Job, model: ChosenModel, choose: Choose) -> ChosenModel:
         try:
             return choose("filter_model", section.name, job.path.parent, section.parameters)
         except ModelError as error:
-            raise ModelError(f"model.filter: {error}") from error
+            raise ModelError(f"model.filter.name: {error}") from error
     return replace(model, parameters={**model.parameters, **section.parameters})
 
 

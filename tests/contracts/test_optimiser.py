@@ -46,11 +46,11 @@ def _told(asked: list[Candidate]) -> list[SearchEvaluation]:
     noise = np.random.default_rng(0).normal(size=DRAWS)
     return [
         SearchEvaluation(
-            one.measurement_times,
-            (_cost(one.measurement_times, one.end) + noise)[: one.draws],
-            end=one.end,
+            candidate.measurement_times,
+            (_cost(candidate.measurement_times, candidate.end) + noise)[: candidate.draws],
+            end=candidate.end,
         )
-        for one in asked
+        for candidate in asked
     ]
 
 
@@ -68,12 +68,14 @@ def _search(
 @every
 def test_it_asks_for_sorted_sets_of_distinct_times_within_the_horizon(name: str) -> None:
     asked, found = _search(OPTIMISERS[name], 1)
-    for times, end, draws, _, squared in (one for generation in asked for one in generation):
+    for times, end, draws, _, squared in (
+        candidate for generation in asked for candidate in generation
+    ):
         assert not squared  # a search estimates in one way
         assert all(a < b for a, b in itertools.pairwise(times))
         assert all(0 <= time <= (FEASIBLE.horizon if end is None else end) for time in times)
         assert draws is None or 2 <= draws <= DRAWS
-    assert all(FEASIBLE.accepts(one.measurement_times) for one in found)
+    assert all(FEASIBLE.accepts(evaluation.measurement_times) for evaluation in found)
 
 
 @pytest.mark.parametrize("name", FORESEEN)
@@ -97,13 +99,20 @@ def test_other_keys_give_another_search(name: str) -> None:
 @every
 def test_it_returns_whole_sets_it_asked_for_with_what_it_was_told(name: str) -> None:
     asked, found = _search(OPTIMISERS[name], 1)
-    whole = {one.measurement_times for generation in asked for one in generation if one.end is None}
-    assert {one.measurement_times for one in found} <= whole
+    whole = {
+        candidate.measurement_times
+        for generation in asked
+        for candidate in generation
+        if candidate.end is None
+    }
+    assert {evaluation.measurement_times for evaluation in found} <= whole
     assert 1 <= len(found) <= FINALISTS
-    assert [one.cost for one in found] == sorted(one.cost for one in found)
-    for one in found:
-        (told,) = _told([Candidate(one.measurement_times, draws=one.draws)])
-        assert one.cost == told.cost
+    assert [evaluation.cost for evaluation in found] == sorted(
+        evaluation.cost for evaluation in found
+    )
+    for evaluation in found:
+        (told,) = _told([Candidate(evaluation.measurement_times, draws=evaluation.draws)])
+        assert evaluation.cost == told.cost
 
 
 @pytest.mark.parametrize("name", FINDS_THE_BEST)
@@ -128,4 +137,6 @@ def test_state_and_evaluations_are_not_changed(name: str) -> None:
     following = optimiser.tell(state, told)
     assert following is not state
     assert state == optimiser.init()
-    assert [one.measurement_times for one in told] == [one.measurement_times for one in asked]
+    assert [evaluation.measurement_times for evaluation in told] == [
+        evaluation.measurement_times for evaluation in asked
+    ]
