@@ -23,7 +23,7 @@ from benchmarks.search_runs import fresh_costs, search
 from pfdist import Job, load_job
 from pfdist.common.streams import stream_key
 from pfdist.filters.particle_filter import KERNEL_VERSION
-from pfdist.job.job import Execution
+from pfdist.job.sections import Execution
 from pfdist.plots.style import BLUE, COLUMN_INCHES, GREEN, GREY, ORANGE, RED
 from pfdist.runner.build import build, make_pool
 from pfdist.runner.identity import estimations

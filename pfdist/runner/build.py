@@ -14,7 +14,8 @@ from pfdist.evaluation.problem import Problem
 from pfdist.evaluation.work import Estimation
 from pfdist.filters.draws import Draws
 from pfdist.filters.particle_filter import KERNEL_VERSION
-from pfdist.job.job import Execution, Job
+from pfdist.job.job import Job
+from pfdist.job.sections import Execution
 from pfdist.meaning import chosen
 from pfdist.meaning.chosen import Choose, ChosenModel
 from pfdist.pools.base import Pool, SerialPool
