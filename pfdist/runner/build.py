@@ -14,7 +14,8 @@ from pfdist.evaluation.problem import Problem
 from pfdist.evaluation.work import Estimation
 from pfdist.filters.draws import Draws
 from pfdist.filters.particle_filter import KERNEL_VERSION
-from pfdist.job.job import Execution, Job
+from pfdist.job.job import Job
+from pfdist.job.sections import Execution
 from pfdist.meaning import chosen
 from pfdist.meaning.chosen import Choose, ChosenModel
 from pfdist.pools.base import Pool
@@ -140,7 +141,10 @@ def build(job: Job, choose: Choose | None = None) -> Built:
         a resampling scheme does not fit.
     """
     choose = choose or _chooser(job)
-    model = choose("model", job.model.name, job.path.parent, job.model.parameters)
+    try:
+        model = choose("model", job.model.name, job.path.parent, job.model.parameters)
+    except ModelError as error:
+        raise ModelError(f"model.name: {error}") from error
     source = ProblemSource(
         model=model,
         filter_model=_filter_model(job, model, choose),
@@ -205,7 +209,7 @@ def _filter_model(job: Job, model: ChosenModel, choose: Choose) -> ChosenModel:
         try:
             return choose("filter_model", section.name, job.path.parent, section.parameters)
         except ModelError as error:
-            raise ModelError(f"model.filter: {error}") from error
+            raise ModelError(f"model.filter.name: {error}") from error
     return replace(model, parameters={**model.parameters, **section.parameters})
 
 

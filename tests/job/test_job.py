@@ -8,7 +8,8 @@ import pytest
 
 from pfdist.errors import JobError
 from pfdist.evaluation.estimate import DEGENERATE_POLICIES
-from pfdist.job.job import EvaluationSection, job_toml, load_job
+from pfdist.job.job import job_toml, load_job
+from pfdist.job.sections import EvaluationSection
 from pfdist.times.feasible import Feasible
 
 JOBS = Path(__file__).parents[2] / "jobs"

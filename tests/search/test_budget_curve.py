@@ -51,13 +51,17 @@ def test_of_every_number_it_finds_what_brute_force_finds(
     cost = prefix_costs(system, feasible.horizon)
     search = BudgetCurve(feasible, 2, **settings)
     state, _ = _run(search, feasible.horizon, cost)
-    found = sorted(search.finalists(state), key=lambda one: len(one.measurement_times))
-    assert [len(one.measurement_times) for one in found] == list(range(2, feasible.total + 1))
-    for one in found:
-        sets = replace(feasible, measurement_budget=len(one.measurement_times))
+    found = sorted(
+        search.finalists(state), key=lambda evaluation: len(evaluation.measurement_times)
+    )
+    assert [len(evaluation.measurement_times) for evaluation in found] == list(
+        range(2, feasible.total + 1)
+    )
+    for evaluation in found:
+        sets = replace(feasible, measurement_budget=len(evaluation.measurement_times))
         best = min(cost(times, feasible.horizon) for times in sets.every())
-        assert sets.accepts(one.measurement_times)
-        assert one.cost == pytest.approx(best, rel=1e-12)
+        assert sets.accepts(evaluation.measurement_times)
+        assert evaluation.cost == pytest.approx(best, rel=1e-12)
 
 
 def test_it_asks_for_less_than_one_programme_for_each_number() -> None:
@@ -75,6 +79,6 @@ def test_limits_that_are_in_the_way_are_widened() -> None:
 
     search = BudgetCurve(Feasible(40, 5), 4)
     state, _ = _run(search, 40, cost)
-    found = [one.measurement_times for one in search.finalists(state)]
+    found = [evaluation.measurement_times for evaluation in search.finalists(state)]
     assert found == [tuple(range(41 - number, 41)) for number in (5, 4)]
     assert state.widening > search.init().widening

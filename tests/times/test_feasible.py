@@ -110,7 +110,7 @@ def test_additions_are_those_of_which_a_set_can_come(case: Any) -> None:
     feasible, every = case
     for times in subsets(feasible.horizon):
         larger = [tuple(sorted({*times, t})) for t in range(feasible.horizon + 1) if t not in times]
-        expected = [one for one in larger if any(nested(one, whole) for whole in every)]
+        expected = [grown for grown in larger if any(nested(grown, whole) for whole in every)]
         assert feasible.additions(times) == expected
 
 
@@ -120,7 +120,7 @@ def test_removals_are_those_that_still_hold_a_set(case: Any) -> None:
     feasible, every = case
     for times in subsets(feasible.horizon):
         smaller = [tuple(t for t in times if t != out) for out in times]
-        expected = [one for one in smaller if any(nested(whole, one) for whole in every)]
+        expected = [shrunk for shrunk in smaller if any(nested(whole, shrunk) for whole in every)]
         assert feasible.removals(times) == expected
 
 
@@ -167,12 +167,12 @@ def test_regular_times_are_the_nearest_set_to_the_papers(case: Any) -> None:
     if feasible.counted and feasible.total > 1:
         papers = regular(feasible.horizon, feasible.total)
 
-        def distance(one: Times) -> int:
-            return sum(abs(a - b) for a, b in zip(one, papers, strict=True))
+        def distance(chosen: Times) -> int:
+            return sum(abs(a - b) for a, b in zip(chosen, papers, strict=True))
 
         least = min(map(distance, every))
-        nearest = [one for one in every if distance(one) == least]
-        assert times == min(nearest, key=lambda one: one[::-1])
+        nearest = [chosen for chosen in every if distance(chosen) == least]
+        assert times == min(nearest, key=lambda chosen: chosen[::-1])
 
 
 @quick
@@ -283,7 +283,10 @@ def test_regular_times_for_money_are_found_at_once_among_very_many() -> None:
 
 def test_those_nearest_to_a_time_that_costs_too_much_give_way_to_it() -> None:
     feasible = Feasible(8, cost=(1, 1, 1, 1, 2, 1, 1, 1, 1), total_cost=3)
-    assert {one for one in feasible.exchanges((0, 3, 8)) if 4 in one} == {(0, 4), (4, 8)}
+    assert {neighbour for neighbour in feasible.exchanges((0, 3, 8)) if 4 in neighbour} == {
+        (0, 4),
+        (4, 8),
+    }
 
 
 def test_many_sets_are_counted_exactly_and_drawn() -> None:
