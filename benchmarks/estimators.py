@@ -68,9 +68,11 @@ def measure(quick: bool, say: Say) -> Tables:
         found: dict[Any, Any] = {}
         for estimator in ESTIMATORS:
             for scheme in SCHEMES:
-                of = partial(filter_sets, model, particles=particles, stream=2, resampling=scheme)
-                turns[estimator, scheme] = partial(of, timed, [GOOD], estimator=estimator)
-                found[estimator, scheme] = of(draws, [GOOD, NEAR], estimator=estimator)
+                filtered = partial(
+                    filter_sets, model, particles=particles, stream=2, resampling=scheme
+                )
+                turns[estimator, scheme] = partial(filtered, timed, [GOOD], estimator=estimator)
+                found[estimator, scheme] = filtered(draws, [GOOD, NEAR], estimator=estimator)
                 say(f"{particles} particles, {estimator}, {scheme}")
         with one_core():
             timings = take_turns(turns, 2 if quick else REPEATS, say)
@@ -165,20 +167,20 @@ def plot(tables: Tables) -> Figure:
     figure = Figure(figsize=(COLUMN_INCHES, 1.25 * COLUMN_INCHES), layout="constrained")
     panels = figure.subplots(2, sharex=True)
     colours = dict(zip(SCHEMES, SERIES, strict=False))
-    for axes, of, title in zip(
+    for axes, quantity, title in zip(
         panels, ("cost", "difference"), ("one cost", "difference of two sets"), strict=True
     ):
         for row in _rows(tables):
             scheme, size = SCHEMES.index(row["resampling"]), PARTICLES.index(row["particles"])
             axes.plot(
                 list(ESTIMATORS).index(row["estimator"]) + 0.22 * (scheme - 1) + 0.06 * (size - 1),
-                row[f"saved_{of}"],
+                row[f"saved_{quantity}"],
                 color=colours[row["resampling"]],
                 **MARKS[row["particles"]],
             )
         axes.axhline(1, color=GREY, lw=0.6, ls=":")
         axes.set_yscale("log")
-        ticks = (0.5, 1, 2, 5, 10) if of == "cost" else (0.5, 1, 2, 4)
+        ticks = (0.5, 1, 2, 5, 10) if quantity == "cost" else (0.5, 1, 2, 4)
         axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
         axes.minorticks_off()
         axes.set_ylabel("variance saved at equal work")

@@ -21,7 +21,7 @@ from benchmarks.search_runs import filtered, search
 from pfdist import load_job
 from pfdist.analysis import relative_gain
 from pfdist.evaluation.estimate import REPORT
-from pfdist.job.job import Execution
+from pfdist.job.sections import Execution
 from pfdist.plots.style import COLUMN_INCHES, GREY, RED
 from pfdist.runner.build import build, make_pool
 from pfdist.times.measurement_times import Times

@@ -191,12 +191,12 @@ def summary(tables: Tables) -> str:
 
 def _growth_table(rows: pd.DataFrame) -> str:
     def line(series: str) -> list[str]:
-        of = rows[(rows["series"] == series) & (rows["resampling"] == "multinomial")]
-        pairs = zip(of[series], of["ns"], strict=True)
+        chosen = rows[(rows["series"] == series) & (rows["resampling"] == "multinomial")]
+        pairs = zip(chosen[series], chosen["ns"], strict=True)
         costs = ", ".join(f"{size:,}: {ns:.2f}" for size, ns in pairs)
-        seconds = of["ns"] * of["particles"] * (of["horizon"] + 1)
-        seconds *= of["draws"] if series == "draws" else 1
-        power = np.polyfit(np.log(of[series]), np.log(seconds), 1)[0]
+        seconds = chosen["ns"] * chosen["particles"] * (chosen["horizon"] + 1)
+        seconds *= chosen["draws"] if series == "draws" else 1
+        power = np.polyfit(np.log(chosen[series]), np.log(seconds), 1)[0]
         return [series.replace("_", " "), costs, f"{power:.2f}"]
 
     return markdown(["what is varied", "size: ns a particle-step", "power"], map(line, SIZES))
@@ -206,8 +206,8 @@ def _first_call_table(rows: pd.DataFrame) -> str:
     return markdown(
         ["model, cache", "import", "first call"],
         (
-            [f"{model}, {state}", *(with_range(of[f"{part}_seconds"], ".2f") for part in _PARTS)]
-            for (model, state), of in rows.groupby(["model", "cache"])
+            [f"{model}, {state}", *(with_range(calls[f"{part}_seconds"], ".2f") for part in _PARTS)]
+            for (model, state), calls in rows.groupby(["model", "cache"])
         ),
     )
 
@@ -228,9 +228,11 @@ def plot(tables: Tables) -> Figure:
 
 def _plot_series(axes: Axes, rows: pd.DataFrame, series: str) -> None:
     styles = zip(SERIES, "os", rows.groupby("resampling"), strict=False)
-    for colour, marker, (name, of) in styles:
-        axes.plot(of[series], of["ns"], color=colour, marker=marker, ms=2.5, label=name)
-        axes.fill_between(of[series], of["ns"], of["ns_median"], color=colour, alpha=0.2, lw=0)
+    for colour, marker, (name, chosen) in styles:
+        axes.plot(chosen[series], chosen["ns"], color=colour, marker=marker, ms=2.5, label=name)
+        axes.fill_between(
+            chosen[series], chosen["ns"], chosen["ns_median"], color=colour, alpha=0.2, lw=0
+        )
     if series != "measurement_budget":
         axes.set_xscale("log")
     sizes = sorted(rows[series].unique())

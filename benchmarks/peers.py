@@ -182,10 +182,10 @@ def summary(tables: Tables) -> str:
     """Say in Markdown what everybody takes and that all agree."""
     rows = tables["peers"]
     lines = []
-    for (who, dtype), of in rows.groupby(["who", "dtype"], sort=False):
+    for (who, dtype), filters in rows.groupby(["who", "dtype"], sort=False):
         cells = [f"{who}, {dtype}"]
         for scheme in SCHEMES:
-            row = of[of["resampling"] == scheme].iloc[0]
+            row = filters[filters["resampling"] == scheme].iloc[0]
             cells += [
                 f"{row['ns']:.2f}",
                 f"{row['ratio']:.1f} ({row['ratio_low']:.1f} to {row['ratio_high']:.1f})",
@@ -215,10 +215,10 @@ def plot(tables: Tables) -> Figure:
     axes = figure.subplots()
     styles = zip(SCHEMES, (RED, BLUE), "os", (0.17, -0.17), strict=True)
     for scheme, colour, marker, aside in styles:
-        of = rows[rows["resampling"] == scheme].set_index("label").loc[names]
+        chosen = rows[rows["resampling"] == scheme].set_index("label").loc[names]
         places = np.arange(len(names)) + aside
-        axes.plot(of["ns"], places, marker, color=colour, ms=4, label=scheme)
-        for ns, place in zip(of["ns"], places, strict=True):
+        axes.plot(chosen["ns"], places, marker, color=colour, ms=4, label=scheme)
+        for ns, place in zip(chosen["ns"], places, strict=True):
             text = f"{ns:.{1 if ns > 10 else 2}f}"
             axes.annotate(text, (ns, place), (5, 0), textcoords="offset points", va="center")
     axes.set_xscale("log")

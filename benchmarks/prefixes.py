@@ -61,8 +61,8 @@ def measure(quick: bool, say: Say) -> Tables:
     draws = simulate(load_model("ungm"), horizon, range(DRAWS), stream=1)
     evaluations = evaluations[evaluations["generation"] % EVERY == 0]
     generations: dict[Any, list[Times]] = {
-        key: [tuple(times) for times in of["measurement_times"]]
-        for key, of in evaluations.groupby(["phase", "generation"])
+        key: [tuple(times) for times in generation["measurement_times"]]
+        for key, generation in evaluations.groupby(["phase", "generation"])
     }
     functions: dict[Any, Callable[[], object]] = {}
     for key, sets in generations.items():
@@ -99,10 +99,10 @@ def summary(tables: Tables) -> str:
     lines = [
         [
             str(search),
-            f"{of['sets'].mean():.0f}",
-            *(_of_all(of, what) for what in ("steps", "time")),
+            f"{generations['sets'].mean():.0f}",
+            *(_of_all(generations, what) for what in ("steps", "time")),
         ]
-        for search, of in rows.groupby("search")
+        for search, generations in rows.groupby("search")
     ]
     header = ["search", "sets a generation", "particle-steps that remain", "time that remains"]
     return (
@@ -120,13 +120,17 @@ def plot(tables: Tables) -> Figure:
     rows = tables["prefixes"]
     figure = Figure(figsize=(COLUMN_INCHES, 0.8 * COLUMN_INCHES), layout="constrained")
     axes = figure.subplots()
-    for colour, (search, of) in zip(SERIES, rows.groupby("search"), strict=False):
+    for colour, (search, generations) in zip(SERIES, rows.groupby("search"), strict=False):
         axes.plot(
-            of["generation"], 100 * of["steps"], color=colour, ls=":", label=f"{search}, steps"
+            generations["generation"],
+            100 * generations["steps"],
+            color=colour,
+            ls=":",
+            label=f"{search}, steps",
         )
         axes.plot(
-            of["generation"],
-            100 * of["time"],
+            generations["generation"],
+            100 * generations["time"],
             color=colour,
             marker="o",
             ms=3,

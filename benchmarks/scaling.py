@@ -21,7 +21,7 @@ from benchmarks.measure import Say
 from benchmarks.results import Tables, markdown, with_range
 from pfdist import load_job, run
 from pfdist.plots.style import BLUE, COLUMN_INCHES, GREY, ORANGE, RED
-from pfdist.runner.comparison_phase import TRAJECTORIES
+from pfdist.runner.first_draws import TRAJECTORIES
 from pfdist.runner.progress import Progress
 
 TITLE = "Workers"
@@ -136,7 +136,7 @@ def summary(tables: Tables) -> str:
                 "" if np.isnan(task) else f"{task * 1e3:.1f} ms",  # bare processes have no tasks
                 *rates,
                 *[""] * (2 - len(rates)),
-                *(with_range(of[kind], ".1%") if kind in of else "" for of in both),
+                *(with_range(by_kind[kind], ".1%") if kind in by_kind else "" for by_kind in both),
             ]
         )
     costs = tables["ray_costs"].groupby("what")["seconds"].median()
@@ -162,8 +162,8 @@ def plot(tables: Tables) -> Figure:
     left, right = figure.subplots(1, 2)
     kinds = {("serial", 1): ORANGE, ("ray", 1): BLUE, ("ray", 2): RED}
     for (pool, workers), colour in kinds.items():
-        of = rows[(rows["pool"] == pool) & (rows["workers"] == workers)]
-        rates = of.groupby("draws")["rate"].agg(["median", "min", "max"]) / 1e9
+        chosen = rows[(rows["pool"] == pool) & (rows["workers"] == workers)]
+        rates = chosen.groupby("draws")["rate"].agg(["median", "min", "max"]) / 1e9
         name = "serial pool" if pool == "serial" else f"Ray, {workers} worker{'s' * (workers - 1)}"
         left.plot(rates.index, rates["median"], color=colour, marker="o", ms=2.5, label=name)
         left.fill_between(rates.index, rates["min"], rates["max"], color=colour, alpha=0.2, lw=0)

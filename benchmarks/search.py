@@ -23,7 +23,7 @@ from benchmarks.search_runs import fresh_costs, search
 from pfdist import Job, load_job
 from pfdist.common.streams import stream_key
 from pfdist.filters.particle_filter import KERNEL_VERSION
-from pfdist.job.job import Execution
+from pfdist.job.sections import Execution
 from pfdist.plots.style import BLUE, COLUMN_INCHES, GREEN, GREY, ORANGE, RED
 from pfdist.runner.build import build, make_pool
 from pfdist.runner.identity import estimations
@@ -176,7 +176,7 @@ def _ways(problem: str, name: str) -> list[dict[str, Any]]:
 
 def _label(way: dict[str, Any], ways: list[dict[str, Any]]) -> str:
     """What sets one way apart from the others."""
-    here, *others = ({**one, **one.get("evaluation", {})} for one in (way, *ways))
+    here, *others = ({**way, **way.get("evaluation", {})} for way in (way, *ways))
     keys = [
         key for key in here if key != "evaluation" and any(here[key] != o.get(key) for o in others)
     ]
@@ -185,7 +185,7 @@ def _label(way: dict[str, Any], ways: list[dict[str, Any]]) -> str:
 
 def _toml(value: Any) -> str:
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{key} = {_toml(its)}" for key, its in value.items()) + "}"
+        return "{" + ", ".join(f"{key} = {_toml(entry)}" for key, entry in value.items()) + "}"
     return json.dumps(value)
 
 
@@ -220,9 +220,9 @@ def _found(tables: Tables) -> pd.DataFrame:
     rows = tables["search"].merge(tables["search_sets"], on=["problem", "times"])
     believed = 100 * (rows["believed"] / rows["cost"] - 1)
     rows = rows.assign(believed=believed, way=rows["way"].fillna(""))
-    of = rows.groupby(["problem", "search", "way"], sort=False)
-    found = of[["steps", "excess", "believed"]].mean()
-    return found.join(of["excess"].agg(["min", "max", "size"])).reset_index()
+    ways = rows.groupby(["problem", "search", "way"], sort=False)
+    found = ways[["steps", "excess", "believed"]].mean()
+    return found.join(ways["excess"].agg(["min", "max", "size"])).reset_index()
 
 
 def summary(tables: Tables) -> str:
@@ -237,7 +237,7 @@ def summary(tables: Tables) -> str:
         "fresh draws: the winner's curse, and the bias of fewer particles."
     ]
     for problem in found["problem"].unique():
-        of = found[found["problem"] == problem].set_index(["search", "way"])
+        ways = found[found["problem"] == problem].set_index(["search", "way"])
         best = sets[(sets["problem"] == problem) & sets["best"]].iloc[0]
         lines = [
             [
@@ -247,7 +247,7 @@ def summary(tables: Tables) -> str:
                 f"{row['excess']:.2f} ({row['min']:.2f} to {row['max']:.2f})",
                 f"{row['believed']:+.1f}",
             ]
-            for name, row in of.iterrows()
+            for name, row in ways.iterrows()
         ]
         header = [problem, "seeds", "work", "excess, %", "believed, %"]
         parts.append(
@@ -281,11 +281,11 @@ def plot(tables: Tables) -> Figure:
 
 def _panel(axes: Axes, found: pd.DataFrame) -> None:
     for name, (colour, marker) in LOOKS.items():
-        of = found[found["search"] == name].sort_values("steps")
-        if len(of):
-            spread = of["excess"] - of["min"], of["max"] - of["excess"]
+        ways = found[found["search"] == name].sort_values("steps")
+        if len(ways):
+            spread = ways["excess"] - ways["min"], ways["max"] - ways["excess"]
             axes.errorbar(
-                of["steps"], of["excess"], spread, label=name, color=colour, marker=marker,
+                ways["steps"], ways["excess"], spread, label=name, color=colour, marker=marker,
                 ms=5 if marker == "*" else 3.5, lw=0.7, elinewidth=0.6, capsize=1.5,
             )  # fmt: skip
     axes.set_xscale("log")

@@ -143,10 +143,17 @@ def _winner(built: Built, pool: Pool, sets: Sequence[Times]) -> Times:
     while not race.done(state):
         asked = race.ask(state, rng)
         mse = filtered(
-            built, pool, [one.measurement_times for one in asked], stream, (0, state.draws)
+            built,
+            pool,
+            [candidate.measurement_times for candidate in asked],
+            stream,
+            (0, state.draws),
         )
         columns = zip(asked, mse.T, strict=True)
-        told = [SHORTLIST.evaluation(one.measurement_times, column) for one, column in columns]
+        told = [
+            SHORTLIST.evaluation(candidate.measurement_times, column)
+            for candidate, column in columns
+        ]
         state = race.tell(state, told)
     return race.finalists(state)[0].measurement_times
 

@@ -1,8 +1,9 @@
-"""Elementwise functions for a model's formulas: the same on scalars, compiled, and on arrays.
+"""Elementwise functions for a model's formulas, for scalars in compiled code and for arrays.
 
-A formula runs twice: one particle at a time inside the compiled filter, and on whole NumPy
-arrays in the plain one. `numpy.where` makes an array even of scalars (140 ns a particle in
-compiled code) and `numpy.clip` does not compile on scalars at all; these two do both.
+A formula runs in two ways: on scalars, for each particle, in the compiled filter, and on whole
+NumPy arrays in the plain filter. `numpy.where` makes an array even of scalars, which costs 140 ns
+for each particle in compiled code. `numpy.clip` does not compile on scalars. The functions `where`
+and `clip` work in both ways.
 """
 
 from typing import Any
@@ -13,13 +14,13 @@ from numba.extending import overload
 
 
 def where(condition: Any, if_true: Any, if_false: Any) -> Any:
-    """Choose elementwise between two values.
+    """Give the first value where the condition holds, and the second elsewhere.
 
     Parameters
     ----------
     condition : bool or array of bool
     if_true, if_false : float or array
-        Both are evaluated, wherever the condition holds or not.
+        Both are evaluated, whether the condition holds or not.
 
     Returns
     -------
@@ -35,7 +36,7 @@ def where(condition: Any, if_true: Any, if_false: Any) -> Any:
 
 
 def clip(x: Any, low: Any, high: Any) -> Any:
-    """Limit elementwise to the interval from low to high.
+    """Give a value limited elementwise to the interval from low to high.
 
     Parameters
     ----------
@@ -55,7 +56,8 @@ def clip(x: Any, low: Any, high: Any) -> Any:
     return np.minimum(np.maximum(x, low), high)
 
 
-# The signatures are bare: Numba compares them with those of what they give, name by name.
+# These functions have no type hints, because Numba compares their signatures with those of the
+# functions that they give.
 
 
 @overload(where, jit_options={"forceinline": True})

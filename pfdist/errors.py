@@ -1,30 +1,30 @@
-"""Every error that pfdist raises on purpose.
+"""All errors that pfdist raises on purpose, and functions that shorten values for messages.
 
 ::
 
     PfdistError                     one line: what, got, allowed, where
-    ├── JobError                    the job file or an option says something impossible
-    ├── ModelError                  a model cannot be loaded, or does not do what a model must
+    ├── JobError                    a value in the job file or of an option is wrong
+    ├── ModelError                  a model cannot be loaded, or a formula is wrong
     │   └── CompileError            Numba cannot compile a formula
-    ├── MeasurementTimesError       the measurement times do not fit the problem
+    ├── MeasurementTimesError       measurement times or their constraints are wrong
     ├── StoreError                  a run's folder cannot be read or written
-    │   └── RunMismatchError        the folder holds a run of something else
-    ├── SearchError                 a search ended without an answer
-    └── PoolError                   the workers cannot be had
+    │   └── RunMismatchError        the folder holds the run of another job
+    ├── SearchError                 a search ended without a result
+    └── PoolError                   workers cannot be started
         └── TaskError               a task failed in its worker; carries the traceback
 
-    EngineWarning                   a model is computed in NumPy, or compiled code is not kept
+    EngineWarning                   NumPy computes a model, or compiled code is not kept
 """
 
 import reprlib
 from typing import Any
 
-_SHOWN = 8  # differences of two runs
-_LONGEST = 80  # characters of a value that an error shows
+_SHOWN = 8  # largest number of differences of two runs in a message
+_LONGEST = 80  # largest number of characters of a value in a message
 
 
 class _Shortener(reprlib.Repr):
-    """Cuts values, also whole numbers of thousands of digits, which Python does not write."""
+    """Shortens values, even whole numbers of thousands of digits, which Python does not write."""
 
     def repr_int(self, x: int, level: int) -> str:
         if x.bit_length() > 4 * _LONGEST:
@@ -38,12 +38,12 @@ _shortener.maxlevel = 3
 
 
 def shown(value: Any) -> str:
-    """Give a value as an error shows it: as Python writes it, without the middle of a long one.
+    """Give a value as messages show it: as Python writes it, but a long value without its middle.
 
     Parameters
     ----------
     value : object
-        From a file or the command line: of any size and depth.
+        A value from a file or the command line, of any size and depth.
 
     Examples
     --------
@@ -56,12 +56,12 @@ def shown(value: Any) -> str:
 
 
 def shown_text(text: str) -> str:
-    """Give a text as an error shows it: without the middle of a long one."""
+    """Give a text as messages show it: a long text without its middle."""
     return text if len(text) <= 3 * _LONGEST else f"{text[: 2 * _LONGEST]}...{text[-_LONGEST:]}"
 
 
 def one_line(text: str) -> str:
-    r"""Give a text as one line without control characters, which a path or a table may hold.
+    r"""Give a text as one line without control characters, which a path or a table may contain.
 
     Examples
     --------
@@ -72,21 +72,21 @@ def one_line(text: str) -> str:
 
 
 def _printable(character: str) -> str:
-    byte_of_a_path = "\udc80" <= character <= "\udcff"  # which is not UTF-8
+    byte_of_a_path = "\udc80" <= character <= "\udcff"  # a byte that is not UTF-8
     if character.isprintable() or byte_of_a_path:
         return character
     return " " if character.isspace() else "?"
 
 
 class PfdistError(Exception):
-    """Base of all errors of pfdist; the command line prints it as one line and exits with 1.
+    """Base of all errors of pfdist. The command line prints one line and exits with code 1.
 
     Parameters
     ----------
     message : str
-        In words that hold in Python and on the command line.
+        What is wrong, in words that hold in Python and on the command line.
     argument : str
-        The argument that is to be changed, if there is one: the command line names its option.
+        Name of the wrong argument, if there is one. The command line names its option.
     """
 
     def __init__(self, message: str = "", *, argument: str = "") -> None:
@@ -95,11 +95,11 @@ class PfdistError(Exception):
 
 
 class JobError(PfdistError):
-    """The job file, or an option that overrides it, says something impossible."""
+    """A value in the job file, or of an option that replaces it, is wrong."""
 
 
 class ModelError(PfdistError):
-    """A model cannot be loaded, or does not do what a model must."""
+    """A model cannot be loaded, or one of its formulas is wrong."""
 
 
 class CompileError(ModelError):
@@ -107,7 +107,7 @@ class CompileError(ModelError):
 
 
 class MeasurementTimesError(PfdistError):
-    """The measurement times do not fit the problem."""
+    """Measurement times, or constraints on them, are wrong."""
 
 
 class StoreError(PfdistError):
@@ -115,36 +115,38 @@ class StoreError(PfdistError):
 
 
 class RunMismatchError(StoreError):
-    """The folder holds a run of something else.
+    """The folder holds the run of another job, model or version.
 
-    Attributes
+    Parameters
     ----------
+    message : str
     differences : tuple of str
-        One line a field, ``field: the run's value -> this value``.
+        One line for each field: ``field: the run's value -> this value``.
     """
 
     def __init__(self, message: str, differences: tuple[str, ...]) -> None:
-        told = "; ".join(differences[:_SHOWN])
+        shown_differences = "; ".join(differences[:_SHOWN])
         more = f"; and {len(differences) - _SHOWN} more" if len(differences) > _SHOWN else ""
-        super().__init__(f"{message}: {told}{more}")
+        super().__init__(f"{message}: {shown_differences}{more}")
         self.differences = differences
 
 
 class SearchError(PfdistError):
-    """A search ended without an answer."""
+    """A search ended without a result."""
 
 
 class PoolError(PfdistError):
-    """The workers cannot be had."""
+    """Workers cannot be started."""
 
 
 class TaskError(PoolError):
     """A task failed in its worker.
 
-    Attributes
+    Parameters
     ----------
+    message : str
     traceback : str
-        The traceback as the worker saw it.
+        The traceback in the worker.
     """
 
     def __init__(self, message: str, traceback: str) -> None:
@@ -153,4 +155,4 @@ class TaskError(PoolError):
 
 
 class EngineWarning(UserWarning):
-    """It will take longer: a model is computed in NumPy, or compiled code is not kept."""
+    """A warning of slow work: NumPy computes a model, or compiled code is not kept."""

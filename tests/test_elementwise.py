@@ -20,7 +20,7 @@ def compiled_clip(x, low, high):
 
 
 def arrays(arguments):
-    return tuple(np.array([one, one]) for one in arguments)
+    return tuple(np.array([argument, argument]) for argument in arguments)
 
 
 @pytest.mark.parametrize("function", [where, compiled_where], ids=["plain", "compiled"])

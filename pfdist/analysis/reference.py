@@ -1,30 +1,31 @@
-"""What the reference of a run is, in words."""
+"""The reference of a run in words."""
 
 from collections.abc import Mapping
 from typing import Any
 
+from pfdist.job.problem_section import ProblemSection
 from pfdist.times.measurement_times import REGULAR, Times
-from pfdist.times.problem_section import ProblemSection
 
 
 def described(job: Mapping[str, Any], name: str, times: Times) -> dict[str, Any]:
-    """Say what the reference of a run is, and which constraints of the job it breaks.
+    """A description of a run's reference, and the constraints of the job that it breaks.
 
     Parameters
     ----------
     job : mapping
         The run's resolved job.
     name : str
-        The reference's.
+        Name of the reference.
     times : tuple of int
-        The reference.
+        Measurement times of the reference.
 
     Returns
     -------
     dict
         ``description``, a phrase, and ``broken_constraints``, a list of sentences.
     """
-    feasible = ProblemSection.model_validate(job["problem"]).feasible
+    problem = ProblemSection.model_validate(job["problem"])
+    feasible = problem.feasible
     number = f"N = {len(times)}"
     if not feasible.counted:
         number += f", spends {feasible.cost_of(times)} of {feasible.total_cost}"
@@ -38,9 +39,9 @@ def described(job: Mapping[str, Any], name: str, times: Times) -> dict[str, Any]
         phrase = f"the feasible set nearest to regular times ({number})"
     else:
         phrase = f"nearest to regular times of the sets with the most measurements ({number})"
-    return {"description": phrase, "broken_constraints": feasible.broken(times)}
+    return {"description": phrase, "broken_constraints": problem.broken(times)}
 
 
 def label(name: str) -> str:
-    """Give what a figure or a summary calls the reference of this name."""
+    """The reference of this name as figures and summaries call it."""
     return "regular times" if name == REGULAR else f"the {name}"

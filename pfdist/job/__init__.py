@@ -1,1 +1,1 @@
-"""The job file: TOML in, frozen and validated data out. Nothing is built or computed here."""
+"""The job file: TOML in, frozen and validated data out. This room builds no objects."""

@@ -1,149 +1,78 @@
-"""The job file: TOML in, frozen and validated data out. Data only: nothing is built here."""
+"""A job: all sections of a job file, checked together, and the functions that read it."""
 
 from collections.abc import Iterable, Mapping
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, Self
 
 import tomli_w
-from pydantic import (
-    AfterValidator,
-    Field,
-    PrivateAttr,
-    ValidationError,
-    field_validator,
-    model_validator,
-)
+from pydantic import Field, PrivateAttr, ValidationError, model_validator
 
 from pfdist.common.explained import explained
 from pfdist.common.parsing import parse_toml, read_text
 from pfdist.common.section import Section
-from pfdist.errors import JobError, MeasurementTimesError, shown, shown_text
-from pfdist.evaluation.engines import AUTO, ENGINES
-from pfdist.job.overrides import override
-from pfdist.kernels.estimators import SQUARED_ERROR
-from pfdist.pools.kinds import POOLS
+from pfdist.errors import JobError, MeasurementTimesError, shown_text
+from pfdist.job.overrides import override, set_values
+from pfdist.job.problem_section import ProblemSection
+from pfdist.job.sections import (
+    GIVEN,
+    Budget,
+    Comparison,
+    EvaluationSection,
+    Execution,
+    Filter,
+    Model,
+)
 from pfdist.search.methods import DEFAULT_METHOD, METHODS, any_section
-from pfdist.search.section import Estimator, Resampling, SearchSection
+from pfdist.search.section import SearchSection
 from pfdist.times.feasible import Feasible
-from pfdist.times.measurement_times import REGULAR, Times, validated
-from pfdist.times.problem_section import ProblemSection
+from pfdist.times.measurement_times import REGULAR, validated
 
-GIVEN: Final = "reference"
 RESERVED: Final = (REGULAR, GIVEN, "comparison")  # names that no search may have
-MOST_SEARCHES: Final = 100  # of which a figure can still be made
-_LONGEST_TEXT = 4096  # of a path
-_NO_SECTIONS: Mapping[str, Any] = {}
+MOST_SEARCHES: Final = 100  # a figure of more searches could not be read
+_NOTHING: Mapping[str, Any] = {}
 if TYPE_CHECKING:
     Search = SearchSection
-    EngineName = str
-    PoolName = str
 else:
     Search = any_section()
-    EngineName = Literal[(AUTO, *ENGINES)]
-    PoolName = Literal[tuple(POOLS)]
 
 
-def _has_no_nul(text: str) -> str:
-    if "\0" in text or len(text) > _LONGEST_TEXT:
-        raise ValueError(
-            f"names must have at most {_LONGEST_TEXT:,} characters, and none that is NUL, got "
-            f"{shown(text)}"
-        )
-    return text
+class Origin(NamedTuple):
+    """Where a job comes from.
 
-
-Text = Annotated[str, AfterValidator(_has_no_nul)]
-
-
-class FilterModel(Section):
-    """What the filter takes for the truth: another model, or the same with other parameters."""
-
-    name: Text = ""
-    parameters: dict[str, float] = Field(default_factory=dict)
-
-
-class Model(Section):
-    """The system: a model that ships, an entry point, or ``path/file.py:object``."""
-
-    name: Text = "ungm"
-    parameters: dict[str, float] = Field(default_factory=dict)
-    filter: FilterModel = FilterModel()
-
-
-class Filter(Section):
-    """The particle filter."""
-
-    particles: Annotated[int, Field(ge=1, le=10_000_000)] = 500
-    resampling: Resampling = "multinomial"
-    dtype: Literal["float64", "float32"] = "float64"
-    engine: EngineName = AUTO
-
-
-class EvaluationSection(Section):
-    """How the expected MSE of a set of times is estimated during a search."""
-
-    draws: Annotated[int, Field(ge=2, le=10_000_000)] = 1000
-    noise: Literal["fresh", "common"] = "fresh"
-    degenerate_draws: Literal["kill", "leave_out"] = "kill"
-    estimator: Estimator = SQUARED_ERROR.name
-
-
-class Until(Section):
-    """When a comparison has draws enough."""
-
-    half_width: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 0.0
-
-
-class Comparison(Section):
-    """The found times against the reference, on the same fresh draws.
-
-    The reference is the regular times, or whatever set is nearest to them, or a set of any times
-    in 0..T, feasible or not.
+    Parameters
+    ----------
+    path : Path
+        The job file. Paths of models are relative to its folder, and a run has its name.
+    names_searches : bool
+        Whether the job file has a [[search]]. Otherwise the job has the default search.
     """
 
-    draws: Annotated[int, Field(ge=2, le=100_000_000)] = 100_000
-    until: Until = Until()
-    reference: Literal["regular"] | Times = REGULAR
-
-    @field_validator("reference", mode="before")
-    @classmethod
-    def _is_regular_or_times(cls, value: Any) -> Any:
-        if value == REGULAR:
-            return value
-        whole = isinstance(value, (list, tuple)) and all(type(time) is int for time in value)
-        if not whole:
-            raise ValueError(
-                f"comparison.reference must be {REGULAR!r} or a list of times, for instance "
-                f"[0, 3, 6], got {shown(value)}"
-            )
-        return tuple(sorted(value))
-
-    @property
-    def reference_name(self) -> str:
-        """Name of the reference in tables and figures."""
-        return REGULAR if self.reference == REGULAR else GIVEN
+    path: Path = Path("job.toml")
+    names_searches: bool = False
 
 
-class Budget(Section):
-    """For which numbers of measurements times are wanted, which `pfdist budget` asks."""
-
-    least: Annotated[int, Field(ge=2, lt=2**63)]
-    most: Annotated[int, Field(ge=2, lt=2**63)]
-
-
-class Execution(Section):
-    """Where a run is computed; never part of what it is."""
-
-    pool: PoolName = "ray"
-    workers: Annotated[int, Field(ge=0, lt=2**63)] = 0
-    address: Text = ""
-    failures: Annotated[int, Field(ge=0, lt=2**63)] = 3
+_NO_FILE = Origin()
 
 
 class Job(Section):
-    """Everything a run is, and where to compute it. Made by `load_job`."""
+    """A validated job: everything that identifies a run, and where to compute it.
+
+    Use `load_job` to read a job file.
+
+    Parameters
+    ----------
+    origin : Origin
+        Where the job comes from.
+    **data
+        The sections, as in a job file.
+
+    Raises
+    ------
+    JobError
+        A value is wrong, or values contradict each other.
+    """
 
     seed: Annotated[int, Field(ge=0, lt=2**63)]
     model: Model = Model()
@@ -159,14 +88,14 @@ class Job(Section):
     comparison: Comparison = Comparison()
     budget: Budget | None = None
     execution: Execution = Execution()
-    _path: Path = PrivateAttr(default=Path("job.toml"))
-    _names_its_searches: bool = PrivateAttr(default=False)
+    _origin: Origin = PrivateAttr()
 
-    def __init__(self, **data: Any) -> None:
+    def __init__(self, origin: Origin = _NO_FILE, /, **data: Any) -> None:
         try:
             super().__init__(**data)
         except ValidationError as error:
             raise JobError(explained(error, Job)) from error
+        self._origin = origin
 
     @model_validator(mode="after")
     def _names_differ(self) -> Self:
@@ -179,7 +108,7 @@ class Job(Section):
             if names.count(name) > 1:
                 raise ValueError(
                     f"search names must be unique, got {name!r} twice: give one of these searches "
-                    'name = "..."'
+                    'another name with name = "..."'
                 )
         return self
 
@@ -219,35 +148,41 @@ class Job(Section):
         return self
 
     def feasible(self, measurement_budget: int) -> Feasible:
-        """The sets of so many measurements that may be chosen."""
+        """Give the feasible sets of another number of measurements."""
         return replace(self.problem.feasible, measurement_budget=measurement_budget)
 
     @property
     def path(self) -> Path:
-        """The job file: a model's path is relative to its folder, a run is named after it."""
-        return self._path
+        """The job file. Paths of models are relative to its folder, and a run has its name."""
+        return self._origin.path
 
     def with_changes(
-        self, overrides: Iterable[str], sections: Mapping[str, Any] = _NO_SECTIONS
+        self,
+        overrides: Iterable[str] = (),
+        sections: Mapping[str, Any] = _NOTHING,
+        settings: Mapping[str, Any] = _NOTHING,
     ) -> "Job":
-        """Give the job with some keys changed, as ``key=value``; see `load_job`."""
+        """Give the job with some keys changed; parameters and errors as of `load_job`."""
         data = self.model_dump(mode="json", exclude_none=True) | dict(sections)
-        return _validated(data, self.path, overrides, self.names_its_searches)
+        return _validated(data, self._origin, overrides, settings)
 
     @property
     def names_its_searches(self) -> bool:
-        """Whether the job file has a [[search]], or the default is taken."""
-        return self._names_its_searches
+        """Whether the job file has a [[search]]. Otherwise the job has the default search."""
+        return self._origin.names_searches
 
     def identity(self) -> dict[str, Any]:
-        """What a run of this job is: everything but [execution]."""
+        """Give all that identifies a run of this job: everything but [execution]."""
         return self.model_dump(mode="json", exclude={"execution"}, exclude_none=True)
 
 
 def load_job(
-    path: str | Path, overrides: Iterable[str] = (), sections: Mapping[str, Any] = _NO_SECTIONS
+    path: str | Path,
+    overrides: Iterable[str] = (),
+    sections: Mapping[str, Any] = _NOTHING,
+    settings: Mapping[str, Any] = _NOTHING,
 ) -> Job:
-    """Read and validate a job file.
+    """Give the job of a job file, read and validated.
 
     Parameters
     ----------
@@ -255,9 +190,12 @@ def load_job(
         A TOML file.
     overrides : iterable of str
         ``key=value`` each, with a dotted key and a TOML value, for instance ``seed=3`` or
-        ``search.genetic.generations=5`` (a search goes by its name).
+        ``search.genetic.generations=5``, where ``genetic`` is the name of a search.
     sections : mapping of str to object, optional
-        Sections that take the place of the file's, before keys are changed.
+        Whole sections that replace those of the file, before the overrides.
+    settings : mapping of str to object, optional
+        Values that replace those of the file, after the overrides: by section and key, as in
+        ``{"filter": {"particles": 100}, "seed": 3}``.
 
     Returns
     -------
@@ -266,7 +204,7 @@ def load_job(
     Raises
     ------
     JobError
-        The file cannot be read, is no TOML, or says something impossible.
+        The file cannot be read or is no TOML, a value is wrong, or values contradict each other.
     """
     path = Path(path)
     try:
@@ -275,36 +213,38 @@ def load_job(
         raise JobError(f"cannot read the job file {path}: {error.strerror}") from error
     except ValueError as error:
         raise JobError(f"the job file must be TOML, got an error: {error} ({path})") from error
-    return _validated(data | dict(sections), path, overrides, "search" in data)
+    return _validated(data | dict(sections), Origin(path, "search" in data), overrides, settings)
 
 
 def as_job(
     job: Job | str | Path,
     overrides: Iterable[str] = (),
-    sections: Mapping[str, Any] = _NO_SECTIONS,
+    sections: Mapping[str, Any] = _NOTHING,
+    settings: Mapping[str, Any] = _NOTHING,
 ) -> Job:
-    """Give a job, or that of a file, with changes; as of `load_job`."""
+    """Give a job, or the job of a file, with changes; parameters and errors as of `load_job`."""
     if not isinstance(job, Job):
-        return load_job(job, overrides, sections)
-    changes = list(overrides)
-    return job.with_changes(changes, sections) if changes or sections else job
+        return load_job(job, overrides, sections, settings)
+    overrides = list(overrides)
+    changed = overrides or sections or settings
+    return job.with_changes(overrides, sections, settings) if changed else job
 
 
 def job_toml(identity: Mapping[str, Any]) -> str:
-    """Write what a run is as TOML; the same text for the same identity."""
+    """Give the identity of a run as TOML. The same identity gives the same text."""
     return tomli_w.dumps(identity)
 
 
 def _validated(
-    data: dict[str, Any], path: Path, overrides: Iterable[str], names_its_searches: bool
+    data: dict[str, Any], origin: Origin, overrides: Iterable[str], settings: Mapping[str, Any]
 ) -> Job:
     given, data = list(overrides), deepcopy(data)
     for change in given:
         override(data, change)
+    given += set_values(data, settings)
     try:
-        job = Job(**data)
+        return Job(origin, **data)
     except JobError as error:
+        path = origin.path
         where = f"{path} with {shown_text(' '.join(given))}" if given else str(path)
         raise JobError(f"{error} ({where})") from error
-    job._path, job._names_its_searches = path, names_its_searches
-    return job

@@ -1,10 +1,10 @@
-"""What a model means: everything that its formulas reach, each thing with a hash.
+"""The meaning of a model: a hash for every function and constant that its formulas reach.
 
-Two models of one meaning give the same figures. A function counts by its syntax without docstrings
-and comments, a constant by its value, through all of the user's modules and the formulas of other
-models. NumPy and the standard library count by the names that are used; another installed
-distribution by names and its version; `pfdist` itself has a version and a kernel version in a run's
-identity already.
+Two models with the same meaning give the same figures. A function counts by its syntax without
+docstrings and comments, and a constant by its value, through all of the user's modules and the
+formulas of other models. NumPy and the standard library count by the names that are used. Any other
+installed distribution counts by the names used and its version. The identity of a run already has
+the version of pfdist and of its kernel.
 """
 
 from collections.abc import Mapping
@@ -18,7 +18,7 @@ from pfdist.meaning.walk import Walk, digest
 from pfdist.models import ModelSource, StateSpaceModel
 
 Meaning = dict[str, Any]
-"""Hashes and parameters by the names of what they belong to: ``transition``, ``helper.f``."""
+"""Hashes and parameters by labels, such as ``transition``, ``helper.f`` or ``parameters.sd``."""
 
 FORMULAS = (
     "initial", "transition", "measurement", "log_likelihood", "quantity_of_interest", "error",
@@ -33,7 +33,7 @@ def meaning_of(model: StateSpaceModel, source: ModelSource) -> Meaning:
     ----------
     model : StateSpaceModel
     source : ModelSource
-        What it was loaded from, with its files.
+        The source of the model, with its files.
 
     Raises
     ------
@@ -44,8 +44,8 @@ def meaning_of(model: StateSpaceModel, source: ModelSource) -> Meaning:
         table = Walk({name: getattr(model, name) for name in FORMULAS}, source).table()
     except UntoldValueError as error:
         raise ModelError(
-            f"model.name: {_thing(error.label, source.path)} is or holds {error.what}, which "
-            "pfdist cannot read, so it could not tell whether a run goes on with the same model: "
+            f"{_named(error.label, source.path)} is or holds {error.what}, which pfdist cannot "
+            "read, so it could not tell whether a run goes on with the same model: "
             f"use numbers, text, arrays, functions, or objects made of these ({source.path})"
         ) from error
     settings = {name: digest([repr(getattr(model, name)).encode()]) for name in _SETTINGS}
@@ -54,7 +54,7 @@ def meaning_of(model: StateSpaceModel, source: ModelSource) -> Meaning:
 
 
 def parameters_of(values: Mapping[str, float]) -> Meaning:
-    """Give parameters as they stand in a meaning."""
+    """Give parameters as entries of a meaning."""
     return {f"parameters.{name}": float(value) for name, value in values.items()}
 
 
@@ -65,42 +65,42 @@ def loaded_meaning(source: ModelSource) -> Meaning:
 
 
 def differences(here: Mapping[str, Any], there: Mapping[str, Any]) -> list[str]:
-    """Names of what has not the same meaning in two models."""
+    """Give the labels that differ between two meanings, sorted."""
     return sorted(name for name in here.keys() | there.keys() if here.get(name) != there.get(name))
 
 
 def check_is_constant(
     here: Mapping[str, Any], there: Mapping[str, Any], path: str, where: str
 ) -> None:
-    """Raise an error if a model that was loaded twice has two meanings.
+    """Raise an error if two loads of a model have different meanings.
 
     Parameters
     ----------
     here, there : mapping
         The meanings of both loads.
     path : str
-        Of the model's file.
+        Path of the model's file.
     where : str
-        What is said of it: "each time it is loaded".
+        When the two differ, for the error: "each time it is loaded".
 
     Raises
     ------
     ModelError
-        With the first difference by its name.
+        The meanings differ. The message names the first difference.
     """
     found = differences(here, there)
     if found:
-        # What a formula is comes of the constants: these first.
-        thing = _thing(max(found, key=lambda name: "." in name), path)
+        # A formula differs because a constant does, so the error names the constant.
+        thing = _named(max(found, key=lambda name: "." in name), path)
         more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
         raise ModelError(
-            f"model.name: {thing} has another value {where}{more}; what formulas use must be the "
-            f"same in every process: write the value down, or draw it with a fixed seed ({path})"
+            f"{thing} has another value {where}{more}; what formulas use must be the same in every "
+            f"process: write the value down, or draw it with a fixed seed ({path})"
         )
 
 
-def _thing(label: str, path: str) -> str:
-    """Name in words what has a label in a meaning: ``C of helper.py``."""
+def _named(label: str, path: str) -> str:
+    """Give a label of a meaning in words, such as ``C of helper.py``."""
     module, _, name = label.rpartition(".")
     file = f"{module.replace('.', '/')}.py"
     return f"{name} of {file if module not in ('', 'parameters') else Path(path).name}"

@@ -1,4 +1,4 @@
-"""The model that a job names, as it travels to workers: with what it means."""
+"""The model that a job names, with its meaning, as it travels to the workers."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,15 +14,16 @@ from pfdist.models import ModelSource, StateSpaceModel, find_model
 
 @dataclass(frozen=True)
 class ChosenModel:
-    """A model's source, the parameters that are not its own, and what the driver found it to mean.
+    """A model's source, the parameters of the job, and the meaning that the driver found.
 
     Parameters
     ----------
     source : ModelSource
-        With its files.
+        The source with its files.
     parameters : mapping of str to float
+        Parameters that replace those of the source.
     loaded : Meaning
-        Meaning of what the source gave in the process that chose it, with its own parameters.
+        Meaning of the model in the process that chose it, with the parameters of the source.
     """
 
     source: ModelSource
@@ -35,8 +36,8 @@ class ChosenModel:
         Raises
         ------
         ModelError
-            It cannot be loaded, or means something else here than in the driver; or a parameter is
-            unknown.
+            The model cannot be loaded, its meaning here differs from that in the driver, or a
+            parameter is unknown or outside its range.
         """
         model = self.source.load()
         here = loaded_meaning(self.source)
@@ -45,7 +46,7 @@ class ChosenModel:
 
     @cached_property
     def meaning(self) -> Meaning:
-        """What the model means, with the parameters of the job."""
+        """Meaning of the model with the parameters of the job."""
         return {**self.loaded, **parameters_of(self.parameters)}
 
     @cached_property
@@ -55,29 +56,29 @@ class ChosenModel:
 
 
 class Choose(Protocol):
-    """How the models of a job are chosen; see `choose`."""
+    """A function that chooses the models of a job; see `choose`."""
 
     def __call__(
         self, part: str, name: str, folder: Path, parameters: Mapping[str, float], /
     ) -> ChosenModel:
-        """Give the model of a part of the job, "model" or "filter_model"."""
+        """Give the model of a part of the job: "model" or "filter_model"."""
 
 
 def choose(part: str, name: str, folder: Path, parameters: Mapping[str, float]) -> ChosenModel:
-    """Choose a model that the user names, as a job does it.
+    """Give the model that the user names.
 
     Parameters
     ----------
     part : {"model", "filter_model"}
     name : str
     folder : Path
-        What a path in the name is relative to.
+        Folder to which a path in the name is relative.
     parameters : mapping of str to float
 
     Raises
     ------
     ModelError
-        There is no such model, it cannot be loaded, or loading it twice gives two models.
+        There is no such model, it cannot be loaded, or two loads give different meanings.
     """
     source, told, again = loaded_twice(name, folder)
     check_is_constant(told, again, source.path, "each time it is loaded")
@@ -85,27 +86,27 @@ def choose(part: str, name: str, folder: Path, parameters: Mapping[str, float]) 
 
 
 def chosen_from(source: ModelSource, parameters: Mapping[str, float]) -> ChosenModel:
-    """Choose a model whose files are at hand: no other file is read.
+    """Give the model of a source that has its files. No other file is read.
 
     Raises
     ------
     ModelError
-        It cannot be loaded.
+        The model cannot be loaded.
     """
     return ChosenModel(source, dict(parameters), loaded_meaning(source))
 
 
 def loaded_twice(name: str, folder: Path) -> tuple[ModelSource, Meaning, Meaning]:
-    """Load a model from its folder, and again from what travels to a worker.
+    """Load a model from its folder, and again from the files that travel to a worker.
 
     Returns
     -------
     ModelSource
-        With its files.
+        The source with its files.
     Meaning, Meaning
-        The same, unless a constant is random.
+        The meanings of both loads. They are equal unless a constant is random.
     """
     recorded, source = find_model(name, folder).record()
     remember(source)
-    told = meaning_of(recorded, source)  # before anything uses it
+    told = meaning_of(recorded, source)  # before a formula can change a constant
     return source, told, loaded_meaning(source)

@@ -1,9 +1,9 @@
-"""Model files that the user has run on this machine: a run's folder may have these run again.
+"""The model files that the user has run on this machine.
 
-A run's folder may come from anywhere, and whoever made it wrote both the model's name and the
-hashes beside it. So the folder is not believed. When a user names a model's file and it is loaded,
-a hash of all its files is kept beside the compiled code, in a folder that only the user can write.
-To run the same content once more does nothing that the user has not asked for before.
+A run's folder may come from anywhere, and its author wrote both the model's name and the hashes in
+it. So the folder is not trusted. When the user names a model's file and it is loaded, a hash of all
+its files is kept beside the compiled code, in a folder that only the user can write. A command that
+reads a run's folder may run the same content again, because the user has asked for it before.
 """
 
 import contextlib
@@ -16,17 +16,17 @@ _FOLDER = "models"
 
 
 def remember(source: ModelSource) -> None:
-    """Note that the user has had a model's files run; an installed package's need no note."""
+    """Note that the user has run the files of a model. Installed packages need no note."""
     folder = own_folder()
     if source.package or folder is None:
         return
-    with contextlib.suppress(OSError):  # a full disk costs the user an option of `why`, no more
+    with contextlib.suppress(OSError):  # without the note, the user must name the model again
         (folder / _FOLDER).mkdir(mode=0o700, exist_ok=True)
         (folder / _FOLDER / _name(source)).touch()
 
 
 def is_known(source: ModelSource) -> bool:
-    """Whether the user has had these very files run on this machine."""
+    """Whether the user has run exactly these files on this machine."""
     folder = own_folder()
     return folder is not None and (folder / _FOLDER / _name(source)).is_file()
 

@@ -1,4 +1,4 @@
-"""What stands for values of kinds that the walk does not know: how they would be copied."""
+"""The content of a value of any kind, found in the parts from which Python would copy it."""
 
 import copyreg
 import functools
@@ -13,24 +13,24 @@ import numpy as np
 
 from pfdist.kernels.content import UnknownContentError
 
-# They hold nothing of their own that a formula could read.
+# Values of these types hold nothing that a formula could read.
 _EMPTY = (
     type(threading.Lock()), type(threading.RLock()), weakref.ReferenceType, weakref.WeakSet,
     weakref.WeakKeyDictionary, weakref.WeakValueDictionary,
 )  # fmt: skip
-# Names that tell nothing of what an object does.
+# Attributes that describe an object, and do not change what it does.
 _WORDS = functools.WRAPPER_ASSIGNMENTS
 
 
 class UntoldValueError(Exception):
-    """A value whose content cannot be told.
+    """The content of a value cannot be read.
 
     Parameters
     ----------
     label : str
-        Of what holds the value, as in a meaning.
+        Label, in a meaning, of the object that holds the value.
     what : str
-        What the value is, in words.
+        Description of the value.
     """
 
     def __init__(self, label: str, what: str) -> None:
@@ -39,22 +39,22 @@ class UntoldValueError(Exception):
 
 
 def copy_of(value: Any) -> tuple[Any, ...]:
-    """Give what a copy of a value would be made of.
+    """Give the parts from which Python would make a copy of a value.
 
     Returns
     -------
     tuple
-        What makes the copy, its arguments, the copy's state, and its entries as a list and as
-        pairs of keys and values.
+        The function that makes the copy, its arguments, the state of the copy, its entries as a
+        list, and its entries as pairs of keys and values.
 
     Raises
     ------
     UnknownContentError
-        The value cannot be copied, and it holds no entries either.
+        The value can neither be copied nor iterated.
     """
     if isinstance(value, _EMPTY):
         return type(value), (), None, [], []
-    if isinstance(value, np.ufunc):  # made of a function by `np.frompyfunc`, or written in C
+    if isinstance(value, np.ufunc):  # written in C, or made from a function by `np.frompyfunc`
         held = [entry for entry in gc.get_referents(value) if callable(entry)]
         if not held and all("O" in types for types in value.types):
             raise _unknown(value)
@@ -64,17 +64,17 @@ def copy_of(value: Any) -> tuple[Any, ...]:
     try:
         copied = value.__reduce_ex__(4)
     except Exception as error:
-        if type(value) in copyreg.dispatch_table:  # where `pickle` would look first
+        if type(value) in copyreg.dispatch_table:  # `pickle` would look here first
             copied = copyreg.dispatch_table[type(value)](value)
         elif isinstance(value, Collection):
             return _with_entries(value)
         else:
             raise _unknown(value) from error
-    if isinstance(copied, str):  # the name of a global variable that holds it
+    if isinstance(copied, str):  # the name of a global variable with this value
         return copied, (), _without_words(getattr(value, "__dict__", {})), [], []
     made_by, arguments, *rest = copied
     state, entries, items = (*rest, None, None, None)[:3]
-    if isinstance(state, dict) and "__wrapped__" in state:  # by `functools.update_wrapper`
+    if isinstance(state, dict) and "__wrapped__" in state:  # from `functools.update_wrapper`
         state = _without_words(state)
     return made_by, arguments, state, list(entries or ()), list(items or ())
 
@@ -94,7 +94,7 @@ def _unknown(value: Any) -> UnknownContentError:
 
 
 def python_function(value: Any) -> types.FunctionType | None:
-    """Give the function that Numba's compiled functions were made of; None of any other value."""
+    """Give the Python function of a function that Numba compiled; None for any other value."""
     inner = getattr(value, "_dispatcher", None)
     function = getattr(value, "py_func", None) or getattr(inner, "py_func", None)
     if function is None and type(value).__module__.startswith("numba."):

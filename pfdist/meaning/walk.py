@@ -1,4 +1,4 @@
-"""The walk from a model's formulas through all that they reach, one entry for each thing."""
+"""The walk from a model's formulas to everything that they reach, with a hash for each thing."""
 
 import functools
 import hashlib
@@ -23,20 +23,20 @@ from pfdist.models.beside import own_name
 
 _BY_NAME = sys.stdlib_module_names | {"numpy"}
 
-# With these a function may use more than the names in it say, or read text as data.
+# With these names a function may use objects that it does not name, or read text as data.
 _DYNAMIC = {
     "__annotations__", "__dict__", "__doc__", "__import__", "eval", "exec", "getattr", "globals",
     "import_module", "vars",
 }  # fmt: skip
-# With these it may use whatever its module holds.
+# With these names a function may use every variable of its module.
 _WHOLE_MODULE = {"eval", "exec", "globals"}
-# What Python writes into a module.
+# Variables that Python adds to a module.
 _OF_A_MODULE = {
     "__annotate__", "__annotations__", "__builtins__", "__cached__", "__conditional_annotations__",
     "__doc__", "__file__", "__loader__", "__name__", "__package__", "__path__", "__spec__",
     "__warningregistry__",
 }  # fmt: skip
-# What Python writes into a class, and what follows from the fields of a dataclass.
+# Attributes that Python adds to a class, or that follow from the fields of a dataclass.
 _OF_A_CLASS = {
     "__annotate__", "__annotate_func__", "__annotations__", "__annotations_cache__",
     "__dataclass_fields__", "__dataclass_params__", "__dict__", "__doc__", "__firstlineno__",
@@ -46,20 +46,20 @@ _OF_A_CLASS = {
 
 
 class Walk(Content):
-    """A walk from some functions through all that they reach.
+    """A walk from a model's formulas to everything that they reach.
 
     Parameters
     ----------
     functions : mapping of str to callable
         The formulas by their names.
     source : ModelSource
-        What the model was loaded from, with its files.
+        The source of the model, with its files.
     """
 
     def __init__(self, functions: Mapping[str, Any], source: ModelSource) -> None:
         super().__init__()
         self._own = source.package.partition(".")[0]
-        self._labels: dict[int, str] = {}  # of functions and classes, by their ids
+        self._labels: dict[int, str] = {}  # labels of functions and classes, by their ids
         self._values: dict[str, Any] = {}
         self._todo: deque[str] = deque()
         files = {name: text for name, text in source.sha256.items() if name.endswith(".py")}
@@ -68,12 +68,12 @@ class Walk(Content):
             self._enter(name, function)
 
     def table(self) -> dict[str, str]:
-        """Give a hash for everything that is reached.
+        """Give a hash for every function, class and constant that is reached, by its label.
 
         Raises
         ------
         UntoldValueError
-            The content of something cannot be told.
+            The content of a value cannot be read.
         """
         found = {}
         while self._todo:
@@ -89,12 +89,12 @@ class Walk(Content):
             raise UntoldValueError(label, str(error)) from error
         except RecursionError as error:
             raise UntoldValueError(label, "something that is nested too deeply") from error
-        except Exception as error:  # an object of the user's may raise whatever it likes
+        except Exception as error:  # an object of the user may raise any exception
             reason = f"{type(error).__name__}: {error}".splitlines()[0][:80]
             raise UntoldValueError(label, f"something that fails ({reason})") from error
 
     def _enter(self, label: str, value: Any) -> str:
-        """Have a value told under a label; give the label that it has."""
+        """Add a value to the table, and give its label: a known function keeps its old label."""
         named = isinstance(value, types.FunctionType | type) or python_function(value) is not None
         if named and id(value) in self._labels:
             return self._labels[id(value)]
@@ -110,9 +110,9 @@ class Walk(Content):
         return label not in self._values or self._values[label] is value
 
     def variable(self, scope: Mapping[str, Any], name: str, uses: Uses | None) -> Parts:
-        """Give a global variable's label, under which its content stands in the table."""
+        """Give the label of a global variable. The table has the variable's content there."""
         home = str(scope.get("__name__"))
-        # Which other modules of pfdist are in memory is a matter of the process.
+        # The other modules of pfdist that are in memory differ between processes.
         if name in _OF_A_MODULE or (home == "pfdist" and name != "models"):
             return
         value = scope[name]
@@ -128,7 +128,7 @@ class Walk(Content):
         yield self._enter(f"{own_name(home)}.{name}", value).encode()
 
     def cell(self, cell: types.CellType, uses: Uses | None = None) -> Parts:
-        """Give the content of a variable in a closure, which may have none yet."""
+        """Give the content of a variable in a closure. It may have no value yet."""
         try:
             value = cell.cell_contents
         except ValueError:
@@ -137,7 +137,7 @@ class Walk(Content):
             yield from self.parts(value, uses)
 
     def code(self, function: types.FunctionType) -> Parts:
-        """Give a function's syntax, or bytecode where there is no source, and what it imports."""
+        """Give the syntax of a function, or its bytecode if it has no source, and its imports."""
         syntax = syntax_of(function)
         if syntax is None:
             yield from bytecode(self, function.__code__)
@@ -152,30 +152,30 @@ class Walk(Content):
         for statement in imports_in(function.__code__):
             yield from self._imported(function, statement)
         for name, value in sorted(vars(function).items()):
-            if name != "__wrapped__":  # it stands in the closure
+            if name != "__wrapped__":  # the closure has it, too
                 yield name.encode()
                 yield from self.parts(value)
 
     def _imported(self, function: types.FunctionType, statement: Import) -> Parts:
-        """Give the content of what a function imports when it is called."""
+        """Give the content of a module that a function imports when it is called."""
         name, level, names, variables = statement
         load = function.__builtins__["__import__"]  # type: ignore[attr-defined,unused-ignore]
         try:
             module = load(name, function.__globals__, None, names, level)
-        except Exception as error:  # where it is called, this is what happens
+        except Exception as error:  # the function raises this error, too, when it is called
             yield type(error).__name__.encode()
             return
         uses = uses_in(function.__code__)
         if not variables & uses.loose:
             yield from self.parts(module, uses.of(name))
-        elif names:  # which of them may be a module that is passed on
+        elif names:  # some of these names may be modules that the function passes on
             yield from self.parts(module, Uses(uses.named, uses.loose.union(names)))
         else:
             yield from self.parts(module)
 
     def by_name(self, value: Any) -> str | None:
-        """Give the name of what is not the user's."""
-        if value is np.random.mtrand._rand:  # its state is nobody's constant
+        """Give the name of a value that is not the user's; None for a value of the user."""
+        if value is np.random.mtrand._rand:  # its state changes with every draw
             return "numpy.random"
         home = home_of(value)
         if home is None or own_name(home) != home:
@@ -193,7 +193,7 @@ class Walk(Content):
         return None
 
     def parts(self, value: Any, uses: Uses | None = None) -> Parts:
-        """Give the content of a value; of an installed decorator's function also what it holds."""
+        """Give the content of a value, with the closure of a function that a decorator made."""
         yield from super().parts(value, uses)
         if self._is_made_for_the_user(value) and value not in self.told:
             self.told.append(value)
@@ -201,7 +201,7 @@ class Walk(Content):
                 yield from self.cell(cell)
 
     def _is_made_for_the_user(self, value: Any) -> bool:
-        """Whether what is not the user's made a function that may hold things of the user's."""
+        """Whether foreign code, such as a decorator, made a function that may hold user objects."""
         if not isinstance(value, types.FunctionType) or not value.__closure__:
             return False
         author, wrapped = str(home_of(value)), str(value.__module__)
@@ -210,7 +210,7 @@ class Walk(Content):
         return is_made and self.by_name(value) is not None
 
     def dispatcher(self, function: CPUDispatcher) -> Parts:
-        """Give the content of a function that its author compiled, with the types he has fixed."""
+        """Give the content of a function that its author compiled, with the fixed types."""
         yield from super().dispatcher(function)
         if function.locals or not function._can_compile:
             yield repr(sorted(function.locals.items())).encode()
@@ -218,7 +218,7 @@ class Walk(Content):
             yield repr([str(signature) for signature in fixed]).encode()
 
     def other(self, value: Any) -> Parts:
-        """Give the content of a value of any other kind, by how it would be copied."""
+        """Give the content of a value of any other kind, as Python would copy it."""
         if type(value) is dict:
             yield from self.entries(list(value.items()))
         elif type(value) in (set, frozenset):
@@ -259,7 +259,7 @@ class Walk(Content):
 
 
 def digest(parts: Iterable[bytes]) -> str:
-    """Hash the parts of a content."""
+    """Give the hash of a content's parts."""
     hashed = hashlib.blake2b(digest_size=8)
     for part in parts:
         hashed.update(len(part).to_bytes(8, "little") + part)

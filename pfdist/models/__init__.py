@@ -1,7 +1,6 @@
-"""State-space models: what a model is, how one is found by its name, and those that ship.
+"""State-space models: the class, the search for a model by its name, and the models that ship.
 
-Here only NumPy and the elementwise functions: a model is formulas, and knows neither filter nor
-simulation.
+A model consists of formulas. It knows neither filters nor simulations.
 """
 
 from pfdist.models.base import StateSpaceModel, is_in_folder, squared_error

@@ -1,14 +1,15 @@
-"""Bearings-only tracking: where a ship is, from angles taken by an observer that turns.
+"""Bearings-only tracking: the position of a ship, from angles that a turning observer measures.
 
-x is the target's position in km, east and north, and its velocity in km a minute; a step is a
-minute, angles are clockwise from north. As long as the observer keeps its course it can hardly tell
-a near and slow target from a far and fast one: so it turns.
+x is the target's position in km, east and north, and its velocity in km a minute. A step is a
+minute, and angles are clockwise from north. While the observer keeps its course, it can hardly
+distinguish a near and slow target from a far and fast target. So the observer turns.
 
-The state equation is that of Gordon et al. The scenario (T = 30) is the moderately nonlinear one of
-Leong et al., with three changes: the observer turns at once, not in four minutes; range, speed and
-course are uniform, with the same standard deviations, so that no range is negative; and the target
-is pushed four times as much, 0.006 km a minute squared for their 0.0014, without which a bootstrap
-filter's particles soon have few velocities left. It still wants 2,000 particles or more.
+The state equation is that of Gordon et al. The scenario (T = 30) is the moderately nonlinear
+scenario of Leong et al., with three changes. The observer turns at once, not in four minutes.
+Range, speed and course are uniform with the same standard deviations, so no range is negative. The
+acceleration is four times as large, 0.006 km a minute squared in place of 0.0014, because otherwise
+the particles of a bootstrap filter soon have few different velocities. The filter still needs 2,000
+particles or more.
 
 References
 ----------

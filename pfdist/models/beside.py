@@ -1,9 +1,9 @@
-"""Modules that a model imports from beside its file.
+"""Import of modules that lie beside a model's file.
 
-They are found there whatever the working folder and ``sys.path``, and for that model alone: two
-models in two folders may both have a ``helper``. So each model's modules are loaded under names of
-their own, ``pfdist_model_<key>.helper``, and an import statement in these modules looks there
-first. Only the standard library, NumPy and pfdist go before what lies beside.
+These modules are found whatever the working folder and ``sys.path`` are, and each model has its
+own: two models in two folders may both have a ``helper``. So the modules of a model are loaded
+under private names, ``pfdist_model_<key>.helper``. An import statement in these modules looks there
+first. Only the standard library, NumPy and pfdist take precedence over modules beside the file.
 """
 
 import builtins
@@ -27,11 +27,12 @@ _FIRST = sys.stdlib_module_names | {"numpy", "pfdist"}
 
 
 class Files:
-    """Files of a model by their paths relative to its own file's folder, as a worker has them.
+    """Files of a model as a worker has them.
 
     Parameters
     ----------
     contents : mapping of str to bytes
+        Contents by paths relative to the folder of the model's own file.
     """
 
     def __init__(self, contents: Mapping[str, bytes]) -> None:
@@ -42,18 +43,18 @@ class Files:
         return self.contents.get(name)
 
     def is_package(self, name: str) -> bool:
-        """Whether it is a folder with modules in it."""
+        """Whether a name is that of a folder with files."""
         return any(file.startswith(f"{name}/") for file in self.contents)
 
 
 class FilesOnDisk(Files):
-    """Files of a model where its user keeps them; `contents` are those that were read.
+    """Files of a model in the user's folder. `contents` are the files read so far.
 
     Parameters
     ----------
     folder : Path
     contents : mapping of str to bytes
-        What has been read already.
+        Files that were read already.
     """
 
     def __init__(self, folder: Path, contents: Mapping[str, bytes]) -> None:
@@ -70,26 +71,26 @@ class FilesOnDisk(Files):
         return self.contents[name]
 
     def is_package(self, name: str) -> bool:
-        """Whether it is a folder that no installed package hides."""
+        """Whether a name is that of a folder, and of no installed package."""
         return (self._folder / name).is_dir() and _is_unknown(name.partition("/")[0])
 
 
 class Beside(MetaPathFinder, InspectLoader):
-    """Finds and loads a model's own module, and those that it imports from beside.
+    """Importer that finds and loads the module of a model, and the modules beside it.
 
     Parameters
     ----------
     key : str
-        Tells this model's modules from other models'.
+        Distinguishes the modules of this model from those of other models.
     file : Path
         The model's file, as errors and tracebacks name it.
     place : Path
-        Folder in which the modules believe to be: what ``__file__`` says.
+        Folder that ``__file__`` of the modules names.
     files : Files
-        The model's file among them.
+        All files, the model's file among them.
     package : str
-        What imports in the model's file are relative to, if it is an installed module's. It has
-        nothing beside: what it imports is installed.
+        Package to which imports in the model's file are relative, if it is an installed module. An
+        installed module has no modules beside it.
     """
 
     def __init__(self, key: str, file: Path, place: Path, files: Files, package: str) -> None:
@@ -101,7 +102,7 @@ class Beside(MetaPathFinder, InspectLoader):
         self._forgotten: dict[str, types.ModuleType] = {}
 
     def load(self) -> types.ModuleType:
-        """Run the model's file, and with it what it imports."""
+        """Run the model's file and the modules that it imports, and give its module."""
         outer = types.ModuleType(self._name)
         outer.__path__ = []
         self._forgotten = {self._name: outer}
@@ -109,7 +110,7 @@ class Beside(MetaPathFinder, InspectLoader):
         return importlib.import_module(self._main)
 
     def forget(self) -> None:
-        """Have Python forget these modules, until one of them imports another."""
+        """Remove these modules from Python's tables, until one of them imports another."""
         with contextlib.suppress(ValueError):
             sys.meta_path.remove(self)
         for name in [name for name in sys.modules if f"{name}.".startswith(f"{self._name}.")]:
@@ -120,14 +121,14 @@ class Beside(MetaPathFinder, InspectLoader):
         sys.meta_path.append(self)
 
     def told(self, text: str) -> str:
-        """Give an error's text with the names and paths that the user knows."""
+        """Give the text of an error with the names and paths that the user knows."""
         text = text.replace(f"{self._name}.", "")
         return text.replace(str(self._place), str(self._file.parent))
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: types.ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Find a module of this model's."""
+        """Find a module of this model; None for any other module."""
         if not fullname.startswith(f"{self._name}."):
             return None
         if fullname == self._main:
@@ -143,26 +144,26 @@ class Beside(MetaPathFinder, InspectLoader):
         return None
 
     def get_source(self, fullname: str) -> str:
-        """Give the text that a module was loaded from."""
+        """Give the text from which a module was loaded."""
         content = self._files.read(self._found[fullname])
         return importlib.util.decode_source(content or b"")
 
     def exec_module(self, module: types.ModuleType) -> None:
-        """Run a module's text; what it imports is looked for beside it first."""
+        """Run the text of a module. Its imports look beside the model's file first."""
         file = self._found[module.__name__]
         module.__file__ = str(self._place / file)
         if self._package:
             module.__package__, module.__spec__ = self._package, None
         module.__dict__["__builtins__"] = {**vars(builtins), "__import__": self._import}
         shown, text = str(self._file.parent / file), self.get_source(module.__name__)
-        # Tracebacks show these lines, though the file is edited, or is not on this machine.
+        # Tracebacks then show these lines, even if the file is edited or on another machine.
         linecache.cache[shown] = (len(text), None, text.splitlines(keepends=True), shown)
         code = compile(text, shown, "exec", dont_inherit=True)
         self._find_imports(text, str(module.__package__), by_functions=True)
-        exec(code, module.__dict__)  # noqa: S102  it is the user's
+        exec(code, module.__dict__)  # noqa: S102  the code is the user's
 
     def _find_imports(self, text: str, package: str, by_functions: bool = False) -> None:
-        """Find what may be imported from beside later, when functions are called: it travels."""
+        """Find modules that functions may import later, when they are called: these travel, too."""
         for written in imported_in(text, package, by_functions):
             name = written.removeprefix(f"{self._name}.")
             full = f"{self._name}.{name}"
@@ -171,19 +172,20 @@ class Beside(MetaPathFinder, InspectLoader):
             spec = self.find_spec(full, None)
             if spec is not None and spec.loader is not None:
                 inner = full if spec.submodule_search_locations is not None else spec.parent
-                with contextlib.suppress(SyntaxError, ValueError):  # an error when it is imported
+                # A module with a wrong syntax raises its error when it is imported.
+                with contextlib.suppress(SyntaxError, ValueError):
                     self._find_imports(self.get_source(full), str(inner))
 
     def _import(
         self,
         name: str,
-        globals: Mapping[str, Any] | None = None,  # noqa: A002  as Python calls it
+        globals: Mapping[str, Any] | None = None,  # noqa: A002  Python's name
         locals: Mapping[str, Any] | None = None,  # noqa: A002
         fromlist: Sequence[str] = (),
         level: int = 0,
     ) -> types.ModuleType:
-        """What an import statement in one of these modules does."""
-        if self._name not in sys.modules:  # a formula imports, and the model was forgotten
+        """Import a module: every import statement in these modules calls this function."""
+        if self._name not in sys.modules:  # a formula imports after the modules were removed
             self._recall()
             try:
                 return self._import(name, globals, locals, fromlist, level)
@@ -204,7 +206,7 @@ class Beside(MetaPathFinder, InspectLoader):
 
 
 def own_name(module: str) -> str:
-    """Give a module's name as its author knows it."""
+    """Give the name of a module as its author knows it."""
     return module.partition(".")[2] if module.startswith(_PREFIX) else module
 
 

@@ -1,12 +1,12 @@
-"""Range and bearing of a ship that goes past: nearly constant velocity in the plane.
+"""Range and bearing of a passing ship: nearly constant velocity in the plane.
 
-x is the ship's position in km, east and north of the sensor, and its velocity in km a minute; a
-step is a minute, angles are clockwise from north. Its acceleration is white noise in continuous
-time, of which a step sees the integral: the velocity gets sqrt(q) times N(0, 1), the position half
-of that and sqrt(q/12) times another N(0, 1), so that their covariance is q [[1, 1/2], [1/2, 1/3]].
+x is the ship's position in km, east and north of the sensor, and its velocity in km a minute. A
+step is a minute, and angles are clockwise from north. The acceleration is white noise in continuous
+time. In a step the velocity gains sqrt(q) times N(0, 1), and the position gains half of that and
+sqrt(q/12) times another N(0, 1). So their covariance is q [[1, 1/2], [1/2, 1/3]].
 
-The error across the line of sight is the range times the bearing's error: the nearer the ship, the
-more a measurement says. The scenario (T = 40) is nobody's.
+The error across the line of sight is the range times the error of the bearing, so a measurement
+says more when the ship is near. The scenario (T = 40) was made up for pfdist.
 
 References
 ----------

@@ -1,7 +1,7 @@
-"""Linear-Gaussian models of any dimension, from their matrices; and one whose noise varies.
+"""Linear-Gaussian models of any dimension from matrices, and an oscillator with varying noise.
 
-The model that ships is an oscillator, of which a sensor sees the position now well and now badly:
-measurements are worth most where the noise is least and what they tell is not yet forgotten.
+A sensor sees the position of the oscillator, and its noise varies with time. A measurement is worth
+most when the noise is small and the information is not forgotten too soon.
 
 References
 ----------
@@ -29,16 +29,16 @@ def linear_gaussian(
     measurement_noise: Matrix,
     quantity_of_interest: Matrix,
 ) -> StateSpaceModel:
-    """Make a model of its matrices: x(t+1) = A x(t) + B w(t), y(t) = C x(t) + D v(t), z = H x.
+    """Give the model x(t+1) = A x(t) + B w(t), y(t) = C x(t) + D v(t), z = H x.
 
     w and v are standard normal. A matrix is a sequence of rows, or a function of t that gives a
-    tuple of tuples and is made of what any formula may use.
+    tuple of tuples. Such a function may use everything that a formula may use.
 
     Parameters
     ----------
     name : str
     initial_noise : matrix, (n, k0)
-        x(0) is this times a standard normal vector.
+        x(0) is this matrix times a standard normal vector.
     transition : matrix, (n, n)
         A.
     process_noise : matrix, (n, k)
@@ -46,14 +46,14 @@ def linear_gaussian(
     measurement : matrix, (m, n)
         C.
     measurement_noise : matrix, (m, m)
-        D; each measurement has its own noise, so nothing but the diagonal may differ from 0.
+        D. It must be diagonal, because each measurement has its own noise.
     quantity_of_interest : matrix, (q, n)
         H.
 
     Returns
     -------
     StateSpaceModel
-        It declares itself ``linear_gaussian``.
+        A model that is declared ``linear_gaussian``.
 
     Examples
     --------
@@ -91,7 +91,7 @@ def linear_gaussian(
 
 
 def _function(matrix: Matrix) -> Formula:
-    """Give the matrix as a function of t."""
+    """Give a matrix as a function of t."""
     if callable(matrix):
         return matrix
     rows = tuple(tuple(float(entry) for entry in row) for row in matrix)
@@ -104,12 +104,12 @@ def _shape(matrix: Matrix) -> tuple[int, int]:
 
 
 def _times(matrix: Matrix) -> Formula:
-    """``(x, t) -> matrix(t) x``."""
+    """Give the function ``(x, t) -> matrix(t) x``."""
     return _stacked([_row(matrix, i) for i in range(_shape(matrix)[0])])
 
 
 def _sum(matrix: Matrix, noise: Matrix) -> Formula:
-    """``(x, w, t) -> matrix(t) x + noise(t) w``."""
+    """Give the function ``(x, w, t) -> matrix(t) x + noise(t) w``."""
 
     def component(i: int) -> Formula:
         of_x, of_w = _row(matrix, i), _row(noise, i)
@@ -119,7 +119,7 @@ def _sum(matrix: Matrix, noise: Matrix) -> Formula:
 
 
 def _row(matrix: Matrix, i: int) -> Formula:
-    """``(x, t) -> component i of matrix(t) x``."""
+    """Give the function ``(x, t) -> component i of matrix(t) x``."""
     rows, columns = _function(matrix), _shape(matrix)[1]
 
     def component(x: Any, t: Any) -> Any:
@@ -132,7 +132,10 @@ def _row(matrix: Matrix, i: int) -> Formula:
 
 
 def _stacked(functions: list[Formula]) -> Formula:
-    """One function that gives the values of several as a tuple; Numba can only join tuples."""
+    """Give a function whose value is the tuple of the values of several functions.
+
+    Numba cannot make a tuple in a loop, so the tuples are joined recursively.
+    """
     *others, last = functions
     if not others:
         return lambda *arguments: (last(*arguments),)
@@ -140,7 +143,7 @@ def _stacked(functions: list[Formula]) -> Formula:
     return lambda *arguments: head(*arguments) + (last(*arguments),)  # noqa: RUF005
 
 
-DAMPING, STEP = 0.02, 0.35  # a period of 18 steps, of which a tenth is lost in five
+DAMPING, STEP = 0.02, 0.35  # a period of 18 steps; a tenth of the amplitude is lost in five steps
 
 model = linear_gaussian(
     "linear_gaussian",

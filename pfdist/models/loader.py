@@ -1,6 +1,6 @@
-"""From a model's name to the model and the source it is made of.
+"""Find a model by its name, and load it from its source.
 
-A name is that of a model that ships, of an installed entry point of the group
+A name is that of a model that ships, that of an installed entry point of the group
 ``pfdist.models``, or ``path/file.py:object``.
 """
 
@@ -24,29 +24,30 @@ from pfdist.models.base import StateSpaceModel
 from pfdist.models.beside import Beside, Files, FilesOnDisk
 
 _GROUP = "pfdist.models"
-_NOT_MODELS = ("base", "beside", "jitted", "loader")
+_NOT_MODELS = ("base", "beside", "loader", "trial_calls")  # modules of this package
 _recordings = itertools.count()
 
 
 @dataclass(frozen=True)
 class ModelSource:
-    """A model as its source: what travels to a worker.
+    """The source of a model, which travels to the workers.
 
     Parameters
     ----------
     name : str
-        As the job file has it.
+        The name in the job file.
     path : str
-        The file the source was read from.
+        The file from which the source was read.
     attribute : str
-        The model's name in that file.
+        Name of the model in that file.
     package : str
-        What imports in the source are relative to, if it is an installed module's.
+        Package to which imports in the source are relative, if an installed module contains the
+        model.
     content : bytes
-        The file itself: a worker runs this content, so it needs no access to the file.
+        Content of the file. A worker runs this content and needs no access to the file.
     files : tuple of (str, bytes), optional
-        Modules that it imports from beside it and the model's data files, by their paths relative
-        to the file's folder. None until it has been loaded from there.
+        Modules beside the file that it imports, and the model's data files, by their paths relative
+        to the file's folder. None until the model was loaded from its folder.
     """
 
     name: str
@@ -58,23 +59,23 @@ class ModelSource:
 
     @property
     def text(self) -> str:
-        """The source's text."""
+        """Text of the source."""
         return importlib.util.decode_source(self.content)
 
     @property
     def sha256(self) -> dict[str, str]:
-        """Hash of every file that is known, by its path relative to the model's file."""
+        """Hash of every known file, by its path relative to the model's file."""
         return {name: hashlib.sha256(content).hexdigest() for name, content in self._files.items()}
 
     def load(self) -> StateSpaceModel:
-        """Run the source and take the model from it; the same source gives the same model.
+        """Run the source and give the model. The same source gives the same object.
 
-        It is loaded as a worker loads it: from the source and the files that travel with it.
+        The model is loaded as in a worker: from the source and the files that travel with it.
 
         Raises
         ------
         ModelError
-            The source fails, or holds no such model.
+            The source fails, or contains no such model.
         """
         if self.files is None:
             _, source = self.record()
@@ -82,19 +83,19 @@ class ModelSource:
         return self._taken_from(_loaded(self.path, self.package, tuple(self._files.items())))
 
     def record(self) -> tuple[StateSpaceModel, "ModelSource"]:
-        """Load the model from its folder, and see which files it takes from there.
+        """Load the model from its folder, and record which files it uses.
 
         Returns
         -------
         StateSpaceModel
             Loaded anew at every call.
         ModelSource
-            With `files`.
+            This source with `files`.
 
         Raises
         ------
         ModelError
-            The source fails, holds no such model, or a data file cannot be read.
+            The source fails, contains no such model, or a data file cannot be read.
         """
         file = Path(self.path)
         files = FilesOnDisk(file.parent, {file.name: self.content})
@@ -111,7 +112,7 @@ class ModelSource:
 
     @property
     def _files(self) -> dict[str, bytes]:
-        """All files, the model's own first."""
+        """All files, with the model's own file first."""
         return {Path(self.path).name: self.content, **dict(self.files or ())}
 
     def _taken_from(self, module: types.ModuleType) -> StateSpaceModel:
@@ -119,21 +120,21 @@ class ModelSource:
         if not isinstance(model, StateSpaceModel):
             found = [k for k, v in module.__dict__.items() if isinstance(v, StateSpaceModel)]
             raise ModelError(
-                f"model.name: {self.path} must hold a StateSpaceModel named {self.attribute!r}, "
+                f"{self.path} must contain a StateSpaceModel named {self.attribute!r}, "
                 f"got {'nothing' if model is None else type(model).__name__} of that name; "
-                f"models in it: {', '.join(found) or 'none'}"
+                f"models in this file: {', '.join(found) or 'none'}"
             )
         return model
 
 
 @cache
 def _loaded(path: str, package: str, contents: tuple[tuple[str, bytes], ...]) -> types.ModuleType:
-    """Load a model's file, the first of these, once a process."""
+    """Load a model's file, which is the first of the contents, once in each process."""
     file, files = Path(path), Files(dict(contents))
     key = _key(path, package, contents)
     with tempfile.TemporaryDirectory(prefix="pfdist-model-") as folder:
         place = file.parent
-        if not package:  # what an installed module reads is installed, too
+        if not package:  # files that an installed module reads are installed, too
             place = Path(folder)
             _write(place, files.contents)
         beside = Beside(key, file, place, files, package)
@@ -141,8 +142,8 @@ def _loaded(path: str, package: str, contents: tuple[tuple[str, bytes], ...]) ->
         try:
             return _run(
                 beside,
-                f"{file} fails when loaded as a worker loads it, with the modules that it imports "
-                f"from beside it and its data_files alone ({others})",
+                f"{file} fails when loaded as in a worker, with only its data_files and the "
+                f"modules beside it that it imports ({others})",
             )
         except BaseException:
             beside.forget()
@@ -169,11 +170,11 @@ def _run(beside: Beside, fails: str) -> types.ModuleType:
             return beside.load()
     except ModelError:
         raise
-    except BaseException as error:  # a model may raise whatever it likes
+    except BaseException as error:  # a model may raise any exception
         if is_interrupt(error):
             raise
         reason = beside.told(told(error))
-        raise ModelError(f"model.name: {fails}: {reason}{place_of(error)}") from error
+        raise ModelError(f"{fails}: {reason}{place_of(error)}") from error
 
 
 def _read_data(files: FilesOnDisk, name: str, model: StateSpaceModel, file: Path) -> None:
@@ -197,7 +198,7 @@ def find_model(name: str, folder: Path = Path()) -> ModelSource:
     name : str
         A model that ships, an entry point, or ``path/file.py:object``.
     folder : Path
-        What a path in the name is relative to; by default the current one.
+        Folder to which a path in the name is relative. By default the working folder.
 
     Raises
     ------
@@ -210,7 +211,7 @@ def find_model(name: str, folder: Path = Path()) -> ModelSource:
     installed = installed_models()
     if name not in installed:
         raise ModelError(
-            f"model.name must be one of {', '.join(sorted(installed))} or 'path/file.py:object', "
+            f"a model must be one of {', '.join(sorted(installed))} or 'path/file.py:object', "
             f"got {name!r}"
         )
     module, attribute = installed[name]
@@ -219,7 +220,7 @@ def find_model(name: str, folder: Path = Path()) -> ModelSource:
     except ModuleNotFoundError:
         spec = None
     if spec is None or not spec.has_location or spec.origin is None:
-        raise ModelError(f"model.name: the module {module!r} of model {name!r} has no source file")
+        raise ModelError(f"the module {module!r} of model {name!r} has no source file")
     return _read(name, Path(spec.origin), attribute, spec.parent or "")
 
 
@@ -245,7 +246,7 @@ def load_model(name: str) -> StateSpaceModel:
 
 
 def installed_models() -> dict[str, tuple[str, str]]:
-    """Module and attribute of every model that ships or is an entry point, by name."""
+    """Give module and attribute of every model that ships or is an entry point, by name."""
     package = importlib.import_module("pfdist.models")
     shipped = {
         module.name: (f"pfdist.models.{module.name}", "model")
@@ -257,12 +258,12 @@ def installed_models() -> dict[str, tuple[str, str]]:
 
 
 def _read(name: str, path: Path, attribute: str, package: str) -> ModelSource:
-    if path.exists() and not path.is_file():  # to open a pipe would wait for ever
-        raise ModelError(f"model.name: {path} must be a file, got something else ({name!r})")
+    if path.exists() and not path.is_file():  # opening a pipe would wait for ever
+        raise ModelError(f"{path} must be a file, got something else ({name!r})")
     try:
         content = path.read_bytes()
         content.decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
-        raise ModelError(f"model.name: cannot read {path}: {reason} (got {name!r})") from error
+        raise ModelError(f"cannot read {path}: {reason} (got {name!r})") from error
     return ModelSource(name, str(path), attribute, package, content)

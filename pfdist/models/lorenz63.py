@@ -2,15 +2,16 @@
 
 Between two instants, `step` units of time apart, the state takes SUBSTEPS Euler-Maruyama steps:
 x <- x + h f(x) + diffusion sqrt(h) w. With h = 0.01 no component of 20,000 draws of 300 instants
-exceeds 55, with h = 0.02 none exceeds 65; larger steps are refused. What is simulated and filtered
-is this chain, which the equation's own solution leaves in the first order of h.
+exceeds 55; with h = 0.02 no component exceeds 65. Larger steps are refused. The model is this
+discrete chain. It differs from the solution of the equation by terms of first order in h.
 
-The first component alone is measured, and the whole state is wanted. The start, and the variance 2
-of the first state and of the measurements, are those of Evensen and van Leeuwen, who measure all
-three components. The noise stands for what the equations leave out, as in Miller et al.
+Only the first component is measured; the quantity of interest is the whole state. The start, and
+the variance 2 of the first state and of the measurements, are those of Evensen and van Leeuwen, who
+measure all three components. The noise stands for effects that the equations neglect, as in Miller
+et al.
 
-Chaos makes a difference in the last digit, as between compiled and plain formulas, 6e-11 after 30
-instants, 0.006 after 200, and as large as the attractor after 300.
+Chaos amplifies differences in the last digit, such as those between compiled and plain formulas:
+they reach 6e-11 after 30 instants, 0.006 after 200, and the size of the attractor after 300.
 
 References
 ----------

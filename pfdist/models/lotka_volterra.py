@@ -1,16 +1,16 @@
-"""Predators and their prey: a stochastic Lotka-Volterra system by its diffusion approximation.
+"""Predators and prey: a stochastic Lotka-Volterra system in its diffusion approximation.
 
-Three things happen: a prey is born, at the rate birth * prey; a prey is eaten and a predator born,
-at predation * prey * predator; a predator dies, at death * predator. In a short time the number of
-times that each happens is about normal, with mean and variance the rate times that time: the
-chemical Langevin equation. Between two instants, `step` units of time apart, SUBSTEPS such short
-times pass (Euler-Maruyama). Where there are few this approximation fails, so neither population
-falls below one: the last of a species does not die.
+There are three kinds of events: a prey is born, at the rate birth * prey; a prey is eaten and a
+predator is born, at predation * prey * predator; a predator dies, at death * predator. In a short
+time the number of events of each kind is about normal, and its mean and variance are the rate times
+this time (chemical Langevin equation). Between two instants, `step` units of time apart, there are
+SUBSTEPS such short times (Euler-Maruyama). The approximation fails for small populations, so no
+population falls below one.
 
-The prey alone is counted, in logarithms with normal noise, and the logarithms of both populations
-are wanted: so an error of a tenth counts the same when there are few as when there are many, and
-not the peaks alone. The rates and the first populations are those of Boys et al.; here each first
-population is known to a tenth.
+Only the prey is counted. The measurement is the logarithm of the count, with normal noise. The
+quantity of interest consists of the logarithms of both populations, so a relative error counts the
+same for small and large populations. The rates and the first populations are those of Boys et al.
+Here each first population is known to a tenth.
 
 References
 ----------

@@ -1,7 +1,7 @@
-"""A random walk seen through noise, the simplest model there is.
+"""A random walk that is measured with noise: the simplest model.
 
-Linear and Gaussian, so its expected MSE is known exactly, and with the same noise at all times
-regular measurements are close to the best.
+The model is linear and Gaussian, so the expected MSE is known exactly. The noise is the same at all
+times, so regular times are almost the best.
 
 References
 ----------

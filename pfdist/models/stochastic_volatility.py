@@ -1,8 +1,7 @@
 """Stochastic volatility of a price: x is the logarithm of the variance of a day's return.
 
-z is the volatility exp(x/2), the standard deviation of the return: it has the unit of y, and it is
-what is asked of such a model. The parameters are about those of daily pound/dollar returns in per
-cent.
+z is the volatility exp(x/2), the standard deviation of the return, in the unit of y. The parameters
+are about those of daily pound/dollar returns in per cent.
 
 References
 ----------

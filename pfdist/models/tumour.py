@@ -1,8 +1,8 @@
-"""A tumour's breathing motion along one axis, in X-ray images: the authors' follow-up.
+"""A tumour's breathing motion along one axis, in X-ray images: the authors' follow-up paper.
 
-A sine whose amplitude, frequency and offset are unknown and drift inside a box; a step is 0.25 s.
-The follow-up takes T = 30, N = 11 and 1,000 particles. Its filter lets the frequency drift, with
-``frequency_sd = 0.005``: the parameters here are the truth's.
+The motion is a sine. Its amplitude, frequency and offset are unknown and drift inside a box. A step
+is 0.25 s. The paper takes T = 30, N = 11 and 1,000 particles. The filter of the paper lets the
+frequency drift, with ``frequency_sd = 0.005``; the parameters in this file are those of the truth.
 
 References
 ----------

@@ -1,6 +1,6 @@
 """The univariate nonlinear growth model, with the paper's variances (equations 9 to 12).
 
-y = x^2/20 hides the sign of x, so the filter's cloud has two heads.
+y = x^2/20 hides the sign of x, so the particles often form two clusters, around x and -x.
 
 References
 ----------

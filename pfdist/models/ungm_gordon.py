@@ -1,8 +1,8 @@
-"""The univariate nonlinear growth model with the variances of the first particle filter.
+"""The univariate nonlinear growth model with the variances of the first particle filter paper.
 
-The state is pushed much harder than in ``ungm``, and a measurement is as good at all times: process
-variance 10, measurement variance 1. The filter starts from N(0, 2); so does the truth here, where
-Gordon et al. started it at 0.1.
+The process variance is 10, ten times that of ``ungm``. The measurement variance is 1 at all times,
+so no time is better than another. The filter starts from N(0, 2), and so does the truth; Gordon et
+al. started the truth at 0.1.
 
 References
 ----------

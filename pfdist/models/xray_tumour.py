@@ -1,16 +1,16 @@
-"""A tumour that moves with the breath, seen in X-ray projection: the paper's own example.
+"""A tumour that moves with the breath, seen in X-ray projection: the example of the paper.
 
-x is the tumour's position in mm, lateral, longitudinal (along the body) and vertical, from where
-it rests, and its velocity in mm/s; y is where it is seen on a flat detector, in mm; z is the
-position. Each direction is a damped oscillator of the breath's period, pushed by white noise and
-stationary: position and velocity follow it exactly from one instant to the next, `step` seconds
-later. The three are independent, which a breath's are not quite.
+x is the tumour's displacement from rest in mm, lateral, longitudinal (along the body) and vertical,
+and its velocity in mm/s. y is its position on a flat detector in mm. z is the displacement. Each
+direction is a stationary damped oscillator with the period of the breath, driven by white noise.
+The step of `step` seconds is exact for this oscillator. The three directions are independent, which
+is only roughly true for a real breath.
 
-The source, a point, and the detector turn with a gantry about the longitudinal axis; its angle is 0
-with the source above. The tumour rests at the isocentre, `source_axis` mm from the source, and the
-detector stands at `source_detector`. One image says nothing of the depth but for a little
-magnification: depth is learnt as the gantry turns. Sizes and rates are round numbers: 4 s a breath,
-most of the motion along the body, one turn a minute.
+A point source and the detector turn with a gantry about the longitudinal axis. At angle 0 the
+source is above. The tumour rests at the isocentre, `source_axis` mm from the source; the detector
+is `source_detector` mm from the source. An image hardly shows the depth, except for a small
+magnification, so the filter learns the depth as the gantry turns. Sizes and rates are round
+numbers: 4 s for a breath, most of the motion along the body, a turn in a minute.
 
 References
 ----------
@@ -41,7 +41,10 @@ def initial(w, p):
 
 
 def moved(position, velocity, sd, w0, w1, p):
-    """One direction a step later; noise keeps its variances at sd^2 and (pace sd)^2."""
+    """Give position and velocity in one direction a step later.
+
+    The noise keeps the variances at sd^2 and (pace sd)^2.
+    """
     pace = 2 * math.pi / p.period
     decay = p.damping * pace
     pace_damped = pace * np.sqrt(1 - p.damping**2)
@@ -50,7 +53,7 @@ def moved(position, velocity, sd, w0, w1, p):
     sine = shrink * np.sin(pace_damped * p.step) / pace_damped
     xx, xv = cosine + decay * sine, sine
     vx, vv = -(pace**2) * sine, cosine - decay * sine
-    # The covariance of what is left, over sd^2, and its Cholesky factor.
+    # Covariance of the noise of a step, divided by sd^2, and its Cholesky factor.
     var_x = 1 - xx**2 - (pace * xv) ** 2
     cov = -xx * vx - pace**2 * xv * vv
     var_v = pace**2 - vx**2 - (pace * vv) ** 2

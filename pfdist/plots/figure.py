@@ -7,7 +7,7 @@ from functools import cached_property
 import pandas as pd
 from matplotlib.axes import Axes
 
-from pfdist.analysis import Comparison, Run
+from pfdist.analysis import ComparisonStatistics, Run
 from pfdist.common.registry import Registry
 
 Applies = Callable[[Run], bool]
@@ -47,7 +47,7 @@ class Tables:
         self.run = run
 
     @cached_property
-    def statistics(self) -> Comparison:
+    def statistics(self) -> ComparisonStatistics:
         """Statistics of the comparison."""
         return self.run.statistics()
 

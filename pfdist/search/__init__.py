@@ -1,25 +1,25 @@
-"""Searches over sets of measurement times, each an ask-and-tell optimiser.
+"""Searches over sets of measurement times. Each search is an ask-and-tell optimiser.
 
-Here only NumPy: an optimiser never evaluates anything and keeps no generator; its state is
-explicit and its choices come from the generator it is handed.
+An optimiser evaluates nothing itself and owns no random generator. The caller keeps its state and
+hands it a generator. This room imports NumPy, but neither Numba nor Ray.
 """
 
 from pfdist.search.annealing import Annealing
 from pfdist.search.base import Candidate, Optimiser, SearchOptimiser
-from pfdist.search.budgets import Budgets
+from pfdist.search.budget_curve import BudgetCurve
 from pfdist.search.cross_entropy import CrossEntropy
 from pfdist.search.exchange import Exchange
 from pfdist.search.exhaustive import Exhaustive
 from pfdist.search.genetic import GeneticAlgorithm
 from pfdist.search.greedy import GreedyBackward, GreedyForward
+from pfdist.search.probe import Probe
 from pfdist.search.race import Race
 from pfdist.search.random_trials import RandomTrials
 from pfdist.search.survivors import Survivors
-from pfdist.search.trust import Probe
 
 __all__ = [
     "Annealing",
-    "Budgets",
+    "BudgetCurve",
     "Candidate",
     "CrossEntropy",
     "Exchange",

@@ -1,9 +1,9 @@
-"""Simulated annealing: worse sets are accepted with a probability that falls as it grows cold.
+"""Simulated annealing: a worse set is accepted with a probability that falls with the temperature.
 
-Several chains run side by side, so that there is something to do for several workers. A neighbour
-of a set has one time exchanged for any other. A chain's present set is asked for beside its
-neighbour each time: under common noise it is known and costs nothing, under fresh noise it is to
-be estimated anew, or a lucky estimate would hold the chain for ever.
+Several chains run side by side, so that several workers have work. A neighbour of a set has one
+time exchanged for any other time. Each step evaluates the present set again beside a neighbour.
+Under common noise this evaluation is known and costs nothing. Under fresh noise it is needed,
+because otherwise one lucky estimate would hold the chain for ever.
 
 References
 ----------
@@ -26,22 +26,22 @@ from pfdist.search.section import Count, Fraction
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
-_TRIES = 20  # random neighbours, of which one should be allowed
-_SETS = 4  # random ones, for each chain: their spread is the first temperature
+_TRIES = 20  # random neighbours that are tried before all neighbours are listed
+_SETS = 4  # random sets for each chain at first; their spread gives the first temperature
 
 
 @dataclass(frozen=True)
 class AnnealingState:
-    """Where the chains are.
+    """State of all chains.
 
     Parameters
     ----------
     temperature : float
     step : int
     chains : tuple of (SearchEvaluation, SearchEvaluation)
-        Each chain's set, and the neighbour that may take its place.
+        For each chain: the present set, and the neighbour that may replace it.
     best : tuple of SearchEvaluation
-        Of all sets tried.
+        The best of all sets tried.
     """
 
     temperature: float = math.inf
@@ -53,16 +53,17 @@ class AnnealingState:
 @method("annealing")
 @dataclass(frozen=True)
 class Annealing:
-    """Simulated annealing with geometric cooling.
+    """Simulated annealing: accepts worse sets, less and less often as the temperature falls.
 
     Parameters
     ----------
     feasible : Feasible
     chains : int
+        Number of chains that run side by side.
     steps : int
-        Of each chain.
+        Number of steps of each chain.
     coldest : float
-        The last temperature, in units of the first.
+        The last temperature divided by the first.
     """
 
     feasible: Feasible
@@ -72,20 +73,20 @@ class Annealing:
 
     @property
     def generations(self) -> int:
-        """How often it will ask."""
+        """Number of generations."""
         return 1 + self.steps
 
     @property
     def evaluations(self) -> int:
-        """How many sets it will ask for, but for the chains' own, which are known."""
+        """Number of evaluations, without those of the chains' present sets, which are known."""
         return self.chains * (_SETS + self.steps)
 
     def init(self) -> AnnealingState:
-        """Give the state before the first asking."""
+        """Give the state before the first generation."""
         return AnnealingState()
 
     def ask(self, state: AnnealingState, rng: np.random.Generator) -> list[Candidate]:
-        """Give each chain's set and a neighbour of it; at first, random sets."""
+        """Give the present set of each chain and a neighbour of it; at first, random sets."""
         if not state.chains:
             sets = self.feasible.random(_SETS * self.chains, rng)
             return [Candidate(times) for times in sets]
@@ -99,7 +100,7 @@ class Annealing:
     def tell(
         self, state: AnnealingState, evaluations: Sequence[SearchEvaluation]
     ) -> AnnealingState:
-        """Cool down; at first, start from the best of the random sets."""
+        """Lower the temperature; at first, start the chains from the best random sets."""
         best = best_of([*state.best, *evaluations])
         if not state.chains:
             order = sorted(evaluations, key=lambda evaluation: evaluation.cost)
@@ -110,7 +111,7 @@ class Annealing:
         return AnnealingState(cooler, state.step + 1, chains, best)
 
     def done(self, state: AnnealingState) -> bool:
-        """Whether the chains have made their steps."""
+        """Whether the chains have made all steps."""
         return state.step >= self.steps
 
     def finalists(self, state: AnnealingState) -> tuple[SearchEvaluation, ...]:
@@ -118,10 +119,10 @@ class Annealing:
         return state.best
 
     def _neighbour(self, times: Times, rng: np.random.Generator) -> Times:
-        """One time is another; where none can be, the set itself."""
+        """Give a set with one time exchanged; the set itself if it has no neighbour."""
         others = sorted({*self.feasible.allowed} - {*times})
         likely = self.feasible.counted and times and others
-        for _ in range(_TRIES if likely else 0):  # listing all neighbours takes longer
+        for _ in range(_TRIES if likely else 0):  # faster than to list all neighbours
             swapped = {*times} - {int(rng.choice(times))} | {int(rng.choice(others))}
             if self.feasible.accepts(tuple(sorted(swapped))):
                 return tuple(sorted(swapped))
@@ -130,9 +131,10 @@ class Annealing:
 
 
 def first_temperature(evaluations: Sequence[SearchEvaluation]) -> float:
-    """About how much an exchange changes the cost: the spread of random sets, over root N.
+    """Give about how much an exchange changes the cost: the spread of random sets over root N.
 
-    If each of the N times of a set had its own share in the cost, this would be a share's.
+    If the cost were a sum of N independent shares, one for each time, this would be the standard
+    deviation of a share.
     """
     alive = [evaluation for evaluation in evaluations if math.isfinite(evaluation.cost)]
     if not alive:
@@ -142,14 +144,16 @@ def first_temperature(evaluations: Sequence[SearchEvaluation]) -> float:
 
 
 def accepted(rise: float, temperature: float, rng: np.random.Generator) -> bool:
-    """Metropolis' rule: accept a rise of the cost with probability exp(-rise / temperature).
+    """Whether Metropolis' rule accepts a rise of the cost.
+
+    The probability is exp(-rise / temperature).
 
     Parameters
     ----------
     rise : float
-        What is not larger than 0 is accepted always.
+        A rise of at most 0 is always accepted.
     temperature : float
-        0 accepts nothing else.
+        At 0, no positive rise is accepted.
     rng : numpy.random.Generator
     """
     luck = rng.random()

@@ -1,4 +1,4 @@
-"""The contract of a search."""
+"""The contract of a search: candidates go out, evaluations come back."""
 
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple, Protocol, TypeVar
@@ -10,21 +10,22 @@ from pfdist.times.measurement_times import Times
 
 
 class Candidate(NamedTuple):
-    """What a search wants to know the cost of.
+    """A set, or a prefix of sets, whose cost a search asks for.
 
     Parameters
     ----------
     measurement_times : tuple of int
         Sorted.
     end : int, optional
-        Last instant whose errors count, if it is not T.
+        Last instant whose errors count. By default T.
     draws : int, optional
-        On so many of the first draws, if not on as many as an evaluation has.
+        Number of draws; the first draws are taken. By default the number of the search's settings.
     individual : int, optional
-        Its index in the population, where copies of a set are to be evaluated on fresh draws each.
-        Copies without an index share one evaluation, and under common noise all copies do.
+        Index in the population. It makes copies of a set have fresh draws each. Copies without an
+        index share one evaluation; under common noise all copies do.
     squared : bool
-        Whether by the squared error of the job's own filter, however the search estimates.
+        Whether the squared error of the job's own filter is wanted. Otherwise the search's own
+        estimator is used.
     """
 
     measurement_times: Times
@@ -35,46 +36,46 @@ class Candidate(NamedTuple):
 
 
 FINALISTS = 8
-"""At most so many sets of a search are tried on fresh draws."""
+"""Largest number of sets of a search that are tried on fresh draws."""
 
 E = TypeVar("E", bound=Evaluation)
 
 
 def best_of(evaluations: Iterable[E]) -> tuple[E, ...]:
-    """Give the best different sets, the best first, as many as are tried on fresh draws."""
-    each = {evaluation.measurement_times: evaluation for evaluation in evaluations}
-    return tuple(sorted(each.values(), key=lambda evaluation: evaluation.cost)[:FINALISTS])
+    """Give the best evaluations of different sets, the best first, at most `FINALISTS`."""
+    different = {evaluation.measurement_times: evaluation for evaluation in evaluations}
+    return tuple(sorted(different.values(), key=lambda evaluation: evaluation.cost)[:FINALISTS])
 
 
 class Optimiser(Protocol[E]):
-    """A search as a pure function: it asks for evaluations and is told their outcome.
+    """A search as pure functions: it asks for evaluations, and is told their results.
 
-    An optimiser is frozen; whatever changes is in the state, which the caller keeps. The same
+    An optimiser is frozen. All that changes is in the state, which the caller keeps. The same
     states, evaluations and generators give the same search.
     """
 
     @property
     def generations(self) -> int:
-        """About how often it will ask."""
+        """Approximate number of generations, that is of calls of `ask`."""
 
     @property
     def evaluations(self) -> float:
-        """About how many whole evaluations its work amounts to."""
+        """Approximate work, in evaluations of whole sets."""
 
     def init(self) -> Any:
-        """Give the state before the first asking."""
+        """Give the state before the first generation."""
 
     def ask(self, state: Any, rng: np.random.Generator) -> Sequence[Candidate]:
-        """Give what is to be evaluated."""
+        """Give the candidates of the next generation."""
 
     def tell(self, state: Any, evaluations: Sequence[E]) -> Any:
-        """Give the state after what was last asked for is evaluated, in its order."""
+        """Give the next state, from the evaluations of the last candidates in their order."""
 
     def done(self, state: Any) -> bool:
         """Whether the search has ended."""
 
     def finalists(self, state: Any) -> Sequence[E]:
-        """Give what the search has found, the best first: fresh draws decide between them."""
+        """Give the best sets found, the best first. Fresh draws decide between them."""
 
 
 SearchOptimiser = Optimiser[SearchEvaluation]

@@ -1,8 +1,9 @@
-"""The cross-entropy method: a probability of each time, learnt from the best of random sets.
+"""The cross-entropy method: it learns a probability for each time from the best random sets.
 
-Sets are drawn as independent choices of the times, of which those are kept that are allowed: with
-N measurements this is the conditional Bernoulli distribution. The probabilities move towards the
-shares that the times have in the elite, until they say which set it is.
+A random set chooses each time independently with its probability; infeasible sets are rejected.
+With N measurements this is the conditional Bernoulli distribution. The best sets of a generation
+are the elite. The probabilities move towards the shares of the elite that contain each time, until
+all are near 0 or 1.
 
 References
 ----------
@@ -14,6 +15,7 @@ conditional Bernoulli distribution).
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,22 +27,22 @@ from pfdist.search.section import Count, Fraction
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
-_CERTAIN = 0.02  # a probability so near to 0 or 1 says what it is
-_TRIES = 20  # independent choices for each set that is wanted, in rounds
+_CERTAIN = 0.02  # largest distance from 0 or 1 at which a probability counts as decided
+_TRIES = 20  # random sets in a round, for each set that is wanted
 _ROUNDS = 10
 
 
 @dataclass(frozen=True)
 class CrossEntropyState:
-    """What was learnt.
+    """Probabilities learnt so far, and the best sets.
 
     Parameters
     ----------
     probabilities : tuple of float, (T+1,)
-        Empty before the first sets are evaluated.
+        Empty before the first generation.
     generation : int
     best : tuple of SearchEvaluation
-        Of all sets tried.
+        The best of all sets tried.
     """
 
     probabilities: tuple[float, ...] = ()
@@ -51,19 +53,19 @@ class CrossEntropyState:
 @method("cross_entropy")
 @dataclass(frozen=True)
 class CrossEntropy:
-    """Cross-entropy method on sets of measurement times.
+    """Cross-entropy method: learns how probable each time is in a good set.
 
     Parameters
     ----------
     feasible : Feasible
     population : int
-        Sets a generation.
+        Number of sets in a generation.
     generations : int
-        At most.
+        Largest number of generations.
     elite : float
-        Share of the sets that is learnt from.
+        Share of the sets from which the probabilities are learnt.
     smoothing : float
-        How far the probabilities move towards the elite's.
+        Weight of the elite when the probabilities are updated.
     """
 
     feasible: Feasible
@@ -74,15 +76,15 @@ class CrossEntropy:
 
     @property
     def evaluations(self) -> int:
-        """How many sets it will ask for at most."""
+        """Largest number of evaluations."""
         return self.population * self.generations
 
     def init(self) -> CrossEntropyState:
-        """Give the state before the first asking."""
+        """Give the state before the first generation."""
         return CrossEntropyState()
 
     def ask(self, state: CrossEntropyState, rng: np.random.Generator) -> list[Candidate]:
-        """Give sets drawn with the probabilities; at first, random ones."""
+        """Give sets drawn with the probabilities; at first, uniformly random sets."""
         if not state.probabilities:
             return [Candidate(times) for times in self.feasible.random(self.population, rng)]
         probabilities = np.array(state.probabilities)
@@ -92,7 +94,7 @@ class CrossEntropy:
     def tell(
         self, state: CrossEntropyState, evaluations: Sequence[SearchEvaluation]
     ) -> CrossEntropyState:
-        """Learn from the elite."""
+        """Move the probabilities towards the shares in the elite."""
         order = sorted(evaluations, key=lambda evaluation: evaluation.cost)
         elite = order[: max(1, math.ceil(self.elite * len(order)))]
         before = state.probabilities or self._shares(order)
@@ -101,33 +103,35 @@ class CrossEntropy:
         return CrossEntropyState(tuple(after.tolist()), state.generation + 1, best)
 
     def done(self, state: CrossEntropyState) -> bool:
-        """Whether all probabilities are near to 0 or 1, or all generations were evaluated."""
-        open_ = [p for p in state.probabilities if _CERTAIN < p < 1 - _CERTAIN]
-        return state.generation >= self.generations or (state.generation > 0 and not open_)
+        """Whether all probabilities are near 0 or 1, or all generations were evaluated."""
+        undecided = [p for p in state.probabilities if _CERTAIN < p < 1 - _CERTAIN]
+        return state.generation >= self.generations or (state.generation > 0 and not undecided)
 
     def finalists(self, state: CrossEntropyState) -> tuple[SearchEvaluation, ...]:
         """Give the best of all sets tried."""
         return state.best
 
     def _shares(self, evaluations: Sequence[SearchEvaluation]) -> NDArray[np.float64]:
-        """In which share of the sets each time is."""
-        held = [time for one in evaluations for time in one.measurement_times]
-        return np.bincount(held, minlength=self.feasible.horizon + 1) / len(evaluations)
+        """Give, for each time, the share of the sets that contain it."""
+        sets = (evaluation.measurement_times for evaluation in evaluations)
+        counts = np.bincount([*chain.from_iterable(sets)], minlength=self.feasible.horizon + 1)
+        return counts / len(evaluations)
 
 
 def conditional_bernoulli(
     feasible: Feasible, probabilities: NDArray[np.float64], sets: int, rng: np.random.Generator
 ) -> list[Times]:
-    """Choose each time on its own, with its probability, and keep what is allowed.
+    """Draw feasible sets in which each time is chosen independently, with its probability.
 
-    Where so little is allowed that too few sets come of it, the others are made one time after
-    another, each with its probability among those that may be added.
+    If too many sets are rejected, the missing sets are built by adding one time after another. Each
+    added time is drawn with the probabilities of the times that may be added.
 
     Parameters
     ----------
     feasible : Feasible
     probabilities : array of float64, (T+1,)
     sets : int
+        Number of sets.
     rng : numpy.random.Generator
     """
     found: list[Times] = []
@@ -137,10 +141,10 @@ def conditional_bernoulli(
         found += [times for times in tried if feasible.accepts(times)]
         if len(found) >= sets:
             return found[:sets]
-    return found + [_one_by_one(feasible, probabilities, rng) for _ in range(sets - len(found))]
+    return found + [_built_up(feasible, probabilities, rng) for _ in range(sets - len(found))]
 
 
-def _one_by_one(
+def _built_up(
     feasible: Feasible, probabilities: NDArray[np.float64], rng: np.random.Generator
 ) -> Times:
     times: Times = ()

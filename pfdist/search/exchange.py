@@ -1,9 +1,9 @@
-"""Exchange: as long as one time can be exchanged for a better one, it is.
+"""Exchange search: it exchanges one time for another as long as this lowers the cost.
 
-Neighbours of the best set so far are tried on few draws first. If a paired test finds the leader
-of them better, it takes the place of the best at once; else those found worse than the leader are
-dropped, and the others are tried on twice as many draws. What is found is a local optimum as far as
-these draws can tell; how good it is, others say.
+The neighbours of the best set are first evaluated on few draws. If a paired test finds the best
+neighbour better than the best set, it takes its place at once. Otherwise neighbours that are worse
+than the best neighbour are dropped, and the others are evaluated on twice as many draws. The result
+is a local optimum as far as these draws can tell.
 
 References
 ----------
@@ -25,27 +25,28 @@ from pfdist.search.paired import difference
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
-_FEWEST = 32  # draws that neighbours are tried on first: a standard error is known by them
-_WORSE = 1.5  # standard errors, by which a neighbour is found worse than the leader, and dropped
-_BETTER = 3.0  # by which it is found better than the best so far
+_FEWEST = 32  # draws of the first evaluation; enough to know a standard error
+# Differences in standard errors:
+_WORSE = 1.5  # from here on a neighbour is worse than the best neighbour, and dropped
+_BETTER = 3.0  # from here on a neighbour is better than the best set
 _BETTER_AT_LAST = 1.5  # likewise, on all draws
 
 
 @dataclass(frozen=True)
 class ExchangeState:
-    """How far the search is.
+    """Progress of the search.
 
     Parameters
     ----------
     best : tuple of int
     neighbours : tuple of tuples of int
-        That may be better.
+        Neighbours of the best set that may be better.
     draws : int
-        On so many they are tried next.
+        Number of draws of the next evaluations.
     left : tuple of tuples of int
-        That were the best before.
+        Former best sets.
     evaluations : tuple of SearchEvaluation
-        What was found, the best first.
+        The result, the best first. Empty until the search ends.
     """
 
     best: Times
@@ -58,19 +59,19 @@ class ExchangeState:
 @method("exchange", curve="best so far")
 @dataclass(frozen=True)
 class Exchange:
-    """Exchange of one time for another, under paired tests.
+    """Exchange search: starts from regular times, exchanges one time for another while this helps.
 
     Parameters
     ----------
     feasible : Feasible
     draws : int
-        On so many at most.
+        Largest number of draws of an evaluation.
     start : tuple of int, optional
-        By default regular times.
+        First set. By default regular times.
     reach : int, optional
-        How far a time is moved at most; by default anywhere.
+        Largest distance that a time is moved. By default there is no limit.
     moves : int
-        At most so many.
+        Largest number of moves.
     """
 
     feasible: Feasible
@@ -81,31 +82,31 @@ class Exchange:
 
     @property
     def generations(self) -> int:
-        """About how often it will ask: a few moves, or one for each time that is not near."""
+        """Approximate number of generations: few with `reach`, otherwise three for each time."""
         return 12 if self.reach else 3 * len(self._start)
 
     @property
     def evaluations(self) -> float:
-        """About how many whole evaluations its work amounts to; neighbours share half of it."""
+        """Approximate work, in evaluations of whole sets; neighbours share half of it."""
         tried = 1 + len(self.feasible.exchanges(self._start, self.reach))
         return self.generations / 3 * tried * self._fewest / self.draws
 
     def init(self) -> ExchangeState:
-        """Give the state before the first asking."""
+        """Give the state before the first generation."""
         return self._around(self._start)
 
     def ask(self, state: ExchangeState, rng: np.random.Generator) -> list[Candidate]:
-        """Give the best set so far and the neighbours that may be better."""
+        """Give the best set and the neighbours that may be better."""
         return [Candidate(times, draws=state.draws) for times in (state.best, *state.neighbours)]
 
     def tell(self, state: ExchangeState, evaluations: Sequence[SearchEvaluation]) -> ExchangeState:
-        """Move to the best neighbour if it is better; else drop those that are worse."""
+        """Move to the best neighbour if it is better; otherwise drop the worse neighbours."""
         best, *others = evaluations
         order = sorted(others, key=lambda evaluation: evaluation.cost)
         last = state.draws == self.draws
         if order and len(state.left) < self.moves:
             leader = order[0].measurement_times
-            # Few draws may err: they never lead back, or it might go round for ever.
+            # A test on few draws may err. It never leads back, or the search might cycle for ever.
             few = math.inf if leader in state.left else _BETTER
             if difference(order[0], best).is_better(_BETTER_AT_LAST if last else few):
                 return replace(self._around(leader), left=(*state.left, state.best))
@@ -119,11 +120,11 @@ class Exchange:
         return replace(state, neighbours=names, draws=min(self.draws, 2 * state.draws))
 
     def done(self, state: ExchangeState) -> bool:
-        """Whether no neighbour is better."""
+        """Whether no neighbour was found better."""
         return bool(state.evaluations)
 
     def finalists(self, state: ExchangeState) -> tuple[SearchEvaluation, ...]:
-        """Give the best set and those of its neighbours that may be as good."""
+        """Give the best set, and the neighbours that may be as good."""
         return state.evaluations
 
     @cached_property

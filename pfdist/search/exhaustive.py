@@ -1,4 +1,4 @@
-"""Exhaustive search: every set is tried. For small problems, and to test other searches."""
+"""Exhaustive search: it evaluates every feasible set. It serves small problems and tests."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,19 +13,19 @@ from pfdist.search.methods import method
 from pfdist.search.section import Count
 from pfdist.times.feasible import Feasible
 
-_BATCH = 500  # asked for at once: in their order neighbours share much, and memory stays flat
+_BATCH = 500  # sets in a generation: neighbours share prefixes, and memory stays flat
 
 
 @dataclass(frozen=True)
 class ExhaustiveState:
-    """How far the search is.
+    """Progress of the search.
 
     Parameters
     ----------
     tried : int
-        How many sets.
+        Number of sets evaluated.
     best : tuple of SearchEvaluation
-        Of them, the best first.
+        The best of these sets, the best first.
     """
 
     tried: int = 0
@@ -35,18 +35,18 @@ class ExhaustiveState:
 @method("exhaustive", curve="trials")
 @dataclass(frozen=True)
 class Exhaustive:
-    """Try every set, in the order of words in a dictionary.
+    """Exhaustive search: evaluates every feasible set, in lexicographic order.
 
     Parameters
     ----------
     feasible : Feasible
     limit : int
-        How many sets there may be.
+        Largest number of feasible sets that the problem may have.
 
     Raises
     ------
     JobError
-        There are more.
+        The problem has more feasible sets.
     """
 
     feasible: Feasible
@@ -61,16 +61,16 @@ class Exhaustive:
 
     @property
     def generations(self) -> int:
-        """How often it will ask."""
+        """Number of generations."""
         return -(-self.feasible.size // _BATCH)
 
     @property
     def evaluations(self) -> int:
-        """How many sets there are."""
+        """Number of feasible sets."""
         return self.feasible.size
 
     def init(self) -> ExhaustiveState:
-        """Give the state before the first asking."""
+        """Give the state before the first generation."""
         return ExhaustiveState()
 
     def ask(self, state: ExhaustiveState, rng: np.random.Generator) -> list[Candidate]:
@@ -81,14 +81,14 @@ class Exhaustive:
     def tell(
         self, state: ExhaustiveState, evaluations: Sequence[SearchEvaluation]
     ) -> ExhaustiveState:
-        """Keep the best."""
+        """Keep the best sets."""
         best = best_of([*state.best, *evaluations])
         return ExhaustiveState(state.tried + len(evaluations), best)
 
     def done(self, state: ExhaustiveState) -> bool:
-        """Whether all were tried."""
+        """Whether all sets were evaluated."""
         return state.tried >= self.feasible.size
 
     def finalists(self, state: ExhaustiveState) -> tuple[SearchEvaluation, ...]:
-        """Give the best of all."""
+        """Give the best of all sets."""
         return state.best

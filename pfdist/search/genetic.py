@@ -1,17 +1,17 @@
 """The paper's genetic algorithm (section 2.4).
 
-It does as the paper says. The authors' MATLAB departs from it in ways that are not copied here:
+This module follows the paper. The authors' MATLAB code departs from the paper as follows:
 
-1. it returns the individual at the best cost's index after the population has been replaced by
-   its offspring, so an unevaluated one; here it is the best of the last generation that was
-   evaluated, with the cost that this very individual got;
-2. it gives a degenerate individual the sum of the others' fitness, about half of the selection;
-   here it is killed;
-3. its defaults are 250 particles and 100 draws; here they are the paper's 500 and 1,000;
-4. it evaluates one population more than generations; here as many as generations, the first of
-   them random.
+1. MATLAB looks up the index of the best cost after offspring have replaced the population, so it
+   returns an individual that was not evaluated. Here the result is the best individual of the last
+   evaluated generation, with the cost of this very individual.
+2. MATLAB gives a degenerate individual the sum of the fitness of all others, so it gets about half
+   of the selection. Here it is killed.
+3. The defaults of MATLAB are 250 particles and 100 draws. Here they are the paper's 500 and 1,000.
+4. MATLAB evaluates one population more than there are generations. Here every generation is
+   evaluated once; the first is random.
 
-Where measurement times are constrained, a child that breaks a constraint is repaired.
+If the measurement times are constrained, a child that breaks a constraint is repaired.
 
 References
 ----------
@@ -36,13 +36,13 @@ from pfdist.times.measurement_times import Times
 
 @dataclass(frozen=True)
 class GeneticState:
-    """The last population that was evaluated, and how many were.
+    """The last evaluated population, and the number of evaluated generations.
 
     Parameters
     ----------
     evaluated_generations : int
     evaluations : tuple of SearchEvaluation
-        One an individual, copies repeated.
+        One evaluation for each individual, in the order of the population.
     """
 
     evaluated_generations: int = 0
@@ -52,27 +52,26 @@ class GeneticState:
 @method("genetic", evaluation=EvaluationSettings())
 @dataclass(frozen=True)
 class GeneticAlgorithm:
-    """Genetic algorithm on sets of measurement times.
+    """The paper's genetic algorithm: selects, crosses over and mutates a population of sets.
 
     Parameters
     ----------
     feasible : Feasible
     population : int
-        Even.
+        Number of individuals.
     generations : int
-        Populations evaluated, the first of them random.
+        Number of populations that are evaluated. The first is random.
     crossover_probability : float
-        Of each pair of parents.
+        Probability that a pair of parents is crossed over.
     mutation_probability : float
-        Of each gene (measurement time).
+        Probability that a gene (a measurement time) mutates.
     sigma_scaling : float
-        An individual whose cost lies this many standard deviations below the mean expects two
-        offspring. The paper's sigma coefficient, 1.
+        The paper's sigma coefficient. An individual whose cost lies this many standard deviations
+        below the mean expects two offspring.
     share_copies : bool
-        Whether individuals of a generation that are copies of one set share one evaluation. The
-        paper evaluates each individual afresh. Sharing saves 4 to 27 % of the work, but an error of
-        the shared evaluation counts once for each copy, so that a lucky set takes over the
-        population: the sets found cost 0.25 % more.
+        Whether copies of a set in a generation share one evaluation. The paper evaluates each
+        individual afresh. Sharing saves 4 to 27 % of the work, but the found sets cost 0.25 % more,
+        because one lucky evaluation then counts for every copy.
     """
 
     feasible: Feasible
@@ -85,17 +84,17 @@ class GeneticAlgorithm:
 
     @property
     def evaluations(self) -> int:
-        """How many sets of times it will ask for, copies counted."""
+        """Number of evaluations, copies included."""
         return self.population * self.generations
 
     def init(self) -> GeneticState:
-        """Give the state before the first asking."""
+        """Give the state before the first generation."""
         return GeneticState()
 
     def ask(self, state: GeneticState, rng: np.random.Generator) -> list[Candidate]:
-        """Give the next population: select, cross over, mutate; the first is random.
+        """Give the next population: selected, crossed over and mutated; the first is random.
 
-        If every individual was killed there are no parents, and the next population is random.
+        If every individual was killed, there are no parents, and the next population is random.
         """
         costs = np.array([evaluation.cost for evaluation in state.evaluations])
         if not np.isfinite(costs).any():
@@ -113,7 +112,7 @@ class GeneticAlgorithm:
         return self._candidates([self.feasible.repair(child, rng) for child in mutated])
 
     def tell(self, state: GeneticState, evaluations: Sequence[SearchEvaluation]) -> GeneticState:
-        """Take the evaluated population in the place of the last."""
+        """Give the state with the evaluated population."""
         return GeneticState(state.evaluated_generations + 1, tuple(evaluations))
 
     def done(self, state: GeneticState) -> bool:
@@ -121,7 +120,7 @@ class GeneticAlgorithm:
         return state.evaluated_generations >= self.generations
 
     def finalists(self, state: GeneticState) -> list[SearchEvaluation]:
-        """Give the best individual of the last generation, as evaluated there."""
+        """Give the best individual of the last generation, with its evaluation there."""
         return sorted(state.evaluations, key=lambda evaluation: evaluation.cost)[:1]
 
     def _candidates(self, population: Sequence[Times]) -> list[Candidate]:
@@ -130,7 +129,7 @@ class GeneticAlgorithm:
         return [Candidate(times, individual=i) for i, times in enumerate(population)]
 
     def _mutate(self, individual: set[int], rng: np.random.Generator) -> set[int]:
-        """Replace each gene, with the mutation probability, by a time that is not in the set."""
+        """Give an individual whose genes were replaced, with some probability, by absent times."""
         genes = np.array(sorted(individual))
         for gene in genes[rng.random(genes.size) < self.mutation_probability]:
             absent = sorted(set(self.feasible.allowed) - individual)
@@ -140,23 +139,25 @@ class GeneticAlgorithm:
 
 
 def expected_offspring(costs: NDArray[np.float64], sigma_scaling: float) -> NDArray[np.float64]:
-    """Sigma scaling: max(0, 1 + (mean - cost) / (coefficient * sd)), over the living.
+    """Give each individual's expected offspring: max(0, 1 + (mean - cost) / (coefficient * sd)).
 
     Parameters
     ----------
     costs : array of float64, (P,)
-        An infinite cost marks a killed individual, which expects no offspring.
+        An infinite cost marks a killed individual. It expects no offspring and does not count in
+        mean and sd.
     sigma_scaling : float
+        The coefficient.
 
     Returns
     -------
     array of float64, (P,)
-        1 for each of the living if all their costs are the same.
+        1 for each living individual if all their costs are equal.
     """
     living = np.isfinite(costs)
     mean, sd = np.mean(costs[living]), np.std(costs[living])
     offspring = np.zeros_like(costs)
-    # Of equal costs sd may be a rounding, and the mean less than any of them.
+    # If all costs are equal, rounding may make sd positive, and the mean less than every cost.
     excess = (mean - costs[living]) / (sigma_scaling * sd) if np.ptp(costs[living]) > 0 else 0.0
     offspring[living] = np.maximum(0.0, 1.0 + excess)
     return offspring
@@ -165,20 +166,20 @@ def expected_offspring(costs: NDArray[np.float64], sigma_scaling: float) -> NDAr
 def stochastic_universal_sampling(
     expected: NDArray[np.float64], count: int, rng: np.random.Generator
 ) -> NDArray[np.intp]:
-    """Select by one spin of a wheel with equally spaced pointers.
+    """Give selected indices: one spin of a wheel with equally spaced pointers.
 
     Parameters
     ----------
     expected : array of float64, (P,)
-        Proportional to the offspring expected.
+        Proportional to the expected offspring.
     count : int
-        How many are selected.
+        Number of selected individuals.
     rng : numpy.random.Generator
 
     Returns
     -------
     array of int, (count,)
-        Each index floor or ceil of its expected number of times.
+        Each index occurs floor or ceil of its expected number of times.
     """
     pointers = (np.arange(count) + rng.random()) / count
     wheel = np.cumsum(expected) / np.sum(expected)
@@ -188,7 +189,7 @@ def stochastic_universal_sampling(
 def count_preserving_crossover(
     a: set[int], b: set[int], rng: np.random.Generator
 ) -> tuple[set[int], set[int]]:
-    """Swap a random number, at least 1, of the elements in which two parents differ.
+    """Give two children: parents that swap a random number, at least 1, of differing elements.
 
     Parameters
     ----------
@@ -198,7 +199,7 @@ def count_preserving_crossover(
     Returns
     -------
     tuple of two sets of int
-        Each of its parent's size.
+        Each has the size of its parent.
     """
     only_a, only_b = sorted(a - b), sorted(b - a)
     most = min(len(only_a), len(only_b))

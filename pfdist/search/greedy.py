@@ -1,9 +1,9 @@
-"""Greedy searches: forward, the time that helps most is added; backward, the least is missed.
+"""Greedy searches: forward adds the best measurement, backward removes the worst, at each step.
 
-Forward begins with no measurement, backward with all times; each step tries every time. Where a
-time is worth the less the more others there are (the cost is supermodular), what forward finds has
-at least 1 - 1/e of the largest possible saving. The filter's cost is not of that kind in general.
-Where times have prices, a step is weighed by its price.
+Forward starts without measurements, backward with all times. Each step tries every time. If the
+cost is supermodular (each measurement is worth less, the more others there are), forward reaches at
+least 1 - 1/e of the largest possible saving. The cost of a particle filter is not supermodular in
+general. If measurements have prices, the change of the cost is divided by the price.
 
 References
 ----------
@@ -26,13 +26,13 @@ from pfdist.times.measurement_times import Times
 
 @dataclass(frozen=True)
 class GreedyState:
-    """What was chosen so far.
+    """The set chosen so far.
 
     Parameters
     ----------
     chosen : tuple of int
     evaluations : tuple of SearchEvaluation
-        The best of the last step's sets that may be chosen.
+        The best feasible sets of the last step.
     """
 
     chosen: Times
@@ -44,13 +44,13 @@ class _Greedy:
     feasible: Feasible
 
     def ask(self, state: GreedyState, rng: np.random.Generator) -> list[Candidate]:
-        """Give all sets that one step makes of what was chosen, and that, if times have prices."""
+        """Give all sets one step away from the chosen set; with prices also the chosen set."""
         before = [] if self.feasible.counted else [state.chosen]
-        steps = self._steps(state.chosen) or [state.chosen]  # all times may be measured at
+        steps = self._steps(state.chosen) or [state.chosen]  # a set of all times has no next step
         return [Candidate(times) for times in (*steps, *before)]
 
     def tell(self, state: GreedyState, evaluations: Sequence[SearchEvaluation]) -> GreedyState:
-        """Choose the step that saves most or loses least, for its price."""
+        """Choose the step that lowers the cost most, or raises it least, for its price."""
         steps, before = list(evaluations), 0.0
         if not self.feasible.counted:
             before = steps.pop().cost
@@ -68,7 +68,7 @@ class _Greedy:
         return GreedyState(best.measurement_times, best_of(allowed))
 
     def finalists(self, state: GreedyState) -> tuple[SearchEvaluation, ...]:
-        """Give the best of the last step."""
+        """Give the best feasible sets of the last step."""
         return state.evaluations
 
     def _steps(self, times: Times) -> list[Times]:
@@ -78,7 +78,7 @@ class _Greedy:
 @method("greedy_forward", curve="best of a step")
 @dataclass(frozen=True)
 class GreedyForward(_Greedy):
-    """Add the time that helps most, from none on, until no more may be added.
+    """Greedy forward search: adds the measurement that helps most, one at each step.
 
     Parameters
     ----------
@@ -87,20 +87,20 @@ class GreedyForward(_Greedy):
 
     @property
     def generations(self) -> int:
-        """About how often it will ask."""
+        """Approximate number of generations."""
         return self.feasible.measurements
 
     @property
     def evaluations(self) -> int:
-        """About how many sets of times it will ask for."""
+        """Approximate number of evaluations."""
         return sum(len(self.feasible.allowed) - chosen for chosen in range(self.generations))
 
     def init(self) -> GreedyState:
-        """Give the state before the first asking: no measurement."""
+        """Give the state before the first generation: no measurement."""
         return GreedyState(())
 
     def done(self, state: GreedyState) -> bool:
-        """Whether no time may be added."""
+        """Whether no measurement can be added."""
         return not self._steps(state.chosen)
 
     def _steps(self, times: Times) -> list[Times]:
@@ -110,7 +110,7 @@ class GreedyForward(_Greedy):
 @method("greedy_backward", curve="best of a step")
 @dataclass(frozen=True)
 class GreedyBackward(_Greedy):
-    """Remove the time that is missed least, from all times on, until what is left is allowed.
+    """Greedy backward search: starts from all times, removes the measurement that matters least.
 
     Parameters
     ----------
@@ -119,20 +119,20 @@ class GreedyBackward(_Greedy):
 
     @property
     def generations(self) -> int:
-        """About how often it will ask."""
+        """Approximate number of generations."""
         return max(1, self.feasible.horizon + 1 - self.feasible.measurements)
 
     @property
     def evaluations(self) -> int:
-        """About how many sets of times it will ask for."""
+        """Approximate number of evaluations."""
         return sum(self.feasible.horizon + 1 - removed for removed in range(self.generations))
 
     def init(self) -> GreedyState:
-        """Give the state before the first asking: all times."""
+        """Give the state before the first generation: all times."""
         return GreedyState(tuple(range(self.feasible.horizon + 1)))
 
     def done(self, state: GreedyState) -> bool:
-        """Whether what is left is allowed, and was evaluated."""
+        """Whether the remaining set is feasible and was evaluated."""
         return bool(state.evaluations) and self.feasible.accepts(state.chosen)
 
     def _steps(self, times: Times) -> list[Times]:

@@ -1,4 +1,4 @@
-"""The search methods that a job file can name. Each declares itself in its own file."""
+"""The search methods that a job file can name. Each declares itself in a file of its own."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
@@ -26,13 +26,13 @@ class Method:
     Parameters
     ----------
     name : str
-        As job files name it.
+        The name in job files.
     optimiser : type
         The optimiser that searches.
     section : type
         The section [[search]] of a job file, with the settings of the method.
     curve : str
-        What the figure of costs shows of the search.
+        The curve of the search in the figure of costs.
     """
 
     name: str
@@ -54,7 +54,7 @@ class Method:
         draws : int
             Number of draws of an evaluation.
         settings : dict
-            As the section has them.
+            Settings of the method, as in the section.
 
         Raises
         ------
@@ -77,21 +77,22 @@ def method(
 ) -> Callable[[C], C]:
     """Declare an optimiser as a search method.
 
-    The optimiser is a frozen dataclass. Its fields that are annotated with a type of
+    The optimiser is a frozen dataclass. Fields that are annotated with a type of
     `pfdist.search.section`, such as ``Count``, are the settings of the method, with their
-    defaults. The field ``feasible`` receives the feasible sets. The field ``draws``, if there is
-    one, receives the number of draws of an evaluation.
+    defaults. The field ``feasible`` receives the feasible sets. A field ``draws``, if there is
+    one, receives the number of draws of an evaluation. The first line of the docstring is the
+    description of the method, and the section Parameters describes the settings.
 
     Parameters
     ----------
     name : str
-        As job files name it.
+        The name in job files.
     evaluation : EvaluationSettings
         Defaults of ``[search.evaluation]``.
     polish : bool
-        Whether exchanges follow the search, by default.
+        Default of ``polish``: whether exchanges follow the search.
     curve : str
-        What the figure of costs shows of the search.
+        The curve of the search in the figure of costs.
     """
 
     def declare(optimiser: C) -> C:
@@ -119,7 +120,7 @@ def method(
 
 
 def any_section() -> Any:
-    """Give the type of any section [[search]]: the method says which one it is."""
+    """Give the type of the section [[search]]: the union of all methods' sections."""
     sections = reduce(or_, (method.section for method in METHODS.values()))
     return Annotated[sections, Field(discriminator="method")]
 

@@ -1,4 +1,4 @@
-"""Differences of costs under common draws."""
+"""Paired differences of costs: two sets evaluated on common draws."""
 
 import math
 from typing import NamedTuple
@@ -12,7 +12,7 @@ CLEAR_ERRORS = 4.0
 
 
 class Difference(NamedTuple):
-    """An estimate of one cost less another.
+    """An estimate of the difference of two costs.
 
     Parameters
     ----------
@@ -23,18 +23,18 @@ class Difference(NamedTuple):
     standard_error: float
 
     def is_worse(self, errors: float) -> bool:
-        """Whether it is larger than 0 by more than so many standard errors."""
+        """Whether the difference lies above 0 by more than this number of standard errors."""
         return self.mean > errors * self.standard_error
 
     def is_better(self, errors: float) -> bool:
-        """Whether it is less than 0 by more than so many standard errors."""
+        """Whether the difference lies below 0 by more than this number of standard errors."""
         return self.mean < -errors * self.standard_error
 
 
 def difference(first: Evaluation, second: Evaluation) -> Difference:
-    """Estimate the cost of one set less that of another, on the draws that both have.
+    """Give the cost of the first set minus that of the second, on the draws that both have.
 
-    What is common to both sets in a draw cancels, and with it most of the variance.
+    Errors common to both sets cancel in each draw, and with them most of the variance.
     """
     if not (math.isfinite(first.cost) and math.isfinite(second.cost)):
         mean = 0.0 if first.cost == second.cost else first.cost - second.cost

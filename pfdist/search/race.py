@@ -1,7 +1,7 @@
-"""A race: fresh draws decide between a few sets, and are spent where the decision is open.
+"""A race between a few sets on fresh draws; most draws go to the sets that are hard to tell apart.
 
-All run on common draws. After each round those fall out that a paired test finds worse than the
-leader, and of the others the worse half; the rest run on, on twice as many draws.
+All sets share the draws. After each round, sets that a paired test finds worse than the leader drop
+out. The worse half of the sets drops out in any case. The others continue on twice as many draws.
 
 References
 ----------
@@ -20,22 +20,23 @@ from pfdist.search.base import Candidate
 from pfdist.search.paired import difference
 from pfdist.times.measurement_times import Times
 
-_WORSE = 3.0  # standard errors, by which a set is found worse than the leader
+_WORSE = 3.0  # standard errors from which a set is worse than the leader
 
 
 @dataclass(frozen=True)
 class RaceState:
-    """Who is still running.
+    """Progress of the race.
 
     Parameters
     ----------
     running : tuple of tuples of int
+        Sets of the next round.
     draws : int
-        Of the next round.
+        Number of draws of the next round.
     evaluations : tuple of ShortlistEvaluation
-        Of those that ran the last one, the best first.
+        Evaluations of the last round, the best first.
     out : tuple of ShortlistEvaluation
-        Of those that fell out before it.
+        Last evaluations of the sets that dropped out before the last round.
     """
 
     running: tuple[Times, ...]
@@ -46,14 +47,14 @@ class RaceState:
 
 @dataclass(frozen=True)
 class Race:
-    """Decide which of a few sets is the best.
+    """Optimiser that finds the best of a few sets.
 
     Parameters
     ----------
     sets : tuple of tuples of int
-        Different ones.
+        The sets; all differ.
     draws : int
-        Of the first round.
+        Number of draws of the first round.
     """
 
     sets: tuple[Times, ...]
@@ -61,12 +62,15 @@ class Race:
 
     @property
     def generations(self) -> int:
-        """How many rounds, if no test decides sooner."""
+        """Number of rounds, if no test decides sooner."""
         return max(1, (len(self.sets) - 1).bit_length())
 
     @property
     def evaluations(self) -> float:
-        """Half as many run twice as far each time."""
+        """Approximate work, in evaluations on the draws of the first round.
+
+        Each round has half as many sets and twice as many draws as the one before.
+        """
         return (1 + self.generations) / 2 * len(self.sets)
 
     def init(self) -> RaceState:
@@ -74,11 +78,11 @@ class Race:
         return RaceState(self.sets, self.draws)
 
     def ask(self, state: RaceState, rng: np.random.Generator) -> list[Candidate]:
-        """Give those that are running, and how far they are to run."""
+        """Give the sets of the next round, with its number of draws."""
         return [Candidate(times, draws=state.draws) for times in state.running]
 
     def tell(self, state: RaceState, evaluations: Sequence[ShortlistEvaluation]) -> RaceState:
-        """Let the leader and those near it run on."""
+        """Keep the leader and the sets near it."""
         order = sorted(evaluations, key=lambda evaluation: evaluation.cost)
         near = [
             evaluation
@@ -86,17 +90,17 @@ class Race:
             if not difference(evaluation, order[0]).is_worse(_WORSE)
         ]
         running = [evaluation.measurement_times for evaluation in near[: (len(order) + 1) // 2]]
-        fell = tuple(
+        dropped = tuple(
             evaluation
             for evaluation in state.evaluations
             if evaluation.measurement_times not in state.running
         )
-        return RaceState(tuple(running), 2 * state.draws, tuple(order), (*fell, *state.out))
+        return RaceState(tuple(running), 2 * state.draws, tuple(order), (*dropped, *state.out))
 
     def done(self, state: RaceState) -> bool:
-        """Whether it is decided."""
+        """Whether one set is left."""
         return bool(state.evaluations) and len(state.running) == 1
 
     def finalists(self, state: RaceState) -> tuple[ShortlistEvaluation, ...]:
-        """Give all, each on the most draws that it ran on: the winner first, then by rounds."""
+        """Give the last evaluation of every set: the winner first, sets of later rounds earlier."""
         return *state.evaluations, *state.out

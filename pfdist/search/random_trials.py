@@ -1,4 +1,4 @@
-"""Random trials, the search the paper compares its own with (section 3)."""
+"""Random trials: the search with which the paper compares its genetic algorithm (section 3)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,19 +11,19 @@ from pfdist.search.methods import method
 from pfdist.search.section import Count, EvaluationSettings
 from pfdist.times.feasible import Feasible
 
-_BATCH = 250  # asked for at once: enough to fill the cores, few enough to keep memory flat
+_BATCH = 250  # sets in a generation: enough to keep the cores busy, and memory stays flat
 
 
 @dataclass(frozen=True)
 class RandomState:
-    """How far the search is.
+    """Progress of the search.
 
     Parameters
     ----------
     evaluated : int
-        How many sets.
+        Number of sets evaluated.
     best : SearchEvaluation, optional
-        Of them.
+        The best of these sets.
     """
 
     evaluated: int = 0
@@ -33,13 +33,13 @@ class RandomState:
 @method("random", evaluation=EvaluationSettings(), curve="trials")
 @dataclass(frozen=True)
 class RandomTrials:
-    """Evaluate random sets of measurement times and keep the best.
+    """Random trials: evaluates random sets and keeps the best; the paper's comparison.
 
     Parameters
     ----------
     feasible : Feasible
     evaluations : int
-        How many sets are tried.
+        Number of sets that are evaluated.
     """
 
     feasible: Feasible
@@ -47,28 +47,28 @@ class RandomTrials:
 
     @property
     def generations(self) -> int:
-        """How often it will ask."""
+        """Number of generations."""
         return -(-self.evaluations // _BATCH)
 
     def init(self) -> RandomState:
-        """Give the state before the first asking."""
+        """Give the state before the first generation."""
         return RandomState()
 
     def ask(self, state: RandomState, rng: np.random.Generator) -> list[Candidate]:
-        """Give the next sets of measurement times."""
+        """Give random feasible sets."""
         sets = min(_BATCH, self.evaluations - state.evaluated)
         return [Candidate(times) for times in self.feasible.random(sets, rng)]
 
     def tell(self, state: RandomState, evaluations: Sequence[SearchEvaluation]) -> RandomState:
-        """Count the evaluations and keep the best."""
+        """Count the evaluations and keep the best set."""
         known = [] if state.best is None else [state.best]
         best = min([*known, *evaluations], key=lambda evaluation: evaluation.cost)
         return RandomState(state.evaluated + len(evaluations), best)
 
     def done(self, state: RandomState) -> bool:
-        """Whether all trials were made."""
+        """Whether all sets were evaluated."""
         return state.evaluated >= self.evaluations
 
     def finalists(self, state: RandomState) -> list[SearchEvaluation]:
-        """Give the best of all trials."""
+        """Give the best of all sets."""
         return [] if state.best is None else [state.best]

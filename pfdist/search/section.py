@@ -1,4 +1,4 @@
-"""A section [[search]] of a job file: a search method, its settings, and how it evaluates sets."""
+"""A section [[search]] of a job file: the method, its settings, and how it evaluates sets."""
 
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
@@ -9,7 +9,7 @@ from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.kernels.schemes import SCHEMES
 
 AUTO: Final = "auto"
-_FEWEST_PARTICLES, _SHARE = 100, 5  # of the filter that a search uses
+_FEWEST_PARTICLES, _SHARE = 100, 5  # a search uses one fifth of the job's particles, at least 100
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=40)]
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 class EvaluationSettings(Section):
-    """How the evaluations of a search differ from [evaluation] and [filter] of the job."""
+    """Settings of a search that replace those of [evaluation] and [filter] of the job."""
 
     draws: Annotated[int, Field(ge=2, le=10_000_000)] | None = None
     noise: Literal["fresh", "common"] | None = None
@@ -37,15 +37,15 @@ class EvaluationSettings(Section):
     estimator: Estimator | Literal["auto"] | None = None
 
     def particles_of(self, job_particles: int) -> int:
-        """Number of particles, given the number of the job."""
+        """Give the number of particles of the search, from that of the job."""
         return self.particles or job_particles
 
 
 class CommonNoiseSettings(EvaluationSettings):
     """Default evaluation settings of searches that use common random numbers.
 
-    The filter has a fifth of the job's particles, but at least 100 if the job has as many: with
-    fewer, other sets would be the best.
+    The filter has a fifth of the job's particles, but at least 100 if the job has as many. With
+    fewer particles, other sets would be the best.
     """
 
     draws: Annotated[int, Field(ge=2, le=10_000_000)] = 300
@@ -54,13 +54,13 @@ class CommonNoiseSettings(EvaluationSettings):
     estimator: Estimator | Literal["auto"] = AUTO
 
     def particles_of(self, job_particles: int) -> int:
-        """Number of particles, given the number of the job."""
+        """Give the number of particles of the search, from that of the job."""
         fewest = min(job_particles, max(_FEWEST_PARTICLES, job_particles // _SHARE))
         return self.particles or fewest
 
 
 class SearchSection(Section):
-    """Base of the sections [[search]]; each method's section adds the settings of the method."""
+    """Base of all sections [[search]]. The section of each method adds its settings."""
 
     name: Name = ""
     evaluation: EvaluationSettings = EvaluationSettings()

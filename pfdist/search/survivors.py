@@ -1,14 +1,14 @@
-"""A dynamic programme over prefixes: of all that measured last at one time, the best survive.
+"""The survivor dynamic programme: it extends prefixes and keeps the best of each state.
 
-The error up to t depends on the measurements up to t alone. So sets are built from the left: a
-state is the last measured time (or the last two) and what was spent: a number of measurements, or
-money where they cost some. Of the prefixes that lead to it a few of the least cost up to there
-survive, and each is extended by a measurement at every time that is not too far away, and of which
-a feasible set can come. It would be exact if one number said all about a prefix; but its cloud
-matters for what follows, so several survive.
+The error up to t depends only on the measurements up to t. So sets are built from the left. The
+state of a prefix is its last measurement time (or its last two), and the number of measurements, or
+the money spent. A few prefixes of least cost survive in each state. Each survivor is extended by a
+measurement at every time that is not too far away and leaves a feasible set. The programme would be
+exact if the cost of a prefix said all about it. But the particles of a prefix influence what
+follows, so several prefixes survive.
 
-All prefixes are to be evaluated under the same noise: what they share is then filtered once, and
-their costs differ by little else than what they are worth.
+All prefixes should be evaluated under common noise. Then a common part of two prefixes is filtered
+once, and noise hardly affects the difference of their costs.
 
 References
 ----------
@@ -32,33 +32,35 @@ from pfdist.search.section import Count, Flag
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
-GAPS = 3.0  # mean ones: the largest that is tried at first
-PLACES = 2.25  # mean gaps, by which a measurement may lie off its proportional place at first
-WIDER = 1.5  # what becomes of both where they are in the way
+# Limits at first, in units of the mean gap between measurements:
+LARGEST_GAPS = 3.0  # the largest gap
+CORRIDOR_GAPS = 2.25  # the largest distance of a measurement from its proportional position
+WIDENING = 1.5  # factor by which limits grow that the best set reaches
 
 
 @dataclass(frozen=True)
 class SurvivorState:
-    """How far the programme is. Distances are counted in times that may be measured at.
+    """Progress of the programme. Distances count allowed times.
 
     Parameters
     ----------
-    longest_gap : int
-        Largest difference of two measurement times that is tried.
+    largest_gap : int
+        Largest distance of two successive measurements that is tried.
     corridor : float
-        How far a measurement may lie from its place in proportion to what was spent.
+        Largest distance of a measurement from its proportional position: the position that
+        corresponds to the share of the budget spent before it.
     front : tuple of tuples of int
-        The survivors that are to be extended: all have spent the same.
+        The survivors to be extended next; all have spent the same.
     waiting : tuple of SearchEvaluation
-        What was reached and has spent more: its turn comes.
+        Evaluated prefixes that have spent more than the front.
     ended : tuple of tuples of int
         Survivors that are whole sets.
     whole : tuple of SearchEvaluation
-        Whole sets, the best first.
+        Evaluated whole sets, the best first.
     done : bool
     """
 
-    longest_gap: int
+    largest_gap: int
     corridor: float
     front: tuple[Times, ...] = ((),)
     waiting: tuple[SearchEvaluation, ...] = ()
@@ -70,15 +72,15 @@ class SurvivorState:
 @method("survivors", polish=True, curve="best so far")
 @dataclass(frozen=True)
 class Survivors:
-    """Survivor dynamic programme.
+    """Survivor dynamic programme (beam search): extends prefixes, keeps the best at each time.
 
     Parameters
     ----------
     feasible : Feasible
     survivors : int
-        How many survive in each state.
+        Number of prefixes that survive in each state.
     by_previous : bool
-        Whether a state is the last two measured times, or the last alone.
+        Whether a state is the last two measurement times. Otherwise it is the last alone.
     """
 
     feasible: Feasible
@@ -87,36 +89,38 @@ class Survivors:
 
     @property
     def generations(self) -> int:
-        """About how often it will ask: each measurement, and the end."""
+        """Approximate number of generations: one for each measurement, and the end."""
         return self.feasible.total + 1
 
     @property
     def evaluations(self) -> float:
-        """About how many whole evaluations its work amounts to.
+        """Approximate work, in evaluations of whole sets.
 
-        At each level every survivor is extended up to the longest gap, and as much again is done to
-        come to where they differ.
+        Each survivor is extended up to the largest gap. About as much work is needed to reach the
+        times at which the survivors differ.
         """
         state, instants = self.init(), len(self.feasible.allowed)
         width = min(2 * state.corridor + 1, instants)
-        extended = self.survivors * width * min(state.longest_gap, instants)
+        extended = self.survivors * width * min(state.largest_gap, instants)
         return 2 * extended * self.feasible.total / instants
 
     def init(self) -> SurvivorState:
-        """Give the state before the first asking: gaps of up to three mean ones."""
+        """Give the state before the first generation, with the limits at first."""
         mean_gap = self.feasible.spent(self.feasible.allowed) / self.feasible.total
-        return SurvivorState(max(2, math.ceil(GAPS * mean_gap)), max(2.0, PLACES * mean_gap))
+        largest_gap = max(2, math.ceil(LARGEST_GAPS * mean_gap))
+        return SurvivorState(largest_gap, max(2.0, CORRIDOR_GAPS * mean_gap))
 
     def ask(self, state: SurvivorState, rng: np.random.Generator) -> list[Candidate]:
-        """Give the extensions of all survivors up to their last time; of whole sets, up to T."""
+        """Give extensions of the survivors up to their last time; at the end whole sets up to T."""
         if not state.front:
             return [Candidate(times) for times in state.ended]
         near = [(*times, t) for times in state.front for t in self._next(state, times)]
         every = ((*times, t) for times in state.front for t in self.feasible.extensions(times))
-        return [Candidate(times, times[-1]) for times in near or every]  # limits may leave nothing
+        # If the limits leave nothing, they do not apply.
+        return [Candidate(times, times[-1]) for times in near or every]
 
     def tell(self, state: SurvivorState, evaluations: Sequence[SearchEvaluation]) -> SurvivorState:
-        """Let the best of each state survive; at the end, widen limits that were in the way."""
+        """Keep the best prefixes of each state; at the end, widen limits that a set reaches."""
         if not state.front:
             return self._whole(state, evaluations)
         state = replace(state, front=(), waiting=(*state.waiting, *evaluations))
@@ -125,7 +129,7 @@ class Survivors:
         return state
 
     def done(self, state: SurvivorState) -> bool:
-        """Whether its limits are in the way no more."""
+        """Whether the search has ended."""
         return state.done
 
     def finalists(self, state: SurvivorState) -> tuple[SearchEvaluation, ...]:
@@ -133,20 +137,18 @@ class Survivors:
         return state.whole
 
     def _next(self, state: SurvivorState, times: Times) -> Iterator[int]:
-        """The times that may come next and lie within the limits."""
-        after, spent = (
-            self.feasible.place[times[-1]] + 1 if times else 0,
-            self.feasible.spent(times),
-        )
+        """Give the times within the limits that may follow a prefix."""
+        index, spent = self.feasible.index, self.feasible.spent(times)
+        after = index[times[-1]] + 1 if times else 0
         for time in self.feasible.extensions(times):
-            if self.feasible.place[time] >= after + state.longest_gap:
+            if index[time] >= after + state.largest_gap:
                 break
             first, last = self._corridor(state, spent, time)
-            if first <= self.feasible.place[time] <= last:
+            if first <= index[time] <= last:
                 yield time
 
     def _advanced(self, state: SurvivorState) -> SurvivorState:
-        """Let those survive of what has cost least; the others go on waiting."""
+        """Keep the best of the prefixes that have spent least; the others wait."""
         spent = [self.feasible.spent(evaluation.measurement_times) for evaluation in state.waiting]
         least = min(spent)
         reached: list[SearchEvaluation] = []
@@ -165,32 +167,33 @@ class Survivors:
     def _whole(
         self, state: SurvivorState, evaluations: Sequence[SearchEvaluation]
     ) -> SurvivorState:
+        """End the search, or start again with wider limits."""
         whole, before = best_of((*state.whole, *evaluations)), state.whole[:1]
         best = whole[0].measurement_times
-        if (before and before[0].measurement_times == best) or not self._leans(state, best):
+        if (before and before[0].measurement_times == best) or not self._is_limited(state, best):
             return replace(state, whole=whole, done=True)
-        gap = min(self.feasible.horizon + 1, math.ceil(WIDER * state.longest_gap))
-        return SurvivorState(gap, WIDER * state.corridor, whole=whole)
+        gap = min(self.feasible.horizon + 1, math.ceil(WIDENING * state.largest_gap))
+        return SurvivorState(gap, WIDENING * state.corridor, whole=whole)
 
-    def _leans(self, state: SurvivorState, times: Times) -> bool:
-        """Whether a gap is the longest, or a time at the edge of its place, that was allowed."""
-        places = [self.feasible.place[time] for time in times]
-        gaps = [b - a for a, b in zip((-1, *places), places, strict=False)]
-        if max(gaps) >= state.longest_gap and state.longest_gap < len(self.feasible.allowed):
+    def _is_limited(self, state: SurvivorState, times: Times) -> bool:
+        """Whether a gap is the largest allowed, or a time lies at the edge of its corridor."""
+        indices = [self.feasible.index[time] for time in times]
+        gaps = [index - before for before, index in zip((-1, *indices), indices, strict=False)]
+        if max(gaps) >= state.largest_gap and state.largest_gap < len(self.feasible.allowed):
             return True
         highest, dearest = len(self.feasible.allowed) - 1, max(self.feasible.price)
-        for number, (time, place) in enumerate(zip(times, places, strict=True)):
+        for number, (time, index) in enumerate(zip(times, indices, strict=True)):
             spent = self.feasible.spent(times[:number])
             first, last = self._corridor(state, spent, time)
             left = self.feasible.total - spent - self.feasible.price[time]
-            # The others before it, and those that are still to be paid for, need room.
-            if number < place <= first or last <= place < highest - left // dearest:
+            # At the edges of the horizon the other measurements limit a time, not the corridor.
+            if number < index <= first or last <= index < highest - left // dearest:
                 return True
         return False
 
     def _corridor(self, state: SurvivorState, spent: int, time: int) -> tuple[int, int]:
-        """First and last place of a measurement, by what was spent before it and what it costs."""
-        mean_gap = len(self.feasible.allowed) / self.feasible.total  # of what costs 1
+        """Give the first and last allowed index of a measurement, by the sum spent before it."""
+        mean_gap = len(self.feasible.allowed) / self.feasible.total  # for a price of 1
         proportional = (spent + self.feasible.price[time] / 2) * mean_gap - 0.5
         return math.floor(proportional - state.corridor), math.ceil(proportional + state.corridor)
 
@@ -198,16 +201,15 @@ class Survivors:
 def surviving(
     prefixes: Iterable[SearchEvaluation], survivors: int, by_previous: bool
 ) -> list[Times]:
-    """Give the best of each state, so many, in the order of the states.
+    """Give the best prefixes of each state, in the order of the states.
 
     Parameters
     ----------
     prefixes : iterable of SearchEvaluation
-        All that were reached.
     survivors : int
-        How many survive in each state.
+        Number of prefixes that survive in each state.
     by_previous : bool
-        Whether a state is the last two measured times, or the last alone.
+        Whether a state is the last two measurement times. Otherwise it is the last alone.
     """
     reached: dict[Times, list[SearchEvaluation]] = defaultdict(list)
     for prefix in prefixes:

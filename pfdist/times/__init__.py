@@ -1,4 +1,4 @@
-"""Sets of measurement times: the constraints on them, and which sets are feasible.
+"""Sets of measurement times: the constraints on a set, and the sets that are feasible.
 
-Integer arithmetic on tuples of times; nothing here knows a model.
+This room computes with integers and tuples of times; it knows no model and no job file.
 """

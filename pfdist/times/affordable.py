@@ -1,4 +1,4 @@
-"""The most measurements that a sum of money pays for, as near to wanted times as they can be.
+"""The set of times nearest to wanted times, among those that spend the most of a sum of money.
 
 References
 ----------
@@ -26,15 +26,16 @@ class Affordable:
     Parameters
     ----------
     usable : tuple of int
-        Times that may be in a set, sorted.
+        Times that a set may contain, sorted.
     required : tuple of int
-        Those of them that must be; the others are no nearer to them than the spacing.
+        Usable times that every set must contain; no other usable time lies within the spacing of
+        them.
     spacing : int
-        Least difference of two times.
+        Smallest allowed difference of two times.
     price : sequence of int, (T+1,)
-        Of each time, at least 1.
+        Price of each time, at least 1.
     total : int
-        What there is to spend; it pays for the required times and for one time at least.
+        The sum to spend. It pays for the required times, and for at least one time.
     """
 
     usable: Times
@@ -44,24 +45,24 @@ class Affordable:
     total: int
 
     def nearest(self, wanted: Callable[[int], Times]) -> Times:
-        """Give the set that spends the most, has the most times, and is nearest to those wanted.
+        """Give the set that spends the most, has the most times, and is nearest to wanted times.
 
-        In this order: of the sets that spend as much as any can, those with the most times; of
-        these, that with the least sum of distances to the wanted times of its number, one by one.
-        Of several such sets, that whose last time is the earliest, then the last but one, and so
-        on.
+        The three criteria apply in this order. Only sets that spend as much as any set can are
+        considered; among them, those with the most times; among these, the set with the smallest
+        sum of distances between its times and the wanted times, both in order. If several sets
+        remain, the set whose last time is the earliest is given, then the last but one, and so on.
 
         Parameters
         ----------
         wanted : callable
-            Gives that many times, sorted.
+            Takes a number of times and gives so many wanted times, sorted.
 
         Returns
         -------
         tuple of int
             Sorted.
         """
-        most = self._keys(())[self._last_required :].max(axis=0)  # by what they spend
+        most = self._keys(())[self._last_required :].max(axis=0)  # for each sum spent
         spent = int(np.flatnonzero(most > 0)[-1])
         number = int(most[spent]) // self._count
         times = wanted(number)
@@ -69,7 +70,7 @@ class Affordable:
 
     @property
     def _count(self) -> int:
-        """What another time adds to a key: more than all distances together can take away."""
+        """Value of one more time in a key: more than all distances together can take away."""
         return (len(self.price) + 1) ** 2
 
     @property
@@ -77,18 +78,19 @@ class Affordable:
         return self.usable.index(self.required[-1]) if self.required else 0
 
     def _keys(self, wanted: Times) -> Keys:
-        """Key of the best prefix by its last time and what it spends: more times, less distance.
+        """Give the best prefix's key, for each last time and sum spent: many times, small distance.
 
-        A prefix of a best set has as many times as any that ends there and spends as much: with
-        another that had more, the whole would have more. So its number need not be kept apart.
+        A prefix of a best set has as many times as any prefix that ends there and spends as much:
+        with a prefix of more times, the whole set would have more. So the number of times is no
+        part of the state.
         """
         keys = np.full((len(self.usable), self.total + 1), _IMPOSSIBLE)
-        before = np.full(self.total + 1, _IMPOSSIBLE)  # of the prefixes that may come before
+        before = np.full(self.total + 1, _IMPOSSIBLE)  # the best prefixes that may come before
         before[0] = 0
         following, targets = 0, np.array(wanted)
-        for place, time in enumerate(self.usable):
-            if place and self.usable[place - 1] in self.required:  # which none may leave out
-                before, following = keys[place - 1].copy(), place
+        for index, time in enumerate(self.usable):
+            if index and self.usable[index - 1] in self.required:  # no set may leave it out
+                before, following = keys[index - 1].copy(), index
             while self.usable[following] <= time - self.spacing:
                 np.maximum(before, keys[following], out=before)
                 following += 1
@@ -97,16 +99,16 @@ class Affordable:
             if wanted:
                 number = np.clip(-(-row // self._count), 1, len(wanted))
                 row -= np.abs(time - targets[number - 1])
-            keys[place, price:] = np.where(row > 0, row, _IMPOSSIBLE)
+            keys[index, price:] = np.where(row > 0, row, _IMPOSSIBLE)
         return keys
 
     def _followed_back(self, keys: Keys, spent: int, wanted: Times) -> Times:
-        """Find the times of the best set that spends so much, from the last to the first."""
+        """Find the times of the best set that spends this sum, from the last to the first."""
         first, key = self._last_required, int(keys[self._last_required :, spent].max())
         stop, times = len(self.usable), list[int]()
         for target in reversed(wanted):
-            place = first + int((keys[first:stop, spent] == key).argmax())
-            time = self.usable[place]
+            index = first + int((keys[first:stop, spent] == key).argmax())
+            time = self.usable[index]
             times.append(time)
             spent, key = spent - self.price[time], key - self._count + abs(time - target)
             before = [self.usable.index(taken) for taken in self.required if taken < time]

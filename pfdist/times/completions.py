@@ -1,8 +1,8 @@
-"""How a set of measurement times can go on after its last time, found from the horizon backwards.
+"""The ways to complete a prefix of measurement times, counted from the horizon backwards.
 
-What may follow depends on the last time and on the money that is left alone, once it is settled
-which times are cheap: those that could be paid for with what is left over at the end, so that none
-of them may have been left out where it had room.
+A completion depends only on the last time of the prefix and on the money left. For this, it must
+be known which times are cheap: those that the money left over at the end would pay for. A set may
+omit a cheap time only if another time stands within the spacing of it.
 
 References
 ----------
@@ -19,31 +19,32 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-_BEFORE = -1  # the last time where there is none; of a table's rows, the last
+_BEFORE = -1  # stands for the last time of an empty prefix; as an index, the table's last row
 
 
 @dataclass(frozen=True)
 class Completions:
-    """Sets of times that leave over at the end what they may.
+    """The sets of times whose money left over lies in a given range.
 
     Parameters
     ----------
     horizon : int
         T.
     usable : tuple of int
-        Times that may be in a set, sorted; none is nearer than the spacing to a required one.
+        Times that a set may contain, sorted. No usable time lies within the spacing of a required
+        time.
     required : tuple of int
-        Those of them that must be in it.
+        Usable times that every set must contain.
     cheap : tuple of int
-        Times that must be in it unless there is one nearer than the spacing.
+        Times that a set must contain unless another of its times lies within the spacing.
     spacing : int
-        Least difference of two times.
+        Smallest allowed difference of two times.
     cost : tuple of int, (T+1,)
-        Of each time, at least 1.
+        Cost of each time, at least 1.
     total : int
-        What there is to spend.
+        The sum to spend.
     left_over : range
-        How much of it may be left at the end: what pays for the cheap times and for no other.
+        Money that may be left at the end: it pays for the cheap times and for no others.
     """
 
     horizon: int
@@ -57,40 +58,40 @@ class Completions:
 
     @cached_property
     def size(self) -> int:
-        """How many sets there are."""
+        """Number of sets."""
         return int(self._ways[_BEFORE, self.total])
 
     def extensions(self, times: tuple[int, ...]) -> list[int]:
-        """Give the times that may follow, so that one of these sets can still come of it."""
+        """Give the times that may follow a prefix of one of these sets."""
         last = _BEFORE
         for time in times:
             if time not in self._window(last):
                 return []
             last = time
         left = self.total - sum(self.cost[time] for time in times)
-        return [time for time in self._following(last) if self._goes_on(time, left)]
+        return [time for time in self._following(last) if self._can_be_completed(time, left)]
 
     def every(self) -> Iterator[tuple[int, ...]]:
-        """Give all sets, in the order of words in a dictionary."""
+        """Give all sets, in lexicographic order."""
         unfinished: list[tuple[tuple[int, ...], int]] = [((), self.total)]
         while unfinished:
             times, left = unfinished.pop()
             last = times[-1] if times else _BEFORE
-            if self._ends(last, left):
+            if self._is_complete(last, left):
                 yield times
             unfinished += [
                 ((*times, time), left - self.cost[time])
                 for time in reversed(self._following(last))
-                if self._goes_on(time, left)
+                if self._can_be_completed(time, left)
             ]
 
     def at(self, index: int) -> tuple[int, ...]:
-        """Give the set of this number, counted from 0 in the order of `every`."""
+        """Give the set of this index in the order of `every`."""
         times: list[int] = []
         last, left = _BEFORE, self.total
-        while not self._ends(last, left):
+        while not self._is_complete(last, left):
             for time in self._following(last):
-                if not self._goes_on(time, left):
+                if not self._can_be_completed(time, left):
                     continue
                 ways = self._ways[time, left - self.cost[time]]
                 if index < ways:
@@ -104,12 +105,12 @@ class Completions:
         return 0 if last == _BEFORE else last + self.spacing
 
     def _next(self, times: tuple[int, ...], first: int) -> int:
-        """The first of them from a time on; T + 1 if there is none."""
-        place = bisect_left(times, first)
-        return times[place] if place < len(times) else self.horizon + 1
+        """Give the earliest of some times that is not before `first`; T + 1 if there is none."""
+        index = bisect_left(times, first)
+        return times[index] if index < len(times) else self.horizon + 1
 
     def _window(self, last: int) -> range:
-        """Where the next time must lie: before it, nothing required or cheap is left out."""
+        """Give the range of the next time: a later time would omit a required or a cheap time."""
         first = self._first_after(last)
         cheap, required = self._next(self.cheap, first), self._next(self.required, last + 1)
         stop = min(cheap + self.spacing, required + 1, self.horizon + 1)
@@ -120,13 +121,13 @@ class Completions:
         first, stop = (bisect_left(self.usable, end) for end in (window.start, window.stop))
         return self.usable[first:stop]
 
-    def _goes_on(self, time: int, left: int) -> bool:
-        """Whether so much pays for a time and for what can follow it."""
+    def _can_be_completed(self, time: int, left: int) -> bool:
+        """Whether the money left pays for a time and for some completion after it."""
         after = left - self.cost[time]
-        return after >= 0 and bool(self._reaches[time, after])
+        return after >= 0 and bool(self._completable[time, after])
 
-    def _ends(self, last: int, left: int) -> bool:
-        """Whether a set may end here."""
+    def _is_complete(self, last: int, left: int) -> bool:
+        """Whether a prefix with this last time and this money left is a whole set."""
         nothing_more = self.horizon + 1
         return (
             left in self.left_over
@@ -136,32 +137,35 @@ class Completions:
 
     @cached_property
     def _ways(self) -> NDArray[Any]:
+        """Number of completions by last time and money left."""
         return self._table(exact=True)
 
     @cached_property
-    def _reaches(self) -> NDArray[Any]:
+    def _completable(self) -> NDArray[Any]:
+        """Whether there is a completion, by last time and money left."""
         return self._table(exact=False)
 
     def _table(self, exact: bool) -> NDArray[Any]:
-        """In how many ways a set can go on, or whether it can, by last time and money left.
+        """Give the number of completions, or whether there is any, by last time and money left.
 
-        What follows lies in a window, so sums from each time on give all in one difference.
+        The next time lies in a window. With sums over all later times, the number of completions
+        is the difference of two sums.
         """
         instants, kind = self.horizon + 1, np.dtype(object if exact else np.int64)
         ways = np.zeros((instants + 1, self.total + 1), kind if exact else np.bool_)
-        with_later = np.zeros((instants + 1, self.total + 1), kind)  # than the row, or at it
+        from_here_on = np.zeros((instants + 1, self.total + 1), kind)  # sums over later rows
         usable = set(self.usable)
         for last in range(self.horizon, _BEFORE - 1, -1):
             window = self._window(last)
             first, stop = (min(end, instants) for end in (window.start, window.stop))
-            row = with_later[first] - with_later[stop]
-            if self._ends(last, self.left_over.start):
+            row = from_here_on[first] - from_here_on[stop]
+            if self._is_complete(last, self.left_over.start):
                 row[self.left_over.start : self.left_over.stop] += 1
             ways[last] = row if exact else row > 0
             if last == _BEFORE:
                 break
-            with_later[last] = with_later[last + 1]
+            from_here_on[last] = from_here_on[last + 1]
             if last in usable:
                 paid_for = max(0, self.total + 1 - self.cost[last])
-                with_later[last, self.cost[last] :] += ways[last, :paid_for]
+                from_here_on[last, self.cost[last] :] += ways[last, :paid_for]
         return ways

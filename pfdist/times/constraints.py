@@ -1,4 +1,8 @@
-"""What binds a set of measurement times: which times, how many or for how much, how far apart."""
+"""Constraints on a set of measurement times: which times, how many or at what cost, how far apart.
+
+Every error and every sentence begins with the name of the value that is wrong, so that a caller
+can say where the value came from: ``forbidden must lie in 0..60, got 61``.
+"""
 
 from bisect import bisect_left
 from collections.abc import Iterable
@@ -10,12 +14,12 @@ from math import gcd
 from pfdist.errors import MeasurementTimesError
 from pfdist.times.measurement_times import Times
 
-_MOST_UNITS = 10_000  # of money: as many sums are told from each other
+_MOST_UNITS = 10_000  # of money; the memory of the searches grows with their number
 
 
 @dataclass(frozen=True)
 class Constraints:
-    """N times in 0..T, or as many as a sum of money buys, of those that may be together.
+    """The constraints on a set of N times in 0..T, or of as many times as a sum of money buys.
 
     Parameters
     ----------
@@ -24,18 +28,20 @@ class Constraints:
     measurement_budget : int, optional
         N.
     forbidden, required : tuple of int
-        Times that no set may hold, and times that every set must. Sorted.
+        Times that no set may contain, and times that every set must contain. Sorted.
     minimum_spacing : int
-        Least difference of two times of a set.
+        Smallest allowed difference of two times of a set.
     cost : tuple of int, (T+1,), optional
-        Of a measurement at each time, at least 1, in whole units.
+        Cost of a measurement at each time, at least 1, in whole units.
     total_cost : int, optional
-        What all measurements together may cost; with `cost`, in the place of `measurement_budget`.
+        Largest allowed cost of all measurements together. It is given with `cost`, and replaces
+        `measurement_budget`.
 
     Raises
     ------
     MeasurementTimesError
-        They contradict each other, or no set satisfies them.
+        The constraints contradict each other, or no set satisfies them. The message begins with
+        the name of the wrong parameter.
     """
 
     horizon: int
@@ -48,17 +54,17 @@ class Constraints:
 
     def __post_init__(self) -> None:
         self._check_times()
-        self._check_what_is_paid_for()
-        self._check_that_there_is_one()
+        self._check_budget_or_cost()
+        self._check_that_a_set_exists()
 
     @property
     def counted(self) -> bool:
-        """Whether it is the number of measurements that is given."""
+        """Whether the number of measurements is given, and not their total cost."""
         return self.measurement_budget is not None
 
     @cached_property
     def allowed(self) -> Times:
-        """Times that a set may hold: neither forbidden, nor too near to a required one."""
+        """Times that a set may contain: neither forbidden nor too near to a required time."""
         barred = {*self.forbidden}
         for time in self.required:
             near = range(time - self.minimum_spacing + 1, time + self.minimum_spacing)
@@ -66,47 +72,47 @@ class Constraints:
         return tuple(time for time in range(self.horizon + 1) if time not in barred)
 
     @cached_property
-    def place(self) -> dict[int, int]:
-        """Number of each time among those allowed."""
-        return {time: place for place, time in enumerate(self.allowed)}
+    def index(self) -> dict[int, int]:
+        """Index of each time in `allowed`."""
+        return {time: index for index, time in enumerate(self.allowed)}
 
     @cached_property
     def optional(self) -> Times:
-        """Those of them that are not required."""
+        """Allowed times that are not required."""
         return tuple(time for time in self.allowed if time not in self.required)
 
     @cached_property
     def price(self) -> tuple[int, ...]:
-        """What a measurement at each time takes of `total`: 1, where they are counted."""
+        """Price of a measurement at each time, in units of `total`; 1 if times are counted."""
         return tuple(cost // self._unit for cost in self.cost or (1,) * (self.horizon + 1))
 
     @cached_property
     def total(self) -> int:
-        """What there is to spend: N, or money in the largest unit in which all costs are whole."""
+        """The sum to spend: N, or money in the largest unit in which all costs are whole."""
         if self.measurement_budget is not None:
             return self.measurement_budget
         return min((self.total_cost or 0) // self._unit, self.spent(self.allowed))
 
     def spent(self, times: Iterable[int]) -> int:
-        """What a set takes of `total`."""
+        """Give the sum of the prices of some times."""
         return sum(self.price[time] for time in times)
 
     def with_required(self, times: Iterable[int]) -> Times:
-        """Give these times and the required ones, sorted."""
+        """Give these times and the required times, sorted."""
         return tuple(sorted({*times, *self.required}))
 
-    def together(self, times: Times) -> bool:
-        """Whether these times are allowed and far enough from each other."""
-        near = any(b - a < self.minimum_spacing for a, b in pairwise(times))
+    def compatible(self, times: Times) -> bool:
+        """Whether these sorted times are allowed and far enough apart."""
+        near = any(later - time < self.minimum_spacing for time, later in pairwise(times))
         return not near and self._allowed.issuperset(times)
 
     def allows(self, times: Iterable[int]) -> bool:
-        """Whether these times and the required ones may be together and can be paid for."""
+        """Whether these and the required times are compatible and can be paid for."""
         kept = self.with_required(times)
-        return self.spent(kept) <= self.total and self.together(kept)
+        return self.spent(kept) <= self.total and self.compatible(kept)
 
     def broken(self, times: Iterable[int]) -> list[str]:
-        """Give the constraints that a set of times in 0..T breaks, a sentence each.
+        """Give the constraints that a set of times in 0..T breaks, one sentence each.
 
         Parameters
         ----------
@@ -115,40 +121,41 @@ class Constraints:
         Returns
         -------
         list of str
-            Empty if the set keeps to all of them. Money that it leaves over breaks none.
+            Each begins with the name of the constraint. Empty if the set satisfies all of them.
+            A set may leave money over.
 
         Examples
         --------
         >>> Constraints(horizon=9, measurement_budget=2, forbidden=(4,)).broken([1, 4, 9])
-        ['problem.measurement_budget is 2, got 3 times', 'problem.forbidden: 4 is measured']
+        ['measurement_budget is 2, got 3 times', 'forbidden: 4 is measured']
         """
         chosen = sorted({*times})
         found, cost = list[str](), self.cost_of(chosen)
         if self.measurement_budget not in (None, len(chosen)):
             found.append(
-                f"problem.measurement_budget is {self.measurement_budget}, got {len(chosen)} times"
+                f"measurement_budget is {self.measurement_budget}, got {len(chosen)} times"
             )
         if self.total_cost is not None and cost > self.total_cost:
-            found.append(f"problem.total_cost is {self.total_cost}, got times that cost {cost}")
+            found.append(f"total_cost is {self.total_cost}, got times that cost {cost}")
         forbidden = [time for time in chosen if time in self.forbidden]
         missing = [time for time in self.required if time not in chosen]
         for name, wrong, is_ in (("forbidden", forbidden, ""), ("required", missing, "not ")):
             if wrong:
                 verb = "is" if len(wrong) == 1 else "are"
                 listed = ", ".join(map(str, wrong))
-                found.append(f"problem.{name}: {listed} {verb} {is_}measured")
-        near = [f"{a} and {b}" for a, b in pairwise(chosen) if b - a < self.minimum_spacing]
+                found.append(f"{name}: {listed} {verb} {is_}measured")
+        spacing = self.minimum_spacing
+        near = [f"{time} and {later}" for time, later in pairwise(chosen) if later - time < spacing]
         if near:
-            spacing = self.minimum_spacing
-            found.append(f"problem.minimum_spacing is {spacing}, got {', '.join(near)}")
+            found.append(f"minimum_spacing is {spacing}, got {', '.join(near)}")
         return found
 
     def cost_of(self, times: Iterable[int]) -> int:
-        """Give what a set costs, in the unit of `cost`; its size where times are counted."""
+        """Give the cost of a set, in the unit of `cost`; its size if times are counted."""
         return sum(self.cost[time] if self.cost else 1 for time in times)
 
     def affordable(self, times: Iterable[int]) -> list[int]:
-        """Give the optional times that may be together with these and the required ones."""
+        """Give the optional times that could still be added to these and the required times."""
         kept = self.with_required(times)
         left = self.total - self.spent(kept)
         return [
@@ -159,38 +166,36 @@ class Constraints:
 
     def distance(self, time: int, times: Times) -> int:
         """Give the distance to the nearest of these times; if there are none, it is far enough."""
-        place = bisect_left(times, time)
-        beside = times[max(0, place - 1) : place + 1]
+        index = bisect_left(times, time)
+        neighbours = times[max(0, index - 1) : index + 1]
         return min(
-            (abs(time - neighbour) for neighbour in beside),
+            (abs(time - neighbour) for neighbour in neighbours),
             default=self.horizon + self.minimum_spacing,
         )
 
-    def room(self, times: Iterable[int]) -> int:
-        """How many times may be together if these and the required ones, which may, are."""
+    def capacity(self, times: Iterable[int]) -> int:
+        """Give the largest number of compatible times that contain these and the required times."""
         kept = self.with_required(times)
-        return len(kept) + sum(self.room_between(a, b) for a, b in pairwise(self.with_ends(kept)))
+        gaps = pairwise(self.with_ends(kept))
+        return len(kept) + sum(self.capacity_between(first, last) for first, last in gaps)
 
     def with_ends(self, times: Times) -> Times:
-        """Give these times between two that are just too early and too late to be in their way."""
+        """Give these times between two others, which lie just early and just late enough."""
         return (-self.minimum_spacing, *times, self.horizon + self.minimum_spacing)
 
-    def room_between(self, a: int, b: int) -> int:
-        """How many times may be together between two that they may be together with."""
-        if (a, b) not in self._rooms:
-            self._rooms[a, b] = len(self.packed(a, b, self.allowed))
-        return self._rooms[a, b]
+    def capacity_between(self, first: int, last: int) -> int:
+        """Give the largest number of compatible times that fit between two times."""
+        if (first, last) not in self._capacities:
+            self._capacities[first, last] = len(self.packed(first, last, self.allowed))
+        return self._capacities[first, last]
 
-    def packed(self, a: int, b: int, among: Times) -> Times:
-        """Give as many of some allowed times as may be together between two.
-
-        Each is the earliest that may follow the one before it.
-        """
+    def packed(self, first: int, last: int, among: Times) -> Times:
+        """Give as many of some allowed times as fit between two times, each as early as can be."""
         found: list[int] = []
-        place = bisect_left(among, a + self.minimum_spacing)
-        while place < len(among) and among[place] <= b - self.minimum_spacing:
-            found.append(among[place])
-            place = bisect_left(among, among[place] + self.minimum_spacing)
+        index = bisect_left(among, first + self.minimum_spacing)
+        while index < len(among) and among[index] <= last - self.minimum_spacing:
+            found.append(among[index])
+            index = bisect_left(among, among[index] + self.minimum_spacing)
         return tuple(found)
 
     @cached_property
@@ -199,7 +204,8 @@ class Constraints:
         return gcd(*(self.cost or (1,)))
 
     @cached_property
-    def _rooms(self) -> dict[tuple[int, int], int]:
+    def _capacities(self) -> dict[tuple[int, int], int]:
+        """Results of `capacity_between`."""
         return {}
 
     @cached_property
@@ -211,63 +217,61 @@ class Constraints:
             outside = [time for time in getattr(self, name) if not 0 <= time <= self.horizon]
             if outside:
                 raise MeasurementTimesError(
-                    f"problem.{name} must lie in 0..{self.horizon}, got {outside[0]}"
+                    f"{name} must lie in 0..{self.horizon}, got {outside[0]}"
                 )
         both = {*self.forbidden} & {*self.required}
         if both:
             raise MeasurementTimesError(
-                "problem.forbidden and problem.required must have no time in common, "
-                f"got {min(both)} in both"
+                f"forbidden and required must have no time in common, got {min(both)} in both"
             )
-        for one, other in pairwise(self.required):
-            if other - one < self.minimum_spacing:
+        for time, later in pairwise(self.required):
+            if later - time < self.minimum_spacing:
                 raise MeasurementTimesError(
-                    "problem.required must have times that differ by at least "
-                    f"problem.minimum_spacing = {self.minimum_spacing}, got {one} and {other}"
+                    "required must have times that differ by at least minimum_spacing = "
+                    f"{self.minimum_spacing}, got {time} and {later}"
                 )
 
-    def _check_what_is_paid_for(self) -> None:
+    def _check_budget_or_cost(self) -> None:
         given = (self.measurement_budget, self.cost, self.total_cost)
         if given == (None, None, None):
             raise MeasurementTimesError(
-                "problem.measurement_budget must be given, or problem.cost and problem.total_cost"
+                "measurement_budget must be given, or cost and total_cost in its place"
             )
         if self.counted and given[1:] != (None, None):
             name = "cost" if self.total_cost is None else "total_cost"
             raise MeasurementTimesError(
-                f"problem must have a measurement_budget or a total_cost, got measurement_budget "
-                f"and {name}"
+                "measurement_budget must be given without cost and total_cost, "
+                f"got measurement_budget and {name}"
             )
         if None in given[1:] and not self.counted:
             got, lacks = ("cost", "total_cost") if self.cost is not None else ("total_cost", "cost")
-            raise MeasurementTimesError(f"problem.{lacks} must be given where problem.{got} is")
+            raise MeasurementTimesError(f"{lacks} must be given with {got}")
         if self.cost is not None and len(self.cost) != self.horizon + 1:
             raise MeasurementTimesError(
-                f"problem.cost must have horizon + 1 = {self.horizon + 1} numbers, "
-                f"got {len(self.cost)}"
+                f"cost must have horizon + 1 = {self.horizon + 1} numbers, got {len(self.cost)}"
             )
         if self.cost is not None and min(self.cost) < 1:
-            raise MeasurementTimesError(f"problem.cost must be at least 1, got {min(self.cost)}")
+            raise MeasurementTimesError(f"cost must be at least 1, got {min(self.cost)}")
 
-    def _check_that_there_is_one(self) -> None:
+    def _check_that_a_set_exists(self) -> None:
         if self.measurement_budget is None:
             self._check_money()
             return
         budget, instants = self.measurement_budget, self.horizon + 1
         if budget > instants:
             raise MeasurementTimesError(
-                f"problem.measurement_budget must be at most horizon + 1 = {instants}, got {budget}"
+                f"measurement_budget must be at most horizon + 1 = {instants}, got {budget}"
             )
         if budget < len(self.required):
             raise MeasurementTimesError(
-                f"problem.measurement_budget must be at least {len(self.required)}, the number of "
-                f"problem.required, got {budget}"
+                f"measurement_budget must be at least {len(self.required)}, the number of required "
+                f"times, got {budget}"
             )
-        room = self.room(())
-        if budget > room:
+        capacity = self.capacity(())
+        if budget > capacity:
             raise MeasurementTimesError(
-                f"problem.measurement_budget must be at most {room}, for as many times are neither "
-                f"forbidden nor nearer than minimum_spacing = {self.minimum_spacing}, got {budget}"
+                f"measurement_budget must be at most {capacity}, the number of times that fit with "
+                f"forbidden, required and minimum_spacing = {self.minimum_spacing}, got {budget}"
             )
 
     def _check_money(self) -> None:
@@ -275,19 +279,18 @@ class Constraints:
         required = self.spent(self.required) * unit
         if money < required:
             raise MeasurementTimesError(
-                f"problem.total_cost must pay for problem.required, which costs {required}, "
-                f"got {money}"
+                f"total_cost must pay for the required times, which cost {required}, got {money}"
             )
         if not self.allowed:
-            raise MeasurementTimesError("problem.forbidden must leave a time, got all")
+            raise MeasurementTimesError("forbidden must leave a time, got all times")
         least = min(self.price[time] for time in self.allowed) * unit
         if money < least:
             raise MeasurementTimesError(
-                f"problem.total_cost must pay for a measurement, of which the cheapest costs "
-                f"{least}, got {money}"
+                f"total_cost must pay for a measurement, and the cheapest costs {least}, "
+                f"got {money}"
             )
         if self.total > _MOST_UNITS:
             raise MeasurementTimesError(
-                f"problem.total_cost must be at most {_MOST_UNITS:,} times the largest unit in "
-                f"which every cost is whole, {unit}, got {money}: give costs in larger units"
+                f"total_cost must be at most {_MOST_UNITS:,} times the largest unit in which every "
+                f"cost is whole, {unit}, got {money}: give costs in larger units"
             )

@@ -1,4 +1,4 @@
-"""The sets of measurement times that may be chosen: all, at random, and the neighbours of one."""
+"""The feasible sets of measurement times: all of them, random ones, and neighbours of a set."""
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Iterator, Sequence
@@ -16,15 +16,16 @@ from pfdist.times.measurement_times import Times, nearest, random, regular
 
 
 class Feasible(Constraints):
-    """Sets of N times, or sets that a sum of money pays for and to which nothing can be added.
+    """The feasible sets: N times, or as many times as a sum of money pays for.
 
-    To a filter that knows the truth a measurement more does no harm in expectation, so with money
-    a best set is among these; where the filter is wrong, these are what is searched. The parameters
-    are those of `Constraints`; sets are sorted.
+    With money, only sets are feasible to which no measurement can be added. One more measurement
+    does no harm, in expectation, to a filter that knows the truth, so a best set is among them. If
+    the filter is wrong about the truth, a smaller set might be better, but none is searched. The
+    parameters are those of `Constraints`. All sets are sorted.
     """
 
     def accepts(self, times: Times) -> bool:
-        """Whether a set is one of them."""
+        """Whether a set is feasible."""
         if self.counted and len(times) != self.total:
             return False
         complete = set(self.required).issubset(times) and self.allows(times)
@@ -32,33 +33,33 @@ class Feasible(Constraints):
 
     @cached_property
     def measurements(self) -> int:
-        """N; or as many as the regular times are, and about as many as any set has."""
+        """N; with money the number of times nearest to regular, which is typical of all sets."""
         return len(self.regular())
 
     @property
     def size(self) -> int:
-        """How many sets there are."""
+        """Number of feasible sets."""
         if self._free:
             return comb(len(self.optional), self.total - len(self.required))
         return sum(completions.size for completions in self._completions)
 
     def every(self) -> Iterator[Times]:
-        """Give all sets, in the order of words in a dictionary."""
+        """Give all feasible sets, in lexicographic order."""
         if self._free:
             chosen = combinations(self.optional, self.total - len(self.required))
             return (self.with_required(times) for times in chosen)
         return merge(*(completions.every() for completions in self._completions))
 
     def random(self, sets: int, rng: np.random.Generator) -> list[Times]:
-        """Draw sets, each of the same probability."""
+        """Draw feasible sets; all have the same probability."""
         if self._free:
             number = self.total - len(self.required)
             rows = random(len(self.optional) - 1, number, sets, rng).tolist()
-            return [self.with_required(self.optional[place] for place in row) for row in rows]
+            return [self.with_required(self.optional[index] for index in row) for row in rows]
         return [self._at(_below(self.size, rng)) for _ in range(sets)]
 
     def regular(self) -> Times:
-        """Give the regular times, or what comes nearest to them.
+        """Give the regular times, or the feasible set nearest to them.
 
         With N measurements these are the times of the paper's equation 13. If they are not
         feasible, the nearest feasible set takes their place (see
@@ -69,38 +70,38 @@ class Feasible(Constraints):
         return self._nearest_regular
 
     def is_regular(self, times: Times) -> bool:
-        """Whether times are the regular ones of their number (equation 13), feasible or not."""
-        return times == self._wanted(len(times))
+        """Whether times are the regular times of their number (equation 13), feasible or not."""
+        return times == self._regular_or_middle(len(times))
 
     def additions(self, times: Times) -> list[Times]:
-        """Give what one time more makes of a set, as long as one of them can still come of it."""
+        """Give the sets with one time more that can still be completed to a feasible set."""
         if not self.allows(times):
             return []
         lacking = {*self.required} - {*times}
         new = sorted({*lacking, *self.affordable(times)})
         if self.counted and not self._free:
-            new = self._with_room_for_others(times, new)
+            new = self._leaving_capacity(times, new)
         return [tuple(sorted({*times, time})) for time in new]
 
     def removals(self, times: Times) -> list[Times]:
-        """Give what one time less makes of a set, as long as it still holds one of them."""
-        held = self._held(times)
-        if held is None:
+        """Give the sets with one time less that still contain a feasible set."""
+        contained = self._contained_in(times)
+        if contained is None:
             return []
         smaller = {out: tuple(time for time in times if time != out) for out in times}
         return [
             smaller_set
             for out, smaller_set in smaller.items()
-            if out not in held or self._held(smaller_set)
+            if out not in contained or self._contained_in(smaller_set)
         ]
 
     def extensions(self, times: Times) -> Sequence[int]:
-        """Give the times that may come next, so that one of them can come of it.
+        """Give the times that may follow a prefix of a feasible set.
 
         Parameters
         ----------
         times : tuple of int
-            All that is measured up to the last of them.
+            The prefix: all measurement times up to the last of them.
 
         Returns
         -------
@@ -108,69 +109,81 @@ class Feasible(Constraints):
             Sorted.
         """
         if not self.counted:
-            return sorted(set().union(*(one.extensions(times) for one in self._completions)))
+            followers = (completions.extensions(times) for completions in self._completions)
+            return sorted(set().union(*followers))
         left, last = self.total - len(times), times[-1] if times else -1
         required = self.required[bisect_right(self.required, last) :]
         if left <= 0 or len(required) > left:
             return ()
         start = bisect_left(self.allowed, last + self.minimum_spacing if times else 0)
-        stop = bisect_right(self._room, -left)
+        stop = bisect_right(self._negative_capacities, -left)
         if required:
-            place = bisect_left(self.allowed, required[0])
-            start, stop = (place if len(required) == left else start), min(stop, place + 1)
+            index = bisect_left(self.allowed, required[0])
+            start, stop = (index if len(required) == left else start), min(stop, index + 1)
         return self.allowed[start:stop]
 
     def exchanges(self, times: Times, reach: int | None = None) -> list[Times]:
-        """Give the sets in which one time is another, at most so far away.
+        """Give the feasible sets in which one time is exchanged for another.
 
-        With money, those nearest to a new time that costs too much, or that stands in their way,
-        are taken out; what is saved buys others, each as far from the rest as can be.
+        With money, a new time may cost too much or stand too near to others. Then the times nearest
+        to it are removed, and the money saved buys other times, each as far from the rest as can
+        be.
+
+        Parameters
+        ----------
+        times : tuple of int
+        reach : int, optional
+            Largest distance between the two times; by default any distance.
         """
         found = [
-            one
+            neighbour
             for out in times
             if out not in self.required
             for new in self._near(out, reach)
-            if new not in times and (one := self._exchanged({*times} - {out}, new)) is not None
+            if new not in times
+            and (neighbour := self._exchanged({*times} - {out}, new)) is not None
         ]
-        return found if self.counted else [one for one in dict.fromkeys(found) if one != times]
+        if self.counted:
+            return found
+        return [neighbour for neighbour in dict.fromkeys(found) if neighbour != times]
 
     def repair(self, times: Iterable[int], rng: np.random.Generator) -> Times:
-        """Give one of them that holds what it can of a set of any times in 0..T.
+        """Give a feasible set that keeps as many as possible of any times in 0..T.
 
-        The times are taken in random order, as long as one of them can come of it, and then others
-        at random. If it is one of them, it is given back and nothing is drawn.
+        The times are tried in random order, and a time is kept if a feasible set can contain it
+        with those kept before. Then random times complete the set. A feasible set is given back
+        unchanged, and draws no random number.
         """
         kept, given = Times(), tuple(sorted(times))
         if self.accepts(given):
             return given
         for time in rng.permutation(given).tolist():
             larger = tuple(sorted({*kept, time}))
-            kept = larger if self._becomes_one(larger) else kept
+            kept = larger if self._can_be_completed(larger) else kept
         while larger_ones := self.additions(kept):
             kept = larger_ones[rng.integers(len(larger_ones))]
         return kept
 
     @property
     def _free(self) -> bool:
-        """Whether any N allowed times will do, if the required ones are among them."""
+        """Whether any N allowed times that include the required times are feasible."""
         return self.counted and self.minimum_spacing == 1
 
     @cached_property
-    def _room(self) -> list[int]:
-        """How many times there is room for from each allowed one on, as negative numbers."""
-        room = [0] * (len(self.allowed) + 1)
-        for place in reversed(range(len(self.allowed))):
-            after = bisect_left(self.allowed, self.allowed[place] + self.minimum_spacing)
-            room[place] = room[after] - 1
-        return room[:-1]
+    def _negative_capacities(self) -> list[int]:
+        """Largest number of compatible times from each allowed time on, negated: it ascends."""
+        negated = [0] * (len(self.allowed) + 1)
+        for index in reversed(range(len(self.allowed))):
+            after = bisect_left(self.allowed, self.allowed[index] + self.minimum_spacing)
+            negated[index] = negated[after] - 1
+        return negated[:-1]
 
     @cached_property
     def _completions(self) -> list[Completions]:
         return self._completions_of(self.allowed)
 
     def _completions_of(self, usable: Times) -> list[Completions]:
-        """Sets by what they leave over: for each of these bounds, other times are cheap."""
+        """Give the sets by the money they leave over: each range makes other times cheap."""
         prices = sorted({self.price[time] for time in self.optional})
         bounds = [0, 1] if self.counted else [0, *prices, self.total + 1]
         return [
@@ -195,28 +208,28 @@ class Feasible(Constraints):
             index -= completions.size
         return completions.at(index)
 
-    def _becomes_one(self, times: Times) -> bool:
+    def _can_be_completed(self, times: Times) -> bool:
         if not self.allows(times):
             return False
-        return self._free or not self.counted or self.room(times) >= self.total
+        return self._free or not self.counted or self.capacity(times) >= self.total
 
-    def _with_room_for_others(self, times: Times, new: list[int]) -> list[int]:
-        """Those of new times beside which there is room for N in all."""
+    def _leaving_capacity(self, times: Times, new: list[int]) -> list[int]:
+        """Give the new times that, added to a set, leave a capacity of N times in all."""
         kept = self.with_required(times)
-        ends, spare = self.with_ends(kept), self.room(times) - self.total
+        ends, spare = self.with_ends(kept), self.capacity(times) - self.total
 
         def lost(time: int) -> int:
             if time in kept:
                 return 0
-            place = bisect_left(kept, time)
-            before, after = ends[place], ends[place + 1]
-            beside = self.room_between(before, time) + self.room_between(time, after)
-            return self.room_between(before, after) - beside - 1
+            index = bisect_left(kept, time)
+            before, after = ends[index], ends[index + 1]
+            beside = self.capacity_between(before, time) + self.capacity_between(time, after)
+            return self.capacity_between(before, after) - beside - 1
 
         return [time for time in new if lost(time) <= spare]
 
-    def _held(self, times: Times) -> Times | None:
-        """Give one of them that has no other times than these, if there is one."""
+    def _contained_in(self, times: Times) -> Times | None:
+        """Give a feasible set that has no other times than these; None if there is none."""
         usable = tuple(time for time in self.allowed if time in times)
         if not set(self.required).issubset(usable):
             return None
@@ -224,12 +237,12 @@ class Feasible(Constraints):
             every = (completions.every() for completions in self._completions_of(usable))
             return next(chain.from_iterable(every), None)
         gaps = pairwise(self.with_ends(self.required))
-        packed = [time for a, b in gaps for time in self.packed(a, b, usable)]
-        held = self.with_required(packed[: self.total - len(self.required)])
-        return held if len(held) == self.total else None
+        packed = [time for first, last in gaps for time in self.packed(first, last, usable)]
+        contained = self.with_required(packed[: self.total - len(self.required)])
+        return contained if len(contained) == self.total else None
 
-    def _wanted(self, number: int) -> Times:
-        """Give regular times, feasible or not; for N = 1, where the formula fails, the middle."""
+    def _regular_or_middle(self, number: int) -> Times:
+        """Give regular times, feasible or not; the middle for N = 1, where the formula fails."""
         return regular(self.horizon, number) if number > 1 else ((self.horizon + 1) // 2,)[:number]
 
     @cached_property
@@ -237,9 +250,9 @@ class Feasible(Constraints):
         spacing = self.minimum_spacing
         if not self.counted:
             affordable = Affordable(self.allowed, self.required, spacing, self.price, self.total)
-            return affordable.nearest(self._wanted)
-        wanted = self._wanted(self.total)
-        if self.together(wanted) and {*self.required}.issubset(wanted):
+            return affordable.nearest(self._regular_or_middle)
+        wanted = self._regular_or_middle(self.total)
+        if self.compatible(wanted) and {*self.required}.issubset(wanted):
             return wanted
         return nearest(wanted, self.allowed, self.required, spacing)
 
@@ -252,14 +265,14 @@ class Feasible(Constraints):
     def _exchanged(self, others: set[int], new: int) -> Times | None:
         if self.counted:
             exchanged = tuple(sorted({*others, new}))
-            return exchanged if self._free or self.together(exchanged) else None
+            return exchanged if self._free or self.compatible(exchanged) else None
         leaving = sorted(others - {*self.required}, key=lambda time: (-abs(time - new), time))
         while leaving and not self.allows({*others, new}):
             others = others - {leaving.pop()}
         return self._filled({*others, new}) if self.allows({*others, new}) else None
 
     def _filled(self, times: Iterable[int]) -> Times:
-        """Add what can be paid for, each time as far from the others as can be."""
+        """Add times while the money lasts, each as far from the others as can be."""
         filled = self.with_required(times)
         while more := self.affordable(filled):
             farthest = max(more, key=lambda time: self.distance(time, filled))
@@ -268,7 +281,7 @@ class Feasible(Constraints):
 
 
 def _below(bound: int, rng: np.random.Generator) -> int:
-    """Draw an integer in 0..bound-1, however large, each with the same probability."""
+    """Draw an integer in 0..bound-1; all have the same probability. The bound may be huge."""
     bits = (bound - 1).bit_length()
     while True:
         number = int.from_bytes(rng.bytes(-(-bits // 8)), "little") >> (-bits % 8)

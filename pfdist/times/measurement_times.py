@@ -1,4 +1,4 @@
-"""Sets of measurement times: check, make regular ones, draw random ones."""
+"""A set of measurement times: check and sort it, and make regular, random and nearest sets."""
 
 from collections.abc import Iterable
 from itertools import pairwise
@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from pfdist.errors import MeasurementTimesError, shown
 
 Times = tuple[int, ...]
-REGULAR: Final = "regular"  # what the regular times are called in jobs and tables
+REGULAR: Final = "regular"  # name of the regular times in jobs and tables
 
 
 def validated(measurement_times: Iterable[int], horizon: int, where: str = "") -> Times:
-    """Check a set of measurement times and sort it.
+    """Give a set of measurement times sorted, after checking it.
 
     Parameters
     ----------
@@ -22,7 +22,7 @@ def validated(measurement_times: Iterable[int], horizon: int, where: str = "") -
     horizon : int
         T; the times lie in 0..T.
     where : str
-        What to name in an error, for instance the option or the key they came from.
+        Where the times came from, for errors: for instance the option or the key.
 
     Returns
     -------
@@ -32,35 +32,35 @@ def validated(measurement_times: Iterable[int], horizon: int, where: str = "") -
     Raises
     ------
     MeasurementTimesError
-        A time is not an integer, lies outside 0..T, or stands twice.
+        A time is not an integer, lies outside 0..T, or is given twice.
 
     Examples
     --------
     >>> validated([5, 0, 3], horizon=10)
     (0, 3, 5)
     """
-    place = f" ({where})" if where else ""
+    origin = f" ({where})" if where else ""
     times = list(measurement_times)
     for time in times:
         if isinstance(time, bool) or not isinstance(time, (int, np.integer)):
             raise MeasurementTimesError(
-                f"measurement_times must be integers, got {shown(time)}{place}"
+                f"measurement_times must be integers, got {shown(time)}{origin}"
             )
         if not 0 <= time <= horizon:
             raise MeasurementTimesError(
-                f"measurement_times must lie in 0..{horizon}, got {shown(int(time))}{place}"
+                f"measurement_times must lie in 0..{horizon}, got {shown(int(time))}{origin}"
             )
     ordered = tuple(sorted(int(time) for time in times))
     for time, following in pairwise(ordered):
         if time == following:
             raise MeasurementTimesError(
-                f"measurement_times must differ from each other, got {time} twice{place}"
+                f"measurement_times must differ from each other, got {time} twice{origin}"
             )
     return ordered
 
 
 def regular(horizon: int, measurement_budget: int) -> Times:
-    """Regular times M_REG (paper, equation 13): Round[k T / (N-1)], halves rounded up.
+    """Give the regular times M_REG (paper, equation 13): Round[k T / (N-1)], halves rounded up.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def regular(horizon: int, measurement_budget: int) -> Times:
     Raises
     ------
     MeasurementTimesError
-        N is 1, for which the formula divides by zero, or does not lie in 2..T+1.
+        N does not lie in 2..T+1. For N = 1 the formula divides by zero.
 
     Examples
     --------
@@ -98,7 +98,7 @@ def regular(horizon: int, measurement_budget: int) -> Times:
 def random(
     horizon: int, measurement_budget: int, sets: int, rng: np.random.Generator
 ) -> NDArray[np.int64]:
-    """Draw sets of measurement times, each of the same probability.
+    """Draw sets of measurement times; all sets have the same probability.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def random(
 
 
 def nearest(wanted: Times, usable: Times, required: Times, spacing: int) -> Times:
-    """Give as many usable times as near to those wanted as can be.
+    """Give the set of usable times that is nearest to a set of wanted times.
 
     Parameters
     ----------
@@ -136,20 +136,22 @@ def nearest(wanted: Times, usable: Times, required: Times, spacing: int) -> Time
     usable : tuple of int
         Sorted.
     required : tuple of int
-        Those of them that must be taken; the others are no nearer to them than the spacing.
+        Usable times that the set must contain. No other usable time lies within the spacing of
+        them.
     spacing : int
-        Least difference of two times.
+        Smallest allowed difference of two times.
 
     Returns
     -------
     tuple of int, (N,)
-        Sorted; the sum of the distances to those wanted, one by one, is the least. Of several such
-        sets, that whose last time is the earliest, then the last but one, and so on.
+        Sorted. It has the smallest sum of distances to the wanted times, both in order. If several
+        sets have it, the set whose last time is the earliest is given, then the last but one, and
+        so on.
 
     Raises
     ------
     MeasurementTimesError
-        There are not so many usable times that are far enough from each other.
+        There are fewer than N usable times that are far enough apart.
 
     References
     ----------
@@ -162,9 +164,10 @@ def nearest(wanted: Times, usable: Times, required: Times, spacing: int) -> Time
     """
     times, last = np.array(usable), len(usable) - 1
     taken = np.isin(times, required).nonzero()[0].tolist()
-    # Those that may come before each: far enough away, with no required one left out between them.
+    # The times from start to stop may precede a time: they are far enough away from it, and no
+    # required time lies between.
     stops = np.searchsorted(times, times - spacing, side="right").tolist()
-    starts = [max((i for i in taken if i < place), default=0) for place in range(len(times))]
+    starts = [max((i for i in taken if i < index), default=0) for index in range(len(times))]
     first_taken, last_taken = (taken[0], taken[-1]) if taken else (last, 0)
     distance = np.full(len(times), np.inf)
     before: list[list[int]] = []
@@ -174,16 +177,16 @@ def nearest(wanted: Times, usable: Times, required: Times, spacing: int) -> Time
             here[first_taken + 1 :] = np.inf
         else:
             before.append([])
-            for place, (start, stop) in enumerate(zip(starts, stops, strict=True)):
+            for index, (start, stop) in enumerate(zip(starts, stops, strict=True)):
                 best = start + int(distance[start:stop].argmin()) if start < stop else -1
                 before[-1].append(best)
-                here[place] += distance[best] if best >= 0 else np.inf
+                here[index] += distance[best] if best >= 0 else np.inf
         distance = here
     if wanted and not np.isfinite(distance[last_taken:]).any():
         raise MeasurementTimesError(
             f"there must be {len(wanted)} usable times at least {spacing} apart, got {usable}"
         )
-    places = [last_taken + int(distance[last_taken:].argmin())] if wanted else []
+    indices = [last_taken + int(distance[last_taken:].argmin())] if wanted else []
     for previous in reversed(before):
-        places.append(previous[places[-1]])
-    return tuple(int(times[place]) for place in reversed(places))
+        indices.append(previous[indices[-1]])
+    return tuple(int(times[index]) for index in reversed(indices))

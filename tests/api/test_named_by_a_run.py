@@ -160,8 +160,10 @@ UNSAID = "does not say what its model's file mine.py held, so nothing was run"
             UNSAID,
             id="a file beside that lies elsewhere",
         ),
-        pytest.param(named("os:system"), "model.name must be one of", id="a module's function"),
-        pytest.param(named("os"), "model.name must be one of", id="a module"),
+        pytest.param(
+            named("os:system"), "model.name: a model must be one of", id="a module's function"
+        ),
+        pytest.param(named("os"), "model.name: a model must be one of", id="a module"),
         pytest.param(named("/dev/zero.py:m"), "held, so nothing was run", id="no such device"),
         pytest.param(named("a" * 10**6 + ".py:m"), "names must have at most", id="a long name"),
     ],

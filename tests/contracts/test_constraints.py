@@ -47,8 +47,8 @@ def _optimiser(method: str, feasible: Feasible) -> SearchOptimiser:
 
 
 def _costs(asked: list[Candidate]) -> list[float]:
-    ends = [HORIZON if one.end is None else one.end for one in asked]
-    sets = [one.measurement_times for one in asked]
+    ends = [HORIZON if candidate.end is None else candidate.end for candidate in asked]
+    sets = [candidate.measurement_times for candidate in asked]
     costs: list[float] = kalman.expected_mse(MODEL, HORIZON, sets, ends).tolist()
     return costs
 
@@ -66,8 +66,10 @@ def _searched(method: str, constraint: str) -> tuple[list[Candidate], list[Searc
         state = optimiser.tell(
             state,
             [
-                SearchEvaluation(one.measurement_times, np.empty(0), exact=cost, end=one.end)
-                for one, cost in zip(now, _costs(now), strict=True)
+                SearchEvaluation(
+                    candidate.measurement_times, np.empty(0), exact=cost, end=candidate.end
+                )
+                for candidate, cost in zip(now, _costs(now), strict=True)
             ],
         )
     return asked, list(optimiser.finalists(state))
@@ -79,12 +81,13 @@ def _every(constraint: str) -> dict[Times, float]:
     return dict(zip(every, _costs([Candidate(times) for times in every]), strict=True))
 
 
-def _nested(one: Times, other: Times) -> bool:
-    return set(one) <= set(other) or set(other) <= set(one)
+def _nested(first: Times, second: Times) -> bool:
+    return set(first) <= set(second) or set(second) <= set(first)
 
 
 both = pytest.mark.parametrize(
-    ("method", "constraint"), [(one, other) for one in METHODS for other in CONSTRAINTS]
+    ("method", "constraint"),
+    [(method, constraint) for method in METHODS for constraint in CONSTRAINTS],
 )
 
 
@@ -92,7 +95,7 @@ both = pytest.mark.parametrize(
 def test_whole_sets_that_it_asks_for_are_feasible(method: str, constraint: str) -> None:
     asked, _ = _searched(method, constraint)
     every = _every(constraint)
-    for times in {one.measurement_times for one in asked if one.end is None}:
+    for times in {candidate.measurement_times for candidate in asked if candidate.end is None}:
         if method in ON_THE_WAY:
             assert any(_nested(times, whole) for whole in every)
         else:
@@ -104,7 +107,7 @@ def test_a_feasible_set_begins_with_what_it_asks_for_up_to_an_end(
     method: str, constraint: str
 ) -> None:
     asked, _ = _searched(method, constraint)
-    begun = {one.measurement_times for one in asked if one.end is not None}
+    begun = {candidate.measurement_times for candidate in asked if candidate.end is not None}
     assert begun <= {whole[: k + 1] for whole in _every(constraint) for k in range(len(whole))}
 
 
@@ -112,7 +115,7 @@ def test_a_feasible_set_begins_with_what_it_asks_for_up_to_an_end(
 def test_what_it_finds_is_feasible_and_good(method: str, constraint: str) -> None:
     _, found = _searched(method, constraint)
     every = _every(constraint)
-    assert {one.measurement_times for one in found} <= every.keys()
+    assert {evaluation.measurement_times for evaluation in found} <= every.keys()
     share = 0.5 if method in ON_THE_WAY else 0.1  # a step that is best by itself may lead astray
     assert found[0].cost <= np.quantile(list(every.values()), share)
     if method in EXACT:

@@ -1,12 +1,14 @@
 """What every optimiser keeps to: one contract, one test."""
 
+import dataclasses
 import itertools
+from typing import Any
 
 import numpy as np
 import pytest
 
 from pfdist.evaluation.estimate import SearchEvaluation
-from pfdist.search import Budgets, Candidate
+from pfdist.search import BudgetCurve, Candidate
 from pfdist.search.base import FINALISTS, SearchOptimiser
 from pfdist.search.methods import METHODS
 from pfdist.times.feasible import Feasible
@@ -19,12 +21,12 @@ DRAWS = 20
 OPTIMISERS: dict[str, SearchOptimiser] = {
     name: method.make(FEASIBLE, DRAWS, method.section().settings)
     for name, method in METHODS.items()
-} | {"budgets": Budgets(FEASIBLE, least=4)}
+} | {"budget_curve": BudgetCurve(FEASIBLE, least=4)}
 # How much they ask for does not depend on what they are told.
 FORESEEN = ("exhaustive", "genetic", "greedy_backward", "greedy_forward", "random")
 AT_RANDOM = ("annealing", "cross_entropy", "genetic", "random")
 FINDS_THE_BEST = (
-    "budgets",
+    "budget_curve",
     "cross_entropy",
     "exchange",
     "exhaustive",
@@ -46,11 +48,11 @@ def _told(asked: list[Candidate]) -> list[SearchEvaluation]:
     noise = np.random.default_rng(0).normal(size=DRAWS)
     return [
         SearchEvaluation(
-            one.measurement_times,
-            (_cost(one.measurement_times, one.end) + noise)[: one.draws],
-            end=one.end,
+            candidate.measurement_times,
+            (_cost(candidate.measurement_times, candidate.end) + noise)[: candidate.draws],
+            end=candidate.end,
         )
-        for one in asked
+        for candidate in asked
     ]
 
 
@@ -68,12 +70,14 @@ def _search(
 @every
 def test_it_asks_for_sorted_sets_of_distinct_times_within_the_horizon(name: str) -> None:
     asked, found = _search(OPTIMISERS[name], 1)
-    for times, end, draws, _, squared in (one for generation in asked for one in generation):
+    for times, end, draws, _, squared in (
+        candidate for generation in asked for candidate in generation
+    ):
         assert not squared  # a search estimates in one way
         assert all(a < b for a, b in itertools.pairwise(times))
         assert all(0 <= time <= (FEASIBLE.horizon if end is None else end) for time in times)
         assert draws is None or 2 <= draws <= DRAWS
-    assert all(FEASIBLE.accepts(one.measurement_times) for one in found)
+    assert all(FEASIBLE.accepts(evaluation.measurement_times) for evaluation in found)
 
 
 @pytest.mark.parametrize("name", FORESEEN)
@@ -97,13 +101,20 @@ def test_other_keys_give_another_search(name: str) -> None:
 @every
 def test_it_returns_whole_sets_it_asked_for_with_what_it_was_told(name: str) -> None:
     asked, found = _search(OPTIMISERS[name], 1)
-    whole = {one.measurement_times for generation in asked for one in generation if one.end is None}
-    assert {one.measurement_times for one in found} <= whole
+    whole = {
+        candidate.measurement_times
+        for generation in asked
+        for candidate in generation
+        if candidate.end is None
+    }
+    assert {evaluation.measurement_times for evaluation in found} <= whole
     assert 1 <= len(found) <= FINALISTS
-    assert [one.cost for one in found] == sorted(one.cost for one in found)
-    for one in found:
-        (told,) = _told([Candidate(one.measurement_times, draws=one.draws)])
-        assert one.cost == told.cost
+    assert [evaluation.cost for evaluation in found] == sorted(
+        evaluation.cost for evaluation in found
+    )
+    for evaluation in found:
+        (told,) = _told([Candidate(evaluation.measurement_times, draws=evaluation.draws)])
+        assert evaluation.cost == told.cost
 
 
 @pytest.mark.parametrize("name", FINDS_THE_BEST)
@@ -119,13 +130,30 @@ def test_what_it_finds_is_of_the_best_twentieth_of_all_sets(name: str) -> None:
     assert _cost(found[0].measurement_times) <= np.quantile(costs, 0.05)
 
 
+def _content(value: Any) -> Any:
+    """A state or evaluations as plain lists, so that two of them can be compared."""
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if dataclasses.is_dataclass(value):
+        return [_content(getattr(value, field.name)) for field in dataclasses.fields(value)]
+    if isinstance(value, dict):
+        return [(key, _content(content)) for key, content in value.items()]
+    if isinstance(value, list | tuple):
+        return [_content(content) for content in value]
+    return value
+
+
 @every
-def test_state_and_evaluations_are_not_changed(name: str) -> None:
+def test_no_generation_changes_the_state_or_the_evaluations_it_is_given(name: str) -> None:
     optimiser, rng = OPTIMISERS[name], np.random.default_rng(1)
-    state = optimiser.init()
-    asked = list(optimiser.ask(state, rng))
-    told = _told(asked)
-    following = optimiser.tell(state, told)
-    assert following is not state
-    assert state == optimiser.init()
-    assert [one.measurement_times for one in told] == [one.measurement_times for one in asked]
+    state, generations = optimiser.init(), 0
+    while not optimiser.done(state):
+        state_before = _content(state)
+        told = _told(list(optimiser.ask(state, rng)))
+        told_before = _content(told)
+        following = optimiser.tell(state, told)
+        assert _content(state) == state_before
+        assert _content(told) == told_before
+        assert _content(following) != state_before
+        state, generations = following, generations + 1
+    assert generations

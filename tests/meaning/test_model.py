@@ -76,7 +76,7 @@ HELPERS = "from helper import f\nimport helper"
 
 
 @pytest.mark.parametrize(
-    ("before", "formula", "one", "other", "name"),
+    ("before", "formula", "first", "second", "name"),
     [
         ("C = {}", "C * x[0]", "2.0", "3.0", "mine.C"),
         ("C = {}", "C * x[0]", "1.0", "1", "mine.C"),
@@ -136,17 +136,17 @@ HELPERS = "from helper import f\nimport helper"
     ],
 )  # fmt: skip
 def test_a_change_of_what_a_formula_reaches_is_named(
-    means: Means, before: str, formula: str, one: str, other: str, name: str
+    means: Means, before: str, formula: str, first: str, second: str, name: str
 ) -> None:
-    def of(value: str) -> Meaning:
+    def meaning(value: str) -> Meaning:
         return means(before.replace("{}", value), formula.replace("{}", value))
 
-    assert differences(of(one), of(one)) == []
-    assert differences(of(one), of(other)) == [name]
+    assert differences(meaning(first), meaning(first)) == []
+    assert differences(meaning(first), meaning(second)) == [name]
 
 
 @pytest.mark.parametrize(
-    ("formula", "one", "other", "names"),
+    ("formula", "first", "second", "names"),
     [
         ("f(x[0])", "def f(x): return 2 * x", "def f(x): return 3 * x", ["helper.f"]),
         ("helper.f(x[0])", "def f(x): return 2 * x", "def f(x): return 3 * x", ["helper.f"]),
@@ -166,29 +166,32 @@ def test_a_change_of_what_a_formula_reaches_is_named(
     ids=["a function", "a module's function", "a helper's helper's constant", "beside another's"],
 )  # fmt: skip
 def test_a_change_in_a_helper_module_is_named(
-    means: Means, formula: str, one: str, other: str, names: list[str]
+    means: Means, formula: str, first: str, second: str, names: list[str]
 ) -> None:
     assert (
-        differences(means(HELPERS, formula, helper=one), means(HELPERS, formula, helper=one)) == []
+        differences(means(HELPERS, formula, helper=first), means(HELPERS, formula, helper=first))
+        == []
     )
-    found = differences(means(HELPERS, formula, helper=one), means(HELPERS, formula, helper=other))
+    found = differences(
+        means(HELPERS, formula, helper=first), means(HELPERS, formula, helper=second)
+    )
     assert found == names
 
 
 def test_words_and_what_is_not_reached_make_no_difference(means: Means) -> None:
     helper = "def f(x):\n    return 2 * x\n"
-    one = means(HELPERS, "f(x[0])", helper=helper)
-    other = means(
+    first = means(HELPERS, "f(x[0])", helper=helper)
+    second = means(
         '"""A model."""\nunused = 3\n' + HELPERS + "\ndef nobody(x): return x\nsigma = 3\n",
         "f(  x[ 0 ]\n )",
         helper='"""Words."""\nunused = 1\ndef f(x: float) -> float:\n    return 2*x  # so\n',
     )
-    assert differences(one, other) == []
+    assert differences(first, second) == []
 
 
 def test_a_global_that_has_a_parameters_name_is_not_reached(means: Means) -> None:
-    one, other = (means(f"sigma = {value}", "p.sigma * x[0]") for value in (1, 2))
-    assert differences(one, other) == []
+    first, second = (means(f"sigma = {value}", "p.sigma * x[0]") for value in (1, 2))
+    assert differences(first, second) == []
 
 
 @pytest.mark.parametrize(
@@ -198,8 +201,8 @@ def test_what_is_reached_dynamically_counts_by_the_text_of_all_files(
     means: Means, formula: str
 ) -> None:
     text = "def f(x): return x\ndef g(x): return x\n"
-    one, other = (means(HELPERS, formula, helper=text + more) for more in ("", "# seen\n"))
-    assert differences(one, other) == ["transition"]
+    first, second = (means(HELPERS, formula, helper=text + more) for more in ("", "# seen\n"))
+    assert differences(first, second) == ["transition"]
 
 
 @pytest.mark.parametrize(
@@ -257,19 +260,19 @@ def test_a_module_on_the_path_that_a_formula_imports_counts(
 
 
 def test_what_a_module_makes_up_when_it_is_asked_counts(means: Means) -> None:
-    one, other = (
+    first, second = (
         means("import helper", "helper.C * x[0]", helper=f"def __getattr__(name): return {value}")
         for value in (2, 3)
     )
-    assert differences(one, other) == ["helper.__getattr__"]
+    assert differences(first, second) == ["helper.__getattr__"]
 
 
 def test_of_a_module_that_is_not_passed_on_only_what_is_named_counts(means: Means) -> None:
     before = "import helper\ndef g(x):\n    import helper as h\n    return h.C * x\n"
-    one, other = (
+    first, second = (
         means(before, "g(x[0]) + helper.C", helper=f"C = 1.0\nunused = {value}") for value in (2, 3)
     )
-    assert differences(one, other) == []
+    assert differences(first, second) == []
 
 
 @pytest.mark.parametrize(
@@ -358,12 +361,12 @@ def test_what_another_distribution_has_installed_counts_by_name_and_version(
 
     with monkeypatch.context() as patch:
         patch.setattr(sys, "dont_write_bytecode", True)
-        one = means(1, "1.0", 1)
+        first = means(1, "1.0", 1)
         _, source = find_model("plugged").record()
-        assert differences(one, meaning_of(source.load(), source)) == []
-        assert differences(one, means(22, "1.0", 1)) == []
-        assert differences(one, means(1, "1.1", 1)) == ["transition"]
-        assert differences(one, means(1, "1.0", 22)) == ["ours_installed.helper.g"]
+        assert differences(first, meaning_of(source.load(), source)) == []
+        assert differences(first, means(22, "1.0", 1)) == []
+        assert differences(first, means(1, "1.1", 1)) == ["transition"]
+        assert differences(first, means(1, "1.0", 22)) == ["ours_installed.helper.g"]
 
 
 def test_noise_parameters_data_and_linearity_are_part_of_it(tmp_path: Path) -> None:

@@ -106,11 +106,11 @@ def test_two_models_have_each_their_own_helper(
 ) -> None:
     theirs = ModuleType("helper")
     monkeypatch.setitem(sys.modules, "helper", theirs)
-    one, other = (
+    first, second = (
         write("from helper import f", "f(x[0])", name=name, helper=f"def f(x): return {k} * x")
         for name, k in (("a", 2), ("b", 5))
     )
-    assert [moved(one), moved(other), moved(one)] == [4.0, 10.0, 4.0]
+    assert [moved(first), moved(second), moved(first)] == [4.0, 10.0, 4.0]
     assert sys.modules["helper"] is theirs
 
 
@@ -121,8 +121,8 @@ def test_an_edited_helper_is_loaded_anew(write: Write) -> None:
 
 
 def test_the_same_source_gives_the_same_model(write: Write) -> None:
-    one, other = (write("import helper").record()[1] for _ in range(2))
-    assert one.load() is other.load()
+    first, second = (write("import helper").record()[1] for _ in range(2))
+    assert first.load() is second.load()
 
 
 READS = "from pathlib import Path\nC = float(Path(__file__).with_name('c.txt').read_text())"
@@ -142,7 +142,7 @@ def test_data_that_is_read_and_not_declared_is_an_error_that_says_so(
 ) -> None:
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "c.txt").write_text("7")
-    with pytest.raises(ModelError, match=r"as a worker loads it.*data_files alone") as caught:
+    with pytest.raises(ModelError, match=r"as in a worker, with only its data_files") as caught:
         write(READS, "C * x[0]").load()
     assert "\n" not in str(caught.value)
     assert f"No such file or directory: '{tmp_path}/a/c.txt'" in str(caught.value)

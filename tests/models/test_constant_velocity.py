@@ -128,7 +128,7 @@ def test_far_away_it_is_linear_and_gaussian(bearing):
     draws = simulate(model, 12, range(count), 1)
     filtered = filter_draws(model, draws, times, particles, 2, trajectories=True)
     y = np.stack([draws.y[..., 0] - far, far * wrapped(draws.y[..., 1] - bearing)], axis=-1)
-    exact = [kalman_filter(system, one, times) for one in y]
+    exact = [kalman_filter(system, measurements, times) for measurements in y]
     mean, variance = (np.array(values) for values in zip(*exact, strict=True))
     # A filter's error over the draws has mean 0, but for a bias of order variance / particles.
     for estimate, truth, bias in (

@@ -41,8 +41,8 @@ def test_a_transition_is_ten_euler_maruyama_steps_of_the_chemical_langevin_equat
     p = MODEL.with_parameters({"step": 2.0}).p
     w = np.random.default_rng(1).standard_normal((SUBSTEPS, 3))
     x = START
-    for one in w:
-        x = x + STOICHIOMETRY @ (0.2 * rates(x) + np.sqrt(0.2 * rates(x)) * one)
+    for noise in w:
+        x = x + STOICHIOMETRY @ (0.2 * rates(x) + np.sqrt(0.2 * rates(x)) * noise)
     following = MODEL.transition(tuple(START), 5, tuple(w.ravel()), p)
     assert following == pytest.approx(tuple(x), rel=1e-12)
 

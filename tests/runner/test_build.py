@@ -81,7 +81,10 @@ def test_the_filters_model_may_be_another_one(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("lines", "message"),
     [
-        (["[model.filter]", 'name = "ungn"'], "model.name must be one of .*got 'ungn'"),
+        (
+            ["[model.filter]", 'name = "ungn"'],
+            r"^model\.filter\.name: a model must be one of .*got 'ungn'",
+        ),
         (["[model.filter.parameters]", "sd = 1.0"], "model.filter: .*unknown parameter 'sd'"),
         (["[model.filter]", 'name = "other.py:model"'], "as many components of z as .* 1, got 2"),
     ],

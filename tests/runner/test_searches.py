@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from pfdist.job.job import Execution, load_job
+from pfdist.job.job import load_job
+from pfdist.job.sections import Execution
 from pfdist.runner.build import build, make_pool
 from pfdist.runner.driver import compared_sets, drive
 from pfdist.store import Store

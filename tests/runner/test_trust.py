@@ -88,8 +88,8 @@ def test_probes_are_what_led_the_search_a_prefix_up_to_its_end(
     searched = _rows(run, "survivors")
     first = probes[probes["generation"] == 0]
     assert set(first["draws"]) == {500}
-    by = first.groupby(["estimator", "particles"]).size()
-    assert by.to_dict() == {
+    counts = first.groupby(["estimator", "particles"]).size()
+    assert counts.to_dict() == {
         ("filter_variance", 100): len(first) / 2,
         ("squared_error", 500): len(first) / 2,
     }
@@ -154,8 +154,10 @@ def test_where_finalists_change_their_order_the_search_is_done_again(
     run = pfdist.plan(job, tmp_path / "run", changes=SMALL, say=said.append)
     ((believed, squared),) = seen  # once: the squared error is what it is
     race = _rows(run, "survivors.shortlist")
-    assert {one.measurement_times for one in squared} == set(map(tuple, race["measurement_times"]))
-    assert {one.measurement_times for one in squared} == set(believed)
+    assert {evaluation.measurement_times for evaluation in squared} == set(
+        map(tuple, race["measurement_times"])
+    )
+    assert {evaluation.measurement_times for evaluation in squared} == set(believed)
     assert set(race["estimator"]) == {"squared_error"}
     (line,) = [line for line in said if "cannot be believed" in line]
     assert "it prefers {" in line

@@ -60,7 +60,11 @@ def test_where_few_exchanges_are_allowed_it_makes_those() -> None:
     search = Annealing(feasible, chains=2, steps=400, coldest=0.03)
     state = last(search, lambda times: float(sum(times)))
     assert state.best[0].measurement_times == (0, 2, 4)
-    assert all(feasible.accepts(one.measurement_times) for pair in state.chains for one in pair)
+    assert all(
+        feasible.accepts(evaluation.measurement_times)
+        for pair in state.chains
+        for evaluation in pair
+    )
 
 
 @pytest.mark.parametrize("cost", [1.0, math.inf])

@@ -28,13 +28,13 @@ def test_it_ends_in_a_local_optimum_no_worse_than_regular_times(system: LinearGa
     assert cost(state.best) <= cost(regular(14, 4))
 
 
-def _noisy(one: Candidate, noise: float) -> SearchEvaluation:
+def _noisy(candidate: Candidate, noise: float) -> SearchEvaluation:
     """Best at 3, 4, 5, 6, by a cost whose noise is partly each set's own."""
-    times = one.measurement_times
+    times = candidate.measurement_times
     own = np.random.default_rng(times).normal(0, noise, DRAWS)
     common = np.random.default_rng(0).normal(0, 10, DRAWS)
     return SearchEvaluation(
-        times, (sum(map(abs, np.subtract(times, (3, 4, 5, 6)))) + own + common)[: one.draws]
+        times, (sum(map(abs, np.subtract(times, (3, 4, 5, 6)))) + own + common)[: candidate.draws]
     )
 
 
@@ -43,8 +43,8 @@ def test_under_noise_it_ends_in_a_local_optimum_of_the_mean_over_its_draws() -> 
     state, spent = search.init(), 0
     while not search.done(state):
         asked = search.ask(state, rng)
-        spent += sum(one.draws or DRAWS for one in asked)
-        state = search.tell(state, [_noisy(one, 1.0) for one in asked])
+        spent += sum(candidate.draws or DRAWS for candidate in asked)
+        state = search.tell(state, [_noisy(candidate, 1.0) for candidate in asked])
     found = search.finalists(state)[0].measurement_times
     assert found == state.best == (3, 4, 5, 6)
     costs = [_noisy(Candidate(times), 1.0).cost for times in FEASIBLE.exchanges(found)]
@@ -63,8 +63,8 @@ def test_it_does_not_go_round_where_few_draws_mislead() -> None:
     few = 32
     error = math.sqrt(2 / few)  # of a difference, on the first draws
 
-    def told(one: Candidate) -> SearchEvaluation:
-        times = one.measurement_times
+    def told(candidate: Candidate) -> SearchEvaluation:
+        times = candidate.measurement_times
         place = ring.index(times) if times in ring else -1
         # Noise of mean 0 and variance 1, of no correlation between sets.
         mse = math.sqrt(2) * np.cos(2 * math.pi * (place + 2) / few * np.arange(DRAWS))
@@ -73,12 +73,12 @@ def test_it_does_not_go_round_where_few_draws_mislead() -> None:
         )
         mse[:few] += early
         mse[few:] += (DRAWS * whole - few * early) / (DRAWS - few)
-        return SearchEvaluation(times, (mse + 99 * (place < 0))[: one.draws])
+        return SearchEvaluation(times, (mse + 99 * (place < 0))[: candidate.draws])
 
     search, rng = Exchange(Feasible(5, 2), DRAWS, start=ring[0]), np.random.default_rng(1)
     state = search.init()
     while not search.done(state):
-        state = search.tell(state, [told(one) for one in search.ask(state, rng)])
+        state = search.tell(state, [told(candidate) for candidate in search.ask(state, rng)])
     assert state.left == tuple(ring)
     assert state.best == ring[0]
 

@@ -19,7 +19,9 @@ def test_it_finds_what_brute_force_finds() -> None:
     costs = dict(zip(feasible.every(), np.random.default_rng(1).random(1820), strict=True))
     search = Exhaustive(feasible, limit=1820)
     found = search.finalists(last(search, costs.__getitem__))
-    assert [one.measurement_times for one in found] == sorted(costs, key=costs.get)[:FINALISTS]  # type: ignore[arg-type]
+    assert [evaluation.measurement_times for evaluation in found] == sorted(costs, key=costs.get)[
+        :FINALISTS
+    ]  # type: ignore[arg-type]
     assert search.generations == 4
 
 

@@ -107,7 +107,7 @@ def test_mutation_replaces_each_gene_with_its_probability_by_an_absent_time() ->
     genetic = _genetic(mutation_probability=0.1, crossover_probability=0.0, population=2000)
     times = (2, 5, 8, 11, 20)
     state = genetic.tell(genetic.init(), [_evaluation(times, 1.0)] * 2000)
-    population = np.array([one.measurement_times for one in genetic.ask(state, _rng())])
+    population = np.array([candidate.measurement_times for candidate in genetic.ask(state, _rng())])
     assert all(len(set(row)) == 5 for row in population.tolist())
     genes = population.size
     replaced = genes - np.isin(population, times).sum()
@@ -124,7 +124,7 @@ def test_a_set_of_all_times_has_nothing_to_mutate_into() -> None:
     genetic = _genetic(feasible=Feasible(4, 5), mutation_probability=1.0)
     times = (0, 1, 2, 3, 4)
     state = genetic.tell(genetic.init(), [_evaluation(times, 1.0)] * 10)
-    assert {one.measurement_times for one in genetic.ask(state, _rng())} == {times}
+    assert {candidate.measurement_times for candidate in genetic.ask(state, _rng())} == {times}
 
 
 def test_it_returns_the_best_of_the_last_generation_with_the_cost_it_got() -> None:
@@ -133,7 +133,7 @@ def test_it_returns_the_best_of_the_last_generation_with_the_cost_it_got() -> No
     for generation in range(3):
         assert not genetic.done(state)
         population = genetic.ask(state, _rng(generation))
-        told = [_evaluation(one.measurement_times, next(costs)) for one in population]
+        told = [_evaluation(candidate.measurement_times, next(costs)) for candidate in population]
         state = genetic.tell(state, told)
     assert genetic.done(state)
     (best,) = genetic.finalists(state)
@@ -154,7 +154,7 @@ def test_the_killed_are_never_parents(killed: int) -> None:
     dead, alive = (0, 1, 2, 3, 4), (10, 11, 12, 13, 14)
     told = [_evaluation(dead, np.inf)] * killed + [_evaluation(alive, 1.0)] * (10 - killed)
     population = genetic.ask(genetic.tell(genetic.init(), told), _rng())
-    assert {one.measurement_times for one in population} == {alive}
+    assert {candidate.measurement_times for candidate in population} == {alive}
 
 
 def test_of_equal_costs_each_expects_one_offspring() -> None:

@@ -41,8 +41,10 @@ def test_forward_saves_1_minus_1_over_e_of_what_can_be_saved_where_savings_overl
 def test_each_asks_for_one_step_and_returns_only_what_may_be_chosen() -> None:
     forward, backward = GreedyForward(FEASIBLE), GreedyBackward(FEASIBLE)
     rng = np.random.default_rng(1)
-    assert [one.measurement_times for one in forward.ask(forward.init(), rng)] == [
+    assert [candidate.measurement_times for candidate in forward.ask(forward.init(), rng)] == [
         (time,) for time in range(12)
     ]
-    assert {len(one.measurement_times) for one in backward.ask(backward.init(), rng)} == {11}
+    assert {
+        len(candidate.measurement_times) for candidate in backward.ask(backward.init(), rng)
+    } == {11}
     assert forward.finalists(forward.init()) == ()

@@ -21,9 +21,11 @@ def _run(race: Race, mse: dict[Times, Array]) -> tuple[Times, list[list[Candidat
     while not race.done(state):
         asked = race.ask(state, rng)
         rounds.append(asked)
-        columns = [mse[one.measurement_times][: one.draws] for one in asked]
+        columns = [mse[candidate.measurement_times][: candidate.draws] for candidate in asked]
         told = zip(asked, columns, strict=True)
-        state = race.tell(state, [ShortlistEvaluation(one[0], column) for one, column in told])
+        state = race.tell(
+            state, [ShortlistEvaluation(asked_for[0], column) for asked_for, column in told]
+        )
     return race.finalists(state)[0].measurement_times, rounds
 
 
@@ -60,13 +62,15 @@ def test_it_gives_all_that_ran_the_winner_first_each_on_the_most_draws_it_ran_on
     noise = rng.normal(size=(8, 1000))
     mse = dict(zip(sets, noise - noise.mean(axis=1, keepdims=True), strict=True))
     while not race.done(state):
-        asked = [(one.measurement_times, one.draws) for one in race.ask(state, rng)]
+        asked = [
+            (candidate.measurement_times, candidate.draws) for candidate in race.ask(state, rng)
+        ]
         state = race.tell(
             state, [ShortlistEvaluation(times, mse[times][:draws]) for times, draws in asked]
         )
     found = race.finalists(state)
-    assert [one.draws for one in found] == [1000, 1000, 500, 500, 250, 250, 250, 250]
-    assert {one.measurement_times for one in found} == set(sets)
+    assert [evaluation.draws for evaluation in found] == [1000, 1000, 500, 500, 250, 250, 250, 250]
+    assert {evaluation.measurement_times for evaluation in found} == set(sets)
     assert found[0].cost <= found[1].cost
 
 
@@ -75,14 +79,14 @@ def test_of_sets_that_no_test_tells_apart_the_worse_half_falls_out() -> None:
     noise = np.random.default_rng(1).normal(size=(8, 1000))
     mse = dict(zip(sets, noise - noise.mean(axis=1, keepdims=True), strict=True))
     winner, rounds = _run(Race(tuple(sets), 250), mse)
-    assert [(len(asked), {one.draws for one in asked}) for asked in rounds] == [
+    assert [(len(asked), {candidate.draws for candidate in asked}) for asked in rounds] == [
         (8, {250}),
         (4, {500}),
         (2, {1000}),
     ]
     assert Race(tuple(sets), 250).generations == 3
     of_half = sorted(sets, key=lambda times: float(mse[times][:250].mean()))[:4]
-    assert {one.measurement_times for one in rounds[1]} == set(of_half)
+    assert {candidate.measurement_times for candidate in rounds[1]} == set(of_half)
     assert winner in of_half
 
 
@@ -95,8 +99,8 @@ def test_one_alone_runs_one_round_and_a_killed_one_never_wins() -> None:
 
 def test_a_difference_is_that_of_the_paired_t_test() -> None:
     rng = np.random.default_rng(2)
-    one, other = rng.normal(1.0, 5.0, 300) + rng.normal(size=(2, 300))
-    found = difference(SearchEvaluation((0, 1), one), SearchEvaluation((0, 2), other[:200]))
-    expected = stats.ttest_rel(one[:200], other[:200])
+    first, other = rng.normal(1.0, 5.0, 300) + rng.normal(size=(2, 300))
+    found = difference(SearchEvaluation((0, 1), first), SearchEvaluation((0, 2), other[:200]))
+    expected = stats.ttest_rel(first[:200], other[:200])
     assert found.mean / found.standard_error == pytest.approx(expected.statistic)
-    assert found.mean == pytest.approx(np.mean(one[:200] - other[:200]))
+    assert found.mean == pytest.approx(np.mean(first[:200] - other[:200]))

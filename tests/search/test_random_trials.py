@@ -12,7 +12,7 @@ def test_the_best_of_all_trials_is_kept_over_several_askings() -> None:
     state, costs = trials.init(), []
     while not trials.done(state):
         asked = trials.ask(state, rng)
-        told = [SearchEvaluation(one.measurement_times, rng.random(1)) for one in asked]
+        told = [SearchEvaluation(candidate.measurement_times, rng.random(1)) for candidate in asked]
         costs += [evaluation.cost for evaluation in told]
         state = trials.tell(state, told)
     assert len(costs) == 600

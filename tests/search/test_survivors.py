@@ -50,13 +50,17 @@ def _states(search: Survivors, cost: Cost) -> Iterator[SurvivorState]:
     while not state.done:
         yield state
         candidates = search.ask(state, rng)
-        ends = [search.feasible.horizon if one.end is None else one.end for one in candidates]
+        ends = [
+            search.feasible.horizon if candidate.end is None else candidate.end
+            for candidate in candidates
+        ]
         told = [
             SearchEvaluation(
-                one.measurement_times, np.empty(0), exact=cost(one.measurement_times, end),
-                end=one.end,
+                candidate.measurement_times, np.empty(0),
+                exact=cost(candidate.measurement_times, end),
+                end=candidate.end,
             )
-            for one, end in zip(candidates, ends, strict=True)
+            for candidate, end in zip(candidates, ends, strict=True)
         ]  # fmt: skip
         state = search.tell(state, told)
     yield state
@@ -93,7 +97,7 @@ def test_it_finds_what_brute_force_finds_under_constraints(
     cost = prefix_costs(system, feasible.horizon)
     best = min(cost(times, feasible.horizon) for times in feasible.every())
     state, _ = _run(Survivors(feasible, **settings), cost)
-    assert all(feasible.accepts(one.measurement_times) for one in state.whole)
+    assert all(feasible.accepts(evaluation.measurement_times) for evaluation in state.whole)
     assert state.whole[0].cost == pytest.approx(best, rel=1e-12)
 
 

@@ -10,16 +10,8 @@ from numpy.typing import NDArray
 from pfdist.evaluation.estimate import ProbeEvaluation, SearchEvaluation, ShortlistEvaluation
 from pfdist.search import Candidate
 from pfdist.search.paired import CLEAR_ERRORS
-from pfdist.search.trust import (
-    BELOW,
-    PROBE_DRAWS,
-    Probe,
-    ProbeState,
-    judged,
-    misordered,
-    new_leaders,
-    unchecked_probe,
-)
+from pfdist.search.probe import PROBE_DRAWS, Probe, ProbeState, new_leaders
+from pfdist.search.trust import BELOW, judged, misordered, unchecked_probe
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
@@ -67,20 +59,20 @@ def test_draws_in_which_a_filter_was_degenerate_say_nothing() -> None:
 
 @pytest.mark.parametrize("usable", [0, 1])
 def test_an_estimator_that_no_draws_can_check_is_said_to_be_unchecked(usable: int) -> None:
-    def error(one: Candidate) -> Array:
+    def error(candidate: Candidate) -> Array:
         errors = _with_moments(1.0, 0.01)
-        if one.measurement_times == (4, 5, 6):
+        if candidate.measurement_times == (4, 5, 6):
             errors[usable:] = np.nan
         return errors
 
     assert not judged(*_pair(np.ones(PROBE_DRAWS), error(Candidate((4, 5, 6))))).known
-    state, _ = _probe(lambda one: 1.0, error)
+    state, _ = _probe(lambda candidate: 1.0, error)
     pair = Probe(FEASIBLE).finalists(state)
     assert not state.failed
-    assert [one.measurement_times for one in pair] == 2 * [(4, 5, 6)]
+    assert [evaluation.measurement_times for evaluation in pair] == 2 * [(4, 5, 6)]
     text = unchecked_probe(*pair)
     assert f"in {{4, 5, 6}} only {usable} of {PROBE_DRAWS} draws" in text
-    assert "more filter.particles" in text
+    assert "more particles" in text
 
 
 def _probe(
@@ -96,46 +88,49 @@ def _probe(
             state,
             [
                 ProbeEvaluation(
-                    one.measurement_times,
-                    error(one)[: one.draws]
-                    if one.squared
-                    else np.full(one.draws or 0, estimate(one)),
-                    end=one.end,
+                    candidate.measurement_times,
+                    error(candidate)[: candidate.draws]
+                    if candidate.squared
+                    else np.full(candidate.draws or 0, estimate(candidate)),
+                    end=candidate.end,
                 )
-                for one in asked
+                for candidate in asked
             ],
         )
     return state, rounds
 
 
 def test_probes_are_the_regular_times_a_few_random_sets_and_what_led_the_search() -> None:
-    state, rounds = _probe(lambda one: 1.0, lambda one: _with_moments(1.0, 0.01))
+    state, rounds = _probe(lambda candidate: 1.0, lambda candidate: _with_moments(1.0, 0.01))
     (asked,) = rounds  # all are as good as they say: one round decides
     assert not state.failed
-    sets = list(dict.fromkeys((one.measurement_times, one.end) for one in asked))
+    sets = list(dict.fromkeys((candidate.measurement_times, candidate.end) for candidate in asked))
     assert sets[0] == (FEASIBLE.regular(), None)
     assert all(FEASIBLE.accepts(times) and end is None for times, end in sets[1:4])
     assert sets[4:] == [((2,), 2), ((4, 5, 6), None)]  # a prefix up to its end
-    assert {one.draws for one in asked} == {PROBE_DRAWS}
-    for one in asked:  # each by the estimator, and by the squared error, on the same draws
-        assert one._replace(squared=not one.squared) in asked
+    assert {candidate.draws for candidate in asked} == {PROBE_DRAWS}
+    for candidate in asked:  # each by the estimator, and by the squared error, on the same draws
+        assert candidate._replace(squared=not candidate.squared) in asked
 
 
 @pytest.mark.parametrize("sought", [Candidate((2,), 2), Candidate((4, 5, 6))])
 def test_an_estimator_that_fails_on_what_led_the_search_alone_has_failed(sought: Candidate) -> None:
-    def estimate(one: Candidate) -> float:
-        return 0.2 if one.measurement_times == sought.measurement_times else 1.0
+    def estimate(candidate: Candidate) -> float:
+        return 0.2 if candidate.measurement_times == sought.measurement_times else 1.0
 
-    state, _ = _probe(estimate, lambda one: _with_moments(1.0, 0.01))
-    assert [one.measurement_times for one in state.failed] == 2 * [sought.measurement_times]
-    assert [one.expected_mse for one in state.failed] == pytest.approx([0.2, 1.0])
+    state, _ = _probe(estimate, lambda candidate: _with_moments(1.0, 0.01))
+    assert [evaluation.measurement_times for evaluation in state.failed] == 2 * [
+        sought.measurement_times
+    ]
+    assert [evaluation.expected_mse for evaluation in state.failed] == pytest.approx([0.2, 1.0])
 
 
 def test_draws_are_doubled_where_the_decision_is_open() -> None:
     rng = np.random.default_rng(2)
     errors = rng.normal(1.0, 12.0, 100_000)  # a standard error of a half at first
     state, rounds = _probe(
-        lambda one: 0.2 if one.end else 1.0, lambda one: errors if one.end else np.ones(100_000)
+        lambda candidate: 0.2 if candidate.end else 1.0,
+        lambda candidate: errors if candidate.end else np.ones(100_000),
     )
     draws = [asked[0].draws for asked in rounds]
     assert draws == [PROBE_DRAWS * 2**k for k in range(len(draws))]
@@ -146,7 +141,7 @@ def test_draws_are_doubled_where_the_decision_is_open() -> None:
 
 def test_what_cannot_be_decided_comes_to_an_end() -> None:
     errors = np.random.default_rng(3).normal(1.0, 1e3, 100_000)
-    state, rounds = _probe(lambda one: 1.0, lambda one: errors)
+    state, rounds = _probe(lambda candidate: 1.0, lambda candidate: errors)
     assert not state.failed
     probes = [len(asked) // 2 for asked in rounds]
     assert probes == [6, 3, 2, 1, 1]

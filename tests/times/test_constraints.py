@@ -16,19 +16,19 @@ PAID = Feasible(10, cost=(2,) * 11, total_cost=7, **GIVEN)
     [
         (COUNTED, (1, 6, 8), []),
         (PAID, (6,), []),  # money that is left over breaks nothing
-        (COUNTED, (6, 8), ["problem.measurement_budget is 3, got 2 times"]),
-        (COUNTED, (0, 3, 6), ["problem.forbidden: 3 is measured"]),
-        (COUNTED, (0, 2, 8), ["problem.required: 6 is not measured"]),
-        (COUNTED, (5, 6, 7), ["problem.minimum_spacing is 2, got 5 and 6, 6 and 7"]),
-        (PAID, (0, 6, 8, 10), ["problem.total_cost is 7, got times that cost 8"]),
+        (COUNTED, (6, 8), ["measurement_budget is 3, got 2 times"]),
+        (COUNTED, (0, 3, 6), ["forbidden: 3 is measured"]),
+        (COUNTED, (0, 2, 8), ["required: 6 is not measured"]),
+        (COUNTED, (5, 6, 7), ["minimum_spacing is 2, got 5 and 6, 6 and 7"]),
+        (PAID, (0, 6, 8, 10), ["total_cost is 7, got times that cost 8"]),
         (
             COUNTED,
             (3, 4, 0, 9),
             [
-                "problem.measurement_budget is 3, got 4 times",
-                "problem.forbidden: 3, 4 are measured",
-                "problem.required: 6 is not measured",
-                "problem.minimum_spacing is 2, got 3 and 4",
+                "measurement_budget is 3, got 4 times",
+                "forbidden: 3, 4 are measured",
+                "required: 6 is not measured",
+                "minimum_spacing is 2, got 3 and 4",
             ],
         ),
     ],

@@ -78,7 +78,7 @@ def test_random_times_take_each_time_equally_often():
 def test_random_times_take_each_set_equally_often():
     drawn = random(5, 3, 20_000, np.random.default_rng(5))
     sets, counts = np.unique(drawn, axis=0, return_counts=True)
-    assert [tuple(one) for one in sets] == list(combinations(range(6), 3))
+    assert [tuple(times) for times in sets] == list(combinations(range(6), 3))
     assert stats.chisquare(counts).pvalue > 1e-3
 
 

@@ -45,7 +45,7 @@ def evaluate_command(options: Namespace) -> None:
     start = time.perf_counter()  # after the compilation
     evaluation = compute()
     seconds = time.perf_counter() - start
-    broken = job.problem.feasible.broken(evaluation.measurement_times)
+    broken = job.problem.broken(evaluation.measurement_times)
     if options.json:
         answer = {
             "expected_mse": evaluation.expected_mse,

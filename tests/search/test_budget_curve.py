@@ -11,7 +11,7 @@ import pytest
 
 from oracles.kalman import SCALAR, THREE, TRACKING, LinearGaussian, prefix_costs
 from pfdist.evaluation.estimate import SearchEvaluation
-from pfdist.search import Budgets, SearchOptimiser, Survivors
+from pfdist.search import BudgetCurve, SearchOptimiser, Survivors
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
@@ -49,20 +49,24 @@ def test_of_every_number_it_finds_what_brute_force_finds(
 ) -> None:
     feasible = CONSTRAINED[constraint]
     cost = prefix_costs(system, feasible.horizon)
-    search = Budgets(feasible, 2, **settings)
+    search = BudgetCurve(feasible, 2, **settings)
     state, _ = _run(search, feasible.horizon, cost)
-    found = sorted(search.finalists(state), key=lambda one: len(one.measurement_times))
-    assert [len(one.measurement_times) for one in found] == list(range(2, feasible.total + 1))
-    for one in found:
-        sets = replace(feasible, measurement_budget=len(one.measurement_times))
+    found = sorted(
+        search.finalists(state), key=lambda evaluation: len(evaluation.measurement_times)
+    )
+    assert [len(evaluation.measurement_times) for evaluation in found] == list(
+        range(2, feasible.total + 1)
+    )
+    for evaluation in found:
+        sets = replace(feasible, measurement_budget=len(evaluation.measurement_times))
         best = min(cost(times, feasible.horizon) for times in sets.every())
-        assert sets.accepts(one.measurement_times)
-        assert one.cost == pytest.approx(best, rel=1e-12)
+        assert sets.accepts(evaluation.measurement_times)
+        assert evaluation.cost == pytest.approx(best, rel=1e-12)
 
 
 def test_it_asks_for_less_than_one_programme_for_each_number() -> None:
     run = partial(_run, horizon=20, cost=prefix_costs(TRACKING, 20))
-    _, together = run(Budgets(Feasible(20, 9), 5))
+    _, together = run(BudgetCurve(Feasible(20, 9), 5))
     one_by_one = sum(run(Survivors(Feasible(20, number)))[1] for number in range(5, 10))
     assert together < one_by_one / 2
 
@@ -73,8 +77,8 @@ def test_limits_that_are_in_the_way_are_widened() -> None:
     def cost(times: Times, end: int) -> float:
         return -sum(math.exp(t - 40) for t in times)
 
-    search = Budgets(Feasible(40, 5), 4)
+    search = BudgetCurve(Feasible(40, 5), 4)
     state, _ = _run(search, 40, cost)
-    found = [one.measurement_times for one in search.finalists(state)]
+    found = [evaluation.measurement_times for evaluation in search.finalists(state)]
     assert found == [tuple(range(41 - number, 41)) for number in (5, 4)]
-    assert state.wider > search.init().wider
+    assert state.widening > search.init().widening

@@ -1,4 +1,8 @@
-"""The section [problem] of a job file: how long, and which measurements may be chosen."""
+"""The section [problem] of a job file: the horizon, and the feasible sets of measurement times.
+
+The keys have the names of the parameters of `Constraints`. An error about such a value begins with
+its name, and this module puts ``problem.`` before it.
+"""
 
 import re
 from collections.abc import Iterable
@@ -16,7 +20,7 @@ _RANGE = re.compile(r"(\d{1,6})-(\d{1,6})|(\d{1,6})")
 
 
 class ProblemSection(Section):
-    """How long, how many measurements or what they may cost, and when they must and must not be."""
+    """The horizon, and constraints on the measurement times: how many, at what cost, and when."""
 
     horizon: Annotated[int, Field(ge=1, le=32_000)]
     measurement_budget: Annotated[int, Field(ge=2, lt=2**63)] | None = None
@@ -35,7 +39,7 @@ class ProblemSection(Section):
                 f"'20-30', got {shown(value)}"
             )
         for entry in value or ():
-            _spelt(entry, f"problem.{info.field_name}")
+            _times_in(entry, f"problem.{info.field_name}")
         return None if value is None else tuple(value)
 
     @field_validator("cost", mode="before")
@@ -43,7 +47,7 @@ class ProblemSection(Section):
     def _costs(cls, value: Any) -> Any:
         if isinstance(value, dict):
             for key in value:
-                _spelt(key, "problem.cost")
+                _times_in(key, "problem.cost")
         elif value is not None and not isinstance(value, (list, tuple)):
             raise ValueError(
                 "problem.cost must be a list of horizon + 1 numbers, or a section of ranges as "
@@ -57,49 +61,54 @@ class ProblemSection(Section):
     @model_validator(mode="after")
     def _is_possible(self) -> Self:
         try:
-            self.feasible  # noqa: B018  made here, so that what is impossible is said here
+            self.feasible  # noqa: B018  made here, because it checks the values together
         except MeasurementTimesError as error:
-            raise ValueError(str(error)) from error
+            raise ValueError(f"problem.{error}") from error
         return self
 
     @cached_property
     def feasible(self) -> Feasible:
-        """The sets of measurement times that may be chosen."""
+        """The feasible sets of measurement times."""
         return Feasible(
             horizon=self.horizon,
             measurement_budget=self.measurement_budget,
             forbidden=_union(self.forbidden or ()),
             required=_union(self.required or ()),
             minimum_spacing=self.minimum_spacing or 1,
-            cost=self._cost_of_each,
+            cost=self._costs_of_times,
             total_cost=self.total_cost,
         )
 
+    def broken(self, times: Iterable[int]) -> list[str]:
+        """Give the constraints that a set of times in 0..T breaks, one sentence each.
+
+        Each sentence begins with the key, for instance ``problem.forbidden: 4 is measured``.
+        """
+        return [f"problem.{sentence}" for sentence in self.feasible.broken(times)]
+
     @property
-    def _cost_of_each(self) -> tuple[int, ...] | None:
+    def _costs_of_times(self) -> tuple[int, ...] | None:
         if not isinstance(self.cost, dict):
             return self.cost
         costs: dict[int, int] = {}
         for key, cost in self.cost.items():
-            for time in _spelt(key, "problem.cost"):
+            for time in _times_in(key, "problem.cost"):
                 if time in costs or time > self.horizon:
-                    what = "twice" if time in costs else f"of a horizon of {self.horizon}"
+                    what = "twice" if time in costs else f"for a horizon of {self.horizon}"
                     raise MeasurementTimesError(
-                        f"problem.cost must name every time in 0..{self.horizon} once, "
-                        f"got {time} {what}"
+                        f"cost must name every time in 0..{self.horizon} once, got {time} {what}"
                     )
                 costs[time] = cost
         lacking = [time for time in range(self.horizon + 1) if time not in costs]
         if lacking:
             raise MeasurementTimesError(
-                f"problem.cost must name every time in 0..{self.horizon} once, "
-                f"got none for {lacking[0]}"
+                f"cost must name every time in 0..{self.horizon} once, got none for {lacking[0]}"
             )
         return tuple(costs[time] for time in range(self.horizon + 1))
 
 
-def _spelt(value: Any, key: str) -> range:
-    """Times that an integer or a range as '20-30' means."""
+def _times_in(value: Any, key: str) -> range:
+    """Give the times that an integer, or a range such as '20-30', stands for."""
     if isinstance(value, int) and not isinstance(value, bool):
         return range(value, value + 1)
     found = _RANGE.fullmatch(value) if isinstance(value, str) else None
@@ -113,5 +122,5 @@ def _spelt(value: Any, key: str) -> range:
     return range(first, last + 1)
 
 
-def _union(spelt: Iterable[int | str]) -> Times:
-    return tuple(sorted({time for entry in spelt for time in _spelt(entry, "problem")}))
+def _union(entries: Iterable[int | str]) -> Times:
+    return tuple(sorted({time for entry in entries for time in _times_in(entry, "problem")}))

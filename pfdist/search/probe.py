@@ -1,0 +1,164 @@
+"""A probe of an estimator: sets on which it is compared with the squared error.
+
+The sets are the regular times, a few random sets, and the leaders of the search. While a result is
+open, the number of draws is doubled for the worse half of the undecided sets.
+
+References
+----------
+Karnin, Koren, Somekh, "Almost optimal exploration in multi-armed bandits", ICML 2013 (sequential
+halving).
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+
+from pfdist.evaluation.estimate import Evaluation, ProbeEvaluation
+from pfdist.search.base import Candidate
+from pfdist.search.trust import judged
+from pfdist.times.feasible import Feasible
+
+PROBE_DRAWS = 500
+"""Number of draws of the first round."""
+
+_MOST_DRAWS = 8000
+_RANDOM_SETS = 3
+
+E = TypeVar("E", bound=Evaluation)
+
+
+@dataclass(frozen=True)
+class ProbeState:
+    """Progress of a probe.
+
+    Parameters
+    ----------
+    undecided : tuple of Candidate, optional
+        Sets of the next round. None before the first round.
+    draws : int
+        Number of draws of the next round.
+    failed : tuple of ProbeEvaluation
+        The two evaluations, by the estimator and by the squared error, of the set on which the
+        estimator failed; empty if it failed on none.
+    unknown : tuple of ProbeEvaluation
+        The two evaluations of the first set on which the estimator could not be tested.
+    """
+
+    undecided: tuple[Candidate, ...] | None = None
+    draws: int = PROBE_DRAWS
+    failed: tuple[ProbeEvaluation, ...] = ()
+    unknown: tuple[ProbeEvaluation, ...] = ()
+
+
+@dataclass(frozen=True)
+class Probe:
+    """Optimiser that compares an estimator with the squared error of the job's own filter.
+
+    Parameters
+    ----------
+    feasible : Feasible
+    sought : tuple of Candidate
+        The leaders of the search: sets, and prefixes with their ends.
+    dearer : float
+        Time of an evaluation by the squared error, divided by that of one by the estimator.
+    """
+
+    feasible: Feasible
+    sought: tuple[Candidate, ...] = ()
+    dearer: float = 1.0
+
+    @property
+    def generations(self) -> int:
+        """Number of rounds, if no set lies close to the limit."""
+        return 1
+
+    @property
+    def evaluations(self) -> float:
+        """Approximate work, in evaluations of whole sets by the estimator.
+
+        There is a leader for each number of measurements. A prefix takes half of the horizon on
+        average, and half of that is shared with other prefixes.
+        """
+        return (1 + _RANDOM_SETS + self.feasible.total / 4) * (1 + self.dearer)
+
+    def init(self) -> ProbeState:
+        """Give the state before the first round."""
+        return ProbeState()
+
+    def ask(self, state: ProbeState, rng: np.random.Generator) -> list[Candidate]:
+        """Give each undecided set twice: for the estimator, and for the squared error."""
+        probes = state.undecided
+        if probes is None:
+            others = (self.feasible.regular(), *self.feasible.random(_RANDOM_SETS, rng))
+            probes = tuple(dict.fromkeys((*map(Candidate, others), *self.sought)))
+        return [
+            probe._replace(draws=state.draws, squared=squared)
+            for probe in probes
+            for squared in (False, True)
+        ]
+
+    def tell(self, state: ProbeState, evaluations: Sequence[ProbeEvaluation]) -> ProbeState:
+        """Decide where the draws suffice, and continue with the worse half of the other sets."""
+        pairs = list(zip(evaluations[::2], evaluations[1::2], strict=True))
+        verdicts = [judged(*pair) for pair in pairs]
+        order = sorted(range(len(pairs)), key=lambda index: -verdicts[index].excess)
+        failed = [index for index in order if verdicts[index].fails]
+        if failed:  # report a whole set if there is any: readers understand it more easily
+            reported = min(failed, key=lambda index: pairs[index][0].end is not None)
+            return replace(state, undecided=(), failed=pairs[reported])
+        unknown = [pair for pair, verdict in zip(pairs, verdicts, strict=True) if not verdict.known]
+        undecided = [index for index in order if verdicts[index].open]
+        if 2 * state.draws > _MOST_DRAWS:
+            undecided = []
+        worse = undecided[: (len(order) + 1) // 2]
+        probes = (pairs[index][0] for index in worse)
+        return replace(
+            state,
+            undecided=tuple(Candidate(probe.measurement_times, probe.end) for probe in probes),
+            draws=2 * state.draws,
+            unknown=state.unknown or (unknown[0] if unknown else ()),
+        )
+
+    def done(self, state: ProbeState) -> bool:
+        """Whether the estimator has failed, or nothing is undecided."""
+        return state.undecided == ()
+
+    def finalists(self, state: ProbeState) -> tuple[ProbeEvaluation, ...]:
+        """Give both evaluations of the set on which the estimator failed or could not be tested."""
+        return state.failed or state.unknown
+
+
+def new_leaders(told: Iterable[E], before: Iterable[E]) -> list[E]:
+    """Give the evaluations of a generation that beat all former leaders of their kind.
+
+    Whole sets with the same number of measurements are one kind, and so are prefixes. Prefixes are
+    compared by their mean cost over the instants up to their ends.
+
+    Parameters
+    ----------
+    told : iterable of Evaluation
+        The evaluations of this generation.
+    before : iterable of Evaluation
+        The leaders of former generations.
+    """
+    best = {_kind(leader): leader for leader in before}
+    new: dict[tuple[int, bool], E] = {}
+    for evaluation in told:
+        kind = _kind(evaluation)
+        leader = new.get(kind, best.get(kind))
+        if math.isfinite(evaluation.cost) and (
+            leader is None or _mean_cost(evaluation) < _mean_cost(leader)
+        ):
+            new[kind] = evaluation
+    return list(new.values())
+
+
+def _kind(evaluation: Evaluation) -> tuple[int, bool]:
+    return len(evaluation.measurement_times), evaluation.end is None
+
+
+def _mean_cost(evaluation: Evaluation) -> float:
+    return evaluation.cost / (1 if evaluation.end is None else evaluation.end + 1)
