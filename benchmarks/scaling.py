@@ -2,8 +2,8 @@
 
 The time of the search starts at the last outcome of the first generation, in which workers start
 and compile. It ends at the last outcome of the last generation. So it includes commits, the work of
-the driver between generations, and waiting for the end of a generation. The time of the whole run ends at
-the last outcome of the comparison, during which the tables of the search are written.
+the driver between generations, and waiting for the end of a generation. The time of the whole run
+ends at the last outcome of the comparison, during which the tables of the search are written.
 """
 
 import tempfile
