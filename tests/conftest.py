@@ -89,7 +89,7 @@ def pytest_terminal_summary(
             for name, value in report.user_properties:
                 if name == "faults" and (outcome != "passed" or report.when == "call"):
                     said, _, count = value.rpartition(": ")
-                    promise = next((one for one in PROMISES if one.startswith(said)), said)
+                    promise = next((known for known in PROMISES if known.startswith(said)), said)
                     faults[promise] += int(count)
                     promises[_file(report.nodeid)].add(promise)
     in_doubt = {promise for test in broken for promise in promises[_file(test)]}

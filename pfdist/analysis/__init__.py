@@ -1,28 +1,28 @@
-"""What a run's tables say, as pandas DataFrames and figures with their intervals.
+"""A run's tables as pandas DataFrames, and figures with their intervals.
 
 Reads tables alone: no Ray, no model, no kernel.
 """
 
-from pfdist.analysis.budget import reaching
+from pfdist.analysis.budget_curve import reaching
 from pfdist.analysis.gains import (
     BIN,
     BLOCK,
     EDGES,
-    Comparison,
+    ComparisonStatistics,
     Gain,
     GainSummary,
     relative_gain,
     summarise_gain,
 )
-from pfdist.analysis.moments import Moments
 from pfdist.analysis.recorded import read_recorded
-from pfdist.analysis.tables import Run, finite, open_run
+from pfdist.analysis.stored_run import Run, finite, open_run
+from pfdist.analysis.streaming_moments import Moments
 
 __all__ = [
     "BIN",
     "BLOCK",
     "EDGES",
-    "Comparison",
+    "ComparisonStatistics",
     "Gain",
     "GainSummary",
     "Moments",

@@ -1,11 +1,16 @@
-"""Why the cost that a search believed of its set is not the cost on fresh draws."""
+"""The cost that a search believed of its set, and why the cost on fresh draws is another."""
 
 import math
 from collections.abc import Mapping
 from statistics import NormalDist
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.search.paired import CLEAR_ERRORS
+from pfdist.search.section import AUTO
+
+if TYPE_CHECKING:
+    from pfdist.analysis.stored_run import Run
 
 _ROUNDING = 1e-9
 _CHOSE = "its draws chose the set"
@@ -13,13 +18,79 @@ _UNDERESTIMATES = "the search's filter underestimates its error"
 _ERRS_MORE = "the search's filter errs more than the job's own"
 
 
+def belief_of(run: "Run", search: str, result: Mapping[str, Any]) -> dict[str, Any]:
+    """How far the believed cost of a set is from the cost on fresh draws, and why.
+
+    Parameters
+    ----------
+    run : Run
+    search : str
+        The search that found the set.
+    result : mapping
+        With search_cost, search_standard_error, expected_mse and standard_error.
+
+    Returns
+    -------
+    dict
+        The four search_ fields of `pfdist.analysis.Run.summary`.
+    """
+    mse = result["expected_mse"]
+    comparable = mse != 0.0 and math.isfinite(mse)
+    own, count = run.own_estimation(search), _evaluations_of(run, search)
+    return {
+        "search_excess": result["search_cost"] / mse - 1.0 if comparable else math.nan,
+        "search_estimation": own,
+        "search_cause": cause_of_excess(result, own, str(run.path), count),
+        "search_distrust": run.distrust(search),
+    }
+
+
+def own_estimation(
+    about: Mapping[str, Any], job: Mapping[str, Any], search: str, *, redone: bool
+) -> dict[str, Any]:
+    """How a search estimates otherwise than the comparison.
+
+    Parameters
+    ----------
+    about : mapping
+        The run.json of the run.
+    job : mapping
+        The resolved job of the run.
+    search : str
+    redone : bool
+        Whether the search was run again by the squared error.
+
+    Returns
+    -------
+    dict
+        particles, resampling and estimator, where they differ from the comparison's.
+    """
+    compared = {**job["filter"], "estimator": SQUARED_ERROR.name}
+    if "estimations" in about:
+        own = about["estimations"].get(search, {})
+    else:  # an older run
+        given = {section["name"]: section.get("evaluation", {}) for section in job["search"]}
+        own = {key: value for key, value in given[search].items() if value != AUTO}
+    if redone:
+        own = {"resampling": own.get("resampling", compared["resampling"])}
+    return {key: value for key, value in own.items() if key in compared and value != compared[key]}
+
+
+def _evaluations_of(run: "Run", search: str) -> int:
+    """Number of sets that a search evaluated, in all its phases."""
+    if not run.has("evaluations"):
+        return 1
+    searches = run.evaluations()["phase"].astype(str).str.partition(".")[0]
+    return max(1, int((searches == search).sum()))
+
+
 def cause_of_excess(
     result: Mapping[str, Any], own: Mapping[str, Any], run: str, evaluations: int = 1
 ) -> str:
-    """Say why a search's cost is not the fresh one.
+    """The reason why a search's cost differs from the cost on fresh draws.
 
-    A search takes the set that its draws flatter: its cost is the smallest of many. Up to what the
-    smallest of so many normal variates may lie below their mean, the draws explain a difference.
+    A search chooses the set with the smallest of many estimates, so the estimate is too low. The
+    draws explain a difference up to the likely minimum of as many normal variates.
 
     Parameters
     ----------
@@ -30,26 +101,26 @@ def cause_of_excess(
     run : str
         The run's folder.
     evaluations : int
-        How many evaluations the search chose from.
+        Number of evaluations from which the search chose.
     """
     apart = result["search_cost"] - result["expected_mse"]
     error = math.hypot(result["search_standard_error"], result["standard_error"])
     limit = largest_of(evaluations) if apart < 0 and not _is_biased(own) else CLEAR_ERRORS
-    rounding = _ROUNDING * abs(result["expected_mse"])  # of costs that are both exact
+    rounding = _ROUNDING * abs(result["expected_mse"])  # matters where both costs are exact
     if not abs(apart) > limit * error + rounding:
         return _CHOSE
     if apart > 0 and own:
         return _ERRS_MORE
     if _is_biased(own):
         return _UNDERESTIMATES
-    by = f"{abs(apart) / error:.1f} standard errors" if error else "both are exact"
-    return f"unexplained: {by}; `pfdist verify {run}` checks the files"
+    size = f"{abs(apart) / error:.1f} standard errors" if error else "both are exact"
+    return f"unexplained: {size}; `pfdist verify {run}` checks the files"
 
 
 def largest_of(count: int) -> float:
-    """Give what the largest of some standard normal variates stays below.
+    """A bound that the largest of some standard normal variates rarely exceeds.
 
-    It exceeds this no more often than a single variate exceeds `CLEAR_ERRORS`, by Boole's
+    The largest exceeds it at most as often as a single variate exceeds `CLEAR_ERRORS`, by Boole's
     inequality.
 
     Examples
@@ -62,4 +133,4 @@ def largest_of(count: int) -> float:
 
 
 def _is_biased(own: Mapping[str, Any]) -> bool:
-    return bool(own.get("estimator", "squared_error") != "squared_error")
+    return bool(own.get("estimator", SQUARED_ERROR.name) != SQUARED_ERROR.name)

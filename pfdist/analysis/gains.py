@@ -1,7 +1,7 @@
-"""Gains over the reference, draw by draw and of the means (paper, section 3).
+"""Gains over the reference: the gain of each draw, and the gain of the means (paper, section 3).
 
 Statistics are accumulated block by block, so that memory does not grow with the draws: moments,
-and a histogram of fixed bins, from which the quantiles are.
+and a histogram with fixed bins, which gives the quantiles.
 
 References
 ----------
@@ -15,29 +15,36 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from pfdist.analysis.moments import CONFIDENCE, UNKNOWN, Array, Interval, Moments, Pairs
+from pfdist.analysis.streaming_moments import (
+    CONFIDENCE,
+    UNKNOWN,
+    Array,
+    Interval,
+    Moments,
+    Pairs,
+)
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 BIN = 0.001
-_MUCH = 0.05  # by which two gains differ, where that wants a word
+_MUCH = 0.05  # two gains that differ by more need an explanation
 BLOCK = 10_000
-"""Draws that are added at a time, everywhere: another block would give other last digits."""
+"""Draws that are added at a time, everywhere: other blocks would give other last digits."""
 
 EDGES = np.arange(-10_000, 1001) * BIN
-"""Of the histogram's bins. A relative gain is at most 1, unless a model's own error is negative;
-what lies below -10 or above 1 is counted apart."""
+"""Edges of the histogram's bins. A relative gain is at most 1, unless a model's own error is
+negative. Gains below -10 or above 1 are counted separately."""
 
 
 @dataclass(frozen=True)
 class GainSummary:
-    """Gain of a set of times over the reference, over draws degenerate with neither.
+    """Gain of a set of times over the reference, on the draws that are degenerate with neither.
 
     Parameters
     ----------
     draws : int
-        Draws that count.
+        Number of these draws.
     mean_relative_gain : float
-        Mean of 1 - mse / mse_reference, the paper's figure. Noise of the filters biases it low.
+        Mean of 1 - mse / mse_reference, the paper's figure. Filter noise biases it low.
     mean_relative_gain_interval : (float, float)
         95 %, Student's t.
     positive_fraction : float
@@ -45,17 +52,16 @@ class GainSummary:
     positive_fraction_interval : (float, float)
         95 %, Wilson's.
     gain_of_means : float
-        1 - E[mse] / E[mse_reference], without that bias.
+        1 - E[mse] / E[mse_reference], without this bias.
     gain_of_means_interval : (float, float)
-        95 %, Fieller's: both means are of the same draws.
+        95 %, Fieller's: both means come from the same draws.
     mean_log10_ratio : float
-        Mean of log10(mse / mse_reference): unlike a relative gain it only changes sign where the
-        two change places, and half the error weighs as much as twice. NaN where an error is
-        negative, as a model's own may be.
+        Mean of log10(mse / mse_reference). Unlike a relative gain it is symmetric: exchanging the
+        two sets changes only its sign. NaN if an error is negative, which a model may define.
     mean_log10_ratio_interval : (float, float)
         95 %, Student's t.
     quantiles : dict of float to float
-        Of the relative gain, to 0.001; -inf below -10, inf above 1.
+        Quantiles of the relative gain, to 0.001; -inf below -10, inf above 1.
     """
 
     draws: int
@@ -71,9 +77,10 @@ class GainSummary:
 
     @property
     def disagree(self) -> bool:
-        """Whether the mean relative gain and the gain of means tell different stories.
+        """Whether the mean relative gain and the gain of means disagree.
 
-        Their intervals lie apart, and the two differ in sign or by more than 5 percentage points.
+        They disagree if their intervals do not overlap, and if they differ in sign or by more than
+        5 percentage points.
         """
         relative, means = self.mean_relative_gain_interval, self.gain_of_means_interval
         if not all(map(math.isfinite, (*relative, *means))):
@@ -84,22 +91,22 @@ class GainSummary:
 
 
 def relative_gain(mse: Array, reference: Array) -> Array:
-    """Relative gain of each draw, 1 - mse / reference; NaN where either is degenerate."""
+    """Relative gain of each draw, 1 - mse / reference; NaN if a filter is degenerate."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         return 1.0 - mse / reference
 
 
 def gain_over_itself(mse: Array, again: Array) -> Moments:
-    """Accumulate the relative gain of a set over itself, filtered under other noise.
+    """Moments of the relative gain of a set over itself under other filter noise.
 
-    Its mean is what the filters' noise alone does to a mean relative gain. As either may stand in
-    the other's place, the mean of both gains is taken, -(mse - again)^2 / (2 mse again): its
-    expectation is that of one, and its error far smaller.
+    The mean is the effect of filter noise alone on a mean relative gain. The two filters are
+    exchangeable, so both gains are averaged: -(mse - again)^2 / (2 mse again). The average has the
+    expectation of each gain and a far smaller error.
 
     Parameters
     ----------
     mse, again : array of float64, (D,)
-        Per-draw MSE on the same draws; NaN for a degenerate draw.
+        Per-draw MSE on the same draws; NaN marks a degenerate draw.
     """
     both, moments = (relative_gain(mse, again) + relative_gain(again, mse)) / 2, Moments()
     moments.add(both[~np.isnan(both)])
@@ -108,14 +115,30 @@ def gain_over_itself(mse: Array, again: Array) -> Moments:
 
 @dataclass
 class Gain:
-    """The gain of one set of times over the reference, as far as it was added."""
+    """The gain of one set of times over the reference, on the draws added so far.
+
+    Parameters
+    ----------
+    relative : Moments
+        Moments of the relative gain.
+    log10_ratio : Moments
+        Moments of log10(mse / mse_reference).
+    errors : Pairs
+        Moments of the pairs of mse and mse_reference.
+    positive : int
+        Number of draws with a positive relative gain.
+    below, above : int
+        Number of draws with a relative gain below and above the histogram.
+    counts : array of int64
+        Number of draws in each bin of the histogram.
+    """
 
     relative: Moments = field(default_factory=Moments)
     log10_ratio: Moments = field(default_factory=Moments)
-    errors: Pairs = field(default_factory=Pairs)  # mse and reference
+    errors: Pairs = field(default_factory=Pairs)
     positive: int = 0
     below: int = 0
-    above: int = 0  # 1, where a model's own error may be negative
+    above: int = 0
     counts: NDArray[np.int64] = field(default_factory=lambda: np.zeros(EDGES.size - 1, np.int64))
 
     def add(self, mse: Array, reference: Array) -> None:
@@ -124,10 +147,10 @@ class Gain:
         Parameters
         ----------
         mse, reference : array of float64, (D,)
-            Per-draw MSE on the same draws; NaN for a degenerate draw.
+            Per-draw MSE on the same draws; NaN marks a degenerate draw.
         """
         gain = relative_gain(mse, reference)
-        usable = ~np.isnan(gain)  # degenerate with either set; or both errors 0, or both infinite
+        usable = ~np.isnan(gain)  # NaN: a degenerate draw, both errors 0, or both infinite
         gain = gain[usable]
         self.relative.add(gain)
         self.errors.add(mse[usable], reference[usable])
@@ -140,7 +163,7 @@ class Gain:
 
     @property
     def interval(self) -> Interval:
-        """Of the mean relative gain."""
+        """95 % interval of the mean relative gain."""
         return self.relative.interval
 
     @property
@@ -151,12 +174,12 @@ class Gain:
 
     @property
     def of_means_interval(self) -> Interval:
-        """Of the gain of means: 95 %, Fieller's."""
+        """95 % interval of the gain of means, Fieller's."""
         low, high = self.errors.ratio_interval
         return (1.0 - high, 1.0 - low)
 
     def quantile(self, share: float) -> float:
-        """Gain below which a share of the draws lies: `numpy.quantile`, but for a bin's width."""
+        """Quantile of the relative gain, as `numpy.quantile` gives it up to the width of a bin."""
         rank = share * (self.relative.count - 1)
         low, high = self._sorted(math.floor(rank)), self._sorted(math.ceil(rank))
         if low == high or math.isinf(low):
@@ -164,7 +187,7 @@ class Gain:
         return low + (high - low) * (rank - math.floor(rank))
 
     def _sorted(self, place: int) -> float:
-        """The gain at a place in their order, as if a bin's lay evenly in it."""
+        """The gain at a place in ascending order, if gains lie evenly within each bin."""
         if place < self.below:
             return -math.inf
         if place >= self.relative.count - self.above:
@@ -175,7 +198,7 @@ class Gain:
         return float(EDGES[number] + BIN * inside)
 
     def summary(self) -> GainSummary:
-        """Summarise what was added; NaN where there are too few draws for a figure."""
+        """Summary of all added draws; NaN for a figure that needs more draws."""
         count = self.relative.count
         if not count:
             nothing = (math.nan, UNKNOWN)
@@ -196,27 +219,37 @@ class Gain:
         )
 
 
-@dataclass
-class Comparison:
-    """What is known of all sets that are compared.
+class ComparisonStatistics:
+    """Statistics of all compared sets, on the draws added so far.
 
     Parameters
     ----------
     names : list of str
-        The reference first.
+        Names of the sets, the reference first.
+
+    Attributes
+    ----------
+    draws : int
+        Number of added draws.
+    mse : dict of str to Moments
+        Moments of each set's MSE.
+    gains : dict of str to Gain
+        Gain of each set but the reference.
     """
 
-    names: list[str]
-    draws: int = 0
-    mse: dict[str, Moments] = field(init=False)
-    gains: dict[str, Gain] = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.mse = {name: Moments() for name in self.names}
-        self.gains = {name: Gain() for name in self.names[1:]}
+    def __init__(self, names: list[str]) -> None:
+        self.names, self.draws = names, 0
+        self.mse = {name: Moments() for name in names}
+        self.gains = {name: Gain() for name in names[1:]}
 
     def add(self, block: Array) -> None:
-        """Add a block of draws, (D, S): per-draw MSE, NaN for a degenerate one."""
+        """Add a block of draws.
+
+        Parameters
+        ----------
+        block : array of float64, (D, S)
+            Per-draw MSE of each set; NaN marks a degenerate draw.
+        """
         self.draws += len(block)
         for name, column in zip(self.names, block.T, strict=True):
             self.mse[name].add(column[~np.isnan(column)])
@@ -224,18 +257,18 @@ class Comparison:
             self.gains[name].add(column, block[:, 0])
 
     def half_width(self) -> float:
-        """Largest half width of the intervals of the mean relative gains."""
+        """Half width of the widest interval of a mean relative gain."""
         widths = [(high - low) / 2 for low, high in (gain.interval for gain in self.gains.values())]
         return math.inf if any(map(math.isnan, widths)) else max(widths)
 
 
 def summarise_gain(mse: Array, reference: Array) -> GainSummary:
-    """Summarise the gain over all draws that have one.
+    """Summary of the gain, on the draws that are degenerate with neither set.
 
     Parameters
     ----------
     mse, reference : array of float64, (D,)
-        Per-draw MSE on the same draws; NaN for a degenerate draw.
+        Per-draw MSE on the same draws; NaN marks a degenerate draw.
     """
     gain = Gain()
     gain.add(mse, reference)

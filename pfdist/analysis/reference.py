@@ -1,4 +1,4 @@
-"""What the reference of a run is, in words."""
+"""The reference of a run in words."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -8,16 +8,16 @@ from pfdist.times.measurement_times import REGULAR, Times
 
 
 def described(job: Mapping[str, Any], name: str, times: Times) -> dict[str, Any]:
-    """Say what the reference of a run is, and which constraints of the job it breaks.
+    """A description of a run's reference, and the constraints of the job that it breaks.
 
     Parameters
     ----------
     job : mapping
         The run's resolved job.
     name : str
-        The reference's.
+        Name of the reference.
     times : tuple of int
-        The reference.
+        Measurement times of the reference.
 
     Returns
     -------
@@ -43,5 +43,5 @@ def described(job: Mapping[str, Any], name: str, times: Times) -> dict[str, Any]
 
 
 def label(name: str) -> str:
-    """Give what a figure or a summary calls the reference of this name."""
+    """The reference of this name as figures and summaries call it."""
     return "regular times" if name == REGULAR else f"the {name}"

@@ -1,4 +1,4 @@
-"""What a user calls, from Python and from the command line: run, plan, budget, evaluate, why.
+"""Functions for users, from Python and from the command line: run, plan, budget, evaluate, why.
 
-Each function takes a job, gives an object with results, and prints nothing.
+Each function takes a job or a run, returns an object with results, and prints nothing.
 """

@@ -1,4 +1,4 @@
-"""Say how the expected MSE falls with the number of measurements, and how many are enough."""
+"""The budget curve: the expected MSE against the measurement budget N, and which N is enough."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,53 +25,54 @@ def budget(
 ) -> Run:
     """Find times for every number of measurements, and compare them with regular times.
 
-    One survivor programme finds the times of all numbers; all of them, and the regular times of
-    each, then filter the same fresh draws.
+    One survivor programme finds the times for all numbers. The found times and the regular times
+    of each number then filter the same fresh draws.
 
     Parameters
     ----------
     job : Job, str or Path
-        A job, or the path of its file. Its searches and its measurement budget are left aside.
+        A job, or the path of a job file. The searches and the measurement budget of the job are
+        left aside.
     measurements : (int, int)
         Least and largest number of measurements.
     results : str or Path, optional
         The run's own folder; by default ``results/<the job file's stem>-budget``.
     draws : int
-        On which they are compared; more of them go on with a run.
+        Draws of the comparison. A larger number resumes a run with more draws.
     target : float, optional
-        An expected MSE: another figure, ``budget-target-<target>``, shows it and the least number
-        that reaches it, as `Run.reaching` gives it.
+        An expected MSE. A second figure, ``budget-target-<target>``, shows the target and the
+        least number of measurements that reaches it, as `Run.reaching` gives it.
     changes : sequence of str, optional
-        ``key=value`` each, as `pfdist.load_job` takes them.
+        Changes ``key=value``, as `pfdist.load_job` takes them.
     options : object
-        By name, as `pfdist.run` takes them.
+        Further arguments of `pfdist.run`, by name.
 
     Returns
     -------
     Run
-        Its `Run.budget` has a row for each number and kind of times.
+        `Run.budget` has a row for each number of measurements and each kind of times.
 
     Raises
     ------
     PfdistError
-        As `pfdist.run`.
+        As `pfdist.run` raises.
     """
     if draws < 2:
         raise JobError(f"draws must be at least 2, got {draws}", argument="draws")
     least, most = measurements
     asked = {"budget": {"least": least, "most": most}, "comparison": {"draws": draws}}
     search = [{"method": DEFAULT_METHOD, "polish": False}]
-    job = as_job(job, changes, {"search": search, **asked})
-    if job.with_changes((), asked) != job:
+    job = as_job(job, changes, sections={"search": search, **asked})
+    if job.with_changes(sections=asked) != job:
         raise JobError(
             "changes of a budget must leave [budget] and [comparison] as measurements and draws "
             f"say, got {' '.join(changes)}",
             argument="set",
         )
-    # Whatever one number it is that the job is for, the run is the same.
-    job = job.with_changes([f"problem.measurement_budget={most}"])
+    # The run must not depend on the measurement budget that the job file names.
+    job = job.with_changes(settings={"problem": {"measurement_budget": most}})
     results = Path("results") / f"{job.path.stem}-budget" if results is None else results
-    done = run(job, results, **options)
+    finished = run(job, results, **options)
     if target is not None:
-        draw_target(done, target)
-    return done
+        draw_target(finished, target)
+    return finished

@@ -1,16 +1,16 @@
-"""Evaluate one set of measurement times in process."""
+"""The expected MSE of one set of measurement times, computed in this process."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from pfdist.errors import MeasurementTimesError, shown
+from pfdist.errors import MeasurementTimesError
 from pfdist.evaluation.estimate import Purpose, ReportEvaluation
 from pfdist.evaluation.problem import Problem
-from pfdist.evaluation.work import Work, cut
+from pfdist.evaluation.work import Work
 from pfdist.job.job import Job, as_job
 from pfdist.runner.build import build
 from pfdist.runner.pace import MOST_SECONDS
@@ -32,23 +32,23 @@ def evaluate(
     Parameters
     ----------
     job : Job, str or Path
-        A job, or the path of its file.
+        A job, or the path of a job file.
     measurement_times : iterable of int
-        In 0..T, as many as you like. They may break the job's constraints:
-        ``load_job(path).problem.broken(times)`` says which.
+        Any number of times in 0..T. They may break the job's constraints:
+        ``load_job(path).problem.broken(times)`` lists the broken ones.
     draws, particles, seed : int, optional
-        In the place of the job's evaluation.draws, filter.particles and seed.
+        Replace the job's evaluation.draws, filter.particles and seed.
 
     Returns
     -------
     ReportEvaluation
-        With ``expected_mse``, ``standard_error``, ``draws``, ``degenerate_draws`` and ``mse``, the
-        per-draw values.
+        ``expected_mse``, ``standard_error``, ``draws``, ``degenerate_draws`` and the per-draw
+        values ``mse``.
 
     Raises
     ------
     JobError, ModelError, MeasurementTimesError
-        What was asked for is impossible.
+        The job, the model or the times are not possible.
     """
     return prepare(job, measurement_times, draws, particles, seed)()
 
@@ -60,14 +60,11 @@ def prepare(
     particles: int | None = None,
     seed: int | None = None,
 ) -> Callable[[], ReportEvaluation]:
-    """Give a function that evaluates: `evaluate`, with all that must be compiled done before."""
-    given = {"evaluation.draws": draws, "filter.particles": particles, "seed": seed}
-    changes = [
-        f"{key}={shown(value) if isinstance(value, int) else value}"
-        for key, value in given.items()
-        if value is not None
-    ]
-    job = as_job(job, changes)
+    """Compile what `evaluate` needs, and return a function that evaluates without delay."""
+    settings: dict[str, Any] = {} if seed is None else {"seed": seed}
+    settings |= {} if draws is None else {"evaluation": {"draws": draws}}
+    settings |= {} if particles is None else {"filter": {"particles": particles}}
+    job = as_job(job, settings=settings)
     try:
         times = validated(measurement_times, job.problem.horizon)
     except MeasurementTimesError as error:
@@ -78,11 +75,16 @@ def prepare(
     problem, policy = build(job).source.compiled(), job.evaluation.degenerate_draws
     if problem.exact:
         return partial(_exact, problem, times, policy)
-    settings = Settings.of(job)
-    whole = Work(
-        (times,), (problem.horizon,), (stream,), stream, (0, settings.draws), settings.estimation
+    evaluation = Settings.of(job)
+    work = Work(
+        measurement_times=(times,),
+        ends=(problem.horizon,),
+        filter_streams=(stream,),
+        draws_stream=stream,
+        draws=(0, evaluation.draws),
+        estimation=evaluation.estimation,
     )
-    return partial(_estimated, problem, whole, policy)
+    return partial(_estimated, problem, work, policy)
 
 
 def _exact(problem: Problem, times: Times, policy: str) -> ReportEvaluation:
@@ -90,9 +92,6 @@ def _exact(problem: Problem, times: Times, policy: str) -> ReportEvaluation:
     return EVALUATE.evaluation(times, np.empty(0), policy, exact)
 
 
-def _estimated(problem: Problem, whole: Work, policy: str) -> ReportEvaluation:
-    block = max(1, int(MOST_SECONDS / problem.seconds_a_step / whole.steps_a_draw))
-    pieces = [
-        problem(replace(whole, draws=piece)).mse[:, 0] for piece in cut(range(*whole.draws), block)
-    ]
-    return EVALUATE.evaluation(whole.measurement_times[0], np.concatenate(pieces), policy)
+def _estimated(problem: Problem, work: Work, policy: str) -> ReportEvaluation:
+    mse = [problem.filtered(piece).mse[:, 0] for piece in problem.pieces(work, MOST_SECONDS)]
+    return EVALUATE.evaluation(work.measurement_times[0], np.concatenate(mse), policy)

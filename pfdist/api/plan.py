@@ -1,4 +1,4 @@
-"""Find measurement times and prove them, without a word about how."""
+"""Find measurement times and prove them, with one search that needs no settings."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -17,22 +17,22 @@ def plan(
     changes: Iterable[str] = (),
     **options: Any,
 ) -> Run:
-    """Search, decide on fresh draws between what was found, and compare it with regular times.
+    """Find times with one search, and compare them with regular times on fresh draws.
 
     Parameters
     ----------
     job : Job, str or Path
-        A job, or the path of its file. Its searches, if it names any, are left aside.
+        A job, or the path of a job file. Searches that the job names are left aside.
     results : str or Path, optional
-        The run's own folder; by default ``results/<the job file's stem>``, with ``-plan`` behind it
-        if the job names searches, whose run that one is.
+        The run's own folder; by default ``results/<the job file's stem>``. If the job names
+        searches, that folder belongs to their run, and the default is ``results/<stem>-plan``.
     search : str
-        Method of the search, which has its defaults.
+        Method of the search, with its default settings.
     changes : iterable of str, optional
-        ``key=value`` each, as `pfdist.load_job` takes them; the search goes by its method:
-        ``search.survivors.survivors=4``.
+        Changes ``key=value``, as `pfdist.load_job` takes them. The name of the search is its
+        method, as in ``search.survivors.survivors=4``.
     options : object
-        By name, as `pfdist.run` takes them.
+        Further arguments of `pfdist.run`, by name.
 
     Returns
     -------
@@ -41,9 +41,9 @@ def plan(
     Raises
     ------
     PfdistError
-        As `pfdist.run`.
+        As `pfdist.run` raises.
     """
-    job = as_job(job, changes, {"search": [{"method": search}]})
+    job = as_job(job, changes, sections={"search": [{"method": search}]})
     if results is None:
         suffix = "-plan" if job.names_its_searches else ""
         results = Path("results") / f"{job.path.stem}{suffix}"

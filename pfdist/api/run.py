@@ -1,4 +1,4 @@
-"""Run a job: compute what its run lacks, then draw the figures."""
+"""Run a job: compute what the run lacks, then draw the figures."""
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -6,10 +6,10 @@ from time import perf_counter
 from typing import Any
 
 from pfdist.analysis import Run, open_run
-from pfdist.errors import JobError
 from pfdist.job.job import Job, as_job
 from pfdist.plots import draw_figures, figure_files, remove_figures
-from pfdist.runner.build import build, make_pool
+from pfdist.pools.kinds import POOLS
+from pfdist.runner.build import Built, build, check_pool, make_pool
 from pfdist.runner.driver import FORKED, drive
 from pfdist.runner.identity import opened
 from pfdist.runner.named_by_a_run import files_named
@@ -30,30 +30,30 @@ def run(
     report: Report = lambda progress: None,
     say: Callable[[str], Any] = lambda line: None,
 ) -> Run:
-    """Run a job, or go on with its run where it stopped.
+    """Run a job, or resume its run where it stopped.
 
     Parameters
     ----------
     job : Job, str or Path
-        A job, or the path of its file.
+        A job, or the path of a job file.
     results : str or Path, optional
         The run's own folder; by default ``results/<the job file's stem>``.
-    pool : {"ray", "serial"}, optional
-        In the place of the job's execution.pool.
+    pool : str, optional
+        Name of a pool, such as "ray" or "serial". Replaces the job's execution.pool.
     workers : int, optional
-        In the place of the job's execution.workers; 0 takes all cores.
+        Replaces the job's execution.workers; 0 takes all cores.
     address : str, optional
-        Of a Ray cluster to join.
+        Address of a Ray cluster to join.
     fork : str or Path, optional
-        The folder of a new run, of a job that differs from that of `results`: evaluations of which
-        nothing differs are taken from there.
+        Folder of a new run, whose job differs from the job of `results`. The new run takes every
+        evaluation from `results` that is the same in both.
     changes : iterable of str, optional
-        ``key=value`` each, as `pfdist.load_job` takes them.
+        Changes ``key=value``, as `pfdist.load_job` takes them.
     report : callable, optional
-        Is told of the progress, a `pfdist.runner.progress.Progress` at a time.
+        Receives the progress, each time as a `pfdist.runner.progress.Progress`.
     say : callable, optional
-        Is told, in a line each, which model files are run, when the pool is ready, which files
-        were damaged, and why a search does not believe its estimator.
+        Receives lines: which model files are run, when the pool is ready, which files were
+        damaged, and why a search does not trust its estimator.
 
     Returns
     -------
@@ -62,39 +62,38 @@ def run(
     Raises
     ------
     PfdistError
-        Whatever went wrong; what was committed is kept, and the same call goes on from there.
+        Anything went wrong. All committed results are kept, and the same call resumes the run.
     """
     execution = {"pool": pool, "workers": workers, "address": address}
-    chosen = [f"execution.{k}={v}" for k, v in execution.items() if v is not None]
-    job = as_job(job, [*changes, *chosen])
-    if job.execution.pool == "serial" and (job.execution.workers > 1 or job.execution.address):
-        raise JobError(
-            "execution.pool = 'serial' is one worker in this process, got workers = "
-            f"{job.execution.workers}, address = {job.execution.address!r}; pool 'ray' takes both"
-        )
+    given = {key: value for key, value in execution.items() if value is not None}
+    job = as_job(job, changes, settings={"execution": given} if given else {})
+    check_pool(job.execution)
     path = Path("results") / job.path.stem if results is None else Path(results)
     origin, path = (None, path) if fork is None else (Store(path), Path(fork))
     if origin is not None:
-        open_run(origin.path)  # or there is nothing to start from
+        open_run(origin.path)  # without a run there is nothing to start from
     for file in files_named(job):
         say(f"runs the model file {file}, which your job names")
     built = build(job)
     with opened(path, built, say) as store:
         if open_run(path).state != "finished":
-            remove_figures(path)  # of fewer draws, or drawn on the way
+            remove_figures(path)  # they show fewer draws
             if origin is not None:
                 store.adopt(origin, FORKED)
-            note_processor(path, built, say)
-            start = perf_counter()
-            with make_pool(built, job.execution) as entered:
-                say(_ready(job.execution.pool, entered.workers, perf_counter() - start))
-                drive(built, store, entered, report, say)
-        done = open_run(path)
-        if not all(file.exists() for file in figure_files(done)):
-            draw_figures(done)
-    return done
+            _compute(built, store, report, say)
+        finished = open_run(path)
+        if not all(file.exists() for file in figure_files(finished)):
+            draw_figures(finished)
+    return finished
 
 
-def _ready(pool: str, workers: int, seconds: float) -> str:
-    name = "Ray is" if pool == "ray" else "Serial pool is"
-    return f"{name} ready: {workers} worker{'s' * (workers != 1)} in {seconds:.1f} s"
+def _compute(built: Built, store: Store, report: Report, say: Callable[[str], Any]) -> None:
+    """Compute what the run lacks, in the pool of the job."""
+    execution = built.job.execution
+    note_processor(store.path, built, say)
+    start = perf_counter()
+    with make_pool(built, execution) as pool:
+        seconds = perf_counter() - start
+        workers = f"{pool.workers} worker{'s' * (pool.workers != 1)}"
+        say(f"{POOLS[execution.pool].title} is ready: {workers} in {seconds:.1f} s")
+        drive(built, store, pool, report, say)

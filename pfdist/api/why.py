@@ -1,11 +1,10 @@
-"""Why a run's times are what they are: the error over time, and what each measurement is worth.
+"""The error over time of a run's sets, and the worth of each of their measurements.
 
-Computed anew, on draws of its own: neither those that chose the times nor those that compared them.
+Everything is computed on new draws, which neither chose the times nor compared them.
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,45 +16,46 @@ from pfdist.analysis import Moments, Run, finite, open_run, read_recorded
 from pfdist.errors import JobError, RunMismatchError, StoreError, shown
 from pfdist.evaluation.estimate import Purpose, ReportEvaluation
 from pfdist.evaluation.problem import Problem
-from pfdist.evaluation.work import Work, cut
+from pfdist.evaluation.work import Work
 from pfdist.job.job import load_job
 from pfdist.plots import draw_why
 from pfdist.runner.build import Built, build
 from pfdist.runner.identity import changed_meanings
 from pfdist.runner.named_by_a_run import NamedByRun
 from pfdist.runner.pace import MOST_SECONDS
-from pfdist.runner.progress import Progress, Report
+from pfdist.runner.progress import Report, Reporter
 from pfdist.times.feasible import Feasible
-from pfdist.times.measurement_times import Times
+from pfdist.times.measurement_times import Times, validated
 
 WHY = Purpose("why", ReportEvaluation)
 DRAWS = 2000
-MOST_DRAWS = 100_000_000  # as of a comparison
+MOST_DRAWS = 100_000_000  # as many as a comparison may have
 CHANGES = ("removed", "earlier", "later")
 _COLUMNS = [f"{change}{part}" for change in CHANGES for part in ("", "_error")]
 
 
 @dataclass(frozen=True)
 class Why:
-    """What `why` has found.
+    """Result of `why`.
 
     Parameters
     ----------
     run : Path
     draws : int
-        0 where everything is known without draws.
+        0 if the engine is exact and needs no draws.
     sets : DataFrame
-        A row a set: name, measurement_times, expected_mse, standard_error, degenerate_draws.
+        A row for each set: name, measurement_times, expected_mse, standard_error and
+        degenerate_draws.
     profile : DataFrame
-        A row a set and instant: name, t, measured, error (its expectation) and standard_error. The
-        mean of a set's errors is its expected MSE.
+        A row for each set and instant: name, t, measured, error (the expected error at t) and
+        standard_error. The mean of a set's errors is the expected MSE of the set.
     measurements : DataFrame
-        A row a set and measurement: name, t, and by how much the expected MSE grows where it is
-        removed, made one instant earlier or later: removed, earlier, later (NaN where another
-        measurement is there, or no instant that the job allows), and removed_error and so on, their
-        standard errors.
+        A row for each set and measurement: name, t, and the rise of the expected MSE if the
+        measurement is removed, or made one instant earlier or later: removed, earlier, later. NaN
+        if another measurement is made at that instant, or if the job does not allow the instant.
+        The standard errors are removed_error, earlier_error and later_error.
     figures : list of Path
-        One for each search.
+        A figure for each search.
     """
 
     run: Path
@@ -66,12 +66,12 @@ class Why:
     figures: list[Path]
 
     def as_json(self) -> dict[str, Any]:
-        """All of it as JSON values; what is unknown is None."""
+        """The whole result as JSON values; an unknown value is None."""
         sets = {}
+        frames = {"profile": self.profile, "measurements": self.measurements}
         for row in self.sets.to_dict("records"):
             name = row.pop("name")
-            its = {"profile": self.profile, "measurements": self.measurements}
-            parts = {key: frame[frame["name"] == name] for key, frame in its.items()}
+            parts = {key: frame[frame["name"] == name] for key, frame in frames.items()}
             parts = {key: frame.drop(columns="name") for key, frame in parts.items()}
             sets[str(name)] = row | {key: frame.to_dict("records") for key, frame in parts.items()}
         found = {"run": str(self.run), "draws": self.draws, "sets": sets}
@@ -88,25 +88,25 @@ def why(
     report: Report = lambda progress: None,
     say: Callable[[str], Any] = lambda line: None,
 ) -> Why:
-    """Find how the error goes over time, and what each measurement of a finished run is worth.
+    """Compute the error over time, and the worth of each measurement of a finished run.
 
-    It runs the model, and draws the figures ``why-<search>`` into the run's. A model's file that
-    the run's folder names is compared first, and not run unless it is the file that the run was
-    made with and the user has run it on this machine before.
+    The function runs the model, and draws the figures ``why-<search>`` into the run's folder. It
+    runs a model file that the run's folder names only if the file is unchanged since the run, and
+    if the user has run the file on this machine before.
 
     Parameters
     ----------
     run : str or Path
-        A finished run's folder.
+        Folder of a finished run.
     draws : int
-        On which all is computed, in this process; memory does not grow with them.
+        Number of draws, computed in this process; memory does not grow with them.
     model, filter_model : str, optional
-        ``path/file.py:object`` in the place of the file that the run names for the model, or for
-        the filter's: what the user names is run, and must mean the same as the run's.
+        ``path/file.py:object``: replaces the file that the run names for the model or for the
+        filter's model. It is run without question, and must mean the same as the run's model.
     report : callable, optional
-        Is told of the progress.
+        Receives the progress.
     say : callable, optional
-        Is told, in a line each, which files are run as the model, before they are.
+        Receives a line for each model file before the file is run.
 
     Returns
     -------
@@ -115,8 +115,8 @@ def why(
     Raises
     ------
     StoreError
-        The folder holds no finished run, or one of another model than is there now; or it names a
-        file that is not run unasked.
+        The folder holds no finished run, or the model has changed since, or the run names a model
+        file that is not run without the user's word.
     JobError, ModelError
         There are too few draws, or the model cannot be loaded.
     """
@@ -126,16 +126,13 @@ def why(
     opened = open_run(run)
     if opened.state != "finished":
         raise StoreError(f"{opened.path} is not finished ({opened.state}): run its job on first")
-    if opened.has_budget:
-        raise StoreError(
-            f"{opened.path} has times of several numbers of measurements: why takes a run of one"
-        )
+    sets = opened.sets_of_one_number()
     built = _build(opened, {"model": model, "filter_model": filter_model}, say)
-    sets = opened.compared().set_index("name")["measurement_times"]
-    examined = []
+    reporter, examined = Reporter(report, len(sets)), []
     for number, (name, times) in enumerate(sets.items()):
-        tell = partial(_tell, report, draws, Progress(f"why {name}", number, len(sets)))
-        examined.append(_examine(built, str(name), tuple(times.tolist()), draws, tell))
+        reporter.note(phase=f"why {name}", done=number)
+        checked = validated(times, built.problem.horizon, f"{opened.path}: {name}")
+        examined.append(_examine(built, name, checked, draws, reporter))
     summary, profile, measurements = (
         pd.DataFrame([row for part in parts for row in part])
         for parts in zip(*examined, strict=True)
@@ -145,12 +142,8 @@ def why(
     return Why(opened.path, drawn, summary, profile, measurements, figures)
 
 
-def _tell(report: Report, draws: int, before: Progress, share: float) -> None:
-    report(replace(before, done=before.done + share, evaluations=round(draws * share)))
-
-
 def _build(run: Run, instead: Mapping[str, str], say: Callable[[str], Any]) -> Built:
-    """Make the run's problem of its own job, and see that its models are those it was run with."""
+    """Build the run's own job, and check that the models are those of the run."""
     about, _ = read_recorded(run.path)
     remedy = "to have a model run that you trust, name it: {part} = FILE.py:OBJECT"
     choose = NamedByRun(run.path, about, instead, say, remedy)
@@ -163,12 +156,12 @@ def _build(run: Run, instead: Mapping[str, str], say: Callable[[str], Any]) -> B
 
 
 def _examine(
-    built: Built, name: str, times: Times, draws: int, tell: Callable[[float], None]
+    built: Built, name: str, times: Times, draws: int, reporter: Reporter
 ) -> tuple[list[dict[str, Any]], ...]:
     """Rows of a set for the three frames of `Why`.
 
-    The set up to every instant, and what becomes of it by every change, share draws and noise: so
-    what they have in common is filtered once, and their differences are paired.
+    The set up to every instant and all its changes share draws and noise. So common prefixes are
+    filtered once, and differences are paired.
     """
     problem, seed, instants = built.problem, built.job.seed, built.problem.horizon + 1
     changed = list(_changes(times, built.job.problem.feasible))
@@ -182,7 +175,7 @@ def _examine(
         draws=(0, draws),
         estimation=built.comparing,
     )
-    (cost, *found), degenerate = _means(problem, work, tell)
+    (cost, *found), degenerate = _means(problem, work, reporter)
     summary = {"name": name, "measurement_times": list(times), "expected_mse": cost[0]}
     summary |= {"standard_error": cost[1], "degenerate_draws": degenerate}
     profile = [
@@ -196,9 +189,9 @@ def _examine(
 
 
 def _changes(times: Times, feasible: Feasible) -> Iterator[tuple[int, str, Times]]:
-    """Give every measurement, what may be done to it, and the set that it leads to.
+    """Yield each measurement with each change of it, and the set that follows.
 
-    All may be removed, to see what they are worth; but moved only to where the job allows it.
+    Every measurement may be removed, but it moves only to instants that the job allows.
     """
     for t in times:
         others = set(times) - {t}
@@ -211,37 +204,43 @@ def _changes(times: Times, feasible: Feasible) -> Iterator[tuple[int, str, Times
 
 
 def _means(
-    problem: Problem, work: Work, tell: Callable[[float], None]
+    problem: Problem, work: Work, reporter: Reporter
 ) -> tuple[list[tuple[float, float]], int]:
-    """Means and standard errors of what `_columns` gives, and how many draws are degenerate."""
-    instants = problem.horizon + 1
+    """Mean and standard error of each column of `_columns`, and the number of degenerate draws."""
+    instants, (_, draws), start = problem.horizon + 1, work.draws, reporter.progress.done
     if problem.exact:
         known = problem.expected_mse(work.measurement_times, work.ends)
-        tell(1.0)
+        reporter.reach(start + 1, evaluations=draws)
         return [(float(mean), 0.0) for mean in _columns(known[None], instants)[0]], 0
-    moments = [Moments() for _ in range(1 + len(work.ends))]
-    block = max(1, int(MOST_SECONDS / problem.seconds_a_step / work.steps_a_draw))
-    first, last = work.draws
-    for piece in cut(range(first, last), block):
-        mse = problem(replace(work, draws=piece)).mse
-        for one, column in zip(moments, _columns(mse, instants).T, strict=True):
-            one.add(column[~np.isnan(column)])
-        tell((piece[1] - first) / (last - first))
-    return [(one.mean, one.standard_error) for one in moments], last - first - moments[0].count
+    columns = [Moments() for _ in range(1 + len(work.ends))]
+    for piece in problem.pieces(work, MOST_SECONDS):
+        mse = problem.filtered(piece).mse
+        for moments, values in zip(columns, _columns(mse, instants).T, strict=True):
+            moments.add(values[~np.isnan(values)])
+        _, compared = piece.draws
+        reporter.reach(start + compared / draws, evaluations=compared)
+    means = [(moments.mean, moments.standard_error) for moments in columns]
+    return means, draws - columns[0].count
 
 
 def _columns(mse: NDArray[np.float64], instants: int) -> NDArray[np.float64]:
-    """From the sums of errors up to every instant, and the MSE of changed sets, (D, T+1+V).
+    """MSE, error at every instant, and rise of the MSE by each change, for each draw.
+
+    Parameters
+    ----------
+    mse : array of float64, (D, T+1+V)
+        Sum of the errors up to every instant over T+1, then the MSE of each of V changed sets.
+    instants : int
+        T+1.
 
     Returns
     -------
     array of float64, (D, 1+T+1+V)
-        MSE, error at every instant, and what each change adds to the MSE; NaN where the set itself
-        is degenerate.
+        NaN where the unchanged set is degenerate.
     """
     whole = mse[:, instants - 1 : instants]
     with np.errstate(invalid="ignore"):  # infinite errors have no difference
         errors = np.diff(mse[:, :instants], axis=1, prepend=0.0) * instants
         rises = mse[:, instants:] - whole
-    errors[np.isnan(whole[:, 0])] = np.nan  # before the instant at which it became so, too
+    errors[np.isnan(whole[:, 0])] = np.nan  # also before the instant of the degeneracy
     return np.concatenate([whole, errors, rises], axis=1)

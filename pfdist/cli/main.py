@@ -1,26 +1,20 @@
-"""The command line: parse, call, and say what went wrong; no logic."""
+"""The program `pfdist`: parse the arguments, call the command, and say what went wrong."""
 
-import codecs
 import contextlib
-import importlib
-import os
-import signal
 import sys
 import warnings
+from argparse import Namespace
 from collections.abc import Iterator, Sequence
-from types import FrameType
 from typing import Any
 
+from pfdist.cli import signals
 from pfdist.cli.parser import make_parser
-from pfdist.cli.streams import flush_output, make_harmless
+from pfdist.cli.streams import answers_alone, encode_all_text, flush_output, make_harmless
 from pfdist.errors import EngineWarning, PfdistError, TaskError, one_line
 
-_GO_ON = "what was done is committed; the same command goes on from there"
-_LONGEST = 1200  # characters of an error's line: longer ones lose their middle
-_SPELT = {"±": "+-"}  # where the encoding lacks it
-
-
-_preempted: list[int] = []  # signals by which a batch system has asked for the machine
+_DONE, _ERROR, _INTERRUPTED, _PREEMPTED = 0, 1, 130, 75  # exit codes
+_GOES_ON = "finished work is committed; the same command goes on from there"
+_LONGEST = 1200  # characters of an error's line; longer lines lose their middle
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -29,7 +23,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     arguments : sequence of str, optional
-        In the place of the process's own.
+        The words after ``pfdist``; by default those of this process.
 
     Returns
     -------
@@ -37,23 +31,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code.
     """
     make_harmless()
-    # As by nohup, it may be ignored.
-    listens = signal.getsignal(signal.SIGINT) in (signal.default_int_handler, _leave)
-    if listens:
-        signal.signal(signal.SIGINT, _leave)
-    _write_what_can_be_encoded()
-    options = make_parser().parse_args(arguments)
-    _preempted.clear()
-    for number in (signal.SIGTERM, signal.SIGUSR1):
-        signal.signal(number, _preempt)
-    if listens:
-        signal.signal(signal.SIGINT, _interrupt)
+    signals.end_at_once()
+    encode_all_text()
+    try:
+        options = make_parser().parse_args(arguments)
+    except PfdistError as error:
+        return _failed(str(error))
+    signals.interrupt_command()
+    return _run(options, ends=arguments is None)
+
+
+def _run(options: Namespace, *, ends: bool) -> int:
+    """Call the command, and turn whatever it raises into a line and an exit code."""
     try:
         with _warnings_as_lines():
-            # Here and not above: importing what a command needs takes a second.
-            commands = importlib.import_module("pfdist.cli.commands")
-            with commands.answers_alone(options, ends=arguments is None):
-                getattr(commands, options.command)(options)
+            with answers_alone(options, ends=ends):
+                options.called.call(options)
             flush_output()
     except PfdistError as error:
         if options.debug:
@@ -61,18 +54,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         hint = " (--debug shows the traceback)" if isinstance(error, TaskError) else ""
         return _failed(str(error), f" (--{error.argument})" if error.argument else hint)
     except KeyboardInterrupt:
-        ended = "asked to end" if _preempted else "interrupted"
-        go_on = f"; {_GO_ON}" if options.goes_on else ""
-        print(f"pfdist: {ended}{go_on}", file=sys.stderr)
-        return 75 if _preempted else 130
-    except BrokenPipeError:  # the reader of our output has gone, as `head` does
+        cause = "asked to end" if signals.preempted() else "interrupted"
+        goes_on = f"; {_GOES_ON}" if options.called.goes_on else ""
+        print(f"pfdist: {cause}{goes_on}", file=sys.stderr)
+        return _PREEMPTED if signals.preempted() else _INTERRUPTED
+    except BrokenPipeError:  # the reader of the output has ended, as `head` does
         sys.stderr.close()
-        return 1
+        return _ERROR
     except (OSError, ImportError) as error:
-        return _failed(str(_unwritten() or error))
+        return _failed(str(_output_error() or error))
     except MemoryError:
-        return _failed("not enough memory: fewer draws or particles need less")
-    return 0
+        return _failed("not enough memory; fewer draws or particles need less")
+    return _DONE
 
 
 def _failed(reason: str, hint: str = "") -> int:
@@ -80,53 +73,16 @@ def _failed(reason: str, hint: str = "") -> int:
     if len(line) > _LONGEST:
         line = f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 2 :]}"
     print(f"pfdist: {line}{hint}", file=sys.stderr)
-    return 1
+    return _ERROR
 
 
-def _write_what_can_be_encoded() -> None:
-    """Let no character end the program that the terminal's encoding lacks."""
-    codecs.register_error("pfdist", _replacement)
-    for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):
-            stream.reconfigure(errors="pfdist")
-
-
-def _replacement(error: UnicodeError) -> tuple[str | bytes, int]:
-    """Give what is written where characters cannot be encoded: a path's bytes as they are."""
-    if not isinstance(error, UnicodeEncodeError):
-        raise error
-    lacking = error.object[error.start : error.end]
-    try:
-        return lacking.encode("ascii", "surrogateescape"), error.end
-    except UnicodeEncodeError:
-        return "".join(_SPELT.get(character, "?") for character in lacking), error.end
-
-
-def _unwritten() -> OSError | None:
-    """Give what is wrong with standard output, if something is."""
+def _output_error() -> OSError | None:
+    """Give the error of standard output, if it cannot be written."""
     try:
         flush_output()
     except OSError as error:
         return error
     return None
-
-
-def _leave(number: int, frame: FrameType | None) -> None:
-    """Nothing has begun."""
-    os.write(sys.stderr.fileno(), b"pfdist: interrupted\n")
-    os._exit(130)
-
-
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    signal.signal(signal.SIGINT, lambda *_: os._exit(130))  # asked twice: at once
-    raise KeyboardInterrupt
-
-
-def _preempt(number: int, frame: FrameType | None) -> None:
-    for again in (signal.SIGTERM, signal.SIGUSR1):
-        signal.signal(again, signal.SIG_IGN)  # it is said twice where a script forwards it
-    _preempted.append(number)
-    raise KeyboardInterrupt
 
 
 @contextlib.contextmanager

@@ -1,4 +1,4 @@
-"""How far a run is, on standard error: live in a terminal, else a plain line now and then."""
+"""The progress of a run on standard error: live in a terminal, else plain lines."""
 
 import time
 from types import TracebackType
@@ -20,12 +20,14 @@ from pfdist.errors import one_line
 from pfdist.runner.progress import Found
 from pfdist.runner.progress import Progress as State
 
-WIDE = 110  # columns, from which a bar has room
-LINE_SECONDS = 5.0  # between two lines where there is no terminal
+WIDE = 110  # columns that a terminal needs for a bar
+LINE_SECONDS = 5.0  # between two lines without a terminal
+_RATE_SECONDS = 0.5  # after which the rate of a phase is shown
+_LONGEST_IN_SECONDS = 120  # longer times are given in minutes
 
 
 def _columns(with_bar: bool) -> list[ProgressColumn]:
-    """What a line shows: what must be seen comes first, and only the description is cut."""
+    """Give the columns of a line; a narrow terminal cuts only the last, the description."""
     return [
         TaskProgressColumn(table_column=Column(min_width=4, no_wrap=True)),
         TimeRemainingColumn(compact=True, table_column=Column(min_width=5, no_wrap=True)),
@@ -40,9 +42,14 @@ def _columns(with_bar: bool) -> list[ProgressColumn]:
 
 
 class Display:
-    """Progress on standard error: live in a terminal, else a plain line every few seconds.
+    """The progress of a run on standard error: live in a terminal, else a line every few seconds.
 
-    A context manager; `report` and `say` are what `pfdist.run` takes.
+    A context manager. `pfdist.run` takes the methods `report` and `say` as arguments.
+
+    Parameters
+    ----------
+    console : Console, optional
+        By default, the console of standard error.
     """
 
     def __init__(self, console: Console | None = None) -> None:
@@ -54,9 +61,9 @@ class Display:
         )
         self._live = self._console.is_terminal
         self._task: Any = None
-        self._phase = ""
-        self._phase_start, self._last_line = (0.0, 0, 0.0), 0.0
-        self._shown = -1.0  # how much was done at the last line
+        self._start = State("", 0.0, 1.0)  # of the present phase
+        self._start_time = 0.0
+        self._last_done, self._last_time = -1.0, 0.0  # of the last plain line
 
     def __enter__(self) -> Self:
         return self
@@ -75,55 +82,60 @@ class Display:
         self._console.print(one_line(line), soft_wrap=True, markup=False, emoji=False)
 
     def report(self, state: State) -> None:
-        """Show how far a run is."""
+        """Show the progress of a run."""
         now = time.monotonic()
-        if state.phase != self._phase:
-            self._phase, self._phase_start = state.phase, (now, state.evaluations, state.done)
-        line = self._line(state, now)
+        if state.phase != self._start.phase:
+            self._start, self._start_time = state, now
+        line = "  ".join([*_position(state), *self._rate(state, now)])
         if self._live:
-            if self._task is None:
-                self._task = self._bar.add_task(line, total=state.total, completed=int(state.done))
-                self._bar.start()
-            self._bar.update(self._task, completed=state.done, description=line)
-        elif now - self._last_line >= LINE_SECONDS or (
-            state.done == state.total and state.done != self._shown
-        ):
-            self._last_line, self._shown = now, state.done
-            self.say(f"{100 * state.done / state.total:5.1f} %  {line}  {self._left(state, now)}")
+            self._show_live(state, line)
+            return
+        finished = state.done == state.total and state.done != self._last_done
+        if finished or now - self._last_time >= LINE_SECONDS:
+            self._last_done, self._last_time = state.done, now
+            percent = 100 * state.done / state.total
+            self.say(f"{percent:5.1f} %  {line}  {self._time_left(state, now)}")
 
-    def _line(self, state: State, now: float) -> str:
-        start, evaluations, _ = self._phase_start
-        elapsed = now - start
-        rate = (state.evaluations - evaluations) / elapsed if elapsed > 0.5 else 0.0
+    def _show_live(self, state: State, line: str) -> None:
+        if self._task is None:
+            self._task = self._bar.add_task(line, total=state.total, completed=int(state.done))
+            self._bar.start()
+        self._bar.update(self._task, completed=state.done, description=line)
+
+    def _rate(self, state: State, now: float) -> list[str]:
+        """Give the evaluations or draws per second, if they are known."""
+        elapsed = now - self._start_time
+        if elapsed <= _RATE_SECONDS or state.evaluations == self._start.evaluations:
+            return []
+        rate = (state.evaluations - self._start.evaluations) / elapsed
         unit = "evaluations" if state.generations else "draws"
-        parts = [state.phase]
-        if state.generations:
-            parts.append(f"generation {state.generation}/{state.generations}")
-        else:
-            parts.append(f"{state.evaluations:,} draws")
-        if state.best is not None and state.generations:
-            parts.append(f"best {rounded(state.best, 4)}")
-        if state.mean is not None and state.generations:
-            parts.append(f"mean {rounded(state.mean, 4)}")
-        parts += [_progress_of(found) for found in state.found[:1]]
-        if rate:
-            parts.append(f"{rate:,.{1 if rate < 100 else 0}f} {unit}/s")
-        return "  ".join(parts)
+        return [f"{rate:,.{1 if rate < 100 else 0}f} {unit}/s"]
 
-    def _left(self, state: State, now: float) -> str:
-        start, _, done = self._phase_start
-        if state.done <= done:
+    def _time_left(self, state: State, now: float) -> str:
+        if state.done <= self._start.done:
             return ""
-        seconds = (now - start) / (state.done - done) * (state.total - state.done)
-        return (
-            f"about {seconds:,.0f} s left"
-            if seconds < 120
-            else f"about {seconds / 60:,.0f} min left"
-        )
+        seconds_each = (now - self._start_time) / (state.done - self._start.done)
+        seconds = seconds_each * (state.total - state.done)
+        if seconds < _LONGEST_IN_SECONDS:
+            return f"about {seconds:,.0f} s left"
+        return f"about {seconds / 60:,.0f} min left"
 
 
-def _progress_of(found: Found) -> str:
-    """Say how much better a set is so far; ± is half of the 95 % interval."""
+def _position(state: State) -> list[str]:
+    """Give the phase, the position in the phase, and what the phase has found so far."""
+    if not state.generations:
+        found = [_gain(found) for found in state.found[:1]]
+        return [state.phase, f"{state.evaluations:,} draws", *found]
+    parts = [state.phase, f"generation {state.generation}/{state.generations}"]
+    if state.best is not None:
+        parts.append(f"best {rounded(state.best, 4)}")
+    if state.mean is not None:
+        parts.append(f"mean {rounded(state.mean, 4)}")
+    return parts
+
+
+def _gain(found: Found) -> str:
+    """Give how much better a set is so far; ± is half of the 95 % interval."""
     (low, high), (least, most) = found.gain_of_means_interval, found.interval
     lower = with_error(100 * found.gain_of_means, 50 * (high - low))
     relative = with_error(100 * found.mean_relative_gain, 50 * (most - least))

@@ -1,15 +1,20 @@
-"""Standard streams that may be closed, full, or read by nobody."""
+"""Standard streams that may be closed, full, unread, or unable to encode all characters."""
 
+import codecs
+import contextlib
 import io
 import os
 import sys
+from argparse import Namespace
+from collections.abc import Iterator
 from typing import Any
 
 _NAMES = ("stdin", "stdout", "stderr")
+_REPLACEMENTS = {"±": "+-"}  # of characters that an encoding lacks; others become "?"
 
 
-class _Deaf(io.FileIO):
-    """A file that takes what is written, though it may keep nothing."""
+class _Forgiving(io.FileIO):
+    """A file to which every write succeeds, even if nothing can be written."""
 
     def write(self, data: Any) -> int:
         try:
@@ -19,31 +24,50 @@ class _Deaf(io.FileIO):
 
 
 def make_harmless() -> None:
-    """Have closed standard streams go nowhere, and no write to standard error fail.
+    """Connect closed standard streams to nothing, and let no write to standard error fail.
 
-    What is opened takes the lowest number that is free: where standard error is closed, this could
-    be a file of a run, in which libraries would then write their messages.
+    A file that is opened gets the lowest free descriptor. Without this function, a file of a run
+    could get the descriptor of a closed standard error, and libraries would write messages to it.
     """
     for number, name in enumerate(_NAMES):
         try:
             os.fstat(number)
-        except OSError:  # closed; the numbers below are taken, so that this one is the next
+        except OSError:  # closed; all lower descriptors are open, so the next file gets this one
             os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, "w" if number else "r", encoding="utf-8"))  # noqa: SIM115
     if sys.stderr is sys.__stderr__ and isinstance(sys.stderr, io.TextIOWrapper):
         encoding, errors = sys.stderr.encoding, sys.stderr.errors
-        quiet: Any = _Deaf(sys.stderr.fileno(), "w", closefd=False)
+        quiet: Any = _Forgiving(sys.stderr.fileno(), "w", closefd=False)
         sys.stderr = io.TextIOWrapper(quiet, encoding, errors, write_through=True)
 
 
+def encode_all_text() -> None:
+    """Replace characters that the encoding of a standard stream lacks, instead of failing."""
+    codecs.register_error("pfdist", _replacement)
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="pfdist")
+
+
+def _replacement(error: UnicodeError) -> tuple[str | bytes, int]:
+    """Give the bytes of a path as they are, and a replacement for each other character."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    lacking = error.object[error.start : error.end]
+    try:
+        return lacking.encode("ascii", "surrogateescape"), error.end
+    except UnicodeEncodeError:
+        return "".join(_REPLACEMENTS.get(character, "?") for character in lacking), error.end
+
+
 def flush_output() -> None:
-    """Write what has been printed; the interpreter would do so too late to say what went wrong.
+    """Write all that was printed; at its end the interpreter could no longer report an error.
 
     Raises
     ------
     OSError
-        It cannot be written. What is left of it is given up.
+        Standard output cannot be written; the unwritten text is discarded.
     """
     try:
         sys.stdout.flush()
@@ -55,3 +79,51 @@ def flush_output() -> None:
         if isinstance(error, BrokenPipeError):
             raise
         raise OSError(f"standard output cannot be written: {error.strerror}") from error
+
+
+@contextlib.contextmanager
+def answers_alone(options: Namespace, *, ends: bool) -> Iterator[None]:
+    """Keep standard output for the JSON object of ``--json``, whatever a model prints.
+
+    Parameters
+    ----------
+    options : Namespace
+        The parsed arguments. If they ask for JSON, their new attribute ``answers`` is the stream
+        for the object, and all other output goes to standard error. This includes output of
+        compiled code and of child processes.
+    ends : bool
+        Whether the process ends after this command. If so, later output goes to standard error,
+        too.
+    """
+    if not getattr(options, "json", False):
+        yield
+        return
+    with contextlib.ExitStack() as stack:
+        options.answers = stack.enter_context(_separate_stream(sys.stdout, ends=ends))
+        stack.enter_context(contextlib.redirect_stdout(sys.stderr))
+        yield
+
+
+@contextlib.contextmanager
+def _separate_stream(stream: Any, *, ends: bool) -> Iterator[Any]:
+    """Give a new stream to where a stream writes, and redirect the old descriptors to 2."""
+    try:
+        stream.flush()
+        copies = {number: os.dup(number) for number in {1, stream.fileno()}}
+    except (AttributeError, OSError):  # closed, or without a descriptor, as in a notebook
+        yield stream
+        return
+    for number in copies:
+        try:
+            os.dup2(2, number)
+        except OSError:  # standard error is closed
+            os.dup2(os.open(os.devnull, os.O_WRONLY), number)
+    answers = os.dup(copies[stream.fileno()])
+    try:
+        with open(answers, "w", encoding=stream.encoding, errors=stream.errors) as separate:
+            yield separate
+    finally:
+        for number, copy in copies.items():
+            if not ends:
+                os.dup2(copy, number)
+            os.close(copy)

@@ -6,6 +6,8 @@ from collections.abc import Iterator, Mapping
 from importlib.metadata import entry_points
 from typing import Generic, TypeVar
 
+from pfdist.errors import PfdistError
+
 T = TypeVar("T")
 
 
@@ -51,10 +53,23 @@ class Registry(Mapping[str, T], Generic[T]):
 
     def _table(self) -> dict[str, T]:
         if not self._complete:
-            self._complete = True
-            folder = importlib.import_module(self._package).__path__
-            for module in pkgutil.iter_modules(folder):
-                importlib.import_module(f"{self._package}.{module.name}")
-            for entry_point in entry_points(group=self._group):
-                entry_point.load()
+            self._complete = True  # first: a module may read the table while it is imported
+            try:
+                self._load()
+            except BaseException:
+                self._complete = False
+                raise
         return self._declared
+
+    def _load(self) -> None:
+        folder = importlib.import_module(self._package).__path__
+        for module in pkgutil.iter_modules(folder):
+            importlib.import_module(f"{self._package}.{module.name}")
+        for entry_point in entry_points(group=self._group):
+            try:
+                entry_point.load()
+            except Exception as error:
+                raise PfdistError(
+                    f"cannot load {entry_point.name!r}, which an installed package adds to "
+                    f"{self._group} as {entry_point.value}: {type(error).__name__}: {error}"
+                ) from error

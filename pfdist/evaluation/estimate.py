@@ -1,4 +1,4 @@
-"""An estimate of the expected MSE of one set of times, and what its draws are for."""
+"""An estimate of the expected MSE of one set of times, and the purpose of its draws."""
 
 import math
 from dataclasses import dataclass
@@ -12,8 +12,8 @@ from pfdist.common.streams import stream_key
 from pfdist.times.measurement_times import Times
 
 DEGENERATE_POLICIES = ("kill", "leave_out")
-"""What one degenerate draw does to an evaluation: ``kill``, the paper's, makes its cost infinite;
-``leave_out`` takes the mean over the other draws."""
+"""Policies for degenerate draws. ``kill``, the paper's, makes the cost infinite if a draw is
+degenerate; ``leave_out`` takes the mean over the other draws."""
 
 
 @dataclass(frozen=True)
@@ -24,12 +24,12 @@ class Evaluation:
     ----------
     measurement_times : tuple of int
     mse : array of float64, (D,)
-        Per-draw MSE; NaN for a degenerate draw.
+        Per-draw MSE; NaN marks a degenerate draw.
     degenerate_policy : {"kill", "leave_out"}
     exact : float, optional
-        The expected MSE where it is known without draws.
+        The expected MSE, where the engine knows it without draws.
     end : int, optional
-        Last instant whose errors count, if it is not T.
+        Last instant whose error counts, if it is not T.
     """
 
     measurement_times: Times
@@ -40,17 +40,17 @@ class Evaluation:
 
     @property
     def draws(self) -> int:
-        """D, the degenerate draws included."""
+        """D, with the degenerate draws."""
         return self.mse.size
 
     @cached_property
     def degenerate_draws(self) -> int:
-        """How many draws are degenerate."""
+        """Number of degenerate draws."""
         return int(np.isnan(self.mse).sum())
 
     @cached_property
     def expected_mse(self) -> float:
-        """Mean of the per-draw MSE; what a degenerate draw makes of it is the policy's."""
+        """Mean of the per-draw MSE; the policy says how degenerate draws count."""
         if self.exact is not None:
             return self.exact
         usable = self._usable
@@ -58,7 +58,7 @@ class Evaluation:
 
     @cached_property
     def standard_error(self) -> float:
-        """Standard error of `expected_mse`, infinite where that is or with fewer than 2 draws."""
+        """Standard error of `expected_mse`; infinite if that is, or with fewer than 2 draws."""
         if self.exact is not None:
             return 0.0
         usable = self._usable
@@ -68,7 +68,7 @@ class Evaluation:
 
     @property
     def cost(self) -> float:
-        """What a search minimises: `expected_mse`."""
+        """`expected_mse`, which searches minimise."""
         return self.expected_mse
 
     @property
@@ -79,19 +79,19 @@ class Evaluation:
 
 
 class SearchEvaluation(Evaluation):
-    """On draws that a search chooses by: its cost is never reported as a set's own."""
+    """An evaluation on the draws by which a search chooses. Its cost is never reported as proof."""
 
 
 class ProbeEvaluation(Evaluation):
-    """On the draws that decide whether a search may believe its estimator, and on no other."""
+    """An evaluation on draws that only decide whether a search may trust its estimator."""
 
 
 class ShortlistEvaluation(Evaluation):
-    """On the draws that decide between what searches have found, and on no other."""
+    """An evaluation on draws that only decide between the sets that a search has found."""
 
 
 class ReportEvaluation(Evaluation):
-    """On draws that chose nothing."""
+    """An evaluation on draws that chose nothing."""
 
 
 E = TypeVar("E", bound=Evaluation)
@@ -99,21 +99,21 @@ E = TypeVar("E", bound=Evaluation)
 
 @dataclass(frozen=True)
 class Purpose(Generic[E]):
-    """What draws are for. Different purposes have different keys, so they share no draw.
+    """The purpose of draws. Different purposes have different keys, so they share no draw.
 
     Parameters
     ----------
     name : str
     evaluation : type
-        Of what is estimated from them: what one purpose needs is not taken for another's.
+        Class of the evaluations on these draws, so that no purpose uses another's evaluations.
     """
 
     name: str
     evaluation: type[E]
 
-    def stream(self, seed: int, *what: Any) -> int:
-        """Key of the noise for something under this purpose."""
-        return stream_key(seed, self.name, *what)
+    def stream(self, seed: int, *parts: Any) -> int:
+        """Key of the noise that this purpose, the seed and further parts name."""
+        return stream_key(seed, self.name, *parts)
 
 
 SEARCH = Purpose("search", SearchEvaluation)
@@ -121,4 +121,4 @@ PROBE = Purpose("probe", ProbeEvaluation)
 SHORTLIST = Purpose("shortlist", ShortlistEvaluation)
 REPORT = Purpose("comparison", ReportEvaluation)
 BUDGET = Purpose("budget", ReportEvaluation)
-"""What a number of measurements was chosen by is not to prove what comes of it."""
+"""The comparison of a budget study: a later comparison must not reuse draws that chose N."""

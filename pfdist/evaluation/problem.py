@@ -1,7 +1,7 @@
 """The Monte Carlo estimate of the expected MSE (paper, section 2.3, equation 6).
 
-The work is a pure function of its arguments, cut by ranges of draws; whatever the cut, a draw's
-MSE is the same, and so is what is computed from all of them in the order of the draws.
+The work is a pure function of its arguments. It may be cut between any two draws: the MSE of each
+draw stays the same, and so does every figure that is computed from the draws in their order.
 """
 
 from collections.abc import Iterable, Sequence
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pfdist.errors import ModelError
 from pfdist.evaluation.engines import COMPILED, ENGINES, KALMAN, Engine
-from pfdist.evaluation.work import Estimation, Result, Work, columns
+from pfdist.evaluation.work import Estimation, Result, Work, columns, cut
 from pfdist.filters import kalman
 from pfdist.filters.draws import libm_of_simulation, simulate, simulation_makes_arrays
 from pfdist.filters.particle_filter import (
@@ -24,7 +24,7 @@ from pfdist.filters.particle_filter import (
 )
 from pfdist.kernels.estimators import FILTER_VARIANCE
 from pfdist.models import StateSpaceModel
-from pfdist.times.measurement_times import Times
+from pfdist.times.measurement_times import Times, validated
 
 _TRAJECTORIES = ("mse", "estimate")
 
@@ -33,26 +33,26 @@ _ANY = Estimation(particles=1)
 
 @dataclass(frozen=True)
 class Problem:
-    """A model and a horizon, and what the filter takes for the truth.
+    """Compute the MSE of sets of measurement times for a model, a horizon and a filter's model.
 
     Parameters
     ----------
     model : StateSpaceModel
-        The truth: it draws x, y and z, and says what an error costs.
+        The true model: it draws x, y and z, and defines the error.
     horizon : int
         T.
     filter_model : StateSpaceModel, optional
-        What the filter takes for the truth; by default it is right.
+        The model that the filter uses; by default the true model.
     dtype : {"float64", "float32"}
-        What the particles' states are kept in.
+        Type in which the particles' states are stored.
     engine : {"auto", "compiled", "numpy", "kalman"}
-        "auto" is the compiled one here.
+        Here "auto" means the compiled engine.
 
     Raises
     ------
     ModelError
-        The filter's model measures, or is asked for, something of another size; or the engine is
-        "kalman" and the model not linear-Gaussian, or not the filter's.
+        The filter's model has measurements or quantities of interest of another size. Or the
+        engine is "kalman" and the model is not linear-Gaussian, or is not the filter's model.
     """
 
     model: StateSpaceModel
@@ -72,7 +72,7 @@ class Problem:
 
     @property
     def believed(self) -> StateSpaceModel:
-        """What the filter takes for the truth."""
+        """The model that the filter uses."""
         return self.filter_model or self.model
 
     @property
@@ -81,21 +81,25 @@ class Problem:
 
     @property
     def exact(self) -> bool:
-        """Whether the expected MSE is known without draws; see `expected_mse`."""
+        """Whether the engine knows the expected MSE without draws; see `expected_mse`."""
         return self._engine.exact
 
     def expected_mse(
         self, sets: Sequence[Times], ends: Sequence[int] | None = None
     ) -> NDArray[np.float64]:
-        """Give the exact expected MSE of each set of times, (S,), where the engine knows it.
+        """Exact expected MSE of each set of times, (S,), where the engine knows it.
 
-        `ends` are the last instants whose errors count, T for all unless given.
+        Parameters
+        ----------
+        sets : sequence of tuples of int, (S,)
+        ends : sequence of int, (S,), optional
+            Last instant of each set whose error counts; by default T.
         """
         return kalman.expected_mse(self.model, self.horizon, sets, ends)
 
     @property
     def cheapest_estimator(self) -> str:
-        """The estimator whose draws differ least, of those that this problem allows."""
+        """The estimator with the least variance that this problem allows."""
         estimation = replace(_ANY, estimator=FILTER_VARIANCE.name)
         try:
             self.check(estimation)
@@ -104,14 +108,14 @@ class Problem:
         return estimation.estimator
 
     def check(self, estimation: Estimation) -> None:
-        """Raise an error if an error cannot be estimated so.
+        """Raise an error if this problem does not allow an estimation.
 
         Exact engines ignore the estimator and the number of particles.
 
         Raises
         ------
         ModelError
-            The estimator or the resampling does not fit the model, or what the filter takes for it.
+            The estimator or the resampling scheme does not fit the model or the filter's model.
         """
         if not self.exact:
             check_filter(
@@ -124,7 +128,7 @@ class Problem:
             )
 
     def compile(self, estimation: Estimation) -> None:
-        """Compile what is not yet, by a draw of two instants and one particle.
+        """Compile the simulation and the filter, by a draw of two instants and one particle.
 
         Raises
         ------
@@ -136,10 +140,10 @@ class Problem:
             filter_draws(self.believed, draws, (0,), 1, 0, estimation.resampling, dtype=self.dtype)
 
     def libm_functions(self, estimation: Estimation) -> tuple[str, ...]:
-        """Functions of the C library that the formulas call, compiled; they were before.
+        """Functions of the C library that the compiled formulas call; call `compile` first.
 
-        Their last digits may differ between processors. All else that is compiled gives the same
-        bytes on each.
+        The last digits of these functions may differ between processors. All other compiled code
+        gives the same bytes on every processor.
         """
         found = set(libm_of_simulation(self.model))
         if not self.exact:
@@ -149,30 +153,59 @@ class Problem:
         return tuple(sorted(found))
 
     def makes_arrays(self, estimation: Estimation) -> bool:
-        """Whether formulas, compiled before, make arrays for each particle."""
+        """Whether compiled formulas make arrays for each particle; call `compile` first."""
         return simulation_makes_arrays(self.model) or filter_makes_arrays(
             self.believed, self.model, estimation.resampling, self.dtype
         )
 
     @property
     def seconds_a_step(self) -> float:
-        """About how long a particle-step takes; models differ."""
+        """Rough guess of the seconds of a particle-step; models differ."""
         return self._engine.seconds_a_step
 
     def __call__(self, work: Work) -> Result:
-        """Do the work: simulate the draws once and filter them with every set of times.
+        """Per-draw MSE of every set of times in a work, after a check of its settings and times.
 
         Raises
         ------
         ModelError
-            As of `check`, or a formula failed.
+            As `check` raises, or a formula failed.
+        MeasurementTimesError
+            The times of a set do not lie in 0..end, or a time stands twice.
         """
+        self.check(work.estimation)
+        for times, end in zip(work.measurement_times, work.ends, strict=True):
+            validated(times, end)
+        return self.filtered(work)
+
+    def results(self, works: Iterable[Work]) -> list[Result]:
+        """Results of works whose settings and times the caller has checked: what a task computes.
+
+        Raises
+        ------
+        ModelError
+            A formula failed.
+        """
+        return [self.filtered(work) for work in works]
+
+    def pieces(self, work: Work, seconds: float) -> list[Work]:
+        """Cut a work between its draws into works of about as many seconds each.
+
+        Parameters
+        ----------
+        work : Work
+        seconds : float
+        """
+        draws = max(1, int(seconds / self.seconds_a_step / work.steps_a_draw))
+        return [replace(work, draws=piece) for piece in cut(range(*work.draws), draws)]
+
+    def filtered(self, work: Work) -> Result:
+        """Per-draw MSE as `__call__` gives it, for a work that the caller has checked."""
         engine, estimation = self._engine, work.estimation
-        self.check(estimation)
         draws = engine.simulate(self.model, self.horizon, range(*work.draws), work.draws_stream)
         if work.trajectories:
             filtered = [
-                engine.filter_draws(
+                engine.filter_checked_draws(
                     self.believed, draws, times, estimation.particles, stream,
                     estimation.resampling, trajectories=True, dtype=self.dtype,
                 )
@@ -184,13 +217,9 @@ class Problem:
             return Result(np.stack(mse, axis=1), draws.z, draws.y, np.stack(estimates))
         values = np.empty((len(draws.index), len(work.measurement_times)))
         for stream, same_noise in columns(work.filter_streams).items():
-            values[:, same_noise] = engine.filter_sets(
+            values[:, same_noise] = engine.filter_checked_sets(
                 self.believed, draws, [work.measurement_times[column] for column in same_noise],
                 estimation.particles, stream, estimation.resampling, self.dtype,
                 [work.ends[column] for column in same_noise], estimation.estimator,
             )  # fmt: skip
         return Result(values)
-
-    def results(self, works: Iterable[Work]) -> list[Result]:
-        """Do works one after another: what a task is."""
-        return [self(work) for work in works]

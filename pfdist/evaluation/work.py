@@ -1,4 +1,4 @@
-"""A unit of work: sets of times to be tried on a range of draws, and what becomes of it."""
+"""A unit of work: sets of measurement times that filter a range of draws, and the result."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -15,7 +15,7 @@ from pfdist.times.measurement_times import Times
 
 @dataclass(frozen=True)
 class Estimation:
-    """How the error of one draw is estimated.
+    """How the MSE of one draw is estimated.
 
     Parameters
     ----------
@@ -32,13 +32,13 @@ class Estimation:
 
     @property
     def steps_an_instant(self) -> int:
-        """Particle-steps of one instant, of all filters."""
+        """Particle-steps of one instant, over all filters of the estimator."""
         return self.particles * len(filter_streams(0, self.estimator))
 
 
 @dataclass(frozen=True)
 class Work:
-    """Sets of measurement times to be tried on the same draws.
+    """Sets of measurement times that filter the same draws.
 
     Parameters
     ----------
@@ -51,10 +51,12 @@ class Work:
     draws_stream : int
         Key of the draws.
     draws : (int, int)
-        First draw, and the one after the last.
+        First draw, and the draw after the last.
     estimation : Estimation
     trajectories : bool
         Whether z, y and the estimates are wanted.
+    ids : tuple of str, (S,), optional
+        The id of each set's evaluation; its results come back under this id.
     """
 
     measurement_times: tuple[Times, ...]
@@ -64,21 +66,26 @@ class Work:
     draws: tuple[int, int]
     estimation: Estimation
     trajectories: bool = False
+    ids: tuple[str, ...] = ()
+
+    def by_id(self, result: "Result") -> dict[str, NDArray[np.float64]]:
+        """Per-draw MSE of each set, (D,), by the id of its evaluation."""
+        return dict(zip(self.ids, result.mse.T, strict=True))
 
     @property
     def steps_a_draw(self) -> int:
-        """Particle-steps of one draw: what sets share is done once."""
+        """Particle-steps of one draw; instants that sets share count once."""
         instants = _instants(self.measurement_times, self.ends, self.filter_streams)
         return instants * self.estimation.steps_an_instant
 
     @property
     def steps(self) -> int:
-        """Particle-steps."""
+        """Particle-steps of all draws."""
         return (self.draws[1] - self.draws[0]) * self.steps_a_draw
 
 
 def columns(streams: Sequence[int]) -> dict[int, list[int]]:
-    """Give the places of the sets that have each stream."""
+    """Columns of the sets that share each stream, by stream."""
     return {
         stream: [column for column, stream_here in enumerate(streams) if stream_here == stream]
         for stream in dict.fromkeys(streams)
@@ -87,7 +94,7 @@ def columns(streams: Sequence[int]) -> dict[int, list[int]]:
 
 @lru_cache(maxsize=64)
 def _instants(sets: tuple[Times, ...], ends: tuple[int, ...], streams: tuple[int, ...]) -> int:
-    """Instants that are filtered in all."""
+    """How many instants are filtered for one draw, over all sets."""
     if len(sets) == 1:
         return ends[0] + 1
     total = 0
@@ -100,15 +107,15 @@ def _instants(sets: tuple[Times, ...], ends: tuple[int, ...], streams: tuple[int
 
 @dataclass(frozen=True)
 class Result:
-    """What became of a `Work` of D draws and S sets.
+    """The result of a `Work` of D draws and S sets.
 
     Parameters
     ----------
     mse : array of float64, (D, S)
-        NaN for a degenerate draw.
+        NaN marks a degenerate draw.
     z, y : array of float64, (D, T+1, q) and (D, T+1, m)
     estimates : array of float64, (S, D, T+1, q)
-        These three are empty unless trajectories are wanted.
+        z, y and estimates are empty unless trajectories are wanted.
     """
 
     mse: NDArray[np.float64]
@@ -118,19 +125,19 @@ class Result:
 
 
 def cut(draws: ArrayLike, block: int) -> list[tuple[int, int]]:
-    """Cut draws that are still to be done into ranges.
+    """Ranges of consecutive draws that contain exactly the given draws.
 
     Parameters
     ----------
     draws : array-like of int
         Sorted, without repetition.
     block : int
-        A range lies between two multiples of this.
+        No range crosses a multiple of this number.
 
     Returns
     -------
     list of (int, int)
-        First draw, and the one after the last.
+        First draw, and the draw after the last.
 
     Examples
     --------

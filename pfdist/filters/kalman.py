@@ -141,14 +141,30 @@ def filter_draws(
 
     There are no particles: `particles`, `stream`, `resampling` and `dtype` change nothing.
     """
+    times = validated(measurement_times, draws.z.shape[1] - 1)
+    return filter_checked_draws(
+        model, draws, times, particles, stream, resampling, trajectories, dtype
+    )
+
+
+def filter_checked_draws(
+    model: StateSpaceModel,
+    draws: Draws,
+    measurement_times: Times,
+    particles: int,
+    stream: int,
+    resampling: str = "multinomial",
+    trajectories: bool = False,
+    dtype: str = "float64",
+) -> Filtered:
+    """Filter draws as `filter_draws` does, with measurement times that the caller has checked."""
     instants = draws.z.shape[1]
-    times = validated(measurement_times, instants - 1)
     matrices = linear_gaussian(model, instants - 1)
     mean = np.repeat(matrices.initial.offset[None], len(draws.index), axis=0)
     covariance = _square(matrices.initial.matrix)
     estimate, variance = np.empty_like(draws.z), np.empty_like(draws.z)
     for t in range(instants):
-        if t in times:
+        if t in measurement_times:
             gain, seen = _gain(covariance, matrices.measurement[t])
             surprise = draws.y[:, t] - matrices.measurement[t].offset - mean @ seen.T
             mean = mean + surprise @ gain.T
@@ -220,3 +236,4 @@ def _check_declared(model: StateSpaceModel) -> None:
 
 
 filter_sets = one_by_one(filter_draws)
+filter_checked_sets = one_by_one(filter_checked_draws)

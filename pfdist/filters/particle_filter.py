@@ -97,9 +97,30 @@ def filter_draws(
     ModelError
         A formula cannot be compiled, or failed.
     """
+    times = validated(measurement_times, draws.z.shape[1] - 1)
+    check_filter(model, draws.model, particles, resampling, dtype)
+    return filter_checked_draws(
+        model, draws, times, particles, stream, resampling, trajectories, dtype
+    )
+
+
+def filter_checked_draws(
+    model: StateSpaceModel,
+    draws: Draws,
+    measurement_times: Times,
+    particles: int,
+    stream: int,
+    resampling: str = "multinomial",
+    trajectories: bool = False,
+    dtype: str = "float64",
+) -> Filtered:
+    """Filter draws as `filter_draws` does, with arguments that the caller has checked."""
     kept = np.full((2, *draws.z.shape) if trajectories else (2, 0, 0, 0), np.nan)
-    sets, by = [measurement_times], SQUARED_ERROR.name
-    mse = _filter(model, draws, sets, particles, stream, resampling, dtype, by, kept)[:, 0]
+    sets, estimator = [measurement_times], SQUARED_ERROR.name
+    ends = [draws.z.shape[1] - 1]
+    mse = filter_checked_sets(
+        model, draws, sets, particles, stream, resampling, dtype, ends, estimator, kept
+    )[:, 0]
     kept[np.isnan(kept)] = np.nan  # which NaN an operation gives depends on the processor
     return Filtered(mse, *kept) if trajectories else Filtered(mse)
 
@@ -135,16 +156,15 @@ def filter_sets(
         Sum of the errors up to each set's end, over T + 1: what `filter_draws` gives as mse where
         the end is T.
     """
-    no = np.empty((2, 0, 0, 0))
-    return _filter(model, draws, sets, particles, stream, resampling, dtype, estimator, no, ends)
+    check_filter(model, draws.model, particles, resampling, dtype, estimator)
+    last = [draws.z.shape[1] - 1] * len(sets) if ends is None else ends
+    checked = [validated(times, end) for times, end in zip(sets, last, strict=True)]
+    return filter_checked_sets(
+        model, draws, checked, particles, stream, resampling, dtype, last, estimator
+    )
 
 
-def filter_streams(stream: int, estimator: str) -> list[int]:
-    """Keys of the noise of each filter that an estimator takes; the first is the given one."""
-    return [stream, stream_key(stream, "second filter")][: ESTIMATORS[estimator].filters]
-
-
-def _filter(
+def filter_checked_sets(
     model: StateSpaceModel,
     draws: Draws,
     sets: Sequence[Times],
@@ -152,24 +172,33 @@ def _filter(
     stream: int,
     resampling: str,
     dtype: str,
+    ends: Sequence[int],
     estimator: str,
-    moments: NDArray[np.float64],
-    ends: Sequence[int] | None = None,
+    moments: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]:
-    """Fill estimate and variance, unless they are empty, and give the mse, (D, S)."""
-    check_filter(model, draws.model, particles, resampling, dtype, estimator)
+    """Filter draws as `filter_sets` does, with arguments that the caller has checked.
+
+    Parameters
+    ----------
+    moments : array of float64, (2, D, T+1, q), optional
+        Receives estimate and variance; only for a single set.
+    """
+    kept = np.empty((2, 0, 0, 0)) if moments is None else moments
     count, instants, _ = draws.z.shape
-    last = [instants - 1] * len(sets) if ends is None else ends
-    checked = [validated(times, end) for times, end in zip(sets, last, strict=True)]
-    planned, place = plan(tuple(checked), instants, tuple(end + 1 for end in last))
+    planned, place = plan(tuple(sets), instants, tuple(end + 1 for end in ends))
     mse, truth = np.empty((count, len(planned.measured))), draws.model
     streams = np.array(filter_streams(stream, estimator), np.uint64)
     with formulas_of(model.name, model.formulas | {"error": truth.error}):
         _compiled(model, truth, resampling, dtype)(
             streams, draws.index.start, draws.y, draws.z, tuple(planned), planned.clouds, particles,
-            list(ESTIMATORS).index(estimator), np.array(model.p), np.array(truth.p), mse, *moments,
+            list(ESTIMATORS).index(estimator), np.array(model.p), np.array(truth.p), mse, *kept,
         )  # fmt: skip
     return mse[:, place]
+
+
+def filter_streams(stream: int, estimator: str) -> list[int]:
+    """Keys of the noise of each filter that an estimator takes; the first is the given one."""
+    return [stream, stream_key(stream, "second filter")][: ESTIMATORS[estimator].filters]
 
 
 def check_fits(model: StateSpaceModel, truth: StateSpaceModel) -> None:

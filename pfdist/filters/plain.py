@@ -71,6 +71,23 @@ def filter_draws(
     """Plain twin of `pfdist.filters.particle_filter.filter_draws`."""
     times = validated(measurement_times, draws.z.shape[1] - 1)
     check_filter(model, draws.model, particles, resampling, dtype)
+    return filter_checked_draws(
+        model, draws, times, particles, stream, resampling, trajectories, dtype
+    )
+
+
+def filter_checked_draws(
+    model: StateSpaceModel,
+    draws: Draws,
+    measurement_times: Times,
+    particles: int,
+    stream: int,
+    resampling: str = "multinomial",
+    trajectories: bool = False,
+    dtype: str = "float64",
+) -> Filtered:
+    """Plain twin of `pfdist.filters.particle_filter.filter_checked_draws`."""
+    times = measurement_times
     count = max(1, _AT_ONCE // particles)
     with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
         blocks = [
@@ -170,3 +187,4 @@ def _put(array: Array, t: int, components: tuple[Any, ...]) -> None:
 
 
 filter_sets = one_by_one(filter_draws)
+filter_checked_sets = one_by_one(filter_checked_draws)

@@ -13,7 +13,7 @@ from pfdist.common.explained import explained
 from pfdist.common.parsing import parse_toml, read_text
 from pfdist.common.section import Section
 from pfdist.errors import JobError, MeasurementTimesError, shown_text
-from pfdist.job.overrides import override
+from pfdist.job.overrides import override, set_values
 from pfdist.job.problem_section import ProblemSection
 from pfdist.job.sections import (
     GIVEN,
@@ -31,7 +31,7 @@ from pfdist.times.measurement_times import REGULAR, validated
 
 RESERVED: Final = (REGULAR, GIVEN, "comparison")  # names that no search may have
 MOST_SEARCHES: Final = 100  # a figure of more searches could not be read
-_NO_SECTIONS: Mapping[str, Any] = {}
+_NOTHING: Mapping[str, Any] = {}
 if TYPE_CHECKING:
     Search = SearchSection
 else:
@@ -157,11 +157,14 @@ class Job(Section):
         return self._origin.path
 
     def with_changes(
-        self, overrides: Iterable[str], sections: Mapping[str, Any] = _NO_SECTIONS
+        self,
+        overrides: Iterable[str] = (),
+        sections: Mapping[str, Any] = _NOTHING,
+        settings: Mapping[str, Any] = _NOTHING,
     ) -> "Job":
-        """Give a job with some keys changed, as ``key=value``; see `load_job`."""
+        """Give a job with some keys changed; parameters and errors as of `load_job`."""
         data = self.model_dump(mode="json", exclude_none=True) | dict(sections)
-        return _validated(data, self._origin, overrides)
+        return _validated(data, self._origin, overrides, settings)
 
     @property
     def names_its_searches(self) -> bool:
@@ -174,7 +177,10 @@ class Job(Section):
 
 
 def load_job(
-    path: str | Path, overrides: Iterable[str] = (), sections: Mapping[str, Any] = _NO_SECTIONS
+    path: str | Path,
+    overrides: Iterable[str] = (),
+    sections: Mapping[str, Any] = _NOTHING,
+    settings: Mapping[str, Any] = _NOTHING,
 ) -> Job:
     """Give the job of a job file, read and validated.
 
@@ -186,7 +192,10 @@ def load_job(
         ``key=value`` each, with a dotted key and a TOML value, for instance ``seed=3`` or
         ``search.genetic.generations=5``, where ``genetic`` is the name of a search.
     sections : mapping of str to object, optional
-        Sections that replace those of the file, before keys are changed.
+        Whole sections that replace those of the file, before the overrides.
+    settings : mapping of str to object, optional
+        Values that replace those of the file, after the overrides: by section and key, as in
+        ``{"filter": {"particles": 100}, "seed": 3}``.
 
     Returns
     -------
@@ -204,19 +213,22 @@ def load_job(
         raise JobError(f"cannot read the job file {path}: {error.strerror}") from error
     except ValueError as error:
         raise JobError(f"the job file must be TOML, got an error: {error} ({path})") from error
-    return _validated(data | dict(sections), Origin(path, "search" in data), overrides)
+    origin = Origin(path, "search" in data)
+    return _validated(data | dict(sections), origin, overrides, settings)
 
 
 def as_job(
     job: Job | str | Path,
     overrides: Iterable[str] = (),
-    sections: Mapping[str, Any] = _NO_SECTIONS,
+    sections: Mapping[str, Any] = _NOTHING,
+    settings: Mapping[str, Any] = _NOTHING,
 ) -> Job:
-    """Give a job, or the job of a file, with changes; see `load_job`."""
+    """Give a job, or the job of a file, with changes; parameters and errors as of `load_job`."""
     if not isinstance(job, Job):
-        return load_job(job, overrides, sections)
-    changes = list(overrides)
-    return job.with_changes(changes, sections) if changes or sections else job
+        return load_job(job, overrides, sections, settings)
+    overrides = list(overrides)
+    changed = overrides or sections or settings
+    return job.with_changes(overrides, sections, settings) if changed else job
 
 
 def job_toml(identity: Mapping[str, Any]) -> str:
@@ -224,10 +236,13 @@ def job_toml(identity: Mapping[str, Any]) -> str:
     return tomli_w.dumps(identity)
 
 
-def _validated(data: dict[str, Any], origin: Origin, overrides: Iterable[str]) -> Job:
+def _validated(
+    data: dict[str, Any], origin: Origin, overrides: Iterable[str], settings: Mapping[str, Any]
+) -> Job:
     given, data = list(overrides), deepcopy(data)
     for change in given:
         override(data, change)
+    given += set_values(data, settings)
     try:
         return Job(origin, **data)
     except JobError as error:

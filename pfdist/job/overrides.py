@@ -1,5 +1,7 @@
-"""Changes of a job's keys, as ``--set`` takes them."""
+"""Changes of a job's values: as text, which a user types after ``--set``, or as typed values."""
 
+from collections.abc import Mapping
+from numbers import Integral
 from typing import Any
 
 from pfdist.common.parsing import MOST_LEVELS, parse_toml
@@ -7,19 +9,19 @@ from pfdist.errors import JobError, shown, shown_text
 
 
 def override(data: dict[str, Any], change: str) -> None:
-    """Change a key of a job's data, in place.
+    """Change a value in the data of a job, in place.
 
     Parameters
     ----------
     data : dict
-        As of a job file.
+        The data of a job file.
     change : str
         ``key=value``, with a dotted key and a TOML value; see `pfdist.job.job.load_job`.
 
     Raises
     ------
     JobError
-        It is no such change, or the job has no such section or search.
+        The text is no such change, or the job has no such section or search.
     """
     key, equals, text = change.partition("=")
     path = [part.strip() for part in key.split(".")]
@@ -51,14 +53,42 @@ def override(data: dict[str, Any], change: str) -> None:
     section[path[-1]] = value
 
 
+def set_values(data: dict[str, Any], settings: Mapping[str, Any]) -> list[str]:
+    """Set typed values in the data of a job, in place.
+
+    Parameters
+    ----------
+    data : dict
+        The data of a job file.
+    settings : mapping of str to object
+        A value for each key, or a mapping of keys to values for each section.
+
+    Returns
+    -------
+    list of str
+        The changes as text, for errors.
+    """
+    changes = []
+    for name, value in settings.items():
+        if isinstance(value, Mapping):
+            section = data.get(name)
+            section = data[name] = dict(section) if isinstance(section, dict) else {}
+            changes += [f"{name}.{change}" for change in set_values(section, value)]
+        else:
+            is_index = isinstance(value, Integral) and not isinstance(value, bool)
+            data[name] = int(value) if is_index else value  # a section takes no NumPy integer
+            changes.append(f"{name}={value if isinstance(value, str) else shown(data[name])}")
+    return changes
+
+
 def _value(text: str, change: str) -> Any:
-    """The value that the text spells in TOML; what spells none is itself a string."""
+    """The value that a text spells in TOML, or the text itself if it spells no value."""
     try:
         text.encode()
     except UnicodeEncodeError as error:
         raise JobError(f"changes must be UTF-8 text, got {shown(change)}") from error
     try:
-        return parse_toml(f"it = {text}")["it"]
+        return parse_toml(f"value = {text}")["value"]
     except ValueError as error:
         if text[:1] in ("[", "{") or text.strip("+-").isdecimal():
             raise JobError(f"change {shown_text(change)}: {error}") from error

@@ -8,6 +8,7 @@ from pfdist.common.section import Section
 from pfdist.errors import shown
 from pfdist.evaluation.engines import AUTO, ENGINES
 from pfdist.kernels.estimators import SQUARED_ERROR
+from pfdist.pools.kinds import POOLS
 from pfdist.search.section import Estimator, Resampling
 from pfdist.times.measurement_times import REGULAR, Times
 
@@ -15,8 +16,10 @@ GIVEN: Final = "reference"  # name of a reference that the job gives, in tables 
 _LONGEST_TEXT = 4096  # characters of a path
 if TYPE_CHECKING:
     EngineName = str
+    PoolName = str
 else:
     EngineName = Literal[(AUTO, *ENGINES)]
+    PoolName = Literal[tuple(POOLS)]
 
 
 def _checked_text(text: str) -> str:
@@ -110,7 +113,7 @@ class Budget(Section):
 class Execution(Section):
     """Where a run is computed. It is no part of the identity of a run."""
 
-    pool: Literal["ray", "serial"] = "ray"
+    pool: PoolName = "ray"
     workers: Annotated[int, Field(ge=0, lt=2**63)] = 0
     address: Text = ""
     failures: Annotated[int, Field(ge=0, lt=2**63)] = 3

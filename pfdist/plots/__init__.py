@@ -1,6 +1,8 @@
-"""The figures, one a file: DataFrames in, Axes out. They read tables alone."""
+"""The figures of a run, one a file: from tables to axes. Figures read tables alone."""
 
 from pfdist.plots import library  # noqa: F401  first: it decides how Matplotlib is imported
-from pfdist.plots.figures import draw_figures, draw_target, draw_why, figure_files, remove_figures
+from pfdist.plots.budget import draw_target
+from pfdist.plots.figures import draw_figures, figure_files, remove_figures
+from pfdist.plots.why import draw_why
 
 __all__ = ["draw_figures", "draw_target", "draw_why", "figure_files", "remove_figures"]

@@ -1,26 +1,44 @@
 """Histogram of the relative gain over all draws (the paper's figure 4)."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.axes import Axes
 
 from pfdist.analysis import BIN, EDGES, Gain
+from pfdist.analysis.reference import label
+from pfdist.plots.figure import Plot, Tables, figure, one_number, write_instead
 from pfdist.plots.style import BLUE, GREY, RED
 
-_FENCE = 3.0  # quartile ranges beyond a quartile at which the axis ends: Tukey's outer fences
+_FENCE = 3.0  # interquartile ranges from a quartile to the end of the axis: Tukey's outer fences
+
+
+@figure("gain", applies=one_number, each_set=True)
+def gain_figure(tables: Tables, name: str) -> Plot:
+    """Histogram of the relative gain over all draws (the paper's figure 4)."""
+    gain, reference = tables.statistics.gains[name], label(tables.run.names[0])
+
+    def draw(panels: Sequence[Axes]) -> None:
+        if gain.counts.any():
+            plot_gain_histogram(panels[0], gain, name, reference)
+        else:
+            write_instead(panels[0], "no draw has a finite gain")
+
+    return Plot(2.3, draw)
 
 
 def plot_gain_histogram(axes: Axes, gain: Gain, name: str, reference: str) -> None:
-    """Draw the histogram of the relative gain; draws far from most others are counted beside it.
+    """Draw the histogram of the relative gain; the legend counts draws beyond the axis.
 
     Parameters
     ----------
     axes : matplotlib Axes
     gain : Gain
-        Of the set of times over the reference.
+        Gain of a set of times over the reference.
     name : str
-        Of the set of times.
+        Name of the set.
     reference : str
-        What the reference is called.
+        Label of the reference.
 
     References
     ----------
@@ -28,14 +46,14 @@ def plot_gain_histogram(axes: Axes, gain: Gain, name: str, reference: str) -> No
     """
     summary, (first, last) = gain.summary(), _shown_bins(gain)
     count = int(np.clip(2 * np.cbrt(summary.draws), 10, 100))  # Rice's rule
-    together = max(1, -(-(last - first) // count))  # fixed bins to each that is drawn
-    starts = np.arange(first, last, together)
+    merged = max(1, -(-(last - first) // count))  # number of counted bins in a bar
+    starts = np.arange(first, last, merged)
     heights = np.add.reduceat(gain.counts[:last], starts)
-    width = 100 * BIN * together
+    width = 100 * BIN * merged
     density = heights / summary.draws / width
     axes.bar(100 * EDGES[starts], density, width, align="edge", color=BLUE, alpha=0.75, lw=0)
     axes.axvline(0.0, color=RED, lw=1.0, label="no gain")
-    label = (
+    told = (
         f"mean {100 * summary.mean_relative_gain:.1f} %\n"
         f"$P(g > 0)$ = {100 * summary.positive_fraction:.1f} %\n{summary.draws:,} draws"
     )
@@ -43,10 +61,10 @@ def plot_gain_histogram(axes: Axes, gain: Gain, name: str, reference: str) -> No
     below = gain.below + int(gain.counts[:first].sum())
     above = gain.above + int(gain.counts[last:].sum())
     for draws, where, at, arrow in ((below, "below", low, "<"), (above, "above", high, ">")):
-        if draws:  # the legend counts them, and an arrow marks where they lie
-            label += f"\n{draws:,} of them {where} {at:.0f} %"
+        if draws:  # an arrow shows on which side these draws lie
+            told += f"\n{draws:,} of them {where} {at:.0f} %"
             axes.plot(at, 0.0, arrow, color=GREY, ms=4, clip_on=False, zorder=5)
-    axes.plot([], [], " ", label=label)
+    axes.plot([], [], " ", label=told)
     axes.set_xlim(low, high)
     axes.set_xlabel(f"relative gain $g$ of {name} over {reference} [%]")
     axes.set_ylabel("density [1/%]")
@@ -54,7 +72,7 @@ def plot_gain_histogram(axes: Axes, gain: Gain, name: str, reference: str) -> No
 
 
 def _shown_bins(gain: Gain) -> tuple[int, int]:
-    """First of the bins that are shown, and that after the last."""
+    """Indices of the first bin that is shown, and of the bin after the last."""
     inside = np.flatnonzero(gain.counts)
     low, high = (
         float(np.clip(gain.quantile(share), EDGES[0], EDGES[-1])) for share in (0.25, 0.75)

@@ -1,4 +1,4 @@
-"""Matplotlib, imported so that no setting of the machine ends a run or changes a figure."""
+"""Matplotlib, imported such that no setting of the machine fails a run or changes a figure."""
 
 import logging
 import os
@@ -7,10 +7,10 @@ from typing import Any
 
 from pfdist.plots.style import STYLE
 
-# That a folder for settings cannot be written is no matter of who runs a job.
+# Matplotlib warns if it cannot write a folder for settings; a run needs no such folder.
 logging.getLogger("matplotlib").addHandler(logging.NullHandler())
 
-# A backend shows windows, and figures here are files; an unknown name would end the import.
+# A backend shows windows, which pfdist never opens. An unknown backend would fail the import.
 _backend = os.environ.pop("MPLBACKEND", None)
 try:
     from matplotlib import style

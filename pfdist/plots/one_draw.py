@@ -1,23 +1,58 @@
 """One draw: the truth, both filters' estimates and their measurement times (paper, figure 3)."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
+from pfdist.analysis import Run
+from pfdist.plots.figure import Plot, Tables, figure, one_number, write_instead
 from pfdist.plots.style import BLUE, RED
 
-MOST_COMPONENTS = 6  # of z that are shown, a panel each
+_MOST_COMPONENTS = 6  # components of z that are shown, each in a panel
+
+
+@figure("draw", applies=one_number, each_set=True)
+def draw_figure(tables: Tables, name: str) -> Plot:
+    """Truth, estimates and times of the draw with the median gain (the paper's figure 3)."""
+    gains = tables.gains_of_trajectories[f"gain_{name}"].dropna()
+    if gains.empty:
+        told = "no draw with a trajectory has a gain"
+        return Plot(2.6, lambda panels: write_instead(panels[0], told))
+    draw = partial(_draw, tables.run, tables.trajectories, gains, name)
+    panels = min(components(tables.trajectories), _MOST_COMPONENTS)
+    return Plot(1.2 + 1.4 * panels, draw, panels)
+
+
+def _draw(
+    run: Run,
+    trajectories: pd.DataFrame,
+    gains: "pd.Series[float]",
+    name: str,
+    panels: Sequence[Axes],
+) -> None:
+    draw = typical_draw(gains)
+    times = run.compared().set_index("name")["measurement_times"]
+    chosen = {key: times[key].tolist() for key in (run.names[0], name)}
+    rows = trajectories[trajectories["draw"] == draw]
+    plot_one_draw(panels, rows, chosen, float(gains[draw]))
 
 
 def typical_draw(gains: "pd.Series[float]") -> int:
-    """Give the draw, of those in the index, of median relative gain (the lower of two medians)."""
+    """Give the draw with the median relative gain; of two medians, the lower.
+
+    Parameters
+    ----------
+    gains : Series
+        Relative gains; the index holds the draws.
+    """
     return int(gains.sort_values(kind="stable").index[(len(gains) - 1) // 2])
 
 
 def components(trajectory: pd.DataFrame) -> int:
-    """Give how many components z has."""
+    """Give the number of components of z."""
     return sum(column.startswith("z_") for column in trajectory.columns)
 
 
@@ -27,16 +62,16 @@ def plot_one_draw(
     times: Mapping[str, Sequence[int]],
     gain: float,
 ) -> None:
-    """Draw every component of z and two estimates of it, a panel each.
+    """Draw each component of z with two estimates, each component in a panel.
 
     Parameters
     ----------
     panels : sequence of matplotlib Axes
-        From above to below; if z has more components than there are panels, the first are shown.
+        From above to below; if there are fewer panels than components, the last are left out.
     trajectory : DataFrame
-        Rows of the table ``trajectories`` of one draw.
+        Rows of one draw in the table ``trajectories``.
     times : mapping of str to sequence of int
-        Measurement times of two sets by name, the reference first.
+        Measurement times of two sets by their names, the reference first.
     gain : float
         Relative gain of the draw.
     """
@@ -68,6 +103,6 @@ def _plot_component(
     ):
         axes.plot(t, estimate, color=colour, ls=dashes, lw=0.9, label=rf"$\hat{{z}}(t)$, {name}")
         at = np.asarray(times[name])
-        level = low - (high - low) * (0.06 + 0.07 * row)  # below the curves, a line a set
+        level = low - (high - low) * (0.06 + 0.07 * row)  # below the curves
         label = rf"$\mathcal{{M}}$, {name}"
         axes.plot(at, np.full(at.size, level), marker, color=colour, ms=4, mew=0.8, label=label)

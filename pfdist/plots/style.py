@@ -1,4 +1,4 @@
-"""How all figures look: one column of a paper wide, readable in print and without colour."""
+"""Colours and settings of all figures: one column wide, readable in print and without colour."""
 
 from typing import Any
 

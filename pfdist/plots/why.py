@@ -1,8 +1,11 @@
-"""Why measurement times are what they are: the error over time, and what measurements are worth.
+"""The expected error over time, and what each measurement is worth, for two sets of times.
 
-Of two sets the reference is blue and its markers are hollow, the other red and filled.
+The reference is blue with hollow markers; the other set is red with filled markers.
 """
 
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,20 +13,70 @@ import pandas as pd
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
+from pfdist.analysis import Run
+from pfdist.plots.figure import Plot
+from pfdist.plots.figures import save_plots
 from pfdist.plots.style import BLUE, GREY, RED
 
 Array = NDArray[np.float64]
 
-_BAND = 1.96  # standard errors: 95 %
+_BAND = 1.96  # standard errors in half of a 95 % interval
 _STYLES: tuple[dict[str, Any], ...] = (
     {"color": BLUE, "ls": (0, (4, 1.5)), "mfc": "white", "mew": 0.6},
     {"color": RED, "ls": "-", "mfc": RED, "mew": 0.6},
 )
-_SIZE = 2.8  # of a marker
+_SIZE = 2.8  # of a marker, in points
+
+
+def draw_why(run: Run, profile: pd.DataFrame, measurements: pd.DataFrame, draws: int) -> list[Path]:
+    """Draw what each measurement is worth, a figure for each found set and the reference.
+
+    Parameters
+    ----------
+    run : Run
+    profile, measurements : DataFrame
+        As of `pfdist.api.why.Why`.
+    draws : int
+        Number of draws behind the estimates; 0 if they are exact.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+    """
+    reference, *found = run.names
+    return save_plots(
+        run,
+        (
+            (
+                f"why-{name}",
+                Plot(
+                    5.2,
+                    partial(_draw, profile, measurements, draws, (reference, name)),
+                    panels=3,
+                    share_x=True,
+                ),
+            )
+            for name in found
+        ),
+    )
+
+
+def _draw(
+    profile: pd.DataFrame,
+    measurements: pd.DataFrame,
+    draws: int,
+    names: tuple[str, str],
+    panels: Sequence[Axes],
+) -> None:
+    above, middle, below = panels
+    plot_profile(above, profile, names, draws)
+    plot_removals(middle, measurements, names)
+    plot_shifts(below, measurements, names)
 
 
 def plot_profile(axes: Axes, profile: pd.DataFrame, names: tuple[str, str], draws: int) -> None:
-    """Draw the expected error over time with its 95 % band, and when each of two sets measures.
+    """Draw the expected error over time with its 95 % band, and the measurement times.
 
     Parameters
     ----------
@@ -31,9 +84,9 @@ def plot_profile(axes: Axes, profile: pd.DataFrame, names: tuple[str, str], draw
     profile : DataFrame
         Columns name, t, measured, error and standard_error, as of `pfdist.api.why.Why`.
     names : (str, str)
-        Of the two sets, the reference first.
+        Names of the two sets, the reference first.
     draws : int
-        On which it was computed; 0 if it is exact.
+        Number of draws behind the estimates; 0 if they are exact.
     """
     for name, style in zip(names, _STYLES, strict=True):
         rows = profile[profile["name"] == name]
@@ -41,8 +94,8 @@ def plot_profile(axes: Axes, profile: pd.DataFrame, names: tuple[str, str], draw
         half = _BAND * rows["standard_error"].to_numpy()
         axes.fill_between(t, error - half, error + half, color=style["color"], alpha=0.2, lw=0)
         label = f"{name}, mean {error.mean():.4g}"
-        at = np.flatnonzero(rows["measured"])
-        axes.plot(t, error, marker="o", markevery=at, ms=_SIZE, lw=0.9, label=label, **style)
+        measured = np.flatnonzero(rows["measured"])
+        axes.plot(t, error, marker="o", markevery=measured, ms=_SIZE, lw=0.9, label=label, **style)
     axes.set_ylim(bottom=0)
     axes.set_ylabel("expected error $e(t)$")
     drawn = f"on {draws:,} draws of their own; " if draws else ""
@@ -50,7 +103,7 @@ def plot_profile(axes: Axes, profile: pd.DataFrame, names: tuple[str, str], draw
 
 
 def plot_removals(axes: Axes, measurements: pd.DataFrame, names: tuple[str, str]) -> None:
-    """Draw by how much the expected MSE rises without each measurement, with 95 % intervals.
+    """Draw the rise of the expected MSE if a measurement is removed, with 95 % intervals.
 
     Parameters
     ----------
@@ -58,7 +111,7 @@ def plot_removals(axes: Axes, measurements: pd.DataFrame, names: tuple[str, str]
     measurements : DataFrame
         Columns name, t, removed and removed_error, as of `pfdist.api.why.Why`.
     names : (str, str)
-        Of the two sets, the reference first.
+        Names of the two sets, the reference first.
     """
     for name, style, aside in zip(names, _STYLES, (-0.2, 0.2), strict=True):
         rows = measurements[measurements["name"] == name]
@@ -72,7 +125,7 @@ def plot_removals(axes: Axes, measurements: pd.DataFrame, names: tuple[str, str]
 
 
 def plot_shifts(axes: Axes, measurements: pd.DataFrame, names: tuple[str, str]) -> None:
-    """Draw by how much the expected MSE rises where each measurement is made one instant off.
+    """Draw the rise of the expected MSE if a measurement is shifted by one instant.
 
     Parameters
     ----------
@@ -80,7 +133,7 @@ def plot_shifts(axes: Axes, measurements: pd.DataFrame, names: tuple[str, str]) 
     measurements : DataFrame
         Columns name, t, earlier, later and their errors, as of `pfdist.api.why.Why`.
     names : (str, str)
-        Of the two sets, the reference first.
+        Names of the two sets, the reference first.
     """
     for change, marker, aside in (("earlier", "<", -0.3), ("later", ">", 0.3)):
         for name, style in zip(names, _STYLES, strict=True):

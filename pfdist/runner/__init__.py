@@ -1,5 +1,4 @@
-"""From a job to its results: build the objects, drive the searches, compare.
+"""From a job to its results: build the objects, drive the searches, compare the sets.
 
-The driver knows no Ray: it hands tasks to a pool and takes outcomes in any order. ``import ray``
-stands in `pfdist.pools.ray_cluster` and `pfdist.pools.ray_rehearsal` alone.
+The driver knows no Ray. It hands tasks to a pool and takes the outcomes in any order.
 """

@@ -1,4 +1,4 @@
-"""From a job's names to objects: model, problem, optimisers, pool."""
+"""From the names in a job to objects: model, problem, optimisers, pool."""
 
 import warnings
 from collections.abc import Callable
@@ -8,7 +8,7 @@ from typing import Any
 
 from pfdist.checks.contract import check_compiled, check_formulas, few_draws
 from pfdist.common.streams import stream_key
-from pfdist.errors import CompileError, EngineWarning, ModelError
+from pfdist.errors import CompileError, EngineWarning, JobError, ModelError
 from pfdist.evaluation.engines import AUTO, COMPILED, NUMPY, NUMPY_TIMES_SLOWER
 from pfdist.evaluation.problem import Problem
 from pfdist.evaluation.work import Estimation
@@ -18,14 +18,16 @@ from pfdist.job.job import Job
 from pfdist.job.sections import Execution
 from pfdist.meaning import chosen
 from pfdist.meaning.chosen import Choose, ChosenModel
-from pfdist.pools.base import Pool, SerialPool
+from pfdist.pools.base import Pool
+from pfdist.pools.kinds import POOLS
 from pfdist.runner.searches import NamedSearch, Settings, named_search
+from pfdist.runner.study import Study, study_of
 from pfdist.times.measurement_times import Times
 
 
 @dataclass(frozen=True)
 class ProblemSource:
-    """A problem as data: it travels to a worker, which makes the problem of it.
+    """A problem as data, from which each worker makes the problem itself.
 
     Parameters
     ----------
@@ -33,7 +35,7 @@ class ProblemSource:
     horizon : int
     dtype, engine : str
     estimations : tuple of Estimation
-        Those that are wanted, the comparison's first.
+        Estimations that the run uses; the comparison's first.
     """
 
     model: ChosenModel
@@ -44,7 +46,7 @@ class ProblemSource:
     estimations: tuple[Estimation, ...]
 
     def make(self) -> Problem:
-        """Load the models and give the problem, which is the function a worker applies."""
+        """The problem with its models loaded and every estimation checked."""
         model = self.model.load()
         try:
             filter_model = self.filter_model.load()
@@ -56,7 +58,7 @@ class ProblemSource:
         return problem
 
     def compiled(self) -> Problem:
-        """The same with all that it needs compiled."""
+        """The problem with everything compiled that the estimations need."""
         problem = self.make()
         if self.engine != NUMPY.name:
             for estimation in self.estimations:
@@ -72,7 +74,7 @@ class ProblemSource:
         return tuple(sorted(set().union(*found)))
 
     def evaluation_id(self, times: Times, end: int, stream: int, estimation: Estimation) -> str:
-        """Hash all that the per-draw MSE of these times depends on."""
+        """Id of an evaluation: a hash of everything on which its per-draw MSE depends."""
         key = stream_key(
             KERNEL_VERSION,
             self.model.content,
@@ -93,6 +95,7 @@ class Built:
     """A job and the objects made of it; see `build`."""
 
     job: Job
+    study: Study
     source: ProblemSource
     searches: tuple[NamedSearch, ...] = field(repr=False)
 
@@ -103,61 +106,39 @@ class Built:
 
     @property
     def phases(self) -> list[str]:
-        """Phases of the searches."""
+        """Names of all phases of the searches."""
         return [phase for search in self.searches for phase in search.phases]
-
-    @cached_property
-    def references(self) -> dict[str, Times]:
-        """Measurement times with which those found are compared, by name: for each N its own."""
-        comparison = self.job.comparison
-        if self.numbers:
-            name = comparison.reference_name
-            return {self.named(name, n): self.job.feasible(n).regular() for n in self.numbers}
-        if isinstance(comparison.reference, str):
-            return {comparison.reference_name: self.job.problem.feasible.regular()}
-        return {comparison.reference_name: comparison.reference}
-
-    @property
-    def numbers(self) -> range:
-        """Numbers of measurements for which times are wanted; empty if for one, or money, alone."""
-        budget = self.job.budget
-        return range(0) if budget is None else range(budget.least, budget.most + 1)
 
     @property
     def comparing(self) -> Estimation:
-        """How sets are compared: by the squared error, however the searches estimate it."""
+        """The estimation of the comparison: the squared error of the job's own filter."""
         return _comparing(self.job)
 
     @property
     def names(self) -> list[str]:
-        """What is compared: the references first, then what the searches find."""
-        found = [search.name for search in self.searches]
-        if self.numbers:
-            found = [self.named(name, number) for name in found for number in self.numbers]
-        return [*self.references, *found]
-
-    def named(self, name: str, number: int) -> str:
-        """Name of a set of so many measurements, where there are sets of several numbers."""
-        return f"{name}_{number:0{len(str(self.job.problem.horizon + 1))}}"
+        """Names of the compared sets: the references, then the sets that the searches find."""
+        found = [name for search in self.searches for name in self.study.names(search.name)]
+        return [*self.study.references, *found]
 
 
 def build(job: Job, choose: Choose | None = None) -> Built:
-    """Make the objects of a job.
+    """Make the objects of a job, and check that they fit each other.
 
     Parameters
     ----------
     job : Job
     choose : callable, optional
-        Chooses the job's models. By default they are those that the job names, because the user
-        has named the job; but where it is the job of a run, nothing of its folder is run unasked.
+        Chooses the job's models. The default chooses the models that the job names, because the
+        user has named the job. If the job lies in a run's folder, the default runs no model file of
+        that folder that the user has not run before.
 
     Raises
     ------
     StoreError
-        It is the job of a run, and names a model's file that the user has not run before.
+        The job lies in a run's folder, and the user has not run its model's file before.
     ModelError
         The model cannot be loaded, a parameter is unknown or out of its range, or an estimator or
-        a resampling does not fit.
+        a resampling scheme does not fit.
     """
     choose = choose or _chooser(job)
     try:
@@ -172,29 +153,29 @@ def build(job: Job, choose: Choose | None = None) -> Built:
         engine=job.filter.engine,
         estimations=(_comparing(job), Settings.of(job).estimation),
     )
-    cheapest = source.make().cheapest_estimator
-    searches = tuple(named_search(job, section, cheapest) for section in job.search)
+    cheapest, study = source.make().cheapest_estimator, study_of(job)
+    searches = tuple(named_search(study, job, section, cheapest) for section in job.search)
     wanted = (settings.estimation for search in searches for settings in search.all_settings)
     source = replace(source, estimations=tuple(dict.fromkeys([*source.estimations, *wanted])))
     draws = _checked_formulas(source)
     source = replace(source, engine=_compiled_or_numpy(source))
     if draws and source.engine == "compiled":
         check_compiled(draws.model, draws)
-    return Built(job, source, searches)
+    return Built(job, study, source, searches)
 
 
 def _chooser(job: Job) -> Choose:
-    """What chooses the models of a job: with more care where it is the job of a run."""
+    """The function that chooses a job's models; a careful function for the job of a run."""
     if not (job.path.parent / "run.json").exists():
         return chosen.choose
-    # Here and not above: a worker, which chooses nothing, then imports no pyarrow.
+    # Imported here, so that workers, which choose no model, need no pyarrow.
     from pfdist.runner.named_by_a_run import of_a_runs_job  # noqa: PLC0415
 
     return of_a_runs_job(job)
 
 
 def _checked_formulas(source: ProblemSource) -> Draws | None:
-    """Refuse formulas that are wrong, but for models that ship; give a few draws of the truth."""
+    """Refuse wrong formulas of the user's models; return a few draws of a user's true model."""
     draws = None
     if not _ships(source.model):
         model = source.model.load()
@@ -204,7 +185,7 @@ def _checked_formulas(source: ProblemSource) -> Draws | None:
         believed = source.filter_model.load()
         try:
             believed_draws = few_draws(believed, source.horizon)
-        except ModelError:  # it need not stay finite: measurements lead the particles
+        except ModelError:  # its simulation may diverge: measurements guide the particles
             return draws
         try:
             check_formulas(believed, believed_draws)
@@ -222,7 +203,7 @@ def _comparing(job: Job) -> Estimation:
 
 
 def _filter_model(job: Job, model: ChosenModel, choose: Choose) -> ChosenModel:
-    """What the filter takes for the truth: the same model, unless [model.filter] names one."""
+    """The model that the filter uses: the job's model, unless [model.filter] names another."""
     section = job.model.filter
     if section.name:
         try:
@@ -233,12 +214,12 @@ def _filter_model(job: Job, model: ChosenModel, choose: Choose) -> ChosenModel:
 
 
 def _compiled_or_numpy(source: ProblemSource) -> str:
-    """The engine: what cannot be compiled is done in NumPy, unless the job says otherwise.
+    """Name of the engine: NumPy where Numba fails, unless the job demands another engine.
 
-    It is compiled here and now, and workers on this machine find it on disk.
+    The formulas are compiled here, and workers on this machine find the result on disk.
     """
     try:
-        source.compiled()  # whatever the engine, so that a wrong model is found at once
+        source.compiled()  # for every engine, so that a wrong model is found at once
     except CompileError as error:
         if source.engine != AUTO:
             raise
@@ -253,16 +234,29 @@ def _compiled_or_numpy(source: ProblemSource) -> str:
 
 
 def _worker(source: ProblemSource) -> Callable[[Any], Any]:
-    # Compiled before there is a task, which has its time to be done in.
+    # Compiled before the first task: the time of a task is limited.
     return source.compiled().results
 
 
-def make_pool(built: Built, execution: Execution) -> Pool:
-    """Make the pool that [execution] names; it starts when it is entered."""
-    make_function = partial(_worker, built.source)
-    if execution.pool == "serial":
-        return SerialPool(make_function)
-    # Here and not above: `--pool serial` then needs no Ray, and starts 0.3 s sooner.
-    from pfdist.pools.ray_pool import RayPool  # noqa: PLC0415
+def check_pool(execution: Execution) -> None:
+    """Refuse an [execution] whose pool cannot have the workers or the address that it asks for.
 
-    return RayPool(make_function, execution.workers, execution.address)
+    Raises
+    ------
+    JobError
+        The pool is one worker, but several workers or an address are given.
+    """
+    name, workers, address = execution.pool, execution.workers, execution.address
+    if POOLS[name].distributed or (workers <= 1 and not address):
+        return
+    both = ", ".join(repr(other) for other, kind in POOLS.items() if kind.distributed)
+    raise JobError(
+        f"execution.pool = {name!r} is one worker {POOLS[name].description}, got workers = "
+        f"{workers}, address = {address!r}; pools that take both: {both}"
+    )
+
+
+def make_pool(built: Built, execution: Execution) -> Pool:
+    """The pool that [execution] names; the pool starts when the caller enters it."""
+    make_function = partial(_worker, built.source)
+    return POOLS[execution.pool].make(make_function, execution.workers, execution.address)

@@ -1,4 +1,4 @@
-"""Have tasks done and commit their rows as they come."""
+"""Run tasks in a pool, and commit their rows as they come."""
 
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator
@@ -13,47 +13,51 @@ from pfdist.pools.base import Outcome, Pool, Task
 from pfdist.runner.pace import Pace, bundles
 from pfdist.store import Store, schema
 
-COMMIT_SECONDS = 1.0  # at most so much work is lost by a kill, and a task's
-COMMIT_ROWS = 100_000  # and so many wait in memory, however fast a model is
+COMMIT_SECONDS = 1.0  # a kill loses at most so much work, and one task
+COMMIT_ROWS = 100_000  # at most so many rows wait in memory, however fast a model is
 
 
 @dataclass
 class _Waiting:
-    """What was done and is not committed yet."""
+    """Outcomes of a phase's tasks, and their rows, that are not committed yet."""
 
     outcomes: list[Outcome] = field(default_factory=list)
     rows: list[pa.Table] = field(default_factory=list)
 
 
-@dataclass
 class Collector:
-    """Runs tasks in a pool and commits what they give.
+    """Runs tasks in a pool and commits their results.
 
     Parameters
     ----------
     store : Store
     pool : Pool
     session : str
-        This start of the program, for the timings.
+        Name of this start of the program, for the timings.
     pace : Pace
-        What is known of the workers' speed; it learns from what they do.
+        The workers' speed; it learns from every task.
     failures : int
-        How many tasks may fail, and are done once more.
+        How many tasks may fail; each is computed again.
     resumed : bool
         Whether the store held rows when the session began.
     """
 
-    store: Store
-    pool: Pool
-    session: str
-    pace: Pace
-    failures: int = 0
-    resumed: bool = True
-    _failures: int = 0
-    _commits: int = 0
-    _waiting: dict[tuple[str, str], "_Waiting"] = field(default_factory=dict)
-    _later: list[Callable[[], None]] = field(default_factory=list)
-    _last: float = field(default_factory=time.monotonic)
+    def __init__(
+        self,
+        store: Store,
+        pool: Pool,
+        session: str,
+        pace: Pace,
+        failures: int = 0,
+        resumed: bool = True,
+    ) -> None:
+        self.store, self.resumed = store, resumed
+        self._pool, self._session, self._pace = pool, session, pace
+        self._most_failures, self._failures = failures, 0
+        self._commits = 0
+        self._waiting: dict[tuple[str, str], _Waiting] = {}
+        self._later: list[Callable[[], None]] = []
+        self._last_commit = time.monotonic()
 
     def run(
         self,
@@ -64,35 +68,45 @@ class Collector:
         *,
         more_follows: bool = False,
     ) -> Generator[tuple[Work, Result]]:
-        """Have works done in tasks, and give pieces of them as they come.
+        """Yield pieces of the works with their results, in any order.
 
-        About once a second, or where they are many, and at the end their rows are committed.
+        Rows are committed about once a second, or sooner if there are many, and at the end. Close
+        the iterator (`contextlib.closing`): then all results so far are committed, whatever
+        happens.
 
-        Close the iterator (`contextlib.closing`) and what has come so far is committed, whatever
-        happened. If `more_follows`, another run, the last rows may wait for it: the workers have
-        nothing to do between two generations, and a commit takes a while.
+        Parameters
+        ----------
+        phase, table : str
+            Where the rows belong.
+        works : iterable of Work
+        rows_of : callable
+            Gives the rows of a piece and its result.
+        more_follows : bool
+            Whether the last rows may wait for the next call. A commit takes a while, and between
+            two generations the workers are idle.
 
         Raises
         ------
         TaskError
-            One task too many failed. What else was done is committed.
+            Too many tasks failed. All other results are committed.
         """
-        todo: Iterable[Task] = self._tasks(table, works)
+        steps = dict[str, int]()  # of each task, by its key
+        todo: Iterable[Task] = self._tasks(table, works, steps)
         try:
             while todo:
                 failed: list[Task] = []
-                for outcome in self.pool.run(todo):
+                for outcome in self._pool.run(todo):
                     waiting = self._waiting.setdefault((phase, table), _Waiting())
                     waiting.outcomes.append(outcome)
                     if outcome.error is not None:
                         self._count_failure(phase, outcome.error)
                         failed.append(outcome.task)
                         continue
-                    self.pace.learn(outcome.task.work, outcome.seconds)
+                    self._pace.learn(steps.pop(outcome.task.key), outcome.seconds)
                     pieces = list(zip(outcome.task.work, outcome.value, strict=True))
                     waiting.rows += [rows_of(work, result) for work, result in pieces]
                     yield from pieces
-                    late = time.monotonic() - self._last >= COMMIT_SECONDS
+                    late = time.monotonic() - self._last_commit >= COMMIT_SECONDS
                     if late or sum(rows.num_rows for rows in waiting.rows) >= COMMIT_ROWS:
                         self.flush()
                 todo = failed
@@ -104,22 +118,23 @@ class Collector:
 
     def _count_failure(self, phase: str, error: str) -> None:
         self._failures += 1
-        if self._failures > self.failures:
+        if self._failures > self._most_failures:
             reason = error.strip().splitlines()[-1].removeprefix("pfdist.errors.")
             times = f"{self._failures} times, the last: " if self._failures > 1 else ""
             raise TaskError(f"a task of {phase} failed: {times}{reason}", error)
 
-    def _tasks(self, table: str, works: Iterable[Work]) -> Iterator[Task]:
-        for bundle in bundles(works, self.pace.size):
-            key = f"{table}:{stream_key([repr(work) for work in bundle]):016x}"
-            yield Task(key, bundle, self.pace.expected(bundle))
+    def _tasks(self, table: str, works: Iterable[Work], steps: dict[str, int]) -> Iterator[Task]:
+        for bundle in bundles(works, self._pace.size):
+            key = f"{table}:{stream_key([(work.ids, work.draws) for work in bundle.works]):016x}"
+            steps[key] = bundle.steps
+            yield Task(key, bundle.works, self._pace.seconds * bundle.steps)
 
     def later(self, write: Callable[[], None]) -> None:
-        """Have something written after what waits: while the workers have tasks in their hands."""
+        """Write something after the next commit, while the workers are busy."""
         self._later.append(write)
 
     def flush(self) -> None:
-        """Commit what waits."""
+        """Commit all waiting rows and timings, then write what was put off until later."""
         later, self._later = self._later, []
         done, self._waiting = self._waiting, {}
         for (phase, table), waiting in done.items():
@@ -127,18 +142,18 @@ class Collector:
             if waiting.rows:
                 self.store.commit(table, phase, key, pa.concat_tables(waiting.rows))
             timings = self._timings(phase, waiting.outcomes)
-            self._commits += 1  # what failed fails again: the same tasks, and other timings
-            self.store.commit("timings", phase, f"{key}-{self.session}-{self._commits}", timings)
+            self._commits += 1  # a task that fails again has the same key and other timings
+            self.store.commit("timings", phase, f"{key}-{self._session}-{self._commits}", timings)
         for write in later:
             write()
-        self._last = time.monotonic()
+        self._last_commit = time.monotonic()
 
     def _timings(self, phase: str, outcomes: list[Outcome]) -> pa.Table:
         rows = [
             {
                 "phase": phase,
                 "task": outcome.task.key,
-                "session": self.session,
+                "session": self._session,
                 "seconds": outcome.seconds,
                 "worker": outcome.worker,
                 "node": outcome.node,

@@ -1,8 +1,7 @@
-"""The driver: search phases, then the comparison. It knows a pool and a store, and no Ray."""
+"""The driver: search phases, then the comparison. It uses a pool and a store, and knows no Ray."""
 
 import uuid
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -11,19 +10,18 @@ import pyarrow as pa
 
 from pfdist.errors import SearchError
 from pfdist.pools.base import Pool
-from pfdist.runner import comparison_phase
 from pfdist.runner.build import Built
 from pfdist.runner.collect import Collector
-from pfdist.runner.comparison_phase import run_comparison
+from pfdist.runner.comparison_phase import COMPARISON, comparison_steps, run_comparison
 from pfdist.runner.pace import Pace
-from pfdist.runner.progress import Progress, Report
-from pfdist.runner.search_phase import run_search, steps
+from pfdist.runner.progress import Report, Reporter
+from pfdist.runner.search_phase import run_search, search_steps
 from pfdist.runner.search_tables import unpublished
 from pfdist.store import Store, schema
 from pfdist.times.measurement_times import Times
 
 FORKED = "forked-from"
-"""Phase of the rows that were taken from another run; those that are wanted are published."""
+"""Phase of rows that a fork takes from another run; the fork publishes those that it needs."""
 COMPARED = "search"
 
 
@@ -34,18 +32,18 @@ def drive(
     report: Report,
     say: Callable[[str], Any] = lambda line: None,
 ) -> None:
-    """Compute what a run still lacks; going on and starting are the same.
+    """Compute everything that a run still lacks, be it new or half finished.
 
     Parameters
     ----------
     built : Built
     store : Store
     pool : Pool
-        Entered.
+        A pool that the caller has entered.
     report : callable
-        Told of the progress, once an outcome.
+        Receives the progress after each outcome.
     say : callable, optional
-        Told, in a line, why a search does not believe its estimator.
+        Receives a line if a search does not trust its estimator.
 
     Raises
     ------
@@ -57,28 +55,28 @@ def drive(
     failures = built.job.execution.failures
     pace = Pace(built.problem.seconds_a_step, pool.workers)
     collector = Collector(store, pool, uuid.uuid4().hex[:8], pace, failures, store.has("draws"))
-    searched = sum(steps(built, search) for search in built.searches)
-    total = searched + comparison_phase.steps(built)
-    progress = Progress(phase=built.names[0], done=0.0, total=total)
+    searched = sum(search_steps(built, search) for search in built.searches)
+    reporter = Reporter(report, searched + comparison_steps(built))
     try:
-        lost = store.manifest.lost()  # to be computed again
+        lost = store.manifest.lost()  # they are computed again
         has = store.has("compared") and not store.has_parts("compared")
         if lost or not has or unpublished(store, built.phases):
-            sets, progress = _search(built, collector, progress, report, say)
+            sets = _search(built, collector, reporter, say)
         else:
-            sets, progress = compared_sets(store), replace(progress, done=searched)
-        run_comparison(built, sets, collector, progress, report)
+            sets = compared_sets(store)
+            reporter.note(done=searched)
+        run_comparison(built, sets, collector, reporter)
         collector.flush()
         store.publish("draws", FORKED, [])
         store.manifest.forget_lost()
     finally:
         collector.flush()
-        for phase in (*built.phases, comparison_phase.PHASE):
+        for phase in (*built.phases, COMPARISON):
             _publish_timings(store, phase)
 
 
 def compared_sets(store: Store) -> dict[str, Times]:
-    """Measurement times that are compared, by name, in their order."""
+    """The compared sets of times by name, in the order of their table."""
     rows = store.compared()
     return {
         str(name): tuple(int(time) for time in times)
@@ -87,24 +85,14 @@ def compared_sets(store: Store) -> dict[str, Times]:
 
 
 def _search(
-    built: Built,
-    collector: Collector,
-    progress: Progress,
-    report: Report,
-    say: Callable[[str], Any],
-) -> tuple[dict[str, Times], Progress]:
-    """Run every search; give what is to be compared, and how far the run is."""
+    built: Built, collector: Collector, reporter: Reporter, say: Callable[[str], Any]
+) -> dict[str, Times]:
+    """Run every search, and return the sets that are compared, by name."""
     rows: list[dict[str, Any]] = [
-        {"name": name, "measurement_times": times} for name, times in built.references.items()
+        {"name": name, "measurement_times": times} for name, times in built.study.references.items()
     ]
     for search in built.searches:
-        end = run_search(built, search, collector, progress, report, say)
-        redone = steps(built, search.again) if search.again and end.distrust else 0.0
-        progress = replace(
-            progress,
-            done=progress.done + steps(built, search) + redone,
-            total=progress.total + redone,
-        )
+        end = run_search(built, search, collector, reporter, say)
         rows += [
             {
                 "name": name,
@@ -126,13 +114,13 @@ def _search(
     for position, row in enumerate(rows):
         row["position"] = position
     table = pa.Table.from_pylist(rows, schema=schema("compared"))
-    # After what the searches have yet to write: from then on they are taken to be done.
+    # Written after the tables of the searches: it marks the searches as done.
     collector.later(partial(_publish_compared, collector.store, table))
-    return {row["name"]: row["measurement_times"] for row in rows}, progress
+    return {row["name"]: row["measurement_times"] for row in rows}
 
 
 def _publish_compared(store: Store, table: pa.Table) -> None:
-    store.commit("compared", COMPARED, "sets", table)  # that it is seen to be cut short
+    store.commit("compared", COMPARED, "sets", table)  # a part shows that publishing was cut short
     store.publish("compared", COMPARED, [table])
 
 

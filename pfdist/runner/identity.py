@@ -1,4 +1,4 @@
-"""What a run is, and whether the folder at hand holds that run."""
+"""The identity of a run, and whether a folder holds the run of this identity."""
 
 import contextlib
 import os
@@ -40,28 +40,29 @@ _LIBRARIES = ("numpy", "scipy", "numba", "ray", "pandas", "pyarrow", "matplotlib
 
 @contextlib.contextmanager
 def opened(path: Path, built: Built, say: Callable[[str], Any]) -> Iterator[Store]:
-    """Hold a run's folder for computing: make it, or check that it holds this run.
+    """Hold a run's folder for computing: make the folder, or check that it holds this run.
 
-    Files that are not what was committed go to quarantine, and are computed again.
+    Damaged files are moved to quarantine, and their content is computed again.
 
     Parameters
     ----------
     path : Path
     built : Built
     say : callable
-        Is told, in a line each, of what was damaged.
+        Receives a line for each damaged file.
 
     Raises
     ------
     RunMismatchError
-        It holds a run of something else.
+        The folder holds another run.
     StoreError
-        Another process computes it, it cannot be read or written, or holds other things than a run.
+        Another process computes the run, the folder cannot be read or written, or it holds other
+        things than a run.
     """
     identity = _identity(built)
     key = key_of(identity, built.job.identity())
     known = has_key(path, key) or own_key(path) == key
-    store = Store(path, key if known else None)  # another run is looked at by its own key
+    store = Store(path, key if known else None)  # another run is read with its own key
     if not known and not holds_run(path):
         _check_free(path)
     with held(path):
@@ -73,7 +74,7 @@ def opened(path: Path, built: Built, say: Callable[[str], Any]) -> Iterator[Stor
                 f"{path / about[0].path} {about[0].what}, and this job is not the one that the "
                 "run was started with: nothing was touched; that job, run again, makes it anew"
             )
-        # Is it this run's? Before that no file is touched; nor are damaged tables read.
+        # Until the folder is known to hold this run, no file is touched, and no damaged table read.
         committed = _committed(store, damages)
         if all((path / name).exists() for name in ABOUT) and not about:
             _check_same(store, built, identity, committed)
@@ -98,7 +99,7 @@ def _committed(store: Store, damages: list[Damage]) -> int:
 
 
 def _write_about(path: Path, built: Built, identity: dict[str, Any], key: str) -> None:
-    """Write job.toml and run.json where they are not, or of fewer draws."""
+    """Write job.toml and run.json if they are missing, and job.toml if the job has more draws."""
     job = built.job
     if not holds_run(path):
         write_job(path, job_toml(job.identity()))
@@ -109,9 +110,9 @@ def _write_about(path: Path, built: Built, identity: dict[str, Any], key: str) -
 
 
 def estimations(built: Built) -> dict[str, dict[str, Any]]:
-    """How each search estimates at first, which the job does not say where it is left to pfdist.
+    """How each search estimates at first; a job with "auto" does not say so.
 
-    Whether a search was done again by the squared error, the tables say: it is found on the way.
+    The tables say whether a search was run again by the squared error.
     """
     if built.problem.exact:
         return {}
@@ -130,19 +131,19 @@ def _identity(built: Built) -> dict[str, Any]:
 
 
 def meanings(built: Built) -> dict[str, dict[str, Any]]:
-    """Give what the model means, and of the filter's model what differs from that."""
+    """The meaning of the model, and the parts of the filter's model that differ from it."""
     model, believed = built.source.model.meaning, built.source.filter_model.meaning
     differs = {name: value for name, value in believed.items() if model.get(name) != value}
     return {"model": model, "filter_model": differs}
 
 
 def changed_meanings(run: Mapping[str, Any], built: Built) -> dict[str, str]:
-    """Give how a run's models differ from those that are there now, by the names of what differs.
+    """How a run's models differ from the built models, by the name of the part that differs.
 
     Parameters
     ----------
     run : mapping
-        The run's run.json.
+        The content of the run's run.json.
     built : Built
     """
     now = meanings(built)
@@ -157,7 +158,7 @@ def changed_meanings(run: Mapping[str, Any], built: Built) -> dict[str, str]:
 def _check_free(path: Path) -> None:
     if path.exists() and not path.is_dir():
         raise StoreError(f"results must be a folder, got the file {path}", argument="results")
-    # These are what a start leaves that was killed before it wrote run.json.
+    # A start that was killed before it wrote run.json leaves these entries.
     strange = {entry.name for entry in path.glob("[!.]*")} - {"job.toml", "manifest"}
     if strange:
         raise StoreError(
@@ -179,12 +180,12 @@ def _check_same(store: Store, built: Built, identity: dict[str, Any], committed:
         before = f"{committed} committed" if key == "job.comparison.draws" else _short(was)
         changes[key.removeprefix("job.")] = f"{before} -> {_short(is_now)}"
     differences = [f"{name}: {change}" for name, change in sorted(changes.items())]
-    # How searches estimate follows from the job, unless nothing else differs.
-    told = [line for line in differences if not line.startswith("estimations.")] or differences
-    if told and all(line.startswith("comparison.draws: ") for line in told):
+    # The estimations of searches follow from the job; name them only if nothing else differs.
+    causes = [line for line in differences if not line.startswith("estimations.")] or differences
+    if causes and all(line.startswith("comparison.draws: ") for line in causes):
         raise _too_few(store.path, job, committed)
-    if told:
-        raise _mismatch(store.path, told)
+    if causes:
+        raise _mismatch(store.path, causes)
     if not store.manifest.exists():
         raise StoreError(
             f"{store.path} has lost its folder manifest, which says what its files must hold: put "
@@ -193,7 +194,7 @@ def _check_same(store: Store, built: Built, identity: dict[str, Any], committed:
 
 
 def _changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any]]:
-    """Give the key and both values of every leaf that differs."""
+    """Yield the key and both values of every leaf that differs."""
     before, after = dict(_flat(old)), dict(_flat(new))
     for key in sorted(before.keys() | after.keys()):
         was, is_now = before.get(key, "nothing"), after.get(key, "nothing")
@@ -202,7 +203,7 @@ def _changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[tuple[s
 
 
 def _short(value: Any) -> str:
-    """A hash by its first figures, and any other value without the middle of a long one."""
+    """A value as an error shows it: the first digits of a hash; long values without the middle."""
     if isinstance(value, str) and _HASH.fullmatch(value):
         return value[:8]
     return shown_text(str(value))
@@ -223,7 +224,7 @@ def _too_few(path: Path, job: Job, committed: int) -> StoreError:
 
 
 def _may_change(key: str, was: Any, is_now: Any, committed: int) -> bool:
-    """Whether a run goes on all the same: with more draws, or until its intervals are narrower."""
+    """Whether a run may resume with this change: more draws, or narrower intervals."""
     if "nothing" in (was, is_now):
         return False
     if key == "job.comparison.until.half_width":
@@ -232,7 +233,7 @@ def _may_change(key: str, was: Any, is_now: Any, committed: int) -> bool:
 
 
 def _flat(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
-    """Leaves of nested mappings and lists, each under its dotted key."""
+    """Yield the leaves of nested mappings and lists with their dotted keys."""
     if isinstance(value, Mapping):
         for name, inner in value.items():
             yield from _flat(inner, f"{key}.{name}" if key else str(name))
@@ -251,8 +252,8 @@ def _provenance(built: Built) -> dict[str, Any]:
     return {
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": sys.argv,
-        "folder": str(job.path.parent.absolute()),  # what a model's path is relative to
-        "files": {  # of each model, its own first, by their paths relative to that
+        "folder": str(job.path.parent.absolute()),  # paths of models are relative to it
+        "files": {  # the files of each model, by their paths relative to the model's folder
             "model": built.source.model.source.sha256,
             "filter_model": built.source.filter_model.source.sha256,
         },
@@ -264,7 +265,7 @@ def _provenance(built: Built) -> dict[str, Any]:
             "cores": len(os.sched_getaffinity(0)),
         },
         "processor": processor(),
-        # Of the C library: where none is called, compiled code gives the same bytes everywhere.
+        # Compiled code that calls no function of the C library gives the same bytes everywhere.
         "libm_functions": list(built.source.libm_functions()),
         "git": _git(job.path.parent),
         "execution": job.execution.model_dump(mode="json"),
@@ -272,11 +273,11 @@ def _provenance(built: Built) -> dict[str, Any]:
 
 
 def _git(folder: Path) -> dict[str, Any] | None:
-    """Commit of the repository that holds the job file, and whether it has changes."""
+    """Commit of the repository that holds the job file, and whether the files have changes."""
     try:
         commit, changes = (
             subprocess.run(  # noqa: S603
-                ["git", *arguments],  # noqa: S607  the user's own
+                ["git", *arguments],  # noqa: S607  the git on the user's path
                 cwd=folder,
                 capture_output=True,
                 text=True,
@@ -286,5 +287,5 @@ def _git(folder: Path) -> dict[str, Any] | None:
             for arguments in (["rev-parse", "HEAD"], ["status", "--porcelain"])
         )
     except (OSError, subprocess.SubprocessError):
-        return None  # no git, or no repository: provenance says so
+        return None  # no git, or no repository: the provenance records None
     return {"commit": commit, "dirty": bool(changes)}

@@ -1,4 +1,4 @@
-"""Whether what a search asks for at once can be held in memory."""
+"""Whether a generation of a search fits into memory."""
 
 import os
 
@@ -6,30 +6,30 @@ from pfdist.errors import JobError
 from pfdist.job.job import Job
 from pfdist.search.section import SearchSection
 
-_BYTES_A_DRAW = 32  # its number and its error, in a worker's answer and in the table
-_BYTES_A_SET = 1000  # its times, its evaluation and its row
+_BYTES_A_DRAW = 32  # the index and the MSE of a draw, in a worker's answer and in the table
+_BYTES_A_SET = 1000  # the times, the evaluation and the row of a set
 _SETS = {"population": 1, "chains": 2}
-"""Settings that say how many sets a search asks for at once, and how many sets each is."""
+"""Settings for the number of sets in a generation, and how many sets each unit stands for."""
 
 
 def check_memory(job: Job, section: SearchSection, draws: int) -> None:
-    """Raise a `JobError` where a generation of a search cannot be held on this machine.
+    """Raise a `JobError` if a generation of a search does not fit into this machine's memory.
 
     Parameters
     ----------
     job : Job
     section : SearchSection
-        Of the job.
+        A section of the job.
     draws : int
-        Of an evaluation.
+        Draws of an evaluation.
     """
     for key, sets in _SETS.items():
         count = section.settings.get(key, 0)
         wanted = count * sets * (_BYTES_A_SET + _BYTES_A_DRAW * draws)
-        there = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-        if wanted > there:
+        present = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+        if wanted > present:
             raise JobError(
                 f"search.{section.name}.{key} = {count} on {draws:,} draws each takes about "
-                f"{wanted / 1e9:.3g} GB of memory, and this machine has {there / 1e9:.3g} GB: "
-                f"take at most {there * count // wanted:,} ({job.path})"
+                f"{wanted / 1e9:.3g} GB of memory, and this machine has {present / 1e9:.3g} GB: "
+                f"take at most {present * count // wanted:,} ({job.path})"
             )

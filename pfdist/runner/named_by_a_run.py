@@ -1,7 +1,7 @@
-"""The models that a run's folder names: nothing is run before it was compared.
+"""Models that a run's folder names: no model file runs before it was compared.
 
-A run's folder never has a file run by itself. A model's file runs if its content is what the run
-was made with and what the user has run on this machine before, or if the user names it.
+A run's folder alone can never make a file run. A model file runs if the user names it. It also
+runs if it is unchanged since the run, and the user has run it on this machine before.
 """
 
 import os
@@ -33,13 +33,13 @@ class NamedByRun:
     run : Path
         The run's folder.
     about : mapping
-        Its run.json.
+        Content of the run's run.json.
     instead : mapping of str to str
-        What the user names in the place of "model" and "filter_model".
+        Models that the user names instead, for the parts "model" and "filter_model".
     say : callable
-        Is told, in a line each, which files are run, before they are.
+        Receives a line for each model file before the file is run.
     remedy : str
-        What the user can do to have a model run, with the part's name in the place of {part}.
+        Advice how to have a model run; {part} stands for the name of the part.
     """
 
     run: Path
@@ -56,7 +56,7 @@ class NamedByRun:
         Raises
         ------
         StoreError
-            The model's file is not what the run was made with, or the user has never run it.
+            The model file has changed since the run, or the user has never run it.
         ModelError
             There is no such model, or it cannot be loaded.
         """
@@ -65,7 +65,7 @@ class NamedByRun:
             return choose(part, given, Path(), parameters)
         if len(name) > _LONGEST:
             raise StoreError(f"{self.run} names a model by {len(name):,} characters, not a file")
-        if ".py:" not in name:  # of an installed package
+        if ".py:" not in name:  # a model of an installed package
             return choose(part, name, folder, parameters)
         source = self._source(part, name)
         self.say(
@@ -75,23 +75,22 @@ class NamedByRun:
         return chosen_from(source, parameters)
 
     def _source(self, part: str, name: str) -> ModelSource:
-        """The model with the files of the run, if these are as they were and known."""
+        """Source of the model, if its files are unchanged since the run and known to the user."""
         file, _, attribute = name.rpartition(":")
         path, remedy = self._path(file), self.remedy.format(part=part)
-        was = self._hashes(part, path.name, remedy)
         contents = {}
-        for other, expected in was.items():
-            beside = path.with_name(other)
+        for name_of_file, expected in self._hashes(part, path.name, remedy).items():
+            beside = path.with_name(name_of_file)
             content = _content(beside)
             if content is None:
                 raise StoreError(f"{self.run} names {beside}, which cannot be read; {remedy}")
-            now = sha256(content).hexdigest()
-            if now != expected:
+            found = sha256(content).hexdigest()
+            if found != expected:
                 raise StoreError(
                     f"{beside} is not the file that {self.run} was made with ({expected[:8]} -> "
-                    f"{now[:8]}), so nothing was run; {remedy}"
+                    f"{found[:8]}), so nothing was run; {remedy}"
                 )
-            contents[other] = content
+            contents[name_of_file] = content
         main = contents.pop(path.name)
         source = ModelSource(name, str(path), attribute, "", main, tuple(sorted(contents.items())))
         if not is_known(source):
@@ -102,7 +101,7 @@ class NamedByRun:
         return source
 
     def _path(self, file: str) -> Path:
-        """Where a file is: relative to the first job's folder, which may be another one by now."""
+        """Path of a model file: in the job's first folder, the current folder or the run's."""
         provenance = self.about.get("provenance")
         folder = provenance.get("folder") if isinstance(provenance, Mapping) else None
         folders = [Path(folder if isinstance(folder, str) else ""), Path(), self.run]
@@ -110,12 +109,12 @@ class NamedByRun:
         return next((path for path in paths if os.path.isfile(path)), paths[0])
 
     def _hashes(self, part: str, file: str, remedy: str) -> dict[str, str]:
-        """SHA-256 of each of a model's files, by the file's name; checked, for it may be anything.
+        """SHA-256 of each file of a model, by the file's name; anything else is refused.
 
         Raises
         ------
         StoreError
-            The run does not say them.
+            The run does not record the hashes.
         """
         provenance: Any = self.about.get("provenance")
         for key in ("files", part):
@@ -130,14 +129,14 @@ class NamedByRun:
 
 
 def of_a_runs_job(job: Job) -> NamedByRun:
-    """Give what chooses the models of a job that lies in a run's folder."""
+    """The function that chooses the models of a job in a run's folder."""
     folder = job.path.parent
     remedy = "to have them run, copy job.toml to a folder of yours, and the files that it names"
     return NamedByRun(folder, read_run(folder)[0], {}, lambda line: None, remedy)
 
 
 def files_named(job: Job) -> list[Path]:
-    """Give the model files that a job names."""
+    """Paths of the model files that a job names."""
     names = (job.model.name, job.model.filter.name)
     files = [name.rpartition(":")[0] for name in names if ".py:" in name]
     return [job.path.parent / file for file in dict.fromkeys(files)]
@@ -148,7 +147,7 @@ def _is_hash(name: Any, value: Any) -> bool:
 
 
 def _content(path: Path) -> bytes | None:
-    """A plain file's content; None of what cannot be read, and of pipes and devices."""
+    """Content of a plain file; None for a file that cannot be read, a pipe or a device."""
     if not os.path.isfile(path):
         return None
     try:
@@ -159,4 +158,4 @@ def _content(path: Path) -> bytes | None:
 
 
 def _without_waiting(path: str, flags: int) -> int:
-    return os.open(path, flags | os.O_NONBLOCK)  # it may have become a pipe meanwhile
+    return os.open(path, flags | os.O_NONBLOCK)  # the file may have become a pipe in the meantime

@@ -1,8 +1,8 @@
-"""Cut work into tasks: long ones while there is much to do, short ones at the end.
+"""Cut works into tasks: long tasks while much work remains, short tasks at the end.
 
-What is handed out is a share of what remains, so that all workers end together, whatever their
-number and speed; but never more than a fraction of a second, which is what a kill loses, and
-never so little that handing it over costs more than doing it. The speed is learnt as tasks end.
+Each task gets a share of the remaining work, so that all workers end together, whatever their
+number and speed. A task takes at most a fraction of a second, because a kill loses unfinished
+tasks. It takes at least ten times what its transport costs. The speed is learnt as tasks end.
 
 References
 ----------
@@ -11,86 +11,105 @@ supercomputers", IEEE Transactions on Computers 36, 1987.
 """
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 from pfdist.evaluation.work import Work
 
 MOST_SECONDS = 0.3
-LEAST_SECONDS = 0.015  # ten times what handing a task over costs
-MOST_ROWS = 50_000  # of per-draw errors: however fast a model is, a task's lie in memory
-_SHARE = 2  # of what remains, so many tasks for each worker: two are in its hands at any time
+LEAST_SECONDS = 0.015  # ten times what the transport of a task costs
+MOST_ROWS = 50_000  # per-draw errors of a task, which lie in memory however fast a model is
+_SHARE = 2  # so many tasks for each worker: two are queued at each worker at any time
 
 
-@dataclass
 class Pace:
-    """How long a particle-step takes, as far as is known.
+    """How many seconds a particle-step takes, learnt from finished tasks.
 
     Parameters
     ----------
     seconds : float
-        The first guess.
+        First guess.
     workers : int
+    learnt : bool
+        Whether the seconds are known, and not a guess.
+
+    Attributes
+    ----------
+    seconds : float
+        Seconds of a particle-step.
     """
 
-    seconds: float
-    workers: int
-    learnt: bool = False
+    def __init__(self, seconds: float, workers: int, *, learnt: bool = False) -> None:
+        self.seconds = seconds
+        self._workers, self._learnt = workers, learnt
 
-    def learn(self, works: Iterable[Work], seconds: float) -> None:
-        """Learn from a task that took so long."""
-        self.seconds = (self.seconds + seconds / sum(work.steps for work in works)) / 2
-        self.learnt = True
-
-    def expected(self, works: Iterable[Work]) -> float:
-        """Seconds that a task should take."""
-        return self.seconds * sum(work.steps for work in works)
+    def learn(self, steps: int, seconds: float) -> None:
+        """Learn from a task of so many particle-steps that took so many seconds."""
+        self.seconds = (self.seconds + seconds / steps) / 2
+        self._learnt = True
 
     def size(self, remaining: int) -> int:
-        """How many particle-steps to do in the next task, of so many that remain.
+        """Particle-steps of the next task, if so many particle-steps remain.
 
-        The first tasks are short: a model may be a hundred times slower than is thought.
+        The first tasks are short, because a model may be a hundred times slower than the guess.
         """
-        share = remaining * self.seconds / (_SHARE * self.workers) if self.learnt else 0.0
+        share = remaining * self.seconds / (_SHARE * self._workers) if self._learnt else 0.0
         return max(1, round(min(MOST_SECONDS, max(LEAST_SECONDS, share)) / self.seconds))
 
 
-def bundles(works: Iterable[Work], size: Callable[[int], int]) -> Iterator[tuple[Work, ...]]:
-    """Cut works between their draws, and bundle them, as they are asked for.
+class Bundle(NamedTuple):
+    """The works of a task.
+
+    Parameters
+    ----------
+    works : tuple of Work
+    steps : int
+        Particle-steps of all works.
+    """
+
+    works: tuple[Work, ...]
+    steps: int
+
+
+def bundles(works: Iterable[Work], size: Callable[[int], int]) -> Iterator[Bundle]:
+    """Cut works between their draws, and bundle the pieces.
 
     Parameters
     ----------
     works : iterable of Work
     size : callable
-        How many particle-steps to do in the next bundle, of so many that remain.
+        Particle-steps of the next bundle, given the particle-steps that remain.
 
     Yields
     ------
-    tuple of Work
-        About so much, but one draw at least.
+    Bundle
+        It has about that size, but at least one draw.
 
     Examples
     --------
     >>> from pfdist.evaluation.work import Estimation
-    >>> of = Estimation(particles=10)  # of 10 instants: 100 particle-steps a draw
-    >>> works = [Work(((0, 3),), (9,), (1,), 1, (0, draws), of) for draws in (5, 2)]
-    >>> [[work.draws for work in bundle] for bundle in bundles(works, lambda remaining: 400)]
-    [[(0, 4)], [(4, 5), (0, 2)]]
+    >>> ten = Estimation(particles=10)  # and 10 instants: 100 particle-steps a draw
+    >>> works = [Work(((0, 3),), (9,), (1,), 1, (0, draws), ten) for draws in (5, 2)]
+    >>> for bundle in bundles(works, lambda remaining: 400):
+    ...     print([work.draws for work in bundle.works], bundle.steps)
+    [(0, 4)] 400
+    [(4, 5), (0, 2)] 300
     """
-    waiting = list(works)
-    remaining = sum(work.steps for work in waiting)
+    waiting = [(work, work.steps_a_draw) for work in works]
+    remaining = sum((work.draws[1] - work.draws[0]) * a_draw for work, a_draw in waiting)
     bundle: list[Work] = []
-    room = 0
-    for work in waiting:
-        (first, last), a_draw = work.draws, work.steps_a_draw
+    room = total = 0
+    for work, a_draw in waiting:
+        first, last = work.draws
         most = MOST_ROWS // len(work.measurement_times) * a_draw
         while first < last:
             room = room if bundle else min(size(remaining), most)
             end = min(last, first + max(1, room // a_draw))
             bundle.append(replace(work, draws=(first, end)))
             steps, first = (end - first) * a_draw, end
-            room, remaining = room - steps, remaining - steps
+            room, remaining, total = room - steps, remaining - steps, total + steps
             if room < a_draw:
-                yield tuple(bundle)
-                bundle = []
+                yield Bundle(tuple(bundle), total)
+                bundle, total = [], 0
     if bundle:
-        yield tuple(bundle)
+        yield Bundle(tuple(bundle), total)

@@ -1,9 +1,9 @@
-"""An optimiser at work: ask, evaluate what the store does not hold, commit, tell, until done."""
+"""An optimiser at work: ask, evaluate what the store lacks, commit, tell, until it is done."""
 
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, Generic, TypeVar
 
@@ -16,69 +16,77 @@ from pfdist.evaluation.work import Estimation, Result, Work, cut
 from pfdist.kernels.noise import generator
 from pfdist.runner.build import Built
 from pfdist.runner.collect import Collector
-from pfdist.runner.progress import Progress, Report
+from pfdist.runner.progress import Reporter
 from pfdist.runner.search_tables import commit_generation, committed_generations, publish_search
 from pfdist.runner.searches import Settings
 from pfdist.search import Candidate, Optimiser
 from pfdist.search.probe import new_leaders
 from pfdist.store import schema
-from pfdist.times.measurement_times import Times
+from pfdist.times.measurement_times import validated
 
 E = TypeVar("E", bound=Evaluation)
-_Key = tuple[Times, int, int, Estimation]  # with an end, and a stream
 
 
-@dataclass(frozen=True)
 class Phase(Generic[E]):
-    """An optimiser at work: what its draws are for, and how it evaluates.
+    """An optimiser with the purpose of its draws and the settings of its evaluations.
 
     Parameters
     ----------
     name : str
-        In the tables.
+        Name in the tables.
     optimiser : Optimiser
     purpose : Purpose
     settings : Settings
     built : Built
+
+    Attributes
+    ----------
     evaluated : dict of str to array of float64
-        Per-draw MSE of this session by id, where a set may be wanted again.
+        Per-draw MSE by the evaluation's id, of this session, where a set may be asked for again.
     leaders : list of Evaluation
-        Those that led its generations; see `pfdist.search.probe.new_leaders`.
+        Evaluations that led the generations; see `pfdist.search.probe.new_leaders`.
     """
 
-    name: str
-    optimiser: Optimiser[E]
-    purpose: Purpose[E]
-    settings: Settings
-    built: Built
-    evaluated: dict[str, NDArray[np.float64]] = field(default_factory=dict)
-    leaders: list[E] = field(default_factory=list)
+    def __init__(
+        self,
+        name: str,
+        optimiser: Optimiser[E],
+        purpose: Purpose[E],
+        settings: Settings,
+        built: Built,
+    ) -> None:
+        self.name, self.optimiser, self.purpose = name, optimiser, purpose
+        self.settings, self.built = settings, built
+        self.evaluated: dict[str, NDArray[np.float64]] = {}
+        self.leaders: list[E] = []
 
     def steps(self) -> float:
-        """About how many particle-steps it takes."""
+        """About how many particle-steps the phase takes."""
         settings, instants = self.settings, self.built.job.problem.horizon + 1
         a_draw = settings.estimation.steps_an_instant * instants
         return self.optimiser.evaluations * settings.draws * a_draw
 
     def request(self, candidate: Candidate, generation: int) -> "_Request":
-        """What is to be known of a candidate."""
+        """Request of an evaluation for a candidate of a generation.
+
+        Raises
+        ------
+        MeasurementTimesError
+            The optimiser asked for times that do not lie in 0..T.
+        """
         times, end, draws, individual, squared = candidate
+        last = self.built.job.problem.horizon if end is None else end
+        validated(times, last, f"search {self.name}")
         fresh = [generation, times if individual is None else individual]
         keyed_by = [] if self.settings.common_noise else fresh
         stream = self.purpose.stream(self.built.job.seed, self.name, *keyed_by)
-        last = self.built.job.problem.horizon if end is None else end
         estimation = self.built.comparing if squared else self.settings.estimation
         id_ = self.built.source.evaluation_id(times, last, stream, estimation)
         mse = np.full(draws or self.settings.draws, np.nan)
         return _Request(id_, candidate, last, stream, estimation, mse, np.isnan(mse))
 
-    def alike(self, candidate: Candidate) -> Candidate:
-        """Candidate, without its place in the population where copies cannot differ."""
-        same = self.settings.common_noise or self.built.problem.exact
-        return candidate._replace(individual=None) if same else candidate
-
     def evaluation(self, request: "_Request", exact: float | None = None) -> E:
-        """Give what was asked for."""
+        """The evaluation that was requested."""
         times, end, *_ = request.candidate
         policy = self.settings.degenerate_policy
         return self.purpose.evaluation(times, request.mse, policy, exact, end)
@@ -86,55 +94,48 @@ class Phase(Generic[E]):
 
 @dataclass
 class _Request:
-    """An evaluation that is wanted, and what is known of it."""
+    """An evaluation that is asked for, and the draws that are known of it."""
 
     id: str
     candidate: Candidate
     end: int
-    stream: int  # of truth and filter: their roles keep them apart
+    stream: int  # key of draws and filter noise: their roles keep them apart
     estimation: Estimation
     mse: NDArray[np.float64]
     missing: NDArray[np.bool_]
 
-    @property
-    def key(self) -> "_Key":
-        return self.candidate.measurement_times, self.end, self.stream, self.estimation
-
     def learn(self, draws: Any, mse: Any) -> None:
-        """Take the MSE of some draws."""
+        """Store the MSE of some draws."""
         self.mse[draws], self.missing[draws] = mse, False
 
 
-def run_phase(
-    phase: Phase[E], collector: Collector, progress: Progress, report: Report
-) -> Sequence[E]:
-    """Run an optimiser to its end, replaying what the store holds, and give its finalists.
+def run_phase(phase: Phase[E], collector: Collector, reporter: Reporter) -> Sequence[E]:
+    """Finalists of an optimiser that runs to its end, with evaluations of the store where possible.
 
     Parameters
     ----------
     phase : Phase
     collector : Collector
-    progress : Progress
-        How far the run was before.
-    report : callable
+    reporter : Reporter
 
     Raises
     ------
+    MeasurementTimesError
+        The optimiser asked for times that do not lie in 0..T.
     TaskError, PoolError, StoreError
         A task failed, no worker answers, or a file cannot be read or written.
     """
     optimiser, name, store = phase.optimiser, phase.name, collector.store
     committed = committed_generations(store, name)
     state, generation = optimiser.init(), 0
-    share, start = phase.steps() / max(1, optimiser.generations), progress.done
-    generations = optimiser.generations
-    progress = replace(
-        progress, phase=name, best=None, mean=None, generation=1, generations=generations
-    )
-    report(progress)
+    share, start = phase.steps() / max(1, optimiser.generations), reporter.progress.done
+    reporter.begin(name, generation=1, generations=optimiser.generations)
+    copies_are_alike = phase.settings.common_noise or phase.built.problem.exact
     while not optimiser.done(state):
         rng = generator(phase.built.job.seed, "search", name, generation)
-        asked = [phase.alike(candidate) for candidate in optimiser.ask(state, rng)]
+        asked = list(optimiser.ask(state, rng))
+        if copies_are_alike:
+            asked = [candidate._replace(individual=None) for candidate in asked]
         copies = Counter(asked)
         requests = [phase.request(candidate, generation) for candidate in copies]
         found = optimiser.finalists(state)
@@ -143,31 +144,30 @@ def run_phase(
             evaluations[candidate] = evaluation
             if not found:  # nothing better to show yet
                 costs = _whole_costs(evaluations.values())
-                progress = replace(progress, best=min(costs, default=None))
+                reporter.note(best=min(costs, default=None))
             part = min(generation + len(evaluations) / len(copies), optimiser.generations)
-            progress = replace(
-                progress,
-                done=start + share * part,
-                evaluations=progress.evaluations + copies[candidate],
+            reporter.reach(
+                start + share * part,
+                evaluations=reporter.progress.evaluations + copies[candidate],
                 generation=generation + 1,
                 generations=max(generation + 1, optimiser.generations),
             )
-            report(progress)
         if generation not in committed:
-            rows = partial(_rows, name, generation, asked, requests, evaluations)
+            rows = partial(_evaluation_rows, name, generation, asked, requests, evaluations)
             collector.later(partial(commit_generation, store, name, generation, rows))
         told = [evaluations[candidate] for candidate in asked]
         phase.leaders.extend(new_leaders(told, phase.leaders))
         state, generation = optimiser.tell(state, told), generation + 1
         costs, finalists = _whole_costs(told), _whole_costs(optimiser.finalists(state))
         mean = float(np.mean(costs)) if costs else None
-        progress = replace(progress, best=finalists[0] if finalists else None, mean=mean)
+        reporter.note(best=finalists[0] if finalists else None, mean=mean)
+    reporter.note(done=start + phase.steps())
     collector.later(partial(publish_search, store, name))
     return optimiser.finalists(state)
 
 
 def _whole_costs(evaluations: Iterable[Evaluation]) -> list[float]:
-    """Costs of whole sets: that of a prefix is of a part of the horizon."""
+    """Costs of whole sets, without those of prefixes, which cover a part of the horizon."""
     return [
         evaluation.cost
         for evaluation in evaluations
@@ -178,9 +178,9 @@ def _whole_costs(evaluations: Iterable[Evaluation]) -> list[float]:
 def _evaluate(
     phase: Phase[E], requests: list[_Request], collector: Collector
 ) -> Iterator[tuple[Candidate, E]]:
-    """Evaluate what was asked for, each once, taking from the store what it holds."""
+    """Yield the evaluation of each request; known draws come from the store and this session."""
     problem = phase.built.problem
-    if problem.exact:  # in no time, so that neither pool nor store is asked
+    if problem.exact:  # it takes no time, so neither pool nor store is needed
         sets = [request.candidate.measurement_times for request in requests]
         costs = problem.expected_mse(sets, [request.end for request in requests])
         for request, cost in zip(requests, costs, strict=True):
@@ -188,45 +188,41 @@ def _evaluate(
             yield request.candidate, phase.evaluation(request, float(cost))
         return
     _recall(phase, requests, collector)
-    wanted = {request.key: request for request in requests if request.missing.any()}
+    wanted = {request.id: request for request in requests if request.missing.any()}
     for request in requests:
-        if request.key not in wanted:
+        if request.id not in wanted:
             yield request.candidate, phase.evaluation(request)
-
-    def rows_of(work: Work, result: Result) -> pa.Table:
-        return _draw_rows([wanted[key].id for key in _keys(work)], work.draws, result.mse)
-
     works = _works(list(wanted.values()))
-    run = collector.run(phase.name, "draws", works, rows_of, more_follows=True)
+    run = collector.run(phase.name, "draws", works, _draw_rows, more_follows=True)
     with closing(run) as pieces:
         for work, result in pieces:
-            for key, mse in zip(_keys(work), result.mse.T, strict=True):
-                request = wanted[key]
+            for id_, mse in work.by_id(result).items():
+                request = wanted[id_]
                 request.learn(slice(*work.draws), mse)
                 if not request.missing.any():
                     yield request.candidate, phase.evaluation(request)
 
 
 def _recall(phase: Phase[E], requests: list[_Request], collector: Collector) -> None:
-    """Learn what was evaluated before: in this session, or in one whose rows the store holds."""
-    of_id = {request.id: request for request in requests}
-    for id_ in of_id.keys() & phase.evaluated.keys():
-        known = phase.evaluated[id_][: of_id[id_].mse.size]
-        of_id[id_].learn(slice(known.size), known)
-    lacking = [id_ for id_, request in of_id.items() if request.missing.any()]
+    """Learn the draws that were evaluated before, in this session or in the store."""
+    by_id = {request.id: request for request in requests}
+    for id_ in by_id.keys() & phase.evaluated.keys():
+        known = phase.evaluated[id_][: by_id[id_].mse.size]
+        by_id[id_].learn(slice(known.size), known)
+    lacking = [id_ for id_, request in by_id.items() if request.missing.any()]
     if collector.resumed and lacking:
         for id_, rows in collector.store.per_draw(lacking).to_pandas().groupby("evaluation"):
-            request = of_id[str(id_)]
+            request = by_id[str(id_)]
             wanted = rows[rows["draw"] < request.mse.size]
             request.learn(wanted["draw"], wanted["mse"])
-    if phase.settings.common_noise:  # or nothing is wanted twice
-        for id_, request in of_id.items():
+    if phase.settings.common_noise:  # with fresh noise no evaluation is asked for twice
+        for id_, request in by_id.items():
             if id_ not in phase.evaluated or phase.evaluated[id_].size < request.mse.size:
                 phase.evaluated[id_] = request.mse
 
 
 def _works(requests: list[_Request]) -> Iterator[Work]:
-    """Put together sets that lack the same draws of one stream: what they share is done once."""
+    """Works for the missing draws; sets that lack the same draws of a stream go together."""
     together: dict[Any, list[_Request]] = defaultdict(list)
     for request in requests:
         together[request.stream, request.estimation, request.missing.tobytes()].append(request)
@@ -240,31 +236,29 @@ def _works(requests: list[_Request]) -> Iterator[Work]:
                 draws_stream=stream,
                 draws=draws,
                 estimation=estimation,
+                ids=tuple(request.id for request in group),
             )
 
 
-def _keys(work: Work) -> list[_Key]:
-    sets = zip(work.measurement_times, work.ends, work.filter_streams, strict=True)
-    return [(*each, work.estimation) for each in sets]
-
-
-def _draw_rows(ids: list[str], draws: tuple[int, int], mse: NDArray[np.float64]) -> pa.Table:
-    of_draw = np.repeat(np.arange(len(ids)), len(mse))
+def _draw_rows(work: Work, result: Result) -> pa.Table:
+    """Rows of the table ``draws``: evaluation after evaluation."""
+    evaluation = np.repeat(np.arange(len(work.ids)), len(result.mse))
     columns = [
-        pa.array(ids, pa.string()).take(of_draw),
-        pa.array(np.tile(np.arange(*draws), len(ids))),
-        pa.array(mse.T.ravel(), from_pandas=True),
+        pa.array(work.ids, pa.string()).take(evaluation),
+        pa.array(np.tile(np.arange(*work.draws), len(work.ids))),
+        pa.array(result.mse.T.ravel(), from_pandas=True),
     ]
     return pa.Table.from_arrays(columns, schema=schema("draws"))
 
 
-def _rows(
+def _evaluation_rows(
     phase: str,
     generation: int,
     asked: list[Candidate],
     requests: list[_Request],
     evaluations: dict[Candidate, Any],
 ) -> pa.Table:
+    """Rows of the table ``evaluations``: a row for each request of a generation."""
     copies = Counter(asked)
     rows = [
         {

@@ -1,4 +1,4 @@
-"""Which processors computed a run, and what may differ between two of them."""
+"""The processors that computed a run, and how their results may differ."""
 
 import os
 import platform
@@ -16,7 +16,7 @@ CONTINUED = "continued_on"
 
 
 def processor() -> dict[str, str]:
-    """Give the name that compiled code is made for, and the processor's own."""
+    """The processor's name, and the name for which code is compiled."""
     return {
         "compiled_for": os.environ.get("NUMBA_CPU_NAME") or binding.get_host_cpu_name(),
         "model": _model(),
@@ -26,22 +26,22 @@ def processor() -> dict[str, str]:
 def _model() -> str:
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:  # another system than Linux
+    except OSError:  # not Linux
         lines = []
     names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
     return next(names, platform.processor() or platform.machine())
 
 
 def note_processor(path: Path, built: Built, say: Callable[[str], Any]) -> None:
-    """Record the processor that goes on with a run, and say what may differ from the run's start.
+    """Record the processor that resumes a run, and say how its results may differ.
 
     Parameters
     ----------
     path : Path
-        The run's folder, held.
+        The run's folder, held by this process.
     built : Built
     say : callable
-        Is told in a line, if anything may differ.
+        Receives a line if results may differ.
     """
     provenance, here = read_run(path)[0].get("provenance", {}), processor()
     before = provenance.get("processor")
@@ -52,11 +52,12 @@ def note_processor(path: Path, built: Built, say: Callable[[str], Any]) -> None:
         add_to_provenance(path, {CONTINUED: [*others, here]})
     differs = what_may_differ(built)
     if differs:
-        say(f"this run was started on {_told(before)} and goes on on {_told(here)}: {differs}")
+        processors = f"was started on {_described(before)} and goes on on {_described(here)}"
+        say(f"this run {processors}: {differs}")
 
 
 def what_may_differ(built: Built) -> str:
-    """What another processor may compute otherwise; empty if it computes the same bytes."""
+    """How the results of another processor may differ; empty if it computes the same bytes."""
     engine, called = built.source.engine, built.source.libm_functions()
     if engine != COMPILED.name:
         return f"figures of filter.engine = {engine!r} agree to about 12 digits, not to the last"
@@ -66,5 +67,5 @@ def what_may_differ(built: Built) -> str:
     return ""
 
 
-def _told(processor: dict[str, str]) -> str:
+def _described(processor: dict[str, str]) -> str:
     return f"{processor['model']} ({processor['compiled_for']})"

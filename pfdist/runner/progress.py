@@ -1,19 +1,20 @@
-"""What a run says of itself while it goes on."""
+"""The progress of a run, and the reporter that adds it up and tells the user."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 
 @dataclass(frozen=True)
 class Found:
-    """What a comparison has found of a set of times so far.
+    """The gain of a set of times over the reference, from the draws compared so far.
 
     Parameters
     ----------
     name : str
     mean_relative_gain : float
     interval : (float, float)
-        Of the mean relative gain, 95 %.
+        95 % interval of the mean relative gain.
     positive_fraction : float
     gain_of_means : float
         1 - E[mse] / E[mse of the reference].
@@ -36,19 +37,19 @@ class Progress:
     Parameters
     ----------
     phase : str
-        A search's name, or ``comparison``.
+        Name of a search, or ``comparison``.
     done, total : float
-        Particle-steps, over all phases and sets of times, as far as they can be foreseen.
+        Particle-steps over all phases and sets of times; the total is a forecast.
     evaluations : int
         Evaluations finished in this phase, copies counted; in the comparison, draws.
     generation, generations : int
-        Of the search; 0 in the comparison.
+        Current and expected last generation of the search; 0 in the comparison.
     best : float or None
-        Cost of the set the search would return now.
+        Cost of the set that the search would return now.
     mean : float or None
         Mean cost of the last finished generation.
     found : tuple of Found
-        Of the comparison, a set each but the reference.
+        The comparison's gains: for each set but the reference.
     """
 
     phase: str
@@ -63,3 +64,47 @@ class Progress:
 
 
 Report = Callable[[Progress], None]
+
+
+class Reporter:
+    """Adds up the progress of a run and reports it; nothing else changes the sums.
+
+    Parameters
+    ----------
+    report : callable
+        Receives a `Progress` each time.
+    total : float
+        Particle-steps that the whole run is expected to take.
+    """
+
+    def __init__(self, report: Report, total: float) -> None:
+        self._report = report
+        self._progress = Progress(phase="", done=0.0, total=total)
+
+    @property
+    def progress(self) -> Progress:
+        """The progress at this moment."""
+        return self._progress
+
+    def begin(self, phase: str, **shown: Any) -> None:
+        """Begin a phase: report it with what it shows; the other fields are reset."""
+        done, total = self._progress.done, self._progress.total
+        self._progress = Progress(phase, done, total)
+        self.reach(done, **shown)
+
+    def reach(self, done: float, **shown: Any) -> None:
+        """Report that so many particle-steps of the run are done, with what has changed."""
+        self.note(done=done, **shown)
+        self._report(self._progress)
+
+    def note(self, **shown: Any) -> None:
+        """Change fields of the progress, to be shown with the next report."""
+        self._progress = replace(self._progress, **shown)
+
+    def foresee(self, steps: float) -> None:
+        """Expect more particle-steps in total."""
+        self.note(total=self._progress.total + steps)
+
+    def finish(self) -> None:
+        """Report that nothing remains, also where fewer particle-steps were enough."""
+        self.reach(self._progress.done, total=self._progress.done)

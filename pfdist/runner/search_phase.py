@@ -1,8 +1,8 @@
-"""One search: its optimiser, exchanges that polish what it found, and a race between what is left.
+"""A search: its optimiser, exchanges that polish the best set, and a race between the finalists.
 
-Each phase is on draws of its own key; the race's winner is compared. A search by another estimator
-than the squared error is probed before the race. If its estimator cannot be believed, all that it
-found is left aside, and the search is done again by the squared error, under names of its own.
+Each phase has draws of its own, and the winner of the race is compared with the reference. Probes
+check any estimator but the squared error before the race. If the estimator fails, the search is
+run again by the squared error under another name, and the first results are left aside.
 """
 
 import math
@@ -24,7 +24,7 @@ from pfdist.evaluation.estimate import (
 from pfdist.runner.build import Built
 from pfdist.runner.collect import Collector
 from pfdist.runner.phase import Phase, run_phase
-from pfdist.runner.progress import Progress, Report
+from pfdist.runner.progress import Reporter
 from pfdist.runner.searches import NamedSearch
 from pfdist.search import Candidate, Exchange, Probe, Race
 from pfdist.search.base import FINALISTS
@@ -38,21 +38,21 @@ from pfdist.search.trust import (
 )
 from pfdist.times.measurement_times import Times
 
-_UNPOLISHED = 2  # that race all the same
-_REACH = 2.5  # mean gaps: how far an exchange that polishes moves a time
+_UNPOLISHED = 2  # so many of the search's own sets race with the polished ones
+_REACH = 2.5  # mean gaps: an exchange that polishes moves a time at most so far
 
 E = TypeVar("E", bound=Evaluation)
 
 
 @dataclass(frozen=True)
 class Winner:
-    """What a search returns: times, and what the search believed of them.
+    """A set of times that a search returns, with the search's own evaluation of it.
 
     Parameters
     ----------
     measurement_times : tuple of int
     believed : SearchEvaluation
-        On the draws that chose them.
+        The evaluation on the draws that chose the set.
     """
 
     measurement_times: Times
@@ -66,10 +66,10 @@ class SearchEnd:
     Parameters
     ----------
     winners : dict of str to Winner
-        By the name under which it is compared: one, or one for each number of measurements. Empty
-        where every set that the search, or its race, ended with had a degenerate draw.
+        By the name under which the set is compared. Empty if every set at the end of the search
+        or of the race had a degenerate draw.
     distrust : str or None
-        Why the estimator was not believed, and the search was done again by the squared error.
+        Why the search was run again by the squared error; None if it was not.
     """
 
     winners: dict[str, Winner]
@@ -78,106 +78,121 @@ class SearchEnd:
 
 @dataclass(frozen=True)
 class _Attempt:
-    """What a search has found with one estimator: sets, the best first, and those that led it."""
+    """Sets that a search has found with its estimator, the best first, and its leaders."""
 
     found: list[SearchEvaluation]
     leaders: list[SearchEvaluation]
 
     @property
     def believed(self) -> dict[Times, SearchEvaluation]:
-        """The evaluation of each set: where it was found twice, that of its polishing."""
+        """The search's evaluation of each set; for a polished set, that of the exchanges."""
         believed: dict[Times, SearchEvaluation] = {}
         for evaluation in self.found:
             believed.setdefault(evaluation.measurement_times, evaluation)
         return believed
 
 
-@dataclass
 class _Runner:
-    """Runs phases one after another, and keeps how far the run is."""
+    """Runs the phases of searches, one after another.
 
-    built: Built
-    collector: Collector
-    progress: Progress
-    report: Report
-    say: Callable[[str], Any]
+    Parameters
+    ----------
+    built : Built
+    collector : Collector
+    reporter : Reporter
+    say : callable
+        Receives a line if the estimator of a search fails or cannot be checked.
+    """
 
-    def run(self, phase: Phase[E]) -> list[E]:
-        """Give what a phase ended with, without the sets that degenerate draws have killed."""
-        found = run_phase(phase, self.collector, self.progress, self.report)
-        self.progress = replace(self.progress, done=self.progress.done + phase.steps())
-        return [evaluation for evaluation in found if np.isfinite(evaluation.cost)]
+    def __init__(
+        self, built: Built, collector: Collector, reporter: Reporter, say: Callable[[str], Any]
+    ) -> None:
+        self._built, self._study = built, built.study
+        self._collector, self._reporter, self._say = collector, reporter, say
+
+    def run(self, search: NamedSearch) -> SearchEnd:
+        """Winners of a search, which is run again by the squared error if its estimator fails."""
+        attempt, again = self.attempt(search), search.again
+        distrust = self.distrust(search, attempt) if again else None
+        if again is None or distrust is None:
+            raced = self.race(search, attempt)
+            wrong = misordered(attempt.believed, raced) if again and raced else None
+            if again is None or wrong is None:
+                return SearchEnd(self.winners(search.name, attempt, raced))
+            distrust = wrong_order(*wrong)
+        estimation = search.settings.estimation
+        estimator = f"{estimation.estimator} of {estimation.particles} particles"
+        distrust = f"{estimator} cannot be believed: {distrust}"
+        self._say(f"search {search.name}: {distrust}; searching again by the squared error")
+        self._reporter.foresee(search_steps(self._built, again))
+        attempt = self.attempt(again)
+        return SearchEnd(self.winners(search.name, attempt, self.race(again, attempt)), distrust)
 
     def attempt(self, search: NamedSearch) -> _Attempt:
-        """Search, and polish what was found."""
-        searching = _searching(self.built, search)
-        found, leaders = self.run(searching), searching.leaders
+        """Search, and polish the best set found."""
+        searching = _searching(self._built, search)
+        found, leaders = self._finalists(searching), searching.leaders
         if found and search.polishing:
-            polished = self.run(_polishing(self.built, search, found[0].measurement_times))
+            polished = self._finalists(_polishing(self._built, search, found[0].measurement_times))
             leaders = [*leaders, *polished[:1]]
             found = [*polished[: FINALISTS - _UNPOLISHED], *found[:_UNPOLISHED]]
         return _Attempt(found, leaders)
 
     def distrust(self, search: NamedSearch, attempt: _Attempt) -> str | None:
-        """Say on which probe the estimator of a search failed, if on any."""
-        led = [*attempt.leaders, *(attempt.found if self.built.numbers else ())]
+        """Say on which probe the estimator of a search failed, if it failed."""
         sought = dict.fromkeys(
-            Candidate(evaluation.measurement_times, evaluation.end) for evaluation in led
+            Candidate(evaluation.measurement_times, evaluation.end)
+            for evaluation in self._study.probed(attempt.leaders, attempt.found)
         )
-        phase = _probing(self.built, search, tuple(sought))
-        probe = run_phase(phase, self.collector, self.progress, self.report)
-        self.progress = replace(self.progress, done=self.progress.done + phase.steps())
+        phase = _probing(self._built, search, tuple(sought))
+        probe = run_phase(phase, self._collector, self._reporter)
         if probe and not judged(*probe).known:
-            by = f"{search.settings.estimation.estimator} could not be checked"
-            self.say(f"search {search.name}: {by}: {unchecked_probe(*probe)}")
+            estimator = search.settings.estimation.estimator
+            self._say(
+                f"search {search.name}: {estimator} could not be checked: {unchecked_probe(*probe)}"
+            )
             return None
         return failed_probe(*probe) if probe else None
 
-    def race(self, search: NamedSearch, attempt: _Attempt) -> list[ShortlistEvaluation]:
-        """Let the sets that were found race, if there are several; give all, the winner first."""
-        sets = tuple(attempt.believed)
-        if self.built.numbers or len(sets) < 2:
-            return []
-        return self.run(_racing(self.built, search, sets))
+    def race(self, search: NamedSearch, attempt: _Attempt) -> list[ShortlistEvaluation] | None:
+        """Evaluations of the sets that raced, the winner first; None if no sets race."""
+        sets = self._study.racing(attempt.believed)
+        return self._finalists(_racing(self._built, search, sets)) if sets else None
 
     def winners(
-        self, name: str, attempt: _Attempt, raced: Sequence[ShortlistEvaluation]
+        self, name: str, attempt: _Attempt, raced: Sequence[ShortlistEvaluation] | None
     ) -> dict[str, Winner]:
-        """Give what is to be compared: for each number of measurements, or what won the race."""
+        """Sets that are compared, by name, with what the search believed of them."""
         believed = attempt.believed
-        if self.built.numbers:
-            return {
-                self.built.named(name, number): Winner(times, believed[times])
-                for number, times in sorted((len(times), times) for times in believed)
-            }
-        sets = (
-            [evaluation.measurement_times for evaluation in raced]
-            if len(believed) > 1
-            else list(believed)
-        )
-        return {name: Winner(sets[0], believed[sets[0]])} if sets else {}
+        ranked = list(believed)
+        if raced is not None:
+            ranked = [evaluation.measurement_times for evaluation in raced]
+        winners = self._study.winners(name, ranked)
+        return {key: Winner(times, believed[times]) for key, times in winners.items()}
+
+    def _finalists(self, phase: Phase[E]) -> list[E]:
+        """Finalists of a phase, without sets that degenerate draws have killed."""
+        found = run_phase(phase, self._collector, self._reporter)
+        return [evaluation for evaluation in found if np.isfinite(evaluation.cost)]
 
 
 def run_search(
     built: Built,
     search: NamedSearch,
     collector: Collector,
-    progress: Progress,
-    report: Report,
+    reporter: Reporter,
     say: Callable[[str], Any],
 ) -> SearchEnd:
-    """Run a search to its end and let what it has found race, replaying what the store holds.
+    """Winners of a search: run it to its end, with evaluations of the store where there are any.
 
     Parameters
     ----------
     built : Built
     search : NamedSearch
     collector : Collector
-    progress : Progress
-        How far the run was before this search.
-    report : callable
+    reporter : Reporter
     say : callable
-        Told, in a line, why the search's estimator is not believed.
+        Receives a line if the search's estimator fails or cannot be checked.
 
     Returns
     -------
@@ -188,30 +203,17 @@ def run_search(
     TaskError, PoolError, StoreError
         A task failed, no worker answers, or a file cannot be read or written.
     """
-    runner = _Runner(built, collector, progress, report, say)
-    attempt = runner.attempt(search)
-    again = search.again
-    distrust = runner.distrust(search, attempt) if again else None
-    if again is None or distrust is None:
-        raced = runner.race(search, attempt)
-        wrong = misordered(attempt.believed, raced) if again else None
-        if again is None or wrong is None:
-            return SearchEnd(runner.winners(search.name, attempt, raced))
-        distrust = wrong_order(*wrong)
-    by = search.settings.estimation
-    distrust = f"{by.estimator} of {by.particles} particles cannot be believed: {distrust}"
-    say(f"search {search.name}: {distrust}; searching again by the squared error")
-    total = runner.progress.total + steps(built, again)
-    runner.progress = replace(runner.progress, total=total)
-    attempt = runner.attempt(again)
-    raced = runner.race(again, attempt)
-    return SearchEnd(runner.winners(search.name, attempt, raced), distrust)
+    start = reporter.progress.done
+    end = _Runner(built, collector, reporter, say).run(search)
+    redone = search_steps(built, search.again) if search.again and end.distrust else 0.0
+    reporter.note(done=start + search_steps(built, search) + redone)  # as it was foreseen
+    return end
 
 
-def steps(built: Built, search: NamedSearch) -> float:
-    """About how many particle-steps a search takes, with all that follows it.
+def search_steps(built: Built, search: NamedSearch) -> float:
+    """About how many particle-steps a search and the phases after it take.
 
-    That it may be done again by the squared error is not foreseen.
+    The forecast leaves out that the search may be run again by the squared error.
     """
     start = built.job.problem.feasible.regular()
     phases: list[Phase[Any]] = [_searching(built, search)]
@@ -228,7 +230,7 @@ def _searching(built: Built, search: NamedSearch) -> Phase[SearchEvaluation]:
 
 
 def _polishing(built: Built, search: NamedSearch, start: Times) -> Phase[SearchEvaluation]:
-    """Exchanges, on draws of their own: those of the search flatter what it has found."""
+    """Exchanges on draws of their own: the draws of the search favour the set that it found."""
     feasible, settings = built.job.problem.feasible, search.polishing or search.settings
     reach = math.ceil(_REACH * (feasible.horizon + 1) / len(start))
     exchange = Exchange(feasible, settings.draws, start, reach)

@@ -1,4 +1,4 @@
-"""The tables of a search: its evaluations, generation by generation, and their draws."""
+"""The tables of a search: evaluations, generation by generation, and their per-draw MSE."""
 
 from collections.abc import Callable, Iterable, Iterator
 
@@ -8,18 +8,18 @@ from pfdist.errors import StoreError
 from pfdist.store import Store, schema
 
 _TABLES = ("evaluations", "draws")
-_EVALUATIONS_AT_ONCE = 200  # read from the store when a phase is published
+_EVALUATIONS_AT_ONCE = 200  # evaluations that are read together when a phase is published
 
 
 def commit_generation(
     store: Store, phase: str, generation: int, rows: Callable[[], pa.Table]
 ) -> None:
-    """Commit the rows of evaluations that a generation asked for."""
+    """Commit the rows of the evaluations of a generation."""
     store.commit("evaluations", phase, f"{generation:06d}", rows())
 
 
 def committed_generations(store: Store, phase: str) -> set[int]:
-    """Give the generations of a phase that are committed."""
+    """Generations of a phase that are committed."""
     if not store.has("evaluations"):
         return set()
     rows = store.read("evaluations")
@@ -27,12 +27,12 @@ def committed_generations(store: Store, phase: str) -> set[int]:
 
 
 def unpublished(store: Store, phases: Iterable[str]) -> bool:
-    """Whether a search has parts that are not tables yet."""
+    """Whether a search has parts that are not published as tables yet."""
     return any(store.has_parts(table, phase) for phase in phases for table in _TABLES)
 
 
 def publish_search(store: Store, phase: str) -> None:
-    """Turn the parts of a search into tables; the same again if it was cut short."""
+    """Turn the parts of a search into tables; a repeated call gives the same tables."""
     if not unpublished(store, [phase]):
         return
     rows = store.read("evaluations")
@@ -45,7 +45,7 @@ def publish_search(store: Store, phase: str) -> None:
 
 
 def _draws_of(store: Store, wanted: dict[str, int]) -> Iterator[pa.Table]:
-    """Give the rows of so many draws of each evaluation, or none: their parts are to be removed."""
+    """Yield the rows of the wanted number of draws of each evaluation."""
     ids = list(wanted)
     for first in range(0, len(ids), _EVALUATIONS_AT_ONCE):
         some = ids[first : first + _EVALUATIONS_AT_ONCE]

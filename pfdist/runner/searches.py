@@ -1,15 +1,14 @@
-"""From the sections [[search]] to optimisers, and to how each evaluates."""
+"""From the sections [[search]] of a job to optimisers and the settings of their evaluations."""
 
 from dataclasses import dataclass, replace
 
-from pfdist.errors import JobError
 from pfdist.evaluation.engines import KALMAN
 from pfdist.evaluation.work import Estimation
 from pfdist.job.job import Job
 from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.runner.memory import check_memory
-from pfdist.search import BudgetCurve, SearchOptimiser
-from pfdist.search.methods import METHODS
+from pfdist.runner.study import Study
+from pfdist.search import SearchOptimiser
 from pfdist.search.section import AUTO, EvaluationSettings, SearchSection
 
 _POLISH_DRAWS = 4096  # at most
@@ -24,10 +23,10 @@ class Settings:
     Parameters
     ----------
     draws : int
-        K.
+        Number of draws of an evaluation.
     common_noise : bool
-        Whether all sets have the same draws and noise.
-    degenerate_policy : str
+        Whether all sets share their draws and their filter noise.
+    degenerate_policy : {"kill", "leave_out"}
     estimation : Estimation
     """
 
@@ -40,7 +39,16 @@ class Settings:
     def of(
         cls, job: Job, own: EvaluationSettings = _NOTHING_OWN, cheapest: str = AUTO
     ) -> "Settings":
-        """The job's, but for what a search has of its own; `cheapest` stands for "auto"."""
+        """Settings of the job, replaced where a search has its own.
+
+        Parameters
+        ----------
+        job : Job
+        own : EvaluationSettings
+            The settings of the search.
+        cheapest : str
+            The estimator that "auto" stands for.
+        """
         estimator = own.estimator or job.evaluation.estimator
         return cls(
             own.draws or job.evaluation.draws,
@@ -56,21 +64,23 @@ class Settings:
 
 @dataclass(frozen=True)
 class NamedSearch:
-    """An optimiser under its name in the tables, and how it evaluates.
+    """An optimiser with its name in the tables and the settings of its evaluations.
 
     Parameters
     ----------
     name : str
     optimiser : SearchOptimiser
     settings : Settings
-        Of the search.
+        Settings of the search's evaluations.
     polishing : Settings or None
-        Of the exchanges that polish the best it has found, if there are to be any.
+        Settings for exchanges that polish the best set found; None for no exchanges.
     racing : Settings
-        Of the race between what was found: the squared error of the job's own filter decides.
+        Settings for the race between the sets found. The job's own filter decides the race by the
+        squared error.
     again : NamedSearch or None
-        The same search by the squared error, with as many particles as the job's own filter has:
-        what takes its place if its estimator cannot be believed. None if it has no other estimator.
+        The same search by the squared error, with the particles of the job's own filter. It takes
+        the place of this search if the estimator cannot be trusted. None if this search uses the
+        squared error.
     """
 
     name: str
@@ -82,44 +92,39 @@ class NamedSearch:
 
     @property
     def probe(self) -> str:
-        """Name of the phase that decides whether the estimator can be believed."""
+        """Name of the phase that checks the estimator."""
         return f"{self.name}.probe"
 
     @property
     def polish(self) -> str:
-        """Name of the phase of exchanges."""
+        """Name of the phase of exchanges, which polish the best set found."""
         return f"{self.name}.polish"
 
     @property
     def shortlist(self) -> str:
-        """Name of the phase that decides between what was found."""
+        """Name of the phase that decides between the sets found."""
         return f"{self.name}.shortlist"
 
     @property
     def phases(self) -> tuple[str, ...]:
-        """Names of all that there may be."""
+        """Names of all phases that the search may have."""
         own = self.name, self.polish, self.shortlist
         return own if self.again is None else (*own, self.probe, *self.again.phases)
 
     @property
     def all_settings(self) -> tuple[Settings, ...]:
-        """Of all phases."""
-        own = self.settings, self.racing  # what polishes estimates as the search
+        """Settings of all phases."""
+        own = self.settings, self.racing  # exchanges estimate as the search does
         return own if self.again is None else (*own, *self.again.all_settings)
 
 
-def _optimiser(job: Job, section: SearchSection, draws: int) -> SearchOptimiser:
-    try:
-        return METHODS[section.method].make(job.problem.feasible, draws, section.settings)
-    except JobError as error:
-        raise JobError(f"search.{section.name}: {error} ({job.path})") from error
-
-
-def named_search(job: Job, section: SearchSection, cheapest: str) -> NamedSearch:
-    """Make the optimiser of a section, and find out how it evaluates.
+def named_search(study: Study, job: Job, section: SearchSection, cheapest: str) -> NamedSearch:
+    """Make the optimiser of a section [[search]], with the settings of its evaluations.
 
     Parameters
     ----------
+    study : Study
+        The study of the job.
     job : Job
     section : SearchSection
     cheapest : str
@@ -132,11 +137,7 @@ def named_search(job: Job, section: SearchSection, cheapest: str) -> NamedSearch
     """
     settings = Settings.of(job, section.evaluation, cheapest)
     check_memory(job, section, settings.draws)
-    if job.budget is None:
-        optimiser = _optimiser(job, section, settings.draws)
-    else:
-        most = job.feasible(job.budget.most)
-        optimiser = BudgetCurve(most, job.budget.least, **section.settings)
+    optimiser = study.optimiser(section, settings.draws)
     search = _with_settings(job, section, section.name, optimiser, settings)
     estimation = settings.estimation
     if (
@@ -155,5 +156,4 @@ def _with_settings(
     own = Estimation(job.filter.particles, job.filter.resampling)
     polishing = replace(settings, draws=_POLISH_DRAWS, common_noise=True)
     racing = replace(settings, draws=_RACE_DRAWS, common_noise=True, estimation=own)
-    polishes = section.polish and job.budget is None
-    return NamedSearch(name, optimiser, settings, polishing if polishes else None, racing)
+    return NamedSearch(name, optimiser, settings, polishing if section.polish else None, racing)

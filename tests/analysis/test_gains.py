@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pfdist.analysis import BIN, EDGES, Comparison, Gain, Moments, relative_gain, summarise_gain
+from pfdist.analysis import (
+    BIN,
+    EDGES,
+    ComparisonStatistics,
+    Gain,
+    Moments,
+    relative_gain,
+    summarise_gain,
+)
 from pfdist.analysis.gains import QUANTILES, gain_over_itself
 
 Array = np.ndarray
@@ -113,9 +121,13 @@ def test_no_draws_give_no_figures() -> None:
     assert summary.draws == 0
     assert np.isnan(summary.mean_relative_gain)
     assert np.isnan(summary.gain_of_means_interval).all()
-    one = summarise_gain(np.array([1.0]), np.array([2.0]))
-    assert (one.draws, one.gain_of_means, one.mean_log10_ratio) == (1, 0.5, np.log10(0.5))
-    assert np.isnan([*one.gain_of_means_interval, *one.mean_log10_ratio_interval]).all()
+    summary = summarise_gain(np.array([1.0]), np.array([2.0]))
+    assert (summary.draws, summary.gain_of_means, summary.mean_log10_ratio) == (
+        1,
+        0.5,
+        np.log10(0.5),
+    )
+    assert np.isnan([*summary.gain_of_means_interval, *summary.mean_log10_ratio_interval]).all()
 
 
 def test_an_infinite_error_makes_the_mean_infinite_and_the_fraction_count_it() -> None:
@@ -180,7 +192,7 @@ def test_blocks_give_what_numpy_and_scipy_give_on_the_whole(
 
 def test_the_same_blocks_in_the_same_order_give_the_same_bits() -> None:
     values = np.random.default_rng(1).lognormal(0, 3, (5000, 3))
-    first, second = Comparison(["a", "b", "c"]), Comparison(["a", "b", "c"])
+    first, second = ComparisonStatistics(["a", "b", "c"]), ComparisonStatistics(["a", "b", "c"])
     for block in _blocks(values, 100):
         first.add(block)
         second.add(block.copy(order="F"))

@@ -59,7 +59,7 @@ def test_the_command_takes_what_run_takes_and_answers_in_the_same_json(
     small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     job, folder, fork = (
-        shlex.quote(str(one)) for one in (small_job.path, tmp_path / "a", tmp_path / "b")
+        shlex.quote(str(path)) for path in (small_job.path, tmp_path / "a", tmp_path / "b")
     )
     changes = f"{' '.join(EXACT)} comparison.draws=3 search.survivors.survivors=3"
     command = f"plan {job} --results {folder} --pool serial --json --set {changes}"

@@ -89,9 +89,9 @@ def test_pools_and_numbers_of_workers_give_the_same_bytes(
     runs = {"serial": ("serial", 0), "one": ("ray", 1), "two": ("ray", 2)}
     for name, (pool, workers) in runs.items():
         pfdist.run(job, tmp_path / name, pool=pool, workers=workers)
-    serial, one, two = (hashes(tmp_path / name) for name in runs)
+    serial, one_worker, two_workers = (hashes(tmp_path / name) for name in runs)
     assert len(serial) > 6
-    assert serial == one == two
+    assert serial == one_worker == two_workers
 
 
 # The survivors are polished on more and more draws, of which a session before did the first.
@@ -125,7 +125,7 @@ def test_a_run_that_failed_goes_on_with_what_is_committed_and_ends_with_the_same
     whole = pfdist.run(small_job, tmp_path / "whole")
     needed = sum(count_draws)
     count_draws.clear()
-    calls, do = 0, Problem.__call__
+    calls, do = 0, Problem.filtered
 
     def failing(self: Problem, work: Work) -> Any:
         nonlocal calls
@@ -135,7 +135,7 @@ def test_a_run_that_failed_goes_on_with_what_is_committed_and_ends_with_the_same
         return do(self, work)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Problem, "__call__", failing)
+        patch.setattr(Problem, "filtered", failing)
         with pytest.raises(TaskError, match="the cluster is on fire") as failure:
             pfdist.run(small_job, tmp_path / "again")
     assert "Traceback" in failure.value.traceback
@@ -304,7 +304,7 @@ def test_tables_without_what_says_whose_they_are_are_left_alone(
 def test_a_wish_for_too_many_draws_can_be_taken_back(small_job: Job, tmp_path: Path) -> None:
     run = pfdist.run(small_job, tmp_path / "run")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Problem, "__call__", lambda self, work: 1 / 0)
+        patch.setattr(Problem, "filtered", lambda self, work: 1 / 0)
         with pytest.raises(TaskError, match="ZeroDivisionError"):
             pfdist.run(small_job.with_changes(["comparison.draws=90000000"]), run.path)
     again = pfdist.run(small_job, run.path)

@@ -87,7 +87,7 @@ def test_a_program_that_would_search_otherwise_does_not_go_on(
 def test_the_reference_is_filtered_twice_and_said_to_gain_nothing(
     small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pfdist.runner.comparison_phase.REPEATED", 100)
+    monkeypatch.setattr("pfdist.runner.first_draws.REPEATED", 100)
     run = pfdist.run(small_job, tmp_path / "run")
     again, once = run.repeated(), run.comparison()[:100]
     assert again["draw"].tolist() == list(range(100))

@@ -159,7 +159,7 @@ def test_the_command_answers_in_json_draws_a_figure_a_search_and_leaves_the_run_
     names = [f"why-{name}.{kind}" for name in ("genetic", "random") for kind in ("png", "svg")]
     assert [Path(file).name for file in answer["figures"]] == names
     assert all(Path(file).stat().st_size > 5000 for file in answer["figures"])
-    after = {file: its for file, its in hashes(run.path).items() if "why-" not in file}
+    after = {file: content for file, content in hashes(run.path).items() if "why-" not in file}
     assert after == before
     assert not list(verify_run(run.path))
     assert main(["why", str(run.path), "--draws", "30"]) == 0

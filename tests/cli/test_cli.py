@@ -256,7 +256,7 @@ def test_a_missing_file_is_told_as_what_the_job_makes_again(
         assert f"the job, run again with --results {run}, makes it" in capsys.readouterr().out
     assert main(["verify", str(run)]) == 1
     error = capsys.readouterr().err
-    assert f"1 missing: the job, run again with --results {run}, makes" in error
+    assert f"missing files: 1. Run the job again with --results {run} to" in error
     assert "repair" not in error
     assert main(["run", _job(finished), "--results", str(run)]) == 0
     assert main(["verify", str(run)]) == 0

@@ -38,15 +38,6 @@ def test_to_look_at_a_run_imports_neither_numba_nor_matplotlib_nor_ray() -> None
     assert not loaded & {"matplotlib", "numba", "llvmlite", "ray"}
 
 
-def test_every_command_says_what_it_is_and_exists() -> None:
-    from pfdist.cli import commands
-    from pfdist.cli import parser as arguments
-
-    for name, (summary, _) in arguments._COMMANDS.items():
-        assert summary.endswith(".")
-        assert callable(getattr(commands, f"{name.replace('-', '_')}_command"))
-
-
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp437", "utf-8"])
 def test_a_summary_is_written_in_any_encoding(
     encoding: str, monkeypatch: pytest.MonkeyPatch

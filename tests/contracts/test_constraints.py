@@ -81,8 +81,8 @@ def _every(constraint: str) -> dict[Times, float]:
     return dict(zip(every, _costs([Candidate(times) for times in every]), strict=True))
 
 
-def _nested(first: Times, other: Times) -> bool:
-    return set(first) <= set(other) or set(other) <= set(first)
+def _nested(first: Times, second: Times) -> bool:
+    return set(first) <= set(second) or set(second) <= set(first)
 
 
 both = pytest.mark.parametrize(

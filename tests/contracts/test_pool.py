@@ -12,7 +12,8 @@ from typing import Any
 import pytest
 
 from pfdist.errors import ModelError, PoolError
-from pfdist.pools.base import Pool, SerialPool, Task
+from pfdist.pools.base import Pool, Task
+from pfdist.pools.kinds import POOLS
 
 # A pool's function is made in its workers, which need not know this file.
 SQUARE = partial(eval, "lambda work: work ** 2")
@@ -21,15 +22,27 @@ ENVIRONMENT = partial(eval, "lambda work: __import__('os').environ.get(work)")
 REFUSES = partial(exec, "from pfdist.errors import ModelError; raise ModelError('not this one')")
 
 
-@pytest.fixture(params=["serial", "ray-1", "ray-2"])
-def make_pool(request: pytest.FixtureRequest) -> Callable[[Any], Pool]:
-    kind, _, workers = request.param.partition("-")
-    if kind == "serial":
-        return SerialPool
-    request.getfixturevalue("ray_cluster")
-    from pfdist.pools.ray_pool import RayPool
+# Every pool that a job can name, with one worker, and with two where it can have two.
+CASES = [
+    pytest.param((name, workers), id=f"{name}-{workers}")
+    for name, kind in POOLS.items()
+    for workers in ((1, 2) if kind.distributed else (1,))
+]
 
-    return lambda make_function: RayPool(make_function, int(workers))
+
+@pytest.fixture(params=CASES)
+def make_pool(request: pytest.FixtureRequest) -> Callable[[Any], Pool]:
+    name, workers = request.param
+    if name == "ray":
+        request.getfixturevalue("ray_cluster")
+    return lambda make_function: POOLS[name].make(make_function, workers)
+
+
+@pytest.mark.parametrize("name", POOLS)
+def test_it_says_where_tasks_are_computed(name: str) -> None:
+    kind = POOLS[name]
+    assert kind.title[:1].isupper()  # it begins a sentence
+    assert kind.description[-1:].isalpha()  # and this is a part of one
 
 
 def _tasks(count: int) -> Iterator[Task]:

@@ -48,7 +48,9 @@ class Running:
 
     def workers(self) -> list[Process]:
         """Its Ray workers that have a task in their hands or wait for one."""
-        return [one for one in self.family("raylet") if "ray::_Worker" in command_of(one)]
+        return [
+            process for process in self.family("raylet") if "ray::_Worker" in command_of(process)
+        ]
 
     def wait_for(self, reached: Callable[[], object]) -> None:
         """Wait until something is reached while it runs."""
@@ -77,20 +79,20 @@ class Running:
 @contextmanager
 def running(job: Path, run: Path, *options: str, **environment: str) -> Iterator[Running]:
     """Start a run; when the test is over, whatever way, nothing of it is left."""
-    one = Running(job, run, *options, **environment)
+    driver = Running(job, run, *options, **environment)
     try:
-        yield one
+        yield driver
     finally:
-        left = one.family()
-        one.process.kill()
-        one.process.wait()
+        left = driver.family()
+        driver.process.kill()
+        driver.process.wait()
         end(left)
 
 
 def finish(job: Path, run: Path, *options: str) -> dict[str, str]:
     """Run it to its end, and give the hashes of what it has made."""
-    with running(job, run, *options) as one:
-        assert one.wait() == 0, one.said[-3:]
+    with running(job, run, *options) as driver:
+        assert driver.wait() == 0, driver.said[-3:]
     return hashes(run)
 
 

@@ -18,7 +18,7 @@ from oracles.file_layer import Ended, FileLayer
 from pfdist import Job, load_job
 from pfdist.cli.main import main
 from pfdist.errors import StoreError
-from pfdist.runner import collect, comparison_phase
+from pfdist.runner import collect, first_draws
 from pfdist.runner.pace import Pace
 from pfdist.store import files, parquet
 from pfdist.store.repair import repair_run, verify_run
@@ -41,8 +41,8 @@ def _small_files() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(collect, "COMMIT_SECONDS", 0.0)
         patch.setattr(Pace, "size", lambda pace, remaining: 90 * A_DRAW)
-        patch.setattr(comparison_phase, "TRAJECTORIES", 20)
-        patch.setattr(comparison_phase, "REPEATED", 10)
+        patch.setattr(first_draws, "TRAJECTORIES", 20)
+        patch.setattr(first_draws, "REPEATED", 10)
         patch.setitem(parquet.ROWS_IN_A_FILE, "comparison", 50)
         patch.setitem(parquet.ROWS_IN_A_FILE, "draws", 100)
         patch.setattr("pfdist.api.run.draw_figures", lambda run: [])
@@ -333,7 +333,7 @@ def test_repair_moves_what_is_damaged_and_says_what_going_on_will_compute(
         str(run / name) for name in wrong
     )
     assert re.fullmatch(
-        r"pfdist: \S+: 2 wrong; `pfdist repair \S+` says what to do\n", captured.err
+        r"pfdist: \S+: problems found: 2\. Run `pfdist repair \S+` to move .*\n", captured.err
     )
     assert main(["repair", str(run)]) == 0
     *moved, todo = capsys.readouterr().out.splitlines()

@@ -14,7 +14,7 @@ from oracles.counted import A_DRAW, committed_draws, count_draws
 from oracles.file_layer import Ended, FileLayer
 from pfdist import Job
 from pfdist.errors import StoreError
-from pfdist.runner import collect, comparison_phase
+from pfdist.runner import collect, first_draws
 from pfdist.runner.pace import Pace
 from pfdist.store import parquet
 from pfdist.store.repair import verify_run
@@ -36,8 +36,8 @@ SAYS += r" was committed is kept, run the same command again once this is mended
 def layer(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> FileLayer:
     monkeypatch.setattr(collect, "COMMIT_SECONDS", 0.0)
     monkeypatch.setattr(Pace, "size", lambda pace, remaining: 150 * A_DRAW)
-    monkeypatch.setattr(comparison_phase, "TRAJECTORIES", 30)
-    monkeypatch.setattr(comparison_phase, "REPEATED", 10)
+    monkeypatch.setattr(first_draws, "TRAJECTORIES", 30)
+    monkeypatch.setattr(first_draws, "REPEATED", 10)
     monkeypatch.setitem(parquet.ROWS_IN_A_FILE, "comparison", 50)
     monkeypatch.setitem(parquet.ROWS_IN_A_FILE, "draws", 120)
     return FileLayer(monkeypatch, tmp_path)

@@ -15,7 +15,7 @@ from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.common.streams import stream_key
 from pfdist.kernels.noise import TRUTH_MEASUREMENT, variates
-from pfdist.runner import comparison_phase
+from pfdist.runner import first_draws
 
 pytestmark = pytest.mark.usefixtures("no_figures")
 FAILS = "a model that fails does not end the run silently, nor retry for ever"
@@ -76,7 +76,7 @@ def command(small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     """What runs a job whose model has a fault, in one draw of the comparison or in all."""
 
     for few in ("TRAJECTORIES", "REPEATED"):
-        monkeypatch.setattr(comparison_phase, few, 10)  # the fault is in none of these
+        monkeypatch.setattr(first_draws, few, 10)  # the fault is in none of these
 
     def make(fault: str, run: Path, *options: str, always: bool = False) -> list[str]:
         draws = stream_key(small_job.seed, "comparison", "draws")
@@ -212,10 +212,10 @@ def test_a_draw_that_takes_all_memory_there_is_fails_when_ray_ends_its_worker(
         "RAY_memory_monitor_refresh_ms": "50",
     }
     start = time.monotonic()
-    with running(small_job.path, tmp_path / "run", *words, **monitor) as one:
-        assert one.wait() == 1
+    with running(small_job.path, tmp_path / "run", *words, **monitor) as driver:
+        assert driver.wait() == 1
     assert time.monotonic() - start < 120
-    assert one.said[-1].startswith("pfdist: a task of comparison failed: ")
+    assert driver.said[-1].startswith("pfdist: a task of comparison failed: ")
     (error,) = _failures(tmp_path / "run")
     assert "memory" in error
     assert "nobody has stopped this" not in error

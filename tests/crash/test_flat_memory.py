@@ -96,16 +96,16 @@ def test_on_ray_too_for_the_driver_and_its_workers(
     for draws in (FEW, MANY):
         options = ["--pool", "ray", "--workers", "1", "--set", f"comparison.draws={draws}"]
         peaks[draws] = {}
-        with running(job, tmp_path / f"{draws}", *options) as one:
-            while one.process.poll() is None:
-                processes = {one.process.pid: "driver"}
-                processes |= {worker.id: "worker" for worker in one.workers()}
+        with running(job, tmp_path / f"{draws}", *options) as driver:
+            while driver.process.poll() is None:
+                processes = {driver.process.pid: "driver"}
+                processes |= {worker.id: "worker" for worker in driver.workers()}
                 for process, whose in processes.items():
                     found = PEAK.search(_status(process))
                     if found:
                         peaks[draws][whose] = int(found[1]) / 1024
                 time.sleep(0.02)
-            assert one.wait() == 0, one.said[-3:]
+            assert driver.wait() == 0, driver.said[-3:]
     assert set(peaks[MANY]) == {"driver", "worker"}
     _assert_flat(peaks)
     record_property("faults", f"{PROMISE}: {len(peaks[MANY])}")

@@ -56,11 +56,11 @@ def test_a_server_that_is_no_ray_is_said_in_one_line_of_ours(
     start = time.monotonic()
     with running(
         small_job.path, tmp_path / "run", "--pool", "ray", "--address", f"127.0.0.1:{port}"
-    ) as one:
-        assert one.wait() == 1
+    ) as driver:
+        assert driver.wait() == 1
         assert time.monotonic() - start < MOST_SECONDS
-        assert f"the Ray cluster at '127.0.0.1:{port}' does not answer" in one.said[-1]
-        assert not [line for line in one.said if _RAYS.search(line)]
+        assert f"the Ray cluster at '127.0.0.1:{port}' does not answer" in driver.said[-1]
+        assert not [line for line in driver.said if _RAYS.search(line)]
     record_property("faults", f"{HANGS}: 1")
 
 
@@ -79,11 +79,11 @@ def test_where_nobody_listens_a_run_ends_with_one_line_of_ours(
 ) -> None:
     options = ("--pool", "ray", "--address", address)
     start = time.monotonic()
-    with running(small_job.path, tmp_path / "run", *options, RAY_ADDRESS="127.0.0.1:2") as one:
-        assert one.wait() == 1
+    with running(small_job.path, tmp_path / "run", *options, RAY_ADDRESS="127.0.0.1:2") as driver:
+        assert driver.wait() == 1
         assert time.monotonic() - start < MOST_SECONDS
-        assert "nobody can be reached at" in one.said[-1]
-        assert not [line for line in one.said if _RAYS.search(line)]
+        assert "nobody can be reached at" in driver.said[-1]
+        assert not [line for line in driver.said if _RAYS.search(line)]
     record_property("faults", f"{HANGS}: 1")
 
 

@@ -86,9 +86,9 @@ def test_a_run_killed_in_a_phase_ends_with_the_same_bytes(
 ) -> None:
     run = tmp_path / "run"
     for parts, table in phases:
-        with running(job, run, "--pool", pool) as one:
-            one.wait_for(lambda: one.parts(parts))  # noqa: B023
-            one.kill()
+        with running(job, run, "--pool", pool) as driver:
+            driver.wait_for(lambda: driver.parts(parts))  # noqa: B023
+            driver.kill()
         assert not (run / "tables" / table).exists()  # it was in the midst of the phase
     assert finish(job, run, "--pool", "serial") == never_killed
     assert not list(run.rglob(".*.tmp"))
@@ -103,19 +103,19 @@ def test_a_run_on_ray_killed_at_any_instant_ends_with_the_same_bytes(
     record_property: Record,
 ) -> None:
     rng, kills, forks = random.Random(1), 0, make_forks(job)
-    with running(job, tmp_path / "whole", "--pool", "ray") as one:
-        one.wait_for(lambda: one.parts("timings"))
+    with running(job, tmp_path / "whole", "--pool", "ray") as driver:
+        driver.wait_for(lambda: driver.parts("timings"))
         start = time.monotonic()
-        assert one.wait() == 0
+        assert driver.wait() == 0
         lasts = time.monotonic() - start
     assert forks.run(tmp_path / "serial", "serial.log") == 0
     needed, whole = _logged(tmp_path / "serial.log")[0], _tables(tmp_path / "serial")
     while kills < 20:
         run = tmp_path / f"{kills}"
-        with running(job, run, "--pool", "ray") as one:
-            one.wait_for(lambda: one.parts("timings"))
+        with running(job, run, "--pool", "ray") as driver:
+            driver.wait_for(lambda: driver.parts("timings"))
             time.sleep(rng.uniform(0, lasts))
-            killed = one.kill()
+            killed = driver.kill()
         if not killed:
             shutil.rmtree(run)
             continue  # it was faster
@@ -271,7 +271,7 @@ def test_a_run_asked_to_end_keeps_what_is_done_and_goes_on(
     whole, run = tmp_path / "whole", tmp_path / "run"
     command = ["run", str(small_job.path), "--results"]
     assert main([*command, str(whole)]) == 0
-    calls, do = itertools.count(1), Problem.__call__
+    calls, do = itertools.count(1), Problem.filtered
 
     def signalled(self: Problem, work: Work) -> Any:
         if len(work.measurement_times) == sets and next(calls) == task:
@@ -281,7 +281,7 @@ def test_a_run_asked_to_end_keeps_what_is_done_and_goes_on(
     # A shell's background jobs, as CI may be, are started with SIGINT ignored.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     with monkeypatch.context() as patch:
-        patch.setattr(Problem, "__call__", signalled)
+        patch.setattr(Problem, "filtered", signalled)
         assert main([*command, str(run)]) == code
     signal.signal(signal.SIGINT, before)
     assert "the same command goes on" in capsys.readouterr().err

@@ -38,7 +38,7 @@ def forever(*_):
     time.sleep(600)
 
 signal.signal(signal.SIGINT, signal.default_int_handler)
-SerialPool.__exit__, Problem.__call__ = leave, forever
+SerialPool.__exit__, Problem.filtered = leave, forever
 sys.exit(main(sys.argv[1:]))
 """
 
@@ -112,13 +112,13 @@ def test_a_run_on_ray_that_is_asked_to_end_does_so_soon_and_leaves_nothing(
     job = small_job.path
     job.write_text(job.read_text().replace("draws = 250", "draws = 1_000_000"))
     run = tmp_path / "run"
-    with running(job, run, "--pool", "ray") as one:
-        one.wait_for(lambda: one.parts("comparison"))
-        everything, start = one.family(), time.monotonic()
-        os.killpg(one.process.pid, number)  # the whole group, as a terminal or a batch system
-        assert one.wait() == code
+    with running(job, run, "--pool", "ray") as driver:
+        driver.wait_for(lambda: driver.parts("comparison"))
+        everything, start = driver.family(), time.monotonic()
+        os.killpg(driver.process.pid, number)  # the whole group, as a terminal or a batch system
+        assert driver.wait() == code
         assert time.monotonic() - start < NOTICE_SECONDS
-        assert "the same command goes on from there" in one.said[-1]
+        assert "the same command goes on from there" in driver.said[-1]
         until(lambda: all_gone(everything), GONE_SECONDS)
     record_property("faults", f"{ASKED}: 1")
 
@@ -128,12 +128,12 @@ def test_a_run_on_ray_that_is_asked_to_end_does_so_soon_and_leaves_nothing(
 def test_a_run_that_is_asked_to_end_while_ray_starts_does_so(
     after: float, small_job: Job, tmp_path: Path, record_property: Record
 ) -> None:
-    with running(small_job.path, tmp_path / "run", "--pool", "ray") as one:
-        one.wait_for((tmp_path / "run" / "run.json").exists)
+    with running(small_job.path, tmp_path / "run", "--pool", "ray") as driver:
+        driver.wait_for((tmp_path / "run" / "run.json").exists)
         time.sleep(after)
-        everything = one.family()
-        one.process.send_signal(signal.SIGTERM)
-        assert one.process.wait(PATIENCE_SECONDS) in {0, 75}
+        everything = driver.family()
+        driver.process.send_signal(signal.SIGTERM)
+        assert driver.process.wait(PATIENCE_SECONDS) in {0, 75}
         until(lambda: all_gone(everything), GONE_SECONDS)
     assert finish(small_job.path, tmp_path / "run") == finish(small_job.path, tmp_path / "whole")
     record_property("faults", f"{ASKED}: 1")
@@ -152,13 +152,13 @@ def test_nothing_outlives_a_run_on_ray_that_is_killed(
     """Whenever it is: while Ray starts, and in each phase."""
     job, run, mark = small_job.path, tmp_path / "run", secrets.token_hex(8)
     job.write_text(job.read_text().replace("draws = 250", "draws = 1_000_000"))
-    with running(job, run, "--pool", "ray", "--workers", "2", PFDIST_TEST=mark) as one:
+    with running(job, run, "--pool", "ray", "--workers", "2", PFDIST_TEST=mark) as driver:
         if isinstance(after, str):
-            one.wait_for(lambda: one.parts({"search": "draws"}.get(after, after)))
+            driver.wait_for(lambda: driver.parts({"search": "draws"}.get(after, after)))
         else:
-            one.wait_for((run / "run.json").exists)
+            driver.wait_for((run / "run.json").exists)
             time.sleep(after)
-        one.process.send_signal(number)
-        assert one.wait() == -number
+        driver.process.send_signal(number)
+        assert driver.wait() == -number
         until(lambda: not marked("PFDIST_TEST", mark), GONE_SECONDS)
     record_property("faults", "nothing hangs: 1")

@@ -72,8 +72,13 @@ def _whole(job: Path) -> dict[str, str]:
     return hashes(job.with_name("whole"))
 
 
-def _is_comparing(one: Running) -> bool:
-    return one.parts("comparison") > 0 and len(one.workers()) == 2
+def _has_come_on(driver: Running, commits: int, killed: set[Process]) -> Callable[[], bool]:
+    """Whether something more is committed, and there are workers that live."""
+    return lambda: driver.parts("timings") > commits and bool(set(driver.workers()) - killed)
+
+
+def _is_comparing(driver: Running) -> bool:
+    return driver.parts("comparison") > 0 and len(driver.workers()) == 2
 
 
 @pytest.mark.fault
@@ -85,7 +90,7 @@ def test_a_worker_that_is_killed_in_each_phase_makes_no_difference(
 
     def kill(progress: Progress) -> None:
         if progress.evaluations and progress.phase not in killed:
-            workers = [one for one in family(os.getpid()) if WORKER in command_of(one)]
+            workers = [process for process in family(os.getpid()) if WORKER in command_of(process)]
             killed[progress.phase] = workers[0]
             os.kill(workers[0].id, signal.SIGKILL)
 
@@ -101,15 +106,15 @@ def test_a_run_whose_workers_are_killed_ends_with_the_same_bytes(
     make_job: Callable[[int], Path], tmp_path: Path, record_property: Record
 ) -> None:
     job, rng, kills, killed = make_job(800_000), random.Random(0), 20, set[Process]()
-    with running(job, tmp_path / "run", *TWO) as one:
+    with running(job, tmp_path / "run", *TWO) as driver:
         while len(killed) < kills:
-            commits = one.parts("timings")  # it must come on, too
-            one.wait_for(lambda: one.parts("timings") > commits and set(one.workers()) - killed)  # noqa: B023
+            commits = driver.parts("timings")  # it must come on, too
+            driver.wait_for(_has_come_on(driver, commits, killed))
             time.sleep(rng.uniform(0, 0.5))  # it has begun, or waits, or has ended something
-            for worker in set(one.workers()) - killed:
+            for worker in set(driver.workers()) - killed:
                 os.kill(worker.id, signal.SIGKILL)
                 killed.add(worker)
-        assert one.wait() == 0, one.said[-3:]
+        assert driver.wait() == 0, driver.said[-3:]
     assert hashes(tmp_path / "run") == _whole(job)
     record_property("faults", f"{DIES}: {len(killed)}")
 
@@ -120,12 +125,12 @@ def test_a_run_whose_workers_are_stopped_ends_with_the_same_bytes(
     stopped: str, make_job: Callable[[int], Path], tmp_path: Path, record_property: Record
 ) -> None:
     job = make_job(100_000)
-    with running(job, tmp_path / "run", *TWO) as one:
-        one.wait_for(lambda: _is_comparing(one))
-        workers = one.workers()[: 1 if stopped == "one" else None]
+    with running(job, tmp_path / "run", *TWO) as driver:
+        driver.wait_for(lambda: _is_comparing(driver))
+        workers = driver.workers()[: 1 if stopped == "one" else None]
         for worker in workers:
             os.kill(worker.id, signal.SIGSTOP)
-        assert one.wait() == 0, one.said[-3:]
+        assert driver.wait() == 0, driver.said[-3:]
         until(lambda: all_gone(workers), GONE_SECONDS)
     assert hashes(tmp_path / "run") == _whole(job)
     record_property("faults", f"{HANGS}: {len(workers)}")
@@ -139,18 +144,18 @@ def test_a_run_whose_servers_are_stopped_goes_on_or_says_so_and_leaves_nothing(
     stopped: list[str], make_job: Callable[[int], Path], tmp_path: Path, record_property: Record
 ) -> None:
     job = make_job(100_000)
-    with running(job, tmp_path / "run", *TWO) as one:
-        one.wait_for(lambda: _is_comparing(one))
-        everything, start = one.family(), time.monotonic()
+    with running(job, tmp_path / "run", *TWO) as driver:
+        driver.wait_for(lambda: _is_comparing(driver))
+        everything, start = driver.family(), time.monotonic()
         for process in everything:
             if any(word in command_of(process) for word in stopped):
                 os.kill(process.id, signal.SIGSTOP)
-        code = one.wait()
+        code = driver.wait()
         assert time.monotonic() - start < RAY_SECONDS
         if WORKER in stopped:
             assert code == 1  # there is nobody to start others
         if code:
-            assert "no worker has answered for" in one.said[-1]
+            assert "no worker has answered for" in driver.said[-1]
         until(lambda: all_gone(everything), GONE_SECONDS)
     assert finish(job, tmp_path / "run", "--pool", "serial") == _whole(job)
     record_property("faults", f"{HANGS}: {len(stopped)}")
@@ -188,15 +193,15 @@ def test_a_run_whose_nodes_vanish_ends_with_the_same_bytes(
             assert cluster.stdout.readline() == "done\n"
 
         address = cluster.stdout.readline().strip()
-        with running(job, tmp_path / "run", "--address", address, "--workers", "3") as one:
-            one.wait_for(lambda: one.parts("comparison"))
+        with running(job, tmp_path / "run", "--address", address, "--workers", "3") as driver:
+            driver.wait_for(lambda: driver.parts("comparison"))
             ask("remove")
             ask("add")
             time.sleep(5.0)
             ask("remove")
             ask("remove")  # from now on there are fewer cores than workers are wanted
-            assert one.process.poll() is None
-            assert one.wait() == 0, one.said[-3:]
+            assert driver.process.poll() is None
+            assert driver.wait() == 0, driver.said[-3:]
         ask("add")  # it is not the run's, and goes on
         cluster.stdin.close()
     assert hashes(tmp_path / "run") == _whole(job)
@@ -210,12 +215,12 @@ def test_a_run_whose_workers_are_all_killed_at_once_ends_with_the_same_bytes(
 ) -> None:
     job = make_job(100_000)
     table = {"search": "draws", "comparison": "comparison"}[phase]
-    with running(job, tmp_path / "run", *TWO) as one:
-        one.wait_for(lambda: one.parts(table) and len(one.workers()) == 2)
-        killed = one.workers()
+    with running(job, tmp_path / "run", *TWO) as driver:
+        driver.wait_for(lambda: driver.parts(table) and len(driver.workers()) == 2)
+        killed = driver.workers()
         for worker in killed:
             os.kill(worker.id, signal.SIGKILL)
-        assert one.wait() == 0, one.said[-3:]
+        assert driver.wait() == 0, driver.said[-3:]
     assert hashes(tmp_path / "run") == _whole(job)
     record_property("faults", f"{DIES}: {len(killed)}")
 
@@ -227,10 +232,10 @@ def test_a_run_whose_workers_are_all_killed_at_once_ends_with_the_same_bytes(
 def test_ray_that_a_run_has_started_is_heard_on_this_machine_alone(
     address: tuple[str, ...], make_job: Callable[[int], Path], tmp_path: Path
 ) -> None:
-    with running(make_job(100_000), tmp_path / "run", *TWO, *address) as one:
-        one.wait_for(lambda: _is_comparing(one))
-        found = set(listening([one.process.pid, *(process.id for process in one.family())]))
-        commands = [command_of(process) for process in one.family()]
+    with running(make_job(100_000), tmp_path / "run", *TWO, *address) as driver:
+        driver.wait_for(lambda: _is_comparing(driver))
+        found = set(listening([driver.process.pid, *(process.id for process in driver.family())]))
+        commands = [command_of(process) for process in driver.family()]
     assert found
     assert all(place.is_loopback for place in found), found
     dashboards = [command for command in commands if "dashboard.py" in command]
@@ -243,6 +248,6 @@ def test_ray_starts_where_the_path_of_temporary_files_is_too_long_for_its_socket
 ) -> None:
     job, long = make_job(15_000), tmp_path / ("very-" * 20)
     long.mkdir()
-    with running(job, tmp_path / "run", *TWO, TMPDIR=str(long)) as one:
-        assert one.wait() == 0, one.said[-3:]
+    with running(job, tmp_path / "run", *TWO, TMPDIR=str(long)) as driver:
+        assert driver.wait() == 0, driver.said[-3:]
     assert hashes(tmp_path / "run") == _whole(job)

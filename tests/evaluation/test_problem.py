@@ -74,8 +74,8 @@ def test_brute_force_finds_the_set_with_the_least_riccati_cost(
     sets = list(itertools.combinations(range(horizon + 1), budget))
     exact = np.array([riccati_cost(system, horizon, times) for times in sets])
     # Common draws and filter noise for all sets: the comparison is paired.
-    by, alike = Estimation(particles, "systematic"), (1,) * len(sets)
-    mse = problem(Work(tuple(sets), (horizon,) * len(sets), alike, 2, (0, draws), by)).mse
+    estimation, alike = Estimation(particles, "systematic"), (1,) * len(sets)
+    mse = problem(Work(tuple(sets), (horizon,) * len(sets), alike, 2, (0, draws), estimation)).mse
     assert sets[mse.mean(axis=0).argmin()] == sets[exact.argmin()]
     # The filter's own noise adds a few times 1/particles of the variance to the error.
     standard_error = mse.std(axis=0) / math.sqrt(draws)

@@ -3,6 +3,7 @@ import tomllib
 from pathlib import Path
 from typing import get_args
 
+import numpy as np
 import pytest
 
 from pfdist.errors import JobError
@@ -267,8 +268,7 @@ def test_the_job_allows_what_the_program_has(section, key, names):
 @pytest.mark.parametrize(
     ("old", "new", "override", "message"),
     [
-        ("[[search]]", "[search]", "seed=1", "search must be one or more|TOML"),
-        ("seed = 1", "search = 5", "seed=1", "TOML"),
+        ("seed = 1", "search = 5", "seed=1", r"must be TOML, .* line 11"),
         ('method = "genetic"', 'method = "genetic"\npopulation = 7', "seed=1", r"got 7 \([^;]*\)$"),
         ("seed = 1", "sed = 1", "evaluation.draws=5", r"^unknown key 'sed'"),
         ("seed = 1", "seed = 1", "seed=1\nx=3", "must be key=value"),
@@ -278,6 +278,14 @@ def test_the_job_allows_what_the_program_has(section, key, names):
 def test_the_most_telling_mistake_is_told(write, old, new, override, message):
     with pytest.raises(JobError, match=message):
         load_job(write(old, new), [override])
+
+
+def test_one_search_written_as_a_section_is_an_error_that_names_the_double_brackets(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(JOB.partition("[[search]]")[0] + '[search]\nmethod = "genetic"\n')
+    message = r"search must be one or more \[\[search\]\] sections, got \{'method': 'genetic'\}"
+    with pytest.raises(JobError, match=message):
+        load_job(path, ["seed=1"])
 
 
 def test_searches_that_are_no_sections_are_an_error_with_an_override_too(tmp_path):
@@ -293,3 +301,36 @@ def test_searches_that_are_no_sections_are_an_error_with_an_override_too(tmp_pat
 
 def test_spaces_around_a_key_and_a_value_do_not_matter(write):
     assert load_job(write(), ["seed = 3", "filter.resampling = systematic"]).seed == 3
+
+
+def test_settings_are_values_and_not_text_that_is_parsed(write):
+    settings = {"seed": np.int64(7), "execution": {"address": "3", "workers": np.int32(2)}}
+    job = load_job(write(), settings=settings)
+    assert (job.seed, job.execution.address, job.execution.workers) == (7, "3", 2)
+    with pytest.raises(JobError, match=r"execution\.address must be .* string, got 3 "):
+        load_job(write(), ["execution.address=3"])  # the same text is a number to TOML
+
+
+def test_settings_come_after_overrides_and_leave_the_other_keys_of_a_section(write):
+    overrides = ["filter.particles=9", "filter.resampling=systematic"]
+    job = load_job(write(), overrides, settings={"filter": {"particles": 12}})
+    assert (job.filter.particles, job.filter.resampling) == (12, "systematic")
+    again = job.with_changes(settings={"filter": {"particles": 12}})
+    assert again == job
+    assert again.filter.resampling == "systematic"
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"filter": {"particles": 0}}, r"particles .* got 0 \(.* with filter\.particles=0\)"),
+        ({"filter": {"particle": 5}}, r"unknown key 'particle' in \[filter\]"),
+        ({"execution": {"pool": "threads"}}, r"got 'threads' \(.* with execution\.pool=threads\)"),
+        ({"seed": 10**400}, r"seed .* got a whole number of .* bits \(.* with seed=a whole"),
+        ({"seed": 1.5}, r"seed must be .* got 1\.5"),
+    ],
+)
+def test_a_wrong_setting_is_one_line_with_the_setting(write, settings, message):
+    with pytest.raises(JobError, match=message) as error:
+        load_job(write(), settings=settings)
+    assert "\n" not in str(error.value)

@@ -64,7 +64,9 @@ class FileLayer:
 
     def _counted(self, operation: Callable[..., Any], needs_space: bool) -> Callable[..., Any]:
         def counted(*arguments: Any, **options: Any) -> Any:
-            paths = [Path(one) for one in arguments if isinstance(one, str | os.PathLike)]
+            paths = [
+                Path(argument) for argument in arguments if isinstance(argument, str | os.PathLike)
+            ]
             if not paths[0].is_relative_to(self._folder):
                 return operation(*arguments, **options)
             self.count += 1

@@ -72,7 +72,7 @@ def prefix_costs(system: LinearGaussian, horizon: int) -> Callable[[tuple[int, .
         """Covariance once what is measured at t is known, and the sum of the variances so far."""
         covariance, total = system.b0 @ system.b0.T, 0.0
         if t > 0:
-            covariance, total = after(tuple(one for one in times if one < t), t - 1)
+            covariance, total = after(tuple(time for time in times if time < t), t - 1)
             covariance = system.a @ covariance @ system.a.T + system.b @ system.b.T
         if times[-1:] == (t,):
             seen = system.c @ covariance
@@ -81,7 +81,7 @@ def prefix_costs(system: LinearGaussian, horizon: int) -> Callable[[tuple[int, .
         return covariance, total + float(np.trace(system.h @ covariance @ system.h.T))
 
     def cost(times: tuple[int, ...], end: int) -> float:
-        return after(tuple(one for one in times if one <= end), end)[1] / (horizon + 1)
+        return after(tuple(time for time in times if time <= end), end)[1] / (horizon + 1)
 
     return cost
 

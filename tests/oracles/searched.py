@@ -19,8 +19,10 @@ def states(
     while not optimiser.done(state):
         asked = optimiser.ask(state, rng)
         told = [
-            SearchEvaluation(one.measurement_times, np.empty(0), exact=cost(one.measurement_times))
-            for one in asked
+            SearchEvaluation(
+                candidate.measurement_times, np.empty(0), exact=cost(candidate.measurement_times)
+            )
+            for candidate in asked
         ]
         state = optimiser.tell(state, told)
         yield state
@@ -43,7 +45,9 @@ class EvenTimes(Feasible):
         return super().accepts(times) and not any(time % 2 for time in times)
 
     def exchanges(self, times: Times, reach: int | None = None) -> list[Times]:
-        return [one for one in super().exchanges(times, reach) if self.accepts(one)]
+        return [moved for moved in super().exchanges(times, reach) if self.accepts(moved)]
 
     def additions(self, times: Times) -> list[Times]:
-        return [one for one in super().additions(times) if not any(time % 2 for time in one)]
+        return [
+            longer for longer in super().additions(times) if not any(time % 2 for time in longer)
+        ]

@@ -254,7 +254,7 @@ def test_a_measurements_worth_is_a_stem_and_its_shifts_are_triangles_with_interv
 @pytest.mark.parametrize("name", ["random_{}", "a_search_with_quite_a_long_name_{}"])
 def test_a_figure_of_twenty_searches_has_room_for_curves_and_legend(name: str) -> None:
     names = [name.format(number) for number in range(20)]
-    rows = [EVALUATIONS[EVALUATIONS["phase"] == "random"].assign(phase=one) for one in names]
+    rows = [EVALUATIONS[EVALUATIONS["phase"] == "random"].assign(phase=search) for search in names]
     with styled():
         height = 1.9 + legend_inches(names)
         figure = Figure(figsize=(COLUMN_INCHES, height), layout="constrained")

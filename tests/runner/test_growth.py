@@ -25,8 +25,8 @@ BLOCK, MOST = 50, 430
 
 @pytest.fixture(autouse=True)
 def _small_blocks(monkeypatch: pytest.MonkeyPatch, no_figures: None) -> None:
-    for place in ("pfdist.analysis.tables.BLOCK", "pfdist.runner.comparison_phase.BLOCK"):
-        monkeypatch.setattr(place, BLOCK)
+    for module in ("analysis.stored_run", "runner.comparison_phase", "runner.interim"):
+        monkeypatch.setattr(f"pfdist.{module}.BLOCK", BLOCK)
     monkeypatch.setattr(Pace, "size", lambda pace, remaining: BLOCK * SETS * A_DRAW)
 
 

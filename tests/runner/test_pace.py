@@ -8,27 +8,32 @@ from pfdist.runner.pace import LEAST_SECONDS, MOST_ROWS, MOST_SECONDS, Pace, bun
 
 
 def work(sets: int, first: int, last: int, stream: int = 0) -> Work:
-    """Of one instant and particle: a particle-step a set and draw."""
+    """A work of one instant and one particle: a particle-step for each set and draw."""
     times = ((0,),) * sets
-    of = Estimation(particles=1)
-    return Work(times, (0,) * sets, tuple(range(sets)), stream, (first, last), of)
+    estimation = Estimation(particles=1)
+    return Work(times, (0,) * sets, tuple(range(sets)), stream, (first, last), estimation)
 
 
 @pytest.mark.parametrize("size", [1, 2, 7, 50, 1000])
 def test_every_draw_is_handed_out_once_in_its_order(size: int) -> None:
     works = [work(1, 0, 40, 1), work(3, 5, 30, 2), work(60, 0, 2, 3), work(1, 7, 8, 4)]
-    handed = [piece for bundle in bundles(works, lambda remaining: size) for piece in bundle]
-    for one in works:
-        its = [piece for piece in handed if piece.draws_stream == one.draws_stream]
-        assert [draw for piece in its for draw in range(*piece.draws)] == [*range(*one.draws)]
-        assert {piece.measurement_times for piece in its} == {one.measurement_times}
+    handed = [piece for bundle in bundles(works, lambda remaining: size) for piece in bundle.works]
+    for whole in works:
+        pieces = [piece for piece in handed if piece.draws_stream == whole.draws_stream]
+        assert [draw for piece in pieces for draw in range(*piece.draws)] == [*range(*whole.draws)]
+        assert {piece.measurement_times for piece in pieces} == {whole.measurement_times}
+
+
+@pytest.mark.parametrize("size", [1, 7, 50])
+def test_a_bundle_knows_its_particle_steps(size: int) -> None:
+    works = [work(1, 0, 40, 1), work(3, 5, 30, 2), work(60, 0, 2, 3)]
+    for bundle in bundles(works, lambda remaining: size):
+        assert bundle.steps == sum(piece.steps for piece in bundle.works)
 
 
 def test_a_bundle_is_as_large_as_it_may_be() -> None:
-    sizes = [
-        sum(piece.steps for piece in bundle)
-        for bundle in bundles([work(3, 0, 100), work(1, 0, 100)], lambda remaining: 10)
-    ]
+    works = [work(3, 0, 100), work(1, 0, 100)]
+    sizes = [bundle.steps for bundle in bundles(works, lambda remaining: 10)]
     assert max(sizes) <= 10
     assert min(sizes[:-1]) > 10 - 3  # another draw of three sets did not fit
 
@@ -48,7 +53,7 @@ def test_what_remains_is_told_and_falls_to_nothing() -> None:
 def test_however_fast_a_model_is_a_task_holds_so_many_errors_and_no_more(sets: int) -> None:
     works = [work(sets, 0, 123_456, 1), work(sets, 0, 123_456, 2)]
     held = [
-        sum(sets * (piece.draws[1] - piece.draws[0]) for piece in bundle)
+        sum(sets * (piece.draws[1] - piece.draws[0]) for piece in bundle.works)
         for bundle in bundles(works, lambda remaining: 10**12)
     ]
     assert sum(held) == 2 * sets * 123_456
@@ -61,7 +66,7 @@ def test_workers_end_together(workers: int) -> None:
     pace = Pace(1e-4, workers, learnt=True)
     free_at = np.zeros(workers)
     for bundle in bundles([work(1, 0, 1_000_000)], pace.size):
-        seconds = 1e-4 * sum(piece.steps for piece in bundle)
+        seconds = 1e-4 * bundle.steps
         assert LEAST_SECONDS / 2 < seconds <= 1.01 * MOST_SECONDS or free_at.sum() > 99
         free_at[free_at.argmin()] += seconds
     assert np.ptp(free_at) <= 2 * LEAST_SECONDS
@@ -71,7 +76,7 @@ def test_workers_end_together(workers: int) -> None:
 def test_the_pace_is_learnt() -> None:
     pace = Pace(1.0, 2)
     for _ in range(40):
-        pace.learn([work(2, 0, 50)], 0.2)
+        pace.learn(100, 0.2)
     assert pace.seconds == pytest.approx(0.002)
     assert pace.size(10**9) == pytest.approx(MOST_SECONDS / 0.002)
     assert Pace(5.0, 2).size(100) == 1

@@ -26,9 +26,11 @@ def streams(monkeypatch: pytest.MonkeyPatch) -> dict[str, set[int]]:
     def recorded(
         self: Collector, phase: str, table: str, works: Iterable[Work], *rest: Any, **more: Any
     ) -> Any:
-        every = list(works)
-        seen[phase] |= {key for one in every for key in (one.draws_stream, *one.filter_streams)}
-        return run(self, phase, table, every, *rest, **more)
+        works_handed = list(works)
+        seen[phase] |= {
+            key for work in works_handed for key in (work.draws_stream, *work.filter_streams)
+        }
+        return run(self, phase, table, works_handed, *rest, **more)
 
     monkeypatch.setattr(Collector, "run", recorded)
     return seen
@@ -57,9 +59,9 @@ def test_no_two_phases_share_a_draw(
     )
     assert budget.keys() == {"survivors", "survivors.probe", "survivors.again", "comparison"}
     for phases in (paper, plan, budget):
-        for one, other in combinations(phases.values(), 2):
-            assert one
-            assert not one & other
+        for keys, other_keys in combinations(phases.values(), 2):
+            assert keys
+            assert not keys & other_keys
     # A number that was found by its budget is proved by a plan, on draws that did not choose it.
     assert not budget["comparison"] & plan["comparison"]
 

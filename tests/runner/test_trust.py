@@ -17,7 +17,8 @@ from pfdist.cli.summary import print_summary
 from pfdist.errors import TaskError
 from pfdist.evaluation.estimate import REPORT
 from pfdist.evaluation.work import Work
-from pfdist.plots import figures
+from pfdist.plots import cost
+from pfdist.plots.figure import Tables
 from pfdist.runner.build import build
 from pfdist.runner.collect import Collector
 
@@ -87,8 +88,8 @@ def test_probes_are_what_led_the_search_a_prefix_up_to_its_end(
     searched = _rows(run, "survivors")
     first = probes[probes["generation"] == 0]
     assert set(first["draws"]) == {500}
-    by = first.groupby(["estimator", "particles"]).size()
-    assert by.to_dict() == {
+    counts = first.groupby(["estimator", "particles"]).size()
+    assert counts.to_dict() == {
         ("filter_variance", 100): len(first) / 2,
         ("squared_error", 500): len(first) / 2,
     }
@@ -153,8 +154,10 @@ def test_where_finalists_change_their_order_the_search_is_done_again(
     run = pfdist.plan(job, tmp_path / "run", changes=SMALL, say=said.append)
     ((believed, squared),) = seen  # once: the squared error is what it is
     race = _rows(run, "survivors.shortlist")
-    assert {one.measurement_times for one in squared} == set(map(tuple, race["measurement_times"]))
-    assert {one.measurement_times for one in squared} == set(believed)
+    assert {evaluation.measurement_times for evaluation in squared} == set(
+        map(tuple, race["measurement_times"])
+    )
+    assert {evaluation.measurement_times for evaluation in squared} == set(believed)
     assert set(race["estimator"]) == {"squared_error"}
     (line,) = [line for line in said if "cannot be believed" in line]
     assert "it prefers {" in line
@@ -211,11 +214,10 @@ def test_the_figure_of_costs_shows_the_search_that_was_done_again(
     planned: tuple[Run, list[str], list[Any]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     drawn: list[Any] = []
-    monkeypatch.setattr(figures, "plot_cost", lambda *arguments: drawn.append(arguments))
-    kinds = figures._kinds(planned[0])
-    assert kinds == {"systematic resampling": ["survivors"]}  # by the squared error
-    figures._cost(planned[0], kinds, 1.0, [Figure().subplots()])
-    ((_, evaluations, *_),) = drawn
+    monkeypatch.setattr(cost, "plot_cost", lambda *arguments: drawn.append(arguments))
+    cost.cost_figure(Tables(planned[0])).draw([Figure().subplots()])
+    ((_, evaluations, _, _, title),) = drawn
+    assert title.endswith("\nsystematic resampling")  # and the squared error
     shown = evaluations[evaluations["phase"] == "survivors"]
     assert set(shown["estimator"]) == {"squared_error"}
     assert len(shown) == len(_rows(planned[0], "survivors.again"))

@@ -20,26 +20,18 @@ FILES = sorted(
 )
 VAGUE = {"its", "one", "of", "no", "by"}
 VAGUE_NAMES_LEFT = {
-    "pfdist/analysis/belief.py",
-    "pfdist/analysis/tables.py",
     "pfdist/api/evaluate.py",
-    "pfdist/api/why.py",
     "pfdist/checks/formulas.py",
     "pfdist/checks/machine.py",
-    "pfdist/cli/parser.py",
-    "pfdist/cli/summary.py",
     "pfdist/filters/draws.py",
-    "pfdist/filters/particle_filter.py",
     "pfdist/kernels/arithmetic.py",
     "pfdist/kernels/compile_errors.py",
     "pfdist/kernels/content.py",
     "pfdist/kernels/formulas.py",
     "pfdist/kernels/uses.py",
     "pfdist/meaning/walk.py",
-    "pfdist/plots/budget.py",
     "pfdist/pools/processes.py",
     "pfdist/runner/build.py",
-    "pfdist/runner/search_phase.py",
     "pfdist/runner/searches.py",
     "pfdist/store/verify.py",
 }
@@ -53,8 +45,11 @@ BACKWARD = re.compile(r"(?:\A|\n\s*\n|(?<=[.:?!])\s+|\n    )(?:Of|What|By(?! def
 STRAIGHT_ROOMS = (
     "benchmarks/",
     "pfdist/__",
+    "pfdist/api/",
+    "pfdist/cli/",
     "pfdist/elementwise.py",
     "pfdist/errors.py",
+    "pfdist/evaluation/",
     "pfdist/job/",
     "pfdist/meaning/",
     "pfdist/models/",

@@ -1,11 +1,11 @@
-"""Means, their errors and their ratio, accumulated block by block.
+"""Means, their standard errors and their ratio, accumulated block by block.
 
-Memory does not grow with what is added, and the same blocks in the same order give the same bits.
+Memory does not grow with the values, and the same blocks in the same order give the same bits.
 
 References
 ----------
 Chan, Golub, LeVeque, "Updating formulae and a pairwise algorithm for computing sample variances",
-1979: the rule for variances; that for covariances is the same with one factor of each. Fieller,
+1979 (the rule for variances; the rule for covariances follows with a factor of each). Fieller,
 "Some problems in interval estimation", Journal of the Royal Statistical Society B 16, 1954.
 """
 
@@ -24,14 +24,22 @@ UNKNOWN: Interval = (math.nan, math.nan)
 
 @dataclass
 class Moments:
-    """Count, mean and sum of squared deviations of what was added so far."""
+    """Count, mean and sum of squared deviations of the values added so far.
+
+    Parameters
+    ----------
+    count : int
+    mean : float
+    squares : float
+        Sum of squared deviations from the mean.
+    """
 
     count: int = 0
     mean: float = math.nan
     squares: float = 0.0
 
     def add(self, values: Array) -> None:
-        """Add a block; blocks in the same order give the same bits."""
+        """Add a block of values; the same blocks in the same order give the same bits."""
         if not values.size:
             return
         with np.errstate(invalid="ignore", over="ignore"):
@@ -48,18 +56,18 @@ class Moments:
 
     @property
     def standard_error(self) -> float:
-        """Of the mean; NaN with fewer than two values, or infinite ones."""
+        """Standard error of the mean; NaN with fewer than two values, or with infinite values."""
         if self.count < 2:
             return math.nan
         return math.sqrt(self.squares / (self.count - 1) / self.count)
 
     @property
     def interval(self) -> Interval:
-        """Of the mean: 95 %, Student's t."""
+        """95 % interval of the mean, Student's t."""
         return self.interval_of(CONFIDENCE)
 
     def interval_of(self, confidence: float) -> Interval:
-        """Of the mean, Student's t, with any confidence."""
+        """Interval of the mean with any confidence, Student's t."""
         mean, error = self.mean, self.standard_error
         if not (math.isfinite(mean) and math.isfinite(error)):
             return UNKNOWN
@@ -71,7 +79,14 @@ class Moments:
 
 @dataclass
 class Pairs:
-    """Moments of pairs (x, y), and the sum of the products of their deviations."""
+    """Moments of pairs (x, y) added so far.
+
+    Parameters
+    ----------
+    x, y : Moments
+    products : float
+        Sum of the products of both deviations from the means.
+    """
 
     x: Moments = field(default_factory=Moments)
     y: Moments = field(default_factory=Moments)
@@ -93,11 +108,11 @@ class Pairs:
 
     @property
     def ratio_interval(self) -> Interval:
-        """Of the mean of x over the mean of y: 95 %, Fieller's theorem with Student's t.
+        """95 % interval of mean(x) / mean(y), by Fieller's theorem with Student's t.
 
-        All ratios r for which the mean of x - r y does not differ from 0: so it is exact for
-        normal means, where the delta method only comes near. Infinite where the mean of y may be
-        0, NaN where there are fewer than two pairs or the moments are not finite.
+        It contains all ratios r for which the mean of x - r y does not differ from 0. It is exact
+        for normal means, unlike the delta method. Infinite if the mean of y may be 0; NaN with
+        fewer than two pairs, or if the moments are not finite.
         """
         count = self.x.count
         if count < 2 or self.y.mean == 0.0:
@@ -106,12 +121,12 @@ class Pairs:
         squared = float(stats.t.isf((1 - CONFIDENCE) / 2, count - 1)) ** 2 / count / (count - 1)
         x, y = self.x.squares / scale / scale, self.y.squares / scale / scale
         xy, ratio = self.products / scale / scale, self.x.mean / scale
-        # a r^2 - 2 b r + c <= 0, and b^2 - a c without what cancels in it
+        # a r^2 - 2 b r + c <= 0; `inner` is proportional to b^2 - a c without cancellation
         a, b = 1.0 - squared * y, ratio - squared * xy
         inner = x - 2.0 * ratio * xy + ratio * ratio * y - squared * (x * y - xy * xy)
         if not all(map(math.isfinite, (a, b, inner))):
             return UNKNOWN
         if a <= 0.0:
             return (-math.inf, math.inf)
-        half = math.sqrt(squared * max(0.0, inner))  # below 0 by rounding alone
+        half = math.sqrt(squared * max(0.0, inner))  # rounding may make it negative
         return (b - half) / a, (b + half) / a

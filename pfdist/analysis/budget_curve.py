@@ -1,4 +1,4 @@
-"""Expected MSE against the number of measurements, and the least number that reaches a target."""
+"""The budget curve: expected MSE against the number of measurements, and the targets it reaches."""
 
 import math
 from collections import defaultdict
@@ -9,32 +9,32 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from pfdist.analysis.gains import Comparison
-from pfdist.analysis.moments import CONFIDENCE, Moments
+from pfdist.analysis.gains import ComparisonStatistics
+from pfdist.analysis.streaming_moments import CONFIDENCE, Moments
 
 REGULAR, FOUND = "regular", "found"
 
 
 def budget_table(
-    compared: pd.DataFrame, statistics: Comparison, blocks: Iterable[Any], reference: str
+    compared: pd.DataFrame, statistics: ComparisonStatistics, blocks: Iterable[Any], reference: str
 ) -> pd.DataFrame:
-    """Say what each number of measurements costs, with regular times and with those found.
+    """The expected MSE of each number of measurements, with regular and with found times.
 
     Parameters
     ----------
     compared : DataFrame
-        The table of that name.
-    statistics : Comparison
-        Of every set compared.
+        The table ``compared``.
+    statistics : ComparisonStatistics
+        Statistics of every compared set.
     blocks : iterable of tables
         Per-draw MSE, block by block, in columns ``mse_<name>``.
     reference : str
-        With which the names of the regular times begin.
+        The names of the regular times begin with it.
 
     Returns
     -------
     DataFrame
-        By kind and number; see `pfdist.analysis.Run.budget`.
+        See `pfdist.analysis.Run.budget`.
     """
     rows = []
     for entry in compared.to_dict("records"):
@@ -63,49 +63,49 @@ def budget_table(
 
 
 def _worse(table: pd.DataFrame, blocks: Iterable[Any]) -> dict[str, int]:
-    """Sets that are worse than one of fewer measurements, and the number of the best of those.
+    """Sets that are worse than a set of fewer measurements, with the best smaller number.
 
-    On common draws the interval of the difference must lie above 0. Which number is the best of
-    the fewer was seen on the same draws: so any two sets might have been compared, and all these
-    intervals together are to hold with 95 % (Bonferroni).
+    The interval of the difference on common draws must lie above 0. The best smaller number was
+    chosen on the same draws, so any two sets might have been compared. Therefore the intervals of
+    all pairs hold together with 95 % (Bonferroni).
     """
-    than, apart = {}, defaultdict[str, Moments](Moments)
+    best_of_fewer, differences = {}, defaultdict[str, Moments](Moments)
     for _, sets in table.groupby("kind"):
         for name, measurements in zip(sets["name"], sets["measurements"], strict=True):
             fewer = sets[sets["measurements"] < measurements].dropna(subset="expected_mse")
             if len(fewer):
-                than[name] = fewer.loc[fewer["expected_mse"].idxmin()]
+                best_of_fewer[name] = fewer.loc[fewer["expected_mse"].idxmin()]
     pairs = sum(math.comb(len(sets), 2) for _, sets in table.groupby("kind"))
     for rows in blocks:
-        for name, best in than.items():
+        for name, best in best_of_fewer.items():
             difference = rows[f"mse_{name}"].to_numpy() - rows[f"mse_{best['name']}"].to_numpy()
-            apart[name].add(difference[~np.isnan(difference)])
+            differences[name].add(difference[~np.isnan(difference)])
     confidence = 1 - (1 - CONFIDENCE) / max(1, pairs)
     return {
         name: int(best["measurements"])
-        for name, best in than.items()
-        if apart[name].interval_of(confidence)[0] > 0
+        for name, best in best_of_fewer.items()
+        if differences[name].interval_of(confidence)[0] > 0
     }
 
 
 def reaching(table: pd.DataFrame, target: float) -> dict[str, dict[str, Any]]:
-    """Give the least number of measurements whose expected MSE is at most a target.
+    """The least number of measurements whose expected MSE is at most a target.
 
     Parameters
     ----------
     table : DataFrame
-        As of `budget_table`.
+        A table as `budget_table` returns it.
     target : float
 
     Returns
     -------
     dict
-        By kind, ``regular`` and ``found``, the fields of `pfdist.analysis.Run.reaching`.
+        For each kind, ``regular`` and ``found``, the fields of `pfdist.analysis.Run.reaching`.
     """
     answer = {}
     for kind in (REGULAR, FOUND):
         rows = table[table["kind"] == kind].set_index("measurements")
-        # The least of many numbers is sure where the intervals of all hold (Bonferroni).
+        # The intervals of all numbers hold together (Bonferroni), and so does the least number.
         quantile = stats.t.isf((1 - CONFIDENCE) / 2 / len(rows), rows["draws"] - 1)
         half = quantile * rows["standard_error"]
         low, high = rows["expected_mse"] - half, rows["expected_mse"] + half

@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pfdist.analysis import Comparison, reaching
-from pfdist.analysis.budget import budget_table
+from pfdist.analysis import ComparisonStatistics, reaching
+from pfdist.analysis.budget_curve import budget_table
 
 NOISE = np.tile([-1.0, 1.0], 200)  # of the draws, common to all sets; the mean's error is 0.05
 COSTS = {
@@ -22,7 +22,7 @@ COSTS = {
 
 def _table(mse: dict[str, np.ndarray]) -> pd.DataFrame:
     comparison = pd.DataFrame({f"mse_{name}": column for name, column in mse.items()})
-    statistics = Comparison(list(mse))
+    statistics = ComparisonStatistics(list(mse))
     statistics.add(comparison.to_numpy())
     compared = pd.DataFrame(
         [

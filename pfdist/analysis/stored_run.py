@@ -1,0 +1,288 @@
+"""A run as pandas DataFrames and as a summary."""
+
+import math
+from collections.abc import Iterator
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+
+from pfdist.analysis.belief import own_estimation
+from pfdist.analysis.budget_curve import reaching
+from pfdist.analysis.gains import BLOCK, ComparisonStatistics, relative_gain
+from pfdist.analysis.recorded import read_recorded
+from pfdist.analysis.results import results_of
+from pfdist.store import Store, check_entries
+from pfdist.times.measurement_times import Times
+
+
+class Run:
+    """A run on disk, finished or not; made by `open_run`.
+
+    Attributes
+    ----------
+    path : Path
+        Its folder.
+    job : dict
+        The resolved job.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._about, self.job = read_recorded(path)
+        self._store = Store(path)
+        self._results = results_of(self.job)
+
+    def evaluations(self) -> pd.DataFrame:
+        """A row for each evaluation: phase, generation, individual, copies, times, expected MSE."""
+        return self._store.read("evaluations")
+
+    def draws(self) -> pd.DataFrame:
+        """Per-draw MSE of every evaluation: evaluation, draw, mse."""
+        return self._store.read("draws")
+
+    def compared(self) -> pd.DataFrame:
+        """A row for each compared set: name, measurement times, cost that its search believed."""
+        return self._store.compared()
+
+    def comparison(self, draws: int | None = None) -> pd.DataFrame:
+        """A row for each draw: draw, and mse_<name> for every compared set.
+
+        Parameters
+        ----------
+        draws : int, optional
+            Read only so many first draws.
+        """
+        return self._store.read("comparison", draws)
+
+    def repeated(self) -> pd.DataFrame:
+        """A row for each of the first draws: the reference's MSE under other filter noise."""
+        return self._store.read("repeated")
+
+    def trajectories(self) -> pd.DataFrame:
+        """z, y and the estimate of every filter over time, for the comparison's first draws."""
+        return self._store.read("trajectories")
+
+    def timings(self) -> pd.DataFrame:
+        """A row for each task: seconds, worker, node, failures."""
+        return self._store.read("timings")
+
+    def has(self, table: str) -> bool:
+        """Whether the run has rows of a table."""
+        return self._store.has(table)
+
+    def gains(self, draws: int | None = None) -> pd.DataFrame:
+        """A row for each draw: draw, and gain_<name> for every set but the reference.
+
+        Parameters
+        ----------
+        draws : int, optional
+            Read only so many first draws.
+        """
+        rows = self.comparison(draws)
+        gains: dict[str, Any] = {"draw": rows["draw"]}
+        for name in self.names[1:]:
+            gains[f"gain_{name}"] = relative_gain(
+                rows[f"mse_{name}"].to_numpy(), rows[f"mse_{self.names[0]}"].to_numpy()
+            )
+        return pd.DataFrame(gains)
+
+    @cached_property
+    def names(self) -> list[str]:
+        """Names of the compared sets, the reference first."""
+        return [str(name) for name in self.compared()["name"]]
+
+    @property
+    def state(self) -> str:
+        """``searching``, ``comparing`` or ``finished``."""
+        if not self._store.has("compared"):
+            return "searching"
+        if self._store.has_parts() or self._store.manifest.lost():
+            return "comparing"
+        enough = self.draws_compared == self.job["comparison"]["draws"] or self._narrow
+        return "finished" if enough else "comparing"
+
+    @property
+    def _narrow(self) -> bool:
+        """Whether the intervals are as narrow as the job demands."""
+        half_width = self.job["comparison"].get("until", {}).get("half_width", 0.0)
+        return bool(half_width > 0 and self.statistics().half_width() <= half_width)
+
+    def statistics(self) -> ComparisonStatistics:
+        """Statistics of all compared draws; memory does not grow with the draws."""
+        statistics = ComparisonStatistics(self.names)
+        for rows in self.blocks():
+            columns = [rows[f"mse_{name}"].to_numpy() for name in self.names]
+            statistics.add(np.stack(columns, axis=1))
+        return statistics
+
+    def blocks(self) -> Iterator[pa.Table]:
+        """The comparison in tables of as many draws each, so that memory does not grow."""
+        last = self._store.present("comparison", "draw").size
+        return self._store.blocks("comparison", "draw", BLOCK, last)
+
+    @property
+    def has_budget(self) -> bool:
+        """Whether the run has times of several numbers of measurements."""
+        return self._results.has_budget
+
+    def sets_of_one_number(self) -> dict[str, Times]:
+        """Compared sets by name, the reference first.
+
+        Raises
+        ------
+        StoreError
+            The run has times of several numbers of measurements.
+        """
+        return self._results.sets_of_one_number(self)
+
+    def budget(self) -> pd.DataFrame:
+        """A row for each kind of times, ``regular`` or ``found``, and number of measurements.
+
+        The columns are kind, measurements, name, measurement_times, expected_mse (on fresh draws),
+        standard_error, low and high (ends of the 95 % interval), draws (without the degenerate
+        ones), degenerate_draws, search_cost and search_standard_error (what the search believed),
+        and worse_than. The last is the best smaller number of measurements of the same kind, if it
+        is better on common draws. The intervals of all such differences hold together with 95 %.
+
+        Raises
+        ------
+        StoreError
+            The run has times of one number of measurements alone.
+        """
+        return self._results.budget_table(self)
+
+    def reaching(self, target: float) -> dict[str, dict[str, Any]]:
+        """Give the least number of measurements whose expected MSE is at most a target.
+
+        Parameters
+        ----------
+        target : float
+
+        Returns
+        -------
+        dict
+            For ``regular`` and for ``found`` times:
+
+            - measurements: the least number; None if no number reaches the target.
+            - interval, 95 %: the least number whose interval reaches the target, and the least
+              number whose interval lies below it. The intervals of all numbers hold together.
+            - measurement_times.
+            - larger_that_do_not: larger numbers whose interval lies above the target. More regular
+              times are not always better.
+        """
+        return reaching(self.budget(), target)
+
+    @property
+    def draws_compared(self) -> int:
+        """Number of draws that every set has filtered."""
+        return int(self._store.present("comparison", "draw").sum())
+
+    def summary(self) -> dict[str, Any]:
+        """How far the run is, and what it has found.
+
+        Returns
+        -------
+        dict
+            ``state``, ``run``, ``evaluations`` (copies counted), ``draws_compared`` and
+            ``results`` by name. Fractions are not in per cent; an infinite or unknown value is
+            None. Each result has:
+
+            - measurement_times, expected_mse, standard_error, degenerate_draws, search_cost and
+              search_standard_error.
+            - For the reference: description, broken_constraints (see
+              `pfdist.job.problem_section.ProblemSection.broken`), and gain_over_itself (see
+              `pfdist.analysis.gains.gain_over_itself`) with interval and draws.
+            - For the others: search_excess (search_cost over expected_mse, less 1),
+              search_estimation (how the search estimated otherwise than the comparison),
+              search_cause (why search_cost is not expected_mse), search_distrust (why the search
+              was run again by the squared error, or None), the fields of `GainSummary`, and
+              gains_disagree (`GainSummary.disagree`).
+
+            If the run has several numbers of measurements, the results are the rows of `budget`,
+            with the four search_ fields for found times. Before the comparison has begun, a result
+            has only measurement_times, search_cost and search_standard_error.
+        """
+        results: dict[str, Any] = {}
+        if self.has("compared"):
+            compared = self.has("comparison")
+            results = self._results.summary(self) if compared else self._before_the_comparison()
+        evaluations = int(self.evaluations()["copies"].sum()) if self.has("evaluations") else 0
+        return {
+            "state": self.state,
+            "run": str(self.path),
+            "evaluations": evaluations,
+            "draws_compared": self.draws_compared,
+            "results": finite(results),
+        }
+
+    def _before_the_comparison(self) -> dict[str, Any]:
+        """Times of each set, and the cost that its search believed."""
+        return {
+            str(entry["name"]): {
+                "measurement_times": [int(time) for time in entry["measurement_times"]],
+                "search_cost": float(entry["search_cost"]),
+                "search_standard_error": float(entry["search_standard_error"]),
+            }
+            for entry in self.compared().to_dict("records")
+        }
+
+    @property
+    def knows_estimations(self) -> bool:
+        """Whether the run records how each search estimated; older runs do not record "auto"."""
+        return "estimations" in self._about
+
+    def distrust(self, search: str) -> str | None:
+        """Why a search was run again by the squared error; None if it was not."""
+        return self._distrusts.get(search)
+
+    def own_estimation(self, search: str) -> dict[str, Any]:
+        """How a search estimates otherwise than the comparison: particles, resampling, estimator.
+
+        If a search was run again by the squared error, this is the estimation of the second time.
+        Older runs do not record the meaning of "auto"; then it is left out.
+        """
+        redone = self.distrust(search) is not None
+        return own_estimation(self._about, self.job, search, redone=redone)
+
+    @cached_property
+    def _distrusts(self) -> dict[str, str]:
+        """Reason for each search that was run again, by its name."""
+        rows = self.compared()
+        if "distrust" not in rows:  # an older run
+            return {}
+        rows = rows[rows["distrust"].notna()]
+        names = [self._results.search_of(str(name)) for name in rows["name"]]
+        return dict(zip(names, rows["distrust"].astype(str), strict=True))
+
+
+def open_run(path: str | Path) -> Run:
+    """A run in a folder, opened for reading.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    Run
+
+    Raises
+    ------
+    StoreError
+        The folder holds no run, or one that cannot be read.
+    """
+    check_entries(Path(path))
+    return Run(Path(path))
+
+
+def finite(value: Any) -> Any:
+    """The same value with None for floats that are not finite, and with lists for tuples."""
+    if isinstance(value, dict):
+        return {key: finite(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(inner) for inner in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,58 @@
+"""How commands print their answers: as text, or as one JSON object."""
+
+import dataclasses
+import json
+from argparse import Namespace
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pfdist.cli.summary import print_summary
+from pfdist.errors import one_line
+
+if TYPE_CHECKING:  # a command that checks nothing needs no module of the checks
+    from pfdist.checks.model import Check
+
+
+def print_json(answer: dict[str, Any], options: Namespace) -> None:
+    """Print an answer as one JSON object; a number that is not finite becomes null."""
+    # Not above: pandas takes long to load, and commands without --json need no pandas.
+    from pfdist.analysis import finite  # noqa: PLC0415
+
+    print(json.dumps(finite(answer), indent=2, allow_nan=False), file=options.answers)
+
+
+def print_run(summary: dict[str, Any], options: Namespace) -> None:
+    """Print the summary of a run, and where its tables and figures are.
+
+    Parameters
+    ----------
+    summary : dict
+        As `pfdist.analysis.Run.summary` gives it.
+    options : Namespace
+        The parsed arguments.
+    """
+    if options.json:
+        print_json(summary, options)
+        return
+    path = Path(summary["run"])
+    folders = [name for name in ("tables", "figures") if (path / name).is_dir()]
+    print_summary(summary, "   ".join(one_line(f"{name}: {path / name}") for name in folders))
+
+
+def print_checks(checks: Iterable["Check"], options: Namespace) -> list[str]:
+    """Print checks as they are made, or all as one JSON object.
+
+    Returns
+    -------
+    list of str
+        Names of the checks that found something wrong.
+    """
+    made = []
+    for check in checks:
+        made.append(check)
+        if not options.json:
+            print(one_line(f"{check.state:5} {check.name}: {check.text}"), flush=True)
+    if options.json:
+        print_json({"checks": [dataclasses.asdict(check) for check in made]}, options)
+    return [check.name for check in made if check.state == "wrong"]

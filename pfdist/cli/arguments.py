@@ -1,0 +1,124 @@
+"""Arguments that several commands share, and types of their values."""
+
+import math
+from argparse import ArgumentParser, ArgumentTypeError
+from collections.abc import Callable
+
+from pfdist.common.parsing import whole_number
+from pfdist.errors import shown
+from pfdist.pools.kinds import POOLS
+
+RESULTS = "results/<name of the job file without .toml>"
+"""The folder of a run, if the user names none."""
+
+
+def add_job(parser: ArgumentParser) -> None:
+    """Add JOB and ``--set``."""
+    parser.add_argument("job", metavar="JOB", help="job file, for instance jobs/paper.toml")
+    parser.add_argument(
+        "--set",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="KEY=VALUE",
+        help="change keys of the job, for instance seed=3 search.genetic.generations=5",
+    )
+
+
+def add_run(parser: ArgumentParser) -> None:
+    """Add RUN."""
+    parser.add_argument("run", metavar="RUN", help="folder of a run")
+
+
+def add_json(parser: ArgumentParser) -> None:
+    """Add ``--json``."""
+    parser.add_argument("--json", action="store_true", help="print one JSON object and no text")
+
+
+def computing(results: str) -> Callable[[ArgumentParser], None]:
+    """Give a function that adds what a command needs to compute a run.
+
+    Parameters
+    ----------
+    results : str
+        Describes the folder of the run if ``--results`` is not given.
+    """
+
+    def add(parser: ArgumentParser) -> None:
+        parser.add_argument(
+            "--results", metavar="DIR", help=f"folder of the run (default: {results})"
+        )
+        parser.add_argument(
+            "--pool",
+            choices=list(POOLS),
+            help="where tasks are computed: "
+            + "; ".join(f"{name}, {kind.description}" for name, kind in POOLS.items())
+            + " (default: execution.pool of the job)",
+        )
+        parser.add_argument(
+            "--workers",
+            type=whole,
+            metavar="N",
+            help="number of workers; 0 is one for each core "
+            "(default: execution.workers of the job)",
+        )
+        parser.add_argument(
+            "--address",
+            metavar="HOST:PORT",
+            help="join the Ray cluster at this address; "
+            '"auto" finds a cluster, "local" starts one on this machine '
+            "(default: execution.address of the job)",
+        )
+        parser.add_argument(
+            "--fork",
+            metavar="NEW",
+            help="start a new run in the folder NEW, which reuses the evaluations of the run in "
+            "the --results folder",
+        )
+
+    return add
+
+
+def whole(text: str) -> int:
+    """Give a whole number.
+
+    Raises
+    ------
+    ArgumentTypeError
+        The text is not a whole number.
+    """
+    try:
+        return whole_number(text)
+    except ValueError as error:
+        raise ArgumentTypeError(str(error)) from error
+
+
+def count(text: str) -> int:
+    """Give a whole number from 1 to 32,000.
+
+    Raises
+    ------
+    ArgumentTypeError
+        The text is not such a number.
+    """
+    number = whole(text)
+    if not 1 <= number <= 32_000:
+        raise ArgumentTypeError(f"must be an integer in 1..32000, got {number}")
+    return number
+
+
+def finite(text: str) -> float:
+    """Give a finite number.
+
+    Raises
+    ------
+    ArgumentTypeError
+        The text is not a finite number.
+    """
+    try:
+        number = float(text) if text.isascii() and "_" not in text else math.nan
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise ArgumentTypeError(f"must be a finite number, got {shown(text)}")
+    return number

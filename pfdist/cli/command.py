@@ -1,0 +1,68 @@
+"""Commands of the command line. Each is one file of `pfdist.cli.commands` and declares itself."""
+
+from argparse import ArgumentParser, Namespace
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from pfdist.common.registry import Registry
+
+AddArguments = Callable[[ArgumentParser], None]
+Call = Callable[[Namespace], None]
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command of the command line.
+
+    Parameters
+    ----------
+    name : str
+        The word after ``pfdist``.
+    description : str
+        The command in one line, for help and documentation.
+    call : callable
+        Does what the parsed arguments ask for, and prints the answer.
+    adders : tuple of callable
+        Each adds some of the command's arguments to a parser.
+    goes_on : bool
+        Whether the same command, given again, goes on from what an interrupted one committed.
+    """
+
+    name: str
+    description: str
+    call: Call
+    adders: tuple[AddArguments, ...] = ()
+    goes_on: bool = False
+
+    def add_arguments(self, parser: ArgumentParser) -> None:
+        """Add all arguments of the command to a parser."""
+        for add in self.adders:
+            add(parser)
+
+
+COMMANDS: Registry[Command] = Registry("pfdist.cli.commands", "pfdist.commands")
+
+
+def command(name: str, *adders: AddArguments, goes_on: bool = False) -> Callable[[Call], Call]:
+    """Declare a function as a command; the first line of the docstring describes the command.
+
+    The module of a command is imported for every command line, also for ``pfdist --help``.
+    Therefore the function imports whatever takes long to load, such as NumPy, when it is called;
+    so does a function that adds arguments.
+
+    Parameters
+    ----------
+    name : str
+        The word after ``pfdist``.
+    adders : callable
+        Each adds some of the command's arguments to a parser; see `pfdist.cli.arguments`.
+    goes_on : bool
+        Whether the same command, given again, goes on from what an interrupted one committed.
+    """
+
+    def declare(call: Call) -> Call:
+        description = (call.__doc__ or "").partition("\n")[0]
+        COMMANDS.declare(name, Command(name, description, call, adders, goes_on))
+        return call
+
+    return declare

@@ -1,0 +1,20 @@
+"""The command ``pfdist run``."""
+
+from argparse import Namespace
+
+from pfdist.cli.answers import print_run
+from pfdist.cli.arguments import RESULTS, add_job, add_json, computing
+from pfdist.cli.command import command
+
+
+@command("run", add_job, computing(RESULTS), add_json, goes_on=True)
+def run_command(options: Namespace) -> None:
+    """Run the searches of a job and compare the found times with regular times."""
+    from pfdist.api.run import run
+    from pfdist.cli.computing import settings
+    from pfdist.cli.progress import Display
+    from pfdist.job.job import load_job
+
+    with Display() as display:
+        finished = run(load_job(options.job, options.set), **settings(options, display))
+    print_run(finished.summary(), options)

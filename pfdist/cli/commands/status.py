@@ -1,0 +1,15 @@
+"""The command ``pfdist status``."""
+
+from argparse import Namespace
+
+from pfdist.cli.answers import print_run
+from pfdist.cli.arguments import add_json, add_run
+from pfdist.cli.command import command
+
+
+@command("status", add_run, add_json)
+def status_command(options: Namespace) -> None:
+    """Show how far a run is and what it has found."""
+    from pfdist.analysis import open_run
+
+    print_run(open_run(options.run).summary(), options)

@@ -1,0 +1,31 @@
+"""The command ``pfdist verify``."""
+
+from argparse import Namespace
+from pathlib import Path
+
+from pfdist.cli.arguments import add_run
+from pfdist.cli.command import command
+from pfdist.errors import StoreError, one_line
+
+
+@command("verify", add_run)
+def verify_command(options: Namespace) -> None:
+    """Check every byte, row and key of a run."""
+    from pfdist.store.repair import verify_run
+
+    path = Path(options.run)
+    damages = list(verify_run(path))
+    for damage in damages:
+        print(one_line(f"{path / damage.path} {damage.what}"))
+    if not damages:
+        print(f"{one_line(options.run)}: all files are unchanged, and no row or key is missing")
+        return
+    if all(damage.is_missing for damage in damages):
+        raise StoreError(
+            f"{path}: missing files: {len(damages)}. Run the job again with --results {path} to "
+            "recompute them"
+        )
+    raise StoreError(
+        f"{path}: problems found: {len(damages)}. Run `pfdist repair {path}` to move the damaged "
+        "files to quarantine, then run the job again to recompute them"
+    )

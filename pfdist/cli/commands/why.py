@@ -1,0 +1,91 @@
+"""The command ``pfdist why``."""
+
+from argparse import ArgumentParser, Namespace
+from typing import Any
+
+from pfdist.cli.answers import print_json
+from pfdist.cli.arguments import add_json, add_run, whole
+from pfdist.cli.command import command
+from pfdist.cli.numbers import cost
+from pfdist.common.rounding import with_error
+from pfdist.errors import one_line
+
+_ROUNDING = 1e-12  # relative to the expected MSE: rounding errors of doubles are smaller
+_LEAST_WIDTH = 17  # of a column
+
+
+def _add_models(parser: ArgumentParser) -> None:
+    from pfdist.api.why import DRAWS
+
+    parser.add_argument(
+        "--draws",
+        type=whole,
+        default=DRAWS,
+        metavar="K",
+        help=f"number of fresh draws (default: {DRAWS})",
+    )
+    parser.add_argument(
+        "--model",
+        default="",
+        metavar="FILE.py:OBJECT",
+        help="run this model instead of the file that the run names; that file runs only if it "
+        "is unchanged and you have run it on this machine before",
+    )
+    parser.add_argument(
+        "--filter-model",
+        default="",
+        metavar="FILE.py:OBJECT",
+        help="run this filter model instead of the file that the run names for the filter",
+    )
+
+
+@command("why", add_run, _add_models, add_json)
+def why_command(options: Namespace) -> None:
+    """Show what each measurement of a finished run is worth."""
+    from pfdist.api.why import why
+    from pfdist.cli.progress import Display
+
+    with Display() as display:
+        answer = why(
+            options.run,
+            options.draws,
+            model=options.model,
+            filter_model=options.filter_model,
+            report=display.report,
+            say=display.say,
+        ).as_json()
+    if options.json:
+        print_json(answer, options)
+        return
+    drawn = f"on {answer['draws']:,} fresh draws; ± standard error"
+    precision = drawn if answer["draws"] else "exact"
+    lines = []
+    for name, examined in answer["sets"].items():
+        lines += [*_set_lines(name, examined, precision), ""]
+    print("\n".join(lines + [one_line(file) for file in answer["figures"]]))
+
+
+def _set_lines(name: str, examined: dict[str, Any], precision: str) -> list[str]:
+    """Give a table with a row for each measurement of a set."""
+    mse = examined["expected_mse"]
+    rows = [_row(measurement, mse or 0.0) for measurement in examined["measurements"]]
+    width = max([_LEAST_WIDTH, *(len(cell) for row in rows for cell in row[1:])])
+    lines = [
+        f"{name}: expected MSE {with_error(cost(mse), examined['standard_error'])} ({precision})",
+        "  rise of the expected MSE if the measurement at t is",
+    ]
+    for row in [["t", "removed", "one earlier", "one later"], *rows]:
+        cells = "  ".join(f"{cell:>{width}}" for cell in row[1:])
+        lines.append(f"  {row[0]:>5}  {cells}".rstrip())
+    return lines
+
+
+def _row(measurement: dict[str, Any], mse: float) -> list[str]:
+    """Give a measurement and its rises as text; the cell of an impossible shift is empty."""
+    cells = [str(measurement["t"])]
+    for change in [key for key in measurement if f"{key}_error" in measurement]:
+        rise, error = measurement[change], measurement[f"{change}_error"]
+        if error == 0.0 and rise is not None and abs(rise) < _ROUNDING * abs(mse):
+            rise = 0.0
+        cells.append("" if rise is None else with_error(rise, error, sign=True))
+    return cells

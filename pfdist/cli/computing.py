@@ -1,0 +1,21 @@
+"""From parsed arguments to the arguments of the functions that compute a run."""
+
+from argparse import Namespace
+from typing import Any
+
+from pfdist.cli.progress import Display
+
+
+def settings(options: Namespace, display: Display) -> dict[str, Any]:
+    """Give the arguments of `pfdist.run` that `pfdist.cli.arguments.computing` has added.
+
+    Parameters
+    ----------
+    options : Namespace
+        The parsed arguments.
+    display : Display
+        Shows the progress of the run, and prints its messages.
+    """
+    names = ("results", "pool", "workers", "address", "fork")
+    chosen = {name: getattr(options, name) for name in names}
+    return {**chosen, "report": display.report, "say": display.say}

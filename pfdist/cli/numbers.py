@@ -1,0 +1,45 @@
+"""Numbers of a JSON answer as text; None is a number that is unknown or infinite."""
+
+import math
+
+from pfdist.common.rounding import rounded, with_interval
+
+
+def cost(expected_mse: float | None) -> float:
+    """Give an expected MSE of an answer, in which None stands for an infinite one."""
+    return math.inf if expected_mse is None else expected_mse
+
+
+def times_100(fraction: float | None) -> float | None:
+    """Give a fraction in per cent."""
+    return None if fraction is None else 100 * fraction
+
+
+def percent(fraction: float | None, decimals: int = 2) -> str:
+    """Give a fraction as text in per cent."""
+    if fraction is None:
+        return "unknown"
+    per_cent = 100 * fraction
+    return f"{per_cent:.{decimals}f} %" if abs(per_cent) < 1e6 else f"{rounded(per_cent, 3)} %"
+
+
+def percent_with_interval(
+    fraction: float | None, interval: list[float | None], unit: str = ""
+) -> str:
+    """Give a fraction in per cent with its 95 % interval.
+
+    Parameters
+    ----------
+    fraction : float or None
+    interval : list of float or None
+        Lower and upper end.
+    unit : str
+        Follows the per cent sign, for instance `` of draws``.
+    """
+    value, low, high = with_interval(*(times_100(part) for part in (fraction, *interval)))
+    return f"{value} %{unit}  (95 %: {range_of(low, high)})"
+
+
+def range_of(low: str, high: str) -> str:
+    """Give an interval as text, or "unknown" if both ends are unknown."""
+    return low if low == high == rounded(None) else f"{low} to {high}"

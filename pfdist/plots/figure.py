@@ -1,0 +1,153 @@
+"""Figures of a run. Each is one file of `pfdist.plots` and declares itself."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import pandas as pd
+from matplotlib.axes import Axes
+
+from pfdist.analysis import ComparisonStatistics, Run
+from pfdist.common.registry import Registry
+
+Applies = Callable[[Run], bool]
+
+
+@dataclass(frozen=True)
+class Plot:
+    """The size of a figure, and what draws it.
+
+    Parameters
+    ----------
+    height : float
+        In inches; all figures are one column of a paper wide.
+    draw : callable
+        Draws into the panels, from above to below.
+    panels : int
+        Number of panels.
+    share_x : bool
+        Whether the panels share one horizontal axis.
+    """
+
+    height: float
+    draw: Callable[[Sequence[Axes]], None]
+    panels: int = 1
+    share_x: bool = False
+
+
+class Tables:
+    """A run, and the tables of it that several figures need, each read once.
+
+    Parameters
+    ----------
+    run : Run
+    """
+
+    def __init__(self, run: Run) -> None:
+        self.run = run
+
+    @cached_property
+    def statistics(self) -> ComparisonStatistics:
+        """Statistics of the comparison."""
+        return self.run.statistics()
+
+    @cached_property
+    def trajectories(self) -> pd.DataFrame:
+        """Truth, measurements and estimates of the first draws."""
+        return self.run.trajectories()
+
+    @cached_property
+    def gains_of_trajectories(self) -> pd.DataFrame:
+        """Relative gains of the draws that have trajectories, by draw."""
+        draws = int(self.trajectories["draw"].max()) + 1
+        return self.run.gains(draws=draws).set_index("draw")
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure that a run can have.
+
+    Parameters
+    ----------
+    name : str
+        File name without suffix; with ``each_set`` the first part of it.
+    description : str
+        What the figure shows, in one line.
+    plot : callable
+        Gives the plot of `Tables`; with ``each_set`` of `Tables` and the name of a set.
+    applies : callable
+        Says whether a run has the figure.
+    each_set : bool
+        Whether there is a file ``<name>-<set>`` for each found set of measurement times.
+    """
+
+    name: str
+    description: str
+    plot: Callable[..., Plot]
+    applies: Applies
+    each_set: bool = False
+
+    def files(self, run: Run) -> list[str]:
+        """Give the names of the figure's files of a run, without suffix."""
+        return list(self._arguments(run))
+
+    def plots(self, tables: Tables) -> Iterator[tuple[str, Plot]]:
+        """Give the name of each file, without suffix, and the plot in it."""
+        for file, arguments in self._arguments(tables.run).items():
+            yield file, self.plot(tables, *arguments)
+
+    def _arguments(self, run: Run) -> dict[str, tuple[str, ...]]:
+        """Arguments of ``plot``, beside the tables, by the name of the file."""
+        if not self.applies(run):
+            return {}
+        if self.each_set:
+            return {f"{self.name}-{found}": (found,) for found in run.names[1:]}
+        return {self.name: ()}
+
+
+FIGURES: Registry[Figure] = Registry("pfdist.plots", "pfdist.figures")
+
+
+def every_run(run: Run) -> bool:
+    """Whether a run has a figure that all runs have."""
+    return True
+
+
+def one_number(run: Run) -> bool:
+    """Whether the found sets of a run have one number of measurements."""
+    return not run.has_budget
+
+
+def several_numbers(run: Run) -> bool:
+    """Whether a run has found sets of several numbers of measurements."""
+    return run.has_budget
+
+
+def figure(
+    name: str, *, applies: Applies = every_run, each_set: bool = False
+) -> Callable[[Callable[..., Plot]], Callable[..., Plot]]:
+    """Declare a function as a figure; the first line of the docstring describes the figure.
+
+    Parameters
+    ----------
+    name : str
+        File name without suffix; with ``each_set`` the first part of it.
+    applies : callable
+        Says whether a run has the figure.
+    each_set : bool
+        Whether there is a file ``<name>-<set>`` for each found set of measurement times. The
+        function is then called with the name of a set, too.
+    """
+
+    def declare(plot: Callable[..., Plot]) -> Callable[..., Plot]:
+        description = (plot.__doc__ or "").partition("\n")[0]
+        FIGURES.declare(name, Figure(name, description, plot, applies, each_set))
+        return plot
+
+    return declare
+
+
+def write_instead(axes: Axes, text: str) -> None:
+    """Write a sentence where there is nothing to draw."""
+    axes.set_axis_off()
+    axes.text(0.5, 0.5, text, ha="center", va="center", transform=axes.transAxes)

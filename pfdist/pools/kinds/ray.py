@@ -1,0 +1,13 @@
+"""The pool ``ray``: workers on this machine or on a Ray cluster."""
+
+from pfdist.pools.kinds import POOLS, PoolKind
+
+POOLS.declare(
+    "ray",
+    PoolKind(
+        "Ray",
+        "on Ray workers",
+        "pfdist.pools.ray_pool:RayPool",
+        distributed=True,
+    ),
+)

@@ -1,0 +1,190 @@
+"""What a run is to find: times for one problem, or for every measurement budget of a range.
+
+All that differs between the two kinds of run is here. `study_of` alone asks which kind a job wants.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar, Protocol
+
+from pfdist.errors import JobError
+from pfdist.evaluation.estimate import (
+    BUDGET,
+    REPORT,
+    Purpose,
+    ReportEvaluation,
+    SearchEvaluation,
+)
+from pfdist.job.job import Job
+from pfdist.runner.progress import Found
+from pfdist.search import BudgetCurve, SearchOptimiser
+from pfdist.search.methods import METHODS
+from pfdist.search.section import SearchSection
+from pfdist.times.measurement_times import Times
+
+
+class Study(Protocol):
+    """How a run searches, and what it compares."""
+
+    @property
+    def purpose(self) -> Purpose[ReportEvaluation]:
+        """The purpose of the comparison's draws."""
+
+    @property
+    def first_draws(self) -> tuple[str, ...]:
+        """Tables that keep the first draws of the comparison; see `pfdist.runner.first_draws`."""
+
+    @property
+    def references(self) -> dict[str, Times]:
+        """Measurement times with which the found times are compared, by name."""
+
+    def names(self, search: str) -> list[str]:
+        """Names of the sets that a search finds."""
+
+    def optimiser(self, section: SearchSection, draws: int) -> SearchOptimiser:
+        """Optimiser of a section [[search]] whose evaluations have so many draws.
+
+        Raises
+        ------
+        JobError
+            The optimiser cannot search this problem.
+        """
+
+    def probed(
+        self, leaders: Sequence[SearchEvaluation], found: Sequence[SearchEvaluation]
+    ) -> list[SearchEvaluation]:
+        """Evaluations on which the estimator of a search is checked.
+
+        Parameters
+        ----------
+        leaders : sequence of SearchEvaluation
+            The evaluations that led the search.
+        found : sequence of SearchEvaluation
+            The evaluations with which the search ended.
+        """
+
+    def racing(self, found: Iterable[Times]) -> tuple[Times, ...]:
+        """Sets that race on fresh draws, of those that a search has found; empty for no race."""
+
+    def winners(self, search: str, ranked: Sequence[Times]) -> dict[str, Times]:
+        """Sets that are compared, by name, from those that a search has found, the best first."""
+
+    def shown(self, gains: Callable[[], tuple[Found, ...]]) -> tuple[Found, ...]:
+        """Gains that the progress of the comparison shows."""
+
+
+@dataclass(frozen=True)
+class TimesStudy:
+    """Find the best times of one problem; each search finds one set.
+
+    Parameters
+    ----------
+    job : Job
+    """
+
+    job: Job
+    purpose: ClassVar[Purpose[ReportEvaluation]] = REPORT
+    first_draws: ClassVar[tuple[str, ...]] = ("trajectories", "repeated")
+
+    @cached_property
+    def references(self) -> dict[str, Times]:
+        """The reference of the job, under its name."""
+        comparison = self.job.comparison
+        if isinstance(comparison.reference, str):
+            return {comparison.reference_name: self.job.problem.feasible.regular()}
+        return {comparison.reference_name: comparison.reference}
+
+    def names(self, search: str) -> list[str]:
+        """The name of the search."""
+        return [search]
+
+    def optimiser(self, section: SearchSection, draws: int) -> SearchOptimiser:
+        """Optimiser of the method that the section names."""
+        try:
+            return METHODS[section.method].make(self.job.problem.feasible, draws, section.settings)
+        except JobError as error:
+            raise JobError(f"search.{section.name}: {error} ({self.job.path})") from error
+
+    def probed(
+        self, leaders: Sequence[SearchEvaluation], found: Sequence[SearchEvaluation]
+    ) -> list[SearchEvaluation]:
+        """The leaders; the finalists race by the squared error anyway."""
+        return [*leaders]
+
+    def racing(self, found: Iterable[Times]) -> tuple[Times, ...]:
+        """All sets that were found, unless there is a single set."""
+        sets = tuple(found)
+        return sets if len(sets) > 1 else ()
+
+    def winners(self, search: str, ranked: Sequence[Times]) -> dict[str, Times]:
+        """The best set."""
+        return {search: ranked[0]} if ranked else {}
+
+    def shown(self, gains: Callable[[], tuple[Found, ...]]) -> tuple[Found, ...]:
+        """All gains: there is one reference for all of them."""
+        return gains()
+
+
+@dataclass(frozen=True)
+class BudgetStudy:
+    """Find the best times for every measurement budget of a range; a search finds all of them.
+
+    Parameters
+    ----------
+    job : Job
+    budgets : range
+        Measurement budgets N.
+    """
+
+    job: Job
+    budgets: range
+    purpose: ClassVar[Purpose[ReportEvaluation]] = BUDGET
+    first_draws: ClassVar[tuple[str, ...]] = ()
+
+    @cached_property
+    def references(self) -> dict[str, Times]:
+        """Regular times of each measurement budget, under the reference's name and the budget."""
+        name = self.job.comparison.reference_name
+        return {
+            self._name(name, budget): self.job.feasible(budget).regular() for budget in self.budgets
+        }
+
+    def names(self, search: str) -> list[str]:
+        """The search's name with each measurement budget."""
+        return [self._name(search, budget) for budget in self.budgets]
+
+    def optimiser(self, section: SearchSection, draws: int) -> SearchOptimiser:
+        """Survivor programme for all measurement budgets at once."""
+        largest = self.job.feasible(self.budgets[-1])
+        return BudgetCurve(largest, self.budgets[0], **section.settings)
+
+    def probed(
+        self, leaders: Sequence[SearchEvaluation], found: Sequence[SearchEvaluation]
+    ) -> list[SearchEvaluation]:
+        """The leaders and all that was found: no race compares the finalists."""
+        return [*leaders, *found]
+
+    def racing(self, found: Iterable[Times]) -> tuple[Times, ...]:
+        """No sets: there is one set for each measurement budget."""
+        return ()
+
+    def winners(self, search: str, ranked: Sequence[Times]) -> dict[str, Times]:
+        """The set of each measurement budget."""
+        by_budget = sorted((len(times), times) for times in ranked)
+        return {self._name(search, budget): times for budget, times in by_budget}
+
+    def shown(self, gains: Callable[[], tuple[Found, ...]]) -> tuple[Found, ...]:
+        """No gains: each set has a reference of its own."""
+        return ()
+
+    def _name(self, name: str, budget: int) -> str:
+        digits = len(str(self.job.problem.horizon + 1))
+        return f"{name}_{budget:0{digits}}"
+
+
+def study_of(job: Job) -> Study:
+    """The study that a job asks for."""
+    if job.budget is None:
+        return TimesStudy(job)
+    return BudgetStudy(job, range(job.budget.least, job.budget.most + 1))

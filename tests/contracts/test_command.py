@@ -1,0 +1,49 @@
+"""What every command of the command line keeps to: one contract, one test."""
+
+import argparse
+
+import pytest
+
+from pfdist.cli.command import COMMANDS
+from pfdist.cli.main import main
+
+every = pytest.mark.parametrize("name", COMMANDS)
+COLUMNS = 80
+
+
+@every
+def test_one_sentence_describes_it(name: str) -> None:
+    description = COMMANDS[name].description
+    assert description.endswith(".")
+    assert len(description) <= COLUMNS
+
+
+@every
+def test_every_argument_is_described(name: str) -> None:
+    parser = argparse.ArgumentParser()
+    COMMANDS[name].add_arguments(parser)
+    arguments = [action for action in parser._actions if action.dest != "help"]
+    assert [action.dest for action in arguments if not action.help] == []
+
+
+@every
+def test_its_help_fits_a_terminal_and_says_whether_it_goes_on(
+    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(COLUMNS))
+    with pytest.raises(SystemExit) as stop:
+        main([name, "--help"])
+    assert stop.value.code == 0
+    text = capsys.readouterr().out
+    assert max(map(len, text.splitlines())) <= COLUMNS
+    words = " ".join(text.split())
+    assert f" {COMMANDS[name].description} " in words
+    assert ("the same command goes on" in words) is COMMANDS[name].goes_on
+
+
+@every
+def test_an_unknown_option_is_refused_with_2(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main([name, "--unknown-option"])
+    assert stop.value.code == 2
+    assert ": error: " in capsys.readouterr().err.splitlines()[-1]

@@ -1,0 +1,75 @@
+"""What every figure of a run keeps to: one contract, one test."""
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from matplotlib.figure import Figure as Canvas
+
+import pfdist
+from pfdist.analysis import Run
+from pfdist.plots import figures
+from pfdist.plots.figure import FIGURES, Tables
+
+ROOT = Path(__file__).parents[1]
+EXACT = ["model.name=random_walk", "filter.engine=kalman"]  # compiles no filter of a search
+
+every = pytest.mark.parametrize("name", FIGURES)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _one_format() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(figures, "FORMATS", ("svg",))  # the other takes as long again
+        yield
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Run]:
+    """A run for one number of measurements, and a run for several."""
+    folder = tmp_path_factory.mktemp("figures")
+    shutil.copytree(ROOT / "assets" / "schema-2", folder / "run")
+    job = pfdist.load_job(ROOT / "small.toml", [*EXACT, "problem.horizon=6"])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("pfdist.api.run.draw_figures", lambda run: [])
+        patch.setattr("pfdist.api.run.figure_files", lambda run: [])
+        several = pfdist.budget(job, (2, 3), folder / "budget", draws=20)
+    return [pfdist.open_run(folder / "run"), several]
+
+
+@every
+def test_one_sentence_describes_it(name: str) -> None:
+    assert FIGURES[name].description.endswith(".")
+
+
+@every
+def test_some_run_has_it(name: str, runs: list[Run]) -> None:
+    assert any(FIGURES[name].files(run) for run in runs)
+
+
+@every
+def test_it_is_drawn_into_the_files_that_it_names_and_shows_something(
+    name: str, runs: list[Run]
+) -> None:
+    for run in runs:
+        files = []
+        for file, plot in FIGURES[name].plots(Tables(run)):
+            files.append(file)
+            canvas = Canvas(figsize=(3.5, plot.height), layout="constrained")
+            panels = canvas.subplots(plot.panels, squeeze=False)[:, 0].tolist()
+            plot.draw(panels)
+            assert all(axes.has_data() or axes.texts for axes in panels), file
+        assert files == FIGURES[name].files(run)
+
+
+@every
+def test_the_same_figure_is_the_same_bytes(name: str, runs: list[Run]) -> None:
+    for run in runs:
+        first, again = (_bytes(run, name) for _ in range(2))
+        assert first == again
+
+
+def _bytes(run: Run, name: str) -> list[bytes]:
+    files = figures.save_plots(run, FIGURES[name].plots(Tables(run)))
+    return [file.read_bytes() for file in files]

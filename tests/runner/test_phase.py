@@ -1,0 +1,173 @@
+"""Evaluations: what is checked, how often, and under which id their results come back."""
+
+import random
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from itertools import islice
+from pathlib import Path
+from pkgutil import resolve_name
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pfdist
+from oracles.bytes_of import hashes
+from pfdist import Job
+from pfdist.errors import MeasurementTimesError
+from pfdist.evaluation.estimate import SEARCH, SearchEvaluation
+from pfdist.evaluation.problem import Problem
+from pfdist.evaluation.work import Work
+from pfdist.pools.base import Outcome, SerialPool
+from pfdist.runner.build import Built, build, make_pool
+from pfdist.runner.collect import Collector
+from pfdist.runner.comparison_phase import run_comparison
+from pfdist.runner.pace import Pace
+from pfdist.runner.phase import Phase, run_phase
+from pfdist.runner.progress import Reporter
+from pfdist.search import Candidate, Optimiser, RandomTrials
+from pfdist.store import Store
+
+
+class Outside:
+    """A search that asks for a time after T."""
+
+    generations, evaluations = 1, 1.0
+
+    def init(self) -> bool:
+        return False
+
+    def ask(self, state: bool, rng: np.random.Generator) -> list[Candidate]:
+        return [Candidate((0, 13))]
+
+    def tell(self, state: bool, evaluations: Sequence[SearchEvaluation]) -> bool:
+        return True
+
+    def done(self, state: bool) -> bool:
+        return state
+
+    def finalists(self, state: bool) -> tuple[SearchEvaluation, ...]:
+        return ()
+
+
+@pytest.fixture
+def built(small_job: Job) -> Built:
+    return build(small_job)
+
+
+@pytest.fixture
+def collector(built: Built, tmp_path: Path) -> Iterator[Collector]:
+    with make_pool(built, built.job.execution) as pool:
+        yield Collector(Store(tmp_path / "run"), pool, "session", Pace(1e-9, 1))
+
+
+def _counted(calls: list[str], real: Any, *arguments: Any, **more: Any) -> Any:
+    calls.append(real.__name__)
+    return real(*arguments, **more)
+
+
+def _reporter() -> Reporter:
+    return Reporter(lambda progress: None, total=1.0)
+
+
+def _phase(built: Built, optimiser: Optimiser[SearchEvaluation]) -> Phase[SearchEvaluation]:
+    return Phase("mine", optimiser, SEARCH, built.searches[0].settings, built)
+
+
+def test_a_search_that_asks_for_other_times_than_there_are_is_named_before_anything_is_computed(
+    built: Built, collector: Collector, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(SerialPool, "run", lambda self, tasks: pytest.fail("a task was handed out"))
+    with pytest.raises(MeasurementTimesError, match=r"must lie in 0..12, got 13 \(search mine\)$"):
+        run_phase(_phase(built, Outside()), collector, _reporter())
+
+
+def test_a_comparison_of_other_times_than_there_are_computes_nothing(
+    built: Built, collector: Collector, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(SerialPool, "run", lambda self, tasks: pytest.fail("a task was handed out"))
+    sets = {"regular": (0, 4, 8, 12), "genetic": (-1, 3, 6, 9)}
+    with pytest.raises(MeasurementTimesError, match=r"0..12, got -1 \(genetic\)$"):
+        run_comparison(built, sets, collector, _reporter())
+
+
+def test_what_the_build_has_checked_no_task_checks_again(
+    small_job: Job, tmp_path: Path, no_figures: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The number of checks depends on the sets alone, not on draws, tasks and filters."""
+    calls: list[str] = []
+    for place in ("evaluation.problem", "filters.particle_filter"):
+        for name in ("check_filter", "validated"):
+            counted = partial(_counted, calls, resolve_name(f"pfdist.{place}:{name}"))
+            monkeypatch.setattr(f"pfdist.{place}.{name}", counted)
+    counts, tasks = [], []
+    for draws in (10, 400):
+        monkeypatch.setattr(Pace, "size", lambda pace, remaining: 13 * 40)
+        calls.clear()
+        run = pfdist.run(
+            small_job.with_changes([f"comparison.draws={draws}"]), tmp_path / f"{draws}"
+        )
+        counts.append(len(calls))
+        tasks.append(len(run.timings()))
+    assert tasks[1] > tasks[0] + 100
+    assert counts[0] == counts[1]
+
+
+def test_a_problem_checks_a_work_that_comes_from_outside(built: Built) -> None:
+    problem: Problem = built.problem
+    work = Work(((0, 13),), (12,), (1,), 1, (0, 2), built.comparing)
+    with pytest.raises(MeasurementTimesError, match=r"must lie in 0\.\.12, got 13"):
+        problem(work)
+
+
+def test_results_come_back_under_the_ids_of_their_evaluations(built: Built) -> None:
+    times = ((0, 4, 8, 12), (1, 2, 3), (0, 4, 9, 12))
+    work = Work(times, (12,) * 3, (7,) * 3, 7, (0, 5), built.comparing, ids=("a", "b", "c"))
+    together = work.by_id(built.problem.filtered(work))
+    for id_, one_set in zip(work.ids, times, strict=True):
+        alone = replace(
+            work, measurement_times=(one_set,), ends=(12,), filter_streams=(7,), ids=(id_,)
+        )
+        assert (together[id_] == alone.by_id(built.problem.filtered(alone))[id_]).all()
+    with pytest.raises(ValueError, match="zip"):
+        replace(work, ids=("a",)).by_id(built.problem.filtered(work))
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_whatever_order_outcomes_come_in_each_evaluation_has_its_own_results(
+    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    job = small_job.with_changes(["evaluation.noise=common", "comparison.draws=40"])
+    in_order = pfdist.run(job, tmp_path / "in order")
+    chance, do = random.Random(1), SerialPool.run
+
+    def in_disorder(self: SerialPool, tasks: Any) -> Iterator[Outcome]:
+        tasks = iter(tasks)
+        while some := list(islice(do(self, tasks), 8)):
+            chance.shuffle(some)
+            yield from some
+
+    monkeypatch.setattr(SerialPool, "run", in_disorder)
+    monkeypatch.setattr(Pace, "size", lambda pace, remaining: chance.randrange(1, 3000))
+    assert hashes(pfdist.run(job, tmp_path / "run").path) == hashes(in_order.path)
+
+
+def test_a_set_that_is_asked_for_twice_is_computed_once(
+    built: Built, collector: Collector, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    handed: list[str] = []
+    do = SerialPool.run
+
+    def noting(self: SerialPool, tasks: Any) -> Iterator[Outcome]:
+        for outcome in do(self, tasks):
+            handed.extend(id_ for work in outcome.task.work for id_ in work.ids)
+            yield outcome
+
+    monkeypatch.setattr(SerialPool, "run", noting)
+    phase = _phase(built, RandomTrials(built.job.problem.feasible, 10))
+    run_phase(phase, collector, _reporter())
+    assert len(handed) == len(set(handed)) == 10
+    collector.flush()
+    run_phase(phase, collector, _reporter())  # all are in the store
+    assert len(handed) == 10
