@@ -20,7 +20,7 @@ from pfdist.errors import ModelError
 from pfdist.filters.draws import Draws
 from pfdist.kernels.estimators import ESTIMATORS, SQUARED_ERROR
 from pfdist.kernels.formulas import formulas_of
-from pfdist.kernels.fused_filter import fused_filter
+from pfdist.kernels.fused_filter import Request, Results, fused_filter
 from pfdist.kernels.libm import libm_functions, makes_arrays
 from pfdist.kernels.prefixes import plan
 from pfdist.kernels.schemes import SCHEMES
@@ -165,10 +165,11 @@ def _filter(
     mse, truth = np.empty((count, len(planned.measured))), draws.model
     streams = np.array(filter_streams(stream, estimator), np.uint64)
     with formulas_of(model.name, model.formulas | {"error": truth.error}):
-        _compiled(model, truth, resampling, dtype)(
-            streams, draws.index.start, draws.y, draws.z, tuple(planned), planned.clouds, particles,
-            list(ESTIMATORS).index(estimator), np.array(model.p), np.array(truth.p), mse, *moments,
+        request = Request(
+            streams, draws.index.start, draws.y, draws.z, particles,
+            list(ESTIMATORS).index(estimator), np.array(model.p), np.array(truth.p),
         )  # fmt: skip
+        _compiled(model, truth, resampling, dtype)(request, planned, Results(mse, *moments))
     return mse[:, place]
 
 

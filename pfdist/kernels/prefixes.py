@@ -7,7 +7,7 @@ that that one kept, bit for bit as if it had begun at 0.
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,20 @@ class Plan(NamedTuple):
     def clouds(self) -> int:
         """How many are kept at most at a time."""
         return int(self.slots.max(initial=0)) + 1
+
+
+class Saved(NamedTuple):
+    """Clouds that later sets resume from.
+
+    Parameters
+    ----------
+    clouds : array of float64 or float32, (slots, n, width(P))
+    errors : array of float64, (slots,)
+        The sum of errors up to each cloud.
+    """
+
+    clouds: NDArray[Any]
+    errors: NDArray[np.float64]
 
 
 @lru_cache(maxsize=64)
