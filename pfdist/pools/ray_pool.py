@@ -126,6 +126,11 @@ class RayPool:
         self._address = address
         self._cluster = contextlib.ExitStack()
         self._slots: list[_Slot] = []
+        self._todo: Iterator[Task] = iter(())
+        self._again: deque[Task] = deque()  # tasks of lost workers, each of which is done alone
+        self._lost: Counter[str] = Counter()
+        self._last_loss = ""
+        self._looked = self._heard = time.monotonic()
         self.workers = workers
 
     def __enter__(self) -> Self:
@@ -181,8 +186,8 @@ class RayPool:
         PoolError
             No worker answers.
         """
-        self._todo, self._again = iter(tasks), deque[Task]()  # the latter each alone
-        self._lost, self._last_loss = Counter[str](), ""
+        self._todo, self._again = iter(tasks), deque()
+        self._lost, self._last_loss = Counter(), ""
         self._looked = self._heard = time.monotonic()
         for slot in self._slots:
             slot.tasks, slot.room = {}, IN_FLIGHT  # there may have been a run that was broken off

@@ -99,7 +99,7 @@ def test_on_ray_too_for_the_driver_and_its_workers(
         with running(job, tmp_path / f"{draws}", *options) as one:
             while one.process.poll() is None:
                 processes = {one.process.pid: "driver"}
-                processes |= {worker.id: "worker" for worker in one.workers()}
+                processes |= {worker.pid: "worker" for worker in one.workers()}
                 for process, whose in processes.items():
                     found = PEAK.search(_status(process))
                     if found:

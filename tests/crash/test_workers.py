@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from psutil import Process
 
 import pfdist
 from crash.runs import (
@@ -17,6 +18,7 @@ from crash.runs import (
     Running,
     all_gone,
     command_of,
+    family,
     finish,
     listening,
     running,
@@ -24,7 +26,6 @@ from crash.runs import (
 )
 from oracles.bytes_of import hashes
 from pfdist import Job
-from pfdist.pools.processes import Process, family
 from pfdist.runner.progress import Progress
 
 DIES = "one worker or a node dies: the run goes on"
@@ -87,7 +88,7 @@ def test_a_worker_that_is_killed_in_each_phase_makes_no_difference(
         if progress.evaluations and progress.phase not in killed:
             workers = [one for one in family(os.getpid()) if WORKER in command_of(one)]
             killed[progress.phase] = workers[0]
-            os.kill(workers[0].id, signal.SIGKILL)
+            os.kill(workers[0].pid, signal.SIGKILL)
 
     job = small_job.with_changes(["comparison.draws=20000"])
     run = pfdist.run(job, tmp_path / "run", pool="ray", workers=2, report=kill)
@@ -107,7 +108,7 @@ def test_a_run_whose_workers_are_killed_ends_with_the_same_bytes(
             one.wait_for(lambda: one.parts("timings") > commits and set(one.workers()) - killed)  # noqa: B023
             time.sleep(rng.uniform(0, 0.5))  # it has begun, or waits, or has ended something
             for worker in set(one.workers()) - killed:
-                os.kill(worker.id, signal.SIGKILL)
+                os.kill(worker.pid, signal.SIGKILL)
                 killed.add(worker)
         assert one.wait() == 0, one.said[-3:]
     assert hashes(tmp_path / "run") == _whole(job)
@@ -124,7 +125,7 @@ def test_a_run_whose_workers_are_stopped_ends_with_the_same_bytes(
         one.wait_for(lambda: _is_comparing(one))
         workers = one.workers()[: 1 if stopped == "one" else None]
         for worker in workers:
-            os.kill(worker.id, signal.SIGSTOP)
+            os.kill(worker.pid, signal.SIGSTOP)
         assert one.wait() == 0, one.said[-3:]
         until(lambda: all_gone(workers), GONE_SECONDS)
     assert hashes(tmp_path / "run") == _whole(job)
@@ -144,7 +145,7 @@ def test_a_run_whose_servers_are_stopped_goes_on_or_says_so_and_leaves_nothing(
         everything, start = one.family(), time.monotonic()
         for process in everything:
             if any(word in command_of(process) for word in stopped):
-                os.kill(process.id, signal.SIGSTOP)
+                os.kill(process.pid, signal.SIGSTOP)
         code = one.wait()
         assert time.monotonic() - start < RAY_SECONDS
         if WORKER in stopped:
@@ -214,7 +215,7 @@ def test_a_run_whose_workers_are_all_killed_at_once_ends_with_the_same_bytes(
         one.wait_for(lambda: one.parts(table) and len(one.workers()) == 2)
         killed = one.workers()
         for worker in killed:
-            os.kill(worker.id, signal.SIGKILL)
+            os.kill(worker.pid, signal.SIGKILL)
         assert one.wait() == 0, one.said[-3:]
     assert hashes(tmp_path / "run") == _whole(job)
     record_property("faults", f"{DIES}: {len(killed)}")
@@ -229,7 +230,7 @@ def test_ray_that_a_run_has_started_is_heard_on_this_machine_alone(
 ) -> None:
     with running(make_job(100_000), tmp_path / "run", *TWO, *address) as one:
         one.wait_for(lambda: _is_comparing(one))
-        found = set(listening([one.process.pid, *(process.id for process in one.family())]))
+        found = set(listening([one.process.pid, *(process.pid for process in one.family())]))
         commands = [command_of(process) for process in one.family()]
     assert found
     assert all(place.is_loopback for place in found), found
