@@ -145,7 +145,8 @@ class RayPool:
             where = f" at {shortened(self._address)}" if self._address else ""
             raise PoolError(
                 f"Ray could not start workers{where}: {reason(error)}; "
-                "--pool serial computes the same without Ray"
+                "the serial pool computes the same without Ray",
+                argument="pool",
             ) from error
         except BaseException:
             self.__exit__()

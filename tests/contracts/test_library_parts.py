@@ -29,7 +29,7 @@ BESIDES = {
 
 
 def _bound(tree: ast.Module) -> dict[str, str]:
-    """``module:name`` of the names that a file imports from the libraries; no name for a library."""
+    """``module:name`` of each name that a file imports; no name for a whole library."""
     bound: dict[str, str] = {}
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom):

@@ -96,4 +96,4 @@ def test_a_cluster_that_cannot_be_joined_is_named_briefly_with_what_else_compute
     with pytest.raises(PoolError) as caught, ray_cluster.connected("h" * 100_000 + ":1"):
         pass
     assert len(str(caught.value)) < 250
-    assert "does not answer: nobody is there; --pool serial" in str(caught.value)
+    assert "does not answer: nobody is there; the serial pool" in str(caught.value)
