@@ -253,7 +253,7 @@ def test_a_missing_file_is_told_as_what_the_job_makes_again(
     assert "`pfdist repair " in capsys.readouterr().err
     for command in ("repair", "repair"):  # the second time there is nothing to move
         assert main([command, str(run)]) == 0
-        assert f"the job, run again with --results {run}, makes it" in capsys.readouterr().out
+        assert f"run the job again in {run} to compute what is missing" in capsys.readouterr().out
     assert main(["verify", str(run)]) == 1
     error = capsys.readouterr().err
     assert f"missing files: 1. Run the job again with --results {run} to" in error
