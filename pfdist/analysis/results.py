@@ -1,6 +1,7 @@
-"""The results in a run's summary: for times of one problem, or for a range of budgets.
+"""Results of a run's summary: for the times of one problem, or for a range of budgets.
 
-All that differs between the two kinds of run is here. `results_of` alone asks which kind a run is.
+This module holds everything that differs between the two. Only `results_of` asks which study a run
+belongs to.
 """
 
 from collections.abc import Mapping
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class Results(Protocol):
-    """What a run has found, from its tables."""
+    """The questions that a summary asks about a run's tables."""
 
     has_budget: bool
     """Whether the run has times of several numbers of measurements."""

@@ -134,7 +134,7 @@ class Collector:
         self._later.append(write)
 
     def flush(self) -> None:
-        """Commit all waiting rows and timings, then write what was put off until later."""
+        """Commit all waiting rows and timings, then write everything given to `later`."""
         later, self._later = self._later, []
         done, self._waiting = self._waiting, {}
         for (phase, table), waiting in done.items():

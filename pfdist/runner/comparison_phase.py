@@ -1,4 +1,4 @@
-"""The comparison: every set of times filters the same fresh draws, never those that chose it."""
+"""The comparison: every set filters the same fresh draws, which no search has used."""
 
 from collections.abc import Mapping
 from contextlib import closing

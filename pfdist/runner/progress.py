@@ -87,13 +87,13 @@ class Reporter:
         return self._progress
 
     def begin(self, phase: str, **shown: Any) -> None:
-        """Begin a phase: report it with what it shows; the other fields are reset."""
+        """Report that a phase begins, with the fields it shows; all other fields are reset."""
         done, total = self._progress.done, self._progress.total
         self._progress = Progress(phase, done, total)
         self.reach(done, **shown)
 
     def reach(self, done: float, **shown: Any) -> None:
-        """Report that so many particle-steps of the run are done, with what has changed."""
+        """Report that so many particle-steps of the run are done, and change other fields."""
         self.note(done=done, **shown)
         self._report(self._progress)
 

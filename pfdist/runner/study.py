@@ -1,6 +1,7 @@
-"""What a run is to find: times for one problem, or for every measurement budget of a range.
+"""Studies: the best times of one problem, or of every measurement budget in a range.
 
-All that differs between the two kinds of run is here. `study_of` alone asks which kind a job wants.
+This module holds everything that differs between the two. Only `study_of` asks which study a job
+wants.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -25,7 +26,7 @@ from pfdist.times.measurement_times import Times
 
 
 class Study(Protocol):
-    """How a run searches, and what it compares."""
+    """The questions that a run asks about its searches and its comparison."""
 
     @property
     def purpose(self) -> Purpose[ReportEvaluation]:
@@ -65,10 +66,10 @@ class Study(Protocol):
         """
 
     def racing(self, found: Iterable[Times]) -> tuple[Times, ...]:
-        """Sets that race on fresh draws, of those that a search has found; empty for no race."""
+        """The found sets that race on fresh draws; empty for no race."""
 
     def winners(self, search: str, ranked: Sequence[Times]) -> dict[str, Times]:
-        """Sets that are compared, by name, from those that a search has found, the best first."""
+        """Compared sets by name, chosen from the found sets, the best of which is the first."""
 
     def shown(self, gains: Callable[[], tuple[Found, ...]]) -> tuple[Found, ...]:
         """Gains that the progress of the comparison shows."""
