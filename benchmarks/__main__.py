@@ -71,7 +71,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--quick", action="store_true", help="small problems, into a temporary folder: a test"
     )
-    parser.add_argument("--results", type=Path, metavar="DIR", help=f"output folder ({FOLDER})")
+    parser.add_argument(
+        "--results", type=Path, metavar="DIR", help="output folder (benchmarks/results)"
+    )
     return parser
 
 

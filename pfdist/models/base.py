@@ -131,15 +131,21 @@ class StateSpaceModel:
         Raises
         ------
         ModelError
-            A parameter is unknown, or its value lies outside its range.
+            A parameter is unknown, or its value lies outside its range. The attribute `argument`
+            of the error is "parameters".
         """
         for name in overrides:
             if name not in self.parameters:
                 allowed = ", ".join(sorted(self.parameters)) or "none"
                 raise ModelError(
-                    f"model {self.name}: unknown parameter {name!r}, allowed: {allowed}"
+                    f"model {self.name}: unknown parameter {name!r}, allowed: {allowed}",
+                    argument="parameters",
                 )
-        return dataclasses.replace(self, parameters={**self.parameters, **overrides})
+        try:
+            return dataclasses.replace(self, parameters={**self.parameters, **overrides})
+        except ModelError as error:
+            error.argument = "parameters"
+            raise
 
     def _check_signature(self, name: str, arguments: tuple[str, ...]) -> None:
         function = getattr(self, name)

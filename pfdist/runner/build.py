@@ -47,7 +47,12 @@ class ProblemSource:
 
     def make(self) -> Problem:
         """The problem with its models loaded and every estimation checked."""
-        model = self.model.load()
+        try:
+            model = self.model.load()
+        except ModelError as error:
+            if error.argument:  # the key of the job that is wrong
+                raise ModelError(f"model.{error.argument}: {error}") from error
+            raise
         try:
             filter_model = self.filter_model.load()
         except ModelError as error:

@@ -77,6 +77,21 @@ def test_the_filters_model_may_be_another_one(tmp_path: Path) -> None:
     assert difference.mean() > 4 * difference.std() / np.sqrt(200)
 
 
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (["model.name=ungn"], r"^model\.name: a model must be one of .*got 'ungn'"),
+        (["model.parameters.sd=1"], r"^model\.parameters: .*unknown parameter 'sd', allowed: "),
+        (["model.parameters.process_sd=-1"], r"^model\.parameters: .* 0\.\.inf, got -1\.0$"),
+    ],
+)
+def test_an_error_about_a_model_names_the_key_of_the_job(
+    changes: list[str], message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(ModelError, match=message):
+        build(job_with(tmp_path).with_changes(changes))
+
+
 @pytest.mark.parametrize("engine", ["auto", "numpy"])
 @pytest.mark.parametrize(
     ("lines", "message"),

@@ -21,19 +21,11 @@ FILES = sorted(
 VAGUE = {"its", "one", "of", "no", "by"}
 VAGUE_NAMES_LEFT = {
     "pfdist/api/evaluate.py",
-    "pfdist/checks/formulas.py",
-    "pfdist/checks/machine.py",
-    "pfdist/filters/draws.py",
-    "pfdist/kernels/arithmetic.py",
-    "pfdist/kernels/compile_errors.py",
     "pfdist/kernels/content.py",
-    "pfdist/kernels/formulas.py",
     "pfdist/kernels/uses.py",
     "pfdist/meaning/walk.py",
-    "pfdist/pools/processes.py",
     "pfdist/runner/build.py",
     "pfdist/runner/searches.py",
-    "pfdist/store/verify.py",
 }
 """Files that still have variables with vague names."""
 
@@ -45,11 +37,13 @@ BACKWARD = re.compile(r"(?:\A|\n\s*\n|(?<=[.:?!])\s+|\n    )(?:Of|What|By(?! def
 STRAIGHT_ROOMS = (
     "benchmarks/",
     "pfdist/__",
+    "pfdist/analysis/",
     "pfdist/api/",
     "pfdist/cli/",
     "pfdist/elementwise.py",
     "pfdist/errors.py",
     "pfdist/evaluation/",
+    "pfdist/jitted/",
     "pfdist/job/",
     "pfdist/meaning/",
     "pfdist/models/",
