@@ -1,5 +1,5 @@
-"""What pfdist costs, measured: ``python -m benchmarks [kernel] [peers] [scaling] [--quick]``.
+"""Measurements of the time that pfdist takes: ``python -m benchmarks [NAME ...] [--quick]``.
 
-Each of the three measures tables, says them in Markdown and draws one figure; see `results`. They
-are never asserted in tests: a figure holds for the machine that stands beside it.
+Each benchmark measures tables, describes them in Markdown and draws a figure; see `results`. Tests
+assert no times, because a time holds only for the machine that is named beside it.
 """

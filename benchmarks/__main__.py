@@ -1,4 +1,4 @@
-"""``python -m benchmarks``: measure, write tables, figures and README."""
+"""``python -m benchmarks``: run benchmarks, and write tables, figures and README."""
 
 import argparse
 import sys
@@ -14,7 +14,7 @@ from benchmarks.machine import provenance
 from benchmarks.peers import PeerDisagreesError
 from benchmarks.results import Benchmark, save, write_readme
 
-# Peers come last: JAX leaves threads behind, which a process that starts others should not have.
+# Peers come last: JAX leaves threads behind, and later benchmarks start processes.
 BENCHMARKS: dict[str, Benchmark] = {
     "kernel": kernel,
     "prefixes": prefixes,
@@ -33,12 +33,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     arguments : sequence of str, optional
-        By default the process's own.
+        Arguments of the command line. By default those of the process.
 
     Returns
     -------
     int
-        The exit code: 1 if a peer did another job than ours.
+        The exit code: 1 if a peer computes another result than pfdist.
     """
     options = _parser().parse_args(arguments)
     mpl.use("Agg")
@@ -69,9 +69,9 @@ def _parser() -> argparse.ArgumentParser:
         "names", nargs="*", metavar="NAME", type=_name, help=f"{', '.join(BENCHMARKS)} (all)"
     )
     parser.add_argument(
-        "--quick", action="store_true", help="see that it works: small, into a temporary folder"
+        "--quick", action="store_true", help="small problems, into a temporary folder: a test"
     )
-    parser.add_argument("--results", type=Path, metavar="DIR", help=f"({FOLDER.name} beside this)")
+    parser.add_argument("--results", type=Path, metavar="DIR", help=f"output folder ({FOLDER})")
     return parser
 
 

@@ -1,6 +1,6 @@
-"""How fast plain processes filter side by side: what the machine allows, without a driver.
+"""The speed of plain processes that filter side by side: an upper limit for any driver.
 
-Two busy cores may be slower than one each: they share power, caches, and maybe more.
+Two busy cores may each be slower than a single busy core, because they share power and caches.
 """
 
 import multiprocessing
@@ -15,15 +15,15 @@ from pfdist.times.measurement_times import regular
 
 
 def measure_rate(processes: int, draws: int, seconds: float) -> float:
-    """Particle-steps a second of several processes together.
+    """Give the particle-steps in a second of several processes together.
 
     Parameters
     ----------
     processes : int
     draws : int
-        Of the paper's problem, a task.
+        Number of draws of the paper's problem in a task.
     seconds : float
-        How long.
+        Duration of the measurement.
 
     Returns
     -------
@@ -46,7 +46,7 @@ def measure_rate(processes: int, draws: int, seconds: float) -> float:
 def _work(barrier: Barrier, rates: "Queue[float]", draws: int, seconds: float) -> None:
     problem = Problem(load_model("ungm"), horizon=60)
     task = Work((regular(60, 21),), (60,), (1,), 2, (0, draws), Estimation(500))
-    problem(task)  # compiled
+    problem(task)  # compiles
     barrier.wait()
     start, done = perf_counter(), 0
     while perf_counter() - start < seconds:

@@ -1,8 +1,8 @@
-"""What cheaper estimates of the expected MSE save, and what they cost.
+"""The savings and the bias of cheaper estimators of the expected MSE, on the paper's problem.
 
-On the paper's problem, for two good sets that differ in one time by one instant: a search must tell
-such apart. All is common to them, draws and noise. Draws of each particle number are the same for
-all estimators and schemes, so that biases are differences of pairs.
+The benchmark compares two good sets that differ in a single time by one instant, because a search
+must distinguish such sets. Both use common draws and noise. For each number of particles, all
+estimators and schemes use the same draws, so biases are paired differences.
 """
 
 import math
@@ -34,31 +34,31 @@ MARKS: dict[int, Any] = {
     count: {"marker": "o", "ms": 5, "ls": "", "fillstyle": style, "mfcalt": "white"}
     for count, style in zip(PARTICLES, ("none", "left", "full"), strict=True)
 }
-TIMED_STEPS = 10_000_000  # particle-steps of one measurement
+TIMED_STEPS = 10_000_000  # particle-steps of a measurement
 REPEATS = 7
-PRECISION = 0.1  # of a difference: half a percent of the cost
+PRECISION = 0.1  # wanted standard error of a difference: half a percent of the cost
 
 
 def measure(quick: bool, say: Say) -> Tables:
-    """Estimate both sets by every estimator and scheme, and time one of them.
+    """Give the table of all estimators and schemes: times of the first set, figures of both.
 
     Parameters
     ----------
     quick : bool
         A twentieth of the draws, two repeats.
     say : callable
-        Is told how far it is.
+        Receives a line about the progress.
 
     Returns
     -------
     dict of DataFrames
-        estimators: a row a particle number, estimator and scheme, with filters; ns_wall, ns,
-        ns_median and ns_max a particle-step; cost and sd of a draw; bias against the squared error
-        by the same scheme, relative, and its standard error; difference of the two sets, its
-        standard error, and sd of a draw's; difference_bias against the squared error's, and its
-        standard error; saved_cost and saved_difference, the variance at equal work of squared_error
-        with multinomial resampling over that of this one; and milliseconds, of one set's filters
-        until the difference is known to a standard error of PRECISION.
+        estimators: a row for each number of particles, estimator and scheme. Columns: filters; ns,
+        ns_median, ns_max and ns_wall of a particle-step; cost, and sd of a draw; bias, relative to
+        the squared error with the same scheme, and bias_error; difference of the two sets,
+        difference_error, and sd_difference of a draw; difference_bias and difference_bias_error;
+        saved_cost and saved_difference, the variance of squared_error with multinomial resampling
+        divided by the variance of this row, at equal work; milliseconds, the time of the filters of
+        one set until the difference has a standard error of PRECISION.
     """
     model, rows = load_model("ungm"), []
     for particles in PARTICLES:
@@ -98,7 +98,7 @@ def measure(quick: bool, say: Say) -> Tables:
 
 
 def _statistics(mse: Any, squared_error: Any) -> dict[str, float]:
-    """Of estimates of both sets, (D, 2)."""
+    """Give the statistical columns of a row, from estimates (D, 2) of both sets."""
     root = math.sqrt(len(mse))
     bias = (mse - squared_error)[:, 0] / squared_error[:, 0].mean()
     apart = mse[:, 1] - mse[:, 0]
@@ -117,7 +117,7 @@ def _statistics(mse: Any, squared_error: Any) -> dict[str, float]:
 
 
 def summary(tables: Tables) -> str:
-    """Say in Markdown what is saved, and at what bias."""
+    """Give a summary of savings and biases in Markdown."""
     lines = []
     for row in _rows(tables):
         itself = row["estimator"] == "squared_error"

@@ -1,4 +1,4 @@
-"""How long a fresh process takes to its first evaluation, with a cold and with a warm cache."""
+"""The time that a fresh process takes to its first evaluation, with a cold and a warm cache."""
 
 import json
 import os
@@ -27,13 +27,13 @@ print(json.dumps({"import_seconds": imported - start, "first_call_seconds": done
 
 
 def measure_first_calls(models: Iterable[str], repeats: int) -> pd.DataFrame:
-    """Time import, and the first simulation and filter, of a process of its own.
+    """Give the times of the import, and of the first simulation and filter, in fresh processes.
 
     Parameters
     ----------
     models : iterable of str
     repeats : int
-        Of a cold start, which begins with an empty cache, and the warm one that follows it.
+        Number of pairs of a cold start, with an empty cache, and a warm start after it.
 
     Returns
     -------

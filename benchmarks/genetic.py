@@ -1,8 +1,8 @@
-"""The paper's genetic algorithm over several seeds, all that it finds judged on common draws.
+"""The paper's genetic algorithm with several seeds; all found sets are compared on common draws.
 
-Each search is that of ``jobs/paper.toml`` with another seed. The sets found, the best set known and
-the regular times then filter the same fresh draws, each set with its own filter noise, as in the
-comparison of a run.
+Each search is that of ``jobs/paper.toml`` with another seed. Then the found sets, the best set
+known and the regular times filter the same fresh draws. Each set has its own filter noise, as in
+the comparison of a run.
 """
 
 import sys
@@ -30,28 +30,28 @@ TITLE = "The paper's genetic algorithm"
 TABLES: tuple[str, ...] = ("genetic",)
 
 HERE = Path(__file__).parent
-SEEDS = (2020, *range(1, 15))  # that of the job first
+SEEDS = (2020, *range(1, 15))  # 2020 is the seed of the job
 DRAWS = 60_000
 SMALL = ["problem.horizon=14", "problem.measurement_budget=4", "evaluation.draws=50"]
 BEST, REGULAR = "best known", "regular"
 
 
 def measure(quick: bool, say: Say) -> Tables:
-    """Run the search with each seed, and judge what they found together.
+    """Run the search with each seed, and compare the found sets on common draws.
 
     Parameters
     ----------
     quick : bool
         A small problem, two seeds.
     say : callable
-        Is told how far it is.
+        Receives a line about the progress.
 
     Returns
     -------
     dict of DataFrames
-        genetic: a row a seed, and one each for the best set known and the regular times, with
-        name, times, steps, believed, cost, standard_error, excess (per cent of the best known's
-        cost), excess_error, gain and positive (means over the draws).
+        genetic: a row for each seed, and rows for the best set known and the regular times, with
+        name, times, steps, believed, cost, standard_error, excess (in per cent of the cost of the
+        best set known), excess_error, gain and positive (means over the draws).
     """
     changes = [*(SMALL if quick else []), "comparison.draws=2", 'search=[{method="genetic"}]']
     job, seeds = (
@@ -84,7 +84,7 @@ def _best_known() -> Times:
 def _judged(
     mse: NDArray[np.float64], best: NDArray[np.float64], regular: NDArray[np.float64]
 ) -> dict[str, float]:
-    """Figures of a set, from its per-draw MSE and those of the best set known and regular times."""
+    """Give the columns of a set, from its per-draw MSE, the best set's and the regular times'."""
     root, scale = np.sqrt(mse.size), 100 / best.mean()
     gain = relative_gain(mse, regular)
     return {
@@ -99,12 +99,12 @@ def _judged(
 
 @dataclass(frozen=True)
 class Spread:
-    """Mean over the seeds with its 95 % interval, standard deviation between them, and range."""
+    """The spread of a figure over the seeds: mean with 95 % interval, standard deviation, range."""
 
     values: NDArray[np.float64]
 
     def text(self, form: str) -> str:
-        """Say all of it."""
+        """Give the spread in words."""
         mean, sd = self.values.mean(), self.values.std(ddof=1)
         half = stats.t.isf(0.025, self.values.size - 1) * sd / np.sqrt(self.values.size)
         least, most = self.values.min(), self.values.max()
@@ -115,7 +115,7 @@ class Spread:
 
 
 def summary(tables: Tables) -> str:
-    """Say in Markdown what the searches found."""
+    """Give a summary of the found sets in Markdown."""
     table = tables["genetic"].set_index("name")
     found = table.drop([BEST, REGULAR])
     excess, cost, gain, positive, believed = (

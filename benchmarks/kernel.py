@@ -1,6 +1,7 @@
-"""Our kernel alone: nanoseconds a particle-step on one core, and how they grow.
+"""The speed of the kernel on one core, in nanoseconds for a particle-step, and how it scales.
 
-A particle-step is one particle at one instant: draws x (T + 1) x particles in all.
+A particle-step is the work for one particle at one instant. A call has draws x (T + 1) x particles
+particle-steps.
 """
 
 from collections.abc import Callable, Iterator
@@ -29,7 +30,7 @@ TABLES: tuple[str, ...] = ("kernel", "first_call")
 
 MODELS = ("ungm", "bearings_only")
 REPEATS = 9
-LEAST_STEPS = 15_000_000  # a measurement: shorter cases are called several times in it
+LEAST_STEPS = 15_000_000  # particle-steps of a measurement; short cases are called several times
 
 SIZES = {
     "particles": (50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000),
@@ -37,7 +38,7 @@ SIZES = {
     "measurement_budget": (2, 11, 21, 31, 61),
     "draws": (1, 10, 100, 1000, 10_000),
 }
-"""What is varied, one at a time, and over what."""
+"""The quantities that are varied, one at a time, and their values."""
 
 _PARTS = ("import", "first_call")
 _LABELS = {
@@ -50,12 +51,12 @@ _LABELS = {
 
 @dataclass(frozen=True)
 class Case:
-    """What is timed; as it stands, the base case.
+    """A case that is timed. The defaults are the base case.
 
     Parameters
     ----------
     series : str
-        What is varied: a key of `SIZES`, or ``kind`` for model, resampling and dtype.
+        The varied quantity: a key of `SIZES`, or ``kind`` for model, resampling and dtype.
     """
 
     series: str = "kind"
@@ -69,17 +70,17 @@ class Case:
 
     @property
     def steps(self) -> int:
-        """Particle-steps of one call."""
+        """Number of particle-steps of a call."""
         return self.draws * (self.horizon + 1) * self.particles
 
     @property
     def calls(self) -> int:
-        """Calls of one measurement."""
+        """Number of calls of a measurement."""
         return max(1, LEAST_STEPS // self.steps)
 
 
 def cases(quick: bool) -> Iterator[Case]:
-    """Give all that is timed; of `quick` every second size up to the middle."""
+    """Give all cases; with `quick` every second size up to the middle."""
     for model in installed_of(MODELS):
         for resampling in _fitting(model):
             for dtype in DTYPES:
@@ -91,38 +92,38 @@ def cases(quick: bool) -> Iterator[Case]:
                 case = replace(Case(series, resampling=resampling), **changed)
                 if series == "horizon":
                     case = replace(case, measurement_budget=size // 3 + 1)
-                if series in ("particles", "horizon"):  # work is kept about the same
+                if series in ("particles", "horizon"):  # keeps the work about the same
                     case = replace(case, draws=max(1, case.draws * Case().steps // case.steps))
                 yield case
 
 
 def _fitting(model: str) -> list[str]:
-    """Schemes that a model's state allows."""
+    """Give the resampling schemes that the state of a model allows."""
     scalar = load_model(model).components[0] == 1
     return [scheme for scheme in RESAMPLING if scalar or not SCHEMES[scheme].sorts]
 
 
 def installed_of(names: tuple[str, ...]) -> list[str]:
-    """Those of the models that this version ships."""
+    """Give those names that are models of this version."""
     installed = installed_models()
     return [name for name in names if name in installed]
 
 
 def measure(quick: bool, say: Say) -> Tables:
-    """Time all cases in turns, and first calls.
+    """Give the times of all cases, measured in turns, and of first calls.
 
     Parameters
     ----------
     quick : bool
         Few cases, two repeats.
     say : callable
-        Is told how far it is.
+        Receives a line about the progress.
 
     Returns
     -------
     dict of DataFrames
-        kernel: a row a case, with ns, ns_median, ns_max, ns_wall a particle-step and repeats;
-        first_call: see `measure_first_calls`.
+        kernel: a row for each case, with ns, ns_median, ns_max and ns_wall of a particle-step, and
+        repeats; first_call: see `measure_first_calls`.
     """
     models = installed_of(MODELS)
     for name in set(MODELS) - set(models):
@@ -160,7 +161,7 @@ def _draws(model: str, horizon: int, count: int) -> Draws:
 
 
 def summary(tables: Tables) -> str:
-    """Say in Markdown what a step costs by kind, how it grows, and what the first call costs."""
+    """Give a summary in Markdown: the cost of a step, how it scales, and the first call."""
     rows = tables["kernel"]
     kinds = rows[rows["series"] == "kind"]
     wide = kinds.pivot_table(index=["model", "resampling"], columns="dtype", values="ns")
@@ -213,13 +214,13 @@ def _first_call_table(rows: pd.DataFrame) -> str:
 
 
 def plot(tables: Tables) -> Figure:
-    """Draw ns a particle-step against each size."""
+    """Draw the nanoseconds of a particle-step against each size."""
     rows = tables["kernel"]
     figure = Figure(figsize=(2 * COLUMN_INCHES, 1.3 * COLUMN_INCHES), layout="constrained")
     panels = figure.subplots(2, 2, sharey=True)
     for axes, series in zip(panels.flat, SIZES, strict=True):
         _plot_series(axes, rows[rows["series"] == series], series)
-    panels[0, 0].set_ylim(bottom=0)  # of all, when all is drawn
+    panels[0, 0].set_ylim(bottom=0)  # the panels share this axis
     for axes in panels[:, 0]:
         axes.set_ylabel("ns a particle-step")
     panels[0, 0].legend()

@@ -1,4 +1,4 @@
-"""What a figure was measured on."""
+"""The machine and the versions with which a benchmark was measured."""
 
 import os
 import platform
@@ -12,7 +12,7 @@ _PACKAGES = ("pfdist", "numba", "llvmlite", "numpy", "jax", "jaxlib", "particles
 
 
 def provenance() -> dict[str, str]:
-    """Say where and when: processor, cores, system, versions, date."""
+    """Give date, machine (processor, cores, system) and versions."""
     installed = [f"{name} {found}" for name in _PACKAGES if (found := _version(name))]
     return {
         "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
@@ -22,7 +22,7 @@ def provenance() -> dict[str, str]:
 
 
 def _processor() -> str:
-    """Its name, what the compiler takes it for, and its widest vectors."""
+    """Give the processor's name, its name in the compiler, and its widest vectors."""
     described = _file("/proc/cpuinfo")
     names = [line.partition(":")[2].strip() for line in described if line.startswith("model name")]
     flags = next((line.split() for line in described if line.startswith("flags")), [])

@@ -1,4 +1,4 @@
-"""Time functions that take turns, on one core."""
+"""Timing of several functions in turns, on one core."""
 
 import os
 from collections.abc import Callable, Iterator, Mapping
@@ -14,10 +14,10 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Timing:
-    """What one function took, a number a repeat.
+    """The times of a function, a number for each repeat.
 
-    Processor time is what a program pays; wall time is that and what others had of the core
-    meanwhile. Of a program that computes on a core of its own the two are equal.
+    Wall time is the processor time and the time in which other programs had the core. The two are
+    equal for a program that has a core of its own.
 
     Parameters
     ----------
@@ -29,12 +29,12 @@ class Timing:
     wall: tuple[float, ...]
 
     def nanoseconds(self, steps: int) -> dict[str, float]:
-        """Nanoseconds a step: least, median and largest of the repeats, and least wall time."""
-        each = np.array(self.processor) / steps * 1e9
+        """Give the nanoseconds of a step: least, median and largest, and least wall time."""
+        times = np.array(self.processor) / steps * 1e9
         return {
-            "ns": float(each.min()),
-            "ns_median": float(np.median(each)),
-            "ns_max": float(each.max()),
+            "ns": float(times.min()),
+            "ns_median": float(np.median(times)),
+            "ns_max": float(times.max()),
             "ns_wall": min(self.wall) / steps * 1e9,
         }
 
@@ -42,16 +42,18 @@ class Timing:
 def take_turns(
     functions: Mapping[Any, Callable[[], object]], repeats: int, say: Say
 ) -> dict[Any, Timing]:
-    """Time functions in rounds, each once a round, so that a disturbance strikes all alike.
+    """Give the times of functions that are called in rounds.
+
+    Each round calls every function once, so a disturbance affects all functions alike. Each
+    function is called once before, so nothing is compiled while the clock runs.
 
     Parameters
     ----------
     functions : mapping to callables without arguments
-        Called once before, so that nothing is compiled while the clock runs.
     repeats : int
-        Rounds.
+        Number of rounds.
     say : callable
-        Is told of every round.
+        Receives a line about each round.
 
     Returns
     -------
@@ -72,7 +74,7 @@ def take_turns(
 
 @contextmanager
 def one_core() -> Iterator[None]:
-    """Keep this process, and the threads it starts, on one core."""
+    """Keep this process, and threads that it starts, on one core."""
     allowed = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {max(allowed)})
     try:

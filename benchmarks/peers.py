@@ -1,4 +1,7 @@
-"""The same job done by others, side by side with ours on one core, and checked to the same mean."""
+"""The same filter in other libraries, timed in turns with pfdist on one core.
+
+The mean MSE of each peer is compared with that of pfdist, so all compute the same.
+"""
 
 import importlib
 import math
@@ -27,29 +30,29 @@ TABLES: tuple[str, ...] = ("peers",)
 HORIZON, BUDGET, PARTICLES, DRAWS = 60, 21, 500, 1000
 SCHEMES = ("multinomial", "systematic")
 REPEATS = 5
-STANDARD_ERRORS = 4  # by which a peer's mean may differ from ours
+STANDARD_ERRORS = 4  # largest difference of a peer's mean from that of pfdist
 OURS = "pfdist"
 
 Filter = Callable[[str, int], NDArray[np.float64]]  # (resampling, seed) -> mse (D,)
 
 
 class PeerDisagreesError(Exception):
-    """A peer does another job than ours, so its time says nothing."""
+    """A peer computes another result than pfdist, so its time means nothing."""
 
 
 @dataclass(frozen=True)
 class Peer:
-    """Somebody else's filter.
+    """A filter in another library.
 
     Parameters
     ----------
     name : str
     module : str
-        In `benchmarks.peer_filters`.
+        Module in `benchmarks.peer_filters`.
     package : str
-        That it needs.
+        Package that the module needs.
     dtype : str
-        It computes in.
+        Type of the numbers.
     """
 
     name: str
@@ -67,7 +70,7 @@ PEERS = (
 
 
 class _Turns:
-    """A filter that takes another seed at each call, and keeps what it gave."""
+    """A filter that takes another seed at each call, and keeps the results."""
 
     def __init__(self, function: Filter, resampling: str) -> None:
         self._function, self._resampling = function, resampling
@@ -78,30 +81,31 @@ class _Turns:
 
 
 def measure(quick: bool, say: Say) -> Tables:
-    """Time ours and every installed peer in turns, on the same draws.
+    """Give the times of pfdist and of every installed peer, in turns on the same draws.
 
     Parameters
     ----------
     quick : bool
         A tenth of the draws, two repeats.
     say : callable
-        Is told how far it is.
+        Receives a line about the progress.
 
     Returns
     -------
     dict of DataFrames
-        peers: a row a peer and resampling scheme, with ns, ns_median, ns_max, ns_wall a
-        particle-step, ratio to ours (of the least; ratio_low and ratio_high of single rounds),
-        expected_mse, its difference from ours and the standard error of that, and repeats.
+        peers: a row for each peer and resampling scheme. Columns: ns, ns_median, ns_max and ns_wall
+        of a particle-step; ratio of the least time to that of pfdist, with ratio_low and
+        ratio_high of single rounds; expected_mse, difference from pfdist, and standard_error of the
+        difference; repeats.
 
     Raises
     ------
     PeerDisagreesError
-        A peer's mean MSE lies more than four standard errors from ours.
+        The mean MSE of a peer lies more than four standard errors from that of pfdist.
     """
     draws = simulate(load_model("ungm"), HORIZON, range(DRAWS // 10 if quick else DRAWS), 1)
     repeats = 2 if quick else REPEATS
-    with one_core():  # before a peer is imported: its threads stay on it too
+    with one_core():  # before a peer is imported, so that its threads stay on this core, too
         entrants = {(OURS, dtype): _ours(draws, dtype) for dtype in ("float64", "float32")}
         for peer in PEERS:
             if find_spec(peer.package) is None:
@@ -157,7 +161,7 @@ def _version(peer: Peer) -> str:
 
 
 def _agreement(turns: _Turns, ours: _Turns) -> dict[str, float]:
-    """Mean MSE and its paired difference from ours, each draw averaged over all repeats."""
+    """Give the mean MSE and its paired difference from pfdist, averaged over all repeats."""
     mse, reference = np.mean(turns.mse, axis=0), np.mean(ours.mse, axis=0)
     difference = mse - reference
     return {
@@ -172,14 +176,14 @@ def _check(rows: list[dict[str, float | str]]) -> None:
         difference, error = float(row["difference"]), float(row["standard_error"])
         if not abs(difference) <= STANDARD_ERRORS * error:
             raise PeerDisagreesError(
-                f"{row['who']} ({row['dtype']}, {row['resampling']}) must have our mean MSE within "
-                f"{STANDARD_ERRORS} standard errors of the paired difference, got "
-                f"{difference:+.3f} ± {error:.3f}: it does another job, so its time says nothing"
+                f"{row['who']} ({row['dtype']}, {row['resampling']}) must have the mean MSE of "
+                f"pfdist within {STANDARD_ERRORS} standard errors of the paired difference, got "
+                f"{difference:+.3f} ± {error:.3f}: its time means nothing"
             )
 
 
 def summary(tables: Tables) -> str:
-    """Say in Markdown what everybody takes and that all agree."""
+    """Give a summary of the times and the agreement in Markdown."""
     rows = tables["peers"]
     lines = []
     for (who, dtype), filters in rows.groupby(["who", "dtype"], sort=False):
@@ -208,7 +212,7 @@ def summary(tables: Tables) -> str:
 
 
 def plot(tables: Tables) -> Figure:
-    """Draw ns a particle-step, a dot each."""
+    """Draw the nanoseconds of a particle-step of each peer."""
     rows = tables["peers"].assign(label=lambda all_: all_["who"] + ", " + all_["dtype"])
     names = list(dict.fromkeys(rows["label"]))[::-1]
     figure = Figure(figsize=(1.5 * COLUMN_INCHES, COLUMN_INCHES), layout="constrained")

@@ -1,7 +1,7 @@
-"""What is saved where sets that are evaluated under the same noise agree up to some time.
+"""The work saved by filtering a common part of several sets only once, under common noise.
 
-The sets are those of real searches with ``evaluation.noise = "common"``: each generation's new
-ones are filtered together, as the search does, and one by one.
+The sets come from real searches with ``evaluation.noise = "common"``. The new sets of a generation
+are filtered together, as in the search, and separately.
 """
 
 import tempfile
@@ -27,26 +27,26 @@ TITLE = "Prefixes"
 TABLES: tuple[str, ...] = ("prefixes",)
 
 JOB = Path(__file__).parents[1] / "jobs" / "paper.toml"
-EVERY = 4  # generations: so many are timed
+EVERY = 4  # every fourth generation is timed
 DRAWS = 50
 REPEATS = 5
 
 
 def measure(quick: bool, say: Say) -> Tables:
-    """Run the paper's two searches with common noise, and filter their generations both ways.
+    """Give the remaining work of generations of the paper's two searches with common noise.
 
     Parameters
     ----------
     quick : bool
         A small search, two repeats.
     say : callable
-        Is told how far it is.
+        Receives a line about the progress.
 
     Returns
     -------
     dict of DataFrames
-        prefixes: a row a search and generation, with sets, steps (the share of particle-steps that
-        remains) and time (the share of processor time).
+        prefixes: a row for each search and generation, with sets, steps (the remaining share of
+        particle-steps) and time (the remaining share of processor time).
     """
     changes = ["evaluation.noise='common'", "comparison.draws=2"]
     if quick:
@@ -56,7 +56,7 @@ def measure(quick: bool, say: Say) -> Tables:
     with tempfile.TemporaryDirectory(prefix="run-") as folder:
         evaluations = run(job, results=folder, pool="serial").evaluations()
     say(f"{len(evaluations)} evaluations")
-    evaluations = evaluations.drop_duplicates("evaluation")  # what came back was not done again
+    evaluations = evaluations.drop_duplicates("evaluation")  # copies were evaluated once
     horizon, particles = job.problem.horizon, job.filter.particles
     draws = simulate(load_model("ungm"), horizon, range(DRAWS), stream=1)
     evaluations = evaluations[evaluations["generation"] % EVERY == 0]
@@ -94,7 +94,7 @@ def _share_of_steps(sets: list[Times], horizon: int) -> float:
 
 
 def summary(tables: Tables) -> str:
-    """Say in Markdown what remains of the work."""
+    """Give a summary of the remaining work in Markdown."""
     rows = tables["prefixes"]
     lines = [
         [
@@ -116,7 +116,7 @@ def _of_all(rows: pd.DataFrame, what: str) -> str:
 
 
 def plot(tables: Tables) -> Figure:
-    """Draw the time that remains, generation by generation."""
+    """Draw the remaining time of each generation."""
     rows = tables["prefixes"]
     figure = Figure(figsize=(COLUMN_INCHES, 0.8 * COLUMN_INCHES), layout="constrained")
     axes = figure.subplots()

@@ -1,4 +1,4 @@
-"""What Ray itself costs: its start, and the calls to its workers."""
+"""The time that Ray itself takes: to start, and to call workers."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -19,21 +19,21 @@ _WORK = Work(
 
 
 def measure_ray(repeats: int, calls: int, say: Say) -> pd.DataFrame:
-    """Time a pool of one worker that gives back what it is handed.
+    """Give the times of a pool with one worker that gives its tasks back unchanged.
 
     Parameters
     ----------
     repeats : int
-        How often Ray is started.
+        Number of starts of Ray.
     calls : int
-        After each start.
+        Number of calls after each start.
     say : callable
-        Is told how far it is.
+        Receives a line about the progress.
 
     Returns
     -------
     DataFrame
-        what (``start``; ``call`` in a stream of tasks; ``round trip`` of one alone), repeat,
+        what (``start``; ``call`` in a stream of tasks; ``round trip`` of a single task), repeat,
         seconds.
     """
     rows = []
@@ -57,8 +57,8 @@ def measure_ray(repeats: int, calls: int, say: Say) -> pd.DataFrame:
 
 @contextmanager
 def session(cores: int) -> Iterator[None]:
-    """Keep one Ray running: pools join it, so that runs need not start one each."""
-    import ray  # noqa: PLC0415  not before ray_pool, which quietens it
+    """Keep a Ray cluster running that pools join, so that runs need not start Ray."""
+    import ray  # noqa: PLC0415  after ray_pool, which sets Ray's environment variables
 
     ray.init(
         address="local",

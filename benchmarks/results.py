@@ -1,7 +1,7 @@
-"""Results on disk: a CSV a table, a figure a benchmark, and one README of what they say.
+"""Results on disk: a CSV file for each table, a figure for each benchmark, and a README.
 
-The first lines of a CSV, behind ``#``, say when and on which machine it was measured, so that the
-README can be made again from the tables alone: benchmarks may be run one by one.
+The first lines of a CSV file, after ``#``, name the date and the machine. So the README can be made
+from the tables alone, and benchmarks can be run separately.
 """
 
 from collections.abc import Iterable, Mapping
@@ -19,35 +19,35 @@ Tables = dict[str, pd.DataFrame]
 
 
 class Benchmark(Protocol):
-    """What a module that measures something has.
+    """The contract of a benchmark: a module with a title, names of tables, and three functions.
 
-    ``TITLE``, ``TABLES`` (the names of what it measures, its own first), and three functions.
+    The first of the tables has the name of the benchmark.
     """
 
     TITLE: str
     TABLES: tuple[str, ...]
 
     def measure(self, quick: bool, say: Say) -> Tables:
-        """Measure; `quick` proves only that it works."""
+        """Give the measured tables; with `quick` only a test that the benchmark works."""
 
     def summary(self, tables: Tables) -> str:
-        """Say in Markdown what the tables say."""
+        """Give a summary of the tables in Markdown."""
 
     def plot(self, tables: Tables) -> Figure:
-        """Draw what the tables say."""
+        """Give the figure of the tables."""
 
 
 def save(
     folder: Path, name: str, benchmark: Benchmark, tables: Tables, provenance: Mapping[str, str]
 ) -> None:
-    """Write the tables of a benchmark and its figure.
+    """Write the tables and the figure of a benchmark.
 
     Parameters
     ----------
     folder : Path
-        Made if need be.
+        Output folder. It is made if it does not exist.
     name : str
-        The benchmark's.
+        Name of the benchmark.
     benchmark : Benchmark
     tables : dict of DataFrames
     provenance : mapping of str to str
@@ -63,13 +63,13 @@ def save(
 
 
 def write_readme(folder: Path, benchmarks: Mapping[str, Benchmark]) -> str:
-    """Write what the tables in the folder say.
+    """Write the README of the tables in a folder, and give its text.
 
     Parameters
     ----------
     folder : Path
     benchmarks : mapping of str to Benchmark
-        Those that exist; one that was never measured is left out.
+        All benchmarks. Those without tables are left out.
 
     Returns
     -------
@@ -85,7 +85,7 @@ def write_readme(folder: Path, benchmarks: Mapping[str, Benchmark]) -> str:
         tables = {file.stem: pd.read_csv(file, comment="#") for file in files}
         known = _provenance(files[0])
         on = f"{known['machine']}. {known['versions']}."
-        if on != machine:  # said again only where it changes
+        if on != machine:  # repeated only if it changes
             parts.append(f"Measured on: {on}\n")
             machine = on
         parts += [
@@ -101,7 +101,7 @@ def write_readme(folder: Path, benchmarks: Mapping[str, Benchmark]) -> str:
 
 
 def markdown(header: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
-    """Lay out a table; the first column is text, the others numbers.
+    """Give a table in Markdown. The first column has text, the others have numbers.
 
     Examples
     --------
@@ -117,7 +117,7 @@ def markdown(header: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
 
 
 def with_range(values: pd.Series, form: str) -> str:
-    """Say the median of some values, and in brackets the least and the largest.
+    """Give the median of some values, and in brackets the least and the largest.
 
     Examples
     --------

@@ -1,9 +1,9 @@
-"""A real run on 1 and 2 workers, by the draws of an evaluation, and what Ray costs.
+"""The speed of a real run with 1 and 2 workers, for several numbers of draws, and the cost of Ray.
 
-The search is counted from the last outcome of its first generation, in which workers start and
-compile, to that of its last: what the driver does between generations, commits, and workers that
-wait for a generation's end among it. The whole run goes on to the last outcome of the comparison,
-during which the search's tables are written.
+The time of the search starts at the last outcome of the first generation, in which workers start
+and compile. It ends at the last outcome of the last generation. So it includes commits, the work of
+the driver between generations, and waiting for the end of a generation. The time of the whole run
+ends at the last outcome of the comparison, during which the tables of the search are written.
 """
 
 import tempfile
@@ -29,7 +29,7 @@ TABLES: tuple[str, ...] = ("scaling", "ray_costs")
 
 JOB = Path(__file__).parents[1] / "jobs" / "paper.toml"
 PAPERS_DRAWS = 1000
-GENERATIONS = {250: 8, PAPERS_DRAWS: 25}  # by an evaluation's draws, the first included
+GENERATIONS = {250: 8, PAPERS_DRAWS: 25}  # by draws of an evaluation; the first is not timed
 REPEATS = 3
 BARE_SECONDS = 2.0
 BARE = "bare processes"
@@ -37,21 +37,21 @@ _KIND = ["draws", "pool"]
 
 
 def measure(quick: bool, say: Say) -> Tables:
-    """Run the paper's genetic search for a few generations, in every way in turns.
+    """Give the speeds of the paper's genetic search on different pools, measured in turns.
 
     Parameters
     ----------
     quick : bool
-        The smallest tasks alone, once.
+        Only the smallest tasks, once.
     say : callable
-        Is told how far it is.
+        Receives a line about the progress.
 
     Returns
     -------
     dict of DataFrames
-        scaling: a row a run, with repeat, draws, pool, workers, tasks, task_seconds (the mean in a
-        worker), and particle-steps a second: rate of the search, run_rate of the whole;
-        ray_costs: see `ray_costs.measure_ray`.
+        scaling: a row for each run, with repeat, draws, pool, workers, tasks, task_seconds (mean in
+        a worker), and the particle-steps in a second: rate of the search, run_rate of the whole
+        run; ray_costs: see `ray_costs.measure_ray`.
     """
     sizes = dict(list(GENERATIONS.items())[:1]) if quick else GENERATIONS
     costs = ray_costs.measure_ray(1 if quick else 2, 100 if quick else 1000, say)
@@ -101,7 +101,7 @@ def _search(pool: str, workers: int, draws: int, generations: int) -> dict[str, 
 
 
 def efficiencies(rows: pd.DataFrame, rate: str = "rate") -> pd.DataFrame:
-    """Parallel efficiency, rate(2) / (2 rate(1)), of each pair of runs side by side.
+    """Give the parallel efficiency, rate(2) / (2 rate(1)), of each pair of runs.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def efficiencies(rows: pd.DataFrame, rate: str = "rate") -> pd.DataFrame:
 
 
 def summary(tables: Tables) -> str:
-    """Say in Markdown the rates, the efficiency and what Ray costs."""
+    """Give a summary of the rates, the efficiency and the cost of Ray in Markdown."""
     rows = tables["scaling"]
     both: list[dict[Any, pd.Series]] = [
         dict(list(efficiencies(rows, rate).groupby(_KIND)["efficiency"]))
@@ -156,7 +156,7 @@ def summary(tables: Tables) -> str:
 
 
 def plot(tables: Tables) -> Figure:
-    """Draw rates by task size, and the efficiency."""
+    """Draw the rates by the size of a task, and the efficiency."""
     rows = tables["scaling"]
     figure = Figure(figsize=(2 * COLUMN_INCHES, 0.8 * COLUMN_INCHES), layout="constrained")
     left, right = figure.subplots(1, 2)

@@ -1,11 +1,11 @@
-"""All searches on five problems: how far from the best known they end, and after how much work.
+"""All searches on five problems: the excess over the best known cost, and the work.
 
-What is counted is all that a search does, its shortlist included. What it found is then filtered
-with fresh draws beside all else that was found for the problem, and beside the sets in
-``best_known.csv``; the best of them, by a race on other draws, is what the excess is measured from.
+The work includes all that a search does, with the shortlist. All sets found for a problem, and the
+sets in ``best_known.csv``, then filter the same fresh draws. The excess is the difference from the
+best of these sets, which a race on other draws determines.
 
-The whole takes half an hour on two cores. Each search's row is kept in ``results/search.csv`` as it
-ends, and not made again: to measure a search anew, delete its rows.
+The benchmark takes half an hour on two cores. When a search ends, its row is kept in
+``results/search.csv``, and the search is not run again. To measure it anew, delete its rows.
 """
 
 import json
@@ -36,7 +36,7 @@ TABLES: tuple[str, ...] = ("search", "search_sets")
 HERE = Path(__file__).parent
 KEPT = HERE / "results" / "search.csv"
 SEEDS, SEEDS_OF_SURVIVORS = 5, 10
-ROUNDS = 40  # of fresh draws at most, where standard errors are not yet small
+ROUNDS = 40  # largest number of rounds of fresh draws, until standard errors are small
 
 PROBLEMS: dict[str, list[str]] = {
     "paper": [],
@@ -45,10 +45,10 @@ PROBLEMS: dict[str, list[str]] = {
     "linear_gaussian, short": ["problem.horizon=25", "problem.measurement_budget=5"],
     "sharp_sensor": [],
 }
-"""Jobs that ship, or lie with the tests, and what is changed in them."""
+"""Jobs, from the folders below, and changes of their keys."""
 FOLDERS = ("jobs", "tests/oracles")
-EXACT = ("linear_gaussian", "linear_gaussian, short")  # where draws are no part of the work
-SHORT = ("linear_gaussian, short", "sharp_sensor")  # where every set can be tried
+EXACT = ("linear_gaussian", "linear_gaussian, short")  # costs are known without draws
+SHORT = ("linear_gaussian, short", "sharp_sensor")  # every set can be evaluated
 SMALL = ["problem.horizon=14", "problem.measurement_budget=4", "evaluation.draws=50"]
 
 
@@ -78,10 +78,10 @@ SEARCHES: dict[str, list[dict[str, Any]]] = {
     "genetic, as in the paper": [{"method": "genetic"}],
     "exhaustive": [{"method": "exhaustive"}],
 }
-"""Of each search one or more ways, which differ in how much work they do: so that each can be
-compared with others at equal work."""
+"""For each search, settings with different amounts of work, so that searches can be compared at
+equal work."""
 BY_CHANCE = ("annealing", "cross-entropy", "random trials", "genetic, as in the paper")
-"""Searches that the seed changes even where costs are exact."""
+"""Searches that depend on the seed even if costs are exact."""
 
 LOOKS = {
     "survivors": (RED, "o"),
@@ -98,21 +98,21 @@ LOOKS = {
 
 
 def measure(quick: bool, say: Say) -> Tables:
-    """Run every search that has no row yet, then filter all that was found with fresh draws.
+    """Run every search that has no row yet, then evaluate all found sets on fresh draws.
 
     Parameters
     ----------
     quick : bool
-        Small problems, one seed, the first way of each search; nothing is kept.
+        Small problems, one seed, the first settings of each search; no row is kept.
     say : callable
-        Is told how far it is.
+        Receives a line about the progress.
 
     Returns
     -------
     dict of DataFrames
-        search: a row a run, with problem, search, way, seed, job (a hash of what was run), steps,
-        seconds, believed, times;
-        search_sets: a row a set, with problem and what `fresh_costs` gives.
+        search: a row for each run, with problem, search, way (the settings), seed, job (a hash of
+        the job), steps, seconds, believed, times;
+        search_sets: a row for each set, with problem and the columns of `fresh_costs`.
     """
     rows, sets = [], []
     for problem in PROBLEMS:
@@ -138,11 +138,11 @@ def measure(quick: bool, say: Say) -> Tables:
 
 
 def _jobs(problem: str, quick: bool) -> list[tuple[dict[str, Any], Job]]:
-    """All runs of a problem."""
+    """Give all runs of a problem."""
     name = f"{problem.partition(',')[0]}.toml"
     file = next(file for folder in FOLDERS if (file := HERE.parent / folder / name).exists())
     changes = [*PROBLEMS[problem], "comparison.draws=2", *(SMALL if quick else [])]
-    # As many as searches take that are given none: the paper's two would take the job's.
+    # The default number of searches with common noise; the paper's searches have another default.
     particles = CommonNoiseSettings().particles_of(load_job(file).filter.particles)
     jobs = []
     for seed in range(1, 2 if quick else SEEDS_OF_SURVIVORS + 1):
@@ -167,15 +167,15 @@ def _ways(problem: str, name: str) -> list[dict[str, Any]]:
     if name == "exhaustive" and problem not in SHORT:
         return []
     if problem not in EXACT:
-        return [way for way in SEARCHES[name] if not way.get("by_previous")]  # too many to keep
-    if name == "genetic, common noise":  # there is no noise
+        return [way for way in SEARCHES[name] if not way.get("by_previous")]  # too slow
+    if name == "genetic, common noise":  # exact costs have no noise
         return []
     ways = [{k: v for k, v in way.items() if k != "evaluation"} for way in SEARCHES[name]]
     return [way for place, way in enumerate(ways) if way not in ways[:place]]
 
 
 def _label(way: dict[str, Any], ways: list[dict[str, Any]]) -> str:
-    """What sets one way apart from the others."""
+    """Give the settings in which a way differs from the other ways of a search."""
     here, *others = ({**way, **way.get("evaluation", {})} for way in (way, *ways))
     keys = [
         key for key in here if key != "evaluation" and any(here[key] != o.get(key) for o in others)
@@ -216,7 +216,7 @@ def _times(text: str) -> Times:
 
 
 def _found(tables: Tables) -> pd.DataFrame:
-    """Means and ranges over the seeds, a row a way of a search."""
+    """Give means and ranges over the seeds, a row for each search and its settings."""
     rows = tables["search"].merge(tables["search_sets"], on=["problem", "times"])
     believed = 100 * (rows["believed"] / rows["cost"] - 1)
     rows = rows.assign(believed=believed, way=rows["way"].fillna(""))
@@ -226,7 +226,7 @@ def _found(tables: Tables) -> pd.DataFrame:
 
 
 def summary(tables: Tables) -> str:
-    """Say in Markdown what each search found, and at what cost."""
+    """Give a summary of excess and work of each search in Markdown."""
     found, sets = _found(tables), tables["search_sets"]
     parts = [
         "Excess over the best set known, in per cent of its cost: mean over the seeds, in brackets "
@@ -258,7 +258,7 @@ def summary(tables: Tables) -> str:
 
 
 def plot(tables: Tables) -> Figure:
-    """Draw excess against work, mean and range over the seeds, a panel a problem."""
+    """Draw excess against work, with mean and range over the seeds, a panel for each problem."""
     found = _found(tables)
     problems = list(found["problem"].unique())
     size = (2 * COLUMN_INCHES, 2.6 * COLUMN_INCHES)

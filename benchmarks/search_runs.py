@@ -1,8 +1,8 @@
-"""One search of a problem, with its work counted, and what found sets cost on fresh draws."""
+"""A search with its work counted, and the costs of found sets on fresh draws."""
 
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 from types import TracebackType
@@ -23,35 +23,37 @@ from pfdist.search import Race
 from pfdist.store import Store
 from pfdist.times.measurement_times import Times
 
-STANDARD_ERROR = 0.12  # per cent, of an excess
-ROUND = 5000  # draws
-RACE_DRAWS = 1000  # of the first round
+STANDARD_ERROR = 0.12  # wanted standard error of an excess, in per cent
+ROUND = 5000  # draws of a round
+RACE_DRAWS = 1000  # draws of the first round of a race
 STEPS_A_TASK = 200_000_000
 
 Array = NDArray[np.float64]
 
 
-@dataclass
 class Counting:
     """A pool that counts the particle-steps of searches.
 
     Parameters
     ----------
     pool : Pool
-        Entered.
+        A pool that was entered.
+
+    Attributes
+    ----------
     steps : int
+        Particle-steps counted so far.
+    workers : int
+        Number of workers of the pool.
     """
 
-    pool: Pool
-    steps: int = 0
-
-    def __post_init__(self) -> None:
-        self.workers = self.pool.workers
+    def __init__(self, pool: Pool) -> None:
+        self._pool, self.workers, self.steps = pool, pool.workers, 0
 
     def run(self, tasks: Iterable[Task]) -> Iterator[Outcome]:
         """Give the outcomes as they come."""
-        for outcome in self.pool.run(tasks):
-            if outcome.task.key.startswith("draws:"):  # and not the comparison's
+        for outcome in self._pool.run(tasks):
+            if outcome.task.key.startswith("draws:"):  # the comparison's keys begin otherwise
                 self.steps += sum(work.steps for work in outcome.task.work)
             yield outcome
 
@@ -68,14 +70,14 @@ class Counting:
 
 
 def search(job: Job, pool: Pool) -> dict[str, Any]:
-    """Run a job's one search and its shortlist.
+    """Run the only search of a job, with its shortlist, and give work, time and result.
 
     Parameters
     ----------
     job : Job
-        With next to no comparison.
+        A job with few draws in the comparison.
     pool : Pool
-        Entered, of the same problem.
+        A pool for the same problem that was entered.
 
     Returns
     -------
@@ -96,25 +98,26 @@ def search(job: Job, pool: Pool) -> dict[str, Any]:
 
 
 def fresh_costs(built: Built, pool: Pool, sets: Sequence[Times], rounds: int) -> pd.DataFrame:
-    """Find the best of some sets in a race, and what each costs more than it, on other draws.
+    """Give the costs of some sets, and the excess of each set over the best set.
 
-    All are filtered with the same draws and noise, until the standard error of the excess is small.
+    A race determines the best set. Then all sets filter other draws, under common noise, until the
+    standard errors of the excess are small.
 
     Parameters
     ----------
     built : Built
     pool : Pool
-        Entered, of the same problem.
+        A pool for the same problem that was entered.
     sets : sequence of tuples of int
-        S different ones.
+        Different sets.
     rounds : int
-        Of 5,000 draws, at most.
+        Largest number of rounds of 5,000 draws.
 
     Returns
     -------
     DataFrame
-        A row a set: times, cost, standard_error, excess and excess_error (both per cent of the
-        best set's cost), draws, best (whether it won the race).
+        A row for each set: times, cost, standard_error, excess and excess_error (in per cent of the
+        best set's cost), draws, best (whether the set won the race).
     """
     if built.problem.exact:
         costs = built.problem.expected_mse(sets)
@@ -166,13 +169,13 @@ def filtered(
     draws: tuple[int, int],
     filter_streams: Sequence[int] = (),
 ) -> Array:
-    """Per-draw MSE of each set on common draws, (D, S); under common noise unless told otherwise.
+    """Give the per-draw MSE of each set on common draws, (D, S).
 
     Parameters
     ----------
     built : Built
     pool : Pool
-        Entered, of the same problem.
+        A pool for the same problem that was entered.
     sets : sequence of tuples of int
         S sets.
     stream : int
@@ -180,7 +183,7 @@ def filtered(
     draws : (int, int)
         First draw, and the one after the last.
     filter_streams : sequence of int, optional
-        Key of each filter's noise, (S,).
+        Key of each filter's noise, (S,). By default all filters have common noise.
     """
     work = Work(
         measurement_times=tuple(sets),

@@ -4,6 +4,7 @@ A page marks the place of a table by two comments, ``<!-- table: NAME -->`` and 
 The command replaces the lines between them. A test fails if a page has an old table.
 """
 
+import argparse
 import inspect
 import re
 from collections.abc import Callable, Iterable
@@ -12,9 +13,12 @@ from typing import Any, get_args
 
 from pydantic.fields import FieldInfo
 
+from pfdist.cli.command import COMMANDS, Command
 from pfdist.evaluation.engines import AUTO, ENGINES
 from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.kernels.schemes import SCHEMES
+from pfdist.plots.figure import FIGURES
+from pfdist.pools.kinds import POOLS
 from pfdist.search.methods import DEFAULT_METHOD, METHODS, Method
 
 FOLDER = Path(__file__).parent
@@ -82,14 +86,53 @@ def schemes() -> str:
     return _table(["scheme", "how particles are resampled"], rows)
 
 
+def commands() -> str:
+    """Give the table of commands, each with the arguments that must be given."""
+    rows = [
+        [f"`{_usage(command)}`", _sentence(command.description)] for command in COMMANDS.values()
+    ]
+    return _table(["command", "what it does"], rows)
+
+
+def figures() -> str:
+    """Give the table of a run's figures."""
+    rows = [
+        [f"`{name}-SET`" if figure.each_set else f"`{name}`", _sentence(figure.description)]
+        for name, figure in FIGURES.items()
+    ]
+    return _table(["file", "what it shows"], rows)
+
+
+def pools() -> str:
+    """Give the table of pools."""
+    rows = [
+        [f"`{name}`", kind.description, "any number" if kind.distributed else "1"]
+        for name, kind in POOLS.items()
+    ]
+    return _table(["pool", "where tasks are computed", "workers"], rows)
+
+
 TABLES: dict[str, Callable[[], str]] = {
-    table.__name__: table for table in (methods, settings, engines, estimators, schemes)
-}
+    table.__name__: table
+    for table in (
+        methods, settings, engines, estimators, schemes, commands, figures, pools,
+    )
+}  # fmt: skip
 
 
 def with_tables(page: str) -> str:
     """Give the text of a page with all its tables made anew."""
     return _MARKED.sub(lambda found: f"{found[1]}{TABLES[found[2]]()}\n{found[3]}", page)
+
+
+def _usage(command: Command) -> str:
+    parser = argparse.ArgumentParser()
+    command.add_arguments(parser)
+    words = ["pfdist", command.name]
+    for argument in parser._actions:
+        if argument.required:
+            words += [*argument.option_strings[:1], str(argument.metavar)]
+    return " ".join(words)
 
 
 def _described(method: Method) -> dict[str, str]:

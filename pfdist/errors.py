@@ -84,7 +84,7 @@ class PfdistError(Exception):
     Parameters
     ----------
     message : str
-        What is wrong, in words that hold in Python and on the command line.
+        The error in one line, in words that hold in Python and on the command line.
     argument : str
         Name of the wrong argument, if there is one. The command line names its option.
     """

@@ -1,12 +1,12 @@
-"""The same job done by others: the paper's model, filtered with intermittent measurements.
+"""The same filter in other libraries: the paper's model with intermittent measurements.
 
-A file a peer, written by the peer's own best idioms; what else was tried stands in its docstring.
-Each has one function::
+Each peer has a file, written in the best style of its library. The docstring names slower variants
+that were tried. Each file has the function ::
 
     filter_draws(y, z, measured, particles, resampling, seed) -> mse
 
-of the measurements and quantities of interest y and z (D, T+1), whether each instant is measured
-(T+1,), the number of particles, "multinomial" or "systematic", and a seed. Particles are
-propagated, where something is measured weighted and resampled, and z is estimated by their
-weighted mean before resampling; mse (D,) is the mean of its squared error over t.
+The arguments are the measurements y and quantities of interest z, (D, T+1); whether each instant is
+measured, (T+1,); the number of particles; "multinomial" or "systematic"; and a seed. Particles are
+propagated. At a measurement they are weighted and resampled. The weighted mean before resampling
+estimates z, and mse (D,) is the mean of the squared error over t.
 """

@@ -65,7 +65,7 @@ def _values(model: StateSpaceModel, name: str, arguments: tuple[Any, ...], size:
     with np.errstate(all="ignore"):
         value = getattr(model, name)(*arguments)
     components = value if isinstance(value, tuple) else (value,)
-    return np.stack([np.broadcast_to(np.asarray(one, float), (size,)) for one in components])
+    return np.stack([np.broadcast_to(np.asarray(part, float), (size,)) for part in components])
 
 
 def pure(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
@@ -125,9 +125,9 @@ def compiled_as_in_numpy(model: StateSpaceModel, draws: Draws) -> tuple[str, str
         ENGINES[engine].simulate(model, 1, few, 0) for engine in ("compiled", "numpy")
     )
     for name in "xyz":
-        one, other = getattr(compiled, name), getattr(plain, name)
-        if not np.allclose(one, other, rtol=1e-7, atol=1e-9):
-            worst = float(np.abs(one - other).max())
+        values, expected = getattr(compiled, name), getattr(plain, name)
+        if not np.allclose(values, expected, rtol=1e-7, atol=1e-9):
+            worst = float(np.abs(values - expected).max())
             return "wrong", (
                 f"{name} must be the same compiled and in NumPy, got a difference of {worst:.3g}: "
                 "does a formula use what Numba treats otherwise?"

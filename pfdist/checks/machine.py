@@ -9,19 +9,18 @@ from collections.abc import Callable, Iterator
 from importlib.metadata import version
 from pathlib import Path
 
-from filelock import FileLock
+import psutil
 
 from pfdist.checks.model import Check
 from pfdist.errors import PfdistError
 from pfdist.pools.control_group import settings
 from pfdist.pools.cores import limits, usable_cores
+from pfdist.store.lock import try_lock
 
 LEAST_MEMORY = 1.5e9  # Ray takes 0.5e9, the driver and a worker 0.3e9 each
 LEAST_SHARED = 1.5e8  # Ray's object store takes 1e8
 LEAST_DISK = 1e9  # a comparison of a million draws takes 0.05e9
 LEAST_RAY = (2, 52)  # CVE-2025-62593
-
-_MEMORY = Path("/proc/meminfo")
 
 Finding = tuple[str, str]
 
@@ -64,8 +63,7 @@ def _cores() -> Finding:
 
 
 def _memory() -> Finding:
-    lines = _MEMORY.read_text(encoding="ascii").splitlines()
-    free = 1024 * int(dict(line.split(":") for line in lines)["MemAvailable"].split()[0])
+    free = psutil.virtual_memory().available
     for name in ("memory.max", "memory.limit_in_bytes"):
         limits = (int(text) for (text,) in settings("memory", name) if text.isdecimal())
         free = min(free, *limits, free)
@@ -102,25 +100,25 @@ def _ports() -> Finding:
 
 def _results(results: Path) -> Finding:
     """Try what the store needs of a file system, where runs are to lie."""
-    folder = next(one for one in (results.absolute(), *results.absolute().parents) if one.is_dir())
+    above = (results.absolute(), *results.absolute().parents)
+    folder = next(path for path in above if path.is_dir())
     doing = "written"
     try:
         with tempfile.TemporaryDirectory(dir=folder, prefix=".doctor-") as temporary:
-            one, other = Path(temporary) / "one", Path(temporary) / "other"
-            with one.open("w", encoding="ascii") as file:
+            path, other = Path(temporary) / "path", Path(temporary) / "other"
+            with path.open("w", encoding="ascii") as file:
                 file.write("written")
                 file.flush()
                 doing = "flushed (fsync)"
                 os.fsync(file.fileno())
             doing = "given a second name (a hard link)"
-            os.link(one, other)
+            os.link(path, other)
             doing = "replaced"
-            one.replace(other)
+            path.replace(other)
             doing = "locked (flock)"
-            with FileLock(other, blocking=False):
-                pass
-    except (OSError, NotImplementedError) as error:
-        reason = getattr(error, "strerror", None) or error
+            try_lock(other)
+    except OSError as error:
+        reason = error.strerror or error
         return "wrong", f"files in {folder} cannot be {doing}: {reason}; runs must lie elsewhere"
     free = shutil.disk_usage(folder).free
     text = f"{folder}: files can be flushed, linked and locked, {free / 1e9:.1f} GB free"

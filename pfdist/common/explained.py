@@ -1,12 +1,43 @@
-"""What a validation error of pydantic means, in one sentence."""
+"""Sentences that explain pydantic's validation errors, made from their types and contexts."""
 
-import re
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from pfdist.errors import shown
+
+_RULES = {
+    "bool_type": "true or false",
+    "bool_parsing": "true or false",
+    "int_type": "an integer",
+    "int_parsing": "an integer",
+    "int_parsing_size": "an integer of fewer digits",
+    "int_from_float": "an integer",
+    "float_type": "a number",
+    "float_parsing": "a number",
+    "finite_number": "a finite number",
+    "string_type": "a string",
+    "string_unicode": "a string of Unicode characters",
+    "dict_type": "a section",
+    "model_type": "a section",
+    "model_attributes_type": "a section",
+    "list_type": "a list",
+    "tuple_type": "a list",
+    "none_required": "left out",
+    "greater_than": "greater than {gt}",
+    "greater_than_equal": "at least {ge}",
+    "less_than": "less than {lt}",
+    "less_than_equal": "at most {le}",
+    "multiple_of": "a multiple of {multiple_of}",
+    "string_too_short": "at least {min_length} characters long",
+    "string_too_long": "at most {max_length} characters long",
+    "string_pattern_mismatch": "a string that matches {pattern}",
+    "too_short": "a list of at least {min_length} entries",
+    "too_long": "a list of at most {max_length} entries",
+    "literal_error": "{expected}",
+}
+"""What a value must be, by pydantic's type of error, with the entries of the error's context."""
 
 
 def explained(error: ValidationError, model: type[BaseModel]) -> str:
@@ -28,9 +59,9 @@ def explained(error: ValidationError, model: type[BaseModel]) -> str:
 
 
 def _by_weight(error: ValidationError) -> list[ErrorDetails]:
-    """What went wrong, the most telling first: a misspelt key, before the key it stands for."""
+    """The errors, unknown keys first: a misspelt key also makes the right key look missing."""
     errors = error.errors()
-    # A wrong search also leaves the tuple of searches too short; that is no mistake of its own.
+    # A wrong search also makes the tuple of searches too short, which is not a second mistake.
     telling = [detail for detail in errors if detail["loc"] != ("search",)] or errors
     return sorted(telling, key=lambda detail: detail["type"] != "extra_forbidden")
 
@@ -55,9 +86,14 @@ def _sentence(error: ErrorDetails, model: type[BaseModel]) -> str:
         return f"search must be one or more [[search]] sections, got {shown(got)}"
     if kind == "value_error":
         return str(error["ctx"]["error"])
-    rule = re.sub(r"^(Input|String|Value) should ", "must ", error["msg"])
-    rule = re.sub(r"a valid dictionary or instance of \w+", "a section", rule)
-    return f"{key} {rule}, got {shown(got)}"
+    return f"{key} must be {_rule(error)}, got {shown(got)}"
+
+
+def _rule(error: ErrorDetails) -> str:
+    """What a value must be; a type of error that is not known here is named."""
+    rule = _RULES.get(error["type"], f"valid ({error['type']})")
+    context = error.get("ctx", {})
+    return rule.format_map({k: f"{v:g}" if type(v) is float else v for k, v in context.items()})
 
 
 def _allowed_keys(section: str, model: type[BaseModel]) -> list[str]:

@@ -21,8 +21,8 @@ class Engine:
     simulated_by : str
         The module whose ``simulate`` has the contract of `pfdist.filters.draws.simulate`.
     filtered_by : str
-        The module whose ``filter_draws``, ``filter_sets``, ``filter_checked_draws`` and
-        ``filter_checked_sets`` have the contracts of those in `pfdist.filters.particle_filter`.
+        The module whose ``filter_draws``, ``filter_checked_draws`` and ``filter_checked_sets`` have
+        the contracts of those in `pfdist.filters.particle_filter`.
     seconds_a_step : float
         About how long a particle takes for one instant.
     compiled : bool
@@ -50,18 +50,13 @@ class Engine:
         return self._function(self.filtered_by, "filter_draws")
 
     @property
-    def filter_sets(self) -> Callable[..., Any]:
-        """The function that filters draws with several sets of times."""
-        return self._function(self.filtered_by, "filter_sets")
-
-    @property
     def filter_checked_draws(self) -> Callable[..., Any]:
         """`filter_draws` for arguments that the caller has checked."""
         return self._function(self.filtered_by, "filter_checked_draws")
 
     @property
     def filter_checked_sets(self) -> Callable[..., Any]:
-        """`filter_sets` for arguments that the caller has checked."""
+        """The function that filters draws with several sets, all checked by the caller."""
         return self._function(self.filtered_by, "filter_checked_sets")
 
     @staticmethod

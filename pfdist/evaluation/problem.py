@@ -16,6 +16,7 @@ from pfdist.evaluation.work import Estimation, Result, Work, columns, cut
 from pfdist.filters import kalman
 from pfdist.filters.draws import libm_of_simulation, simulate, simulation_makes_arrays
 from pfdist.filters.particle_filter import (
+    FilterSettings,
     check_filter,
     check_fits,
     filter_draws,
@@ -202,24 +203,28 @@ class Problem:
     def filtered(self, work: Work) -> Result:
         """Per-draw MSE as `__call__` gives it, for a work that the caller has checked."""
         engine, estimation = self._engine, work.estimation
+        settings = FilterSettings(
+            estimation.particles, estimation.resampling, self.dtype, estimation.estimator
+        )
         draws = engine.simulate(self.model, self.horizon, range(*work.draws), work.draws_stream)
         if work.trajectories:
             filtered = [
                 engine.filter_checked_draws(
-                    self.believed, draws, times, estimation.particles, stream,
-                    estimation.resampling, trajectories=True, dtype=self.dtype,
+                    self.believed, draws, times, stream, settings, trajectories=True
                 )
                 for times, stream in zip(work.measurement_times, work.filter_streams, strict=True)
-            ]  # fmt: skip
+            ]
             mse, estimates = (
                 [getattr(result, name) for result in filtered] for name in _TRAJECTORIES
             )
             return Result(np.stack(mse, axis=1), draws.z, draws.y, np.stack(estimates))
         values = np.empty((len(draws.index), len(work.measurement_times)))
         for stream, same_noise in columns(work.filter_streams).items():
+            sets, ends = (
+                [values_of_sets[column] for column in same_noise]
+                for values_of_sets in (work.measurement_times, work.ends)
+            )
             values[:, same_noise] = engine.filter_checked_sets(
-                self.believed, draws, [work.measurement_times[column] for column in same_noise],
-                estimation.particles, stream, estimation.resampling, self.dtype,
-                [work.ends[column] for column in same_noise], estimation.estimator,
-            )  # fmt: skip
+                self.believed, draws, sets, ends, stream, settings
+            )
         return Result(values)

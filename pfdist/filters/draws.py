@@ -105,8 +105,8 @@ def check_finite(model: StateSpaceModel, draws: Draws, stream: int) -> None:
         if np.isfinite(values).all():
             continue
         row, t, component = (int(i) for i in np.argwhere(~np.isfinite(values))[0])
-        one = Draws(model, draws.index[row : row + 1], draws.x[row], draws.y[row], draws.z[row])
-        formula, arguments = _given(model, name, one, t, stream)
+        draw = Draws(model, draws.index[row : row + 1], draws.x[row], draws.y[row], draws.z[row])
+        formula, arguments = _given(model, name, draw, t, stream)
         got = values[row, t, component]
         raise ModelError(not_finite(model, formula, arguments, f"{name}[{component}] = {got}", t))
 

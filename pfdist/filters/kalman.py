@@ -20,14 +20,14 @@ from numpy.typing import NDArray
 from pfdist.errors import ModelError
 from pfdist.filters.draws import Draws
 from pfdist.filters.one_by_one import one_by_one
-from pfdist.filters.particle_filter import Filtered
+from pfdist.filters.particle_filter import Filtered, FilterSettings
 from pfdist.kernels.formulas import formulas_of
 from pfdist.models import StateSpaceModel, squared_error
 from pfdist.times.measurement_times import Times, validated
 
 Array = NDArray[np.float64]
 
-_TOLERANCE = 1e-9  # of what a formula gives, for the rounding of a linear one
+_TOLERANCE = 1e-9  # relative, for the rounding errors of a linear formula
 
 
 @dataclass(frozen=True)
@@ -46,16 +46,16 @@ class Affine:
 
 @dataclass(frozen=True)
 class LinearGaussian:
-    """A model's formulas as matrices, for t = 0..T.
+    """Matrices of a model's formulas, for t = 0..T.
 
     Parameters
     ----------
     initial : Affine
-        x(0) of w.
+        From w to x(0).
     transition, measurement : tuple of Affine, (T,) and (T+1,)
-        x(t+1) of (x(t), w) and y(t) of (x(t), v).
+        From (x(t), w) to x(t+1), and from (x(t), v) to y(t).
     quantity_of_interest : tuple of Affine, (T+1,)
-        z(t) of x(t).
+        From x(t) to z(t).
     """
 
     initial: Affine
@@ -70,8 +70,8 @@ def linear_gaussian(model: StateSpaceModel, horizon: int) -> LinearGaussian:
     Raises
     ------
     ModelError
-        The model does not declare itself linear-Gaussian, or is not: a noise is not normal, the
-        error not the squared one, or a formula not linear.
+        The model does not declare itself linear-Gaussian, or it is not linear-Gaussian: a noise is
+        not normal, the error is not the squared Euclidean norm, or a formula is not linear.
     """
     _check_declared(model)
     p, states = model.p, model.components[0]
@@ -88,12 +88,13 @@ def linear_gaussian(model: StateSpaceModel, horizon: int) -> LinearGaussian:
         return _probed(at, inputs, f"model {model.name}: {name} at t = {t}")
 
     instants = range(horizon + 1)
-    moved, seen = (states + len(kinds) for kinds in (model.process_noise, model.measurement_noise))
+    process_inputs = states + len(model.process_noise)
+    measurement_inputs = states + len(model.measurement_noise)
     with formulas_of(model.name, model.formulas):
         return LinearGaussian(
             affine("initial", 0, 0, len(model.initial_noise)),
-            tuple(affine("transition", t, states, moved) for t in instants[:-1]),
-            tuple(affine("measurement", t, states, seen) for t in instants),
+            tuple(affine("transition", t, states, process_inputs) for t in instants[:-1]),
+            tuple(affine("measurement", t, states, measurement_inputs) for t in instants),
             tuple(affine("quantity_of_interest", t, states, states) for t in instants),
         )
 
@@ -103,7 +104,7 @@ def expected_mse(
 ) -> Array:
     """Exact expected MSE of the Kalman filter with each set of times, (S,): no draws are needed.
 
-    Where `ends` are given, each set's errors count up to its own alone; the sum is over T + 1.
+    If `ends` are given, each set's errors count up to its end only, and are divided by T + 1.
 
     Raises
     ------
@@ -118,8 +119,8 @@ def expected_mse(
     total, last = np.zeros(len(sets)), np.array([horizon] * len(sets) if ends is None else ends)
     for t in range(horizon + 1):
         here = measured[:, t]
-        gain, seen = _gain(covariance[here], matrices.measurement[t])
-        covariance[here] -= gain @ seen @ covariance[here]
+        gain, observation_matrix = _gain(covariance[here], matrices.measurement[t])
+        covariance[here] -= gain @ observation_matrix @ covariance[here]
         h = matrices.quantity_of_interest[t].matrix
         total += (t <= last) * np.trace(h @ covariance @ h.T, axis1=1, axis2=2)
         if t < horizon:
@@ -137,25 +138,22 @@ def filter_draws(
     trajectories: bool = False,
     dtype: str = "float64",
 ) -> Filtered:
-    """Filter draws exactly; arguments as of `pfdist.filters.particle_filter.filter_draws`.
+    """Filter draws exactly, with the arguments of `pfdist.filters.particle_filter.filter_draws`.
 
-    There are no particles: `particles`, `stream`, `resampling` and `dtype` change nothing.
+    The filter has no particles, so it ignores `particles`, `stream`, `resampling` and `dtype`.
     """
     times = validated(measurement_times, draws.z.shape[1] - 1)
-    return filter_checked_draws(
-        model, draws, times, particles, stream, resampling, trajectories, dtype
-    )
+    settings = FilterSettings(particles, resampling, dtype)
+    return filter_checked_draws(model, draws, times, stream, settings, trajectories)
 
 
 def filter_checked_draws(
     model: StateSpaceModel,
     draws: Draws,
     measurement_times: Times,
-    particles: int,
     stream: int,
-    resampling: str = "multinomial",
+    settings: FilterSettings,
     trajectories: bool = False,
-    dtype: str = "float64",
 ) -> Filtered:
     """Filter draws as `filter_draws` does, with measurement times that the caller has checked."""
     instants = draws.z.shape[1]
@@ -165,13 +163,14 @@ def filter_checked_draws(
     estimate, variance = np.empty_like(draws.z), np.empty_like(draws.z)
     for t in range(instants):
         if t in measurement_times:
-            gain, seen = _gain(covariance, matrices.measurement[t])
-            surprise = draws.y[:, t] - matrices.measurement[t].offset - mean @ seen.T
-            mean = mean + surprise @ gain.T
-            covariance = covariance - gain @ seen @ covariance
-        wanted = matrices.quantity_of_interest[t]
-        estimate[:, t] = wanted.offset + mean @ wanted.matrix.T
-        variance[:, t] = np.diag(wanted.matrix @ covariance @ wanted.matrix.T)
+            gain, observation_matrix = _gain(covariance, matrices.measurement[t])
+            offset = matrices.measurement[t].offset
+            innovation = draws.y[:, t] - offset - mean @ observation_matrix.T
+            mean = mean + innovation @ gain.T
+            covariance = covariance - gain @ observation_matrix @ covariance
+        quantity = matrices.quantity_of_interest[t]
+        estimate[:, t] = quantity.offset + mean @ quantity.matrix.T
+        variance[:, t] = np.diag(quantity.matrix @ covariance @ quantity.matrix.T)
         if t + 1 < instants:
             step = matrices.transition[t]
             mean = step.offset + mean @ step.matrix[:, : mean.shape[1]].T
@@ -181,12 +180,13 @@ def filter_checked_draws(
 
 
 def _gain(covariance: Array, measurement: Affine) -> tuple[Array, Array]:
-    """Kalman gain, and the matrix C of y = C x + noise; for one covariance or many."""
+    """Kalman gain and observation matrix, for one covariance or many."""
     states = covariance.shape[-1]
-    seen, noise = measurement.matrix[:, :states], measurement.matrix[:, states:]
-    surprise = seen @ covariance @ seen.T + _square(noise)
-    # A measurement without noise may be no surprise at all: then nothing is to be inverted.
-    return covariance @ seen.T @ np.linalg.pinv(surprise, hermitian=True), seen
+    observation_matrix, noise = measurement.matrix[:, :states], measurement.matrix[:, states:]
+    innovation_covariance = observation_matrix @ covariance @ observation_matrix.T + _square(noise)
+    # Without measurement noise this covariance may be singular: hence the pseudo-inverse.
+    inverse = np.linalg.pinv(innovation_covariance, hermitian=True)
+    return covariance @ observation_matrix.T @ inverse, observation_matrix
 
 
 def _propagated(covariance: Array, transition: Affine) -> Array:
@@ -200,7 +200,7 @@ def _square(matrix: Array) -> Array:
 
 
 def _probed(at: Callable[[Array], tuple[Any, ...]], inputs: int, what: str) -> Affine:
-    """Offset and matrix of a linear function, by its values at 0 and at the unit vectors."""
+    """Offset and matrix of a linear function, found from its values at 0 and at unit vectors."""
     elsewhere = np.random.default_rng(0).normal(size=(inputs, 4)) * [0.1, 1, 10, 100]
     points = np.concatenate([np.zeros((inputs, 1)), np.eye(inputs), elsewhere], axis=1)
     values = np.stack([np.broadcast_to(value, points.shape[1]) for value in at(points)])
@@ -218,7 +218,7 @@ def _probed(at: Callable[[Array], tuple[Any, ...]], inputs: int, what: str) -> A
 def _check_declared(model: StateSpaceModel) -> None:
     if not model.linear_gaussian:
         raise ModelError(
-            f"filter.engine = 'kalman' needs a model that declares itself linear_gaussian, "
+            f"the Kalman filter needs a model that declares itself linear_gaussian, "
             f"got {model.name}"
         )
     for name in ("initial_noise", "process_noise", "measurement_noise"):
@@ -231,9 +231,8 @@ def _check_declared(model: StateSpaceModel) -> None:
     if model.error is not squared_error:
         raise ModelError(
             f"model {model.name}: error of a linear-Gaussian model must be the squared Euclidean "
-            "norm, got one of its own"
+            "norm, got its own error"
         )
 
 
-filter_sets = one_by_one(filter_draws)
 filter_checked_sets = one_by_one(filter_checked_draws)

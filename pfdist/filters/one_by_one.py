@@ -1,20 +1,22 @@
-"""Estimates of one draw's MSE, by what the filter knows of itself: cheaper ones than the error.
+"""Filters of several sets of times for engines that filter one set after another.
 
-The error of the filter's mean, given y, is on average the variance of z given y, and what the
-particles add. So where the filter knows the truth, three estimates have nearly one expectation:
+Three estimators of a draw's MSE are available. Given y, the expected squared error of the filter's
+mean is the variance of z given y plus the variance that the particles cause. If the filter knows
+the truth, the three estimators therefore have nearly the same expectation:
 
 =============== ==================================================================================
-squared_error   the error of the mean against the z that was drawn: the paper's, and the only one
-                that any error and any filter allow
-filter_variance the particles' variance: z itself is not needed, so its chance is gone; less than
-                squared_error by a term of order 1/P, about twice what the particles add
-two_filters     the mean of two filters' variances on the same y, and the squared distance of
-                their means, which is twice what the particles of one add: by this the term of order
-                1/P is that of squared_error
+squared_error   The error of the filter's mean against the simulated z, as in the paper. It is the
+                only estimator for any error and any filter.
+filter_variance The variance of the particles. It does not depend on the simulated z, so it varies
+                less between draws. Its expectation is too small by a term of order 1/P, about twice
+                the variance that the particles cause.
+two_filters     The mean variance of two filters on the same y, plus the squared distance of their
+                means. The expected distance is twice the variance that the particles of one filter
+                cause. So the term of order 1/P is that of squared_error.
 =============== ==================================================================================
 
-The compiled filter adds them up as it goes (`pfdist.kernels.moments`); here they are made from
-what a filter tells, for the engines that compute one set after another.
+The compiled filter sums these estimates at each instant (`pfdist.kernels.moments`). This module
+computes them from the recorded means and variances.
 
 References
 ----------
@@ -27,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.filters.draws import Draws
-from pfdist.filters.particle_filter import Filtered, filter_streams
+from pfdist.filters.particle_filter import Filtered, FilterSettings, filter_streams
 from pfdist.kernels.estimators import ESTIMATORS, SQUARED_ERROR
 from pfdist.models import StateSpaceModel
 from pfdist.times.measurement_times import Times
@@ -35,41 +37,43 @@ from pfdist.times.measurement_times import Times
 Array = NDArray[np.float64]
 
 
-def one_by_one(filter_draws: Callable[..., Filtered]) -> Callable[..., Array]:
-    """Make of a filter of one set what `pfdist.filters.particle_filter.filter_sets` is of several.
+def one_by_one(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., Array]:
+    """Give a filter of several sets that calls a filter of one set for each of them.
 
     Parameters
     ----------
-    filter_draws : callable
-        As `pfdist.filters.particle_filter.filter_draws`.
+    filter_checked_draws : callable
+        With the arguments of `pfdist.filters.particle_filter.filter_checked_draws`.
+
+    Returns
+    -------
+    callable
+        With the arguments of `pfdist.filters.particle_filter.filter_checked_sets`.
     """
 
-    def filter_sets(
+    def filter_checked_sets(
         model: StateSpaceModel,
         draws: Draws,
         sets: Sequence[Times],
-        particles: int,
-        stream: int,
-        resampling: str,
-        dtype: str,
         ends: Sequence[int],
-        estimator: str,
+        stream: int,
+        settings: FilterSettings,
     ) -> Array:
-        keys, columns = filter_streams(stream, estimator), []
+        keys, columns = filter_streams(stream, settings.estimator), []
         for times, end in zip(sets, ends, strict=True):
             prefix = draws.upto(end)
             filters = [
-                filter_draws(model, prefix, times, particles, key, resampling, True, dtype)
+                filter_checked_draws(model, prefix, times, key, settings, trajectories=True)
                 for key in keys
             ]
-            columns.append(_mse(filters, estimator) * ((end + 1) / draws.z.shape[1]))
+            columns.append(_mse(filters, settings.estimator) * ((end + 1) / draws.z.shape[1]))
         return np.stack(columns, axis=1)
 
-    return filter_sets
+    return filter_checked_sets
 
 
 def filter_variance(variance: Array) -> Array:
-    """Estimate what an instant costs by one filter's variance.
+    """Estimate the error of each instant by the variance of one filter.
 
     Parameters
     ----------
@@ -84,7 +88,7 @@ def filter_variance(variance: Array) -> Array:
 
 
 def two_filters(estimates: Array, variances: Array) -> Array:
-    """Estimate what an instant costs by two independent filters on the same measurements.
+    """Estimate the error of each instant by two independent filters on the same measurements.
 
     Parameters
     ----------
@@ -94,12 +98,12 @@ def two_filters(estimates: Array, variances: Array) -> Array:
     -------
     array of float64, (D, T+1)
     """
-    apart: Array = np.sum((estimates[0] - estimates[1]) ** 2, axis=2)
-    return filter_variance(np.mean(variances, axis=0)) + apart
+    squared_distance: Array = np.sum((estimates[0] - estimates[1]) ** 2, axis=2)
+    return filter_variance(np.mean(variances, axis=0)) + squared_distance
 
 
 def _mse(filters: Sequence[Filtered], estimator: str) -> Array:
-    """Estimate each draw's MSE, (D,); a draw that ended in one filter has ended."""
+    """Estimate each draw's MSE, (D,); NaN and inf of any filter remain."""
     mse: Array = np.sum([filtered.mse for filtered in filters], axis=0)
     if estimator == SQUARED_ERROR.name:
         return mse
@@ -109,6 +113,6 @@ def _mse(filters: Sequence[Filtered], estimator: str) -> Array:
     )
     with np.errstate(all="ignore"):
         two = ESTIMATORS[estimator].filters == 2
-        costs = two_filters(means, variances) if two else filter_variance(variances[0])
-        mean = np.mean(costs, axis=1)
+        errors = two_filters(means, variances) if two else filter_variance(variances[0])
+        mean = np.mean(errors, axis=1)
     return np.where(np.isnan(mse), np.nan, np.where(mean < np.inf, mean, np.inf))

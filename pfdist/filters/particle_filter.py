@@ -20,10 +20,10 @@ from pfdist.errors import ModelError
 from pfdist.filters.draws import Draws
 from pfdist.kernels.estimators import ESTIMATORS, SQUARED_ERROR
 from pfdist.kernels.formulas import formulas_of
-from pfdist.kernels.fused_filter import fused_filter
+from pfdist.kernels.fused_filter import Request, Results, fused_filter
 from pfdist.kernels.libm import libm_functions, makes_arrays
-from pfdist.kernels.prefixes import plan
-from pfdist.kernels.schemes import SCHEMES
+from pfdist.kernels.prefixes import Plan, plan
+from pfdist.kernels.schemes import MULTINOMIAL, SCHEMES
 from pfdist.kernels.scratch import WithScratch
 from pfdist.models import StateSpaceModel, squared_error
 from pfdist.times.measurement_times import Times, validated
@@ -37,23 +37,44 @@ DTYPES = ("float64", "float32")
 
 @dataclass(frozen=True)
 class Filtered:
-    """What the filter makes of some draws.
+    """The filter's result for D draws.
 
     Parameters
     ----------
     mse : array of float64, (D,)
-        Mean over t = 0..T of the error of the estimate of z(t), its squared Euclidean norm or what
-        the true model says. NaN marks a degenerate draw, inf one whose particles left the finite
-        numbers.
+        Mean over t = 0..T of the error of the estimate of z(t). The true model defines the error;
+        by default it is the squared Euclidean norm. NaN marks a degenerate draw. inf marks a draw
+        whose particles are no longer finite.
     estimate, variance : array of float64, (D, T+1, q), or None
-        Weighted mean and variance of the particles' z(t), if they were asked for. NaN from the
-        measurement on at which a draw became degenerate, and after the instant at which one
+        Weighted mean and variance of the particles' z(t), if they were asked for. They are NaN
+        from the measurement at which a draw became degenerate, and after the instant at which it
         became infinite.
     """
 
     mse: NDArray[np.float64]
     estimate: NDArray[np.float64] | None = None
     variance: NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True)
+class FilterSettings:
+    """The settings of a particle filter.
+
+    Parameters
+    ----------
+    particles : int
+        P.
+    resampling : {"multinomial", "stratified", "systematic", "residual", "sorted_systematic"}
+    dtype : {"float64", "float32"}
+        The dtype of the particles' states; formulas compute in float64.
+    estimator : {"squared_error", "filter_variance", "two_filters"}
+        How the error of an instant is estimated; see `pfdist.filters.one_by_one`.
+    """
+
+    particles: int
+    resampling: str = MULTINOMIAL.name
+    dtype: str = "float64"
+    estimator: str = SQUARED_ERROR.name
 
 
 def filter_draws(
@@ -84,7 +105,7 @@ def filter_draws(
     trajectories : bool
         Whether estimate and variance are wanted.
     dtype : {"float64", "float32"}
-        What the particles' states are kept in; formulas compute in float64.
+        The dtype of the particles' states; formulas compute in float64.
 
     Returns
     -------
@@ -93,36 +114,42 @@ def filter_draws(
     Raises
     ------
     MeasurementTimesError
-        The measurement times do not lie in 0..T, or one stands twice.
+        The measurement times do not lie in 0..T, or a time is given twice.
     ModelError
         A formula cannot be compiled, or failed.
     """
-    times = validated(measurement_times, draws.z.shape[1] - 1)
     check_filter(model, draws.model, particles, resampling, dtype)
-    return filter_checked_draws(
-        model, draws, times, particles, stream, resampling, trajectories, dtype
-    )
+    times = validated(measurement_times, draws.z.shape[1] - 1)
+    settings = FilterSettings(particles, resampling, dtype)
+    return filter_checked_draws(model, draws, times, stream, settings, trajectories)
 
 
 def filter_checked_draws(
     model: StateSpaceModel,
     draws: Draws,
     measurement_times: Times,
-    particles: int,
     stream: int,
-    resampling: str = "multinomial",
+    settings: FilterSettings,
     trajectories: bool = False,
-    dtype: str = "float64",
 ) -> Filtered:
-    """Filter draws as `filter_draws` does, with arguments that the caller has checked."""
-    kept = np.full((2, *draws.z.shape) if trajectories else (2, 0, 0, 0), np.nan)
-    sets, estimator = [measurement_times], SQUARED_ERROR.name
-    ends = [draws.z.shape[1] - 1]
-    mse = filter_checked_sets(
-        model, draws, sets, particles, stream, resampling, dtype, ends, estimator, kept
-    )[:, 0]
-    kept[np.isnan(kept)] = np.nan  # which NaN an operation gives depends on the processor
-    return Filtered(mse, *kept) if trajectories else Filtered(mse)
+    """Filter draws as `filter_draws` does, with arguments that the caller has checked.
+
+    Parameters
+    ----------
+    model : StateSpaceModel
+    draws : Draws
+    measurement_times : tuple of int
+        As `pfdist.times.measurement_times.validated` gives them.
+    stream : int
+    settings : FilterSettings
+        Accepted by `check_filter` for this model and the draws' model.
+    trajectories : bool
+    """
+    planned, _ = plan((measurement_times,), draws.z.shape[1])
+    moments = np.full((2, *draws.z.shape) if trajectories else (2, 0, 0, 0), np.nan)
+    mse = _filter(model, draws, planned, stream, settings, moments)[:, 0]
+    moments[np.isnan(moments)] = np.nan  # which NaN an operation gives depends on the processor
+    return Filtered(mse, *moments) if trajectories else Filtered(mse)
 
 
 def filter_sets(
@@ -138,67 +165,89 @@ def filter_sets(
 ) -> NDArray[np.float64]:
     """Filter draws with several sets of measurement times, all under the same noise.
 
-    What two sets share from t = 0 on is done once: so it takes less time than one by one, and
-    gives the same bits. Other parameters and errors as of `filter_draws`.
+    A prefix that two sets share is filtered once. This is faster than filtering the sets one by
+    one, and gives the same bits. Other parameters and errors are those of `filter_draws`.
 
     Parameters
     ----------
     sets : sequence of tuples of int, (S,)
     ends : sequence of int, (S,), optional
-        The last instant that is wanted of each set: its errors up to there are added up. T for
-        all, unless it is given.
+        The last instant whose error counts, for each set; by default T.
     estimator : {"squared_error", "filter_variance", "two_filters"}
-        What stands for the error of an instant; see `pfdist.filters.one_by_one`.
+        How the error of an instant is estimated; see `pfdist.filters.one_by_one`.
 
     Returns
     -------
     array of float64, (D, S)
-        Sum of the errors up to each set's end, over T + 1: what `filter_draws` gives as mse where
-        the end is T.
+        Sum of the errors up to each set's end, divided by T + 1. This is the mse of `filter_draws`
+        if the end is T.
     """
     check_filter(model, draws.model, particles, resampling, dtype, estimator)
-    last = [draws.z.shape[1] - 1] * len(sets) if ends is None else ends
-    checked = [validated(times, end) for times, end in zip(sets, last, strict=True)]
-    return filter_checked_sets(
-        model, draws, checked, particles, stream, resampling, dtype, last, estimator
-    )
+    last = [draws.z.shape[1] - 1] * len(sets) if ends is None else list(ends)
+    valid = [validated(times, end) for times, end in zip(sets, last, strict=True)]
+    settings = FilterSettings(particles, resampling, dtype, estimator)
+    return filter_checked_sets(model, draws, valid, last, stream, settings)
 
 
 def filter_checked_sets(
     model: StateSpaceModel,
     draws: Draws,
     sets: Sequence[Times],
-    particles: int,
-    stream: int,
-    resampling: str,
-    dtype: str,
     ends: Sequence[int],
-    estimator: str,
-    moments: NDArray[np.float64] | None = None,
+    stream: int,
+    settings: FilterSettings,
 ) -> NDArray[np.float64]:
     """Filter draws as `filter_sets` does, with arguments that the caller has checked.
 
     Parameters
     ----------
-    moments : array of float64, (2, D, T+1, q), optional
-        Receives estimate and variance; only for a single set.
+    model : StateSpaceModel
+    draws : Draws
+    sets : sequence of tuples of int, (S,)
+        As `pfdist.times.measurement_times.validated` gives them.
+    ends : sequence of int, (S,)
+    stream : int
+    settings : FilterSettings
+        Accepted by `check_filter` for this model and the draws' model.
+
+    Returns
+    -------
+    array of float64, (D, S)
     """
-    kept = np.empty((2, 0, 0, 0)) if moments is None else moments
-    count, instants, _ = draws.z.shape
-    planned, place = plan(tuple(sets), instants, tuple(end + 1 for end in ends))
-    mse, truth = np.empty((count, len(planned.measured))), draws.model
-    streams = np.array(filter_streams(stream, estimator), np.uint64)
-    with formulas_of(model.name, model.formulas | {"error": truth.error}):
-        _compiled(model, truth, resampling, dtype)(
-            streams, draws.index.start, draws.y, draws.z, tuple(planned), planned.clouds, particles,
-            list(ESTIMATORS).index(estimator), np.array(model.p), np.array(truth.p), mse, *kept,
-        )  # fmt: skip
-    return mse[:, place]
+    planned, columns = plan(tuple(sets), draws.z.shape[1], tuple(end + 1 for end in ends))
+    mse = _filter(model, draws, planned, stream, settings, np.empty((2, 0, 0, 0)))
+    return mse[:, columns]
 
 
 def filter_streams(stream: int, estimator: str) -> list[int]:
-    """Keys of the noise of each filter that an estimator takes; the first is the given one."""
+    """Keys of the noise of each filter that an estimator needs; the first is the given key."""
     return [stream, stream_key(stream, "second filter")][: ESTIMATORS[estimator].filters]
+
+
+def _filter(
+    model: StateSpaceModel,
+    draws: Draws,
+    planned: Plan,
+    stream: int,
+    settings: FilterSettings,
+    moments: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Fill estimate and variance, unless they are empty, and give the mse, (D, U)."""
+    mse, truth = np.empty((len(draws.index), len(planned.measured))), draws.model
+    request = Request(
+        np.array(filter_streams(stream, settings.estimator), np.uint64),
+        draws.index.start,
+        draws.y,
+        draws.z,
+        settings.particles,
+        list(ESTIMATORS).index(settings.estimator),
+        np.array(model.p),
+        np.array(truth.p),
+    )
+    compiled = _compiled(model, truth, settings.resampling, settings.dtype)
+    with formulas_of(model.name, model.formulas | {"error": truth.error}):
+        compiled(request, planned, Results(mse, *moments))
+    return mse
 
 
 def check_fits(model: StateSpaceModel, truth: StateSpaceModel) -> None:
@@ -207,12 +256,12 @@ def check_fits(model: StateSpaceModel, truth: StateSpaceModel) -> None:
     Raises
     ------
     ModelError
-        It measures, or is asked for, something of another size.
+        Its y or z has another number of components.
     """
     for component, true, believed in zip("xyz", truth.components, model.components, strict=True):
         if true != believed and component != "x":
             raise ModelError(
-                f"model.filter must have as many components of {component} as the model "
+                f"the filter's model must have as many components of {component} as the model "
                 f"{truth.name}, {true}, got {believed}"
             )
 
@@ -225,14 +274,14 @@ def check_filter(
     dtype: str,
     estimator: str = SQUARED_ERROR.name,
 ) -> None:
-    """Raise an error if there is no such filter, or it does not fit the truth's draws.
+    """Raise an error if a filter's settings are wrong, or do not fit its model and the truth.
 
     Raises
     ------
     ModelError
-        As of `check_fits`, or a setting does not fit the model.
+        As for `check_fits`, or a setting does not fit the model.
     ValueError
-        A setting is not one of those allowed.
+        A setting has a value that is not allowed.
     """
     check_fits(model, truth)
     for name, got, allowed in (
@@ -254,17 +303,17 @@ def check_filter(
 
 
 def _check_estimator(model: StateSpaceModel, truth: StateSpaceModel, estimator: str) -> None:
-    """Raise an error unless the particles' variance is what their mean errs by on average."""
+    """Raise an error unless the particles' variance is the expected squared error of their mean."""
     allowed = SQUARED_ERROR.name
     if model != truth:
         raise ModelError(
-            f"evaluation.estimator = {estimator!r} needs a filter that knows the truth, got one "
-            f"with another model or other parameters (model.filter); allowed: {allowed!r}"
+            f"the estimator {estimator!r} needs a filter that knows the truth, got a filter with "
+            f"another model or other parameters; allowed: {allowed!r}"
         )
     if truth.error is not squared_error:
         raise ModelError(
-            f"evaluation.estimator = {estimator!r} needs an error that is the squared Euclidean "
-            f"norm, got model {truth.name}, which has one of its own; allowed: {allowed!r}"
+            f"the estimator {estimator!r} needs an error that is the squared Euclidean norm, got "
+            f"model {truth.name}, which has its own error; allowed: {allowed!r}"
         )
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pfdist.filters.draws import Draws, check_finite
 from pfdist.filters.one_by_one import one_by_one
-from pfdist.filters.particle_filter import Filtered, check_filter
+from pfdist.filters.particle_filter import Filtered, FilterSettings, check_filter
 from pfdist.kernels.formulas import formulas_of
 from pfdist.kernels.noise import (
     FILTER_INITIAL,
@@ -71,29 +71,23 @@ def filter_draws(
     """Plain twin of `pfdist.filters.particle_filter.filter_draws`."""
     times = validated(measurement_times, draws.z.shape[1] - 1)
     check_filter(model, draws.model, particles, resampling, dtype)
-    return filter_checked_draws(
-        model, draws, times, particles, stream, resampling, trajectories, dtype
-    )
+    settings = FilterSettings(particles, resampling, dtype)
+    return filter_checked_draws(model, draws, times, stream, settings, trajectories)
 
 
 def filter_checked_draws(
     model: StateSpaceModel,
     draws: Draws,
     measurement_times: Times,
-    particles: int,
     stream: int,
-    resampling: str = "multinomial",
+    settings: FilterSettings,
     trajectories: bool = False,
-    dtype: str = "float64",
 ) -> Filtered:
     """Plain twin of `pfdist.filters.particle_filter.filter_checked_draws`."""
-    times = measurement_times
-    count = max(1, _AT_ONCE // particles)
+    count = max(1, _AT_ONCE // settings.particles)
     with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
         blocks = [
-            _filter(
-                model, draws[first : first + count], times, particles, stream, resampling, dtype
-            )
+            _filter(model, draws[first : first + count], measurement_times, stream, settings)
             for first in range(0, len(draws.index), count)
         ]
     mse, estimate, variance = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
@@ -104,12 +98,11 @@ def _filter(
     model: StateSpaceModel,
     draws: Draws,
     times: Times,
-    particles: int,
     stream: int,
-    resampling: str,
-    dtype: str,
+    settings: FilterSettings,
 ) -> tuple[Array, Array, Array]:
     """Filter D draws; their MSE (D,), and mean and variance of z (D, T+1, q)."""
+    particles, dtype = settings.particles, settings.dtype
     count, instants, _ = draws.z.shape
     cloud = (count, particles)
     mean, variance = np.full_like(draws.z, np.nan), np.full_like(draws.z, np.nan)
@@ -125,7 +118,7 @@ def _filter(
             y = tuple(np.repeat(draws.y[:, t, k], particles) for k in range(draws.y.shape[2]))
             log_weight = model.log_likelihood(y, _flat(x), t, model.p)
             weight = plain_weights(_of_cloud(log_weight, cloud))
-            if SCHEMES[resampling].sorts:
+            if SCHEMES[settings.resampling].sorts:
                 x, weight = _in_line(x, weight)
             degenerate = alive & ~weight.any(axis=1)
             total[degenerate], alive[degenerate] = np.nan, False
@@ -140,7 +133,7 @@ def _filter(
         infinite = alive & ~(total < np.inf)
         total[infinite], alive[infinite] = np.inf, False
         if t in times:
-            ancestors = plain_ancestors(resampling, weight, stream, draws.index, t)
+            ancestors = plain_ancestors(settings.resampling, weight, stream, draws.index, t)
             x = tuple(np.take_along_axis(component, ancestors, axis=1) for component in x)
     return total / instants, mean, variance
 
@@ -186,5 +179,4 @@ def _put(array: Array, t: int, components: tuple[Any, ...]) -> None:
         array[:, t, k] = component
 
 
-filter_sets = one_by_one(filter_draws)
 filter_checked_sets = one_by_one(filter_checked_draws)

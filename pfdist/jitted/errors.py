@@ -1,4 +1,11 @@
-"""How compiled code hands on an error: with the formula, the line at work and the instant."""
+"""Errors of compiled code, with the formula, the line and the instant.
+
+A compiled function returns a status code. If the code says "error", the function also returns a
+pointer to the error's parts: its class, its arguments and its place. Each caller tests the code and
+returns it to its own caller. At last the code that Python called turns the parts into a Python
+exception. `CallConv` extends this convention of Numba: an error inside a called function is wrapped
+in an `InCallError` with the place of the call, so that the whole way to the error is known.
+"""
 
 from collections.abc import Iterator
 from typing import Any
@@ -11,7 +18,7 @@ from numba.core.callconv import (
 )
 
 UNWRAPPED = "pfdist_integers_of_an_error_"
-"""How the name of a function begins that turns an error's parts into Python's."""
+"""Prefix of the names of functions that turn an error's parts into Python objects."""
 
 _INTEGER = ir.IntType(64)
 
@@ -32,9 +39,9 @@ class InCallError(Exception):
         self.raised, self.t = raised, t
 
     def layers(self) -> Iterator[tuple[type[BaseException], tuple[Any, ...], Any]]:
-        """Give class, arguments and place of the error that each call handed on, outermost first.
+        """Give class, arguments and place of each call's error, the outermost first.
 
-        The last of them is the error itself.
+        The last layer is the error itself.
         """
         raised: Any = self.raised
         while True:
@@ -46,26 +53,26 @@ class InCallError(Exception):
 
 
 class CallConv(CPUCallConv):  # type: ignore[misc]
-    """Numba's calling convention, but for what an error carries."""
+    """Numba's calling convention, with more information in each error."""
 
     def build_excinfo_struct(self, exc, exc_args, loc, func_name):
-        """Give what is known of an error before it happens."""
+        """Give the parts of an error that are known when the function is compiled."""
         place = self.context.place
         return exc, exc_args, (self.context.formula, place.filename, place.line)
 
-    # --- what is added ---
+    # --- the code that returns an error ---
 
     def return_user_exc(self, builder, exc, exc_args=None, loc=None, func_name=None):
-        """Return an error, with the instant where it is known."""
+        """Emit the return of an error, with the instant if it is known."""
         t = self.context.instant(builder)
-        # To tell the instant takes memory.
+        # An error with an instant allocates memory.
         if t is None or exc is MemoryError or not _is_text(exc_args):
             super().return_user_exc(builder, exc, exc_args, loc, func_name)
         else:
             self.return_formatted(builder, exc, exc_args[0], ())
 
     def return_formatted(self, builder, exc, text, integers):
-        """Return an error whose text has integers in the places of its brackets."""
+        """Emit the return of an error; the brackets in its text are filled with the integers."""
         t = self.context.instant(builder)
         if t is not None:
             text, integers = f"{text} at t = {{}}", (*integers, t)
@@ -81,7 +88,7 @@ class CallConv(CPUCallConv):  # type: ignore[misc]
             builder.ret(RETCODE_USEREXC)
 
     def return_status_propagate(self, builder, status):
-        """Hand on the error of a function that was called, with the place of the call."""
+        """Emit the return of a called function's error, with the place of the call."""
         if self.context.is_of_formula(builder) and self.context.enable_nrt:
             pointer = cgutils.alloca_once_value(builder, status.excinfoptr)
             with builder.if_then(status.is_user_exc):
@@ -97,10 +104,14 @@ class CallConv(CPUCallConv):  # type: ignore[misc]
         kinds = (types.voidptr, types.int64)[: len(values)]
         self.set_dynamic_user_exc(builder, InCallError, values, kinds)
 
-    # --- into Python's ---
+    # --- the code that turns an error into Python objects ---
 
     def emit_unwrap_dynamic_exception_fn(self, module, st_type, nb_types):
-        """As Numba's for integers, but without the environment, which cached code lacks."""
+        """Emit the function that turns an error's arguments, all integers, into a Python tuple.
+
+        Numba's own function needs the environment of the compiled function. Code from the cache has
+        no such environment.
+        """
         kinds = [kind for kind in nb_types if kind is not None]
         if any(kind not in (types.int64, types.voidptr) for kind in kinds):
             return super().emit_unwrap_dynamic_exception_fn(module, st_type, nb_types)
@@ -130,7 +141,7 @@ class CallConv(CPUCallConv):  # type: ignore[misc]
 
 
 class _Status:
-    """As much of a call's status as it takes to unpack an error."""
+    """The part of a call's status from which an error is unpacked."""
 
     def __init__(self, pointer):
         self.excinfoptr = pointer

@@ -1,15 +1,14 @@
-"""Compile a function so that a mistake is an error with a line, and never a figure.
+"""The compiler that adds checks, so that a mistake is an error with a line and not a number.
 
-Numba checks neither indices nor integer arithmetic unless it is told to, and an error that it
-raises by itself names no line. Here a function is lowered to machine code instruction by
-instruction, as Numba does it, with a check in front of each instruction that can go wrong:
+`Guarded` is used like any of Numba's compilers: ``njit(function, pipeline_class=Guarded)``. It adds
+a check in front of each statement that can go wrong:
 
-- an index must lie in its array, and an array must fit the array that it is written to;
-- the divisor of integers must not be 0, and what integers give must fit 64 bits;
-- a float or an integer that becomes an integer of another kind must fit it;
-- a function that is called must have been compiled with checks, too.
+- An index must lie in its array, and an array must fit the array that it is written to.
+- An integer divisor must not be 0, and the result of integer arithmetic must fit 64 bits.
+- A number that is converted to an integer type must fit that type.
+- A called function must have been compiled with checks, too.
 
-A function without such instructions compiles to the same code as without checks.
+A function without such statements compiles to the same machine code as without checks.
 """
 
 from typing import Any
@@ -28,6 +27,8 @@ from pfdist.jitted.lowering import Context, Lowered
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _Lowering(NativeLowering):  # type: ignore[misc]
+    """Numba's last pass, with the checked lowering in place of its own."""
+
     _name = "lowering with checks"
 
     @property
@@ -37,7 +38,7 @@ class _Lowering(NativeLowering):  # type: ignore[misc]
 
 @register_pass(mutates_CFG=False, analysis_only=False)
 class _GuardClosures(FunctionPass):  # type: ignore[misc]
-    """Compile with checks what a function defines inside itself."""
+    """Compile functions that are defined inside a function with checks, too."""
 
     _name = "closures with checks"
 
@@ -65,12 +66,12 @@ class Guarded(Compiler):  # type: ignore[misc]
         context = self.state.targetctx
         context.__class__ = Context
         context.compiler = Guarded
-        context.cached_internal_func = {}  # they raise errors of this function
+        context.cached_internal_func = {}  # Numba's helpers, whose errors name this function
         context.enable_boundscheck = True
-        self.state.flags.auto_parallel = ParallelOptions(False)  # whose loops nothing checks
+        self.state.flags.auto_parallel = ParallelOptions(False)  # parallel loops are not checked
 
     def define_pipelines(self) -> Any:
-        """Give Numba's pipelines, with the lowering that checks."""
+        """Give Numba's pipelines with the checked lowering."""
         pipelines = super().define_pipelines()
         for pipeline in pipelines:
             pipeline.passes = [

@@ -1,4 +1,9 @@
-"""The lowering of a function to machine code, with checks."""
+"""The lowering of statements to LLVM instructions, with a check where a statement can go wrong.
+
+Numba calls a method of `Lowered` for each statement of a function. Each method below emits the
+check, and then has Numba's own method emit the statement. A check is a comparison and a branch
+that is rarely taken; the branch returns the error (`Lowered.raise_unless`).
+"""
 
 from functools import cache
 from typing import Any
@@ -27,32 +32,35 @@ _NUMBERS = (types.Float, types.Integer, types.Boolean)
 
 
 class Context(CPUContext):  # type: ignore[misc]
-    """What a function is lowered in."""
+    """Numba's context of a compilation, which also knows the formula that is compiled.
+
+    `Guarded` turns Numba's context into this class.
+    """
 
     compiler: Any = None
-    lowering: Any = None  # until it begins
+    lowering: Any = None  # the `Lowered` at work; None before it begins
 
     @property
     def call_conv(self):
-        """How errors are handed on."""
+        """The calling convention, by which functions return errors."""
         return CallConv(self)
 
     @property
     def place(self):
-        """Where in the source the lowering is."""
+        """The line of the source that is lowered at present."""
         return self.lowering.loc
 
     @property
     def formula(self):
-        """The name of the formula, or of the function that was compiled by itself."""
+        """The name of the formula, or of the function that is compiled on its own."""
         return self.lowering.func_ir.func_id.func_name
 
     def is_of_formula(self, builder):
-        """Whether the code at hand is a formula's or a helper's, and not of Numba's inside it."""
+        """Whether a formula or a helper is lowered, and not a function of Numba inside it."""
         return self._is_lowered(builder) and hasattr(self._function, "takes_t")
 
     def instant(self, builder):
-        """Give t, if the code at hand is a formula's that knows it."""
+        """Give t, if the formula that is lowered has an argument t; otherwise None."""
         if not self._is_lowered(builder) or not getattr(self._function, "takes_t", False):
             return None
         names = self.lowering.func_ir.func_id.arg_names
@@ -62,7 +70,7 @@ class Context(CPUContext):  # type: ignore[misc]
         return as_int64(builder, self.lowering.fnargs[position])
 
     def get_function(self, fn, sig, _firstcall=True):
-        """Give a function's machine code, if it has checks."""
+        """Give the function that a call calls; refuse a function without checks."""
         name = unchecked(fn, sig)
         if name is not None:
             raise UnsupportedError(
@@ -88,7 +96,7 @@ class Lowered(Integers, Arrays):
         super().__init__(context, *arguments, **keywords)
         self.context.lowering = self
 
-    # --- what can go wrong ---
+    # --- statements that can go wrong ---
 
     def lower_inst(self, inst):
         """Lower a statement."""
@@ -105,7 +113,7 @@ class Lowered(Integers, Arrays):
         if not isinstance(array, types.Array) or not indices:
             return super().lower_getitem(resty, expr, value, index, signature)
         self.check_indices(array, self.loadvar(value.name), indices, self.loadvar(index.name))
-        self.context.enable_boundscheck = False  # it is done, and with a better message
+        self.context.enable_boundscheck = False  # the check above has a better message
         try:
             return super().lower_getitem(resty, expr, value, index, signature)
         finally:
@@ -148,7 +156,7 @@ class Lowered(Integers, Arrays):
         return super()._lower_call_normal(fnty, expr, signature)
 
     def _check_call(self, called, signature, values):
-        """Raise where a call gives what an integer cannot be, or writes outside an array."""
+        """Emit the check of a call whose integer may overflow, or which writes to an array."""
         kinds, inputs = signature.args, inputs_of(called)
         if called in OPERATIONS and len(kinds) == 2 and are_integers(kinds):
             self.check_two(OPERATIONS[called], kinds, values)
@@ -167,7 +175,7 @@ class Lowered(Integers, Arrays):
     def _lower_call_ExternalFunctionPointer(self, fnty, expr, signature):  # noqa: N802
         raise self._refused(expr)
 
-    # --- and what is done about it ---
+    # --- checks and refusals ---
 
     def _refused(self, expr):
         return UnsupportedError(
@@ -177,7 +185,7 @@ class Lowered(Integers, Arrays):
         )
 
     def _check_entry(self, inst):
-        """An integer that is written to an array must fit the array's kind of integers."""
+        """Emit the check that an integer fits the array to which it is written."""
         array, given = self.typeof(inst.target.name), self.typeof(inst.value.name)
         plain = types.unliteral(given)  # type: ignore[attr-defined]
         if isinstance(array, types.Array) and are_integers((array.dtype, given)):
@@ -189,7 +197,7 @@ class Lowered(Integers, Arrays):
             self.check_negation(kinds[0], self._cast_var(variables[0], kinds[0]))
 
     def _elementwise(self, called, signature, values):
-        """Lower a call of a vectorized function; Numba's own forgets what goes wrong in it."""
+        """Lower a call of a vectorized function, whose errors Numba's own lowering drops."""
         inner, _ = called.find_ewise_function(signature.args)
         if inner is None or not all(isinstance(kind, _NUMBERS) for kind in signature.args):
             raise self._refused_on_arrays(called)
@@ -212,7 +220,10 @@ class Lowered(Integers, Arrays):
         )
 
     def raise_unless(self, right, kind, message, *integers):
-        """Raise an error whose message has integers in the places of its brackets."""
+        """Emit a branch that returns an error unless a condition holds.
+
+        The brackets in the message are filled with the integers.
+        """
         builder = self.builder
         with cgutils.if_unlikely(builder, builder.not_(right)):
             values = tuple(as_int64(builder, integer) for integer in integers)
@@ -220,10 +231,10 @@ class Lowered(Integers, Arrays):
 
 
 def _may_go_wrong(called, signature):
-    """Whether a call of this function is looked at."""
+    """Whether a call of this function needs a check."""
     try:
         known = called in _LOOKED_AT
-    except TypeError:  # it has no hash
+    except TypeError:  # the function has no hash
         return False
     inputs = inputs_of(called)
     writes = inputs is not None and len(signature.args) > inputs
@@ -241,7 +252,7 @@ def _vectorized_in(expression):
 
 @cache
 def _of_numbers(called, compiler):
-    """Give the function of numbers that a vectorized function was made of."""
+    """Compile the function of numbers from which a vectorized function was made."""
     return njit(called._dispatcher.py_func, pipeline_class=compiler, error_model="numpy")
 
 

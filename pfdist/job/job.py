@@ -162,7 +162,7 @@ class Job(Section):
         sections: Mapping[str, Any] = _NOTHING,
         settings: Mapping[str, Any] = _NOTHING,
     ) -> "Job":
-        """Give the job with some keys changed; parameters and errors as of `load_job`."""
+        """Give a job with some keys changed; parameters and errors as of `load_job`."""
         data = self.model_dump(mode="json", exclude_none=True) | dict(sections)
         return _validated(data, self._origin, overrides, settings)
 
@@ -213,7 +213,8 @@ def load_job(
         raise JobError(f"cannot read the job file {path}: {error.strerror}") from error
     except ValueError as error:
         raise JobError(f"the job file must be TOML, got an error: {error} ({path})") from error
-    return _validated(data | dict(sections), Origin(path, "search" in data), overrides, settings)
+    origin = Origin(path, "search" in data)
+    return _validated(data | dict(sections), origin, overrides, settings)
 
 
 def as_job(

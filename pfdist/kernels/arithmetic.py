@@ -96,13 +96,13 @@ def add_ranks(typing_context, weights, first, points, begin, ranks):
         nothing, zeros = ir.Constant(vector, ir.Undefined), ir.Constant(vector, [0] * LANES)
         sums = [zeros] * 4
         for lane in range(LANES):
-            one = builder.load(builder.gep(weight, [ir.Constant(ir.IntType(64), lane)]))
-            alike = builder.insert_element(nothing, one, ir.Constant(word, 0))
+            value = builder.load(builder.gep(weight, [ir.Constant(ir.IntType(64), lane)]))
+            alike = builder.insert_element(nothing, value, ir.Constant(word, 0))
             alike = builder.shuffle_vector(alike, nothing, zeros)  # in every lane
             passed = builder.icmp_unsigned("<=", alike, point)
             sums[lane % 4] = builder.add(sums[lane % 4], builder.zext(passed, vector))
-        for one in (*sums[1:], builder.load(ranks, align=4)):
-            sums[0] = builder.add(sums[0], one)
+        for partial_sum in (*sums[1:], builder.load(ranks, align=4)):
+            sums[0] = builder.add(sums[0], partial_sum)
         builder.store(sums[0], ranks, align=4)
         return context.get_dummy_value()
 

@@ -76,8 +76,8 @@ def _no_constant(found: re.Match[str], _: str) -> str:
 
 def _no_function(found: re.Match[str], text: str) -> str:
     kinds = _SIGNATURE.search(text)
-    of = "" if found[1] == "exception_match" or kinds is None else f" of ({kinds[1]})"
-    return f"it has no {_OURS.get(found[1], found[1])}{of}"
+    arguments = "" if found[1] == "exception_match" or kinds is None else f" of ({kinds[1]})"
+    return f"it has no {_OURS.get(found[1], found[1])}{arguments}"
 
 
 def _no_attribute(found: re.Match[str], _: str) -> str:
@@ -95,5 +95,5 @@ _REASONS: tuple[tuple[re.Pattern[str], Callable[[re.Match[str], str], str]], ...
 
 
 def _plain(line: str) -> str:
-    """The same without addresses."""
+    """Give a line without addresses of memory."""
     return re.sub(r" at 0x[0-9a-f]+", "", line.strip())

@@ -95,14 +95,14 @@ def _seeing(
 
 
 def is_ours(function: types.FunctionType) -> bool:
-    """Whether it is one of those that a formula may call and that know how they are compiled."""
+    """Whether a function is pfdist's own, which is compiled in its own way."""
     module = str(function.__globals__.get("__name__"))
     return module == "pfdist.elementwise" or module.startswith("pfdist.kernels.")
 
 
-def _replaced(module: types.ModuleType, by: Mapping[str, Any]) -> types.ModuleType:
+def _replaced(module: types.ModuleType, others: Mapping[str, Any]) -> types.ModuleType:
     copy = types.ModuleType(module.__name__)
-    copy.__dict__.update({**module.__dict__, **by})
+    copy.__dict__.update({**module.__dict__, **others})
     return copy
 
 
@@ -115,7 +115,7 @@ _INSTEAD: dict[int, Any] = {
     **{id(getattr(np, name)): function for name, function in _NUMPY.items()},
     **{id(getattr(math, name)): function for name, function in _MATH.items()},
 }
-"""By its identity, what a formula sees instead of a module or function that it names."""
+"""What a formula gets in place of a module or function, by the identity of the latter."""
 
 
 # --- what goes wrong in them --------------------------------------------------------------------

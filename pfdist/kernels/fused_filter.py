@@ -1,31 +1,90 @@
 """A model's formulas and a resampling scheme, fused into one compiled filter.
 
-Inside, arrays are named and their rows and draws numbered: a part of an array that goes from hand
-to hand, or two that change names, cost an atomic count each, 0.07 ns a particle-step in all.
+Named tuples keep together what the filter is asked, the draws at hand, and the arrays it works in.
+They cost no time: LLVM sees through them.
 """
 
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from pfdist.kernels.arithmetic import shaped
-from pfdist.kernels.components import naming, reader, writer
+from pfdist.kernels.cloud import cloud_steps, copy_ancestors, copy_cloud
+from pfdist.kernels.components import naming, reader
 from pfdist.kernels.disk_cache import kept_on_disk
 from pfdist.kernels.estimators import SQUARED_ERROR_INDEX
 from pfdist.kernels.formulas import formula
 from pfdist.kernels.melting import melted
 from pfdist.kernels.moments import moments, recorders
-from pfdist.kernels.noise import FILTER_INITIAL, FILTER_PROCESS, filler, padded
-from pfdist.kernels.resampling import RESAMPLE, SPARE
+from pfdist.kernels.resampling import RESAMPLE
 from pfdist.kernels.schemes import SCHEMES
-from pfdist.kernels.scratch import ALIKE, WEIGHED, WithScratch, aligned, filter_scratch
-from pfdist.kernels.sorting import DIGITS, sort_by_state
-from pfdist.kernels.weights import IMPOSSIBLE, cumulate, weigh, width
+from pfdist.kernels.scratch import EQUAL, WEIGHTED, WithScratch, filter_scratch, with_sizes
+from pfdist.kernels.sorting import sort_by_state
+from pfdist.kernels.weights import cumulate, weigh
 
-_OF_A_CLOUD = ("initial", "transition", "log_likelihood")
+
+class Request(NamedTuple):
+    """Which draws are filtered, and by which filters.
+
+    Parameters
+    ----------
+    streams : array of uint64, (F,)
+        The key of each filter's noise.
+    first_draw : int
+        The index of the first draw in its stream.
+    y, z : arrays of float64, (D, T+1, m) and (D, T+1, q)
+        Measurements and quantities of interest of the draws.
+    particles : int
+    estimator : int
+        An index in `pfdist.kernels.estimators.ESTIMATORS`.
+    parameters, true_parameters : arrays of float64
+        Of the filter's model, and of the truth.
+    """
+
+    streams: NDArray[np.uint64]
+    first_draw: int
+    y: NDArray[np.float64]
+    z: NDArray[np.float64]
+    particles: int
+    estimator: int
+    parameters: NDArray[np.float64]
+    true_parameters: NDArray[np.float64]
+
+
+class Results(NamedTuple):
+    """Arrays that the filter fills.
+
+    Parameters
+    ----------
+    mse : array of float64, (D, U)
+        For each of the plan's sets, the errors up to the set's end over T + 1.
+    estimate, variance : arrays of float64, (D, T+1, q)
+        Of one set; empty if they are not wanted.
+    """
+
+    mse: NDArray[np.float64]
+    estimate: NDArray[np.float64]
+    variance: NDArray[np.float64]
+
+
+class _At(NamedTuple):
+    """The filter of one draw with one set of times: key of noise, filter, draw, row, set."""
+
+    stream: Any
+    filter_number: Any
+    draw: Any
+    d: Any
+    s: Any
+
+
+class _Models(NamedTuple):
+    """Parameters of the filter's model and of the truth, by their names."""
+
+    p: Any
+    truth: Any
 
 
 @lru_cache(maxsize=32)
@@ -56,60 +115,52 @@ def fused_filter(
     Returns
     -------
     WithScratch
-        ``filter_draws(streams, first, y, z, plan, clouds, particles, estimator, parameters, truths,
-        mse, estimate, variance)`` fills mse (D, U), the errors up to each set's end over T + 1, as
-        `pfdist.kernels.prefixes.plan` has the sets; and estimate and variance (D, T+1, q) of one
-        set, unless they are empty. streams (uint64) holds each filter's key, estimator the place in
-        `pfdist.kernels.estimators.ESTIMATORS`.
+        ``filter_draws(request, plan, results)`` with a `Request`, a `pfdist.kernels.prefixes.Plan`
+        and `Results`, which it fills.
     """
+    states, _, quantities = components
+    noise_rows = max(1, *map(len, noise_kinds))
+    compiled = kept_on_disk(
+        _filter_draws(functions, noise_kinds, components, parameters, resampling),
+        functions, noise_kinds, components, parameters, resampling, dtype,
+    )  # fmt: skip
+
+    def with_scratch(request, plan, results):
+        first_means = (results.mse.shape[1] if len(request.streams) > 1 else 0, request.y.shape[1])
+        scratch = filter_scratch(
+            (states, quantities), noise_rows, request.particles, plan.clouds, first_means, dtype
+        )
+        compiled(request, plan, results, scratch)
+
+    return WithScratch(compiled, with_scratch)
+
+
+def _filter_draws(
+    functions: tuple[Callable[..., Any], ...],
+    noise_kinds: tuple[tuple[str, ...], ...],
+    components: tuple[int, int, int],
+    parameters: tuple[tuple[str, ...], ...],
+    resampling: str,
+) -> Callable[..., None]:
+    """Give the loop over draws, filters and sets of times, to be compiled when it is called."""
     filter_draw = _filter_draw(functions, noise_kinds, components, resampling)
     named, named_truth = map(naming, parameters)
-    rows, kind = max(1, *map(len, noise_kinds)), np.dtype(dtype).type
+    noise_rows = max(1, *map(len, noise_kinds))
     states, _, quantities = components
 
     @njit(nogil=True, error_model="numpy", _nrt=False)
-    def filter_draws(
-        streams, first, y, z, plan, particles, estimator, parameters, truths,
-        mse, estimate, variance, scratch,
-    ):  # fmt: skip
-        p, truth = named(parameters), named_truth(truths)
-        size, spacious = width(particles), padded(particles + SPARE)
-        cloud = shaped(scratch[0], (2, states, size))
-        noise = shaped(scratch[1], (rows, spacious))
-        terms, weight = shaped(scratch[2], (quantities, size)), shaped(scratch[3], (2, size))
-        log_weight = shaped(scratch[2], (size,))  # needed no longer when terms are
-        cumulative, sums = shaped(scratch[4], (size,)), shaped(scratch[5], (spacious,))
-        points, shares = shaped(scratch[6], (spacious,)), shaped(scratch[7], (spacious,))
-        ancestor, counts = shaped(scratch[8], (spacious,)), shaped(scratch[9], (2, DIGITS))
-        before, others = scratch[11], scratch[12]
-        saved = shaped(scratch[10], (before.size, states, size))
+    def filter_draws(request, plan, results, scratch):
+        models = _Models(named(request.parameters), named_truth(request.true_parameters))
+        sized = with_sizes(scratch, states, quantities, noise_rows, request.particles)
+        mse = results.mse
         for d in range(mse.shape[0]):
-            for k in range(streams.size):
+            for k in range(request.streams.size):
                 for s in range(mse.shape[1]):
-                    of_filter = filter_draw(
-                        streams[k], k, first + d, d, s, y, z, plan, particles, estimator, p, truth,
-                        estimate, variance, others, saved, before, cloud, noise, log_weight, weight,
-                        cumulative, sums, points, shares, ancestor, counts, terms,
-                    )  # fmt: skip
-                    mse[d, s] = of_filter if k == 0 else mse[d, s] + of_filter
+                    at = _At(request.streams[k], k, request.first_draw + d, d, s)
+                    mse_of_filter = filter_draw(at, request, models, plan, results, sized)
+                    mse[d, s] = mse_of_filter if k == 0 else mse[d, s] + mse_of_filter
 
-    compiled = kept_on_disk(
-        filter_draws, functions, noise_kinds, components, parameters, resampling, dtype
-    )
-
-    def with_scratch(
-        streams, first, y, z, plan, clouds, particles, estimator, parameters, truths,
-        mse, estimate, variance,
-    ):  # fmt: skip
-        second = mse.shape[1] if streams.size > 1 else 0
-        scratch = filter_scratch((states, quantities), rows, particles, clouds, kind)
-        others = aligned((second, y.shape[1], quantities), np.float64)
-        compiled(
-            streams, first, y, z, plan, particles, estimator, parameters, truths,
-            mse, estimate, variance, (*scratch, others),
-        )  # fmt: skip
-
-    return WithScratch(compiled, with_scratch)
+    return filter_draws
 
 
 def _filter_draw(
@@ -118,168 +169,89 @@ def _filter_draw(
     components: tuple[int, int, int],
     resampling: str,
 ) -> Callable[..., float]:
-    """Compile the filter of one draw with one set of times; it gives the draw's MSE.
+    """Compile the filter of one draw with one set of times, which returns the draw's MSE.
 
-    It goes on from where a set before it was the same, and keeps what a later one goes on from.
+    It resumes from the cloud that an earlier set saved, and saves the clouds that later sets need.
     """
-    begin, propagate, explain = _cloud_steps(functions[:3], noise_kinds, components)
-    average, spread = moments(functions[3], components)
+    begin, propagate, fill_log_weights = cloud_steps(functions[:3], noise_kinds, components)
+    fill_terms, fill_squares, mean_of = moments(functions[3], components)
     read_z, error_of = reader(components[2], "d, t, c"), formula(functions[4], "error")
-    record, cost_of = recorders(functions[4], components[2])
+    record, error_by_variance = recorders(functions[4], components[2])
     resample = RESAMPLE[resampling]
-    in_line = sort_by_state if SCHEMES[resampling].sorts else _as_it_is
+    sort = sort_by_state if SCHEMES[resampling].sorts else _leave_unsorted
 
     @melted
-    def filter_draw(
-        stream, k, draw, d, s, y, z, plan, particles, estimator, p, truth,
-        estimate, variance, others, saved, before, cloud, noise, log_weight, weight,
-        cumulative, sums, points, shares, ancestor, counts, terms,
-    ):  # fmt: skip
+    def filter_draw(at, request, models, plan, results, scratch):
+        stream, filter_number, draw, d, s = at
+        particles, p, truth = request.particles, models.p, models.truth
+        cloud, noise, weight, log_weight, terms, resampling, sorting, saved, first_means = scratch
         measured, begins, ends, sources, stops, slots = plan
+        by_error = request.estimator == SQUARED_ERROR_INDEX
+        by_error_alone = by_error and results.estimate.size == 0
         here, stop = np.int64(0), begins[s]
-        by_error = estimator == SQUARED_ERROR_INDEX
-        by_error_alone = by_error and estimate.size == 0
-        error = begin(stream, draw, stop, sources[s], noise, particles, p, cloud, saved, before)
+        source = sources[s] if stop > 0 else np.int64(-1)
+        error = begin(cloud, noise, particles, p, stream, draw, saved, source)
         while stop < ends[s] and error < np.inf:
             first, stop = stop, stops[s, stop]
             for t in range(first, stop):
                 if t > 0:
-                    propagate(stream, draw, t - 1, noise, particles, p, cloud, here)
+                    propagate(cloud, here, noise, particles, p, stream, draw, t - 1)
                     here = 1 - here
-                weighing, total = ALIKE, float(particles)
+                row, total = EQUAL, float(particles)
                 if measured[s, t]:
-                    explain(cloud, here, particles, y, d, t, p, log_weight)
-                    weigh(log_weight, weight, WEIGHED)
-                    here = in_line(
-                        cloud, here, particles, weight, WEIGHED, log_weight,
-                        counts, points, shares, ancestor,
-                    )  # fmt: skip
-                    weighing, total = (
-                        WEIGHED,
-                        cumulate(weight, WEIGHED, log_weight.size, cumulative),
-                    )
+                    fill_log_weights(cloud, here, particles, p, request.y, d, t, log_weight)
+                    weigh(log_weight, weight, WEIGHTED)
+                    here = sort(cloud, here, particles, weight, WEIGHTED, sorting)
+                    total = cumulate(weight, WEIGHTED, log_weight.size, resampling.cumulative)
+                    row = WEIGHTED
                 if total == 0.0:
-                    return _ended(before, slots, s, t, np.nan)  # degenerate
-                mean = average(cloud, here, t, p, weight, weighing, total, terms)
+                    return _end(saved.errors, slots, s, t, np.nan)  # degenerate
+                fill_terms(cloud, here, t, p, weight, row, terms)
+                mean = mean_of(terms, total)
                 if not by_error_alone:
-                    variances = spread(cloud, here, t, p, weight, weighing, total, mean, terms)
-                    record(estimate, variance, d, t, mean, variances)
-                    error += cost_of(estimator, k, others, s, t, mean, variances, truth)
-                error += error_of(read_z(z, d, t), mean, t, truth) if by_error else 0.0
+                    fill_squares(cloud, here, t, p, weight, row, mean, terms)
+                    variances = mean_of(terms, total)
+                    record(results, d, t, mean, variances)
+                    error += error_by_variance(
+                        request.estimator, first_means, filter_number, s, t, mean, variances, truth
+                    )
+                error += error_of(read_z(request.z, d, t), mean, t, truth) if by_error else 0.0
                 if not error < np.inf:
-                    return _ended(before, slots, s, t, np.inf)
+                    return _end(saved.errors, slots, s, t, np.inf)
                 if measured[s, t]:
-                    resample(
-                        cumulative, particles, stream, draw, t,
-                        noise, sums, points, shares, ancestor,
-                    )  # fmt: skip
-                    _take(cloud, here, particles, ancestor)
+                    resample(resampling, particles, stream, draw, t)
+                    copy_ancestors(cloud, here, particles, resampling.ancestor)
                     here = 1 - here
-            _keep(error, cloud, here, before, saved, slots, s, stop)  # further in it costs 3 %
-        return _mean(error, measured.shape[1], before, slots, s, stop)
+            _save(cloud, here, saved, slots[s, stop], error)  # inside the loop over t it costs 3 %
+        return _mean(error, measured.shape[1], saved.errors, slots, s, stop)
 
     return filter_draw
 
 
-def _cloud_steps(
-    functions: tuple[Callable[..., Any], ...],
-    noise_kinds: tuple[tuple[str, ...], ...],
-    components: tuple[int, int, int],
-) -> tuple[Callable[..., Any], ...]:
-    """Compile what a model does to a cloud: begin, propagate, explain y.
-
-    The cloud is (2, states, particles): what is computed from one half goes to the other.
-    """
-    initial, transition, log_likelihood = map(formula, functions, _OF_A_CLOUD)
-    fill_w0, fill_w = map(filler, noise_kinds)
-    read_w0, read_w = (reader(len(kinds), "c, i") for kinds in noise_kinds)
-    states, measurements, _ = components
-    read_x, write_x = reader(states, "half, c, i"), writer(states, "half, c, i")
-    read_y = reader(measurements, "d, t, c")
-
-    @melted
-    def begin(stream, draw, t, source, noise, particles, p, cloud, saved, before):
-        if t > 0:
-            _copy(saved, source, cloud, 0)
-            return before[source]
-        fill_w0(noise, particles, stream, draw, np.int64(0), FILTER_INITIAL)
-        _repeat_first(noise, particles, cloud.shape[2])
-        for i in range(cloud.shape[2]):
-            write_x(cloud, 0, i, initial(read_w0(noise, i), p))
-        return 0.0
-
-    @melted
-    def propagate(stream, draw, t, noise, particles, p, cloud, here):
-        fill_w(noise, particles, stream, draw, t, FILTER_PROCESS)
-        _repeat_first(noise, particles, cloud.shape[2])
-        for i in range(cloud.shape[2]):
-            x = transition(read_x(cloud, here, i), t, read_w(noise, i), p)
-            write_x(cloud, 1 - here, i, x)
-
-    @melted
-    def explain(cloud, here, particles, y, d, t, p, out):
-        measured = read_y(y, d, t)
-        for i in range(out.size):
-            value = log_likelihood(measured, read_x(cloud, here, i), t, p)
-            out[i] = value if abs(value) < np.inf else IMPOSSIBLE
-        for i in range(particles, out.size):
-            out[i] = IMPOSSIBLE
-
-    return begin, propagate, explain
-
-
 @melted
-def _as_it_is(
-    cloud, here, particles, weight, row, log_weight, counts, keys, half_sorted, order
-):  # fmt: skip
+def _leave_unsorted(cloud, here, particles, weight, row, scratch):
     """Sort nothing; see `sort_by_state`."""
     return here
 
 
 @melted
-def _ended(before, slots, s, t, mse):
-    """Say it to the sets that share what follows t."""
+def _save(cloud, here, saved, slot, error):
+    """Save the cloud and the sum of errors, if a later set resumes from here."""
+    if slot >= 0:
+        saved.errors[slot] = error
+        copy_cloud(cloud, here, saved.clouds, slot)
+
+
+@melted
+def _end(saved_errors, slots, s, t, mse):
+    """End a set at t with this MSE, and with it the sets that would resume from it later."""
     for later in range(t + 1, slots.shape[1]):
         if slots[s, later] >= 0:
-            before[slots[s, later]] = mse
+            saved_errors[slots[s, later]] = mse
     return mse
 
 
 @melted
-def _keep(error, cloud, here, before, saved, slots, s, stop):
-    """Keep what sets that share what lies before stop go on from."""
-    if slots[s, stop] >= 0:
-        before[slots[s, stop]] = error
-        _copy(cloud, here, saved, slots[s, stop])
-
-
-@melted
-def _mean(error, instants, before, slots, s, stop):
-    """Of the errors, or what became of what the set shares."""
-    return error / instants if error < np.inf else _ended(before, slots, s, stop, error)
-
-
-@melted
-def _copy(clouds, source, others, target):
-    """Copy a cloud from one array of them to another."""
-    for component in range(clouds.shape[1]):
-        for i in range(clouds.shape[2]):
-            others[target, component, i] = clouds[source, component, i]
-
-
-@melted
-def _repeat_first(noise, particles, size):
-    """Repeat the first particle behind the last: no formula fails there that fails nowhere else."""
-    for row in range(noise.shape[0]):
-        for i in range(particles, size):
-            noise[row, i] = noise[row, 0]
-
-
-@melted
-def _take(cloud, here, particles, ancestor):
-    """Copy each particle's ancestor to the other half; behind the last the first is repeated."""
-    for i in range(particles, cloud.shape[2]):
-        ancestor[i] = ancestor[0]
-    for component in range(cloud.shape[1]):
-        for i in range(cloud.shape[2]):
-            cloud[1 - here, component, i] = cloud[here, component, ancestor[i]]
+def _mean(error, instants, saved_errors, slots, s, stop):
+    """Divide the sum of errors by the instants; a set whose shared prefix ended has ended."""
+    return error / instants if error < np.inf else _end(saved_errors, slots, s, stop, error)

@@ -31,46 +31,46 @@ def moments(
     )
 
     @melted
-    def average(cloud, here, t, p, weight, row, total, terms):
+    def fill_terms(cloud, here, t, p, weight, row, terms):
         for i in range(cloud.shape[2]):
             z = quantity(read_x(cloud, here, i), t, p)
             write_terms(terms, i, weighted(weight[row, i], z))
-        return mean_of(terms, total)
 
     @melted
-    def spread(cloud, here, t, p, weight, row, total, mean, terms):
+    def fill_squares(cloud, here, t, p, weight, row, mean, terms):
         for i in range(cloud.shape[2]):
             z = quantity(read_x(cloud, here, i), t, p)
             write_terms(terms, i, weighted(weight[row, i], squares(z, mean)))
-        return mean_of(terms, total)
 
-    return average, spread
+    return fill_terms, fill_squares, mean_of
 
 
 def recorders(error: Callable[..., Any], quantities: int) -> tuple[Callable[..., Any], ...]:
-    """Compile what records mean and variance, and what an instant costs by them.
+    """Compile what records mean and variance, and the estimate of an instant's error.
 
-    Of two filters each gives half of its variance; the first one leaves its mean to the second.
+    Each of two filters contributes half of its variance. The first filter stores its mean, and the
+    second adds the squared distance to it. The estimator "squared_error" gets 0.
     """
     error_of = formula(error, "error")
     write_z = writer(quantities, "d, t, c")
-    read_other, write_other = (make(quantities, "s, t, c") for make in (reader, writer))
+    read_mean, write_mean = (make(quantities, "s, t, c") for make in (reader, writer))
 
     @melted
-    def record(estimate, variance, d, t, mean, variances):
-        if estimate.size > 0:  # somebody asks
-            write_z(estimate, d, t, mean)
-            write_z(variance, d, t, variances)
+    def record(results, d, t, mean, variances):
+        if results.estimate.size > 0:
+            write_z(results.estimate, d, t, mean)
+            write_z(results.variance, d, t, variances)
 
     @melted
-    def cost_of(estimator, k, others, s, t, mean, variances, truth):
+    def error_by_variance(estimator, first_means, filter_number, s, t, mean, variances, truth):
         total = 0.0
         for variance in variances:
             total += variance
-        if others.size > 0:
+        if first_means.size > 0:
             total *= 0.5
-            total += error_of(read_other(others, s, t), mean, t, truth) if k > 0 else 0.0
-            write_other(others, s, t, mean)
+            if filter_number > 0:
+                total += error_of(read_mean(first_means, s, t), mean, t, truth)
+            write_mean(first_means, s, t, mean)
         return total if estimator != SQUARED_ERROR_INDEX else 0.0
 
-    return record, cost_of
+    return record, error_by_variance

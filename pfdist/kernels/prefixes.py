@@ -1,31 +1,34 @@
-"""In which order to filter sets of times, and what to go on from.
+"""The order in which sets of times are filtered, and the cloud from which each set resumes.
 
-Under the same noise, sets that agree up to t have the same cloud up to t. In the order of words in
-a dictionary each set comes soon after that with which it shares most; it goes on from the cloud
-that that one kept, bit for bit as if it had begun at 0.
+Under the same noise, sets that agree up to t have the same cloud up to t. In lexicographic order,
+each set comes soon after the set with which it shares the longest prefix. It resumes from the cloud
+that the earlier set saved. The result has the same bits as if it had begun at 0.
 """
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 
 class Plan(NamedTuple):
-    """What the filter of several sets does, U different ones in their order.
+    """The plan by which the filter does U different sets in order.
 
     Parameters
     ----------
     measured : array of bool, (U, T+1)
+        Whether each set measures at each instant.
     begins, ends : array of int64, (U,)
-        The first instant that a set does not share, and the one after its last.
+        The first instant that a set does not share with an earlier set, and the instant after its
+        last.
     sources : array of int64, (U,)
-        Which kept cloud it goes on from, unless it begins at 0.
-    stops, slots : array of int64, (U, T+2)
-        From each instant, the next one at which the cloud, as it comes there, is kept, or the end;
-        and where it is kept, or -1.
+        The slot of the saved cloud from which a set resumes, unless it begins at 0.
+    stops : array of int64, (U, T+2)
+        For each instant, the next instant before which the cloud is saved, or the set's end.
+    slots : array of int64, (U, T+2)
+        The slot in which the cloud is saved before each instant, or -1.
     """
 
     measured: NDArray[np.bool_]
@@ -37,8 +40,22 @@ class Plan(NamedTuple):
 
     @property
     def clouds(self) -> int:
-        """How many are kept at most at a time."""
+        """The largest number of clouds that are saved at a time."""
         return int(self.slots.max(initial=0)) + 1
+
+
+class Saved(NamedTuple):
+    """Clouds that later sets resume from.
+
+    Parameters
+    ----------
+    clouds : array of float64 or float32, (slots, n, width(P))
+    errors : array of float64, (slots,)
+        The sum of errors up to each cloud.
+    """
+
+    clouds: NDArray[Any]
+    errors: NDArray[np.float64]
 
 
 @lru_cache(maxsize=64)
@@ -54,25 +71,25 @@ def plan(
     instants : int
         T + 1.
     ends : tuple of int, (S,), optional
-        The instant after the last one that is wanted of each set, and after all its times; by
-        default T + 1.
+        The instant after the last instant whose error counts, for each set; by default T + 1. All
+        of the set's times must lie before it.
 
     Returns
     -------
     Plan
-    place : array of int64, (S,)
-        Of each set in the plan.
+    index : array of int64, (S,)
+        The index of each set in the plan.
 
     Examples
     --------
-    >>> found, place = plan(((0, 2), (1, 2), (0, 1)), 3)
-    >>> place, found.begins  # (1, 2) comes first; (0, 1) shares (0,) with (0, 2)
+    >>> found, index = plan(((0, 2), (1, 2), (0, 1)), 3)
+    >>> index, found.begins  # the order is (1, 2), (0, 2), (0, 1); (0, 1) shares (0,)
     (array([1, 0, 2]), array([0, 0, 1]))
     """
     wanted = [instants] * len(sets) if ends is None else list(ends)
-    # Of sets that differ in their ends alone, the longest first: the others end on its way.
+    # If sets differ only in their ends, the longest comes first, so the others can share it.
     order = sorted(set(zip(sets, wanted, strict=True)), key=_word)
-    place = {key: position for position, key in enumerate(order)}
+    index = {key: position for position, key in enumerate(order)}
     measured = np.zeros((len(order), instants), np.bool_)
     for row, (times, _) in zip(measured, order, strict=True):
         row[list(times)] = True
@@ -80,11 +97,11 @@ def plan(
     begins, givers = _shared(measured, ends_)
     stops, slots, sources = _kept(begins, givers, ends_, instants)
     found = Plan(measured, begins, ends_, sources, stops, slots)
-    return found, np.array([place[key] for key in zip(sets, wanted, strict=True)])
+    return found, np.array([index[key] for key in zip(sets, wanted, strict=True)])
 
 
 def _word(key: tuple[tuple[int, ...], int]) -> tuple[tuple[int, ...], int]:
-    """Sort sets as a dictionary sorts their rows of zeros and ones."""
+    """Sort key of a set: the sets' rows of zeros and ones come in lexicographic order."""
     times, end = key
     return tuple(-time for time in times), -end
 
@@ -92,7 +109,7 @@ def _word(key: tuple[tuple[int, ...], int]) -> tuple[tuple[int, ...], int]:
 def _shared(
     measured: NDArray[np.bool_], ends: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], list[int]]:
-    """From which instant on each set is new, and which one before it came there first."""
+    """For each set: the length of its longest shared prefix, and the set that filters it."""
     begins, givers = np.zeros(len(ends), np.int64), [-1] * len(ends)
     for index in range(1, len(ends)):
         differ = measured[:index] != measured[index]
@@ -100,7 +117,9 @@ def _shared(
         upto = np.minimum(np.minimum(alike, ends[:index]), ends[index])
         giver = int(np.flatnonzero(upto == upto.max())[-1])
         begins[index] = upto[giver]
-        while begins[giver] > begins[index]:  # it did not come there itself
+        while (
+            begins[giver] > begins[index]
+        ):  # it resumed behind this instant, so its giver is asked
             giver = givers[giver]
         givers[index] = giver
     return begins, givers
@@ -109,7 +128,7 @@ def _shared(
 def _kept(
     begins: NDArray[np.int64], givers: Sequence[int], ends: NDArray[np.int64], instants: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """What each set keeps, where, and which each goes on from; places are used again."""
+    """For each set: where it saves clouds, and the slot it resumes from. Slots are reused."""
     last_use: dict[tuple[int, int], int] = {}
     origins: list[tuple[int, int]] = []
     for index, (giver, begin) in enumerate(zip(givers, begins.tolist(), strict=True)):

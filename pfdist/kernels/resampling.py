@@ -24,9 +24,10 @@ Devroye, "Non-uniform random variate generation", 1986, section V.3 (ascending u
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pfdist.kernels import schemes
 from pfdist.kernels.arithmetic import LANES, add_ranks, larger
@@ -44,12 +45,35 @@ _fill_exponentials = FILL["exponential"]
 _fill_uniforms = FILL["uniform"]
 
 
+class ResamplingScratch(NamedTuple):
+    """Arrays that resampling reads, works in and fills; ``L = padded(particles + SPARE)``.
+
+    Parameters
+    ----------
+    cumulative : array of float64, (particles or more,)
+        Cumulative weights; they may be changed.
+    noise : array of float32, (a row or more, L)
+    sums : array of float64, (L,)
+    points, shares : arrays of uint32, (L,)
+    ancestor : array of uint32, (particles + SPARE or more,)
+        Receives the index of each particle's ancestor.
+    """
+
+    cumulative: NDArray[np.float64]
+    noise: NDArray[np.float32]
+    sums: NDArray[np.float64]
+    points: NDArray[np.uint32]
+    shares: NDArray[np.uint32]
+    ancestor: NDArray[np.uint32]
+
+
 # --- points in ascending order ------------------------------------------------------------------
 
 
 @melted
-def _ascending_points(stream, draw, t, count, noise, sums, points):
-    """Put count ordered uniforms: sums of exponentials over their last one."""
+def _ascending_points(scratch, stream, draw, t, count):
+    """Fill `scratch.points` with ordered uniforms: sums of exponentials over the last sum."""
+    noise, sums, points = scratch.noise, scratch.sums, scratch.points
     _fill_exponentials(noise, _ROW, count + 1, stream, draw, t, RESAMPLING, _COMPONENT)
     cumulate(noise, _ROW, padded(count + 1), sums)
     scale = SHARES / sums[count]
@@ -58,8 +82,9 @@ def _ascending_points(stream, draw, t, count, noise, sums, points):
 
 
 @melted
-def _stratified_points(stream, draw, t, count, noise, points):
-    """Put a point in each of count equal intervals."""
+def _stratified_points(scratch, stream, draw, t, count):
+    """Fill `scratch.points` with a point in each of `count` equal intervals."""
+    noise, points = scratch.noise, scratch.points
     _fill_uniforms(noise, _ROW, count, stream, draw, t, RESAMPLING, _COMPONENT)
     scale = SHARES / count
     for i in range(count):
@@ -70,11 +95,13 @@ def _stratified_points(stream, draw, t, count, noise, points):
 
 
 @melted
-def _shared(cumulative, total, particles, shares):
-    """Put cumulative weights as shares of the total."""
+def _merge(scratch, total, particles, count, ancestor):
+    """Fill `ancestor` with the ancestors of `count` points; `total` is that of the weights."""
+    cumulative, shares = scratch.cumulative, scratch.shares
     scale = SHARES / larger(total, LEAST_TOTAL)
     for j in range(particles):
         shares[j] = np.uint32(np.int64(cumulative[j] * scale))
+    merged_ancestors(shares, particles, scratch.points, count, ancestor)
 
 
 @melted
@@ -163,50 +190,48 @@ def expanded(ends, particles, count, marks, ancestor):
 
 
 @melted
-def _multinomial(cumulative, particles, stream, draw, t, noise, sums, points, shares, ancestor):
-    _ascending_points(stream, draw, t, particles, noise, sums, points)
-    _shared(cumulative, cumulative[particles - 1], particles, shares)
-    merged_ancestors(shares, particles, points, particles, ancestor)
+def _multinomial(scratch, particles, stream, draw, t):
+    _ascending_points(scratch, stream, draw, t, particles)
+    total = scratch.cumulative[particles - 1]
+    _merge(scratch, total, particles, particles, scratch.ancestor)
 
 
 @melted
-def _stratified(cumulative, particles, stream, draw, t, noise, sums, points, shares, ancestor):
-    _stratified_points(stream, draw, t, particles, noise, points)
-    _shared(cumulative, cumulative[particles - 1], particles, shares)
-    merged_ancestors(shares, particles, points, particles, ancestor)
+def _stratified(scratch, particles, stream, draw, t):
+    _stratified_points(scratch, stream, draw, t, particles)
+    total = scratch.cumulative[particles - 1]
+    _merge(scratch, total, particles, particles, scratch.ancestor)
 
 
 @melted
-def _systematic(cumulative, particles, stream, draw, t, noise, sums, points, shares, ancestor):
+def _systematic(scratch, particles, stream, draw, t):
+    cumulative, noise, ends = scratch.cumulative, scratch.noise, scratch.points
     _fill_uniforms(noise, _ROW, np.int64(1), stream, draw, t, RESAMPLING, _COMPONENT)
     shift = np.float64(noise[0, 0])
     scale = particles / larger(cumulative[particles - 1], LEAST_TOTAL)
-    ends = points
-    for j in range(particles):  # how many points lie below each cumulative weight
+    for j in range(particles):  # the number of points below each cumulative weight
         ends[j] = np.uint32(min(math.ceil(cumulative[j] * scale - shift), particles))
-    expanded(ends, particles, particles, noise, ancestor)
+    expanded(ends, particles, particles, noise, scratch.ancestor)
 
 
 @melted
-def _residual(cumulative, particles, stream, draw, t, noise, sums, points, shares, ancestor):
+def _residual(scratch, particles, stream, draw, t):
+    cumulative, ends, ancestor = scratch.cumulative, scratch.points, scratch.ancestor
     total = larger(cumulative[particles - 1], LEAST_TOTAL)
-    before, sure, rest = 0.0, 0, 0.0
-    ends = points
+    before, certain, rest = 0.0, 0, 0.0
     for j in range(particles):
-        # In this order a whole number is not missed by a rounding.
+        # This order of operations does not round a whole number away.
         expected = (cumulative[j] - before) * particles / total
         before = cumulative[j]
         children = math.floor(expected)
-        sure += children
+        certain += children
         rest += expected - children
-        ends[j] = np.uint32(sure)
+        ends[j] = np.uint32(certain)
         cumulative[j] = rest
-    expanded(ends, particles, sure, noise, ancestor)
-    if sure < particles:
-        left, behind = particles - sure, ancestor[sure:]
-        _ascending_points(stream, draw, t, left, noise, sums, points)
-        _shared(cumulative, rest, particles, shares)
-        merged_ancestors(shares, particles, points, left, behind)
+    expanded(ends, particles, certain, scratch.noise, ancestor)
+    if certain < particles:
+        _ascending_points(scratch, stream, draw, t, particles - certain)
+        _merge(scratch, rest, particles, particles - certain, ancestor[certain:])
 
 
 RESAMPLE: dict[str, Callable[..., Any]] = {
@@ -216,10 +241,5 @@ RESAMPLE: dict[str, Callable[..., Any]] = {
     schemes.RESIDUAL.name: _residual,
     schemes.SORTED_SYSTEMATIC.name: _systematic,
 }
-"""By scheme, compiled ``resample(cumulative, particles, stream, draw, t, noise, sums, points,
-shares, ancestor)``.
-
-cumulative (float64, particles or more) is changed; noise (float32, a row or more), sums (float64),
-points and shares (uint32), all padded(particles + SPARE) long, are scratch; ancestor (uint32,
-particles + SPARE or more) receives the ancestors.
-"""
+"""For each scheme, compiled ``resample(scratch, particles, stream, draw, t)``, which fills the
+ancestors of a `ResamplingScratch`."""

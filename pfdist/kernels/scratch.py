@@ -1,26 +1,31 @@
-"""Compiled functions that are handed the arrays they work in, and the arrays of the filter."""
+"""The arrays that the fused filter works in, and compiled functions that are handed their arrays.
+
+Compiled code that raises an error does not free the arrays it made itself. So all arrays are made
+in Python, and passed to the compiled code.
+"""
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pfdist.kernels.arithmetic import shaped
+from pfdist.kernels.melting import melted
 from pfdist.kernels.noise import padded
-from pfdist.kernels.resampling import SPARE
-from pfdist.kernels.sorting import DIGITS
+from pfdist.kernels.prefixes import Saved
+from pfdist.kernels.resampling import SPARE, ResamplingScratch
+from pfdist.kernels.sorting import DIGITS, SortingScratch
 from pfdist.kernels.weights import width
 
-# The rows of weights: where nothing is measured, and where something is.
-ALIKE, WEIGHED = np.uintp(0), np.uintp(1)
-_LINE = 64  # bytes
+EQUAL, WEIGHTED = np.uintp(0), np.uintp(1)
+"""Rows of `Scratch.weight`: of instants without and with a measurement."""
+_CACHE_LINE = 64  # bytes
 
 
 class WithScratch:
-    """A compiled function whose arrays are made before it is called.
-
-    Compiled code that raises an error frees no array of its own.
+    """A compiled function, and the function that makes its arrays and calls it.
 
     Parameters
     ----------
@@ -38,49 +43,114 @@ class WithScratch:
         self._call(*arguments)
 
 
+class Scratch(NamedTuple):
+    """Arrays that a filter works in; P particles, ``W = width(P)``, ``L = padded(P + SPARE)``.
+
+    Parameters
+    ----------
+    cloud : array of float64 or float32, (2, n, W)
+        The states. A step reads one half and writes the other.
+    noise : array of float32, (rows, L)
+    weight : array of float32, (2, W)
+        Row `EQUAL` is 1 for each particle and 0 behind the last; row `WEIGHTED` holds the weights
+        after a measurement.
+    log_weight : array of float64, (W,)
+    terms : array of float64, (q, W)
+        The terms of a weighted sum. `log_weight` has the same memory: it is no longer needed when
+        the terms are computed.
+    resampling : ResamplingScratch
+    sorting : SortingScratch
+        In the memory of `resampling` and `log_weight`.
+    saved : Saved
+    first_means : array of float64, (U, T+1, q)
+        Estimates of the first of two filters; empty if there is one filter.
+    """
+
+    cloud: NDArray[Any]
+    noise: NDArray[np.float32]
+    weight: NDArray[np.float32]
+    log_weight: NDArray[np.float64]
+    terms: NDArray[np.float64]
+    resampling: ResamplingScratch
+    sorting: SortingScratch
+    saved: Saved
+    first_means: NDArray[np.float64]
+
+
 def filter_scratch(
-    components: tuple[int, int], rows: int, particles: int, clouds: int, dtype: Any
-) -> tuple[NDArray[Any], ...]:
-    """Arrays that a filter of draws works in.
+    components: tuple[int, int],
+    noise_rows: int,
+    particles: int,
+    slots: int,
+    first_means: tuple[int, int],
+    dtype: Any,
+) -> Scratch:
+    """Arrays for a filter of draws.
 
     Parameters
     ----------
     components : (int, int)
         Numbers of components of x and z.
-    rows : int
-        Rows of noise.
+    noise_rows : int
     particles : int
-    clouds : int
-        How many clouds are kept at a time.
+    slots : int
+        The largest number of clouds that are saved at a time.
+    first_means : (int, int)
+        Numbers of sets and of instants of `Scratch.first_means`.
     dtype : dtype
-        What states are kept in.
+        The dtype of states.
     """
     (states, quantities), size = components, int(width(particles))
     spacious = int(padded(particles + SPARE))
     weight = aligned((2, size), np.float32)
     weight[:] = 0.0
-    weight[ALIKE, :particles] = 1.0
-    ancestor = aligned((spacious,), np.uint32)
+    weight[EQUAL, :particles] = 1.0
+    noise = aligned((noise_rows, spacious), np.float32)
+    terms = aligned((quantities, size), np.float64)
+    cumulative, sums = aligned((size,), np.float64), aligned((spacious,), np.float64)
+    points, shares, ancestor = (aligned((spacious,), np.uint32) for _ in range(3))
     ancestor[:] = 0
-    return (
+    return Scratch(
         aligned((2, states, size), dtype),
-        aligned((rows, spacious), np.float32),
-        aligned((quantities, size), np.float64),
+        noise,
         weight,
-        aligned((size,), np.float64),
-        aligned((spacious,), np.float64),
-        aligned((spacious,), np.uint32),
-        aligned((spacious,), np.uint32),
-        ancestor,
-        aligned((2, DIGITS), np.uint32),
-        aligned((clouds, states, size), dtype),
-        aligned((clouds,), np.float64),
+        terms[0],
+        terms,
+        ResamplingScratch(cumulative, noise, sums, points, shares, ancestor),
+        SortingScratch(terms[0], aligned((2, DIGITS), np.uint32), points, shares, ancestor),
+        Saved(aligned((slots, states, size), dtype), aligned((slots,), np.float64)),
+        aligned((*first_means, quantities), np.float64),
+    )
+
+
+@melted
+def with_sizes(scratch, states, quantities, noise_rows, particles):
+    """Give the same arrays with sizes that LLVM knows, or knows to be multiples of a vector's."""
+    size, spacious = width(particles), padded(particles + SPARE)
+    given = scratch.resampling
+    noise = shaped(given.noise, (noise_rows, spacious))
+    log_weight = shaped(scratch.log_weight, (size,))
+    points, shares = shaped(given.points, (spacious,)), shaped(given.shares, (spacious,))
+    ancestor, sums = shaped(given.ancestor, (spacious,)), shaped(given.sums, (spacious,))
+    cumulative = shaped(given.cumulative, (size,))
+    counts = shaped(scratch.sorting.counts, (2, DIGITS))
+    errors = scratch.saved.errors
+    return Scratch(
+        shaped(scratch.cloud, (2, states, size)),
+        noise,
+        shaped(scratch.weight, (2, size)),
+        log_weight,
+        shaped(scratch.terms, (quantities, size)),
+        ResamplingScratch(cumulative, noise, sums, points, shares, ancestor),
+        SortingScratch(log_weight, counts, points, shares, ancestor),
+        Saved(shaped(scratch.saved.clouds, (errors.size, states, size)), errors),
+        scratch.first_means,
     )
 
 
 def aligned(shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:
     """Array that begins where a line of the processor's cache does."""
     size = math.prod(shape) * np.dtype(dtype).itemsize
-    buffer = np.empty(size + _LINE, np.uint8)
-    start = -buffer.ctypes.data % _LINE
+    buffer = np.empty(size + _CACHE_LINE, np.uint8)
+    start = -buffer.ctypes.data % _CACHE_LINE
     return buffer[start : start + size].view(dtype).reshape(shape)

@@ -14,6 +14,8 @@ Econometrics 165, 2011. Gerber, Chopin, "Sequential quasi Monte Carlo", Journal 
 Statistical Society B 77, 2015.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,25 +30,38 @@ _NONE = -np.finfo(np.float64).max
 _LOW, _HIGH = np.uintp(0), np.uintp(1)
 
 
+class SortingScratch(NamedTuple):
+    """Arrays that the sort works in.
+
+    Parameters
+    ----------
+    weight : array of float64, (width(particles),)
+    counts : array of uint32, (2, DIGITS)
+    keys, half_sorted, order : arrays of uint32, (width(particles) or more,)
+        `order` receives the index of the particle that comes to each position.
+    """
+
+    weight: NDArray[np.float64]
+    counts: NDArray[np.uint32]
+    keys: NDArray[np.uint32]
+    half_sorted: NDArray[np.uint32]
+    order: NDArray[np.uint32]
+
+
 @melted
-def sort_by_state(
-    cloud, here, particles, weight, row, log_weight, counts, keys, half_sorted, order
-):
-    """Put a cloud and its weights in line, and say in which half it is then.
+def sort_by_state(cloud, here, particles, weight, row, scratch):
+    """Sort a cloud and its weights by the states, and say in which half the cloud is then.
 
     Parameters
     ----------
     cloud : array of float, (2, 1, width(particles))
     here, particles : int
+        The half in which the cloud is, and its number of particles.
     weight : array of float32, (rows, width(particles))
     row : int
-    log_weight : array of float64, (width(particles),)
-        Scratch.
-    counts : array of uint32, (2, DIGITS)
-        Scratch.
-    keys, half_sorted, order : arrays of uint32, (width(particles) or more,)
-        Scratch; order receives who stands where.
+    scratch : SortingScratch
     """
+    keys, order = scratch.keys, scratch.order
     high, depth = _NONE, _NONE  # the largest state, and the largest negative one
     for i in range(cloud.shape[2]):
         x = np.float64(cloud[here, 0, i] if weight[row, i] > 0.0 else np.nan)
@@ -60,14 +75,14 @@ def sort_by_state(
         level = level if level > 0.0 else 0.0  # also what is not a number
         level = level if level < LEVELS - 1.0 else LEVELS - 1.0
         keys[i] = np.uint32(np.int64(level))
-    _radix_sorted(keys, particles, counts, half_sorted, order)
+    _radix_sorted(keys, particles, scratch.counts, scratch.half_sorted, order)
     for i in range(particles, cloud.shape[2]):
         order[i] = 0
     for i in range(cloud.shape[2]):
         cloud[1 - here, 0, i] = cloud[here, 0, order[i]]
-        log_weight[i] = weight[row, order[i]]
+        scratch.weight[i] = weight[row, order[i]]
     for i in range(particles):
-        weight[row, i] = np.float32(log_weight[i])
+        weight[row, i] = np.float32(scratch.weight[i])
     return 1 - here
 
 

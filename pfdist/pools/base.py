@@ -1,4 +1,4 @@
-"""What a pool is, and the pool that is no pool: the same in process."""
+"""The contract of pools, and the serial pool, which does all tasks in this process."""
 
 import os
 import platform
@@ -101,15 +101,18 @@ class SerialPool:
 
     def __init__(self, make_function: Callable[[], Callable[[Any], Any]]) -> None:
         self._make_function = make_function
+        self._function: Callable[[Any], Any] | None = None
 
     def __enter__(self) -> Self:
         self._function = self._make_function()
         return self
 
     def __exit__(self, *_: object) -> None:
-        del self._function
+        self._function = None
 
     def run(self, tasks: Iterable[Task]) -> Iterator[Outcome]:
         """Do the tasks one after another."""
+        if self._function is None:
+            raise RuntimeError("a pool runs tasks inside its with statement only")
         for task in tasks:
             yield do(self._function, task)

@@ -33,6 +33,7 @@ class Guard:
 
     def __init__(self) -> None:
         self._mark = secrets.token_hex(8)
+        self._process: subprocess.Popen[bytes] | None = None
 
     def __enter__(self) -> Self:
         self._process = subprocess.Popen(  # noqa: S603  this file
@@ -46,8 +47,9 @@ class Guard:
 
     def __exit__(self, *_: object) -> None:
         self.end()
-        self._process.kill()
-        self._process.communicate()
+        if self._process is not None:
+            self._process.kill()
+            self._process.communicate()
 
     def end(self) -> None:
         """End all processes that began in `watching`, and all that these have started."""

@@ -111,7 +111,8 @@ def _join(address: str, guard: Guard) -> None:
     except PoolError as error:
         raise PoolError(
             f"the Ray cluster at {shortened(address)} does not answer: {error}; "
-            "--pool serial computes without Ray"
+            "the serial pool computes without Ray",
+            argument="pool",
         ) from error
     with _starting(loopback):
         ray.init(address=address, **_QUIET)

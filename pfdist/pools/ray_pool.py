@@ -126,6 +126,11 @@ class RayPool:
         self._address = address
         self._cluster = contextlib.ExitStack()
         self._slots: list[_Slot] = []
+        self._todo: Iterator[Task] = iter(())
+        self._again: deque[Task] = deque()  # tasks of lost workers, each of which is done alone
+        self._lost: Counter[str] = Counter()
+        self._last_loss = ""
+        self._looked = self._heard = time.monotonic()
         self.workers = workers
 
     def __enter__(self) -> Self:
@@ -140,7 +145,8 @@ class RayPool:
             where = f" at {shortened(self._address)}" if self._address else ""
             raise PoolError(
                 f"Ray could not start workers{where}: {reason(error)}; "
-                "--pool serial computes the same without Ray"
+                "the serial pool computes the same without Ray",
+                argument="pool",
             ) from error
         except BaseException:
             self.__exit__()
@@ -181,8 +187,8 @@ class RayPool:
         PoolError
             No worker answers.
         """
-        self._todo, self._again = iter(tasks), deque[Task]()  # the latter each alone
-        self._lost, self._last_loss = Counter[str](), ""
+        self._todo, self._again = iter(tasks), deque()
+        self._lost, self._last_loss = Counter(), ""
         self._looked = self._heard = time.monotonic()
         for slot in self._slots:
             slot.tasks, slot.room = {}, IN_FLIGHT  # there may have been a run that was broken off

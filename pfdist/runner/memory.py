@@ -1,6 +1,6 @@
 """Whether a generation of a search fits into memory."""
 
-import os
+import psutil
 
 from pfdist.errors import JobError
 from pfdist.job.job import Job
@@ -26,7 +26,7 @@ def check_memory(job: Job, section: SearchSection, draws: int) -> None:
     for key, sets in _SETS.items():
         count = section.settings.get(key, 0)
         wanted = count * sets * (_BYTES_A_SET + _BYTES_A_DRAW * draws)
-        present = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+        present = psutil.virtual_memory().total
         if wanted > present:
             raise JobError(
                 f"search.{section.name}.{key} = {count} on {draws:,} draws each takes about "

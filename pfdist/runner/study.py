@@ -19,7 +19,7 @@ from pfdist.evaluation.estimate import (
 )
 from pfdist.job.job import Job
 from pfdist.runner.progress import Found
-from pfdist.search import BudgetCurve, SearchOptimiser
+from pfdist.search import EveryBudget, SearchOptimiser
 from pfdist.search.methods import METHODS
 from pfdist.search.section import SearchSection
 from pfdist.times.measurement_times import Times
@@ -158,7 +158,7 @@ class BudgetStudy:
     def optimiser(self, section: SearchSection, draws: int) -> SearchOptimiser:
         """Survivor programme for all measurement budgets at once."""
         largest = self.job.feasible(self.budgets[-1])
-        return BudgetCurve(largest, self.budgets[0], **section.settings)
+        return EveryBudget(largest, self.budgets[0], **section.settings)
 
     def probed(
         self, leaders: Sequence[SearchEvaluation], found: Sequence[SearchEvaluation]

@@ -6,8 +6,8 @@ hands it a generator. This room imports NumPy, but neither Numba nor Ray.
 
 from pfdist.search.annealing import Annealing
 from pfdist.search.base import Candidate, Optimiser, SearchOptimiser
-from pfdist.search.budget_curve import BudgetCurve
 from pfdist.search.cross_entropy import CrossEntropy
+from pfdist.search.every_budget import EveryBudget
 from pfdist.search.exchange import Exchange
 from pfdist.search.exhaustive import Exhaustive
 from pfdist.search.genetic import GeneticAlgorithm
@@ -19,9 +19,9 @@ from pfdist.search.survivors import Survivors
 
 __all__ = [
     "Annealing",
-    "BudgetCurve",
     "Candidate",
     "CrossEntropy",
+    "EveryBudget",
     "Exchange",
     "Exhaustive",
     "GeneticAlgorithm",

@@ -210,6 +210,12 @@ def surviving(
         Number of prefixes that survive in each state.
     by_previous : bool
         Whether a state is the last two measurement times. Otherwise it is the last alone.
+
+    Returns
+    -------
+    list of tuple of int
+        The times of the survivors. All prefixes have spent the same, so the sum spent need not be
+        part of the state here.
     """
     reached: dict[Times, list[SearchEvaluation]] = defaultdict(list)
     for prefix in prefixes:

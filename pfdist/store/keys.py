@@ -94,7 +94,7 @@ def run_key(path: Path) -> str | None:
     if not (path / FOLDER).exists():
         raise StoreError(
             f"{path} has lost its folder manifest, which says what its files must hold: put it "
-            "back, or give --results another folder"
+            "back, or choose another folder for the results"
         )
     got = f"{len(keys)} keys" if len(keys) > 1 else keys[0] if keys else "none"
     given = f"the key {own}, which job.toml and run.json give" if own else "one run's key"

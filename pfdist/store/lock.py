@@ -56,6 +56,12 @@ def check_not_held(folder: Path) -> None:
         os.close(lock)
 
 
+def try_lock(path: Path) -> None:
+    """Lock a file as a driver locks its run, and unlock it; raise an `OSError` if it fails."""
+    with path.open("rb") as file:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
 def _opened(folder: Path, mode: int) -> int:
     """Open the lock itself: never through a link, and without waiting where it is a pipe.
 

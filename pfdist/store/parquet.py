@@ -14,9 +14,8 @@ process may die at any instant of it.
 
 import re
 import time
-from collections import defaultdict
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -28,6 +27,7 @@ from numpy.typing import NDArray
 
 from pfdist.errors import StoreError
 from pfdist.store import files
+from pfdist.store.draw_files import DrawFiles
 from pfdist.store.keys import run_key as folder_key
 from pfdist.store.manifest import Manifest
 from pfdist.store.schema import KEYS, schema
@@ -59,6 +59,12 @@ class Store:
         self.path = path
         self._run_key = run_key or folder_key(path)
         self.manifest = Manifest(path, self._run_key)
+        self._draw_files = DrawFiles(
+            lambda: (
+                (file, self._read(file, ["evaluation"])["evaluation"])
+                for file in self._files("draws")
+            )
+        )
 
     # --- writing ------------------------------------------------------------------------------
 
@@ -84,7 +90,7 @@ class Store:
             path = folder / f"{phase}-{key}.{prepared.stamp}.parquet"
             files.give_name(prepared, path, replace=False)
         if table == "draws":  # even if it was there: another driver may have committed it
-            self._index(path, rows)
+            self._draw_files.add(path, rows["evaluation"])
 
     def publish(self, table: str, phase: str, pieces: Iterable[pa.Table]) -> None:
         """Write all rows of a phase as the files of its table; then its parts go.
@@ -108,14 +114,13 @@ class Store:
             files.give_name(prepared, path, replace=True)
             settled.append((path, prepared.stamp, before))
             if table == "draws":
-                self._index(path, rows)
+                self._draw_files.add(path, rows["evaluation"])
         for path, stamp, before in settled:
             self.manifest.settle(path, stamp, before)
         gone = self._parts(table, phase)
         for path in gone:
             files.remove(path)
-        for holders in self.__dict__.get("_files_of_evaluation", {}).values():
-            holders.difference_update(gone)
+        self._draw_files.remove(gone)
 
     # --- reading ------------------------------------------------------------------------------
 
@@ -209,8 +214,8 @@ class Store:
         wanted = pc.field("evaluation").isin(ids)
 
         def look() -> list[pa.Table]:
-            paths = set().union(*(self._files_of_evaluation.get(id_, set()) for id_ in ids))
-            return [self._read(path, filters=wanted) for path in sorted(paths)]
+            paths = sorted(self._draw_files.holding(ids))
+            return [self._read(path, filters=wanted) for path in paths]
 
         found = self._again(look)
         if not found:
@@ -275,23 +280,9 @@ class Store:
             try:
                 return look()
             except FileNotFoundError:
-                self.__dict__.pop("_files_of_evaluation", None)  # what it knew has moved
+                self._draw_files.forget()
                 time.sleep(_PAUSE_SECONDS)
         raise StoreError(f"the run {self.path} changes faster than it can be read: try again")
-
-    @cached_property
-    def _files_of_evaluation(self) -> dict[str, set[Path]]:
-        """Where each evaluation's draws are, read once and then kept up to date."""
-        index: dict[str, set[Path]] = defaultdict(set)
-        for path in self._files("draws"):
-            for id_ in self._read(path, ["evaluation"])["evaluation"].unique().to_pylist():
-                index[id_].add(path)
-        return index
-
-    def _index(self, path: Path, rows: pa.Table) -> None:
-        if "_files_of_evaluation" in self.__dict__:  # else it will be read
-            for id_ in rows["evaluation"].unique().to_pylist():
-                self._files_of_evaluation[id_].add(path)
 
     def _between(
         self, spans: list[tuple[Path, int, int]], column: str, first: int, last: int

@@ -55,7 +55,7 @@ def repair_run(path: Path) -> Iterator[str]:
         moved += _moved(store.manifest, list(store.manifest.damages()))
         yield from moved
         if moved:
-            yield f"the job, run again with --results {path}, makes it again: {_to_do(store)}"
+            yield f"run the job again in {path} to compute what is missing: {_to_do(store)}"
 
 
 def _with_one_key(path: Path) -> Iterator[str]:

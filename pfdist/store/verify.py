@@ -58,8 +58,8 @@ def lacking_evaluations(store: Store) -> list[str]:
     """Ids of the evaluations in the table whose draws are not all there."""
     rows: Counter[str] = Counter()
     for piece in store.pieces("draws", ["evaluation"]):
-        for one in piece["evaluation"].value_counts().to_pylist():
-            rows[one["values"]] += one["counts"]
+        for count in piece["evaluation"].value_counts().to_pylist():
+            rows[count["values"]] += count["counts"]
     evaluations = store.read("evaluations")
     wanted = dict(zip(evaluations["evaluation"], evaluations["draws"], strict=True))
     return [id_ for id_, draws in wanted.items() if rows[id_] < draws]

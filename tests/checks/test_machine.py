@@ -11,12 +11,12 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from filelock import FileLock
 
 from pfdist.checks import machine as doctor
 from pfdist.checks.model import Check
 from pfdist.cli.main import main
 from pfdist.pools import control_group
+from pfdist.store import lock
 
 Fault = Callable[[pytest.MonkeyPatch, Path], None]
 LOOKS = ["cores", "memory", "shared memory", "Ray", "ports", "results folder"]
@@ -42,9 +42,8 @@ def test_all_is_well_here_and_nothing_is_left(
 
 
 def _little_memory(patch: pytest.MonkeyPatch, folder: Path) -> None:
-    file = folder / "meminfo"
-    file.write_text("MemTotal:       64000000 kB\nMemAvailable:    1000000 kB\n")
-    patch.setattr(doctor, "_MEMORY", file)
+    memory = SimpleNamespace(total=64 * 10**9, available=1024 * 10**6)
+    patch.setattr(doctor.psutil, "virtual_memory", lambda: memory)
 
 
 def _limited_memory(patch: pytest.MonkeyPatch, folder: Path) -> None:
@@ -104,9 +103,9 @@ def _os_error(number: int) -> OSError:
             r"\(a hard link\): Operation not permitted",
         ),
         (
-            _failing(FileLock, "acquire", NotImplementedError("no flock here")),
+            _failing(lock.fcntl, "flock", _os_error(errno.ENOLCK)),
             "results folder",
-            r"cannot be locked \(flock\): no flock here",
+            r"cannot be locked \(flock\): No locks available",
         ),
     ],
 )

@@ -253,7 +253,7 @@ def test_a_missing_file_is_told_as_what_the_job_makes_again(
     assert "`pfdist repair " in capsys.readouterr().err
     for command in ("repair", "repair"):  # the second time there is nothing to move
         assert main([command, str(run)]) == 0
-        assert f"the job, run again with --results {run}, makes it" in capsys.readouterr().out
+        assert f"run the job again in {run} to compute what is missing" in capsys.readouterr().out
     assert main(["verify", str(run)]) == 1
     error = capsys.readouterr().err
     assert f"missing files: 1. Run the job again with --results {run} to" in error
@@ -269,6 +269,34 @@ def test_a_misuse_is_exit_code_2(command: str) -> None:
     with pytest.raises(SystemExit) as stop:
         main(shlex.split(command))
     assert stop.value.code == 2
+
+
+@pytest.mark.parametrize(
+    ("command", "function", "goes_on"),
+    [
+        ("run {job}", "pfdist.api.run.run", True),
+        ("plan {job}", "pfdist.api.plan.plan", True),
+        ("budget {job} --measurements 2:3", "pfdist.api.budget.budget", True),
+        ("status {run}", "pfdist.analysis.open_run", False),
+    ],
+)
+def test_an_interrupted_command_says_whether_the_same_command_goes_on(
+    command: str,
+    function: str,
+    goes_on: bool,
+    finished: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def interrupted(*arguments: object, **options: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(function, interrupted)
+    filled = command.format(job=shlex.quote(_job(finished)), run=shlex.quote(str(finished)))
+    assert main(shlex.split(filled)) == 130
+    error = capsys.readouterr().err
+    assert error.startswith("pfdist: interrupted")
+    assert error.endswith("the same command goes on from there\n") is goes_on
 
 
 def test_debug_shows_the_traceback() -> None:

@@ -33,6 +33,17 @@ def test_the_version_and_the_help_import_no_library() -> None:
     assert not _loaded_by(f"from pfdist.cli.main import main{calls}") & {*HEAVY, "numpy"}
 
 
+def test_the_help_of_run_lists_the_pools_and_imports_neither_ray_nor_any_other_library() -> None:
+    statement = """
+from pfdist.cli.main import main
+try: main(["run", "--help"])
+except SystemExit: pass
+"""
+    loaded = _loaded_by(statement)
+    assert "pfdist.pools.kinds.ray" in loaded
+    assert not loaded & {*HEAVY, "numpy"}
+
+
 def test_to_look_at_a_run_imports_neither_numba_nor_matplotlib_nor_ray() -> None:
     loaded = _loaded_by(f"from pfdist.cli.main import main\nmain(['status', {str(ASSET)!r}])")
     assert not loaded & {"matplotlib", "numba", "llvmlite", "ray"}

@@ -1,8 +1,11 @@
 """What can be chosen by name is declared once, by itself or by an installed package."""
 
+from importlib.metadata import EntryPoint
+
 import pytest
 
 from pfdist.common.registry import Registry
+from pfdist.errors import PfdistError
 from pfdist.plots.cost import curve_of
 from pfdist.search.methods import DEFAULT_METHOD, METHODS
 
@@ -19,6 +22,17 @@ def test_names_come_in_order() -> None:
     for name in ("b", "c", "a"):
         registry.declare(name, 1)
     assert list(registry) == ["a", "b", "c"]
+
+
+def test_an_addition_that_cannot_be_loaded_is_named_at_every_reading(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    entry_point = EntryPoint("mine", "nothing_of_this_name", "some.group")
+    monkeypatch.setattr("pfdist.common.registry.entry_points", lambda group: [entry_point])
+    registry = Registry[int]("pfdist.times", "some.group")
+    for _ in range(2):
+        with pytest.raises(PfdistError, match=r"cannot load 'mine', which .* some\.group as n"):
+            list(registry)
 
 
 @pytest.mark.parametrize("name", METHODS)

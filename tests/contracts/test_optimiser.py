@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pfdist.evaluation.estimate import SearchEvaluation
-from pfdist.search import BudgetCurve, Candidate
+from pfdist.search import Candidate, EveryBudget
 from pfdist.search.base import FINALISTS, SearchOptimiser
 from pfdist.search.methods import METHODS
 from pfdist.times.feasible import Feasible
@@ -21,12 +21,12 @@ DRAWS = 20
 OPTIMISERS: dict[str, SearchOptimiser] = {
     name: method.make(FEASIBLE, DRAWS, method.section().settings)
     for name, method in METHODS.items()
-} | {"budget_curve": BudgetCurve(FEASIBLE, least=4)}
+} | {"every_budget": EveryBudget(FEASIBLE, least=4)}
 # How much they ask for does not depend on what they are told.
 FORESEEN = ("exhaustive", "genetic", "greedy_backward", "greedy_forward", "random")
 AT_RANDOM = ("annealing", "cross_entropy", "genetic", "random")
 FINDS_THE_BEST = (
-    "budget_curve",
+    "every_budget",
     "cross_entropy",
     "exchange",
     "exhaustive",

@@ -10,8 +10,11 @@ from contextlib import contextmanager, suppress
 from ipaddress import IPv4Address, IPv6Address, ip_address
 from pathlib import Path
 
+import psutil
+from psutil import Process
+
 from oracles.bytes_of import hashes
-from pfdist.pools.processes import Process, end, family
+from pfdist.pools.processes import end
 
 PATIENCE_SECONDS = 180.0
 # As a terminal starts it: a shell's background jobs, as CI may be, have SIGINT ignored.
@@ -104,10 +107,22 @@ def until(reached: Callable[[], object], seconds: float = PATIENCE_SECONDS) -> N
         time.sleep(0.005)
 
 
+def family(parent: int, word: str = "") -> list[Process]:
+    """The processes below a process: its children whose command has the word, and theirs."""
+    found: list[Process] = []
+    with suppress(psutil.NoSuchProcess):
+        for child in Process(parent).children():
+            if word in command_of(child):
+                found.append(child)
+                with suppress(psutil.NoSuchProcess):
+                    found += child.children(recursive=True)
+    return found
+
+
 def command_of(process: Process) -> str:
     """A process's command, or how it calls itself; empty once it has ended."""
     try:
-        return Path(f"/proc/{process.id}/cmdline").read_text(errors="replace")
+        return Path(f"/proc/{process.pid}/cmdline").read_text(errors="replace")
     except OSError:
         return ""
 

@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 
 import pfdist
-from crash.runs import until
+from crash.runs import family, until
 from oracles.bytes_of import hashes
-from pfdist.pools.processes import end, family
+from pfdist.pools.processes import end
 
 pytestmark = pytest.mark.usefixtures("no_figures")
 _ENVIRONMENT = {

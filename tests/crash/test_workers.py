@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from psutil import Process
 
 import pfdist
 from crash.runs import (
@@ -17,6 +18,7 @@ from crash.runs import (
     Running,
     all_gone,
     command_of,
+    family,
     finish,
     listening,
     running,
@@ -24,7 +26,6 @@ from crash.runs import (
 )
 from oracles.bytes_of import hashes
 from pfdist import Job
-from pfdist.pools.processes import Process, family
 from pfdist.runner.progress import Progress
 
 DIES = "one worker or a node dies: the run goes on"
@@ -92,7 +93,7 @@ def test_a_worker_that_is_killed_in_each_phase_makes_no_difference(
         if progress.evaluations and progress.phase not in killed:
             workers = [process for process in family(os.getpid()) if WORKER in command_of(process)]
             killed[progress.phase] = workers[0]
-            os.kill(workers[0].id, signal.SIGKILL)
+            os.kill(workers[0].pid, signal.SIGKILL)
 
     job = small_job.with_changes(["comparison.draws=20000"])
     run = pfdist.run(job, tmp_path / "run", pool="ray", workers=2, report=kill)
@@ -112,7 +113,7 @@ def test_a_run_whose_workers_are_killed_ends_with_the_same_bytes(
             driver.wait_for(_has_come_on(driver, commits, killed))
             time.sleep(rng.uniform(0, 0.5))  # it has begun, or waits, or has ended something
             for worker in set(driver.workers()) - killed:
-                os.kill(worker.id, signal.SIGKILL)
+                os.kill(worker.pid, signal.SIGKILL)
                 killed.add(worker)
         assert driver.wait() == 0, driver.said[-3:]
     assert hashes(tmp_path / "run") == _whole(job)
@@ -129,7 +130,7 @@ def test_a_run_whose_workers_are_stopped_ends_with_the_same_bytes(
         driver.wait_for(lambda: _is_comparing(driver))
         workers = driver.workers()[: 1 if stopped == "one" else None]
         for worker in workers:
-            os.kill(worker.id, signal.SIGSTOP)
+            os.kill(worker.pid, signal.SIGSTOP)
         assert driver.wait() == 0, driver.said[-3:]
         until(lambda: all_gone(workers), GONE_SECONDS)
     assert hashes(tmp_path / "run") == _whole(job)
@@ -149,7 +150,7 @@ def test_a_run_whose_servers_are_stopped_goes_on_or_says_so_and_leaves_nothing(
         everything, start = driver.family(), time.monotonic()
         for process in everything:
             if any(word in command_of(process) for word in stopped):
-                os.kill(process.id, signal.SIGSTOP)
+                os.kill(process.pid, signal.SIGSTOP)
         code = driver.wait()
         assert time.monotonic() - start < RAY_SECONDS
         if WORKER in stopped:
@@ -219,7 +220,7 @@ def test_a_run_whose_workers_are_all_killed_at_once_ends_with_the_same_bytes(
         driver.wait_for(lambda: driver.parts(table) and len(driver.workers()) == 2)
         killed = driver.workers()
         for worker in killed:
-            os.kill(worker.id, signal.SIGKILL)
+            os.kill(worker.pid, signal.SIGKILL)
         assert driver.wait() == 0, driver.said[-3:]
     assert hashes(tmp_path / "run") == _whole(job)
     record_property("faults", f"{DIES}: {len(killed)}")
@@ -234,7 +235,7 @@ def test_ray_that_a_run_has_started_is_heard_on_this_machine_alone(
 ) -> None:
     with running(make_job(100_000), tmp_path / "run", *TWO, *address) as driver:
         driver.wait_for(lambda: _is_comparing(driver))
-        found = set(listening([driver.process.pid, *(process.id for process in driver.family())]))
+        found = set(listening([driver.process.pid, *(process.pid for process in driver.family())]))
         commands = [command_of(process) for process in driver.family()]
     assert found
     assert all(place.is_loopback for place in found), found

@@ -10,6 +10,8 @@ import pytest
 from pfdist.evaluation.engines import ENGINES
 from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.kernels.schemes import SCHEMES
+from pfdist.plots.figure import FIGURES
+from pfdist.pools.kinds import POOLS
 from pfdist.search.methods import METHODS
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -39,7 +41,9 @@ def test_the_manual_has_every_table_once(tables: ModuleType) -> None:
 
 def test_a_table_names_everything_that_is_declared(tables: ModuleType) -> None:
     for table, declared in (
+        ("figures", [name for name, figure in FIGURES.items() if not figure.each_set]),
         ("methods", METHODS),
+        ("pools", POOLS),
         ("engines", ENGINES),
         ("estimators", ESTIMATORS),
         ("schemes", SCHEMES),

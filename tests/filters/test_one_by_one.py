@@ -17,7 +17,7 @@ from pfdist.evaluation.problem import Problem
 from pfdist.evaluation.work import Estimation, Work
 from pfdist.filters.draws import Draws, simulate
 from pfdist.filters.one_by_one import filter_variance, two_filters
-from pfdist.filters.particle_filter import filter_draws, filter_sets, filter_streams
+from pfdist.filters.particle_filter import FilterSettings, filter_draws, filter_sets, filter_streams
 from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.times.measurement_times import Times, regular
 
@@ -127,14 +127,15 @@ def test_together_they_are_bit_for_bit_as_one_by_one_and_plain_ones_agree(
 ) -> None:
     draws = simulate(UNGM, HORIZON, range(40), 3)
     draws = Draws(model, draws.index, draws.x, draws.y, draws.z)
-    of = (70, 9, "multinomial", "float64")
-    together = filter_sets(model, draws, SETS, *of, ENDS, estimator)
+    together = filter_sets(model, draws, SETS, 70, 9, ends=ENDS, estimator=estimator)
     alone = [
-        filter_sets(model, draws, [times], *of, [end], estimator)
+        filter_sets(model, draws, [times], 70, 9, ends=[end], estimator=estimator)
         for times, end in zip(SETS, ENDS, strict=True)
     ]
     np.testing.assert_array_equal(together, np.concatenate(alone, axis=1))
-    plainly = ENGINES["numpy"].filter_sets(model, draws, SETS, *of, ENDS, estimator)
+    plainly = ENGINES["numpy"].filter_checked_sets(
+        model, draws, SETS, ENDS, 9, FilterSettings(70, estimator=estimator)
+    )
     np.testing.assert_allclose(together, plainly, rtol=1e-9)
     assert np.isnan(together).any() == (model is DEGENERATE)
     assert np.isinf(together).any() == (model is INFINITE)
@@ -165,7 +166,7 @@ REFUSED: list[tuple[Problem, dict[str, Any], str]] = [
     (
         Problem(UNGM, 5, UNGM.with_parameters({"process_sd": 2.0}), engine=engine),
         {"estimator": estimator},
-        f"evaluation.estimator = '{estimator}' needs a filter that knows the truth, .*'squared_er",
+        f"^the estimator '{estimator}' needs a filter that knows the truth, .*'squared_er",
     )
     for estimator in list(ESTIMATORS)[1:]
     for engine in ("compiled", "numpy")

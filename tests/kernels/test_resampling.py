@@ -8,7 +8,13 @@ from scipy import stats
 
 from pfdist.kernels.noise import padded
 from pfdist.kernels.plain_resampling import plain_ancestors
-from pfdist.kernels.resampling import RESAMPLE, SPARE, expanded, merged_ancestors
+from pfdist.kernels.resampling import (
+    RESAMPLE,
+    SPARE,
+    ResamplingScratch,
+    expanded,
+    merged_ancestors,
+)
 
 STREAM = 0x0123456789ABCDEF
 SIZES = [1, 2, 3, 4, 5, 15, 16, 17, 63, 64, 65, 500, 1000]
@@ -53,10 +59,9 @@ def compiled_ancestors(scheme, weight, draw, t=3):
         around.append(outside)
     ancestor, outside = guarded(count + SPARE, np.uint32)
     cumulative[:] = np.cumsum(weight)
-    noise, sums, points, shares = scratch
-    RESAMPLE[scheme](
-        cumulative, count, np.uint64(STREAM), draw, t, noise[None], sums, points, shares, ancestor
-    )
+    noise, *others = scratch
+    arrays = ResamplingScratch(cumulative, noise[None], *others, ancestor)
+    RESAMPLE[scheme](arrays, count, np.uint64(STREAM), draw, t)
     assert untouched(*around, outside)
     return ancestor[:count]
 

@@ -5,7 +5,7 @@ import pytest
 
 from pfdist.kernels.noise import padded
 from pfdist.kernels.resampling import SPARE
-from pfdist.kernels.sorting import DIGITS, LEVELS, plain_order, sort_by_state
+from pfdist.kernels.sorting import DIGITS, LEVELS, SortingScratch, plain_order, sort_by_state
 from pfdist.kernels.weights import width
 
 RNG = np.random.default_rng(3)
@@ -43,9 +43,8 @@ def in_line(state, weight, dtype="float64"):
     arrays += [np.full(padded(count + SPARE) + padded(1), GUARD, np.uint32) for _ in range(3)]
     counts = arrays[0][: 2 * DIGITS].reshape(2, DIGITS)
     keys, half_sorted, order = (array[: -padded(1)] for array in arrays[1:])
-    half = sort_by_state(
-        cloud, 0, count, weights, 1, np.empty(size), counts, keys, half_sorted, order
-    )
+    scratch = SortingScratch(np.empty(size), counts, keys, half_sorted, order)
+    half = sort_by_state(cloud, 0, count, weights, 1, scratch)
     assert half == 1
     assert all((array[-padded(1) :] == GUARD).all() for array in arrays)
     assert (weights[0] == 0).all()

@@ -54,7 +54,7 @@ def test_what_begins_under_a_guard_ends_with_it_and_nothing_else() -> None:
             subprocess.run([sys.executable, "-c", ORPHAN], check=True)
         outside = subprocess.Popen(["sleep", "60"])
         assert len(marked("PFDIST_TEST", value)) == 3  # the guard, the orphan and the other
-    assert [process.id for process in marked("PFDIST_TEST", value)] == [outside.pid]
+    assert [process.pid for process in marked("PFDIST_TEST", value)] == [outside.pid]
     outside.kill()
     outside.wait()
 

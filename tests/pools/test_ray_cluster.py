@@ -8,19 +8,19 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 
 from crash.runs import listening
 from pfdist.checks import machine as doctor
 from pfdist.errors import PoolError
-from pfdist.pools.processes import family
 
 
 def test_all_servers_and_workers_listen_on_loopback_alone(ray_cluster: None) -> None:
     from pfdist.pools.ray_cluster import ray
 
     ray.get(ray.remote(lambda: 0).remote())  # there is a worker, too
-    processes = [os.getpid(), *(process.id for process in family(os.getpid()))]
+    processes = [os.getpid(), *(child.pid for child in psutil.Process().children(recursive=True))]
     found = set(listening(processes))
     assert found
     assert all(place.is_loopback for place in found), found
@@ -96,4 +96,4 @@ def test_a_cluster_that_cannot_be_joined_is_named_briefly_with_what_else_compute
     with pytest.raises(PoolError) as caught, ray_cluster.connected("h" * 100_000 + ":1"):
         pass
     assert len(str(caught.value)) < 250
-    assert "does not answer: nobody is there; --pool serial" in str(caught.value)
+    assert "does not answer: nobody is there; the serial pool" in str(caught.value)

@@ -116,7 +116,7 @@ def test_of_all_that_end_at_one_time_and_cost_the_same_two_are_extended(constrai
     search = Survivors(CONSTRAINED[constraint], survivors=2)
     extended: Counter[tuple[int, float, int, int]] = Counter()
     for state in _states(search, prefix_costs(THREE, search.feasible.horizon)):
-        limits = state.longest_gap, state.corridor  # when they are widened, it begins anew
+        limits = state.largest_gap, state.corridor  # when they are widened, it begins anew
         for times in state.front:
             extended[*limits, times[-1] if times else -1, search.feasible.spent(times)] += 1
     assert max(extended.values()) == 2
@@ -131,7 +131,7 @@ def test_limits_that_are_in_the_way_are_widened() -> None:
     search = Survivors(Feasible(40, 4))
     state, _ = _run(search, cost)
     assert state.whole[0].measurement_times == (37, 38, 39, 40)
-    assert state.longest_gap > search.init().longest_gap
+    assert state.largest_gap > search.init().largest_gap
 
 
 def test_all_times_and_one_time() -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from oracles.kalman import SCALAR, THREE, TRACKING, LinearGaussian, prefix_costs
 from pfdist.evaluation.estimate import SearchEvaluation
-from pfdist.search import BudgetCurve, SearchOptimiser, Survivors
+from pfdist.search import EveryBudget, SearchOptimiser, Survivors
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
@@ -49,7 +49,7 @@ def test_of_every_number_it_finds_what_brute_force_finds(
 ) -> None:
     feasible = CONSTRAINED[constraint]
     cost = prefix_costs(system, feasible.horizon)
-    search = BudgetCurve(feasible, 2, **settings)
+    search = EveryBudget(feasible, 2, **settings)
     state, _ = _run(search, feasible.horizon, cost)
     found = sorted(
         search.finalists(state), key=lambda evaluation: len(evaluation.measurement_times)
@@ -66,7 +66,7 @@ def test_of_every_number_it_finds_what_brute_force_finds(
 
 def test_it_asks_for_less_than_one_programme_for_each_number() -> None:
     run = partial(_run, horizon=20, cost=prefix_costs(TRACKING, 20))
-    _, together = run(BudgetCurve(Feasible(20, 9), 5))
+    _, together = run(EveryBudget(Feasible(20, 9), 5))
     one_by_one = sum(run(Survivors(Feasible(20, number)))[1] for number in range(5, 10))
     assert together < one_by_one / 2
 
@@ -77,7 +77,7 @@ def test_limits_that_are_in_the_way_are_widened() -> None:
     def cost(times: Times, end: int) -> float:
         return -sum(math.exp(t - 40) for t in times)
 
-    search = BudgetCurve(Feasible(40, 5), 4)
+    search = EveryBudget(Feasible(40, 5), 4)
     state, _ = _run(search, 40, cost)
     found = [evaluation.measurement_times for evaluation in search.finalists(state)]
     assert found == [tuple(range(41 - number, 41)) for number in (5, 4)]

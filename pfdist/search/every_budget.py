@@ -24,7 +24,7 @@ from pfdist.times.measurement_times import Times
 
 
 @dataclass(frozen=True)
-class BudgetCurveState:
+class EveryBudgetState:
     """Progress of the programme.
 
     Parameters
@@ -48,7 +48,7 @@ class BudgetCurveState:
 
 
 @dataclass(frozen=True)
-class BudgetCurve:
+class EveryBudget:
     """Survivor dynamic programme for every N of a range.
 
     Parameters
@@ -90,11 +90,11 @@ class BudgetCurve:
             filtered += sum(2 * min(largest, instants - 1 - index) for index in indices)
         return self.survivors * filtered / instants
 
-    def init(self) -> BudgetCurveState:
+    def init(self) -> EveryBudgetState:
         """Give the state before the first generation."""
-        return BudgetCurveState()
+        return EveryBudgetState()
 
-    def ask(self, state: BudgetCurveState, rng: np.random.Generator) -> list[Candidate]:
+    def ask(self, state: EveryBudgetState, rng: np.random.Generator) -> list[Candidate]:
         """Give extensions of the survivors up to their last time, and whole sets up to T."""
         return [
             *(Candidate((*times, t), t) for times, t in self._extended(state)),
@@ -102,8 +102,8 @@ class BudgetCurve:
         ]
 
     def tell(
-        self, state: BudgetCurveState, evaluations: Sequence[SearchEvaluation]
-    ) -> BudgetCurveState:
+        self, state: EveryBudgetState, evaluations: Sequence[SearchEvaluation]
+    ) -> EveryBudgetState:
         """Keep the best prefixes of each state; at the end, widen limits that a set reaches."""
         best = {len(evaluation.measurement_times): evaluation for evaluation in state.whole}
         for evaluation in evaluations:
@@ -119,11 +119,11 @@ class BudgetCurve:
         )
         return state if front else self._ended(state)
 
-    def done(self, state: BudgetCurveState) -> bool:
+    def done(self, state: EveryBudgetState) -> bool:
         """Whether the search has ended."""
         return state.done
 
-    def finalists(self, state: BudgetCurveState) -> tuple[SearchEvaluation, ...]:
+    def finalists(self, state: EveryBudgetState) -> tuple[SearchEvaluation, ...]:
         """Give the best set of each N, the set with the least cost first."""
         return tuple(sorted(state.whole, key=lambda evaluation: evaluation.cost))
 
@@ -135,7 +135,7 @@ class BudgetCurve:
             for number in range(self.least, self.most + 1)
         }
 
-    def _extended(self, state: BudgetCurveState) -> list[tuple[Times, int]]:
+    def _extended(self, state: EveryBudgetState) -> list[tuple[Times, int]]:
         """Give pairs of a survivor and a time that may follow it."""
         every = [(times, t) for times in state.front for t in self._following(times)]
         number = len(state.front[0]) + 1
@@ -156,7 +156,7 @@ class BudgetCurve:
         sets = [self._feasible_by_number[total] for total in totals if total <= self.most]
         return sorted({time for feasible in sets for time in feasible.extensions(times)})
 
-    def _closed(self, state: BudgetCurveState) -> list[Times]:
+    def _closed(self, state: EveryBudgetState) -> list[Times]:
         """Give the survivors that are whole sets and do not end too early."""
         feasible = self._feasible_by_number.get(len(state.front[0]))
         every = [times for times in state.front if feasible and feasible.accepts(times)]
@@ -170,12 +170,12 @@ class BudgetCurve:
         """Give the index of the last measurement; -1 for an empty prefix."""
         return self.feasible.index[times[-1]] if times else -1
 
-    def _largest_gap(self, state: BudgetCurveState, number: int) -> int:
+    def _largest_gap(self, state: EveryBudgetState, number: int) -> int:
         """Give the largest allowed difference of the indices of two successive measurements."""
         mean_gap = len(self.feasible.allowed) / max(number, self.least)
         return max(2, math.ceil(LARGEST_GAPS * state.widening * mean_gap))
 
-    def _corridor(self, state: BudgetCurveState, number: int) -> tuple[int, int]:
+    def _corridor(self, state: EveryBudgetState, number: int) -> tuple[int, int]:
         """Give the first and last allowed index of a measurement, by its number from 1."""
         narrow, wide = (
             len(self.feasible.allowed) / measurements
@@ -185,7 +185,7 @@ class BudgetCurve:
         first = half * narrow - 0.5 - max(2.0, gaps * narrow)
         return math.floor(first), math.ceil(half * wide - 0.5 + max(2.0, gaps * wide))
 
-    def _ended(self, state: BudgetCurveState) -> BudgetCurveState:
+    def _ended(self, state: EveryBudgetState) -> EveryBudgetState:
         """End the search, or start again with wider limits."""
         best = tuple(evaluation.measurement_times for evaluation in state.whole)
         lacking = len(best) <= self.most - self.least
@@ -193,15 +193,15 @@ class BudgetCurve:
         unlimited = CORRIDOR_GAPS * state.widening >= self.most  # the corridor holds all times
         if unlimited or not (lacking or limited):
             return replace(state, done=True)
-        return BudgetCurveState(WIDENING * state.widening, whole=state.whole, before=best)
+        return EveryBudgetState(WIDENING * state.widening, whole=state.whole, before=best)
 
-    def _is_limited(self, state: BudgetCurveState, times: Times) -> bool:
+    def _is_limited(self, state: EveryBudgetState, times: Times) -> bool:
         """Whether a gap is the largest allowed, or a time lies at the edge of its corridor."""
         indices = [self.feasible.index[time] for time in times]
         numbers = range(1, len(indices) + 1)
         return any(self._at_a_limit(state, indices, number) for number in numbers)
 
-    def _at_a_limit(self, state: BudgetCurveState, indices: list[int], number: int) -> bool:
+    def _at_a_limit(self, state: EveryBudgetState, indices: list[int], number: int) -> bool:
         index, instants = indices[number - 1], len(self.feasible.allowed)
         gap = index - (indices[number - 2] if number > 1 else -1)
         first, last = self._corridor(state, number)

@@ -1,0 +1,113 @@
+"""The steps of a cloud of particles, compiled from a model: begin, propagate, weight, and copy.
+
+A cloud is an array (2, n, W), the first member of a `pfdist.kernels.scratch.Scratch`. Each step
+reads one half, whose index is `here`, and writes the other half.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from pfdist.kernels.components import reader, writer
+from pfdist.kernels.formulas import formula
+from pfdist.kernels.melting import melted
+from pfdist.kernels.noise import FILTER_INITIAL, FILTER_PROCESS, filler
+from pfdist.kernels.weights import IMPOSSIBLE
+
+_FORMULAS = ("initial", "transition", "log_likelihood")
+
+
+def cloud_steps(
+    functions: tuple[Callable[..., Any], ...],
+    noise_kinds: tuple[tuple[str, ...], ...],
+    components: tuple[int, int, int],
+) -> tuple[Callable[..., Any], ...]:
+    """Compile what a model does to a cloud: begin, propagate, and compute log-weights.
+
+    Parameters
+    ----------
+    functions : tuple of callables
+        initial, transition and log_likelihood.
+    noise_kinds : tuple of tuples of {"normal", "uniform"}
+        Of the initial state and of the process.
+    components : (int, int, int)
+        Numbers of components of x, y and z.
+
+    Returns
+    -------
+    begin : callable
+        ``begin(cloud, noise, particles, p, stream, draw, saved, source)`` fills the first half with
+        the saved cloud number `source`, or with x(0) if `source` is -1. It returns the sum of the
+        errors so far.
+    propagate : callable
+        ``propagate(cloud, here, noise, particles, p, stream, draw, t)`` computes x(t+1) from x(t).
+    fill_log_weights : callable
+        ``fill_log_weights(cloud, here, particles, p, y, d, t, log_weight)``, for the measurement
+        y[d, t].
+    """
+    initial, transition, log_likelihood = map(formula, functions, _FORMULAS)
+    fill_w0, fill_w = map(filler, noise_kinds)
+    read_w0, read_w = (reader(len(kinds), "c, i") for kinds in noise_kinds)
+    states, measurements, _ = components
+    read_x, write_x = reader(states, "half, c, i"), writer(states, "half, c, i")
+    read_y = reader(measurements, "d, t, c")
+
+    @melted
+    def begin(cloud, noise, particles, p, stream, draw, saved, source):
+        if source >= 0:
+            copy_cloud(saved.clouds, source, cloud, 0)
+            return saved.errors[source]
+        fill_w0(noise, particles, stream, draw, np.int64(0), FILTER_INITIAL)
+        _repeat_first(noise, particles, cloud.shape[2])
+        for i in range(cloud.shape[2]):
+            write_x(cloud, 0, i, initial(read_w0(noise, i), p))
+        return 0.0
+
+    @melted
+    def propagate(cloud, here, noise, particles, p, stream, draw, t):
+        fill_w(noise, particles, stream, draw, t, FILTER_PROCESS)
+        _repeat_first(noise, particles, cloud.shape[2])
+        for i in range(cloud.shape[2]):
+            x = transition(read_x(cloud, here, i), t, read_w(noise, i), p)
+            write_x(cloud, 1 - here, i, x)
+
+    @melted
+    def fill_log_weights(cloud, here, particles, p, y, d, t, log_weight):
+        measured = read_y(y, d, t)
+        for i in range(log_weight.size):
+            value = log_likelihood(measured, read_x(cloud, here, i), t, p)
+            log_weight[i] = value if abs(value) < np.inf else IMPOSSIBLE
+        for i in range(particles, log_weight.size):
+            log_weight[i] = IMPOSSIBLE
+
+    return begin, propagate, fill_log_weights
+
+
+@melted
+def _repeat_first(noise, particles, size):
+    """Copy the first particle's noise behind the last particle's.
+
+    So a formula cannot fail behind the last particle if it fails for no particle.
+    """
+    for row in range(noise.shape[0]):
+        for i in range(particles, size):
+            noise[row, i] = noise[row, 0]
+
+
+@melted
+def copy_ancestors(cloud, here, particles, ancestor):
+    """Copy each particle's ancestor to the other half; behind the last, repeat the first."""
+    for i in range(particles, cloud.shape[2]):
+        ancestor[i] = ancestor[0]
+    for component in range(cloud.shape[1]):
+        for i in range(cloud.shape[2]):
+            cloud[1 - here, component, i] = cloud[here, component, ancestor[i]]
+
+
+@melted
+def copy_cloud(clouds, source, others, target):
+    """Copy ``clouds[source]`` to ``others[target]``."""
+    for component in range(clouds.shape[1]):
+        for i in range(clouds.shape[2]):
+            others[target, component, i] = clouds[source, component, i]

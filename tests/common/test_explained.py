@@ -1,0 +1,72 @@
+"""Validation errors are explained from their types, in words that pydantic did not write."""
+
+from typing import Annotated, Any, Literal
+
+import pytest
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import PydanticCustomError
+
+from pfdist.common.explained import explained
+
+pytestmark = pytest.mark.quick
+
+
+class Inner(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    count: int = 1
+
+
+class Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True)
+    whole: Annotated[int, Field(ge=1, lt=2**63)] = 1
+    even: Annotated[int, Field(multiple_of=2)] = 2
+    share: Annotated[float, Field(gt=0.0, le=1.0)] = 0.5
+    finite: Annotated[float, Field(allow_inf_nan=False)] = 0.5
+    flag: bool = True
+    name: Annotated[str, Field(pattern="^[a-z]+$", max_length=5)] = "a"
+    kind: Literal["fresh", "common"] = "fresh"
+    several: Annotated[list[int], Field(min_length=1, max_length=2)] = [1]
+    parameters: dict[str, float] = {}
+    inner: Inner = Inner()
+
+
+def sentence(data: dict[str, Any]) -> str:
+    with pytest.raises(ValidationError) as caught:
+        Section.model_validate(data)
+    return explained(caught.value, Section)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [
+        ("whole", 0, "whole must be at least 1, got 0"),
+        ("whole", 2**63, f"whole must be less than {2**63}, got {2**63}"),
+        ("whole", 1.0, "whole must be an integer, got 1.0"),
+        ("whole", "1", "whole must be an integer, got '1'"),
+        ("even", 7, "even must be a multiple of 2, got 7"),
+        ("share", 0.0, "share must be greater than 0, got 0.0"),
+        ("share", 1.5, "share must be at most 1, got 1.5"),
+        ("share", "x", "share must be a number, got 'x'"),
+        ("finite", float("nan"), "finite must be a finite number, got nan"),
+        ("flag", 1, "flag must be true or false, got 1"),
+        ("name", "A", "name must be a string that matches ^[a-z]+$, got 'A'"),
+        ("name", "abcdef", "name must be at most 5 characters long, got 'abcdef'"),
+        ("name", 3, "name must be a string, got 3"),
+        ("kind", "new", "kind must be 'fresh' or 'common', got 'new'"),
+        ("several", [], "several must be a list of at least 1 entries, got []"),
+        ("several", [1, 2, 3], "several must be a list of at most 2 entries, got [1, 2, 3]"),
+        ("several", 3, "several must be a list, got 3"),
+        ("parameters", 3, "parameters must be a section, got 3"),
+        ("inner", 3, "inner must be a section, got 3"),
+        ("inner", {"cont": 3}, "unknown key 'cont' in [inner], allowed: count"),
+        ("hole", 3, f"unknown key 'hole', allowed: {', '.join(Section.model_fields)}"),
+    ],
+)
+def test_each_type_of_error_has_its_own_words(key: str, value: object, said: str) -> None:
+    assert sentence({key: value}) == said
+
+
+def test_an_unknown_type_of_error_is_named() -> None:
+    details = [{"type": PydanticCustomError("strange", "prose"), "loc": ("a",), "input": 3}]
+    error = ValidationError.from_exception_data("Section", details)  # type: ignore[arg-type]
+    assert explained(error, Section) == "a must be valid (strange), got 3"

@@ -1,0 +1,136 @@
+"""The inner parts of Numba, llvmlite and Ray that the package uses, each looked for by its name.
+
+`pyproject.toml` admits these libraries up to the versions that were tested. Whoever raises a bound
+learns here which part has gone, and which file uses it.
+"""
+
+import ast
+import tomllib
+from collections.abc import Iterator
+from importlib import import_module
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+
+PROJECT = Path(__file__).parents[2]
+LIBRARIES = ("llvmlite", "numba", "ray")
+# Methods and attributes that the package overrides, or uses of objects it is given.
+BESIDES = {
+    "numba.core.codegen:JITCodeLibrary._optimize_final_module": "kernels/melting.py",
+    "numba.core.codegen:JITCodeLibrary.enable_object_caching": "kernels/melting.py",
+    "numba.core.compiler:Compiler.define_pipelines": "kernels/melting.py",
+    "numba.core.compiler:CompileResult._rebuild": "kernels/disk_cache.py",
+    "numba.core.compiler:CompileResult._reduce": "kernels/disk_cache.py",
+    "numba.core.codegen:JITCPUCodegen.magic_tuple": "kernels/disk_cache.py",
+    "numba.core.dispatcher:Dispatcher._numba_type_": "kernels/melting.py",
+}
+
+
+def _bound(tree: ast.Module) -> dict[str, str]:
+    """``module:name`` of each name that a file imports; no name for a whole library."""
+    bound: dict[str, str] = {}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom):
+            module = node.module or ""
+            bound |= {alias.asname or alias.name: f"{module}:{alias.name}" for alias in node.names}
+        elif isinstance(node, ast.Import):
+            tops = [alias.name.partition(".")[0] for alias in node.names if not alias.asname]
+            bound |= {top: f"{top}:" for top in tops}
+    return {
+        name: part
+        for name, part in bound.items()
+        if part.partition(":")[0].partition(".")[0] in LIBRARIES
+    }
+
+
+def parts(path: Path) -> Iterator[str]:
+    """``module:name`` of everything that a file takes from the libraries, attributes included."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    bound = _bound(tree)
+    yield from (part for part in bound.values() if not part.endswith(":"))
+    for node in ast.walk(tree):
+        names, value = [], node
+        while isinstance(value, ast.Attribute):
+            names.insert(0, value.attr)
+            value = value.value
+        if names and isinstance(value, ast.Name) and value.id in bound:
+            module, _, name = bound[value.id].partition(":")
+            yield f"{module}:{'.'.join([name, *names] if name else names)}"
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ClassDef):
+            yield from _extended(node, bound)
+
+
+def _extended(node: ast.ClassDef, bound: dict[str, str]) -> Iterator[str]:
+    """Methods that a class extends, of the library's class that it inherits from."""
+    bases = [
+        bound[base.id] for base in node.bases if isinstance(base, ast.Name) and base.id in bound
+    ]
+    for inner in ast.walk(node):
+        if isinstance(inner, ast.Attribute) and isinstance(inner.value, ast.Call):
+            called = inner.value.func
+            if isinstance(called, ast.Name) and called.id == "super":
+                yield from (f"{base}.{inner.attr}" for base in bases)
+
+
+def is_there(part: str) -> bool:
+    """Whether a part is there. A class may set its attributes in ``__init__``: one level counts."""
+    module, _, names = part.partition(":")
+    try:
+        value = import_module(module)
+    except ImportError:
+        return False
+    for name in names.split("."):
+        if not hasattr(value, name):
+            try:
+                value = import_module(f"{value.__name__}.{name}")
+            except (AttributeError, ImportError):
+                return False
+        else:
+            value = getattr(value, name)
+    return True
+
+
+USED = {
+    part: str(path.relative_to(PROJECT / "pfdist"))
+    for path in sorted((PROJECT / "pfdist").rglob("*.py"))
+    for part in parts(path)
+} | BESIDES
+
+
+@pytest.mark.parametrize("part", sorted(USED))
+def test_a_part_of_a_library_that_is_used_is_there(part: str) -> None:
+    library = part.partition(":")[0].partition(".")[0]
+    assert is_there(part), (
+        f"{library} {version(library)} has no {part}, which pfdist/{USED[part]} uses: "
+        "change that file, or lower the bound in pyproject.toml"
+    )
+
+
+def test_parts_are_found_in_the_source_and_a_missing_part_is_noticed(tmp_path: Path) -> None:
+    source = tmp_path / "file.py"
+    source.write_text(
+        "import ray\nfrom numba.core import cgutils\nfrom numba.gone import x\n"
+        "ray._private.services.gone()\ncgutils.alloca_once(1)\ncgutils.gone\n"
+        "from numba.core.lowering import Lower\n"
+        "class Mine(Lower):\n    def lower_gone(self): super().lower_gone(); super().lower()\n"
+    )
+    found = set(parts(source))
+    assert {part for part in found if not is_there(part)} == {
+        "numba.gone:x",
+        "numba.core:cgutils.gone",
+        "numba.core.lowering:Lower.lower_gone",
+        "ray:_private.services.gone",
+    }
+    assert "numba.core:cgutils.alloca_once" in found
+
+
+@pytest.mark.parametrize("library", LIBRARIES)
+def test_a_library_whose_inner_parts_are_used_has_an_upper_bound(library: str) -> None:
+    project = tomllib.loads((PROJECT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    found = {Requirement(text).name: Requirement(text) for text in project["dependencies"]}
+    bounds = [bound for bound in found[library].specifier if bound.operator == "<"]
+    assert len(bounds) == 1
+    assert version(library) in found[library].specifier
