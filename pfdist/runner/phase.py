@@ -38,6 +38,8 @@ class Phase(Generic[E]):
     purpose : Purpose
     settings : Settings
     built : Built
+    keep_leaders : bool
+        Whether the leaders are kept, for probes of the estimator.
 
     Attributes
     ----------
@@ -54,9 +56,11 @@ class Phase(Generic[E]):
         purpose: Purpose[E],
         settings: Settings,
         built: Built,
+        *,
+        keep_leaders: bool = False,
     ) -> None:
         self.name, self.optimiser, self.purpose = name, optimiser, purpose
-        self.settings, self.built = settings, built
+        self.settings, self.built, self.keep_leaders = settings, built, keep_leaders
         self.evaluated: dict[str, NDArray[np.float64]] = {}
         self.leaders: list[E] = []
 
@@ -156,7 +160,8 @@ def run_phase(phase: Phase[E], collector: Collector, reporter: Reporter) -> Sequ
             rows = partial(_evaluation_rows, name, generation, asked, requests, evaluations)
             collector.later(partial(commit_generation, store, name, generation, rows))
         told = [evaluations[candidate] for candidate in asked]
-        phase.leaders.extend(new_leaders(told, phase.leaders))
+        if phase.keep_leaders:
+            phase.leaders.extend(new_leaders(told, phase.leaders))
         state, generation = optimiser.tell(state, told), generation + 1
         costs, finalists = _whole_costs(told), _whole_costs(optimiser.finalists(state))
         mean = float(np.mean(costs)) if costs else None

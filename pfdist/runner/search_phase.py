@@ -226,7 +226,8 @@ def search_steps(built: Built, search: NamedSearch) -> float:
 
 
 def _searching(built: Built, search: NamedSearch) -> Phase[SearchEvaluation]:
-    return Phase(search.name, search.optimiser, SEARCH, search.settings, built)
+    probed = search.again is not None
+    return Phase(search.name, search.optimiser, SEARCH, search.settings, built, keep_leaders=probed)
 
 
 def _polishing(built: Built, search: NamedSearch, start: Times) -> Phase[SearchEvaluation]:
