@@ -75,7 +75,7 @@ def prepare(
     problem, policy = build(job).source.compiled(), job.evaluation.degenerate_draws
     if problem.exact:
         return partial(_exact, problem, times, policy)
-    evaluation = Settings.of(job)
+    evaluation = Settings.from_job(job)
     work = Work(
         measurement_times=(times,),
         ends=(problem.horizon,),

@@ -112,9 +112,9 @@ class Content(ABC):
         keywords = tuple(sorted((function.__kwdefaults__ or {}).items()))
         yield from self.parts((function.__defaults__, keywords))
         for name, cell in zip(code.co_freevars, function.__closure__ or (), strict=True):
-            yield from self.cell(cell, uses.of(name))
+            yield from self.cell(cell, uses.through(name))
         for name in sorted(globals_in(code) & scope.keys()):
-            yield from self.variable(scope, name, uses.of(name))
+            yield from self.variable(scope, name, uses.through(name))
 
     def _module(self, module: types.ModuleType, uses: Uses | None) -> Parts:
         yield module.__name__.rpartition(".")[2].encode()
@@ -124,4 +124,4 @@ class Content(ABC):
         scope = vars(module)
         wanted = scope.keys() if uses is None else {*uses.named, "__getattr__"} & scope.keys()
         for name in sorted(wanted):
-            yield from self.variable(scope, name, None if uses is None else uses.of(name))
+            yield from self.variable(scope, name, None if uses is None else uses.through(name))

@@ -37,8 +37,8 @@ class Uses:
     named: frozenset[str]
     loose: frozenset[str]
 
-    def of(self, name: str) -> "Uses | None":
-        """What matters of the module that a name stands for; None: everything."""
+    def through(self, name: str) -> "Uses | None":
+        """Uses of the module that a name stands for; None means that all of the module matters."""
         return None if name in self.loose or _ALL & self.named else self
 
 

@@ -167,7 +167,7 @@ class Walk(Content):
             return
         uses = uses_in(function.__code__)
         if not variables & uses.loose:
-            yield from self.parts(module, uses.of(name))
+            yield from self.parts(module, uses.through(name))
         elif names:  # some of these names may be modules that the function passes on
             yield from self.parts(module, Uses(uses.named, uses.loose.union(names)))
         else:

@@ -156,7 +156,7 @@ def build(job: Job, choose: Choose | None = None) -> Built:
         horizon=job.problem.horizon,
         dtype=job.filter.dtype,
         engine=job.filter.engine,
-        estimations=(_comparing(job), Settings.of(job).estimation),
+        estimations=(_comparing(job), Settings.from_job(job).estimation),
     )
     cheapest, study = source.make().cheapest_estimator, study_of(job)
     searches = tuple(named_search(study, job, section, cheapest) for section in job.search)

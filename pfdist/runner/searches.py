@@ -36,7 +36,7 @@ class Settings:
     estimation: Estimation
 
     @classmethod
-    def of(
+    def from_job(
         cls, job: Job, own: EvaluationSettings = _NOTHING_OWN, cheapest: str = AUTO
     ) -> "Settings":
         """Settings of the job, replaced where a search has its own.
@@ -135,7 +135,7 @@ def named_search(study: Study, job: Job, section: SearchSection, cheapest: str) 
     JobError
         The optimiser cannot search this problem.
     """
-    settings = Settings.of(job, section.evaluation, cheapest)
+    settings = Settings.from_job(job, section.evaluation, cheapest)
     check_memory(job, section, settings.draws)
     optimiser = study.optimiser(section, settings.draws)
     search = _with_settings(job, section, section.name, optimiser, settings)

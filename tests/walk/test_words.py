@@ -19,15 +19,6 @@ FILES = sorted(
     for path in (ROOT / folder).rglob("*.py")
 )
 VAGUE = {"its", "one", "of", "no", "by"}
-VAGUE_NAMES_LEFT = {
-    "pfdist/api/evaluate.py",
-    "pfdist/kernels/content.py",
-    "pfdist/kernels/uses.py",
-    "pfdist/meaning/walk.py",
-    "pfdist/runner/build.py",
-    "pfdist/runner/searches.py",
-}
-"""Files that still have variables with vague names."""
 
 JOB_KEY = re.compile(
     r"(?<![\w./])(problem|model|filter|evaluation|comparison|budget|search|execution)\.[a-z]\w+"
@@ -94,10 +85,7 @@ def messages(source: str) -> Iterator[tuple[int, str]]:
 @pytest.mark.parametrize("file", FILES)
 def test_variables_have_nouns_for_names(file: str) -> None:
     found = list(vague_names((ROOT / file).read_text()))
-    if file in VAGUE_NAMES_LEFT:
-        assert found, f"{file} is clean: take it out of VAGUE_NAMES_LEFT"
-    else:
-        assert not found, f"{file} has vague names: {', '.join(found)}"
+    assert not found, f"{file} has vague names: {', '.join(found)}"
 
 
 @pytest.mark.parametrize("file", [file for file in FILES if file.startswith(STRAIGHT_ROOMS)])
