@@ -73,6 +73,6 @@ def budget(
     job = job.with_changes(settings={"problem": {"measurement_budget": most}})
     results = Path("results") / f"{job.path.stem}-budget" if results is None else results
     finished = run(job, results, **options)
-    if target is not None:
+    if target is not None and options.get("figures", True):
         draw_target(finished, target)
     return finished

@@ -27,6 +27,7 @@ def run(
     address: str | None = None,
     fork: str | Path | None = None,
     changes: Iterable[str] = (),
+    figures: bool = True,
     report: Report = lambda progress: None,
     say: Callable[[str], Any] = lambda line: None,
 ) -> Run:
@@ -49,6 +50,8 @@ def run(
         evaluation from `results` that is the same in both.
     changes : iterable of str, optional
         Changes ``key=value``, as `pfdist.load_job` takes them.
+    figures : bool
+        Whether to draw the figures that the run's folder lacks.
     report : callable, optional
         Receives the progress, each time as a `pfdist.runner.progress.Progress`.
     say : callable, optional
@@ -82,7 +85,7 @@ def run(
                 store.adopt(origin, FORKED)
             _compute(built, store, report, say)
         finished = open_run(path)
-        if not all(file.exists() for file in figure_files(finished)):
+        if figures and not all(file.exists() for file in figure_files(finished)):
             draw_figures(finished)
     return finished
 

@@ -85,6 +85,7 @@ def why(
     *,
     model: str = "",
     filter_model: str = "",
+    figures: bool = True,
     report: Report = lambda progress: None,
     say: Callable[[str], Any] = lambda line: None,
 ) -> Why:
@@ -103,6 +104,8 @@ def why(
     model, filter_model : str, optional
         ``path/file.py:object``: replaces the file that the run names for the model or for the
         filter's model. It is run without question, and must mean the same as the run's model.
+    figures : bool
+        Whether to draw the figures ``why-<search>``.
     report : callable, optional
         Receives the progress.
     say : callable, optional
@@ -138,8 +141,8 @@ def why(
         for parts in zip(*examined, strict=True)
     )
     drawn = 0 if built.problem.exact else draws
-    figures = draw_why(opened, profile, measurements, drawn)
-    return Why(opened.path, drawn, summary, profile, measurements, figures)
+    files = draw_why(opened, profile, measurements, drawn) if figures else []
+    return Why(opened.path, drawn, summary, profile, measurements, files)
 
 
 def _build(run: Run, instead: Mapping[str, str], say: Callable[[str], Any]) -> Built:
