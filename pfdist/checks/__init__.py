@@ -1,4 +1,4 @@
-"""What is wrong with a model, with a formula, or with this machine.
+"""Checks of models, formulas and machines.
 
 A check computes little, changes nothing, and answers in sentences.
 """

@@ -1,4 +1,4 @@
-"""What every formula must be for a run to start: what `check-model` calls wrong, no run accepts."""
+"""The conditions that every formula must satisfy before a run starts."""
 
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -50,7 +50,7 @@ def few_draws(model: StateSpaceModel, horizon: int) -> Draws:
 
 
 def _noise(kinds: tuple[str, ...], rng: np.random.Generator) -> tuple[Array, ...]:
-    """Noise as good as the kernel's, and drawn in a hundredth of the time."""
+    """Noise of the same distribution as the kernel's, in a hundredth of the time."""
     return tuple(
         rng.normal(size=_DRAWS) if kind == "normal" else rng.uniform(size=_DRAWS) for kind in kinds
     )
@@ -59,7 +59,7 @@ def _noise(kinds: tuple[str, ...], rng: np.random.Generator) -> tuple[Array, ...
 def _finite(
     model: StateSpaceModel, formula: str, name: str, t: int, *arguments: Any
 ) -> tuple[Array, ...]:
-    """What a formula gives for all draws, which must be finite."""
+    """Call a formula for all draws, and check that its values are finite."""
     function = getattr(model, formula)
     values = tuple(
         np.array(np.broadcast_to(np.asarray(value, float), (_DRAWS,)))

@@ -1,6 +1,6 @@
-"""What formulas must be, looked at on simulated draws: pure, elementwise, and a true likelihood.
+"""Checks on simulated draws that formulas are pure and elementwise, and the likelihood right.
 
-A look gives its state, "ok", "note" or "wrong", and a text.
+Each check gives a state, "ok", "note" or "wrong", and a text.
 """
 
 import math

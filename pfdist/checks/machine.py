@@ -1,4 +1,4 @@
-"""Whether a machine is fit for a run: what would else go wrong hours later."""
+"""Checks whether a machine is fit for a run, so that the run does not fail hours later."""
 
 import os
 import platform
@@ -26,14 +26,14 @@ Finding = tuple[str, str]
 
 
 def examine(results: Path, address: str = "") -> Iterator[Check]:
-    """Look at what a run needs.
+    """Check everything that a run needs of a machine.
 
     Parameters
     ----------
     results : Path
-        Where runs are to lie.
+        The folder for runs.
     address : str
-        Of a Ray cluster whose nodes are looked at too.
+        The address of a Ray cluster whose nodes are checked, too.
 
     Yields
     ------
@@ -99,7 +99,7 @@ def _ports() -> Finding:
 
 
 def _results(results: Path) -> Finding:
-    """Try what the store needs of a file system, where runs are to lie."""
+    """Try the operations of a file system that the store needs, in the folder for runs."""
     above = (results.absolute(), *results.absolute().parents)
     folder = next(path for path in above if path.is_dir())
     doing = "written"

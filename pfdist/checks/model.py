@@ -1,4 +1,4 @@
-"""Find what is wrong with a model before a night on a cluster does."""
+"""Finds mistakes in a model before a long run on a cluster does."""
 
 import math
 import time
@@ -53,7 +53,7 @@ _COMPILED = ("compiled as in NumPy", "same bytes", "speed")
 
 @dataclass(frozen=True)
 class Check:
-    """One thing that was looked at.
+    """The result of one check.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class Check:
 def check_model(
     name: str, horizon: int = 60, particles: int = 500, folder: Path = Path()
 ) -> Iterator[Check]:
-    """Look at a model from all sides; what is found comes as it is found.
+    """Check a model in every way, and give each result when it is known.
 
     Parameters
     ----------
@@ -154,7 +154,7 @@ def _constant(path: str, told: Meaning, again: Meaning) -> tuple[str, str]:
 
 
 def _every_instant(engine: str, model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
-    """Call every formula at every instant, both ways: a search may measure at any of them."""
+    """Call every formula at every instant with both engines, because a search may measure there."""
     few, instants = draws[:_FEW], range(draws.x.shape[1])
     for name in dict.fromkeys([engine, "numpy"]):
         ENGINES[name].simulate(model, instants[-1], few.index, 0)
@@ -172,7 +172,7 @@ def _linear_gaussian(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
 
 
 def _filtered(problem: Problem, estimation: Estimation) -> Iterator[Check]:
-    """What an evaluation costs, and how many draws are degenerate."""
+    """Measure how long an evaluation takes and how many draws are degenerate."""
     times = regular(problem.horizon, max(2, (problem.horizon + 1) // 3))
     work = Work((times,), (problem.horizon,), (3,), 3, (0, 1), estimation)
     seconds_a_draw = problem.seconds_a_step * work.steps_a_draw

@@ -1,4 +1,4 @@
-"""What makes a compiled formula slow: arrays that it makes for each particle."""
+"""Finds formulas that are slow because they make arrays for each particle."""
 
 import ast
 import linecache

@@ -1,4 +1,4 @@
-"""Text that somebody may have edited or damaged, as plain data: TOML and JSON, within limits.
+"""Reads TOML and JSON, which somebody may have edited or damaged, as plain data within limits.
 
 Every file and every option that a user writes comes in through these functions. Whatever the text
 holds, they give data that is not nested deeply, or raise a `ValueError` of one line.

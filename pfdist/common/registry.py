@@ -1,4 +1,4 @@
-"""A table of everything of one kind that can be chosen by name."""
+"""A registry: the objects of one kind that a user can choose by name."""
 
 import importlib
 import pkgutil
@@ -12,7 +12,7 @@ T = TypeVar("T")
 
 
 class Registry(Mapping[str, T], Generic[T]):
-    """Everything of one kind by its name: what ships, and what installed packages add.
+    """Objects of one kind by their names: those that ship, and those of installed packages.
 
     The modules of a package, and the entry points of a group, declare themselves when they are
     imported. They are imported when the table is first read.
@@ -31,7 +31,7 @@ class Registry(Mapping[str, T], Generic[T]):
         self._complete = False
 
     def declare(self, name: str, value: T) -> None:
-        """Put something into the table.
+        """Add an object to the registry.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Numbers as text, rounded to the digits that their errors allow."""
+"""Numbers as text, rounded to their significant digits."""
 
 import math
 from decimal import Decimal

@@ -1,4 +1,4 @@
-"""Keys of streams of noise: hashes of what the noise is for. They need no compiler."""
+"""Keys of streams of noise: hashes of the purpose of the noise. They need no compiler."""
 
 import hashlib
 import json
@@ -6,7 +6,7 @@ from typing import Any
 
 
 def stream_key(*parts: Any) -> int:
-    """Hash what a stream of noise is for to 64 bits.
+    """Hash the purpose of a stream of noise to 64 bits.
 
     Parameters
     ----------

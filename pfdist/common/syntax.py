@@ -1,4 +1,4 @@
-"""The syntax of a function, told so that only what it does matters; and what functions import.
+"""The syntax of functions, without everything that has no effect; and the modules they import.
 
 Comments, docstrings, annotations, positions and the version of Python make no difference.
 """
@@ -20,7 +20,7 @@ _LEFT_OUT = ("annotation", "returns", "type_params", "type_comment", "simple", "
 
 
 def syntax_of(function: types.FunctionType) -> bytes | None:
-    """Give a function's syntax, without the defaults and decorators that stand in its value.
+    """Give a function's syntax, without its defaults and decorators, which count by value.
 
     Returns
     -------
@@ -45,7 +45,7 @@ def _syntax_of_code(code: types.CodeType, text: str) -> bytes | None:
 
 @cache
 def _parsed(text: str) -> tuple[dict[_Place, list[_Function]], dict[_Place, list[types.CodeType]]]:
-    """Give a source's functions and all code that it compiles to, by their lines and names."""
+    """Give the functions of a source, and all its code objects by their lines and names."""
     try:
         tree, code = ast.parse(text), compile(text, "source", "exec", dont_inherit=True)
     except (SyntaxError, ValueError):  # the file has been edited
@@ -67,7 +67,7 @@ def _codes(code: types.CodeType) -> Iterator[types.CodeType]:
 
 
 def _node_of(code: types.CodeType, text: str) -> _Function | None:
-    """Find what a code object was compiled from."""
+    """Find the syntax from which a code object was compiled."""
     nodes_at, codes_at = _parsed(text)
     place = code.co_firstlineno, code.co_name
     nodes = nodes_at.get(place, []) if code in codes_at.get(place, []) else []
@@ -84,7 +84,7 @@ def _first_line(node: _Function) -> int:
 
 
 def _spans(code: types.CodeType) -> Iterator[tuple[_Position, _Position]]:
-    """Where the source of each instruction begins and ends; some have none."""
+    """The start and end in the source of each instruction that has a position."""
     for line, end_line, column, end_column in code.co_positions():
         if line is None or end_line is None or column is None or end_column is None:
             continue
@@ -102,7 +102,7 @@ def _holds(node: _Function, spans: list[tuple[_Position, _Position]]) -> bool:
 
 
 def _told_function(node: _Function) -> Any:
-    """Tell a function whose defaults are known as values."""
+    """Describe a function without its defaults."""
     arguments = [
         (field, _told(value))
         for field, value in ast.iter_fields(node.args)
@@ -112,7 +112,7 @@ def _told_function(node: _Function) -> Any:
 
 
 def _told(node: Any) -> Any:
-    """Tell a node of a tree, or a list of them, as nested tuples."""
+    """Describe a node of a tree, or a list of nodes, as nested tuples."""
     if isinstance(node, list):
         return [_told(entry) for entry in node if not _does_nothing(entry)]
     if isinstance(node, ast.Constant):
@@ -130,7 +130,7 @@ def _told(node: Any) -> Any:
 
 
 def _does_nothing(node: Any) -> bool:
-    """Whether it is a docstring, or another statement without effect."""
+    """Whether a statement is a docstring, or has no effect for another reason."""
     constant = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
     return constant or isinstance(node, ast.Pass)
 

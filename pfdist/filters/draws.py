@@ -20,7 +20,7 @@ from pfdist.mistakes.places import place_of, place_of_function
 from pfdist.models import StateSpaceModel
 
 _FORMULAS = ("initial", "transition", "measurement", "quantity_of_interest")
-_TOGETHER = 64  # draws that are simulated side by side: a few vectors of noise
+_TOGETHER = 64  # draws that are simulated side by side, with a few vectors of noise
 
 
 @dataclass(frozen=True)
@@ -32,11 +32,11 @@ class Draws:
     model : StateSpaceModel
         The truth.
     index : range
-        Which draws of the stream these are, D of them.
+        The indices of the D draws in their stream.
     x : array of float64, (D, T+1, n)
         States.
     y : array of float64, (D, T+1, m)
-        Measurements, also of the times at which nobody measures.
+        Measurements at all instants, also at those that are not measurement times.
     z : array of float64, (D, T+1, q)
         Quantities of interest.
     """
@@ -48,11 +48,11 @@ class Draws:
     z: NDArray[np.float64]
 
     def __getitem__(self, which: slice) -> "Draws":
-        """Give some of the draws."""
+        """Some of the draws."""
         return Draws(self.model, self.index[which], self.x[which], self.y[which], self.z[which])
 
     def upto(self, end: int) -> "Draws":
-        """Give the same draws up to an instant."""
+        """The same draws up to an instant."""
         t = slice(end + 1)
         return Draws(self.model, self.index, self.x[:, t], self.y[:, t], self.z[:, t])
 
@@ -66,7 +66,7 @@ def simulate(model: StateSpaceModel, horizon: int, index: range, stream: int) ->
     horizon : int
         T.
     index : range
-        Which draws, one after another; a draw is the same whatever others are simulated with it.
+        The consecutive indices of the draws. A draw does not depend on the other draws.
     stream : int
         Key of the noise, 64 bits.
 
@@ -98,7 +98,7 @@ def check_finite(model: StateSpaceModel, draws: Draws, stream: int) -> None:
     model : StateSpaceModel
     draws : Draws
     stream : int
-        What they were simulated with.
+        The key of the noise with which they were simulated.
     """
     for name in "xyz":
         values = getattr(draws, name)
@@ -114,15 +114,15 @@ def check_finite(model: StateSpaceModel, draws: Draws, stream: int) -> None:
 def not_finite(
     model: StateSpaceModel, formula: str, arguments: tuple[Any, ...], got: str, t: int
 ) -> str:
-    """Say which formula gave what is not finite, and the operation and the line at fault.
+    """Say which formula gave a value that is not finite, and which operation and line is at fault.
 
     Parameters
     ----------
     model : StateSpaceModel
     formula : str
-        Its name.
+        The formula's name.
     arguments : tuple
-        With which it gave that.
+        The arguments with which it gave the value.
     got : str
         The value, as ``x[0] = nan``.
     t : int
@@ -168,7 +168,7 @@ def _given(
 def libm_of_simulation(model: StateSpaceModel) -> tuple[str, ...]:
     """Functions of the C library that the compiled simulation calls; see `libm_functions`.
 
-    The simulation was called before.
+    The simulation must have been called before.
     """
     return libm_functions(_compiled(model).compiled)
 

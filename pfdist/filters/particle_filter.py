@@ -322,7 +322,7 @@ def libm_of_filter(
 ) -> tuple[str, ...]:
     """Functions of the C library that the compiled filter calls; see `libm_functions`.
 
-    The filter was called before.
+    The filter must have been called before.
     """
     return libm_functions(_compiled(model, truth, resampling, dtype).compiled)
 

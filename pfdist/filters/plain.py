@@ -1,7 +1,7 @@
-"""Simulation and filter in plain NumPy: for reading, and to hold the compiled ones against.
+"""Simulation and filter in plain NumPy: easy to read, and the reference of the compiled ones.
 
-The same keys and the same formulas, on arrays (draws, particles); no compiled code of ours. It is
-also the engine for models that Numba cannot compile, about 100 times slower.
+They use the same keys and the same formulas on arrays (draws, particles), and none of our compiled
+code. They are also the engine for models that Numba cannot compile, and about 100 times slower.
 """
 
 import math
@@ -31,7 +31,7 @@ from pfdist.times.measurement_times import Times, validated
 
 Array = NDArray[np.float64]
 
-_AT_ONCE = 2**16  # particles in all draws: what fits into a cache
+_AT_ONCE = 2**16  # particles of all draws that are filtered together; they fit into a cache
 
 
 def simulate(model: StateSpaceModel, horizon: int, index: range, stream: int) -> Draws:
@@ -147,7 +147,7 @@ def _in_line(x: tuple[Array, ...], weight: Array) -> tuple[tuple[Array, ...], Ar
 def _noise(
     kinds: tuple[str, ...], particles: int, stream: int, draws: range, t: int, role: SupportsIndex
 ) -> tuple[Array, ...]:
-    """A component's variates each, (D, particles)."""
+    """The variates of each component, (D, particles)."""
     return tuple(
         variates(kind, particles, stream, np.array(draws), t, role, component)
         for component, kind in enumerate(kinds)
@@ -155,22 +155,22 @@ def _noise(
 
 
 def _like(value: Any, shape: tuple[int, ...]) -> Array:
-    """What a formula gave, also a constant, as an array of this shape."""
+    """A formula's value, which may be a constant, as an array of this shape."""
     return np.broadcast_to(np.asarray(value, np.float64), shape)
 
 
 def _flat(components: tuple[Array, ...]) -> tuple[Array, ...]:
-    """Components as a formula has them: all particles of all draws along one axis."""
+    """Components with the particles of all draws along one axis, as formulas take them."""
     return tuple(component.reshape(-1) for component in components)
 
 
 def _of_cloud(value: Any, cloud: tuple[int, ...]) -> Array:
-    """What a formula gave for particles along one axis, as an array (D, particles)."""
+    """A formula's value for particles along one axis, as an array (D, particles)."""
     return _like(value, (math.prod(cloud),)).reshape(cloud)
 
 
 def _kept(x: tuple[Any, ...], shape: tuple[int, ...], dtype: str) -> tuple[Array, ...]:
-    """States as they are kept: rounded to dtype."""
+    """States, rounded to the dtype in which they are stored."""
     return tuple(_of_cloud(component, shape).astype(dtype).astype(np.float64) for component in x)
 
 

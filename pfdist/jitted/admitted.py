@@ -1,4 +1,4 @@
-"""Which functions a formula's machine code may call: those that were compiled with checks."""
+"""The rule which functions compiled code may call: those that were compiled with checks."""
 
 import sys
 from collections.abc import Iterable, Iterator
@@ -11,18 +11,18 @@ from numba.np.ufunc.gufunc import GUFunc
 from pfdist.jitted.reached import COMPILED, is_library, python_function
 
 MARK = "pfdist_checks"
-"""Attribute of the compilers that check."""
+"""Name of the attribute by which a compiler says that it adds checks."""
 
 _admitted: set[int] = set()
 
 
 def admit(*functions: Any) -> None:
-    """Admit functions that Numba knows by `numba.extending.overload`."""
+    """Allow calls of functions that are implemented by `numba.extending.overload`."""
     _admitted.update(map(id, functions))
 
 
 def unchecked(function: Any, signature: Any) -> str | None:
-    """Name a function without checks that a call would run; None if there is none.
+    """Give the name of a function without checks that a call would run; None if there is none.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def is_checked(compiled: Any) -> bool:
 
 
 def compiler_of(compiled: Any) -> Any:
-    """Give what compiles a function that Numba compiled."""
+    """Give the compiler class of a compiled function."""
     compiler = getattr(compiled, "_compiler", None)
     if compiler is not None:
         return compiler.pipeline_class
@@ -57,7 +57,7 @@ def compiler_of(compiled: Any) -> Any:
 
 
 def _templates(function: Any, kinds: tuple[Any, ...]) -> Iterator[Any]:
-    """Templates by which Numba may have found the code for arguments of these kinds."""
+    """Numba's templates that may provide the code for arguments of these types."""
     if isinstance(function, types.BoundFunction):
         yield function.template
         return
@@ -86,7 +86,7 @@ def _name_if_unchecked(found: Any) -> str | None:
     if not (isinstance(found, type) and issubclass(found, FunctionTemplate)):
         return None
     key = getattr(found, "key", None)
-    if isinstance(key, GUFunc):  # in whose calls Numba forgets what goes wrong
+    if isinstance(key, GUFunc):  # Numba drops the errors inside its calls
         return _told(key)
     if isinstance(key, COMPILED):
         return None if is_checked(key) else _told(key)
@@ -99,7 +99,7 @@ def _name_if_unchecked(found: Any) -> str | None:
 
 
 def _is_library_function(function: Any) -> bool:
-    """Whether it stands in a module of a library, and does not only say so."""
+    """Whether a function really belongs to a library's module; it may only claim to."""
     scope = getattr(function, "__globals__", None)
     if scope is None:
         return True

@@ -1,4 +1,4 @@
-"""Where compiled code would leave an array."""
+"""Checks that compiled code stays inside its arrays."""
 
 import operator
 
@@ -17,15 +17,15 @@ IN_PLACE = tuple(getattr(operator, name) for name in _IN_PLACE.split())
 
 
 class Arrays(Lower):  # type: ignore[misc]
-    """A lowering that can check arrays; `raise_unless` is its user's."""
+    """A lowering with methods that check arrays; the subclass provides `raise_unless`."""
 
     def refuse_flat(self, array):
-        """Refuse an index of ``array.flat``, which nothing checks."""
+        """Refuse an index of ``array.flat``, which cannot be checked."""
         if isinstance(self.typeof(array.name), types.NumpyFlatType):
             raise UnsupportedError("Use of unsupported array.flat[...]: write array[...]", self.loc)
 
     def check_indices(self, array, value, kinds, index):
-        """Raise unless each index lies in its axis; a negative one counts from the end."""
+        """Emit the check that each index lies in its axis; negative indices count from the end."""
         builder = self.builder
         shape = self._shape(array, value)
         several = isinstance(index.type, ir.BaseStructType | ir.ArrayType)
@@ -44,7 +44,7 @@ class Arrays(Lower):  # type: ignore[misc]
             )
 
     def check_shapes(self, kinds, values, inputs):
-        """Raise unless the first arrays of a call fit those that the call writes to."""
+        """Emit the check that a call's input arrays fit the arrays to which it writes."""
         for into, written in zip(kinds[inputs:], values[inputs:], strict=True):
             if not isinstance(into, types.Array):
                 continue
@@ -83,11 +83,11 @@ class Arrays(Lower):  # type: ignore[misc]
 
 
 def inputs_of(called):
-    """How many arguments a NumPy function reads, if the others are what it writes to."""
+    """The number of arguments that a NumPy function reads; the others are its outputs."""
     return called.nin if isinstance(called, np.ufunc | DUFunc) else None
 
 
 def indices_of(kind):
-    """The kinds of the integers that an index is made of; none if it is something else."""
+    """The types of the integers in an index; empty if the index is something else."""
     kinds = kind.types if isinstance(kind, types.BaseTuple) else (kind,)  # type: ignore[attr-defined]
     return kinds if are_integers(kinds) else ()

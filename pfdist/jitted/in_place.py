@@ -1,4 +1,8 @@
-"""An author's compiled functions, compiled anew with checks."""
+"""Recompile, with checks, the functions that a model's author compiled with Numba.
+
+The functions keep their identity: Python and other compiled code find the new machine code in the
+same object.
+"""
 
 from typing import Any
 
@@ -21,9 +25,9 @@ from pfdist.jitted.reached import COMPILED, reached
 
 
 def guard_what_it_calls(function: Any) -> None:
-    """Have Numba check what all compiled functions do that a function reaches.
+    """Recompile with checks all compiled functions that a function reaches.
 
-    Without it they read memory that is not theirs, also where Python calls them.
+    Without checks they may read foreign memory, also if Python calls them.
     """
     for value in reached(function):
         if isinstance(value, COMPILED) and not is_checked(value):
@@ -33,7 +37,7 @@ def guard_what_it_calls(function: Any) -> None:
 def _guard(value: Any) -> None:
     if isinstance(value, CPUDispatcher):
         value.targetoptions["boundscheck"] = True
-        value._cache = NullCache()  # which may hold code without checks
+        value._cache = NullCache()  # the old cache may hold code without checks
         value._compiler.pipeline_class = Guarded
         value.recompile()
     elif isinstance(value, DUFunc):
@@ -43,7 +47,7 @@ def _guard(value: Any) -> None:
 
 
 class _Elementwise(UFuncDispatcher):  # type: ignore[misc]
-    """As Numba's, with checks."""
+    """Numba's compiler of elementwise functions, with checks."""
 
     @global_compiler_lock
     def _compile_core(self, sig, flags, locals):  # noqa: A002  Numba's name
@@ -63,14 +67,14 @@ setattr(_Elementwise, MARK, True)
 
 
 def _guard_dufunc(value: Any) -> None:
-    """Make the function anew, and compile for the same types."""
+    """Replace the inner function of a vectorized function, and compile it for the same types."""
     before = value._dispatcher
     guarded = _Elementwise(before.py_func, before.locals, before.targetoptions)
     identity = "reorderable" if value.reorderable and value.identity is None else value.identity
-    # Numba knows it by name and type already: only what it runs is new.
+    # Numba already knows the object's name and type; only the inner function changes.
     super(DUFunc, value).__init__(guarded, identity=parse_identity(identity))
     value._lower_me.libs.clear()
-    for signature in before.overloads:  # as `DUFunc.add`, which refuses where types are fixed
+    for signature in before.overloads:  # like `DUFunc.add`, which refuses if the types are fixed
         result = guarded.compile(signature)
         kinds, address, environment = _build_element_wise_ufunc_wrapper(result, signature)
         value._add_loop(int(address), kinds)

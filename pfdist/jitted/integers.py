@@ -1,4 +1,4 @@
-"""Where integers of compiled code give what an integer cannot be."""
+"""Checks that the results of integer arithmetic fit their type."""
 
 import builtins
 import math
@@ -11,7 +11,7 @@ from numba.core.lowering import Lower
 from numba.core.typing import signature as signature_of
 
 BITS = 64
-_NARROW = 32  # bits, below which processors do not agree about a float that does not fit
+_NARROW = 32  # bits; to narrower integers, processors convert too large floats differently
 _NO_INTEGER = "NaN, infinity or a number that 64 bits do not hold cannot become an integer"
 TO_INTEGER = (int, round, math.floor, math.ceil, math.trunc)
 _TOO_LARGE = "an integer must fit 64 bits in compiled code; a float may be larger"
@@ -38,19 +38,19 @@ OPERATIONS = (
     }
     | {np.power: operator.pow, builtins.pow: operator.pow}
 )
-"""The operation that a function of two integers does."""
+"""The basic operation of each function of two integers."""
 
 NEGATIONS = (operator.neg, abs, operator.abs)
 NUMPY_SHIFTS = (np.left_shift, np.right_shift)
 LDEXP = (math.ldexp, np.ldexp)
-_LARGEST_EXPONENT = 10_000  # of 2, beyond which every float is 0 or infinite
+_LARGEST_EXPONENT = 10_000  # times 2 to a larger power, every float is 0 or infinite
 
 
 class Integers(Lower):  # type: ignore[misc]
-    """A lowering that can check integers; `raise_unless` is its user's."""
+    """A lowering with methods that check integers; the subclass provides `raise_unless`."""
 
     def check_two(self, op, kinds, values):
-        """Raise where an operation on two integers gives what an integer cannot be."""
+        """Emit the check that an operation on two integers has a result that fits."""
         builder, (left, right) = self.builder, values
         signed = all(kind.signed for kind in kinds)
         if op in _DIVISIONS:
@@ -81,17 +81,17 @@ class Integers(Lower):  # type: ignore[misc]
         self._check_fits(_power_fits, kinds, values)
 
     def check_negation(self, kind, value):
-        """Raise where the opposite of an integer does not fit."""
+        """Emit the check that the negative of an integer fits."""
         if kind.signed:
             least = _is_least(self.builder, value)
             self.raise_unless(self.builder.not_(least), OverflowError, _TOO_LARGE)
 
     def check_sum(self, kinds, values):
-        """Raise where Python's sum of integers does not fit."""
+        """Emit the check that Python's sum of integers fits."""
         self._check_fits(_sum_fits if len(kinds) == 1 else _sum_and_start_fit, kinds, values)
 
     def check_kind(self, kind, into, value):
-        """Raise where an integer does not fit another kind of integer."""
+        """Emit the check that an integer fits another integer type."""
         builder = self.builder
         if into.minval <= kind.minval and kind.maxval <= into.maxval:
             return
@@ -105,7 +105,7 @@ class Integers(Lower):  # type: ignore[misc]
         self.raise_unless(fits, OverflowError, message, value)
 
     def as_numpy_shifts(self, op, kinds, values, shifted):
-        """Give what NumPy gives where an integer is shifted by fewer than 0 or by all bits."""
+        """Give NumPy's result of a shift by a negative number of bits, or by all bits."""
         builder, (left, right) = self.builder, values
         inside = builder.icmp_unsigned("<", right, right.type(kinds[0].bitwidth))
         rest = shifted.type(0)
@@ -114,7 +114,7 @@ class Integers(Lower):  # type: ignore[misc]
         return builder.select(inside, shifted, rest)
 
     def limited_exponent(self, exponent):
-        """Limit a power of 2 to what 32 bits hold, with the same result."""
+        """Limit an exponent of 2 to 32 bits, which does not change the result."""
         builder = self.builder
         for order, limit in (("<", _LARGEST_EXPONENT), (">", -_LARGEST_EXPONENT)):
             constant = exponent.type(limit)
@@ -124,7 +124,7 @@ class Integers(Lower):  # type: ignore[misc]
         return exponent
 
     def check_finite(self, given, result):
-        """Raise where a finite float gave an infinite one."""
+        """Emit the check that the result for a finite float is finite."""
         builder = self.builder
         finite = [
             builder.fcmp_ordered("<", _size(builder, value), value.type(math.inf))
@@ -136,7 +136,7 @@ class Integers(Lower):  # type: ignore[misc]
     # --- conversions ---
 
     def lower_to_number(self, fnty, expr, signature, values):
-        """Lower a conversion to a kind of numbers."""
+        """Lower a conversion to another type of numbers."""
         kinds, into = signature.args, signature.return_type
         if not isinstance(into, types.Integer) or len(kinds) != 1:
             return super()._lower_call_normal(fnty, expr, signature)
@@ -153,7 +153,7 @@ class Integers(Lower):  # type: ignore[misc]
         return super()._lower_call_normal(fnty, expr, signature)
 
     def lower_ldexp(self, fnty, expr, signature, values):
-        """Lower a product with a power of 2, whose exponent Numba would cut to 32 bits."""
+        """Lower a product with a power of 2; Numba itself would cut the exponent to 32 bits."""
         given, into = self.typeof(expr.args[1].name), signature.args[1]
         if not isinstance(into, types.Integer):
             raise UnsupportedError("Use of unsupported ldexp of an array", self.loc)
@@ -168,7 +168,7 @@ class Integers(Lower):  # type: ignore[misc]
     # --- tests ---
 
     def fits(self, value, kind):
-        """Whether an integer of this kind can hold a float."""
+        """Emit the test whether a float fits an integer type."""
         low = value.type(float(kind.minval) if kind.signed else -1.0)
         high = value.type(float(2 ** (kind.bitwidth - kind.signed)))
         order = ">=" if kind.signed else ">"
@@ -185,7 +185,7 @@ class Integers(Lower):  # type: ignore[misc]
 
 
 def _power_fits(base, exponent):
-    """Whether a power of integers fits 64 bits, but for the last of them."""
+    """Whether a power fits a signed integer of 64 bits, up to rounding; compiled into a check."""
     size, power = abs(float(base)), 1.0
     while exponent > 0:
         if exponent & 1:
@@ -196,7 +196,7 @@ def _power_fits(base, exponent):
 
 
 def _sum_fits(values):
-    """Whether a sum of integers fits 64 bits, but for the last of them."""
+    """Whether a sum fits a signed integer of 64 bits, up to rounding; compiled into a check."""
     total = 0.0
     for value in values:
         total += float(value)
@@ -215,7 +215,7 @@ def _is_wide(kind):
 
 
 def are_integers(kinds):
-    """Whether all kinds of values are integers."""
+    """Whether all types are integers."""
     return all(isinstance(kind, types.Integer) for kind in kinds)
 
 

@@ -1,4 +1,4 @@
-"""Everything that a function reaches: the one walk from a formula to what its author wrote."""
+"""The walk from a formula to every function and value that it can reach."""
 
 import functools
 import sys
@@ -22,7 +22,7 @@ _UNNAMED = frozenset({"__call__", "__wrapped__", "__getitem__", "__getattr__"})
 
 
 def python_function(compiled: Any) -> types.FunctionType:
-    """Give the Python function that one of the kinds `COMPILED` was made of."""
+    """Give the Python function from which a compiled function was made."""
     if isinstance(compiled, CPUDispatcher):
         return compiled.py_func
     dispatcher = (
@@ -32,9 +32,9 @@ def python_function(compiled: Any) -> types.FunctionType:
 
 
 def is_library(module: str) -> bool:
-    """Whether a module belongs to Python, to a known library or to pfdist's own machinery.
+    """Whether a module belongs to Python, to a known library or to pfdist itself.
 
-    The formulas of models that ship are a model's like any other.
+    The models that ship with pfdist do not count as a library.
     """
     top = module.partition(".")[0]
     own = top == "pfdist" and not module.startswith("pfdist.models")
@@ -42,12 +42,12 @@ def is_library(module: str) -> bool:
 
 
 def reached(*roots: Any) -> list[Any]:
-    """Give everything that values reach, each thing once, themselves first.
+    """Give everything that values reach, each object once, the values first.
 
-    From a function the walk goes to its global variables, closure and default arguments; from a
-    module, a class or an object to the attributes whose names any function on the way reads; from
-    `functools.partial`, methods, tuples, lists, sets and dictionaries to what they hold. It ends
-    at libraries.
+    From a function, the walk goes to its global variables, closure and default arguments. From a
+    module, a class or an object, it goes to the attributes whose names occur in any function that
+    was reached. From `functools.partial`, methods, tuples, lists, sets and dictionaries, it goes to
+    their entries. It ends at libraries.
     """
     found: dict[int, Any] = {}
     scopes: dict[int, Mapping[str, Any]] = {}  # of modules, classes and objects
@@ -75,7 +75,7 @@ def reached(*roots: Any) -> list[Any]:
 
 
 def names_in(code: types.CodeType) -> set[str]:
-    """Names of globals and attributes in a function and in those it defines."""
+    """Names of globals and attributes in a function and in the functions that it defines."""
     inner = [
         names_in(constant) for constant in code.co_consts if isinstance(constant, types.CodeType)
     ]
@@ -83,7 +83,7 @@ def names_in(code: types.CodeType) -> set[str]:
 
 
 def _scope_of(value: Any) -> Mapping[str, Any] | None:
-    """Variables of a value of which only those count that a function names."""
+    """Variables of a value; only those that a reached function names count."""
     if isinstance(value, types.FunctionType):
         return None if is_library(str(value.__module__)) else value.__globals__
     if isinstance(value, types.ModuleType):
@@ -96,7 +96,7 @@ def _scope_of(value: Any) -> Mapping[str, Any] | None:
 
 
 def _parts_of(value: Any) -> Iterator[Any]:
-    """Parts of a value that it hands on as a whole."""
+    """Parts of a value that all count, whether a function names them or not."""
     if isinstance(value, COMPILED):
         yield python_function(value)
     elif isinstance(value, types.FunctionType) and not is_library(str(value.__module__)):
@@ -120,7 +120,7 @@ def _parts_of(value: Any) -> Iterator[Any]:
 
 
 def _kinds_of(value: Any) -> Iterator[type]:
-    """A class's base classes, or the class of an object; none of a library's."""
+    """The base classes of a class, or the class of an object, without those of libraries."""
     kinds = value.__bases__ if isinstance(value, type) else (type(value),)
     yield from (kind for kind in kinds if not is_library(str(kind.__module__)))
 

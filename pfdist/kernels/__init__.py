@@ -1,8 +1,8 @@
-"""The pieces the simulation and the filter are fused from: noise, resampling, components.
+"""The pieces from which the simulation and the filter are fused: noise, weights, resampling.
 
-Here only NumPy and Numba, and nothing here knows a model. Noise and weights are written once and
-run twice, compiled a value at a time and as they stand on NumPy arrays; all else that is compiled
-has a plain twin, or NumPy's own function, to be held against.
+This room uses only NumPy and Numba, and knows no model. Noise and weights are written once and used
+twice: compiled for one value at a time, and unchanged on NumPy arrays. Every other compiled
+function is tested against a plain twin or against NumPy's own function.
 """
 
 import os

@@ -1,8 +1,6 @@
-"""What LLVM has to be told: to inline, to multiply and add at once, to compare whole vectors.
+"""Operations that LLVM must be given: fused multiply-add, maximum, comparison of vectors, sums.
 
-The functions marked `inlined` of noise and weights are written once and run twice: compiled on
-scalars, and as they stand on NumPy arrays. This is the only file with LLVM instructions of ours;
-all are portable.
+This is the only file in the kernels with our own LLVM instructions. All of them are portable.
 """
 
 import numpy as np
@@ -22,10 +20,10 @@ LANES = 16  # of a vector of 32-bit numbers
 def fma(a, b, c):
     """``a * b + c``, rounded once.
 
-    One instruction in the place of two, and the same result wherever it runs: a compiler that may
-    fuse or not would give other noise on another machine. In plain NumPy float32 only, by way of
-    float64, which holds the product exactly: that rounds twice, which would tell in one of 2^29
-    cases; of all arguments that noise and weights have, none is such a case.
+    One instruction replaces two, and the result is the same on every machine. If the compiler were
+    free to fuse, the noise would depend on the machine. In plain NumPy only float32 is supported,
+    through float64, which holds the product exactly. This rounds twice, which changes the result in
+    one of 2^29 cases. No argument that occurs in noise and weights is such a case.
 
     Parameters
     ----------
@@ -61,7 +59,7 @@ def _llvm_maxnum(typing_context, a, b):
 
 
 def larger(a, b):
-    """The larger of two floats, neither of them NaN; Python's `max` is not vectorised."""
+    """The larger of two floats that are not NaN; Python's `max` is not vectorised."""
     return np.maximum(a, b)
 
 
@@ -72,11 +70,11 @@ def _larger_compiled(a, b):
 
 @intrinsic
 def add_ranks(typing_context, weights, first, points, begin, ranks):
-    """Add to the ranks of `LANES` points how many of as many weights lie not above each of them.
+    """Count, for each of `LANES` points, the weights that do not exceed it; add this to its rank.
 
     Compiled only: ``add_ranks(weights, first, points, begin, ranks)`` with arrays of uint32. All
-    pairs are compared, a weight with a vector of points at a time; of a loop LLVM makes no such
-    thing.
+    pairs of `LANES` weights and `LANES` points are compared: each weight with a vector of points.
+    LLVM does not find this form in a loop.
     """
     signature = types.void(weights, types.uintp, points, types.uintp, ranks)
     word = ir.IntType(32)
@@ -111,11 +109,11 @@ def add_ranks(typing_context, weights, first, points, begin, ranks):
 
 @intrinsic
 def row_sum(typing_context, values, row):
-    """Sum of a row, in the same order of additions whatever the processor's vectors.
+    """Sum of a row, with the same order of additions on every processor.
 
     Compiled only: ``row_sum(values, row)`` with an array of float64 whose rows are a multiple of
     `LANES` long. Partial sum number l adds up the values l, l + LANES, l + 2 LANES, ... Then the
-    second half of the partial sums is added to the first half, until one is left.
+    second half of the partial sums is added to the first half, until one sum is left.
     """
     signature = types.float64(values, types.uintp)
     index = ir.IntType(64)
@@ -155,10 +153,10 @@ def row_sum(typing_context, values, row):
 
 @intrinsic
 def shaped(typing_context, array, shape):
-    """The memory of an array, with the shape as it is computed here.
+    """The memory of an array, with a shape that LLVM sees being computed.
 
-    LLVM does not know the size of an array that is given; where it sees that a size is a multiple
-    of a vector's, a loop has no rest to be done one by one.
+    LLVM does not know the size of an array that is an argument. If LLVM sees that a size is a
+    multiple of a vector's length, a loop needs no remainder that is done one by one.
     """
     kind = array.copy(ndim=len(shape), layout="C")
 

@@ -1,7 +1,7 @@
-"""What a formula has in the place of NumPy's functions that choose between values.
+"""Replacements in formulas for NumPy's functions that choose between values, such as `where`.
 
-NumPy's own make arrays, also of numbers: 100 to 250 ns a particle where a choice takes 1. On
-numbers these give the same figures; on arrays they are NumPy's.
+NumPy's own functions make arrays even of numbers: 100 to 250 ns a particle, where a choice takes
+1 ns. On numbers the replacements give the same values. On arrays they call NumPy's functions.
 """
 
 import math
@@ -16,34 +16,34 @@ from pfdist.kernels.melting import MELTING, inlined
 
 
 def where(condition: Any, x: Any, y: Any) -> Any:
-    """In the place of `numpy.where`."""
+    """Replace `numpy.where`."""
     return np.where(condition, x, y)
 
 
 def clip(a: Any, a_min: Any = None, a_max: Any = None) -> Any:
-    """In the place of `numpy.clip`."""
+    """Replace `numpy.clip`."""
     return np.clip(a, a_min, a_max)
 
 
 def heaviside(x1: Any, x2: Any) -> Any:
-    """In the place of `numpy.heaviside`."""
+    """Replace `numpy.heaviside`."""
     return np.heaviside(x1, x2)
 
 
 def interp(x: Any, xp: Any, fp: Any, left: Any = None, right: Any = None) -> Any:
-    """In the place of `numpy.interp`."""
+    """Replace `numpy.interp`."""
     return np.interp(x, xp, fp, left, right)
 
 
 def select(condlist: Any, choicelist: Any, default: Any = 0) -> Any:
-    """In the place of `numpy.select`."""
+    """Replace `numpy.select`."""
     return np.select(condlist, choicelist, default)
 
 
 CHOICES: dict[str, Callable[..., Any]] = {
     function.__name__: function for function in (where, clip, heaviside, interp, select)
 }
-"""What a formula has in the place of NumPy's functions, by their names."""
+"""Replacements for NumPy's functions in formulas, by their names."""
 
 
 def _is_number(kind):
@@ -98,7 +98,7 @@ def _interp(x, xp, fp, left=None, right=None):
 
 
 def _interpolation(has_left, has_right):
-    """How a number is interpolated, with or without values of its own beyond the ends."""
+    """Give a function that interpolates a number, with or without values beyond the ends."""
 
     def on_numbers(x, xp, fp, left=None, right=None):
         size = xp.size
@@ -126,7 +126,7 @@ def _interpolation(has_left, has_right):
 
 @inlined
 def _between(x, xp, fp, below):
-    """Interpolate as NumPy does, also next to infinite values."""
+    """Interpolate between two points as NumPy does, also next to infinite values."""
     slope = (fp[below + 1] - fp[below]) / (xp[below + 1] - xp[below])
     value = slope * (x - xp[below]) + fp[below]
     if math.isnan(value):

@@ -1,4 +1,4 @@
-"""Why Numba cannot compile a formula, in a line of plain English."""
+"""Numba's reasons why it cannot compile a formula, in a line of plain English."""
 
 import re
 from collections.abc import Callable
@@ -6,7 +6,7 @@ from collections.abc import Callable
 from numba.core.errors import NumbaError, UnsupportedBytecodeError
 
 NOT_COMPILED = (NumbaError, UnsupportedBytecodeError)
-"""What Numba raises where it cannot compile."""
+"""Errors that Numba raises if it cannot compile a function."""
 
 _NOT_THEIRS = re.compile(r"(^|/)(numba/|pfdist/(kernels/|jitted/|models/base\.py|draws\.py))")
 _TOLD = re.compile(

@@ -1,8 +1,8 @@
-"""Tuples out of arrays and back, for compiled code.
+"""Compiled functions that read tuples from arrays, and write tuples to arrays.
 
-A formula sees one particle's components as a tuple, an array has them along one of its axes.
-Numba cannot build a tuple of a length that is only known when a model is given, so these few
-functions are made from a line of source for each number of components.
+A formula has one particle's components as a tuple; an array has them along one of its axes. Numba
+cannot build a tuple whose length depends on a variable. So these functions are made from a line of
+source for each number of components.
 """
 
 import re
@@ -25,26 +25,26 @@ def tuple_of(
     Parameters
     ----------
     components : int
-        How many entries.
+        The number of entries.
     arguments : str
         Names of the function's arguments.
     entry : str
         The expression of entry c, for instance ``"a[c] + b[c]"``.
     **functions : callables
-        What the expression calls, by name.
+        The functions that the expression calls, by name.
     """
     entries = "".join(f"{_for_component(c, entry)}," for c in range(components))
     return _made(f"def result({arguments}):\n    return ({entries})\n", **functions)
 
 
 def reader(components: int, axes: str) -> Callable[..., Any]:
-    """``read(array, ...) -> tuple`` of float64, along the axis that is called c.
+    """Compile ``read(array, ...)``, which gives a tuple of float64 along the axis called c.
 
     Parameters
     ----------
     components : int
     axes : str
-        The array's axes, for instance ``"c, i"``: then it is ``read(array, i) -> (array[0, i],
+        The array's axes. For instance ``"c, i"`` gives ``read(array, i) -> (array[0, i],
         array[1, i], ...)``.
     """
     return tuple_of(components, f"array, {_other(axes)}", f"float64(array[{axes}])")
@@ -52,7 +52,7 @@ def reader(components: int, axes: str) -> Callable[..., Any]:
 
 @cache
 def writer(components: int, axes: str) -> Callable[..., Any]:
-    """``write(array, ..., values)``, the other way."""
+    """Compile ``write(array, ..., values)``, which writes a tuple; see `reader`."""
     lines = "".join(
         f"    {_for_component(c, f'array[{axes}] = values[c]')}\n" for c in range(components)
     )
@@ -69,7 +69,7 @@ def _other(axes: str) -> str:
 
 @cache
 def naming(names: tuple[str, ...]) -> Callable[..., Any]:
-    """``named(values) -> p``, a named tuple of the entries of an array."""
+    """Compile ``named(values)``, which gives a named tuple of the entries of an array."""
     kind = namedtuple("Parameters", names)  # type: ignore[misc]
     entries = ", ".join(f"values[{i}]" for i in range(len(names)))
     return _made(f"def result(values):\n    return kind({entries})\n", kind=kind)
@@ -77,5 +77,5 @@ def naming(names: tuple[str, ...]) -> Callable[..., Any]:
 
 def _made(source: str, **names: Any) -> Callable[..., Any]:
     scope: dict[str, Any] = {"float64": np.float64, "uintp": np.uintp, **names}
-    exec(source, scope)  # noqa: S102  the source is made above, of numbers and our own words
+    exec(source, scope)  # noqa: S102  the source above consists of numbers and our own words
     return melted(scope["result"])

@@ -1,7 +1,7 @@
-"""The content of values as bytes, functions among them with all that they use.
+"""The content of values as bytes, where functions include all that they use.
 
-One walk serves two readers. The cache of compiled code reads bytecode
-(`pfdist.kernels.fingerprint`); the identity of a run reads syntax (`pfdist.meaning`).
+The walk has two users. The cache of compiled code reads bytecode (`pfdist.kernels.fingerprint`).
+The identity of a run reads syntax (`pfdist.meaning`).
 """
 
 import types
@@ -20,18 +20,18 @@ _PLAIN = (bool, int, float, complex, str, bytes, type(None), type(Ellipsis))
 
 
 class UnknownContentError(Exception):
-    """A value whose content cannot be told."""
+    """The content of a value cannot be given as bytes."""
 
 
 class Content(ABC):
     """A walk through values that gives their content as bytes, in parts.
 
-    A subclass says how it tells code, what it tells by its name alone, and what it does with the
-    global variables of functions and with values of further kinds.
+    A subclass defines the content of code, which values count by their names only, and how to treat
+    global variables and values of further kinds.
     """
 
     def __init__(self) -> None:
-        self.told: list[Any] = []  # functions, and modules with names: what recurs ends
+        self.told: list[Any] = []  # functions and modules that were visited: ends a recursion
         self._within: list[int] = []  # containers around the value at hand
 
     @abstractmethod
@@ -40,10 +40,10 @@ class Content(ABC):
 
     @abstractmethod
     def by_name(self, value: Any) -> str | None:
-        """Give the name of a value that is told by its name; None if it is walked through."""
+        """Give the name of a value that counts by its name; None if its content counts."""
 
     def variable(self, scope: Mapping[str, Any], name: str, uses: Uses | None) -> Parts:
-        """Give the content of a module's global variable, of which a function uses this."""
+        """Give the content of a global variable; `uses` says what a function uses of it."""
         yield name.encode()
         yield from self.parts(scope[name], uses)
 
@@ -53,14 +53,14 @@ class Content(ABC):
         yield from self.parts(function.py_func)
 
     def other(self, value: Any) -> Parts:
-        """Give the content of a value of a kind that is not known here."""
+        """Give the content of a value of another kind."""
         raise UnknownContentError(repr(value))
 
     def parts(self, value: Any, uses: Uses | None = None) -> Parts:
         """Give the content of a value.
 
-        `uses` are those of the code around the value: of a module only what is named there
-        matters. None stands for all, also for modules that lie in the value.
+        `uses` are the names in the code around the value: only the attributes of a module that are
+        named there matter. None means all attributes, also of modules inside the value.
         """
         yield type(value).__name__.encode()
         name = self.by_name(value)

@@ -1,15 +1,16 @@
-"""Compiled code kept on disk, under a name that holds all it was compiled from.
+"""A cache of compiled code on disk. The name of a file is a hash of all that its code depends on.
 
-Numba's own cache takes a function for the same as long as its file is; these functions are closures
-over a model's formulas, so here the name is a hash of the formulas themselves (their code, the
-constants, modules and functions they use, all the way down), of the kernel's own source, of the
-versions and of the processor. What cannot be hashed is compiled in each process.
+Numba's own cache identifies a function by its source file. Our functions are closures over a
+model's formulas, so their source file says too little. Here the name is a hash of the formulas
+(their code, and the constants, modules and functions that they use, recursively), of the kernel's
+own source, of the versions and of the processor. A formula that cannot be hashed is compiled in
+each process.
 
-Only what is inlined into one function is kept: symbols of Numba's are told apart by a count, which
-two processes may give to two functions.
+A function is saved only if everything it calls is inlined into it. Numba numbers its symbols, and
+two processes may give the same number to two functions.
 
-The folder is local to a node, and belongs to its user alone: what lies in it is code. Each file
-holds the hash of its content; one that is torn or was written over is compiled anew.
+The folder is local to a node and belongs to one user, because the files in it are code. Each file
+begins with the hash of its content. A damaged file is ignored, and its function is compiled again.
 """
 
 import contextlib
@@ -41,15 +42,14 @@ _PACKAGE = Path(__file__).parents[1]
 
 
 def kept_on_disk(compiled: Any, *compiled_from: Any) -> Callable[..., None]:
-    """Have a compiled function loaded from disk, and saved there once it was compiled.
+    """Let a compiled function be loaded from disk, and saved there after it was compiled.
 
     Parameters
     ----------
     compiled : compiled function
         Not called yet.
     *compiled_from : object
-        All that its code depends on, but the package's own source: a model's functions, names,
-        numbers.
+        All that its code depends on except the package's own source: functions, names, numbers.
 
     Returns
     -------
@@ -67,7 +67,7 @@ def kept_on_disk(compiled: Any, *compiled_from: Any) -> Callable[..., None]:
 
 
 class _DiskCache:
-    """What a Numba dispatcher asks before it compiles, and tells when it has."""
+    """The cache that a Numba dispatcher asks before it compiles, and informs afterwards."""
 
     def __init__(self, content: str) -> None:
         self._content = content
@@ -81,7 +81,7 @@ class _DiskCache:
             if digest != _digest(payload):
                 return None
             return CompileResult._rebuild(target, *pickle.loads(payload))  # noqa: S301  our own file
-        except Exception:  # whatever is wrong with the file, compiling is the answer
+        except Exception:  # whatever is wrong with the file, the function can be compiled
             return None
 
     def save_overload(self, signature: Any, result: Any) -> None:
@@ -90,7 +90,7 @@ class _DiskCache:
         path = self._path(signature, result.codegen)
         if path is None:
             return
-        with contextlib.suppress(Exception):  # a full disk costs the next process its time, no more
+        with contextlib.suppress(Exception):  # without the file, the next process compiles
             payload = dumps(result._reduce())
             unfinished = path.with_name(f".{path.name}-{platform.node()}-{os.getpid()}")
             try:
@@ -100,7 +100,7 @@ class _DiskCache:
                 unfinished.unlink(missing_ok=True)
 
     def _is_closed(self, library: Any) -> bool:
-        """Whether every function in it has a name of its own: all others are inlined."""
+        """Whether no function in the library has a name that another process might use."""
         defined = re.findall(r"^define [^@\n]*@(\S+?)\(", library.get_llvm_str(), re.MULTILINE)
         return all(
             self._content in name or name.startswith(("NRT_", UNWRAPPED)) for name in defined
@@ -113,7 +113,7 @@ class _DiskCache:
 
 
 def own_folder() -> Path | None:
-    """Give the folder that only this user can write; None, with a warning, if it cannot be used."""
+    """Give the cache's folder; None, with a warning, if the folder is unsafe or cannot be made."""
     return _folder()
 
 
@@ -123,7 +123,7 @@ def _digest(payload: bytes) -> bytes:
 
 @cache
 def _folder() -> Path | None:
-    """The folder, made if need be; None, with a warning, if it cannot be used."""
+    """The folder, which is made if necessary; None, with a warning, if it cannot be used."""
     given = os.environ.get(FOLDER_VARIABLE)
     usual = Path(tempfile.gettempdir()) / f"pfdist-{os.getuid()}"
     folder = Path(given).resolve() if given else usual
@@ -144,7 +144,7 @@ def _folder() -> Path | None:
 
 
 def _hash_of_own_source() -> str:
-    """Hash of the source that compiled code is made of."""
+    """Hash of the package's source from which compiled code is made."""
     files = sorted((_PACKAGE / "kernels").glob("*.py"))
     files += sorted((_PACKAGE / "jitted").glob("*.py"))
     names = ("elementwise.py", "filters/draws.py")
@@ -158,4 +158,4 @@ def _versions() -> tuple[str, ...]:
     return (platform.python_version(), *libraries, *options)
 
 
-_OWN_SOURCE = _hash_of_own_source()  # when it was imported: it may be edited while this runs
+_OWN_SOURCE = _hash_of_own_source()  # at import, because the source may be edited later

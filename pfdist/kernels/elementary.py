@@ -1,12 +1,13 @@
-"""Elementary functions that a loop over particles can do eight at a time.
+"""Elementary functions that LLVM can vectorise: a loop computes several particles at a time.
 
-A call of libm serves one number and takes 2 to 11 ns. These are polynomials without a branch, so
-that LLVM makes vectors of them: 0.3 to 2.5 ns. Where a model's formula says ``np.sin`` or
-``math.sin``, the compiled filter has the one below; the formula on arrays, the plain filter's, has
-NumPy's. They agree within `ULPS` units in the last place, for every argument but angles beyond
-`LARGEST_ANGLE`, of which no digit is known: these give NaN.
+A call of libm computes one value and takes 2 to 11 ns. The functions below are polynomials without
+branches, which LLVM vectorises: 0.3 to 2.5 ns. In the compiled filter they replace ``np.sin`` and
+``math.sin`` of a model's formula. The plain filter calls NumPy's functions. Both agree within
+`ULPS` units in the last place. Only angles beyond `LARGEST_ANGLE` give NaN, because no digit of
+their sine is known.
 
-Each polynomial interpolates at the Chebyshev nodes of its interval, closer than half a unit.
+Each polynomial interpolates at the Chebyshev nodes of its interval, with an error of less than half
+a unit.
 
 References
 ----------
@@ -34,7 +35,7 @@ _SHIFT = 6755399441055744.0  # 2^52 + 2^51: the low bits of x + _SHIFT are the n
 
 @inlined
 def _quarter_turns(x):
-    """The nearest multiple of pi/2, as an integer, and what is left: in -pi/4..pi/4."""
+    """The nearest multiple of pi/2, as an integer, and the remainder in -pi/4..pi/4."""
     shifted = np.float64(fma(x, 0.6366197723675814, _SHIFT))
     turns = shifted - _SHIFT
     rest = fma(-turns, 1.5707963267948966, x)  # pi/2 in three parts
@@ -129,7 +130,7 @@ def exp(x):
 
 @inlined
 def _exponent_and_log(x):
-    """Of x = 2^e m with m in 0.707..1.414: e, and log m."""
+    """The exponent e and log m, for x = 2^e m with m in 0.707..1.414."""
     tiny = x < 2.2250738585072014e-308  # without a full mantissa
     bits = np.float64(x * 18014398509481984.0 if tiny else x).view(np.int64)  # times 2^54
     exponent = (bits - 0x3FE6A09E667F3BCD) >> 52
@@ -150,7 +151,7 @@ def _exponent_and_log(x):
 
 @inlined
 def _logarithm(x, value):
-    """The value, but where the logarithm of x has none that is finite."""
+    """The value, or infinity or NaN if the logarithm of x is not finite."""
     value = x if x == math.inf else value
     value = -math.inf if x == 0.0 else value
     return value if x >= 0.0 else math.nan
@@ -221,7 +222,7 @@ def tanh(x):
 
 @inlined
 def _arctan_part(x):
-    """Of x in 0..1."""
+    """The arctangent of x in 0..1."""
     large = x > 0.41421356237309503  # tan(pi/8): beyond, pi/4 + arctan((x - 1) / (x + 1))
     r = (x - 1.0) / (x + 1.0) if large else x
     q = r * r

@@ -1,9 +1,9 @@
-"""The content of a function and of all that it uses, as a hash: a name for compiled code.
+"""A hash of a function and of all that it uses, which names its compiled code.
 
-Two functions with one fingerprint compile to the same code: their own bytecode and the lines it
-stands in, constants, defaults, closures, the globals and the modules' attributes they name, all the
-way down. What belongs to NumPy, to the standard library or to this floor is told by its name;
-`pfdist.kernels.disk_cache` adds versions and source.
+Two functions with the same fingerprint compile to the same code. The hash covers the bytecode and
+its line numbers, constants, defaults, closures, and the globals and module attributes that the
+function names, recursively. Functions of NumPy, of the standard library and of this room count by
+their names only; `pfdist.kernels.disk_cache` adds the versions and our source.
 """
 
 import hashlib
@@ -18,7 +18,7 @@ from pfdist.kernels.formulas import is_ours
 
 __all__ = ["UnknownContentError", "bytecode", "fingerprint"]
 
-_VERSIONED = ("builtins", "math", "numpy")  # what is in them is told by its name
+_VERSIONED = ("builtins", "math", "numpy")  # their contents count by name
 
 
 def fingerprint(*values: Any) -> str:
@@ -27,7 +27,7 @@ def fingerprint(*values: Any) -> str:
     Raises
     ------
     UnknownContentError
-        One of them, or what it uses, is of a kind whose content cannot be told.
+        A value, or something that it uses, is of a kind that cannot be hashed.
     """
     digest = hashlib.blake2b(digest_size=16)
     try:
@@ -51,11 +51,11 @@ def bytecode(content: Content, code: types.CodeType) -> Parts:
 
 
 class _Compiled(Content):
-    """What decides how Numba compiles a function."""
+    """The content on which Numba's compilation of a function depends."""
 
     def code(self, function: types.FunctionType) -> Parts:
         yield from bytecode(self, function.__code__)
-        yield from _lines(function.__code__)  # which compiled errors tell
+        yield from _lines(function.__code__)  # compiled errors contain them
 
     def by_name(self, value: Any) -> str | None:
         if isinstance(value, types.ModuleType):

@@ -1,9 +1,9 @@
-"""Which functions of the C library compiled code calls, if they may round otherwise elsewhere.
+"""The functions of the C library that compiled code calls and that may round differently elsewhere.
 
-The C library chooses an implementation by the processor, and two versions of it differ. What it
-computes exactly, or rounds correctly, is the same everywhere: those functions are not counted, nor
-is the remainder of a division, `fmod`, which is exact. BLAS and LAPACK, which ``np.dot``, ``@`` and
-``np.linalg`` call, choose by the processor, too.
+The C library chooses an implementation by the processor, and its versions differ. Functions whose
+results are exact or correctly rounded, such as `sqrt` and `fmod`, give the same bits everywhere;
+they are not counted. BLAS and LAPACK also choose by the processor; ``np.dot``, ``@`` and
+``np.linalg`` call them.
 """
 
 import re
@@ -55,7 +55,7 @@ def makes_arrays(compiled: Any) -> bool:
 
 
 def named_in(module: str) -> set[str]:
-    """Those that the text of an LLVM module declares."""
+    """Such functions that the text of an LLVM module declares."""
     libraries = {"xx": "BLAS", "ez_": "LAPACK"}
     names = {f"{name} ({libraries[kind]})" for kind, name in _LINEAR_ALGEBRA.findall(module)}
     for symbol in _DECLARED.findall(module):

@@ -1,8 +1,8 @@
-"""Functions that melt into the compiled ones that call them.
+"""Functions that exist only inlined into the compiled functions that call them.
 
-Numba usually optimises each function by itself, translates it to machine code, and adds entries
-for Python and C. A function that melts into its callers needs none of this: each caller optimises
-it again. Without this work a filter compiles in 0.6 of the time.
+Numba usually optimises each function on its own, translates it to machine code, and adds entry
+points for Python and C. A function that is inlined into all its callers needs none of this, because
+each caller is optimised as a whole. Without this work a filter compiles in 0.6 of the time.
 """
 
 from collections.abc import Callable
@@ -17,12 +17,12 @@ from numba.extending import register_jitable
 
 class _Library(JITCodeLibrary):  # type: ignore[misc]
     def _optimize_final_module(self) -> None:
-        """Leave it to the callers."""
+        """Do nothing: the callers are optimised."""
 
 
 @cache
 def melting(compiler: type) -> type:
-    """Give the same compiler for functions that melt."""
+    """Derive a compiler for functions that are only inlined."""
 
     class Melting(compiler):  # type: ignore[misc]
         def define_pipelines(self) -> Any:
@@ -34,7 +34,7 @@ def melting(compiler: type) -> type:
     return Melting
 
 
-# A call left standing stops vectorisation: 15 times the time.
+# A call that is not inlined stops vectorisation, and takes 15 times the time.
 _STANDING = {"forceinline": True, "nogil": True}
 MELTING = {
     **_STANDING,
@@ -42,15 +42,15 @@ MELTING = {
     "no_cfunc_wrapper": True,
     "pipeline_class": melting(Compiler),
 }
-"""How Numba is to take a function that melts."""
+"""Numba's options for a function that is only inlined."""
 
 inlined = register_jitable(**MELTING)
-"""Decorator of a function that is written once and runs twice: melted where compiled code calls it,
-and as it stands on NumPy arrays."""
+"""Decorator of a function that is written once and used twice: inlined into compiled code, and
+unchanged on NumPy arrays."""
 
 
 class Melted:
-    """A function that compiled ones can call; called from Python it is compiled by itself.
+    """A function that is inlined into compiled functions; Python calls a compiled copy of it.
 
     Parameters
     ----------
@@ -67,16 +67,16 @@ class Melted:
         self.py_func = function
         self._options = options | {"pipeline_class": compiler}
         self._melting = njit(function, **MELTING | options | {"pipeline_class": melting(compiler)})
-        self._numba_type_ = self._melting._numba_type_  # by which Numba takes it for a function
+        self._numba_type_ = self._melting._numba_type_  # so Numba treats the object as a function
 
     @cached_property
     def _standing(self) -> Any:
         return njit(self.py_func, **_STANDING, **self._options)
 
     def __call__(self, *arguments: Any) -> Any:
-        """Compile it as a whole, and call that."""
+        """Call a copy that is compiled on its own."""
         return self._standing(*arguments)
 
 
 melted = partial(Melted, error_model="numpy")
-"""Decorator of a function that compiled code alone calls; by zero it divides as NumPy does."""
+"""Decorator of a function for compiled code only; it divides by zero as NumPy does."""

@@ -1,4 +1,4 @@
-"""What is computed of a weighted cloud: mean and variance of z, and what an instant costs."""
+"""Mean and variance of z over a weighted cloud, and the estimates of an instant's error."""
 
 from collections.abc import Callable
 from typing import Any
@@ -15,8 +15,8 @@ def moments(
 ) -> tuple[Callable[..., Any], ...]:
     """Compile the weighted mean of z, and its variance.
 
-    A particle of weight 0 does not count. The terms are computed first, a vector of whatever length
-    the processor has at a time; then `row_sum` adds them in an order of its own.
+    A particle of weight 0 does not count. The terms are computed first, in vectors whose length
+    depends on the processor. Then `row_sum` adds them in a fixed order.
     """
     states, _, quantities = components
     quantity = formula(quantity_of_interest, "quantity_of_interest")

@@ -1,15 +1,15 @@
 """Keyed noise: every random number is a pure function of its key.
 
-There is no generator and no state. A variate is the cipher of `pfdist.kernels.threefry` of
+There is no generator and no state. The cipher of `pfdist.kernels.threefry` gets two arguments:
 
 ======= ============================== =========================================
 key     stream (64 bits), draw, t      which simulation or filter, which draw, when
 counter block, component, role, 0      which particles, which noise component, what for
 ======= ============================== =========================================
 
-so it does not depend on how draws are cut into tasks, on the order of the tasks or on the
-number of workers. One block of the cipher serves four particles. Beyond the cipher only
-additions, multiplications (fused ones too) and square roots of float32 are used (no libm), so
+So a variate depends neither on how draws are cut into tasks, nor on the order of the tasks, nor on
+the number of workers. One block of the cipher serves four particles. Besides the cipher, only
+additions, multiplications (also fused) and square roots of float32 are used, and no libm. So
 compiled and plain noise agree to the last bit on every machine.
 """
 
@@ -25,19 +25,18 @@ from pfdist.kernels.arithmetic import LANES, fma
 from pfdist.kernels.melting import inlined, melted
 from pfdist.kernels.threefry import threefry4x32
 
-# What a noise is for. The simulation's roles and the filter's never meet in one stream, but
-# keeping them apart costs nothing. Of NumPy's type, because Numba compiles anew for each constant
-# of Python's.
+# The roles of noise. A stream is used by the simulation or by a filter, never by both; separate
+# roles cost nothing. They are NumPy integers, because Numba compiles anew for each Python constant.
 TRUTH_INITIAL, TRUTH_PROCESS, TRUTH_MEASUREMENT = np.arange(3)
 FILTER_INITIAL, FILTER_PROCESS, RESAMPLING = np.arange(3, 6)
 
-# Particles come in tiles: the four words of each of LANES blocks lie LANES apart, so that the
+# Particles come in tiles: the four words of each of LANES blocks are LANES entries apart. So the
 # compiled loop over the blocks writes whole vectors.
 TILE = 4 * LANES
 
 
 def generator(*parts: Any) -> np.random.Generator:
-    """NumPy generator for the choices of a search, keyed by what they are for."""
+    """NumPy generator for the random choices of a search, keyed by their purpose."""
     return np.random.Generator(np.random.Philox(stream_key(*parts)))
 
 
@@ -68,7 +67,7 @@ def _words(stream, draw, t, role, component, block):
 @inlined
 def _exponential(word):
     """-ln u for u = (word + 1/2) / 2^32; error 2.2e-7 of the larger of 1 and the value."""
-    # A little less than 2^-32: else the highest words would round to u = 1, and -ln u to 0.
+    # A little less than 2^-32. Otherwise the highest words would round to u = 1, and -ln u to 0.
     less = np.float32(2.0**-32 * (1.0 - 2.0**-24))
     u = fma(np.float32(word), less, np.float32(2.0**-33))
     bits = np.float32(u).view(np.int32)
@@ -179,7 +178,7 @@ def _filling_draws(four: Callable[..., Any]) -> Callable[..., Any]:
 
 FILL = {kind: _filling(four) for kind, four in FOUR.items()}
 """Compiled ``fill(out, row, particles, stream, draw, t, role, component)`` by kind; out is float32,
-(rows, padded(particles) or more). Rows are unsigned: what may be negative is not vectorised."""
+(rows, padded(particles) or more). Rows are unsigned, because signed rows prevent vectorisation."""
 
 FILL_DRAWS = {kind: _filling_draws(four) for kind, four in FOUR.items()}
 """Compiled ``fill(out, row, draws, stream, first, t, role, component)`` by kind: the variates of
@@ -241,7 +240,7 @@ def variates(
     kind : {"normal", "uniform", "exponential"}
     particles : int
     stream, draw, t, role, component : int
-        The key; of draw also an array, (D,).
+        The key; draw may be an array, (D,).
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""What a formula has in the place of NumPy's and the standard library's elementary functions."""
+"""Replacements in formulas for elementary functions of NumPy and the standard library."""
 
 import math
 from collections.abc import Callable
@@ -27,7 +27,7 @@ def _in_the_place_of(original: np.ufunc, scalar: Callable[..., Any]) -> Callable
         f"def overloaded({names}):\n    return chosen(({names},))\n"
     )
     scope["is_number"] = lambda kind: isinstance(kind, types.Float | types.Integer | types.Boolean)
-    exec(source, scope)  # noqa: S102  the source is made above, of a number alone
+    exec(source, scope)  # noqa: S102  the source above depends on a number only
     overload(scope["stub"], jit_options=MELTING)(scope["overloaded"])
     return scope["stub"]
 
@@ -54,11 +54,11 @@ ELEMENTARY: dict[str, Callable[..., Any]] = {
         (np.hypot, elementary.hypot),
     )
 }
-"""What a formula has in the place of NumPy's functions, by their names."""
+"""Replacements for NumPy's functions in formulas, by their names."""
 
 
 def log_to_base(x: Any, base: Any = None) -> Any:
-    """In the place of `math.log`."""
+    """Replace `math.log`."""
     return math.log(x) if base is None else math.log(x, base)
 
 

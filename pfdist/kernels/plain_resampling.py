@@ -1,4 +1,4 @@
-"""The plain twins of the resampling schemes: on weights as they are, by NumPy's search."""
+"""Plain twins of the resampling schemes, with NumPy's search in the cumulative weights."""
 
 from collections.abc import Callable
 
@@ -37,7 +37,7 @@ def plain_ancestors(
 
 
 def _found(weight: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Ancestors of points of (0, 1); no weight at all gives any."""
+    """Ancestors of points in (0, 1); arbitrary if all weights are 0."""
     cumulative = np.cumsum(weight)
     shares = np.floor(cumulative * (SHARES / max(cumulative[-1], LEAST_TOTAL)))
     found = np.searchsorted(shares, np.floor(points * SHARES), side="right")

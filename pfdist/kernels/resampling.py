@@ -1,20 +1,20 @@
 """Resampling: from cumulative weights to the ancestor of each particle.
 
-A scheme lays P points on (0, 1); the ancestor that belongs to a point u is the first particle
-whose cumulative weight exceeds u times their total. Both are compared as 32-bit numbers, but in the
-systematic scheme, which counts the points below a weight by a formula.
+A scheme places P points in (0, 1). The ancestor of a point u is the first particle whose cumulative
+weight exceeds u times the total. Points and weights are compared as 32-bit numbers. The systematic
+scheme instead computes the number of points below each weight by a formula.
 
 ================= ===========================================================================
-multinomial       the points are independent, and taken in ascending order
+multinomial       independent points in ascending order
 stratified        one point in each of P equal intervals, independent
-systematic        one point in each of P equal intervals, all at the same place in theirs
-residual          particle j has floor(P w_j) children; the points of the rest are multinomial
-                  in what is left of the weights
-sorted_systematic systematic, when the particles stand in line by their states, which are
-                  scalar (`pfdist.kernels.sorting`)
+systematic        one point in each of P equal intervals, all at the same position in them
+residual          particle j has floor(P w_j) children; the others are multinomial, with the
+                  remaining weights
+sorted_systematic systematic, after the particles were sorted by their states, which are scalar
+                  (`pfdist.kernels.sorting`)
 ================= ===========================================================================
 
-Each has its plain twin in `pfdist.kernels.plain_resampling`.
+Each scheme has a plain twin in `pfdist.kernels.plain_resampling`.
 
 References
 ----------
@@ -35,11 +35,11 @@ from pfdist.kernels.melting import melted
 from pfdist.kernels.noise import FILL, RESAMPLING, padded
 from pfdist.kernels.weights import cumulate, width
 
-SPARE = 3 * LANES  # what an array has to spare behind its last particle: whole vectors are written
+SPARE = 3 * LANES  # spare entries behind an array's last particle: whole vectors are written
 
 _ROW, _COMPONENT = np.uintp(0), np.int64(0)  # of the noise that places the points
 _STRETCHES = 4
-LEAST_TOTAL = 1e-100  # of a total: without any weight there is no ancestor, and no division by 0
+LEAST_TOTAL = 1e-100  # the least total weight: prevents a division by 0 if all weights are 0
 SHARES = 2.0**32 - 2.0**8  # the whole weight, in units that fit into 32 bits
 _fill_exponentials = FILL["exponential"]
 _fill_uniforms = FILL["uniform"]
@@ -106,22 +106,22 @@ def _merge(scratch, total, particles, count, ancestor):
 
 @melted
 def merged_ancestors(shares, particles, points, count, ancestor):
-    """Ancestors of points in ascending order: the two ascending sequences are merged.
+    """Find the ancestors of ascending points, by merging the points with the cumulative weights.
 
-    A merge that takes a step for each number waits for the step before it, 7 cycles. So here a step
-    compares 16 weights with 16 points, each with each, and goes on to the next 16 weights or the
-    next 16 points: 0.7 ns a particle in the place of 3.8.
+    In a merge of single numbers each step waits 7 cycles for the step before it. So here a step
+    compares all pairs of 16 weights and 16 points, and goes on to the next 16 weights or the next
+    16 points. This takes 0.7 ns a particle instead of 3.8 ns.
 
     Parameters
     ----------
     shares : array of uint32, (width(particles) or more,)
-        Cumulative weights, 2^32 - 2^8 at most; the last one, and what lies behind it, is changed.
+        Cumulative weights, 2^32 - 2^8 at most. The last weight and the entries behind it change.
     particles : int
     points : array of uint32, (width(count) or more,)
-        What lies behind the count-th is changed.
+        The entries behind the count-th change.
     count : int
     ancestor : array of uint32, (count + SPARE or more,)
-        Receives the ancestors; what lies behind the count-th is scratch.
+        Receives the ancestors; the entries behind the count-th are scratch.
     """
     for j in range(particles - 1, width(particles)):
         shares[j] = np.uint32(0xFFFFFFFF)  # nothing passes the last particle
@@ -132,7 +132,7 @@ def merged_ancestors(shares, particles, points, count, ancestor):
     first, begin = np.uintp(0), np.uintp(0)
     lanes, last = np.uintp(LANES), np.uintp(LANES - 1)
     while begin < np.uintp(count):
-        for lane in range(lanes):  # if these points are done, all these weights lie below the next
+        for lane in range(lanes):  # all weights before `first` lie below the next points, too
             ancestor[begin + lanes + lane] = first
         add_ranks(shares, first, points, begin, ancestor)
         passed = np.uintp(shares[first + last] <= points[begin + last])
@@ -142,16 +142,17 @@ def merged_ancestors(shares, particles, points, count, ancestor):
 
 @melted
 def expanded(ends, particles, count, marks, ancestor):
-    """Ancestors from where each particle's children end: each number as often as it is said.
+    """Find the ancestors from the position behind each particle's last child.
 
-    The first child is marked with its parent, and the marks are carried on: a running maximum, in
-    four stretches side by side. It is one of floats, because LLVM makes branches of one of
-    integers, and half of them are guessed wrong: 1.2 ns a particle in the place of 0.5.
+    The position of each first child is marked with its parent. A running maximum carries the marks
+    to the other children, in four stretches side by side. The maximum is one of floats: LLVM would
+    turn a maximum of integers into branches that are often mispredicted (1.2 ns a particle instead
+    of 0.5 ns).
 
     Parameters
     ----------
     ends : array of uint32, (particles,)
-        Ascending, the last one is count.
+        Ascending; the last entry is count.
     particles, count : int
         At most 2^24.
     marks : array of float32, (rows, count + 1 or more)
@@ -162,7 +163,7 @@ def expanded(ends, particles, count, marks, ancestor):
     for i in range(count + 1):
         marks[0, i] = 0.0
     for j in range(np.uintp(1), np.uintp(particles)):
-        # A childless particle is written over by the next one.
+        # The next particle overwrites the mark of a childless particle.
         marks[0, ends[j - np.uintp(1)]] = np.float32(np.int32(j))
     stretch = np.uintp(count // _STRETCHES)
     begin_b, begin_c, begin_d = stretch, np.uintp(2) * stretch, np.uintp(3) * stretch

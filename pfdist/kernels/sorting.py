@@ -1,11 +1,11 @@
-"""Particles in the order of their states: under common noise what is resampled is then smooth.
+"""Sort particles by their states, so that resampling is smooth under common random numbers.
 
-Systematic resampling gives a particle's place in line a child. In line by state, clouds that differ
-a little have children that differ a little; in any other order, a weight that changes moves
-all that stand behind it.
+Systematic resampling depends on the order of the particles. If they are sorted by their states,
+clouds that differ a little have children that differ a little. In any other order, a change of one
+weight moves the children of all particles behind it.
 
-The line is as exact as `LEVELS` steps from the least state with a weight to the largest: those
-of one level stand as they stood. A radix sort of two digits is then enough.
+States are sorted by levels: `LEVELS` equal steps from the least to the largest state that has a
+weight. Particles of one level keep their order. So a radix sort of two digits is enough.
 
 References
 ----------
@@ -62,10 +62,10 @@ def sort_by_state(cloud, here, particles, weight, row, scratch):
     scratch : SortingScratch
     """
     keys, order = scratch.keys, scratch.order
-    high, depth = _NONE, _NONE  # the largest state, and the largest negative one
+    high, depth = _NONE, _NONE  # the maxima of x and of -x
     for i in range(cloud.shape[2]):
         x = np.float64(cloud[here, 0, i] if weight[row, i] > 0.0 else np.nan)
-        # With abs(x), `and`, or -inf for none it is not vectorised: 1 to 4 ns in the place of 0.1.
+        # With abs(x), `and` or -inf LLVM does not vectorise this: 1 to 4 ns instead of 0.1 ns.
         high = larger(high, x if x < np.inf else _NONE)
         depth = larger(depth, -x if x > -np.inf else _NONE)
     low = -depth
@@ -88,7 +88,7 @@ def sort_by_state(cloud, here, particles, weight, row, scratch):
 
 @melted
 def _radix_sorted(keys, particles, counts, half_sorted, order):
-    """Sort by the low digit, then by the high one; what is alike stays as it stood."""
+    """Sort by the low digit, then by the high digit; equal keys keep their order."""
     mask, bits = np.uint32(DIGITS - 1), np.uint32(_BITS)
     for digit in range(DIGITS):
         counts[_LOW, digit] = 0
@@ -113,7 +113,7 @@ def _radix_sorted(keys, particles, counts, half_sorted, order):
 
 
 def plain_order(state: NDArray[np.float64], weight: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Plain twin: who stands where, along the last axis."""
+    """Plain twin of `sort_by_state`: the order of the particles, along the last axis."""
     counted = (weight > 0.0) & np.isfinite(state)
     low = np.where(counted, state, -_NONE).min(axis=-1, keepdims=True)
     high = np.where(counted, state, _NONE).max(axis=-1, keepdims=True)

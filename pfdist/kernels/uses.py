@@ -1,7 +1,7 @@
-"""How a function's code uses the names in it, read from its bytecode.
+"""How a function uses the names in its code, read from its bytecode.
 
-Of a module that a function uses only as ``module.name`` the named variables matter. A module that
-is passed on, returned or kept may be asked for anything.
+If a function uses a module only as ``module.name``, only the named variables of the module matter.
+If the module itself is passed on, returned or stored, all its variables may matter.
 """
 
 import dis
@@ -18,7 +18,7 @@ _GLOBAL = ("LOAD_GLOBAL", "LOAD_NAME", "LOAD_FROM_DICT_OR_GLOBALS")
 _ATTRIBUTE = ("LOAD_ATTR", "LOAD_METHOD")
 _NO_STEPS = ("CACHE", "EXTENDED_ARG", "NOP")
 _AFTER_IMPORT = ("IMPORT_FROM", "POP_TOP", "SWAP", "ROT_TWO", "COPY")
-# With these an object gives all that it has.
+# Names through which code can reach every attribute of an object.
 _ALL = frozenset({"__dict__", "__getattr__", "__getattribute__"})
 
 
@@ -31,14 +31,14 @@ class Uses:
     named : frozenset of str
         All names of global variables and attributes.
     loose : frozenset of str
-        Those whose value is used other than to take an attribute from it.
+        Names whose value is used in another way than ``name.attribute``.
     """
 
     named: frozenset[str]
     loose: frozenset[str]
 
     def through(self, name: str) -> "Uses | None":
-        """Uses of the module that a name stands for; None means that all of the module matters."""
+        """The names that matter in the module behind a name; None if all matter."""
         return None if name in self.loose or _ALL & self.named else self
 
 
@@ -48,13 +48,13 @@ class Import(NamedTuple):
     Parameters
     ----------
     name : str
-        The module's, as it is written.
+        The module's name, as it is written.
     level : int
-        How many dots stand before the name.
+        The number of dots before the name.
     names : tuple of str
-        What is taken from the module; empty if it is the module itself.
+        The names that are imported from the module; empty if the module itself is imported.
     variables : frozenset of str
-        Local variables that hold what is imported.
+        Local variables that hold the imported objects.
     """
 
     name: str

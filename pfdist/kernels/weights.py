@@ -1,7 +1,8 @@
 """From log-weights to weights and cumulative weights.
 
-Weights are float32, the largest of them 1; all sums are float64. Arrays are as long as `width`
-says; what lies behind the last particle has the log-weight `IMPOSSIBLE`, so the weight 0.
+Weights are float32, and the largest weight is 1. All sums are float64. Arrays have the length
+`width(particles)`. Entries behind the last particle have the log-weight `IMPOSSIBLE`, and so the
+weight 0.
 """
 
 import numpy as np
@@ -13,14 +14,14 @@ from pfdist.kernels.melting import inlined, melted
 IMPOSSIBLE = -np.finfo(np.float64).max
 
 _CHAINS = 4
-_LEAST = -87.0  # e to the less is 0 here; in float32 it is no normal number below -87.3
+_LEAST = -87.0  # below, the exponential counts as 0: below -87.3 float32 has no normal number
 
 
 @inlined
 def width(particles):
-    """Length of an array with a value for each particle: the next multiple of a vector's.
+    """Length of an array with a value for each particle: the next multiple of a vector's length.
 
-    A loop over whole vectors has no rest to be done one by one.
+    So a loop over whole vectors leaves no remainder.
     """
     return -(-particles // LANES) * LANES
 
@@ -47,7 +48,7 @@ def _exp(x):
 
 @melted
 def weigh(log_weight, weight, row):
-    """Put weights into a row, from finite log-weights; all 0 where each is `IMPOSSIBLE`."""
+    """Compute a row of weights from finite log-weights; all are 0 if all are `IMPOSSIBLE`."""
     highest = log_weight[0]
     for i in range(log_weight.size):
         highest = larger(highest, log_weight[i])
@@ -59,7 +60,7 @@ def weigh(log_weight, weight, row):
 
 
 def plain_weights(log_likelihood: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Plain twin of `weigh`, along the last axis; what is not finite is impossible."""
+    """Plain twin of `weigh`, along the last axis; a log-likelihood must be finite to count."""
     finite = np.where(np.isfinite(log_likelihood), log_likelihood, IMPOSSIBLE)
     excess = finite - finite.max(axis=-1, keepdims=True)
     possible = (excess > _LEAST) & (finite > IMPOSSIBLE)
@@ -69,9 +70,10 @@ def plain_weights(log_likelihood: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @melted
 def cumulate(values, row, count, cumulative):
-    """Cumulative sums of the first values of a row, a multiple of 4; their total is given back.
+    """Compute the cumulative sums of the first values of a row, and return their total.
 
-    A sum waits for the one before it, 1.3 ns each: so four stretches are summed side by side.
+    The number of values is a multiple of 4. Each sum waits 1.3 ns for the sum before it, so four
+    stretches are summed side by side.
     """
     stretch = count // _CHAINS
     a = b = c = d = 0.0

@@ -1,1 +1,1 @@
-"""What goes wrong in a model's code: where, why, and what to write instead."""
+"""Explanations of errors in a model's code: where they come from, and what to write instead."""

@@ -1,4 +1,4 @@
-"""What a model's code does to end the process, turned into an error that has a place."""
+"""Turns an attempt of a model's code to end the process into an error with a place."""
 
 import contextlib
 import os
@@ -12,7 +12,7 @@ _ENDS = ("_exit", "abort")  # of `os`
 
 
 class EndedError(Exception):
-    """A model's code called what ends a process."""
+    """A model's code called a function that ends the process."""
 
 
 @contextlib.contextmanager
@@ -45,27 +45,27 @@ def _instead_of(name: str, original: Any) -> Any:
 
 
 def is_interrupt(error: BaseException) -> bool:
-    """Whether it is the user's Ctrl-C, or a batch system's signal, and no error of the model."""
+    """Whether an exception is the user's Ctrl-C or a batch system's signal, not a model's error."""
     return type(error) is KeyboardInterrupt
 
 
 def told(error: BaseException) -> str:
-    """Say what a model raised, in a line: its kind and the beginning of its text."""
+    """Describe an exception of a model in a line: its class and the beginning of its text."""
     kind = "" if isinstance(error, EndedError) else type(error).__name__
     return ": ".join(part for part in (kind, text_of(error)) if part)
 
 
 def text_of(error: BaseException) -> str:
-    """Give an error's text as a line; empty where it has none that can be told."""
+    """Give an error's text as a line; empty if there is no text or it cannot be made."""
     try:
         text = " ".join(_formatted(error).split())
-    except Exception:  # a model may raise what cannot even be told
+    except Exception:  # the text of a model's own exception may fail, too
         return ""
     return f"{text[:_LONGEST]} ..." if len(text) > _LONGEST else text
 
 
 def _formatted(error: BaseException) -> str:
-    """An error's text; compiled code cannot put integers into it, so it is done here."""
+    """An error's text, with the integers that compiled code could not insert."""
     text, *values = error.args or ("",)
     formatted = isinstance(text, str) and values and text.count("{}") == len(values)
     return str(text.format(*values)) if formatted else str(error)

@@ -1,4 +1,4 @@
-"""Where in its author's source an error came from."""
+"""Finds the line of a model's source from which an error came."""
 
 import sysconfig
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ _NOT_MODELS = ("__init__.py", "base.py", "beside.py", "loader.py", "trial_calls.
 
 
 def frames_of(error: BaseException) -> Iterator[tuple[FrameType, int]]:
-    """Frames and lines of an error's traceback that are a model's, the outermost first."""
+    """Frames and lines of an error's traceback in a model's source, the outermost first."""
     trace = error.__traceback__
     while trace is not None:
         if is_a_models(trace.tb_frame.f_code.co_filename):
@@ -30,13 +30,13 @@ def place_of(error: BaseException) -> str:
 
 
 def place_of_function(function: Any) -> str:
-    """Give where a function is defined as `` (file:line)``; empty of what has no source."""
+    """Give the place where a function is defined, as `` (file:line)``; empty without a source."""
     code = getattr(function, "__code__", None)
     return f" ({code.co_filename}:{code.co_firstlineno})" if code else ""
 
 
 def is_a_models(file: str) -> bool:
-    """Whether a source file is a model's: neither pfdist's nor a library's."""
+    """Whether a source file belongs to a model: neither to pfdist nor to a library."""
     path = Path(file)
     if file.startswith("<"):
         return False

@@ -1,4 +1,4 @@
-"""What to write in the place of a formula that failed: the commonest mistakes, in plain English."""
+"""Advice for the commonest mistakes in formulas, in plain English."""
 
 import linecache
 import re
@@ -39,7 +39,7 @@ _FLOAT = re.compile(r"(?<![\w.])float\(")
 
 
 def remedy(error: BaseException) -> str:
-    """Say what to write instead, as ``; remedy``; empty if it is not known."""
+    """Advise what to write instead, as ``; remedy``; empty if there is no advice."""
     text = text_of(error)
     found = next((cure for words, cure in _REMEDIES.items() if words in text), "")
     if found is _ONE_NUMBER:

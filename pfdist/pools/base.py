@@ -17,11 +17,11 @@ class Task:
     Parameters
     ----------
     key : str
-        Says what it is: the same key, the same work.
+        Identifies the work: the same key means the same work.
     work : object
         The argument of the pool's function, which is pure.
     seconds : float
-        How long it should take, as far as is known.
+        The expected duration; 0 if it is unknown.
     """
 
     key: str
@@ -31,13 +31,13 @@ class Task:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a task.
+    """The result of a task.
 
     Parameters
     ----------
     task : Task
     value : object or None
-        What the function gave; None if it failed.
+        The function's value; None if it failed.
     seconds : float
         In the worker.
     worker, node : str
@@ -64,7 +64,7 @@ class Pool(Protocol):
     workers: int
 
     def run(self, tasks: Iterable[Task]) -> Iterator[Outcome]:
-        """Give the outcomes as they come, in any order; tasks are taken only as needed."""
+        """Give the outcomes in any order; tasks are taken from the iterable only as needed."""
 
     def __enter__(self) -> Self: ...
 
@@ -77,7 +77,7 @@ class Pool(Protocol):
 
 
 def do(function: Callable[[Any], Any], task: Task) -> Outcome:
-    """Do a task here: what every worker does. An exception becomes the outcome's error."""
+    """Do a task in this process. An exception becomes the outcome's error."""
     start = time.perf_counter()
     value, error = None, None
     try:

@@ -1,4 +1,4 @@
-"""What the control group of this process allows it; see cgroups(7)."""
+"""The limits that Linux control groups set for this process; see cgroups(7)."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -7,19 +7,19 @@ _ROOT, _OWN = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
 
 
 def settings(controller: str, *names: str) -> Iterator[list[str]]:
-    """Give what files say in this process's group, and in each above it: all of them hold.
+    """Read files of this process's control group and of all groups above it; all limits apply.
 
     Parameters
     ----------
     controller : str
         ``cpu`` or ``memory``.
     names : str
-        Of the files, of version 2 or of version 1.
+        Names of the files, of version 2 or of version 1.
 
     Yields
     ------
     list of str
-        A text a file, where all of them are there.
+        The texts of the files, for each group that has all of them.
     """
     try:
         lines = _OWN.read_text(encoding="utf-8").splitlines()

@@ -1,4 +1,4 @@
-"""How many cores this process may use, which are not the host's."""
+"""The number of cores that this process may use, which may be fewer than the machine has."""
 
 import math
 import os
@@ -8,12 +8,12 @@ from pfdist.pools.control_group import settings
 
 
 def usable_cores() -> int:
-    """Give the least of what affinity, the control group and a Slurm task allow."""
+    """Give the smallest limit of affinity, control group and Slurm task."""
     return max(1, min(limits().values()))
 
 
 def limits() -> dict[str, int]:
-    """Say what limits the cores, by its name."""
+    """Give each limit of the number of cores, by its name."""
     found = {"affinity": len(os.sched_getaffinity(0))}
     quota = min(_quotas(), default=math.inf)
     if quota < math.inf:
@@ -25,7 +25,7 @@ def limits() -> dict[str, int]:
 
 
 def _quotas() -> Iterator[float]:
-    """Cores' worth of time, of version 2 and of version 1."""
+    """Quotas of processor time in cores, of control groups of versions 2 and 1."""
     texts = [text.split() for (text,) in settings("cpu", "cpu.max")]
     texts += settings("cpu", "cpu.cfs_quota_us", "cpu.cfs_period_us")
     for quota, period in texts:

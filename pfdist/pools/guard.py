@@ -1,4 +1,4 @@
-"""A process that ends what this command has started, should this command end without doing so.
+"""A guard: a process that ends everything this command started, if the command is killed.
 
 A command that is killed cannot clean up, and Ray's agents outlive it. So a small process watches
 the command and ends everything that carries the command's mark: a variable in the environment
@@ -19,7 +19,7 @@ from typing import Any, Self
 from pfdist.pools.processes import end_marked
 
 _NAME = "PFDIST_STARTED_BY"
-_LOOK_SECONDS = 0.5  # between two looks whether the command still lives
+_LOOK_SECONDS = 0.5  # between two checks whether the command still lives
 _QUIET_SECONDS = 0.5  # for a server that a killed command was just starting
 _MOST_SECONDS = 4.0
 _IGNORED = (signal.SIGHUP, signal.SIGINT, signal.SIGTERM, signal.SIGUSR1, signal.SIGUSR2)
@@ -57,14 +57,14 @@ class Guard:
 
     @contextlib.contextmanager
     def watching(self) -> Iterator[None]:
-        """Mark the processes that begin meanwhile, and so all that these start later."""
+        """Mark the processes that begin meanwhile, and all their descendants."""
         with environment({_NAME: self._mark}):
             yield
 
 
 @contextlib.contextmanager
 def environment(variables: dict[str, str]) -> Iterator[None]:
-    """Change variables of this process's environment, for a while."""
+    """Change environment variables of this process inside a with statement."""
     before = {name: os.environ.get(name) for name in variables}
     os.environ.update(variables)
     try:

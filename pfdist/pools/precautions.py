@@ -1,4 +1,4 @@
-"""Precautions against what Ray does to the process that starts it. No Ray here."""
+"""Protects this process from side effects of Ray: signals, open folders, endless calls."""
 
 import contextlib
 import os
@@ -17,7 +17,7 @@ LONGEST_FOLDER = 38  # a socket's path has 107 characters, of which Ray needs 69
 
 @contextlib.contextmanager
 def own_sigterm() -> Iterator[None]:
-    """Keep this program's way with SIGTERM: Ray takes the signal for itself, and exits."""
+    """Keep this program's handler of SIGTERM, which Ray replaces with its own."""
     before = signal.getsignal(signal.SIGTERM)
     try:
         yield
@@ -31,9 +31,9 @@ def own_sigterm() -> Iterator[None]:
 
 
 def private_folder() -> str:
-    """Give a folder for Ray's sockets and logs, with a short path, that nobody else can enter.
+    """Give a folder for Ray's sockets and logs, with a short path, that no other user can enter.
 
-    Ray lets everyone write to the folder that it is given, so that one lies in another.
+    Ray lets everyone write to its folder. So the folder lies in another folder, which is private.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def private_folder() -> str:
 
 
 def within(seconds: float, function: Callable[[], Any]) -> threading.Thread:
-    """Call a function that may never return, and wait for it so long."""
+    """Call a function that may never return, and wait at most so many seconds."""
     thread = threading.Thread(target=function, daemon=True)
     thread.start()
     thread.join(seconds)

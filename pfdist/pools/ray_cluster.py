@@ -1,4 +1,4 @@
-"""Starting a Ray cluster of our own, and joining one that exists; leaving either.
+"""Starts a local Ray cluster or joins an existing cluster, and leaves it.
 
 A cluster of our own listens on loopback alone, obeys nobody who lacks a token that only this user
 can read, keeps its sockets and logs in a folder that only this user can enter, and ends with this
@@ -51,7 +51,7 @@ _QUIET: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.CRITI
 
 @contextlib.contextmanager
 def connected(address: str, cores: int = 0) -> Iterator[None]:
-    """Be connected to a Ray cluster, for a while.
+    """Be connected to a Ray cluster inside a with statement.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def connected(address: str, cores: int = 0) -> Iterator[None]:
 
 
 def is_own(address: str) -> bool:
-    """Whether an address asks for a cluster of our own."""
+    """Whether an address asks for a local cluster."""
     return address in {"", "local"}
 
 
@@ -127,7 +127,7 @@ def _starting(loopback: bool) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _token() -> Iterator[None]:
-    """Have Ray require a new token, for a while.
+    """Make Ray require a new token inside a with statement.
 
     The token is in the environment of this process and of Ray's, which other users cannot read,
     and in no file.
@@ -142,13 +142,13 @@ def _token() -> Iterator[None]:
 
 
 def _read_environment() -> None:
-    """Have Ray forget what it has read of the environment."""
+    """Make Ray read its environment variables again."""
     ray._raylet.Config.initialize("")
     ray._raylet.AuthenticationTokenLoader.instance().reset_cache()
 
 
 def _leave(guard: Guard) -> None:
-    """Leave a cluster, and end its servers if it is our own: they may be stopped, or starting."""
+    """Leave a cluster, and end the servers of a local cluster, in whatever state they are."""
     shutdown = within(STOP_SECONDS, ray.shutdown)
     guard.end()
     shutdown.join(STOP_SECONDS)

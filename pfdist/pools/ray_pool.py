@@ -60,7 +60,7 @@ class _Worker:
 
 @dataclass(eq=False)
 class _Slot:
-    """A place for a worker: the one that has it now, and what it has been handed.
+    """A slot for a worker: its present worker, and the tasks that the worker holds.
 
     Nothing is handed to a worker that has not said who it is: it may never start, as on a cluster
     that has lost a node.
@@ -75,21 +75,21 @@ class _Slot:
 
     @property
     def calls(self) -> list[Any]:
-        """Answers that it owes."""
+        """The answers that the worker still owes."""
         return [*self.tasks, *([] if self.about is None else [self.about])]
 
     @property
     def patience(self) -> float:
-        """Seconds it may be silent."""
+        """Seconds for which the worker may be silent."""
         expected = max((task.seconds for task in self.tasks.values()), default=0.0)
         return max(PATIENCE_SECONDS, PATIENCE_TIMES * expected)
 
     @property
     def answer_patience(self) -> float:
-        """Seconds that all may be silent, because of this one.
+        """Seconds for which all workers may be silent because of this worker.
 
-        Where Ray answers, a worker that is starting has as long to load and to compile as the
-        first ones had.
+        If Ray answers, a worker that is starting has as much time to load and compile as the first
+        workers had.
         """
         starting = self.called_for and self.about is not None
         return START_SECONDS if starting else max(ANSWER_SECONDS, 2 * self.patience)
@@ -162,7 +162,7 @@ class RayPool:
                 ending.join(max(0.0, deadline - time.monotonic()))
 
     def _wait_for_all(self) -> None:
-        """Wait until all have said who they are; some may die before they do."""
+        """Wait until every worker has answered for the first time; some may die before."""
         deadline, deaths = time.monotonic() + START_SECONDS, 0
         while coming := {slot.about: slot for slot in self._slots if slot.about is not None}:
             ready, _ = ray.wait(list(coming), timeout=max(0.0, deadline - time.monotonic()))
@@ -177,10 +177,10 @@ class RayPool:
                 self._slots[self._slots.index(slot)] = self._new_slot()
 
     def run(self, tasks: Iterable[Task]) -> Iterator[Outcome]:
-        """Give the outcomes as the workers end their tasks, with a bounded number in flight.
+        """Give the outcomes as the workers finish tasks, with a bounded number in flight.
 
-        A worker that dies, or is silent for too long, is replaced, and what it had is done again;
-        should it answer after all, nobody listens.
+        A worker that dies or is silent for too long is replaced, and its tasks are done again. A
+        late answer of the old worker is ignored.
 
         Raises
         ------
@@ -199,7 +199,7 @@ class RayPool:
             yield from self._give_up_the_silent()
 
     def _hand_out(self) -> bool:
-        """Hand tasks to all who can take one; give whether there may be more."""
+        """Hand tasks to all workers that can take one; say whether more tasks may come."""
         for depth in range(IN_FLIGHT):
             for slot in self._slots:
                 if slot.about is not None or len(slot.tasks) > depth or depth >= slot.room:
@@ -214,7 +214,7 @@ class RayPool:
         return True
 
     def _take(self, call: Any) -> Iterator[Outcome]:
-        """Take an answer."""
+        """Take the answer of a worker."""
         slot = next(slot for slot in self._slots if call in slot.calls)
         try:
             answer = ray.get(call, timeout=FETCH_SECONDS)
@@ -232,7 +232,7 @@ class RayPool:
             yield answer
 
     def _give_up_the_silent(self) -> Iterator[Outcome]:
-        """Replace workers that should have answered long ago."""
+        """Replace workers that have been silent for too long."""
         now = time.monotonic()
         if now - self._looked > STILL_SECONDS:  # nothing here moved: it says nothing of the workers
             self._heard = now
@@ -251,11 +251,10 @@ class RayPool:
         self._looked = time.monotonic()
 
     def _replace(self, slot: _Slot, why: str, most: int) -> Iterator[Outcome]:
-        """Put another worker in the place of one that is lost, and have done again what it had.
+        """Replace a lost worker, and do its tasks again.
 
-        One of these may have been its end, and it is not known which: an answer dies with the
-        worker that was about to send it. So each is done again alone, and given up when it has
-        cost so many workers alone.
+        One of the tasks may have killed the worker, and nobody knows which. So each task is done
+        again alone, and given up when it has killed so many workers alone.
         """
         self._last_loss = f" (the last was lost by {why.splitlines()[0]})"
         _end(slot.actor)
@@ -279,7 +278,7 @@ class RayPool:
 
 
 def _check_about(about: Mapping[str, Any]) -> None:
-    """Raise an error if a worker is of another version, or cannot make what it is to apply."""
+    """Raise an error if a worker has another version, or could not make its function."""
     if about["pfdist"] != version("pfdist"):
         raise PoolError(
             f"every node must have pfdist {version('pfdist')}, got {about['pfdist']} on "
@@ -290,12 +289,12 @@ def _check_about(about: Mapping[str, Any]) -> None:
 
 
 def _silent(calls: list[Any]) -> bool:
-    """Whether none is answered: what waits to be taken is an answer."""
+    """Whether none of these calls has been answered; an answer may still wait to be taken."""
     return not ray.wait(calls, timeout=0)[0]
 
 
 def _end(actor: Any) -> threading.Thread:
-    """End a worker, though it may be stopped; whoever is asked to may be stopped too."""
+    """End a worker in a thread, because the request may never return."""
 
     def kill() -> None:
         with contextlib.suppress(ray.exceptions.RayError, ValueError):

@@ -1,4 +1,4 @@
-"""Join a Ray cluster on trial, in a process of its own.
+"""Tries to join a Ray cluster in a separate process.
 
 Ray waits for minutes where nobody answers, writes its log on standard error meanwhile, and may
 never return. Here this happens to a process that nobody sees, and that the kernel ends in time.
@@ -92,7 +92,7 @@ def _join(address: str) -> bool:
 
 
 def host_and_port(address: str) -> tuple[str, int]:
-    """Take an address apart; Ray itself finds out what ``auto`` is.
+    """Give host and port of an address; Ray itself resolves ``auto``.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def host_and_port(address: str) -> tuple[str, int]:
 
 
 def reach(address: str) -> None:
-    """Connect to whoever listens at an address, and say nothing.
+    """Connect to an address, and send nothing.
 
     Raises
     ------
@@ -179,7 +179,7 @@ def only_loopback(ray: Any, alone: bool) -> Iterator[None]:
 
 
 def reason(error: Exception) -> str:
-    """Give what an error of Ray says, in one line of bounded length."""
+    """Give the text of a Ray error, as one line of bounded length."""
     said = " ".join(str(error).split()) or type(error).__name__
     return said if len(said) <= _SHOWN else f"{said[:_SHOWN]}..."
 
@@ -191,7 +191,7 @@ def shortened(address: str) -> str:
 
 
 def _leave() -> None:
-    """Leave the cluster, if there is one, and end."""
+    """Leave the cluster, if there is one, and end this process."""
     signal.alarm(LEAVE_SECONDS)
     if (ray := sys.modules.get("ray")) is not None:
         ray.shutdown()

@@ -1,4 +1,4 @@
-"""What run.json must look like, and job.toml as data: both may have been edited or damaged."""
+"""Reads run.json and job.toml of a run, which may have been edited or damaged."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -28,14 +28,14 @@ _PathText = Annotated[Any, AfterValidator(_is_path_text)]
 
 
 class _Processor(_Part):
-    """On what a run was computed."""
+    """The versions and the machine with which a run was computed."""
 
     model: str
     compiled_for: str
 
 
 class _Estimation(_Part):
-    """How a search estimated at first."""
+    """The estimator with which a search began."""
 
     particles: int
     resampling: str
@@ -51,7 +51,7 @@ class _Provenance(_Part):
 
 
 class _RunFile(_Part):
-    """All of run.json that is read, with what older versions lack left open."""
+    """The part of run.json that is read; older versions may lack fields."""
 
     schema_version: Annotated[int, Field(ge=1)]
     pfdist: str = ""
@@ -64,7 +64,7 @@ class _RunFile(_Part):
 
 
 def read_run(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Read run.json, which is checked, and job.toml, whose meaning is for others to check.
+    """Read run.json, which is checked, and job.toml, whose meaning the caller checks.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def read_run(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def unreadable(path: Path, name: str, reason: str) -> StoreError:
-    """Make the error of a run whose run.json or job.toml is not what pfdist writes."""
+    """Make the error of a run whose run.json or job.toml pfdist did not write."""
     return StoreError(
         f"cannot read {path / name}: {reason}; `pfdist verify {path}` says which files are not "
         "what was committed, and the job, run again, makes them anew"

@@ -1,4 +1,4 @@
-"""Which files of the draws table hold an evaluation."""
+"""An index of the files of the draws table: which files hold an evaluation."""
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable
@@ -10,7 +10,7 @@ import pyarrow as pa
 class DrawFiles:
     """The files that hold the draws of each evaluation.
 
-    The files are read when they are first asked for. From then on the store says what changes.
+    The files are read at the first question. From then on the store reports every change.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class DrawFiles:
         return set().union(*(self._found.get(id_, set()) for id_ in evaluations))
 
     def add(self, path: Path, ids: pa.ChunkedArray) -> None:
-        """Add a file that was written; what was never asked for will be read."""
+        """Add a file that was written. Before the first question nothing needs to be added."""
         if self._found is not None:
             for id_ in ids.unique().to_pylist():
                 self._found[id_].add(path)

@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all."""
+"""Writes files so that a reader sees the whole file or no file."""
 
 import contextlib
 import hashlib
@@ -21,7 +21,7 @@ _TEMPORARY = re.compile(r"\.(?P<host>.+)-(?P<process>\d+)\.[0-9a-f]{32}\.tmp")
 
 @dataclass(frozen=True)
 class Prepared:
-    """A file that is written and flushed to disk, and has no name yet.
+    """A file that was written and flushed to disk, and has only a temporary name.
 
     Parameters
     ----------
@@ -35,22 +35,22 @@ class Prepared:
 
 
 def prepare_table(folder: Path, table: pa.Table) -> Prepared:
-    """Write a table as a Parquet file that is to lie in a folder."""
+    """Write a table as a Parquet file for a folder, under a temporary name."""
 
     def write(path: Path) -> None:
         write_table(table, path)
-        pa.default_memory_pool().release_unused()  # else memory grows with what was written
+        pa.default_memory_pool().release_unused()  # otherwise memory grows with each file
 
     return _prepare(folder, write, table.num_rows)
 
 
 def prepare_text(folder: Path, text: str) -> Prepared:
-    """Write a text file that is to lie in a folder."""
+    """Write a text file for a folder, under a temporary name."""
     return _prepare(folder, lambda path: path.write_text(text, encoding="utf-8"), 0)
 
 
 def give_name(prepared: Prepared, path: Path, *, replace: bool) -> None:
-    """Give a file its name, in one step.
+    """Give a file its final name, in one atomic step.
 
     Parameters
     ----------
@@ -71,18 +71,18 @@ def give_name(prepared: Prepared, path: Path, *, replace: bool) -> None:
 
 
 def write_file(path: Path, write: Callable[[Path], Any]) -> None:
-    """Have a file written, which is then there whole; what was there gives way."""
+    """Write a text file atomically; it replaces an earlier file of this name."""
     give_name(_prepare(path.parent, write, 0), path, replace=True)
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder and those above it, each flushed to disk in the folder that holds it."""
+    """Make a folder and its parents, and flush each entry to disk."""
     with _errors("make", folder):
         _make_folder(folder)
 
 
 def touch(path: Path) -> None:
-    """Make an empty file, whose name says it all."""
+    """Make an empty file, whose name is its content."""
     with _errors("write", path):
         if not path.exists():
             _make_folder(path.parent)
@@ -91,7 +91,7 @@ def touch(path: Path) -> None:
 
 
 def remove(path: Path) -> None:
-    """Remove a file that is no longer needed; that it is gone already is no error."""
+    """Remove a file that is no longer needed; it may already be gone."""
     with _errors("remove", path):
         path.unlink(missing_ok=True)
 
@@ -116,12 +116,12 @@ def digest(path: Path) -> str:
 
 
 def is_temporary(path: Path) -> bool:
-    """Whether a file is being written, or was when its process was killed."""
+    """Whether a name is that of an unfinished file."""
     return _TEMPORARY.fullmatch(path.name) is not None
 
 
 def sweep(folder: Path) -> None:
-    """Remove what killed processes of this machine left half written below a folder."""
+    """Remove unfinished files of killed processes of this machine below a folder."""
     for temporary in folder.rglob(".*.tmp"):
         owner = _TEMPORARY.fullmatch(temporary.name)
         if owner and owner["host"] == _host() and not _alive(int(owner["process"])):
@@ -129,7 +129,7 @@ def sweep(folder: Path) -> None:
 
 
 def _prepare(folder: Path, write: Callable[[Path], Any], rows: int) -> Prepared:
-    # The dot keeps readers of the folder away; the name says whose it is.
+    # Readers skip names with a dot. The name contains the machine and the process.
     temporary = folder / f".{_host()}-{os.getpid()}.{uuid4().hex}.tmp"
     with _errors("write", folder, temporary):
         _make_folder(folder)

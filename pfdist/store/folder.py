@@ -12,7 +12,7 @@ from pfdist.store.manifest import Manifest
 
 
 def holds_run(path: Path) -> bool:
-    """Whether a folder holds a run: run.json is the file that is written last."""
+    """Whether a folder holds a run, which has a run.json."""
     try:
         return (path / "run.json").exists()
     except OSError as error:
@@ -31,14 +31,14 @@ def write_run(path: Path, run: dict[str, Any], key: str) -> None:
 
 
 def add_to_provenance(path: Path, facts: dict[str, Any]) -> None:
-    """Write more facts into the provenance of a run, which is held."""
+    """Add facts to the provenance of a run whose lock is held."""
     run, _ = read_run(path)
     run["provenance"] = {**run.get("provenance", {}), **facts}
     _write(path / "run.json", json.dumps(run, indent=2) + "\n")
 
 
 def confirm(path: Path, key: str) -> None:
-    """Say that job.toml and run.json are what they are to be: a kill may have come in between."""
+    """Record job.toml and run.json in the manifest, if a kill prevented it before."""
     keep_key(path, key)
     manifest = Manifest(path)
     for name in ABOUT:

@@ -25,7 +25,7 @@ _KEY = f"{FOLDER}/run"
 
 
 def key_of(identity: Mapping[str, Any], job: Mapping[str, Any]) -> str:
-    """Hash what may not change while a run goes on.
+    """Hash everything that must not change between two starts of a run.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def has_key(path: Path, key: str) -> bool:
 
 
 def keep_key(path: Path, key: str) -> None:
-    """Keep a run's key, and no other."""
+    """Record the key of a run, and remove other keys."""
     files.touch(path / _KEY / key)
     for other in (path / _KEY).glob("*"):
         if other.name != key:
@@ -57,9 +57,9 @@ def keep_key(path: Path, key: str) -> None:
 
 
 def own_key(path: Path) -> str | None:
-    """Key that follows from job.toml and run.json.
+    """Compute the key of a run from job.toml and run.json.
 
-    None where they are not there or not what was committed, and for runs whose files carry no key.
+    It is None if the files are missing or damaged, or if the run's files carry no key.
     """
     run, job = _about(path)
     if run is None or job is None or _version(run) < SIGNED_SINCE:
@@ -105,7 +105,7 @@ def run_key(path: Path) -> str | None:
 
 
 def _about(path: Path) -> tuple[dict[str, Any] | None, dict[str, Any] | None]:
-    """What run.json and job.toml say, each if it is what was committed."""
+    """The contents of run.json and job.toml; None for a file that is not as committed."""
     return (
         _committed(path / "run.json", json.loads),
         _committed(path / "job.toml", tomllib.loads),
@@ -120,7 +120,7 @@ def _committed(path: Path, read: Any) -> dict[str, Any] | None:
         if files.digest(path) not in {stamp.partition("-")[2] for stamp in expected}:
             return None
         found = read(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):  # whoever reads it in earnest says so
+    except (OSError, ValueError, RecursionError):  # `read_run` reports such a file
         return None
     return found if isinstance(found, dict) else None
 
@@ -154,7 +154,7 @@ def _tables(path: Path) -> Iterator[Path]:
 
 
 def _is_file(path: Path) -> bool:
-    """Whether it is a plain file: nothing else is opened."""
+    """Whether a path is a plain file; nothing else is opened."""
     try:
         return stat.S_ISREG(os.lstat(path).st_mode)
     except OSError:

@@ -1,4 +1,8 @@
-"""One driver at a time."""
+"""The lock of a run's folder, so that one driver at a time computes the run.
+
+The lock is our own, because it does more than libraries' locks: its file says who holds it, a link
+or a pipe in its place is never opened, and a file system without locks refuses nobody.
+"""
 
 import contextlib
 import errno
@@ -21,9 +25,9 @@ _NO_LOCKS = {errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP}
 
 @contextlib.contextmanager
 def held(folder: Path) -> Iterator[None]:
-    """Hold a run's folder as its one driver; when this process dies, however, it is free again.
+    """Hold the lock of a run's folder; the lock ends with this process, however it ends.
 
-    Where the file system has no locks nobody is refused: two drivers commit the same bytes under
+    If the file system has no locks, nobody is refused. Two drivers then commit the same bytes under
     the same names, and only do everything twice.
 
     Raises
@@ -41,14 +45,14 @@ def held(folder: Path) -> Iterator[None]:
         _sign(lock, folder)
         yield
     finally:
-        os.close(lock)  # and with it goes the lock
+        os.close(lock)  # this unlocks it
 
 
 def check_not_held(folder: Path) -> None:
-    """Raise the `StoreError` of `held` if a driver holds a run's folder, and take nothing."""
+    """Raise the `StoreError` of `held` if a driver holds a run's folder; lock nothing."""
     try:
         lock = _opened(folder, os.O_RDONLY)
-    except OSError:  # no driver was ever here, or it is somebody else's run
+    except OSError:  # there was no driver yet, or the run belongs to another user
         return
     try:
         _take(lock, fcntl.LOCK_SH, folder)
@@ -63,7 +67,7 @@ def try_lock(path: Path) -> None:
 
 
 def _opened(folder: Path, mode: int) -> int:
-    """Open the lock itself: never through a link, and without waiting where it is a pipe.
+    """Open the lock's file, but neither a link's target nor a pipe, which would wait.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What every committed file of a run must hold.
+"""The manifest: the content that every committed file of a run must have.
 
 What lies under ``parts/`` says so in its name. For the rest the folder ``manifest/`` has, for each
 file, a folder of empty files: ``manifest/<the file's path>/<rows>-<SHA-256>``. Names cannot be half
@@ -48,7 +48,7 @@ class Damage:
 
 
 class Manifest:
-    """What is expected of the files of one run.
+    """The expected contents of the files of one run.
 
     Parameters
     ----------
@@ -62,11 +62,11 @@ class Manifest:
         self.folder, self._run_key = folder, run_key
 
     def exists(self) -> bool:
-        """Whether there is one: runs of schema version 1 have none."""
+        """Whether the run has a manifest; runs of schema version 1 have none."""
         return (self.folder / FOLDER).is_dir()
 
     def expect(self, path: Path, stamp: str) -> list[Path]:
-        """Say what a file is going to hold, before it gets its name.
+        """Record the content that a file will have, before it gets its name.
 
         Returns
         -------
@@ -80,14 +80,14 @@ class Manifest:
         return before
 
     def settle(self, path: Path, stamp: str, before: list[Path]) -> None:
-        """Say that a file has its name now, and what was said before no longer holds."""
+        """Record that a file got its name, and remove the records of its earlier contents."""
         entry = self._entry(path)
         files.touch(entry / stamp)
         for other in (*before, entry / f"{stamp}{_NEW}"):
             files.remove(other)
 
     def forget_lost(self) -> None:
-        """Expect no more what is not there, once all was made that can be made again."""
+        """Remove the records of missing files, after everything that can be made was made again."""
         for path in self.lost():
             for entry in self._entry(self.folder / path).glob("*"):
                 files.remove(entry)
@@ -97,14 +97,14 @@ class Manifest:
         return sorted(path for path in self._entries() if not (self.folder / path).exists())
 
     def stamps(self) -> dict[Path, set[str]]:
-        """What each file may hold, by its path relative to the run's folder."""
+        """The contents that each file may have, by its path relative to the run's folder."""
         return {
             path: {name.removesuffix(_NEW) for name in names}
             for path, names in self._entries().items()
         }
 
     def stamps_of(self, path: Path) -> set[str]:
-        """What one file may hold."""
+        """The contents that one file may have."""
         return {entry.name.removesuffix(_NEW) for entry in self._entry(path).glob("*")}
 
     def damages(self) -> Iterator[Damage]:
@@ -152,7 +152,7 @@ class Manifest:
         return place
 
     def _wrong(self, path: Path, expected: set[str]) -> str:
-        """What is wrong with a file that is there; empty if nothing."""
+        """Say what is wrong with an existing file; empty if nothing is wrong."""
         if not any(map(_STAMP.fullmatch, expected)):
             return "is not a file of this run"
         try:
@@ -195,5 +195,5 @@ class Manifest:
 
 
 def _own_stamp(path: Path) -> str:
-    """What the name of a part says it holds."""
+    """The content that the name of a part promises."""
     return path.name.removesuffix(".parquet").rpartition(".")[2]

@@ -69,18 +69,18 @@ class Store:
     # --- writing ------------------------------------------------------------------------------
 
     def sweep(self) -> None:
-        """Remove what a killed process left half written."""
+        """Remove unfinished files of killed processes."""
         files.sweep(self.path)
 
     def commit(self, table: str, phase: str, key: str, rows: pa.Table) -> None:
-        """Commit rows of a phase; the same key again is a no-op.
+        """Commit rows of a phase; committing the same key again does nothing.
 
         Parameters
         ----------
         table : str
         phase : str
         key : str
-            Says what the rows are.
+            Identifies the rows.
         rows : pyarrow.Table
         """
         folder = self.path / "parts" / table
@@ -93,10 +93,9 @@ class Store:
             self._draw_files.add(path, rows["evaluation"])
 
     def publish(self, table: str, phase: str, pieces: Iterable[pa.Table]) -> None:
-        """Write all rows of a phase as the files of its table; then its parts go.
+        """Write all rows of a phase as files of its table, and remove the phase's parts.
 
-        Cut short at any instant it leaves parts behind, and is to be called again: it gives the
-        same files.
+        If the process dies meanwhile, parts remain, and the next call writes the same files.
 
         Parameters
         ----------
@@ -134,9 +133,9 @@ class Store:
         return frame.drop_duplicates(KEYS[table]).sort_values(KEYS[table], ignore_index=True)
 
     def compared(self) -> pd.DataFrame:
-        """Read the table of sets that are compared, and hold their names to the rule for names.
+        """Read the table of the compared sets, and check their names.
 
-        A name becomes part of columns and of files' names.
+        The names become parts of the names of columns and files.
 
         Raises
         ------
@@ -161,10 +160,10 @@ class Store:
         return bool(self._parts(table, phase))
 
     def blocks(self, table: str, column: str, rows: int, last: int) -> Iterator[pa.Table]:
-        """Give the rows whose column lies in 0..last-1, so many of its values at a time.
+        """Give the rows whose column lies in 0..last-1, in blocks of so many values.
 
-        They are sorted, each comes once, and a block without any is passed over. Of all files
-        only those are read that reach into a block, so that memory does not grow with the table.
+        The rows of a block are sorted and unique; empty blocks are skipped. Only the files that
+        reach into a block are read, so memory does not grow with the table.
         """
         spans: list[tuple[Path, int, int]] | None = None
 
@@ -188,7 +187,7 @@ class Store:
             yield self._read(path, columns)
 
     def present(self, table: str, column: str, without: Container[Path] = ()) -> NDArray[np.bool_]:
-        """Which values a column of counts has, up to its largest: a byte each.
+        """Whether each value 0..largest occurs in a column of counts.
 
         Parameters
         ----------
@@ -249,7 +248,7 @@ class Store:
         return sorted((self.path / "parts").glob(f"{table}/{phase}-*.parquet"))
 
     def _files(self, table: str) -> list[Path]:
-        # Parts are listed first: a row that is published in between is then seen twice, not never.
+        # Parts are listed first, so a row that is published meanwhile is seen twice, not never.
         parts = sorted((self.path / "parts" / table).glob("[!.]*.parquet"))
         tables = sorted((self.path / "tables" / table).glob("[!.]*.parquet"))
         return tables + parts
@@ -275,7 +274,7 @@ class Store:
         return spans
 
     def _again(self, look: Callable[[], Found]) -> Found:
-        """Look, and again from the start if a file was published meanwhile."""
+        """Read files, and start again if another driver published a file meanwhile."""
         for _ in range(_ATTEMPTS):
             try:
                 return look()

@@ -1,4 +1,4 @@
-"""Find what is wrong with a run's files, and put it out of the way."""
+"""Verifies the files of a run, and moves damaged files to quarantine."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,7 +24,7 @@ from pfdist.store import (
 
 
 def verify_run(path: Path) -> Iterator[Damage]:
-    """Look at every byte, row and key of a run; see `pfdist.store.verify`.
+    """Check every byte, row and key of a run; see `pfdist.store.verify`.
 
     Raises
     ------
@@ -38,7 +38,7 @@ def verify_run(path: Path) -> Iterator[Damage]:
 
 
 def repair_run(path: Path) -> Iterator[str]:
-    """Move what is damaged to quarantine, and say what going on will compute.
+    """Move damaged files to quarantine, and say what the next start will compute.
 
     Raises
     ------
@@ -59,7 +59,7 @@ def repair_run(path: Path) -> Iterator[str]:
 
 
 def _with_one_key(path: Path) -> Iterator[str]:
-    """Have a folder keep the key of one run, and say what was done."""
+    """Make a folder hold the key of one run only, and say what was done."""
     keys, own = kept_keys(path), own_key(path)
     try:
         run_key(path)
@@ -79,7 +79,7 @@ def _with_one_key(path: Path) -> Iterator[str]:
 
 
 def _moved(manifest: Manifest, damages: list[Damage]) -> Iterator[str]:
-    """Move damaged files to quarantine, and say of each what was wrong and where it is now."""
+    """Move damaged files to quarantine; say what was wrong with each and where it is now."""
     for damage in damages:
         place = manifest.quarantine(damage)
         moved = f": it is now {place.relative_to(manifest.folder)}" if place else ""

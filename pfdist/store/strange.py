@@ -1,4 +1,4 @@
-"""Entries of a run's folder that no run makes: links, pipes, devices, folders in a file's place.
+"""Strange entries of a run's folder: links, pipes, devices, and folders in place of files.
 
 A run's folder may come from anywhere, in an archive for instance, which keeps links. A link would
 lead out of the folder, and opening a pipe would wait for ever: so neither is ever opened.
@@ -20,7 +20,7 @@ _TABLES_DEEP = 2  # tables/<table>/ and parts/<table>/ hold files alone
 
 
 def strange_entries(folder: Path) -> Iterator[tuple[Path, str]]:
-    """Paths relative to a run's folder of what no run makes, each with what is wrong with it.
+    """Paths of strange entries, relative to the run's folder, each with what is wrong with it.
 
     Links are not followed.
 
@@ -71,7 +71,7 @@ def _below(folder: Path, relative: Path) -> Iterator[tuple[Path, str]]:
 
 
 def _wrong(mode: int, *, file: bool = False, folder: bool = False) -> str:
-    """What is wrong with an entry that should be a file, a folder or either; empty if nothing."""
+    """Say what is wrong with an entry; empty if nothing is wrong."""
     if stat.S_ISLNK(mode):
         return "is a link"
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):

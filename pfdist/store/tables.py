@@ -48,7 +48,7 @@ def signed_by(path: Path) -> str | None:
 
 
 def guarded(path: Path, read: Callable[[], Any]) -> Any:
-    """Read, and name the file where that fails."""
+    """Call a function that reads a file, and name the file in its error."""
     try:
         return read()
     except FileNotFoundError:
@@ -66,7 +66,7 @@ def read_file(
     filters: pc.Expression | None = None,
     run_key: str | None = None,
 ) -> pa.Table:
-    """Columns and rows of a file that was written with this schema or an older one.
+    """Read columns and rows of a file of this schema version or an older version.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def read_file(
             path,
             columns=columns,
             filters=filters,
-            use_threads=False,  # each would keep memory of its own
+            use_threads=False,  # each thread would keep its own memory
             page_checksum_verification=True,
         ),
     )

@@ -1,4 +1,4 @@
-"""Look at every byte, row and key of a run."""
+"""Checks every byte, row and key of a run."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -11,7 +11,7 @@ from pfdist.store.schema import KEYS
 
 
 def verify(store: Store) -> Iterator[Damage]:
-    """Give all that is wrong with the files of a run.
+    """Give every problem of a run's files.
 
     First each file's SHA-256; of those that are what was committed, the number of rows; then each
     table's keys.
@@ -55,7 +55,7 @@ def _keys(store: Store) -> Iterator[Damage]:
 
 
 def lacking_evaluations(store: Store) -> list[str]:
-    """Ids of the evaluations in the table whose draws are not all there."""
+    """Ids of evaluations that lack some of their draws."""
     rows: Counter[str] = Counter()
     for piece in store.pieces("draws", ["evaluation"]):
         for count in piece["evaluation"].value_counts().to_pylist():
