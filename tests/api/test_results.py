@@ -12,13 +12,15 @@ EXACT = ["model.name=random_walk", "filter.engine=kalman", "comparison.draws=50"
 
 
 @pytest.fixture
-def times(small_job: Job, tmp_path: Path, no_figures: None) -> pfdist.Run:
-    return pfdist.run(small_job.with_changes(EXACT), tmp_path / "times")
+def times(small_job: Job, tmp_path: Path) -> pfdist.Run:
+    return pfdist.run(small_job.with_changes(EXACT), tmp_path / "times", figures=False)
 
 
 @pytest.fixture
-def budget(small_job: Job, tmp_path: Path, no_figures: None) -> pfdist.Run:
-    return pfdist.budget(small_job.with_changes(EXACT), (2, 4), tmp_path / "budget", draws=50)
+def budget(small_job: Job, tmp_path: Path) -> pfdist.Run:
+    return pfdist.budget(
+        small_job.with_changes(EXACT), (2, 4), tmp_path / "budget", draws=50, figures=False
+    )
 
 
 def test_a_run_of_one_problem_has_its_sets_and_no_budget_curve(times: pfdist.Run) -> None:

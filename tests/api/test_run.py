@@ -31,7 +31,6 @@ from pfdist.runner.progress import Progress
 from pfdist.store import parquet
 
 ROOT = Path(__file__).parents[2]
-pytestmark = pytest.mark.usefixtures("no_figures")
 
 
 @pytest.fixture(name="count_draws")
@@ -41,7 +40,7 @@ def _count_draws(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 
 def test_the_tables_hold_every_evaluation_and_every_draw(small_job: Job, tmp_path: Path) -> None:
-    run = pfdist.run(small_job, tmp_path / "run")
+    run = pfdist.run(small_job, tmp_path / "run", figures=False)
     evaluations, draws = run.evaluations(), run.draws()
     populations = evaluations.groupby(["phase", "generation"])["copies"].sum()
     assert populations["genetic"].tolist() == [6, 6, 6, 6]
@@ -62,7 +61,7 @@ def test_the_tables_hold_every_evaluation_and_every_draw(small_job: Job, tmp_pat
 
 
 def test_a_search_reports_what_its_own_evaluation_got(small_job: Job, tmp_path: Path) -> None:
-    run = pfdist.run(small_job, tmp_path / "run")
+    run = pfdist.run(small_job, tmp_path / "run", figures=False)
     evaluations, results = run.evaluations(), run.summary()["results"]
     last = evaluations[(evaluations["phase"] == "genetic") & (evaluations["generation"] == 3)]
     best = last.loc[last["expected_mse"].idxmin()]
@@ -73,7 +72,7 @@ def test_a_search_reports_what_its_own_evaluation_got(small_job: Job, tmp_path: 
 
 
 def test_the_first_trajectories_belong_to_the_comparison(small_job: Job, tmp_path: Path) -> None:
-    run = pfdist.run(small_job, tmp_path / "run")
+    run = pfdist.run(small_job, tmp_path / "run", figures=False)
     rows, comparison = run.trajectories(), run.comparison().set_index("draw")
     assert rows["draw"].nunique() == 100
     for name in run.names:
@@ -88,7 +87,7 @@ def test_pools_and_numbers_of_workers_give_the_same_bytes(
     job = load_job(ROOT / "jobs" / "quick.toml")
     runs = {"serial": ("serial", 0), "one": ("ray", 1), "two": ("ray", 2)}
     for name, (pool, workers) in runs.items():
-        pfdist.run(job, tmp_path / name, pool=pool, workers=workers)
+        pfdist.run(job, tmp_path / name, pool=pool, workers=workers, figures=False)
     serial, one_worker, two_workers = (hashes(tmp_path / name) for name in runs)
     assert len(serial) > 6
     assert serial == one_worker == two_workers
@@ -122,7 +121,7 @@ def test_a_run_that_failed_goes_on_with_what_is_committed_and_ends_with_the_same
     monkeypatch.setattr(Pace, "size", lambda pace, remaining: 60 * A_DRAW)
     monkeypatch.setattr(collect, "COMMIT_SECONDS", 0.0)  # each task is committed
     small_job = small_job.with_changes(["execution.failures=0", *changes])
-    whole = pfdist.run(small_job, tmp_path / "whole")
+    whole = pfdist.run(small_job, tmp_path / "whole", figures=False)
     needed = sum(count_draws)
     count_draws.clear()
     calls, do = 0, Problem.filtered
@@ -137,13 +136,13 @@ def test_a_run_that_failed_goes_on_with_what_is_committed_and_ends_with_the_same
     with monkeypatch.context() as patch:
         patch.setattr(Problem, "filtered", failing)
         with pytest.raises(TaskError, match="the cluster is on fire") as failure:
-            pfdist.run(small_job, tmp_path / "again")
+            pfdist.run(small_job, tmp_path / "again", figures=False)
     assert "Traceback" in failure.value.traceback
     timings = pfdist.open_run(tmp_path / "again").timings()
     assert timings["failures"].sum() == 1
     assert timings.loc[timings["failures"] == 1, "error"].str.contains("on fire").all()
     failed = count_draws.pop()  # counted, and not done
-    again = pfdist.run(small_job, tmp_path / "again")
+    again = pfdist.run(small_job, tmp_path / "again", figures=False)
     assert sum(count_draws) == needed  # nothing is computed twice
     assert failed > 0
     assert hashes(again.path) == hashes(whole.path)
@@ -152,9 +151,9 @@ def test_a_run_that_failed_goes_on_with_what_is_committed_and_ends_with_the_same
 def test_a_finished_run_computes_nothing(
     small_job: Job, tmp_path: Path, count_draws: list[int]
 ) -> None:
-    first = pfdist.run(small_job, tmp_path / "run")
+    first = pfdist.run(small_job, tmp_path / "run", figures=False)
     count_draws.clear()
-    assert pfdist.run(small_job, tmp_path / "run").summary() == first.summary()
+    assert pfdist.run(small_job, tmp_path / "run", figures=False).summary() == first.summary()
     assert count_draws == []
 
 
@@ -163,10 +162,10 @@ def test_more_draws_of_comparison_compute_only_the_new_and_give_the_same_bytes(
 ) -> None:
     monkeypatch.setitem(parquet.ROWS_IN_A_FILE, "comparison", 100)
     larger = small_job.with_changes(["comparison.draws=430"])
-    at_once = pfdist.run(larger, tmp_path / "at once")
-    pfdist.run(small_job, tmp_path / "grown")
+    at_once = pfdist.run(larger, tmp_path / "at once", figures=False)
+    pfdist.run(small_job, tmp_path / "grown", figures=False)
     count_draws.clear()
-    grown = pfdist.run(larger, tmp_path / "grown")
+    grown = pfdist.run(larger, tmp_path / "grown", figures=False)
     assert sum(count_draws) == (430 - 250) * (3 + 1)  # the reference twice
     assert hashes(grown.path) == hashes(at_once.path)
     assert grown.summary()["draws_compared"] == 430
@@ -184,21 +183,20 @@ def test_more_draws_of_comparison_compute_only_the_new_and_give_the_same_bytes(
 def test_another_job_is_refused_with_the_difference(
     small_job: Job, tmp_path: Path, change: str, difference: str
 ) -> None:
-    pfdist.run(small_job, tmp_path / "run")
+    pfdist.run(small_job, tmp_path / "run", figures=False)
     with pytest.raises(RunMismatchError, match=difference):
-        pfdist.run(small_job.with_changes([change]), tmp_path / "run")
+        pfdist.run(small_job.with_changes([change]), tmp_path / "run", figures=False)
 
 
 def test_fewer_draws_than_are_there_are_refused_by_saying_so(
     small_job: Job, tmp_path: Path
 ) -> None:
-    pfdist.run(small_job, tmp_path / "run")
+    pfdist.run(small_job, tmp_path / "run", figures=False)
     with pytest.raises(StoreError, match=r"must be at least the 250 draws .* got 100") as refused:
-        pfdist.run(small_job, tmp_path / "run", changes=["comparison.draws=100"])
+        pfdist.run(small_job, tmp_path / "run", changes=["comparison.draws=100"], figures=False)
     assert "another run" not in str(refused.value)
 
 
-@pytest.mark.usefixtures("no_figures")
 def test_between_search_and_comparison_the_found_times_are_told(
     small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -207,7 +205,7 @@ def test_between_search_and_comparison_the_found_times_are_told(
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        pfdist.run(small_job, tmp_path / "run", report=stop)
+        pfdist.run(small_job, tmp_path / "run", report=stop, figures=False)
     summary = pfdist.open_run(tmp_path / "run").summary()
     assert (summary["state"], summary["draws_compared"]) == ("comparing", 0)
     assert set(summary["results"]) == {"regular", "genetic", "random"}
@@ -225,18 +223,18 @@ def test_an_edited_model_is_refused(tmp_path: Path, small_job: Job) -> None:
     model = small_job.path.with_name("mine.py")
     model.write_text(source)
     job = small_job.with_changes(['model.name="mine.py:model"'])
-    pfdist.run(job, tmp_path / "run")
+    pfdist.run(job, tmp_path / "run", figures=False)
     model.write_text(source.replace("x[0] / 2", "x[0] / 3"))
     with pytest.raises(RunMismatchError, match=r"one's: model.transition: \w{8} -> \w{8}$"):
-        pfdist.run(job, tmp_path / "run")
+        pfdist.run(job, tmp_path / "run", figures=False)
 
 
 def test_where_nearly_all_differs_a_few_differences_are_named(
     tmp_path: Path, small_job: Job
 ) -> None:
-    pfdist.run(small_job, tmp_path / "run")
+    pfdist.run(small_job, tmp_path / "run", figures=False)
     with pytest.raises(RunMismatchError, match=r"; and \d+ more$") as error:
-        pfdist.plan(small_job, tmp_path / "run")
+        pfdist.plan(small_job, tmp_path / "run", figures=False)
     assert str(error.value).count(" -> ") == 1 + 8
     assert len(error.value.differences) > 8
 
@@ -245,7 +243,7 @@ def test_common_noise_evaluates_a_set_once_in_a_whole_search(
     small_job: Job, tmp_path: Path, count_draws: list[int]
 ) -> None:
     job = small_job.with_changes(["evaluation.noise=common", "search.genetic.generations=12"])
-    run = pfdist.run(job, tmp_path / "run")
+    run = pfdist.run(job, tmp_path / "run", figures=False)
     genetic = run.evaluations().query("phase == 'genetic'")
     times = genetic["measurement_times"].map(tuple)
     assert times.nunique() < len(times)  # some sets came back in a later generation
@@ -262,7 +260,7 @@ def test_a_search_that_kills_everything_says_so(small_job: Job, tmp_path: Path) 
     )
     job = small_job.with_changes(['model.name="hopeless.py:hopeless"'])
     with pytest.raises(SearchError, match=r"genetic: every set of times .* degenerate"):
-        pfdist.run(job, tmp_path / "run")
+        pfdist.run(job, tmp_path / "run", figures=False)
     rows = pfdist.open_run(tmp_path / "run").evaluations()
     assert (rows["degenerate_draws"] == rows["draws"]).all()
     assert np.isinf(rows["expected_mse"]).all()
@@ -270,12 +268,12 @@ def test_a_search_that_kills_everything_says_so(small_job: Job, tmp_path: Path) 
 
 def test_the_serial_pool_has_one_worker(small_job: Job, tmp_path: Path) -> None:
     with pytest.raises(JobError, match="one worker in this process, got workers = 4"):
-        pfdist.run(small_job, tmp_path / "run", workers=4)
+        pfdist.run(small_job, tmp_path / "run", workers=4, figures=False)
 
 
 def test_progress_counts_all_work_once(small_job: Job, tmp_path: Path) -> None:
     seen: list[Any] = []
-    pfdist.run(small_job, tmp_path / "run", report=seen.append)
+    pfdist.run(small_job, tmp_path / "run", report=seen.append, figures=False)
     done = [state.done for state in seen]
     assert done == sorted(done)
     assert seen[-1].done == seen[-1].total == ((6 * 4 + 10) * 30 + 250 * 3) * A_DRAW
@@ -283,31 +281,33 @@ def test_progress_counts_all_work_once(small_job: Job, tmp_path: Path) -> None:
 
 
 def test_the_order_of_the_searches_is_part_of_what_a_run_is(small_job: Job, tmp_path: Path) -> None:
-    pfdist.run(small_job, tmp_path / "run")
+    pfdist.run(small_job, tmp_path / "run", figures=False)
     swapped = small_job.model_copy(update={"search": small_job.search[::-1]})
     with pytest.raises(
         RunMismatchError, match=r"search\.order: genetic, random -> random, genetic"
     ):
-        pfdist.run(swapped, tmp_path / "run")
+        pfdist.run(swapped, tmp_path / "run", figures=False)
 
 
 def test_tables_without_what_says_whose_they_are_are_left_alone(
     small_job: Job, tmp_path: Path
 ) -> None:
-    run = pfdist.run(small_job, tmp_path / "run")
+    run = pfdist.run(small_job, tmp_path / "run", figures=False)
     (run.path / "run.json").unlink()
     shutil.rmtree(run.path / "manifest")
     with pytest.raises(PfdistError, match="has lost its folder manifest"):
-        pfdist.run(small_job, run.path)
+        pfdist.run(small_job, run.path, figures=False)
 
 
 def test_a_wish_for_too_many_draws_can_be_taken_back(small_job: Job, tmp_path: Path) -> None:
-    run = pfdist.run(small_job, tmp_path / "run")
+    run = pfdist.run(small_job, tmp_path / "run", figures=False)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Problem, "filtered", lambda self, work: 1 / 0)
         with pytest.raises(TaskError, match="ZeroDivisionError"):
-            pfdist.run(small_job.with_changes(["comparison.draws=90000000"]), run.path)
-    again = pfdist.run(small_job, run.path)
+            pfdist.run(
+                small_job.with_changes(["comparison.draws=90000000"]), run.path, figures=False
+            )
+    again = pfdist.run(small_job, run.path, figures=False)
     assert again.state == "finished"
     assert again.draws_compared == 250
 
@@ -315,7 +315,7 @@ def test_a_wish_for_too_many_draws_can_be_taken_back(small_job: Job, tmp_path: P
 def test_trajectories_committed_out_of_order_are_completed(
     small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = pfdist.run(small_job, tmp_path / "whole")
+    whole = pfdist.run(small_job, tmp_path / "whole", figures=False)
     monkeypatch.setattr(Pace, "size", lambda pace, remaining: 30 * A_DRAW)
     do = SerialPool.run
 
@@ -329,8 +329,8 @@ def test_trajectories_committed_out_of_order_are_completed(
     with monkeypatch.context() as patch:
         patch.setattr(SerialPool, "run", backwards_and_killed)
         with pytest.raises(KeyboardInterrupt):
-            pfdist.run(small_job, tmp_path / "run")
-    again = pfdist.run(small_job, tmp_path / "run")
+            pfdist.run(small_job, tmp_path / "run", figures=False)
+    again = pfdist.run(small_job, tmp_path / "run", figures=False)
     assert again.trajectories()["draw"].nunique() == 100
     assert hashes(again.path) == hashes(whole.path)
 
@@ -345,7 +345,7 @@ def test_copies_of_a_set_are_evaluated_afresh_unless_they_share(
             f"search.genetic.{how}_probability=0.0" for how in ("crossover", "mutation")
         ]
         job = small_job.with_changes([*parents_survive, *changes])
-        found = pfdist.run(job, tmp_path / name).evaluations()
+        found = pfdist.run(job, tmp_path / name, figures=False).evaluations()
         found = found[found["phase"] == "genetic"]
         return found.assign(times=found["measurement_times"].map(tuple))
 

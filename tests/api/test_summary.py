@@ -24,12 +24,6 @@ particles = 20
 """
 
 
-@pytest.fixture(autouse=True)
-def _no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pfdist.api.run.draw_figures", lambda run: [])
-    monkeypatch.setattr("pfdist.api.run.figure_files", lambda run: [])
-
-
 @pytest.fixture
 def raced(small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
     """A run whose search ended with several sets, between which a race on other draws decided."""
@@ -37,7 +31,7 @@ def raced(small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Ru
     text = small_job.path.read_text()
     head, _, rest = text.partition("[[search]]")
     small_job.path.write_text(head + SURVIVORS + rest[rest.index("[comparison]") :])
-    return pfdist.run(small_job.path, tmp_path / "run")
+    return pfdist.run(small_job.path, tmp_path / "run", figures=False)
 
 
 def test_what_a_search_believed_is_its_own_and_nothing_of_its_race_is_reported(
@@ -81,14 +75,14 @@ def test_a_program_that_would_search_otherwise_does_not_go_on(
 ) -> None:
     monkeypatch.setattr(CommonNoiseSettings, "particles_of", lambda own, job_particles: 21)
     with pytest.raises(RunMismatchError, match=r"estimations.survivors.particles: 20 -> 21$"):
-        pfdist.run(small_job.path, raced.path)
+        pfdist.run(small_job.path, raced.path, figures=False)
 
 
 def test_the_reference_is_filtered_twice_and_said_to_gain_nothing(
     small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("pfdist.runner.first_draws.REPEATED", 100)
-    run = pfdist.run(small_job, tmp_path / "run")
+    run = pfdist.run(small_job, tmp_path / "run", figures=False)
     again, once = run.repeated(), run.comparison()[:100]
     assert again["draw"].tolist() == list(range(100))
     a, b = once["mse_regular"].to_numpy(), again["mse"].to_numpy()
@@ -129,7 +123,7 @@ def test_what_was_minimised_comes_first_and_where_the_papers_figure_disagrees_it
     # The found times measure late, where the jumps are; this reference where most draws vary.
     required = ["problem.required=[8, 9, 10, 12]", "comparison.reference=[0, 1, 2, 3]"]
     job = pfdist.load_job(small_job.path, [*small, *changes, *required])
-    run = pfdist.run(job, tmp_path / "run")
+    run = pfdist.run(job, tmp_path / "run", figures=False)
     genetic = run.summary()["results"]["genetic"]
     assert genetic["mean_relative_gain"] < 0 < genetic["gain_of_means"]
     assert genetic["gains_disagree"]

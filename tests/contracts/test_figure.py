@@ -31,10 +31,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Run]:
     folder = tmp_path_factory.mktemp("figures")
     shutil.copytree(ROOT / "assets" / "schema-2", folder / "run")
     job = pfdist.load_job(ROOT / "small.toml", [*EXACT, "problem.horizon=6"])
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("pfdist.api.run.draw_figures", lambda run: [])
-        patch.setattr("pfdist.api.run.figure_files", lambda run: [])
-        several = pfdist.budget(job, (2, 3), folder / "budget", draws=20)
+    several = pfdist.budget(job, (2, 3), folder / "budget", draws=20, figures=False)
     return [pfdist.open_run(folder / "run"), several]
 
 

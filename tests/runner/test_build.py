@@ -15,7 +15,6 @@ from pfdist.evaluation.work import Estimation
 from pfdist.kernels import disk_cache
 from pfdist.runner.build import build
 
-pytestmark = pytest.mark.usefixtures("no_figures")
 OTHER = """
 import numpy as np
 from pfdist import StateSpaceModel
@@ -154,8 +153,10 @@ def test_searches_estimate_as_they_like_and_the_comparison_by_the_squared_error(
     tmp_path: Path,
 ) -> None:
     job = job_with(tmp_path)
-    paper = pfdist.run(job, tmp_path / "paper")
-    other = pfdist.run(job.with_changes(["evaluation.estimator=two_filters"]), tmp_path / "other")
+    paper = pfdist.run(job, tmp_path / "paper", figures=False)
+    other = pfdist.run(
+        job.with_changes(["evaluation.estimator=two_filters"]), tmp_path / "other", figures=False
+    )
     regular = [run.comparison()["mse_regular"] for run in (paper, other)]
     np.testing.assert_array_equal(*regular)
     # Of the same draws, the truth's own chance is gone.
@@ -175,14 +176,16 @@ def test_what_numba_cannot_compile_is_computed_in_numpy_with_one_warning(tmp_pat
         r"(?s)cannot be compiled by Numba: .*reshape.*other\.py:\d+.*NumPy instead, about 100 times"
     )
     with pytest.warns(EngineWarning, match=says) as caught:
-        run = pfdist.run(job, tmp_path / "run")
+        run = pfdist.run(job, tmp_path / "run", figures=False)
     assert len(caught) == 1
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        knowing = pfdist.run(job.with_changes(["filter.engine=numpy"]), tmp_path / "known")
+        knowing = pfdist.run(
+            job.with_changes(["filter.engine=numpy"]), tmp_path / "known", figures=False
+        )
     assert run.comparison().equals(knowing.comparison())
     compilable = job_with(tmp_path, *OWN, formula="np.minimum(np.maximum(0.5 * x[0], -9), 9)")
-    compiled = pfdist.run(compilable, tmp_path / "compiled")
+    compiled = pfdist.run(compilable, tmp_path / "compiled", figures=False)
     np.testing.assert_allclose(run.comparison(), compiled.comparison(), rtol=1e-9)
 
 
@@ -201,16 +204,16 @@ def test_ray_workers_load_what_the_driver_has_compiled(tmp_path: Path, ray_clust
     before = kept()
     build(job)
     new = kept().items() - before.items()
-    pfdist.run(job, tmp_path / "run", pool="ray", workers=2)
+    pfdist.run(job, tmp_path / "run", pool="ray", workers=2, figures=False)
     assert len(new) >= 2  # the simulation and the filter
     assert new <= kept().items()  # a worker that compiled would have saved, and so replaced it
 
 
 def test_the_engine_is_part_of_what_a_run_is(tmp_path: Path) -> None:
     job = job_with(tmp_path)
-    pfdist.run(job.with_changes(["comparison.draws=20"]), tmp_path / "run")
+    pfdist.run(job.with_changes(["comparison.draws=20"]), tmp_path / "run", figures=False)
     with pytest.raises(RunMismatchError, match="engine: compiled -> numpy"):
-        pfdist.run(job.with_changes(["filter.engine=numpy"]), tmp_path / "run")
+        pfdist.run(job.with_changes(["filter.engine=numpy"]), tmp_path / "run", figures=False)
 
 
 def test_the_command_line_says_it_in_one_line(

@@ -15,7 +15,6 @@ from pfdist.errors import ModelError, RunMismatchError, StoreError
 from pfdist.evaluation.work import Estimation
 from pfdist.runner.build import build
 
-pytestmark = pytest.mark.usefixtures("no_figures")
 MODEL = """
 import numpy as np
 from pathlib import Path
@@ -54,7 +53,7 @@ def stopped_in_the_comparison(job: Job, path: Path) -> None:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        pfdist.run(job, path, report=stop)
+        pfdist.run(job, path, report=stop, figures=False)
 
 
 @pytest.mark.parametrize(
@@ -71,19 +70,19 @@ def test_a_run_does_not_go_on_with_another_model(
 ) -> None:
     stopped_in_the_comparison(written(small_job), tmp_path / "run")
     with pytest.raises(RunMismatchError, match=says):
-        pfdist.run(written(small_job, **change), tmp_path / "run")
-    pfdist.run(written(small_job), tmp_path / "run")
+        pfdist.run(written(small_job, **change), tmp_path / "run", figures=False)
+    pfdist.run(written(small_job), tmp_path / "run", figures=False)
     model = f"{written(small_job, **change).path.with_name('mine.py')}:model"
     with pytest.raises(StoreError, match="is not the file that"):
-        why(tmp_path / "run", draws=2)
+        why(tmp_path / "run", draws=2, figures=False)
     with pytest.raises(RunMismatchError, match=says):
-        why(tmp_path / "run", draws=2, model=model)
+        why(tmp_path / "run", draws=2, model=model, figures=False)
 
 
 def test_a_run_goes_on_where_words_alone_have_changed(small_job: Job, tmp_path: Path) -> None:
     stopped_in_the_comparison(written(small_job), tmp_path / "run")
     other = written(small_job, helper='def f(x):\n    """Pull."""\n    return (0.9 * x)  # so\n')
-    assert pfdist.run(other, tmp_path / "run").state == "finished"
+    assert pfdist.run(other, tmp_path / "run", figures=False).state == "finished"
 
 
 def test_evaluations_of_models_that_mean_something_else_are_told_apart(small_job: Job) -> None:
@@ -98,7 +97,7 @@ def test_evaluations_of_models_that_mean_something_else_are_told_apart(small_job
 
 def test_what_a_run_was_made_of_is_kept(small_job: Job, tmp_path: Path) -> None:
     job = written(small_job)
-    run = pfdist.run(job, tmp_path / "run")
+    run = pfdist.run(job, tmp_path / "run", figures=False)
     about = json.loads((run.path / "run.json").read_text())
     files = ("mine.py", "helper.py", "rates.csv")
     hashes = {
@@ -118,27 +117,27 @@ def test_the_filters_model_is_named_where_it_differs(small_job: Job, tmp_path: P
     job = job.with_changes(['model.filter.name="other.py:model"'])
     about = build(job).source
     assert about.filter_model.meaning["helper.g"]
-    pfdist.run(job, tmp_path / "run")
+    pfdist.run(job, tmp_path / "run", figures=False)
     written(small_job, helper=helper.format(0.7))
     with pytest.raises(RunMismatchError, match=r"one's: model\.filter\.helper\.g: \w{8} -> \w{8}$"):
-        pfdist.run(job, tmp_path / "run")
+        pfdist.run(job, tmp_path / "run", figures=False)
 
 
 def test_a_run_that_knew_its_model_by_the_file_alone_is_refused(
     small_job: Job, tmp_path: Path
 ) -> None:
-    run = pfdist.run(small_job, tmp_path / "run")
+    run = pfdist.run(small_job, tmp_path / "run", figures=False)
     about = json.loads((run.path / "run.json").read_text())
     del about["model"], about["filter_model"]
     old = shutil.copytree(run.path, tmp_path / "old")
     (old / "run.json").write_text(json.dumps(about))
     with pytest.raises(RunMismatchError, match="model: known by its file alone -> known by all"):
-        why(old, draws=2)
+        why(old, draws=2, figures=False)
 
 
 def test_a_random_constant_is_refused(small_job: Job, tmp_path: Path) -> None:
     with pytest.raises(ModelError, match=r"C of mine\.py has another value each time") as caught:
-        pfdist.run(written(small_job, constant="np.random.rand()"), tmp_path / "run")
+        pfdist.run(written(small_job, constant="np.random.rand()"), tmp_path / "run", figures=False)
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "run").exists()
 
@@ -148,4 +147,4 @@ def test_a_constant_that_differs_on_a_worker_is_refused(
 ) -> None:
     job = written(small_job, constant="__import__('os').getpid() / 2**22")
     with pytest.raises(ModelError, match=r"C of mine\.py has another value in each p.*by a worker"):
-        pfdist.run(job, tmp_path / "run", pool="ray", workers=2)
+        pfdist.run(job, tmp_path / "run", pool="ray", workers=2, figures=False)

@@ -25,7 +25,6 @@ from pfdist.runner.collect import Collector
 SHARP = Path(pfdist.__file__).parents[1] / "tests" / "oracles" / "sharp_sensor.toml"
 GOOD = (1, 3, 6, 9)
 SMALL = ["search.survivors.evaluation.draws=100", "comparison.draws=500", "execution.pool=serial"]
-pytestmark = pytest.mark.usefixtures("no_figures")
 
 
 @pytest.fixture(scope="module")
@@ -38,10 +37,9 @@ def planned(job: Job, tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, li
     """A plan, what it has said, and its progress."""
     said, seen = list[str](), list[Any]()
     folder = tmp_path_factory.mktemp("sharp") / "run"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("pfdist.api.run.draw_figures", lambda run: [])
-        patch.setattr("pfdist.api.run.figure_files", lambda run: [])
-        run = pfdist.plan(job, folder, changes=SMALL, say=said.append, report=seen.append)
+    run = pfdist.plan(
+        job, folder, changes=SMALL, say=said.append, report=seen.append, figures=False
+    )
     return run, said, seen
 
 
@@ -125,7 +123,7 @@ def test_the_progress_has_room_for_what_is_done_again(
 
 def test_a_search_by_the_squared_error_needs_no_probe(job: Job, tmp_path: Path) -> None:
     changes = [*SMALL, "search.survivors.evaluation.estimator=squared_error"]
-    run = pfdist.plan(job, tmp_path / "run", changes=changes)
+    run = pfdist.plan(job, tmp_path / "run", changes=changes, figures=False)
     phases = {"survivors", "survivors.polish", "survivors.shortlist"}
     assert set(run.evaluations()["phase"]) == phases
     assert run.summary()["results"]["survivors"]["search_distrust"] is None
@@ -135,7 +133,7 @@ def test_an_estimator_that_the_user_chose_is_probed_as_well(job: Job, tmp_path: 
     said: list[str] = []
     section = "[{method='random', evaluations=40, evaluation={estimator='filter_variance'}}]"
     changes = ["evaluation.draws=50", "comparison.draws=2", f"search={section}"]
-    run = pfdist.run(job.with_changes(changes), tmp_path / "run", say=said.append)
+    run = pfdist.run(job.with_changes(changes), tmp_path / "run", say=said.append, figures=False)
     assert any("search random: filter_variance of 500 particles cannot be" in line for line in said)
     assert set(_rows(run, "random.again")["estimator"]) == {"squared_error"}
 
@@ -151,7 +149,7 @@ def test_where_finalists_change_their_order_the_search_is_done_again(
 
     monkeypatch.setattr("pfdist.search.trust.BELOW", 10.0)  # the probes fail on nothing
     monkeypatch.setattr("pfdist.runner.search_phase.misordered", any_two)
-    run = pfdist.plan(job, tmp_path / "run", changes=SMALL, say=said.append)
+    run = pfdist.plan(job, tmp_path / "run", changes=SMALL, say=said.append, figures=False)
     ((believed, squared),) = seen  # once: the squared error is what it is
     race = _rows(run, "survivors.shortlist")
     assert {evaluation.measurement_times for evaluation in squared} == set(
@@ -199,11 +197,11 @@ def test_a_run_that_was_cut_short_distrusts_again_and_ends_with_the_same_bytes(
     with monkeypatch.context() as patch:
         patch.setattr(Collector, "run", cut_short)
         with pytest.raises(TaskError, match="the lights went out"):
-            pfdist.plan(job, tmp_path / "run", changes=SMALL)
+            pfdist.plan(job, tmp_path / "run", changes=SMALL, figures=False)
     reached = pfdist.open_run(tmp_path / "run")
     assert reached.state == "searching"
     told: list[str] = []
-    pfdist.plan(job, tmp_path / "run", changes=SMALL, say=told.append, **pool)
+    pfdist.plan(job, tmp_path / "run", changes=SMALL, say=told.append, **pool, figures=False)
     assert hashes(tmp_path / "run") == hashes(whole.path)
     assert [line for line in told if "believed" in line] == [
         line for line in said if "believed" in line
