@@ -111,12 +111,14 @@ def refused(folder: Path, job: Path) -> list[str]:
         ),
         pytest.param("return (MATRIX @ x)[0], x[1], w", "same|as many|tuple", id="three values"),
         pytest.param(
-            "return 0.9 * x[0] + w[0]", r"also of one: \(a,\), got an array", id="a number"
+            "return 0.9 * x[0] + w[0]",
+            r"even of a single component: \(a,\), got an array",
+            id="a number",
         ),
-        pytest.param("return [x[0] + w[0], x[1]]", r"write \(a, b\) in the place of", id="a list"),
+        pytest.param("return [x[0] + w[0], x[1]]", r"write \(a, b\) in place of", id="a list"),
         pytest.param("x[0] + w[0], x[1]", "is there no `return`", id="no return"),
-        pytest.param("return ((x[0] + w[0],), x[1])", "a tuple with a tuple in it", id="nested"),
-        pytest.param("return (x[0] + w, x[1])", r"w for w\[0\]", id="w for w[0]"),
+        pytest.param("return ((x[0] + w[0],), x[1])", "a tuple that contains a tuple", id="nested"),
+        pytest.param("return (x[0] + w, x[1])", r"w in place of w\[0\]", id="w for w[0]"),
         pytest.param(
             "return (0.9 * x + w[0], x[1])", r"first component is x\[0\]", id="x for x[0]"
         ),
@@ -136,7 +138,7 @@ def refused(folder: Path, job: Path) -> list[str]:
         pytest.param("return (np.log(x[0]), w[0])", "encountered in log", id="log of a negative"),
         pytest.param("return (x[0] ** 0.5, w[0])", "encountered in ", id="root of a negative"),
         pytest.param("return (x[0] / (t - 3), w[0])", "divide by zero", id="division by zero"),
-        pytest.param("return ('a', w[0])", "a tuple with str in it", id="a string"),
+        pytest.param("return ('a', w[0])", "a tuple that contains str", id="a string"),
     ],
 )
 def test_a_mistake_is_refused_by_both_with_formula_line_and_remedy(

@@ -338,7 +338,7 @@ def test_repair_moves_what_is_damaged_and_says_what_going_on_will_compute(
     assert main(["repair", str(run)]) == 0
     *moved, todo = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in moved] == sorted(wrong)
-    assert f"--results {run}" in todo
+    assert f"run the job again in {run}" in todo
     assert "3 evaluations, what the comparison lacks (70 draws are there)" in todo
     for name, content in damaged.items():
         assert (run / "quarantine" / name).read_bytes() == content

@@ -39,9 +39,6 @@ def every_scheme_and_model() -> list[Case]:
     ("cases", "most"),
     [
         pytest.param(FEW, 2, id="the two most different"),
-        pytest.param(
-            every_scheme_and_model(), 2, id="every scheme and model", marks=pytest.mark.zoo
-        ),
         pytest.param(every_scheme_and_model(), 4, id="all", marks=pytest.mark.crash),
     ],
 )

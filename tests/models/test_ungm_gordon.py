@@ -61,5 +61,5 @@ def test_measurements_help():
 
 @pytest.mark.parametrize(("name", "value"), [("process_sd", -1.0), ("measurement_sd", 0.0)])
 def test_a_deviation_has_its_range(name, value):
-    with pytest.raises(ModelError, match=f"{name}.*got {value}.*ungm_gordon"):
+    with pytest.raises(ModelError, match=f"ungm_gordon: parameter {name} must .*got {value}"):
         MODEL.with_parameters({name: value})
