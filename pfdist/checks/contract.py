@@ -22,7 +22,7 @@ _DRAWS = 10  # simulated: a formula must do the same to a particle whatever the 
 def few_draws(model: StateSpaceModel, horizon: int) -> Draws:
     """Simulate a few draws in NumPy, and call every formula at every instant on arrays.
 
-    Of a horizon above 500 the draws are the first 500 instants; formulas are called at 500 more.
+    If the horizon is above 500, the draws end at instant 500, and formulas are called at 500 more.
 
     Raises
     ------

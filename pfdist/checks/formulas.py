@@ -61,7 +61,7 @@ def _calls_of(model: StateSpaceModel, draws: Draws) -> Iterator[tuple[str, tuple
 
 
 def _values(model: StateSpaceModel, name: str, arguments: tuple[Any, ...], size: int) -> Array:
-    """What a formula gives, (components, size)."""
+    """The values of a formula, (components, size)."""
     with np.errstate(all="ignore"):
         value = getattr(model, name)(*arguments)
     components = value if isinstance(value, tuple) else (value,)

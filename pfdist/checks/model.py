@@ -61,7 +61,7 @@ class Check:
     state : {"ok", "note", "wrong"}
         A note is worth knowing; what is wrong makes every figure wrong or ends the run.
     text : str
-        What was found, and what to do.
+        The finding, and what to do.
     """
 
     name: str
@@ -81,9 +81,9 @@ def check_model(
     horizon : int
         T of the draws that are simulated.
     particles : int
-        Of the filter that is timed.
+        Number of particles of the filter that is timed.
     folder : Path
-        What a path in the name is relative to.
+        The folder to which a path in the name is relative.
 
     Yields
     ------

@@ -90,7 +90,7 @@ def _sentence(error: ErrorDetails, model: type[BaseModel]) -> str:
 
 
 def _rule(error: ErrorDetails) -> str:
-    """What a value must be; a type of error that is not known here is named."""
+    """The rule that a value broke; a type of error that is not known here is named."""
     rule = _RULES.get(error["type"], f"valid ({error['type']})")
     context = error.get("ctx", {})
     return rule.format_map({k: f"{v:g}" if type(v) is float else v for k, v in context.items()})

@@ -145,7 +145,7 @@ def imported_in(text: str, package: str, by_functions: bool = False) -> Iterator
     text : str
         The source.
     package : str
-        What its imports are relative to.
+        The package to which its imports are relative.
     by_functions : bool
         Whether only those count that functions do when they are called.
 

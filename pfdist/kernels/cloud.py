@@ -30,7 +30,7 @@ def cloud_steps(
     functions : tuple of callables
         initial, transition and log_likelihood.
     noise_kinds : tuple of tuples of {"normal", "uniform"}
-        Of the initial state and of the process.
+        Kinds of noise of the initial state and of the process.
     components : (int, int, int)
         Numbers of components of x, y and z.
 

@@ -38,7 +38,7 @@ def formula(function: Callable[..., Any], name: str = "") -> Callable[..., Any]:
     ----------
     function : callable
     name : str
-        What the formula is called in errors; by default the function's name.
+        Name of the formula in errors; by default the function's name.
     """
     return _compiled(function, name or function.__name__, ())
 
@@ -56,7 +56,7 @@ def _seeing(
 ) -> Callable[..., Any]:
     """The same function, seeing what can be compiled where it sees what its author wrote.
 
-    What calls itself stays as it is written, and Numba refuses it: it might never end.
+    A function that calls itself stays as it is written, and Numba refuses it: it might never end.
     """
     scope, names = function.__globals__, names_in(function.__code__)
     modules: dict[int, types.ModuleType] = {}
@@ -172,7 +172,7 @@ def _formula_at_fault(
 
 
 def _message_and_ending(error: BaseException) -> tuple[str, str]:
-    """What a formula raised; what to write instead, and where. Empty if no formula raised it.
+    """The error of a formula; what to write instead, and where. Empty if no formula raised it.
 
     Only text is returned: a local variable that holds the error would keep the filter's arrays
     alive, by way of the error's traceback.

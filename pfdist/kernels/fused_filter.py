@@ -41,7 +41,7 @@ class Request(NamedTuple):
     estimator : int
         An index in `pfdist.kernels.estimators.ESTIMATORS`.
     parameters, true_parameters : arrays of float64
-        Of the filter's model, and of the truth.
+        Parameters of the filter's model, and of the truth.
     """
 
     streams: NDArray[np.uint64]
@@ -62,7 +62,7 @@ class Results(NamedTuple):
     mse : array of float64, (D, U)
         For each of the plan's sets, the errors up to the set's end over T + 1.
     estimate, variance : arrays of float64, (D, T+1, q)
-        Of one set; empty if they are not wanted.
+        Moments of one set; empty if they are not wanted.
     """
 
     mse: NDArray[np.float64]
@@ -104,7 +104,7 @@ def fused_filter(
         initial, transition, log_likelihood and quantity_of_interest of the filter's model, and
         error of the truth.
     noise_kinds : tuple of tuples of {"normal", "uniform"}
-        Of the initial state and of the process.
+        Kinds of noise of the initial state and of the process.
     components : (int, int, int)
         Numbers of components of x, y and z.
     parameters : tuple of tuples of str

@@ -58,7 +58,7 @@ class Melted:
     compiler : type
         One of Numba's.
     **options
-        Of `numba.njit`.
+        Options of `numba.njit`.
     """
 
     def __init__(

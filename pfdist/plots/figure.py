@@ -72,7 +72,7 @@ class Figure:
     name : str
         File name without suffix; with ``each_set`` the first part of it.
     description : str
-        What the figure shows, in one line.
+        The figure in one line.
     plot : callable
         Gives the plot of `Tables`; with ``each_set`` of `Tables` and the name of a set.
     applies : callable

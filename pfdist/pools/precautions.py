@@ -38,7 +38,7 @@ def private_folder() -> str:
     Raises
     ------
     PoolError
-        What has the folder's name is no folder, or is not this user's alone.
+        The folder's name belongs to something else, or the folder is not this user's alone.
     """
     name = f"pfdist-ray-{os.getuid()}"
     parent = os.environ.get("RAY_TMPDIR") or tempfile.gettempdir()

@@ -56,11 +56,11 @@ def connected(address: str, cores: int = 0) -> Iterator[None]:
     Parameters
     ----------
     address : str
-        Of an existing cluster: host:port, ray://host:port, or auto. If it is empty or local, a
-        cluster of our own is started. If this process has joined a cluster already, that one is
-        used, and not left.
+        Address of an existing cluster: host:port, ray://host:port, or auto. If it is empty or
+        local, pfdist starts a cluster. If this process has already joined a cluster, that cluster
+        is used, and not left.
     cores : int
-        That our own cluster offers; 0 offers all that this process may use.
+        Number of cores that the started cluster offers; 0 offers all that this process may use.
 
     Raises
     ------

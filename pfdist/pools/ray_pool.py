@@ -106,7 +106,8 @@ class RayPool:
         How many; 0 takes all cores: those this process may use on a local cluster, all CPUs of an
         existing one.
     address : str
-        Of an existing cluster; empty or local starts one, unless this process has joined one.
+        Address of an existing cluster. If it is empty or local, a cluster is started, unless this
+        process has joined one.
 
     Raises
     ------

@@ -29,7 +29,7 @@ class FirstDraws:
     table : str
     schema : pyarrow.Schema
     work : Work
-        What is computed of draws 0, 1, ...
+        The work on draws 0, 1, ...
     columns : callable
         Gives the columns of the table from a work and its result.
     """

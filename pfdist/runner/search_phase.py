@@ -66,8 +66,8 @@ class SearchEnd:
     Parameters
     ----------
     winners : dict of str to Winner
-        By the name under which the set is compared. Empty if every set at the end of the search
-        or of the race had a degenerate draw.
+        Keyed by the name under which the set is compared. Empty if every set at the end of the
+        search or of the race had a degenerate draw.
     distrust : str or None
         Why the search was run again by the squared error; None if it was not.
     """

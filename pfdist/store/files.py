@@ -27,7 +27,7 @@ class Prepared:
     ----------
     temporary : Path
     stamp : str
-        What is in it: ``<rows>-<SHA-256>``.
+        Name of the empty file: ``<rows>-<SHA-256>``.
     """
 
     temporary: Path

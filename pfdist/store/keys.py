@@ -30,9 +30,9 @@ def key_of(identity: Mapping[str, Any], job: Mapping[str, Any]) -> str:
     Parameters
     ----------
     identity : mapping
-        What run.json holds, without the provenance.
+        The content of run.json, without the provenance.
     job : mapping
-        What job.toml holds.
+        The content of job.toml.
     """
     comparison = {k: v for k, v in job["comparison"].items() if k not in ("draws", "until")}
     return f"{stream_key(identity, {**job, 'comparison': comparison}):016x}"

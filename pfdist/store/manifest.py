@@ -1,6 +1,6 @@
 """The manifest: the content that every committed file of a run must have.
 
-What lies under ``parts/`` says so in its name. For the rest the folder ``manifest/`` has, for each
+A file under ``parts/`` says so in its name. For the rest the folder ``manifest/`` has, for each
 file, a folder of empty files: ``manifest/<the file's path>/<rows>-<SHA-256>``. Names cannot be half
 written. A file that is about to get its name has ``<rows>-<SHA-256>.new`` before, so that one
 which is not there yet is told from one that is gone; where it replaces another, it may be either.
@@ -35,7 +35,7 @@ class Damage:
     path : Path
         Relative to the run's folder.
     what : str
-        What is wrong with it.
+        The damage.
     """
 
     path: Path
@@ -71,7 +71,7 @@ class Manifest:
         Returns
         -------
         list of Path
-            What was said of it before: it is for `settle` to remove.
+            Former statements about the file, which `settle` removes.
         """
         entry = self._entry(path)
         before = [other for other in entry.glob("*") if other.name != stamp]
