@@ -1,4 +1,4 @@
-"""Names and prose of the package follow the rules of the house; each failure names file and line."""
+"""Names and prose of the package follow the house rules; each failure names file and line."""
 
 import ast
 import io
