@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from pfdist.filters.draws import Draws
 from pfdist.filters.particle_filter import Filtered, FilterSettings, filter_streams
-from pfdist.kernels.estimators import ESTIMATORS, SQUARED_ERROR
+from pfdist.kernels.estimators import ESTIMATORS, ErrorWeights, Estimator
 from pfdist.models import StateSpaceModel
 from pfdist.times.measurement_times import Times
 
@@ -66,53 +66,46 @@ def one_by_one(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., A
                 filter_checked_draws(model, prefix, times, key, settings, trajectories=True)
                 for key in keys
             ]
-            columns.append(_mse(filters, settings.estimator) * ((end + 1) / draws.z.shape[1]))
+            columns.append(
+                _mse(filters, ESTIMATORS[settings.estimator]) * ((end + 1) / draws.z.shape[1])
+            )
         return np.stack(columns, axis=1)
 
     return filter_checked_sets
 
 
-def filter_variance(variance: Array) -> Array:
-    """Estimate the error of each instant by the variance of one filter.
+def errors_by_variance(estimates: Array, variances: Array, weights: ErrorWeights) -> Array:
+    """Estimate the error of each instant by what filters know of themselves.
 
     Parameters
     ----------
-    variance : array of float64, (D, T+1, q)
+    estimates, variances : array of float64, (F, D, T+1, q)
+        Of F independent filters on the same measurements.
+    weights : ErrorWeights
+        The weight of the squared error is ignored.
 
     Returns
     -------
     array of float64, (D, T+1)
     """
-    total: Array = np.sum(variance, axis=2)
-    return total
+    errors: Array = weights.variance * np.sum(variances, axis=(0, 3))
+    if weights.distance:
+        errors += weights.distance * np.sum((estimates[0] - estimates[1]) ** 2, axis=2)
+    return errors
 
 
-def two_filters(estimates: Array, variances: Array) -> Array:
-    """Estimate the error of each instant by two independent filters on the same measurements.
-
-    Parameters
-    ----------
-    estimates, variances : array of float64, (2, D, T+1, q)
-
-    Returns
-    -------
-    array of float64, (D, T+1)
-    """
-    squared_distance: Array = np.sum((estimates[0] - estimates[1]) ** 2, axis=2)
-    return filter_variance(np.mean(variances, axis=0)) + squared_distance
-
-
-def _mse(filters: Sequence[Filtered], estimator: str) -> Array:
+def _mse(filters: Sequence[Filtered], estimator: Estimator) -> Array:
     """Estimate each draw's MSE, (D,); NaN and inf of any filter remain."""
     mse: Array = np.sum([filtered.mse for filtered in filters], axis=0)
-    if estimator == SQUARED_ERROR.name:
-        return mse
-    means, variances = (
+    weights = estimator.weights
+    if estimator.for_any_filter:
+        return weights.squared_error * mse
+    estimates, variances = (
         np.array([getattr(filtered, name) for filtered in filters])
         for name in ("estimate", "variance")
     )
     with np.errstate(all="ignore"):
-        two = ESTIMATORS[estimator].filters == 2
-        errors = two_filters(means, variances) if two else filter_variance(variances[0])
-        mean = np.mean(errors, axis=1)
+        mean = np.mean(errors_by_variance(estimates, variances, weights), axis=1)
+        if weights.squared_error:
+            mean += weights.squared_error * mse
     return np.where(np.isnan(mse), np.nan, np.where(mean < np.inf, mean, np.inf))

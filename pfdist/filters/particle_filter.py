@@ -240,7 +240,7 @@ def _filter(
         draws.y,
         draws.z,
         settings.particles,
-        list(ESTIMATORS).index(settings.estimator),
+        ESTIMATORS[settings.estimator].weights,
         np.array(model.p),
         np.array(truth.p),
     )

@@ -1,48 +1,72 @@
 """The estimators of a draw's MSE that a job can name. Data only: this imports no Numba."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
+
+
+class ErrorWeights(NamedTuple):
+    """The estimated error of an instant as a weighted sum.
+
+    Parameters
+    ----------
+    squared_error : float
+        Weight of the error of each filter's estimate of z.
+    variance : float
+        Weight of each filter's variance of z, summed over the components of z.
+    distance : float
+        Weight of the squared distance between the estimates of two independent filters.
+    """
+
+    squared_error: float = 0.0
+    variance: float = 0.0
+    distance: float = 0.0
 
 
 @dataclass(frozen=True)
 class Estimator:
-    """How the error of one instant is estimated.
+    """An estimator of the error of one instant.
 
     Parameters
     ----------
     name : str
         As job files name it.
-    filters : int
-        Number of independent filters.
-    for_any_filter : bool
-        Whether the estimate is right for any filter and any error. Otherwise the filter must know
-        the truth, and the error must be the squared Euclidean norm.
+    weights : ErrorWeights
     description : str
         The estimator in one line.
     """
 
     name: str
-    filters: int = 1
-    for_any_filter: bool = False
-    description: str = ""
+    weights: ErrorWeights
+    description: str
+
+    @property
+    def filters(self) -> int:
+        """Number of independent filters."""
+        return 2 if self.weights.distance else 1
+
+    @property
+    def for_any_filter(self) -> bool:
+        """Whether the estimate is right for any filter and any error.
+
+        Otherwise the filter must know the truth, and the error must be the squared Euclidean norm.
+        """
+        return not self.weights.variance and not self.weights.distance
 
 
 SQUARED_ERROR = Estimator(
-    "squared_error", for_any_filter=True, description="The error of the filter's estimate."
+    "squared_error", ErrorWeights(squared_error=1.0), "The error of the filter's estimate."
 )
 FILTER_VARIANCE = Estimator(
     "filter_variance",
-    description="The variance of z over the particles, summed over the components of z.",
+    ErrorWeights(variance=1.0),
+    "The variance of z over the particles, summed over the components of z.",
 )
 TWO_FILTERS = Estimator(
     "two_filters",
-    filters=2,
-    description=(
-        "The mean of the variances of two filters, plus the squared distance of their estimates."
-    ),
+    ErrorWeights(variance=0.5, distance=1.0),
+    "The mean of the variances of two filters, plus the squared distance of their estimates.",
 )
 
 ESTIMATORS = {
     estimator.name: estimator for estimator in (SQUARED_ERROR, FILTER_VARIANCE, TWO_FILTERS)
 }
-SQUARED_ERROR_INDEX = 0
-"""The compiled filter receives the index of an estimator in this table."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pfdist.kernels.cloud import cloud_steps, copy_ancestors, copy_cloud
 from pfdist.kernels.components import naming, reader
 from pfdist.kernels.disk_cache import kept_on_disk
-from pfdist.kernels.estimators import SQUARED_ERROR_INDEX
+from pfdist.kernels.estimators import ErrorWeights
 from pfdist.kernels.formulas import formula
 from pfdist.kernels.melting import melted
 from pfdist.kernels.moments import moments, recorders
@@ -38,8 +38,8 @@ class Request(NamedTuple):
     y, z : arrays of float64, (D, T+1, m) and (D, T+1, q)
         Measurements and quantities of interest of the draws.
     particles : int
-    estimator : int
-        An index in `pfdist.kernels.estimators.ESTIMATORS`.
+    weights : ErrorWeights
+        Weights of the estimator.
     parameters, true_parameters : arrays of float64
         Parameters of the filter's model, and of the truth.
     """
@@ -49,7 +49,7 @@ class Request(NamedTuple):
     y: NDArray[np.float64]
     z: NDArray[np.float64]
     particles: int
-    estimator: int
+    weights: ErrorWeights
     parameters: NDArray[np.float64]
     true_parameters: NDArray[np.float64]
 
@@ -186,8 +186,9 @@ def _filter_draw(
         particles, p, truth = request.particles, models.p, models.truth
         cloud, noise, weight, log_weight, terms, resampling, sorting, saved, first_means = scratch
         measured, begins, ends, sources, stops, slots = plan
-        by_error = request.estimator == SQUARED_ERROR_INDEX
-        by_error_alone = by_error and results.estimate.size == 0
+        weights = request.weights
+        by_error = weights.squared_error != 0.0
+        by_error_alone = weights[1:] == (0.0, 0.0) and results.estimate.size == 0
         here, stop = np.int64(0), begins[s]
         source = sources[s] if stop > 0 else np.int64(-1)
         error = begin(cloud, noise, particles, p, stream, draw, saved, source)
@@ -213,9 +214,10 @@ def _filter_draw(
                     variances = mean_of(terms, total)
                     record(results, d, t, mean, variances)
                     error += error_by_variance(
-                        request.estimator, first_means, filter_number, s, t, mean, variances, truth
+                        weights, first_means, filter_number, s, t, mean, variances, truth
                     )
-                error += error_of(read_z(request.z, d, t), mean, t, truth) if by_error else 0.0
+                squared = error_of(read_z(request.z, d, t), mean, t, truth) if by_error else 0.0
+                error += weights.squared_error * squared
                 if not error < np.inf:
                     return _end(saved.errors, slots, s, t, np.inf)
                 if measured[s, t]:

@@ -5,7 +5,6 @@ from typing import Any
 
 from pfdist.kernels.arithmetic import row_sum
 from pfdist.kernels.components import reader, tuple_of, writer
-from pfdist.kernels.estimators import SQUARED_ERROR_INDEX
 from pfdist.kernels.formulas import formula
 from pfdist.kernels.melting import melted
 
@@ -46,10 +45,10 @@ def moments(
 
 
 def recorders(error: Callable[..., Any], quantities: int) -> tuple[Callable[..., Any], ...]:
-    """Compile what records mean and variance, and the estimate of an instant's error.
+    """Compile what records mean and variance, and the part of an instant's error they estimate.
 
-    Each of two filters contributes half of its variance. The first filter stores its mean, and the
-    second adds the squared distance to it. The estimator "squared_error" gets 0.
+    Each filter contributes its variance, by the estimator's weights. The first of two filters
+    stores its mean, and the second adds the squared distance to it.
     """
     error_of = formula(error, "error")
     write_z = writer(quantities, "d, t, c")
@@ -62,15 +61,17 @@ def recorders(error: Callable[..., Any], quantities: int) -> tuple[Callable[...,
             write_z(results.variance, d, t, variances)
 
     @melted
-    def error_by_variance(estimator, first_means, filter_number, s, t, mean, variances, truth):
+    def error_by_variance(weights, first_means, filter_number, s, t, mean, variances, truth):
         total = 0.0
-        for variance in variances:
-            total += variance
+        if weights.variance != 0.0:  # else an infinite variance would make a NaN
+            for variance in variances:
+                total += variance
+            total *= weights.variance
         if first_means.size > 0:
-            total *= 0.5
             if filter_number > 0:
-                total += error_of(read_mean(first_means, s, t), mean, t, truth)
+                distance = error_of(read_mean(first_means, s, t), mean, t, truth)
+                total += weights.distance * distance
             write_mean(first_means, s, t, mean)
-        return total if estimator != SQUARED_ERROR_INDEX else 0.0
+        return total
 
     return record, error_by_variance

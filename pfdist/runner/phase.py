@@ -5,6 +5,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
+from types import SimpleNamespace
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -263,24 +264,25 @@ def _evaluation_rows(
     requests: list[_Request],
     evaluations: dict[Candidate, Any],
 ) -> pa.Table:
-    """Rows of the table ``evaluations``: a row for each request of a generation."""
-    copies = Counter(asked)
-    rows = [
-        {
-            "evaluation": request.id,
-            "phase": phase,
-            "generation": generation,
-            "individual": asked.index(request.candidate),
-            "copies": copies[request.candidate],
-            "measurement_times": request.candidate.measurement_times,
-            "end": request.end,
-            "particles": request.estimation.particles,
-            "estimator": request.estimation.estimator,
-            "expected_mse": evaluations[request.candidate].expected_mse,
-            "standard_error": evaluations[request.candidate].standard_error,
-            "draws": evaluations[request.candidate].draws,
-            "degenerate_draws": evaluations[request.candidate].degenerate_draws,
-        }
-        for request in requests
-    ]
-    return pa.Table.from_pylist(rows, schema=schema("evaluations"))
+    """Rows of the table ``evaluations``: a row for each request of a generation.
+
+    A column holds the value of that name from the first record of the row that has the name.
+    """
+    table, copies, rows = schema("evaluations"), Counter(asked), []
+    for request in requests:
+        candidate = request.candidate
+        place = SimpleNamespace(
+            evaluation=request.id,
+            phase=phase,
+            generation=generation,
+            individual=asked.index(candidate),
+            copies=copies[candidate],
+            end=request.end,
+        )
+        records = (place, evaluations[candidate], request.estimation)
+        rows.append({name: _value(name, records) for name in table.names})
+    return pa.Table.from_pylist(rows, schema=table)
+
+
+def _value(name: str, records: Sequence[Any]) -> Any:
+    return next(getattr(record, name) for record in records if hasattr(record, name))

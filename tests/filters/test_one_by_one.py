@@ -16,7 +16,6 @@ from pfdist.evaluation.engines import ENGINES
 from pfdist.evaluation.problem import Problem
 from pfdist.evaluation.work import Estimation, Work
 from pfdist.filters.draws import Draws, simulate
-from pfdist.filters.one_by_one import filter_variance, two_filters
 from pfdist.filters.particle_filter import FilterSettings, filter_draws, filter_sets, filter_streams
 from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.times.measurement_times import Times, regular
@@ -99,13 +98,11 @@ def by_hand(draws: Draws, times: Times, end: int, estimator: str) -> Array:
         filter_draws(draws.model, draws, times, 70, key, trajectories=True)
         for key in filter_streams(9, estimator)
     ]
-    estimates = np.array([one.estimate for one in filters])
-    variances = np.array([one.variance for one in filters])
-    costs = (
-        filter_variance(variances[0])
-        if estimator == "filter_variance"
-        else two_filters(estimates, variances)
-    )
+    estimates = np.array([filtered.estimate for filtered in filters])
+    variances = np.array([filtered.variance for filtered in filters])
+    costs = variances.mean(axis=0).sum(axis=2)
+    if estimator == "two_filters":
+        costs += ((estimates[0] - estimates[1]) ** 2).sum(axis=2)
     return np.asarray(costs[:, : end + 1].sum(axis=1) / draws.z.shape[1])
 
 
