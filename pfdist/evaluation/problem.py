@@ -15,14 +15,8 @@ from pfdist.evaluation.engines import COMPILED, ENGINES, KALMAN, Engine
 from pfdist.evaluation.work import Estimation, Result, Work, columns, cut
 from pfdist.filters import kalman
 from pfdist.filters.draws import libm_of_simulation, simulate, simulation_makes_arrays
-from pfdist.filters.particle_filter import (
-    FilterSettings,
-    check_filter,
-    check_fits,
-    filter_draws,
-    filter_makes_arrays,
-    libm_of_filter,
-)
+from pfdist.filters.particle_filter import filter_draws, filter_makes_arrays, libm_of_filter
+from pfdist.filters.settings import FilterSettings, check_filter, check_fits
 from pfdist.kernels.estimators import FILTER_VARIANCE
 from pfdist.models import StateSpaceModel
 from pfdist.times.measurement_times import Times, validated

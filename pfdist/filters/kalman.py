@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from pfdist.errors import ModelError
 from pfdist.filters.draws import Draws
 from pfdist.filters.one_by_one import one_by_one
-from pfdist.filters.particle_filter import Filtered, FilterSettings
+from pfdist.filters.particle_filter import Filtered
+from pfdist.filters.settings import FilterSettings
 from pfdist.kernels.formulas import formulas_of
 from pfdist.models import StateSpaceModel, squared_error
 from pfdist.times.measurement_times import Times, validated

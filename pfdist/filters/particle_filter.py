@@ -16,23 +16,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.common.streams import stream_key
-from pfdist.errors import ModelError
 from pfdist.filters.draws import Draws
+from pfdist.filters.settings import FilterSettings, check_filter
 from pfdist.kernels.estimators import ESTIMATORS, SQUARED_ERROR
 from pfdist.kernels.formulas import formulas_of
 from pfdist.kernels.fused_filter import Request, Results, fused_filter
 from pfdist.kernels.libm import libm_functions, makes_arrays
 from pfdist.kernels.prefixes import Plan, plan
-from pfdist.kernels.schemes import MULTINOMIAL, SCHEMES
 from pfdist.kernels.scratch import WithScratch
-from pfdist.models import StateSpaceModel, squared_error
+from pfdist.models import StateSpaceModel
 from pfdist.times.measurement_times import Times, validated
 
 KERNEL_VERSION = 4
 """Counts the changes after which the same keys give other figures; part of a run's identity."""
-
-RESAMPLING = tuple(SCHEMES)
-DTYPES = ("float64", "float32")
 
 
 @dataclass(frozen=True)
@@ -54,27 +50,6 @@ class Filtered:
     mse: NDArray[np.float64]
     estimate: NDArray[np.float64] | None = None
     variance: NDArray[np.float64] | None = None
-
-
-@dataclass(frozen=True)
-class FilterSettings:
-    """The settings of a particle filter.
-
-    Parameters
-    ----------
-    particles : int
-        P.
-    resampling : {"multinomial", "stratified", "systematic", "residual", "sorted_systematic"}
-    dtype : {"float64", "float32"}
-        The dtype of the particles' states; formulas compute in float64.
-    estimator : {"squared_error", "filter_variance", "two_filters"}
-        How the error of an instant is estimated; see `pfdist.filters.one_by_one`.
-    """
-
-    particles: int
-    resampling: str = MULTINOMIAL.name
-    dtype: str = "float64"
-    estimator: str = SQUARED_ERROR.name
 
 
 def filter_draws(
@@ -248,73 +223,6 @@ def _filter(
     with formulas_of(model.name, model.formulas | {"error": truth.error}):
         compiled(request, planned, Results(mse, *moments))
     return mse
-
-
-def check_fits(model: StateSpaceModel, truth: StateSpaceModel) -> None:
-    """Raise an error if a filter's model does not fit the truth's draws.
-
-    Raises
-    ------
-    ModelError
-        Its y or z has another number of components.
-    """
-    for component, true, believed in zip("xyz", truth.components, model.components, strict=True):
-        if true != believed and component != "x":
-            raise ModelError(
-                f"the filter's model must have as many components of {component} as the model "
-                f"{truth.name}, {true}, got {believed}"
-            )
-
-
-def check_filter(
-    model: StateSpaceModel,
-    truth: StateSpaceModel,
-    particles: int,
-    resampling: str,
-    dtype: str,
-    estimator: str = SQUARED_ERROR.name,
-) -> None:
-    """Raise an error if a filter's settings are wrong, or do not fit its model and the truth.
-
-    Raises
-    ------
-    ModelError
-        As for `check_fits`, or a setting does not fit the model.
-    ValueError
-        A setting has a value that is not allowed.
-    """
-    check_fits(model, truth)
-    for name, got, allowed in (
-        ("resampling", resampling, RESAMPLING),
-        ("dtype", dtype, DTYPES),
-        ("estimator", estimator, ESTIMATORS),
-    ):
-        if got not in allowed:
-            raise ValueError(f"{name} must be one of {', '.join(allowed)}, got {got!r}")
-    if SCHEMES[resampling].sorts and model.components[0] != 1:
-        raise ModelError(
-            f"resampling = {resampling!r} needs a model with a scalar state, got {model.name} with "
-            f"{model.components[0]} components of x"
-        )
-    if not ESTIMATORS[estimator].for_any_filter:
-        _check_estimator(model, truth, estimator)
-    if particles < 1:
-        raise ValueError(f"particles must be at least 1, got {particles}")
-
-
-def _check_estimator(model: StateSpaceModel, truth: StateSpaceModel, estimator: str) -> None:
-    """Raise an error unless the particles' variance is the expected squared error of their mean."""
-    allowed = SQUARED_ERROR.name
-    if model != truth:
-        raise ModelError(
-            f"the estimator {estimator!r} needs a filter that knows the truth, got a filter with "
-            f"another model or other parameters; allowed: {allowed!r}"
-        )
-    if truth.error is not squared_error:
-        raise ModelError(
-            f"the estimator {estimator!r} needs an error that is the squared Euclidean norm, got "
-            f"model {truth.name}, which has its own error; allowed: {allowed!r}"
-        )
 
 
 def libm_of_filter(

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from pfdist.filters.draws import Draws, check_finite
 from pfdist.filters.one_by_one import one_by_one
-from pfdist.filters.particle_filter import Filtered, FilterSettings, check_filter
+from pfdist.filters.particle_filter import Filtered
+from pfdist.filters.settings import FilterSettings, check_filter
 from pfdist.kernels.formulas import formulas_of
 from pfdist.kernels.noise import (
     FILTER_INITIAL,

@@ -16,7 +16,8 @@ from pfdist.evaluation.engines import ENGINES
 from pfdist.evaluation.problem import Problem
 from pfdist.evaluation.work import Estimation, Work
 from pfdist.filters.draws import Draws, simulate
-from pfdist.filters.particle_filter import FilterSettings, filter_draws, filter_sets, filter_streams
+from pfdist.filters.particle_filter import filter_draws, filter_sets, filter_streams
+from pfdist.filters.settings import FilterSettings
 from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.times.measurement_times import Times, regular
 

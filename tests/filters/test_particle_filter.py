@@ -14,7 +14,8 @@ from pfdist import StateSpaceModel, where
 from pfdist.errors import MeasurementTimesError, ModelError
 from pfdist.filters import plain
 from pfdist.filters.draws import simulate
-from pfdist.filters.particle_filter import DTYPES, KERNEL_VERSION, RESAMPLING, filter_draws
+from pfdist.filters.particle_filter import KERNEL_VERSION, filter_draws
+from pfdist.filters.settings import DTYPES, RESAMPLING
 from pfdist.times.measurement_times import regular
 
 HORIZON = 12

@@ -11,7 +11,7 @@ import pytest
 
 from oracles.bytes_under import Case, hashes_under, names
 from pfdist import load_model
-from pfdist.filters.particle_filter import DTYPES, RESAMPLING
+from pfdist.filters.settings import DTYPES, RESAMPLING
 from pfdist.models import installed_models
 from pfdist.pools.cores import usable_cores
 

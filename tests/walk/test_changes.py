@@ -39,7 +39,7 @@ import numpy as np
 from pfdist import load_model
 from pfdist.evaluation.engines import ENGINES
 from pfdist.filters.draws import simulate
-from pfdist.filters.particle_filter import FilterSettings
+from pfdist.filters.settings import FilterSettings
 
 model = load_model("random_walk")
 draws = simulate(model, 6, range(10), 1)
