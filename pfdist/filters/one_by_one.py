@@ -81,7 +81,7 @@ def errors_by_variance(estimates: Array, variances: Array, weights: ErrorWeights
     Parameters
     ----------
     estimates, variances : array of float64, (F, D, T+1, q)
-        Of F independent filters on the same measurements.
+        Estimates and variances of F independent filters on the same measurements.
     weights : ErrorWeights
         The weight of the squared error is ignored.
 
