@@ -3,6 +3,7 @@
 import contextlib
 import time
 from collections.abc import Iterable
+from pathlib import Path
 
 import psutil
 from psutil import Process
@@ -15,9 +16,8 @@ def marked(name: str, value: str) -> list[Process]:
 
     A process cannot lose such a mark, and its children inherit the mark, whoever adopts them.
     """
-    return [
-        process for process in psutil.process_iter() if _environment(process).get(name) == value
-    ]
+    mark = f"{name}={value}".encode()
+    return [process for process in psutil.process_iter() if _has_mark(process, mark)]
 
 
 def end(processes: Iterable[Process]) -> None:
@@ -49,9 +49,13 @@ def end_marked(name: str, value: str, quiet: float, most: float) -> None:
         time.sleep(_PAUSE_SECONDS)
 
 
-def _environment(process: Process) -> dict[str, str]:
+def _has_mark(process: Process, mark: bytes) -> bool:
+    """Whether the environment holds ``name=value``.
+
+    Ray's agents overwrite the beginning of their environment with their titles. psutil's
+    ``environ`` ends at the zeros that are left there, so the whole block is read here.
+    """
     try:
-        variables: dict[str, str] = process.environ()
-        return variables
-    except (psutil.Error, OSError):  # the process has ended, or belongs to another user
-        return {}
+        return mark in Path(f"/proc/{process.pid}/environ").read_bytes().split(b"\0")
+    except OSError:  # the process has ended, or belongs to another user
+        return False
