@@ -1,4 +1,4 @@
-"""The processes of this machine that carry a mark in their environment."""
+"""The processes of this machine that began with a mark in their environment, and their families."""
 
 import contextlib
 import time
@@ -12,12 +12,18 @@ _PAUSE_SECONDS = 0.05  # between two searches for processes that are to end
 
 
 def marked(name: str, value: str) -> list[Process]:
-    """Give the processes whose environment had a variable of this value when they began.
+    """Give the processes that began with a variable of this value, and all processes below them.
 
-    A process cannot lose such a mark, and its children inherit the mark, whoever adopts them.
+    Children inherit such a mark, whoever adopts them. But Ray's agents overwrite their environment
+    with their titles, so they are found below the server that started them.
     """
     mark = f"{name}={value}".encode()
-    return [process for process in psutil.process_iter() if _has_mark(process, mark)]
+    everyone = list(psutil.process_iter(["ppid"]))
+    found = [process for process in everyone if _has_mark(process, mark)]
+    for process in found:  # the list grows while it is walked
+        children = (child for child in everyone if child.info["ppid"] == process.pid)
+        found += [child for child in children if child not in found]
+    return found
 
 
 def end(processes: Iterable[Process]) -> None:
@@ -50,11 +56,7 @@ def end_marked(name: str, value: str, quiet: float, most: float) -> None:
 
 
 def _has_mark(process: Process, mark: bytes) -> bool:
-    """Whether the environment holds ``name=value``.
-
-    Ray's agents overwrite the beginning of their environment with their titles. psutil's
-    ``environ`` ends at the zeros that are left there, so the whole block is read here.
-    """
+    """Whether the environment holds ``name=value``; psutil stops at zeros that a title leaves."""
     try:
         return mark in Path(f"/proc/{process.pid}/environ").read_bytes().split(b"\0")
     except OSError:  # the process has ended, or belongs to another user

@@ -47,6 +47,20 @@ def test_a_mark_is_inherited_and_found_though_sessions_and_parents_change() -> N
     _until(lambda: not marked("PFDIST_TEST", value))
 
 
+def test_a_child_that_lost_the_mark_is_found_below_its_parent() -> None:
+    """Ray's agents overwrite their environment; their parent keeps the mark."""
+    value = secrets.token_hex(8)
+    parent = "import subprocess; subprocess.run(['sleep', '60'], env={})"
+    with subprocess.Popen(
+        [sys.executable, "-c", parent], env=os.environ | {"PFDIST_TEST": value}
+    ) as started:
+        _until(lambda: len(marked("PFDIST_TEST", value)) == 2)
+        found = marked("PFDIST_TEST", value)
+        assert found[0].pid == started.pid
+        end(found)
+    _until(lambda: not any(process.is_running() for process in found))
+
+
 def test_what_begins_under_a_guard_ends_with_it_and_nothing_else() -> None:
     value = secrets.token_hex(8)
     with environment({"PFDIST_TEST": value}), Guard() as guard:
