@@ -1,4 +1,4 @@
-"""What tests share: models, small jobs, and one Ray cluster a process."""
+"""Fixtures that tests share: models, small jobs, and one Ray cluster a process."""
 
 import sys
 from collections import defaultdict
@@ -43,7 +43,7 @@ def small_job(tmp_path: Path) -> Job:
 
 @pytest.fixture
 def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """They are drawn at the end, from the tables, and take longer than all else of a small run."""
+    """No figures by a command line, which has no `figures=False`: they take the longest."""
     monkeypatch.setattr("pfdist.api.run.draw_figures", lambda run: [])
     monkeypatch.setattr("pfdist.api.run.figure_files", lambda run: [])
 

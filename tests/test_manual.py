@@ -1,4 +1,4 @@
-"""What the README and the manual tell a reader to type can be typed."""
+"""Everything that the README and the manual tell a reader to type can be typed."""
 
 import re
 import shlex

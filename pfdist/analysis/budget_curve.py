@@ -1,4 +1,4 @@
-"""The budget curve: expected MSE against the number of measurements, and the targets it reaches."""
+"""The budget curve: expected MSE by number of measurements, and how many reach a target."""
 
 import math
 from collections import defaultdict
@@ -29,7 +29,7 @@ def budget_table(
     blocks : iterable of tables
         Per-draw MSE, block by block, in columns ``mse_<name>``.
     reference : str
-        The names of the regular times begin with it.
+        The sets of regular times have names that begin with ``<reference>_``.
 
     Returns
     -------
@@ -63,11 +63,11 @@ def budget_table(
 
 
 def _worse(table: pd.DataFrame, blocks: Iterable[Any]) -> dict[str, int]:
-    """Sets that are worse than a set of fewer measurements, with the best smaller number.
+    """Give the sets that have a higher MSE than the best set with fewer measurements.
 
-    The interval of the difference on common draws must lie above 0. The best smaller number was
-    chosen on the same draws, so any two sets might have been compared. Therefore the intervals of
-    all pairs hold together with 95 % (Bonferroni).
+    Both sets are of one kind, regular or found. The result maps a set's name to the smaller number.
+    The interval of the difference on common draws must lie above 0. The best set was chosen on the
+    same draws. So each interval allows for all pairs of a kind (Bonferroni, 95 % together).
     """
     best_of_fewer, differences = {}, defaultdict[str, Moments](Moments)
     for _, sets in table.groupby("kind"):

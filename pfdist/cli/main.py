@@ -29,6 +29,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     -------
     int
         The exit code.
+
+    Raises
+    ------
+    SystemExit
+        The arguments are wrong (2), or only help or the version was wanted (0).
     """
     make_harmless()
     signals.end_at_once()
@@ -42,7 +47,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(options: Namespace, *, ends: bool) -> int:
-    """Call the command, and turn whatever it raises into a line and an exit code."""
+    """Call the command; turn the errors that a user can cause into a line and an exit code.
+
+    ends says whether the process ends afterwards.
+    """
     try:
         with _warnings_as_lines():
             with answers_alone(options, ends=ends):
@@ -77,7 +85,7 @@ def _failed(reason: str, hint: str = "") -> int:
 
 
 def _output_error() -> OSError | None:
-    """Give the error of standard output, if it cannot be written."""
+    """Give the error that a flush of standard output raises; None if there is none."""
     try:
         flush_output()
     except OSError as error:

@@ -61,8 +61,9 @@ class Display:
         )
         self._live = self._console.is_terminal
         self._task: Any = None
-        self._start = State("", 0.0, 1.0)  # of the present phase
-        self._start_time = 0.0
+        # Rates count from the first answer of a phase: before it, workers start and compile.
+        self._start, self._start_time = State("", 0.0, 1.0), 0.0
+        self._answered = False
         self._last_done, self._last_time = -1.0, 0.0  # of the last plain line
 
     def __enter__(self) -> Self:
@@ -85,7 +86,9 @@ class Display:
         """Show the progress of a run."""
         now = time.monotonic()
         if state.phase != self._start.phase:
-            self._start, self._start_time = state, now
+            self._start, self._start_time, self._answered = state, now, False
+        elif not self._answered and state.done > self._start.done:
+            self._start, self._start_time, self._answered = state, now, True
         line = "  ".join([*_position(state), *self._rate(state, now)])
         if self._live:
             self._show_live(state, line)
@@ -112,7 +115,7 @@ class Display:
         return [f"{rate:,.{1 if rate < 100 else 0}f} {unit}/s"]
 
     def _time_left(self, state: State, now: float) -> str:
-        if state.done <= self._start.done:
+        if not self._answered or state.done <= self._start.done:
             return ""
         seconds_each = (now - self._start_time) / (state.done - self._start.done)
         seconds = seconds_each * (state.total - state.done)

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from pfdist.errors import ModelError
 from pfdist.filters.draws import Draws
+from pfdist.filters.interface import Filtered, checking
 from pfdist.filters.one_by_one import one_by_one
-from pfdist.filters.particle_filter import Filtered
 from pfdist.filters.settings import FilterSettings
 from pfdist.kernels.formulas import formulas_of
 from pfdist.models import StateSpaceModel, squared_error
@@ -129,25 +129,6 @@ def expected_mse(
     return total / (horizon + 1)
 
 
-def filter_draws(
-    model: StateSpaceModel,
-    draws: Draws,
-    measurement_times: Times,
-    particles: int,
-    stream: int,
-    resampling: str = "multinomial",
-    trajectories: bool = False,
-    dtype: str = "float64",
-) -> Filtered:
-    """Filter draws exactly, with the arguments of `pfdist.filters.particle_filter.filter_draws`.
-
-    The filter has no particles, so it ignores `particles`, `stream`, `resampling` and `dtype`.
-    """
-    times = validated(measurement_times, draws.z.shape[1] - 1)
-    settings = FilterSettings(particles, resampling, dtype)
-    return filter_checked_draws(model, draws, times, stream, settings, trajectories)
-
-
 def filter_checked_draws(
     model: StateSpaceModel,
     draws: Draws,
@@ -156,7 +137,10 @@ def filter_checked_draws(
     settings: FilterSettings,
     trajectories: bool = False,
 ) -> Filtered:
-    """Filter draws as `filter_draws` does, with measurement times that the caller has checked."""
+    """Filter draws exactly, with the arguments of the function in `particle_filter`.
+
+    The filter has no particles, so of the settings and the stream nothing is used.
+    """
     instants = draws.z.shape[1]
     matrices = linear_gaussian(model, instants - 1)
     mean = np.repeat(matrices.initial.offset[None], len(draws.index), axis=0)
@@ -236,4 +220,5 @@ def _check_declared(model: StateSpaceModel) -> None:
         )
 
 
+filter_draws = checking(filter_checked_draws)
 filter_checked_sets = one_by_one(filter_checked_draws)

@@ -29,7 +29,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.filters.draws import Draws
-from pfdist.filters.particle_filter import Filtered, filter_streams
+from pfdist.filters.interface import Filtered
+from pfdist.filters.particle_filter import filter_streams
 from pfdist.filters.settings import FilterSettings
 from pfdist.kernels.estimators import ESTIMATORS, ErrorWeights, Estimator
 from pfdist.models import StateSpaceModel

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.filters.draws import Draws, check_finite
+from pfdist.filters.interface import Filtered, checking
 from pfdist.filters.one_by_one import one_by_one
-from pfdist.filters.particle_filter import Filtered
-from pfdist.filters.settings import FilterSettings, check_filter
+from pfdist.filters.settings import FilterSettings
 from pfdist.kernels.formulas import formulas_of
 from pfdist.kernels.noise import (
     FILTER_INITIAL,
@@ -28,7 +28,7 @@ from pfdist.kernels.schemes import SCHEMES
 from pfdist.kernels.sorting import plain_order
 from pfdist.kernels.weights import plain_weights
 from pfdist.models import StateSpaceModel
-from pfdist.times.measurement_times import Times, validated
+from pfdist.times.measurement_times import Times
 
 Array = NDArray[np.float64]
 
@@ -57,23 +57,6 @@ def simulate(model: StateSpaceModel, horizon: int, index: range, stream: int) ->
     draws = Draws(model, index, x, y, z)
     check_finite(model, draws, stream)
     return draws
-
-
-def filter_draws(
-    model: StateSpaceModel,
-    draws: Draws,
-    measurement_times: Times,
-    particles: int,
-    stream: int,
-    resampling: str = "multinomial",
-    trajectories: bool = False,
-    dtype: str = "float64",
-) -> Filtered:
-    """Plain twin of `pfdist.filters.particle_filter.filter_draws`."""
-    times = validated(measurement_times, draws.z.shape[1] - 1)
-    check_filter(model, draws.model, particles, resampling, dtype)
-    settings = FilterSettings(particles, resampling, dtype)
-    return filter_checked_draws(model, draws, times, stream, settings, trajectories)
 
 
 def filter_checked_draws(
@@ -180,4 +163,5 @@ def _put(array: Array, t: int, components: tuple[Any, ...]) -> None:
         array[:, t, k] = component
 
 
+filter_draws = checking(filter_checked_draws)
 filter_checked_sets = one_by_one(filter_checked_draws)

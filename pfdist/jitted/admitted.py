@@ -1,4 +1,7 @@
-"""The rule which functions compiled code may call: those that were compiled with checks."""
+"""The rule which functions a formula may call: checked, admitted and library functions.
+
+The checks are those of `pfdist.jitted.guarded`: indices, integers that do not fit, division by 0.
+"""
 
 import sys
 from collections.abc import Iterable, Iterator
@@ -17,12 +20,12 @@ _admitted: set[int] = set()
 
 
 def admit(*functions: Any) -> None:
-    """Allow calls of functions that are implemented by `numba.extending.overload`."""
+    """Allow calls of functions whose code `numba.extending.overload` provides."""
     _admitted.update(map(id, functions))
 
 
 def unchecked(function: Any, signature: Any) -> str | None:
-    """Give the name of a function without checks that a call would run; None if there is none.
+    """Give the name of the first function in a call that has no checks, or None.
 
     Parameters
     ----------
@@ -41,7 +44,7 @@ def unchecked(function: Any, signature: Any) -> str | None:
 
 
 def is_checked(compiled: Any) -> bool:
-    """Whether a compiled function was compiled with checks, or is a library's own."""
+    """Whether a function has checks, or belongs to Python, a known library or pfdist."""
     if _is_library_function(python_function(compiled)):
         return True
     return getattr(compiler_of(compiled), MARK, False)
@@ -57,7 +60,7 @@ def compiler_of(compiled: Any) -> Any:
 
 
 def _templates(function: Any, kinds: tuple[Any, ...]) -> Iterator[Any]:
-    """Numba's templates that may provide the code for arguments of these types."""
+    """Give Numba's templates that may provide the code for arguments of these types."""
     if isinstance(function, types.BoundFunction):
         yield function.template
         return
@@ -68,7 +71,7 @@ def _templates(function: Any, kinds: tuple[Any, ...]) -> Iterator[Any]:
 
 
 def _functions_in(kinds: Iterable[Any]) -> Iterator[Any]:
-    """Compiled functions among the arguments of a call."""
+    """Give the functions, or their templates, among the arguments of a call."""
     for kind in kinds:
         if isinstance(kind, types.BaseTuple):  # type: ignore[attr-defined]
             yield from _functions_in(kind)
@@ -99,7 +102,7 @@ def _name_if_unchecked(found: Any) -> str | None:
 
 
 def _is_library_function(function: Any) -> bool:
-    """Whether a function really belongs to a library's module; it may only claim to."""
+    """Whether a function was defined in a library's module; its name alone is no proof."""
     scope = getattr(function, "__globals__", None)
     if scope is None:
         return True

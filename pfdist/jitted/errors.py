@@ -31,7 +31,7 @@ class InCallError(Exception):
     raised : tuple
         The error as Numba packs it: class, arguments, and (function, file, line) or None.
     t : int, optional
-        The instant, if the formula knows it.
+        The instant, if the formula has an argument t.
     """
 
     def __init__(self, raised: Any, t: int | None = None) -> None:
@@ -39,7 +39,7 @@ class InCallError(Exception):
         self.raised, self.t = raised, t
 
     def layers(self) -> Iterator[tuple[type[BaseException], tuple[Any, ...], Any]]:
-        """Give class, arguments and place of each call's error, the outermost first.
+        """Give class, arguments and place of the errors inside this one, the outermost first.
 
         The last layer is the error itself.
         """
@@ -63,7 +63,7 @@ class CallConv(CPUCallConv):  # type: ignore[misc]
     # --- the code that returns an error ---
 
     def return_user_exc(self, builder, exc, exc_args=None, loc=None, func_name=None):
-        """Emit the return of an error, with the instant if it is known."""
+        """Emit the return of an error, with the instant if it is known and fits the message."""
         t = self.context.instant(builder)
         # An error with an instant allocates memory.
         if t is None or exc is MemoryError or not _is_text(exc_args):
@@ -72,7 +72,7 @@ class CallConv(CPUCallConv):  # type: ignore[misc]
             self.return_formatted(builder, exc, exc_args[0], ())
 
     def return_formatted(self, builder, exc, text, integers):
-        """Emit the return of an error; the brackets in its text are filled with the integers."""
+        """Emit the return of an error; an integer replaces each pair of braces in its text."""
         t = self.context.instant(builder)
         if t is not None:
             text, integers = f"{text} at t = {{}}", (*integers, t)
@@ -88,7 +88,10 @@ class CallConv(CPUCallConv):  # type: ignore[misc]
             builder.ret(RETCODE_USEREXC)
 
     def return_status_propagate(self, builder, status):
-        """Emit the return of a called function's error, with the place of the call."""
+        """Emit the return of a called function's error.
+
+        A formula, or a function that it calls, adds the place of the call.
+        """
         if self.context.is_of_formula(builder) and self.context.enable_nrt:
             pointer = cgutils.alloca_once_value(builder, status.excinfoptr)
             with builder.if_then(status.is_user_exc):
@@ -107,10 +110,11 @@ class CallConv(CPUCallConv):  # type: ignore[misc]
     # --- the code that turns an error into Python objects ---
 
     def emit_unwrap_dynamic_exception_fn(self, module, st_type, nb_types):
-        """Emit the function that turns an error's arguments, all integers, into a Python tuple.
+        """Emit the function that makes a Python tuple of an error's arguments.
 
-        Numba's own function needs the environment of the compiled function. Code from the cache has
-        no such environment.
+        An argument is an integer, or a pointer to the error inside a call; Numba handles errors
+        with other arguments. Numba's own function needs the environment of the compiled function.
+        Code from the cache has no such environment.
         """
         kinds = [kind for kind in nb_types if kind is not None]
         if any(kind not in (types.int64, types.voidptr) for kind in kinds):

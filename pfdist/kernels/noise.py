@@ -1,16 +1,18 @@
-"""Keyed noise: every random number is a pure function of its key.
+"""Keyed noise: each variate of a simulation or a filter is a pure function of some integers.
 
-There is no generator and no state. The cipher of `pfdist.kernels.threefry` gets two arguments:
+It needs no generator with a state; only the random choices of a search use one. The cipher of
+`pfdist.kernels.threefry` gets two arguments:
 
 ======= ============================== =========================================
 key     stream (64 bits), draw, t      which simulation or filter, which draw, when
 counter block, component, role, 0      which particles, which noise component, what for
 ======= ============================== =========================================
 
-So a variate depends neither on how draws are cut into tasks, nor on the order of the tasks, nor on
-the number of workers. One block of the cipher serves four particles. Besides the cipher, only
-additions, multiplications (also fused) and square roots of float32 are used, and no libm. So
-compiled and plain noise agree to the last bit on every machine.
+A role is for instance the process noise of the truth, or the resampling of the filter. So a variate
+depends neither on how draws are cut into tasks, nor on the order of the tasks, nor on the number of
+workers. One block of the cipher serves four particles, or one draw of a simulation. Besides the
+cipher, only additions, multiplications (also fused) and square roots of float32 are used, and no
+libm. So compiled and plain noise agree to the last bit on every machine.
 """
 
 from collections.abc import Callable
@@ -36,13 +38,13 @@ TILE = 4 * LANES
 
 
 def generator(*parts: Any) -> np.random.Generator:
-    """NumPy generator for the random choices of a search, keyed by their purpose."""
+    """Give a NumPy generator for the random choices of a search; the parts are its key."""
     return np.random.Generator(np.random.Philox(stream_key(*parts)))
 
 
 @inlined
 def padded(particles: int) -> int:
-    """Length of a noise buffer for this many particles: the next multiple of TILE."""
+    """Length of a noise buffer: the least multiple of TILE that is not below this number."""
     return -(-particles // TILE) * TILE
 
 
@@ -66,7 +68,7 @@ def _words(stream, draw, t, role, component, block):
 
 @inlined
 def _exponential(word):
-    """-ln u for u = (word + 1/2) / 2^32; error 2.2e-7 of the larger of 1 and the value."""
+    """-ln u for u = (word + 1/2) / 2^32; error at most 2.2e-7 max(1, -ln u)."""
     # A little less than 2^-32. Otherwise the highest words would round to u = 1, and -ln u to 0.
     less = np.float32(2.0**-32 * (1.0 - 2.0**-24))
     u = fma(np.float32(word), less, np.float32(2.0**-33))
@@ -94,7 +96,7 @@ def _uniform(word):
 
 @inlined
 def _sine_cosine(word):
-    """Sin and cos of pi s for s = word / 2^31 in [-1, 1]; error 4e-7."""
+    """Sine and cosine of pi s, s = word / 2^31 in [-1, 1] with a signed word; error 4e-7."""
     s = np.float32(np.int32(word)) * np.float32(2.0**-31)
     q = s * s
     p = np.float32(-3.8589476e-04)
@@ -187,20 +189,20 @@ the first particle of some draws, one after another."""
 
 @cache
 def filler(kinds: tuple[str, ...], *, of_draws: bool = False) -> Callable[..., Any]:
-    """Compile the filling of one row of noise for each component of a process.
+    """Give a compiled function that fills one row of noise for each component of a process.
 
     Parameters
     ----------
     kinds : tuple of {"normal", "uniform"}
     of_draws : bool
-        Whether a row holds a variate for each of some draws, or for each particle of one.
+        If so, a row holds one variate for each draw; if not, one for each particle of one draw.
 
     Returns
     -------
     callable
         ``fill(out, particles, stream, draw, t, role)``; out is float32, (components or more,
-        padded(particles) or more). Or ``fill(out, draws, stream, first, t, role)``; out is
-        (components or more, draws or more).
+        padded(particles) or more). Or ``fill(out, draws, stream, first, t, role)``; first is the
+        first draw, and out is (components or more, draws or more).
     """
     fills = FILL_DRAWS if of_draws else FILL
     count = len(kinds)
@@ -233,14 +235,14 @@ def variates(
     role: SupportsIndex,
     component: int,
 ) -> NDArray[np.float64]:
-    """Give each particle its variate: the plain twin of the compiled filling.
+    """Give each particle its variate by NumPy, with the values of the compiled function.
 
     Parameters
     ----------
     kind : {"normal", "uniform", "exponential"}
     particles : int
     stream, draw, t, role, component : int
-        The key; draw may be an array, (D,).
+        They select the noise, see the table above; draw may be an array, (D,).
 
     Returns
     -------

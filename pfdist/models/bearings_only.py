@@ -7,9 +7,9 @@ distinguish a near and slow target from a far and fast target. So the observer t
 The state equation is that of Gordon et al. The scenario (T = 30) is the moderately nonlinear
 scenario of Leong et al., with three changes. The observer turns at once, not in four minutes.
 Range, speed and course are uniform with the same standard deviations, so no range is negative. The
-acceleration is four times as large, 0.006 km a minute squared in place of 0.0014, because otherwise
-the particles of a bootstrap filter soon have few different velocities. The filter still needs 2,000
-particles or more.
+random acceleration has four times their standard deviation, 0.006 km/min^2 in place of 0.0014,
+because otherwise the particles of a bootstrap filter soon have few different velocities. The filter
+still needs 2,000 particles or more.
 
 References
 ----------

@@ -1,7 +1,7 @@
 """Linear-Gaussian models of any dimension from matrices, and an oscillator with varying noise.
 
 A sensor sees the position of the oscillator, and its noise varies with time. A measurement is worth
-most when the noise is small and the information is not forgotten too soon.
+most when its noise is small and the position can be predicted from it for long.
 
 References
 ----------
@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from pfdist.errors import ModelError
 from pfdist.models.base import StateSpaceModel
 
 Matrix = Sequence[Sequence[float]] | Callable[[int], Any]
@@ -46,14 +47,20 @@ def linear_gaussian(
     measurement : matrix, (m, n)
         C.
     measurement_noise : matrix, (m, m)
-        D. It must be diagonal, because each measurement has its own noise.
+        D. It must be diagonal, because each measurement has its own noise. A function of t is
+        checked at t = 0.
     quantity_of_interest : matrix, (q, n)
         H.
 
     Returns
     -------
     StateSpaceModel
-        A model that is declared ``linear_gaussian``.
+        With ``linear_gaussian=True``, so that the Kalman filter may compute its expected MSE.
+
+    Raises
+    ------
+    ModelError
+        The matrix of the measurement noise is not diagonal.
 
     Examples
     --------
@@ -66,6 +73,7 @@ def linear_gaussian(
     start, want, look = map(_times, (initial_noise, quantity_of_interest, measurement))
     move, see = _sum(transition, process_noise), _sum(measurement, measurement_noise)
     noise, measurements = _function(measurement_noise), _shape(measurement)[0]
+    _check_diagonal(name, noise(0))
 
     def log_likelihood(y: Any, x: Any, t: Any, p: Any) -> Any:
         expected, sd, total = look(x, t), noise(t), 0.0
@@ -88,6 +96,16 @@ def linear_gaussian(
         measurement_noise=normal(measurement_noise),
         linear_gaussian=True,
     )
+
+
+def _check_diagonal(name: str, matrix: Sequence[Sequence[float]]) -> None:
+    for i, row in enumerate(matrix):
+        for j, entry in enumerate(row):
+            if i != j and entry != 0:
+                raise ModelError(
+                    f"model {name}: the matrix of the measurement noise must be diagonal, got "
+                    f"{entry} in row {i}, column {j} (both from 0)"
+                )
 
 
 def _function(matrix: Matrix) -> Formula:

@@ -3,7 +3,9 @@
 A command that is killed cannot clean up, and Ray's agents outlive it. So a small process watches
 the command and ends everything that carries the command's mark: a variable in the environment
 with which Ray's servers begin, and which all processes below them inherit. Neither sessions nor
-process groups nor lost parents matter.
+process groups nor lost parents matter. Some of Ray's processes overwrite the mark, and lose their
+parent at once when the command is killed. So the guard remembers what it has seen below a marked
+process while the servers started.
 """
 
 import contextlib
@@ -16,9 +18,12 @@ import sys
 from collections.abc import Iterator
 from typing import Any, Self
 
-from pfdist.pools.processes import end_marked
+from psutil import Process
+
+from pfdist.pools.processes import end_marked, marked
 
 _NAME = "PFDIST_STARTED_BY"
+_BEGINS, _ENDS = b"(", b")"  # the command says so to the guard around `watching`
 _LOOK_SECONDS = 0.5  # between two checks whether the command still lives
 _QUIET_SECONDS = 0.5  # for a server that a killed command was just starting
 _MOST_SECONDS = 4.0
@@ -47,19 +52,33 @@ class Guard:
 
     def __exit__(self, *_: object) -> None:
         self.end()
-        if self._process is not None:
-            self._process.kill()
-            self._process.communicate()
 
     def end(self) -> None:
         """End all processes that began in `watching`, and all that these have started."""
-        end_marked(_NAME, self._mark, 0.0, _MOST_SECONDS)
+        if self._process is None:
+            return
+        guard, self._process = self._process, None
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            guard.communicate(timeout=2 * _MOST_SECONDS)  # it does so when its input ends
+        if guard.returncode != 0:
+            guard.kill()
+            guard.wait()
+            end_marked(_NAME, self._mark, 0.0, _MOST_SECONDS)
 
     @contextlib.contextmanager
     def watching(self) -> Iterator[None]:
         """Mark the processes that begin meanwhile, and all their descendants."""
         with environment({_NAME: self._mark}):
-            yield
+            self._say(_BEGINS)
+            try:
+                yield
+            finally:
+                self._say(_ENDS)
+
+    def _say(self, word: bytes) -> None:
+        if self._process is not None and self._process.stdin is not None:
+            with contextlib.suppress(BrokenPipeError):  # somebody has ended it
+                os.write(self._process.stdin.fileno(), word)
 
 
 @contextlib.contextmanager
@@ -92,7 +111,15 @@ def main(arguments: Any = None) -> None:
     mark, parent = (arguments or sys.argv)[1:]
     for number in _IGNORED:  # a batch system sends them to everyone
         signal.signal(number, signal.SIG_IGN)
+    known: list[Process] = []
+    watching = False
     while os.getppid() == int(parent):
-        if select.select([sys.stdin], [], [], _LOOK_SECONDS)[0]:
+        said = os.read(0, 64) if select.select([0], [], [], _LOOK_SECONDS)[0] else None
+        if said == b"":
             break
-    end_marked(_NAME, mark, _QUIET_SECONDS, _MOST_SECONDS)
+        if watching or said:
+            known = marked(_NAME, mark, known)
+        if said:
+            watching = said.endswith(_BEGINS)
+    quiet = 0.0 if os.getppid() == int(parent) else _QUIET_SECONDS
+    end_marked(_NAME, mark, quiet, _MOST_SECONDS, known)

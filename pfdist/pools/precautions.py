@@ -8,6 +8,7 @@ import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 from pfdist.errors import PoolError
@@ -16,18 +17,36 @@ LONGEST_FOLDER = 38  # a socket's path has 107 characters, of which Ray needs 69
 
 
 @contextlib.contextmanager
-def own_sigterm() -> Iterator[None]:
-    """Keep this program's handler of SIGTERM, which Ray replaces with its own."""
-    before = signal.getsignal(signal.SIGTERM)
+def signals_wait() -> Iterator[None]:
+    """Let signals wait inside a with statement, because Ray may lose the errors that they raise.
+
+    Ray starts its servers by forks. An error that a signal raises in such a fork is ignored, and
+    may leave a lock behind that is never released. So this program's handlers are called at the
+    end; a second signal is not kept waiting.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    received: list[int] = []
+    handlers: dict[int, Any] = {}
+
+    def note(number: int, frame: FrameType | None) -> None:
+        received.append(number)
+        if len(received) > 1:
+            handlers[number](number, frame)
+
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1):
+        if callable(handler := signal.getsignal(number)):
+            handlers[number] = handler
+            signal.signal(number, note)
     try:
         yield
-    except SystemExit:  # Ray's way, while it starts
-        if callable(before):
-            before(signal.SIGTERM, None)
-        raise
     finally:
-        if threading.current_thread() is threading.main_thread():
-            signal.signal(signal.SIGTERM, before)
+        for caught, handler in handlers.items():
+            if signal.getsignal(caught) is note:  # a handler may have changed it
+                signal.signal(caught, handler)
+        if len(received) == 1:
+            handlers[received[0]](received[0], None)
 
 
 def private_folder() -> str:

@@ -28,7 +28,7 @@ from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 from pfdist.errors import PoolError
 from pfdist.pools.cores import usable_cores
 from pfdist.pools.guard import Guard, environment
-from pfdist.pools.precautions import own_sigterm, private_folder, within
+from pfdist.pools.precautions import private_folder, signals_wait, within
 from pfdist.pools.ray_rehearsal import (
     host_and_port,
     only_loopback,
@@ -120,9 +120,25 @@ def _join(address: str, guard: Guard) -> None:
 
 @contextlib.contextmanager
 def _starting(loopback: bool) -> Iterator[None]:
-    with own_sigterm(), only_loopback(ray, loopback), warnings.catch_warnings():
+    with (
+        signals_wait(),
+        _keeping_sigterm(),
+        only_loopback(ray, loopback),
+        warnings.catch_warnings(),
+    ):
         warnings.simplefilter("ignore", FutureWarning)
         yield
+
+
+@contextlib.contextmanager
+def _keeping_sigterm() -> Iterator[None]:
+    """Keep this program's handler of SIGTERM, which Ray would replace with its own."""
+    replace = ray._private.utils.set_sigterm_handler
+    ray._private.utils.set_sigterm_handler = lambda handler: None
+    try:
+        yield
+    finally:
+        ray._private.utils.set_sigterm_handler = replace
 
 
 @contextlib.contextmanager

@@ -1,4 +1,4 @@
-"""The search methods that a job file can name. Each declares itself in a file of its own."""
+"""The search methods that a job file can name. Each is declared where it is defined."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
@@ -32,7 +32,7 @@ class Method:
     section : type
         The section [[search]] of a job file, with the settings of the method.
     curve : str
-        The curve of the search in the figure of costs.
+        The curve of the search in the figure ``cost``, which shows expected MSE by evaluation.
     """
 
     name: str
@@ -52,7 +52,7 @@ class Method:
         ----------
         feasible : Feasible
         draws : int
-            Number of draws of an evaluation.
+            Number of simulated systems on which a set is evaluated.
         settings : dict
             Settings of the method, as in the section.
 
@@ -79,9 +79,10 @@ def method(
 
     The optimiser is a frozen dataclass. Fields that are annotated with a type of
     `pfdist.search.section`, such as ``Count``, are the settings of the method, with their
-    defaults. The field ``feasible`` receives the feasible sets. A field ``draws``, if there is
-    one, receives the number of draws of an evaluation. The first line of the docstring is the
-    description of the method, and the section Parameters describes the settings.
+    defaults. The first field, ``feasible``, receives the object that knows all feasible sets. A
+    field ``draws``, if there is one, receives the number of draws of an evaluation. The first line
+    of the docstring is the description of the method, and the section Parameters describes the
+    settings.
 
     Parameters
     ----------
@@ -90,9 +91,9 @@ def method(
     evaluation : EvaluationSettings
         Defaults of ``[search.evaluation]``.
     polish : bool
-        Default of ``polish``: whether exchanges follow the search.
+        Default of ``polish``: whether an exchange search then improves the best set.
     curve : str
-        The curve of the search in the figure of costs.
+        The curve of the search in the figure ``cost``, which shows expected MSE by evaluation.
     """
 
     def declare(optimiser: C) -> C:

@@ -12,7 +12,6 @@ A reader sees both as one. A phase may be published again and again with the sam
 process may die at any instant of it.
 """
 
-import re
 import time
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from functools import partial
@@ -31,13 +30,11 @@ from pfdist.store.draw_files import DrawFiles
 from pfdist.store.keys import run_key as folder_key
 from pfdist.store.manifest import Manifest
 from pfdist.store.schema import KEYS, schema
-from pfdist.store.tables import cut_rows, read_file, signed
+from pfdist.store.tables import check_names, cut_rows, first_occurrences, read_file, signed
 
 ROWS_IN_A_FILE = {"draws": 1_000_000, "comparison": 50_000}
 _MANY = 1_000_000_000  # rows of the other tables: one file a phase
 _ATTEMPTS, _PAUSE_SECONDS = 50, 0.02  # another driver may be publishing what is read
-_LONGEST_NAME = 64  # a search's name and a number of measurements
-_NAME = re.compile(rf"[a-z][a-z0-9_]{{0,{_LONGEST_NAME - 1}}}")
 Found = TypeVar("Found")
 
 
@@ -143,12 +140,7 @@ class Store:
             A name is not one that a job could have given; or as any reading.
         """
         rows = self.read("compared")
-        for name in rows["name"]:
-            if not (isinstance(name, str) and _NAME.fullmatch(name)):
-                raise StoreError(
-                    f"{self.path / 'tables' / 'compared'}: a name must be lower-case letters, "
-                    f"digits and underscores, at most {_LONGEST_NAME}, got {str(name)[:80]!r}"
-                )
+        check_names(rows["name"], self.path / "tables" / "compared")
         return rows
 
     def has(self, table: str) -> bool:
@@ -223,9 +215,7 @@ class Store:
         place = pc.index_in(rows["evaluation"], pa.array(ids)).to_numpy()
         draw = rows["draw"].to_numpy()
         order = np.lexsort((draw, place))
-        first = np.ones(order.size, np.bool_)
-        first[1:] = (np.diff(place[order]) != 0) | (np.diff(draw[order]) != 0)
-        return rows.take(order[first])
+        return rows.take(order[first_occurrences(place[order], draw[order])])
 
     def adopt(self, other: "Store", phase: str) -> None:
         """Commit all per-draw rows of another run, under a phase of their own.
@@ -293,10 +283,7 @@ class Store:
         if not pieces:
             return None
         found = pa.concat_tables(pieces).sort_by(column)
-        values = found[column].to_numpy()
-        keep = np.ones(len(values), bool)
-        keep[1:] = values[1:] != values[:-1]
-        return found.filter(pa.array(keep))
+        return found.filter(pa.array(first_occurrences(found[column].to_numpy())))
 
     def _read(
         self,

@@ -1,15 +1,21 @@
-"""Read one file of a table, sign tables with their run's key, and cut them at fixed counts."""
+"""Tables as rows: read one file, sign with the run's key, cut at fixed counts, check names."""
 
+import re
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+from numpy.typing import NDArray
 
 from pfdist.errors import StoreError
 from pfdist.store.arrow_files import read_schema, read_table
 from pfdist.store.schema import RUN_KEY, SCHEMA_VERSION
+
+_LONGEST_NAME = 64  # a search's name and a number of measurements
+_NAME = re.compile(rf"[a-z][a-z0-9_]{{0,{_LONGEST_NAME - 1}}}")
 
 
 def cut_rows(pieces: Iterable[pa.Table], count: int) -> Iterator[pa.Table]:
@@ -25,6 +31,35 @@ def cut_rows(pieces: Iterable[pa.Table], count: int) -> Iterator[pa.Table]:
             waiting, rows = [whole.slice(count)], rows - count
     if rows:
         yield pa.concat_tables(waiting)
+
+
+def first_occurrences(*columns: NDArray[Any]) -> NDArray[np.bool_]:
+    """Whether each row of sorted columns differs from the row before it."""
+    first = np.ones(columns[0].size, np.bool_)
+    first[1:] = np.any([column[1:] != column[:-1] for column in columns], axis=0)
+    return first
+
+
+def check_names(names: Iterable[object], where: Path) -> None:
+    """Raise an error unless each name of a compared set is one that a job could have given.
+
+    Parameters
+    ----------
+    names : iterable
+    where : Path
+        The table, for the error.
+
+    Raises
+    ------
+    StoreError
+        A name is no text, too long, or has other characters.
+    """
+    for name in names:
+        if not (isinstance(name, str) and _NAME.fullmatch(name)):
+            raise StoreError(
+                f"{where}: a name must be lower-case letters, digits and underscores, at most "
+                f"{_LONGEST_NAME}, got {str(name)[:80]!r}"
+            )
 
 
 def signed(table: pa.Table, run_key: str | None) -> pa.Table:

@@ -18,7 +18,7 @@ from pfdist.times.measurement_times import Times, nearest, random, regular
 class Feasible(Constraints):
     """The feasible sets: N times, or as many times as a sum of money pays for.
 
-    With money, only sets are feasible to which no measurement can be added. One more measurement
+    With money, a set is feasible only if no measurement can be added. One more measurement
     does no harm, in expectation, to a filter that knows the truth, so a best set is among them. If
     the filter is wrong about the truth, a smaller set might be better, but none is searched. The
     parameters are those of `Constraints`. All sets are sorted.
@@ -33,7 +33,7 @@ class Feasible(Constraints):
 
     @cached_property
     def measurements(self) -> int:
-        """N; with money the number of times nearest to regular, which is typical of all sets."""
+        """N; with money the number of times in the set that `regular` gives."""
         return len(self.regular())
 
     @property
@@ -51,7 +51,7 @@ class Feasible(Constraints):
         return merge(*(completions.every() for completions in self._completions))
 
     def random(self, sets: int, rng: np.random.Generator) -> list[Times]:
-        """Draw feasible sets; all have the same probability."""
+        """Draw feasible sets, each with the same probability; a set may come twice."""
         if self._free:
             number = self.total - len(self.required)
             rows = random(len(self.optional) - 1, number, sets, rng).tolist()
@@ -59,18 +59,18 @@ class Feasible(Constraints):
         return [self._at(_below(self.size, rng)) for _ in range(sets)]
 
     def regular(self) -> Times:
-        """Give the regular times, or the feasible set nearest to them.
+        """Give the regular times, or in their place a feasible set like them.
 
-        With N measurements these are the times of the paper's equation 13. If they are not
-        feasible, the nearest feasible set takes their place (see
-        `pfdist.times.measurement_times.nearest`). With costs, only sets that spend as much as any
-        set can are considered. Among those with the most measurements, the nearest to regular
-        times is given (see `pfdist.times.affordable.Affordable.nearest`).
+        With N measurements these are the times of the paper's equation 13; a single one is in the
+        middle. If they are not feasible, the nearest feasible set takes their place (see
+        `pfdist.times.measurement_times.nearest`). With money, the set is one of those that spend
+        the most. It has the most times of these, and is then the nearest to regular times (see
+        `pfdist.times.affordable.Affordable.nearest`).
         """
         return self._nearest_regular
 
     def is_regular(self, times: Times) -> bool:
-        """Whether times are the regular times of their number (equation 13), feasible or not."""
+        """Whether times are the regular times of their number, feasible or not."""
         return times == self._regular_or_middle(len(times))
 
     def additions(self, times: Times) -> list[Times]:
@@ -101,7 +101,7 @@ class Feasible(Constraints):
         Parameters
         ----------
         times : tuple of int
-            The prefix: all measurement times up to the last of them.
+            The prefix: the first times of the set, sorted; it may be empty.
 
         Returns
         -------
@@ -126,8 +126,8 @@ class Feasible(Constraints):
         """Give the feasible sets in which one time is exchanged for another.
 
         With money, a new time may cost too much or stand too near to others. Then the times nearest
-        to it are removed, and the money saved buys other times, each as far from the rest as can
-        be.
+        to it are removed. In every case the money left buys other times, each as far from the rest
+        as can be. The exchanged time may come back.
 
         Parameters
         ----------
@@ -148,10 +148,11 @@ class Feasible(Constraints):
         return [neighbour for neighbour in dict.fromkeys(found) if neighbour != times]
 
     def repair(self, times: Iterable[int], rng: np.random.Generator) -> Times:
-        """Give a feasible set that keeps as many as possible of any times in 0..T.
+        """Give a feasible set that keeps times of a given set until no more can be kept.
 
-        The times are tried in random order, and a time is kept if a feasible set can contain it
-        with those kept before. Then random times complete the set. A feasible set is given back
+        The times lie in 0..T. They are tried in random order, and a time is kept if a feasible set
+        can contain it with those kept before; another order may keep more. Then random times
+        complete the set. A feasible set is given back
         unchanged, and draws no random number.
         """
         kept, given = Times(), tuple(sorted(times))
@@ -166,12 +167,12 @@ class Feasible(Constraints):
 
     @property
     def _free(self) -> bool:
-        """Whether any N allowed times that include the required times are feasible."""
+        """Whether all sets of N allowed times that contain the required times are feasible."""
         return self.counted and self.minimum_spacing == 1
 
     @cached_property
     def _negative_capacities(self) -> list[int]:
-        """Largest number of compatible times from each allowed time on, negated: it ascends."""
+        """For each allowed time, minus the most times that fit from it on; sorted for bisect."""
         negated = [0] * (len(self.allowed) + 1)
         for index in reversed(range(len(self.allowed))):
             after = bisect_left(self.allowed, self.allowed[index] + self.minimum_spacing)
@@ -183,7 +184,10 @@ class Feasible(Constraints):
         return self._completions_of(self.allowed)
 
     def _completions_of(self, usable: Times) -> list[Completions]:
-        """Give the sets by the money they leave over: each range makes other times cheap."""
+        """Give the parts of all feasible sets, one for each range of the money left over.
+
+        A time is cheap if the money left would pay for it. In one range the same times are cheap.
+        """
         prices = sorted({self.price[time] for time in self.optional})
         bounds = [0, 1] if self.counted else [0, *prices, self.total + 1]
         return [

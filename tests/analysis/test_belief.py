@@ -1,4 +1,4 @@
-"""What a summary says of a search's belief."""
+"""Check what a summary says about a search's belief."""
 
 import math
 

@@ -53,12 +53,10 @@ def test_times_of_every_number_are_those_of_brute_force_and_beside_them_the_regu
 
 
 def test_however_it_is_cut_it_ends_with_the_same_bytes_and_grows(
-    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    small_job: Job, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("pfdist.api.run.draw_figures", lambda run: [])
-    monkeypatch.setattr("pfdist.api.run.figure_files", lambda run: [])
     few = small_job.with_changes(["problem.horizon=8", "filter.particles=10"])
-    whole = pfdist.budget(few, (2, 4), tmp_path / "whole", draws=60)
+    whole = pfdist.budget(few, (2, 4), tmp_path / "whole", draws=60, figures=False)
     for phase in ("survivors", "comparison"):
 
         def stop(progress: Progress, phase: str = phase) -> None:
@@ -66,10 +64,10 @@ def test_however_it_is_cut_it_ends_with_the_same_bytes_and_grows(
                 raise KeyboardInterrupt
 
         with pytest.raises(KeyboardInterrupt):
-            pfdist.budget(few, (2, 4), tmp_path / phase, draws=40, report=stop)
+            pfdist.budget(few, (2, 4), tmp_path / phase, draws=40, report=stop, figures=False)
         assert pfdist.open_run(tmp_path / phase).state != "finished"
         other = few.with_changes(["problem.measurement_budget=3"])  # is left aside
-        pfdist.budget(other, (2, 4), tmp_path / phase, draws=60)
+        pfdist.budget(other, (2, 4), tmp_path / phase, draws=60, figures=False)
         assert hashes(tmp_path / phase) == hashes(tmp_path / "whole")
     assert whole.state == "finished"
     assert whole.names[0] == "regular_2"
@@ -78,7 +76,7 @@ def test_however_it_is_cut_it_ends_with_the_same_bytes_and_grows(
 def test_the_command_says_how_many_are_enough(
     exact_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    table = pfdist.budget(exact_job, (2, 5), tmp_path / "run", draws=300).budget()
+    table = pfdist.budget(exact_job, (2, 5), tmp_path / "run", draws=300, figures=False).budget()
     costs = table[table["kind"] == "found"].set_index("measurements")["expected_mse"]
     target = (costs[3] + costs[4]) / 2
     command = (

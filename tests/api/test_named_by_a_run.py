@@ -56,10 +56,7 @@ class Folder:
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("finished")
     (path / "small.toml").write_text(SMALL.read_text())
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("pfdist.api.run.draw_figures", lambda run: [])
-        patch.setattr("pfdist.api.run.figure_files", lambda run: [])
-        pfdist.run(load_job(path / "small.toml").with_changes(QUICK), path / "run")
+    pfdist.run(load_job(path / "small.toml").with_changes(QUICK), path / "run", figures=False)
     return path / "run"
 
 
@@ -186,7 +183,6 @@ def test_a_strangers_folder_has_nothing_run(
         assert not folder.flag.exists()
 
 
-@pytest.mark.usefixtures("no_figures")
 def test_what_the_user_has_run_or_names_runs_and_is_said_before(folder: Folder) -> None:
     model, run = f"{folder.file}:model", str(folder.path)
     said: list[tuple[str, bool]] = []
@@ -194,30 +190,29 @@ def test_what_the_user_has_run_or_names_runs_and_is_said_before(folder: Folder) 
     def say(line: str) -> None:
         said.append((line, folder.flag.exists()))
 
-    why(run, draws=2, model=model, say=say)
+    why(run, draws=2, model=model, say=say, figures=False)
     assert said == [(f"runs the model {model}, as you name it", False)]
     folder.flag.unlink()
     said.clear()
-    why(run, draws=2, say=say)  # it was run, and so it is known
+    why(run, draws=2, say=say, figures=False)  # it was run, and so it is known
     ((line, executed),) = said
     assert line.startswith(f"runs the model file {folder.file}, named by {run}: unchanged")
     assert not executed
     folder.flag.unlink(missing_ok=True)
     for _ in ("starting", "going on"):
         said.clear()
-        pfdist.run(folder.job, folder.path.with_name("other"), say=say)
+        pfdist.run(folder.job, folder.path.with_name("other"), say=say, figures=False)
         assert said[0] == (f"runs the model file {folder.file}, which your job names", False)
         folder.flag.unlink(missing_ok=True)
 
 
-@pytest.mark.usefixtures("no_figures")
 def test_files_beside_the_model_that_the_run_does_not_name_are_not_run(
     folder: Folder, tmp_path: Path
 ) -> None:
     name, flag = "a_helper_that_is_nowhere", tmp_path / "helped"
     text = f"try:\n    import {name}\nexcept ImportError:\n    pass\n"
     folder.file.write_text(text + "from pfdist.models.ungm import model\n")
-    run = pfdist.run(folder.job, tmp_path / "other")
+    run = pfdist.run(folder.job, tmp_path / "other", figures=False)
     (tmp_path / f"{name}.py").write_text(f"open({str(flag)!r}, 'w').close()\n")
-    why(run.path, draws=2)
+    why(run.path, draws=2, figures=False)
     assert not flag.exists()

@@ -14,7 +14,6 @@ from pfdist.errors import JobError, SearchError
 from pfdist.search.methods import METHODS
 
 EXACT = ["model.name=random_walk", "filter.engine=kalman"]
-pytestmark = pytest.mark.usefixtures("no_figures")
 
 
 @pytest.fixture
@@ -28,8 +27,8 @@ def unnamed(small_job: Job) -> Path:
 
 
 def test_it_is_the_run_of_a_job_without_searches(unnamed: Path, tmp_path: Path) -> None:
-    pfdist.run(unnamed, tmp_path / "run")
-    pfdist.plan(unnamed, tmp_path / "plan")
+    pfdist.run(unnamed, tmp_path / "run", figures=False)
+    pfdist.plan(unnamed, tmp_path / "plan", figures=False)
     assert hashes(tmp_path / "plan") == hashes(tmp_path / "run")
 
 
@@ -37,7 +36,9 @@ def test_it_is_the_run_of_a_job_without_searches(unnamed: Path, tmp_path: Path) 
 def test_any_method_may_search_and_the_jobs_own_are_left_aside(
     method: str, small_job: Job, tmp_path: Path
 ) -> None:
-    run = pfdist.plan(small_job, tmp_path / "run", method, changes=[*EXACT, "comparison.draws=2"])
+    run = pfdist.plan(
+        small_job, tmp_path / "run", method, changes=[*EXACT, "comparison.draws=2"], figures=False
+    )
     assert run.names == ["regular", method]
     phases = set(run.evaluations()["phase"])
     assert method in phases <= {method, f"{method}.polish", f"{method}.shortlist"}
@@ -48,13 +49,14 @@ def test_its_own_folder_unless_the_job_is_the_same(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     changes = [*EXACT, "comparison.draws=2"]
-    assert pfdist.plan(unnamed, changes=changes).path == Path("results/unnamed")
-    assert pfdist.plan(pfdist.load_job(unnamed).with_changes(changes)).path == Path(
+    assert pfdist.plan(unnamed, changes=changes, figures=False).path == Path("results/unnamed")
+    assert pfdist.plan(pfdist.load_job(unnamed).with_changes(changes), figures=False).path == Path(
         "results/unnamed"
     )
-    assert pfdist.plan(small_job, changes=changes).path == Path("results/small-plan")
+    assert pfdist.plan(small_job, changes=changes, figures=False).path == Path("results/small-plan")
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_the_command_takes_what_run_takes_and_answers_in_the_same_json(
     small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -105,7 +107,7 @@ def test_where_the_race_ends_with_degenerate_draws_alone_that_is_said(
     job = pfdist.load_job(unnamed, ["model.name=rare.py:model"])
     changes = ["search.survivors.evaluation.draws=20", "search.survivors.polish=false"]
     with pytest.raises(SearchError, match="every set of times that it ended with had a degenerate"):
-        pfdist.plan(job, tmp_path / "run", changes=changes)
+        pfdist.plan(job, tmp_path / "run", changes=changes, figures=False)
     rows = pfdist.open_run(tmp_path / "run").evaluations()
     of_search, of_race = (
         rows[rows["phase"] == name] for name in ("survivors", "survivors.shortlist")

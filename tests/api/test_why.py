@@ -24,13 +24,6 @@ RANDOM = "search.random.evaluations=3"
 
 
 @pytest.fixture
-def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pfdist.api.run.draw_figures", lambda run: [])
-    monkeypatch.setattr("pfdist.api.run.figure_files", lambda run: [])
-    monkeypatch.setattr("pfdist.api.why.draw_why", lambda *found: [])
-
-
-@pytest.fixture
 def quick(small_job: Job) -> Job:
     return small_job.with_changes([RANDOM, "search.genetic.generations=1", "comparison.draws=20"])
 
@@ -40,7 +33,7 @@ def _walk(job: Job, engine: str) -> Job:
 
 
 def _by_riccati(times: tuple[int, ...], horizon: int) -> dict[tuple[int, str], float]:
-    """By how much the exact expected MSE rises with every change there is."""
+    """Give the rise of the exact expected MSE with every change there is."""
     others: dict[tuple[int, str], set[int]] = {}
     for t in times:
         rest = set(times) - {t}
@@ -67,14 +60,13 @@ def _rises(found: Any, name: str) -> dict[tuple[int, str], tuple[float, float]]:
     }
 
 
-@pytest.mark.usefixtures("no_figures")
 def test_what_a_measurement_is_worth_is_what_the_riccati_recursion_says(
     quick: Job, tmp_path: Path
 ) -> None:
     particles = 200
     job = _walk(quick, "compiled").with_changes([f"filter.particles={particles}"])
-    run = pfdist.run(job, tmp_path / "run")
-    found = why(run.path, draws=3000)
+    run = pfdist.run(job, tmp_path / "run", figures=False)
+    found = why(run.path, draws=3000, figures=False)
     for name, result in run.summary()["results"].items():
         exact = _by_riccati(tuple(result["measurement_times"]), 12)
         rises = _rises(found, name)
@@ -85,10 +77,9 @@ def test_what_a_measurement_is_worth_is_what_the_riccati_recursion_says(
             assert 0 < error < 0.1 * max(abs(exact[key]), 1.0)
 
 
-@pytest.mark.usefixtures("no_figures")
 def test_where_everything_is_known_no_draws_are_taken(quick: Job, tmp_path: Path) -> None:
-    run = pfdist.run(_walk(quick, "kalman"), tmp_path / "run")
-    found = why(run.path)
+    run = pfdist.run(_walk(quick, "kalman"), tmp_path / "run", figures=False)
+    found = why(run.path, figures=False)
     assert found.draws == 0
     for name, result in run.summary()["results"].items():
         exact = _by_riccati(tuple(result["measurement_times"]), 12)
@@ -98,12 +89,11 @@ def test_where_everything_is_known_no_draws_are_taken(quick: Job, tmp_path: Path
     np.testing.assert_allclose(means[found.sets["name"]], found.sets["expected_mse"])
 
 
-@pytest.mark.usefixtures("no_figures")
 def test_a_measurement_is_moved_only_to_where_the_job_allows_it(quick: Job, tmp_path: Path) -> None:
     bound = ["problem.forbidden=[7, 9]", "problem.required=[4]", "problem.minimum_spacing=3"]
     job = _walk(quick, "kalman").with_changes(bound)
-    run = pfdist.run(job, tmp_path / "run")
-    found, allowed = why(run.path), set(job.problem.feasible.every())
+    run = pfdist.run(job, tmp_path / "run", figures=False)
+    found, allowed = why(run.path, figures=False), set(job.problem.feasible.every())
     for name, result in run.summary()["results"].items():
         times = set(result["measurement_times"])
         moves = {(t, "earlier"): t - 1 for t in times} | {(t, "later"): t + 1 for t in times}
@@ -114,14 +104,13 @@ def test_a_measurement_is_moved_only_to_where_the_job_allows_it(quick: Job, tmp_
         assert _rises(found, name).keys() == possible | {(t, "removed") for t in times}
 
 
-@pytest.mark.usefixtures("no_figures")
 @pytest.mark.parametrize("estimator", ESTIMATORS)  # of the searches: nothing to the profile
 def test_the_profile_is_the_squared_error_over_time_and_its_mean_the_expected_mse(
     quick: Job, tmp_path: Path, estimator: str
 ) -> None:
     quick = quick.with_changes([f"evaluation.estimator={estimator}"])
-    run, draws = pfdist.run(quick, tmp_path / "run"), 60
-    found, built = why(run.path, draws), build(quick)
+    run, draws = pfdist.run(quick, tmp_path / "run", figures=False), 60
+    found, built = why(run.path, draws, figures=False), build(quick)
     for row in found.sets.to_dict("records"):
         alone = Work(
             measurement_times=(tuple(row["measurement_times"]),),
@@ -145,7 +134,7 @@ def test_the_profile_is_the_squared_error_over_time_and_its_mean_the_expected_ms
 def test_the_command_answers_in_json_draws_a_figure_a_search_and_leaves_the_run_as_it_was(
     quick: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    run = pfdist.run(quick, tmp_path / "run")
+    run = pfdist.run(quick, tmp_path / "run", figures=False)
     before = hashes(run.path)
     assert main(["why", str(run.path), "--draws", "30", "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
@@ -172,39 +161,39 @@ def test_the_command_answers_in_json_draws_a_figure_a_search_and_leaves_the_run_
     assert with_error(worth["removed"], worth["removed_error"], sign=True) in text
 
 
-@pytest.mark.usefixtures("no_figures")
 def test_a_models_file_is_found_from_anywhere_and_must_be_the_runs(
     quick: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = quick.path.parent / "mine.py"
     file.write_text("from pfdist.models.ungm import model\n")
     monkeypatch.chdir(tmp_path)
-    run = pfdist.run(quick.with_changes(["model.name=mine.py:model"]), tmp_path / "run")
+    run = pfdist.run(
+        quick.with_changes(["model.name=mine.py:model"]), tmp_path / "run", figures=False
+    )
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
     said: list[str] = []
-    why(run.path, draws=2, say=said.append)
+    why(run.path, draws=2, say=said.append, figures=False)
     unchanged = f"named by {run.path}: unchanged since that run, and you have run it before"
     assert said == [f"runs the model file {file}, {unchanged}"]
     file.write_text('"""Another word."""\nfrom pfdist.models.ungm import model\n# another\n')
     with pytest.raises(StoreError, match=r"mine\.py is not the file that .* so nothing was run"):
-        why(run.path, draws=2)
-    why(run.path, draws=2, model=f"{file}:model", say=said.append)
+        why(run.path, draws=2, figures=False)
+    why(run.path, draws=2, model=f"{file}:model", say=said.append, figures=False)
     assert said[1:] == [f"runs the model {file}:model, as you name it"]
     file.write_text("from pfdist.models.ungm_gordon import model\n")
     words = r"model\.measurement: \w{8} -> \w{8}.*model\.parameters\.initial_sd: 5\.0 -> 1\.41"
     with pytest.raises(RunMismatchError, match=words):
-        why(run.path, draws=2, model=f"{file}:model")
+        why(run.path, draws=2, model=f"{file}:model", figures=False)
 
 
-@pytest.mark.usefixtures("no_figures")
 def test_what_is_impossible_is_said(quick: Job, tmp_path: Path) -> None:
     def stop(progress: Any) -> None:
         if progress.phase == "comparison":
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        pfdist.run(quick, tmp_path / "run", report=stop)
+        pfdist.run(quick, tmp_path / "run", report=stop, figures=False)
     wrong: list[tuple[type[PfdistError], str, Path, int]] = [
         (
             StoreError,
@@ -217,4 +206,4 @@ def test_what_is_impossible_is_said(quick: Job, tmp_path: Path) -> None:
     ]
     for error, words, path, draws in wrong:
         with pytest.raises(error, match=words):
-            why(path, draws)
+            why(path, draws, figures=False)

@@ -1,4 +1,4 @@
-"""What `pfdist doctor` finds, here and on machines with one fault each."""
+"""Check what `pfdist doctor` finds, here and on machines with one fault each."""
 
 import errno
 import json

@@ -1,4 +1,4 @@
-"""What `pfdist check-model` finds, on models with one mistake each."""
+"""Check what `pfdist check-model` finds, on models with one mistake each."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What is written, whatever the terminal takes, and what is imported for it."""
+"""Check what is written, whatever the terminal takes, and what is imported for it."""
 
 import io
 import re
@@ -92,6 +92,17 @@ def test_percentage_and_time_left_are_seen_at_any_width(width: int) -> None:
     assert shown
     assert all(re.match(r" *\d+% +(-|\d)[-\d]*:[-\d]+ left ", row) for row in shown), shown
     assert all(len(row) <= width for row in shown)
+
+
+def test_the_time_left_does_not_count_the_time_to_compile(monkeypatch: pytest.MonkeyPatch) -> None:
+    now, out = [0.0], io.StringIO()
+    monkeypatch.setattr("time.monotonic", lambda: now[0])
+    display = Display(Console(file=out, width=80))
+    for now[0], done in ((10.0, 0), (70.0, 1), (80.0, 2), (90.0, 3)):  # a minute to compile
+        display.report(Progress("genetic", done, 9, evaluations=done, generation=1, generations=1))
+    *before, last = out.getvalue().splitlines()
+    assert re.search(r"0\.1 evaluations/s +about 60 s left$", last)
+    assert not [line for line in before[:2] if "left" in line]
 
 
 def test_what_is_said_is_no_markup() -> None:

@@ -1,4 +1,4 @@
-"""What can be chosen by name is declared once, by itself or by an installed package."""
+"""Each thing that is chosen by name is declared once, by itself or by an installed package."""
 
 from importlib.metadata import EntryPoint
 

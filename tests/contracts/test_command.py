@@ -1,4 +1,4 @@
-"""What every command of the command line keeps to: one contract, one test."""
+"""The contract of every command of the command line."""
 
 import argparse
 

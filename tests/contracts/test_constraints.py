@@ -1,4 +1,4 @@
-"""What every search keeps to where measurement times are constrained: one contract, one test."""
+"""The contract of every search where measurement times are constrained."""
 
 from functools import cache
 
@@ -25,7 +25,7 @@ CONSTRAINTS = {
         HORIZON, None, forbidden=(2,), required=(8,), minimum_spacing=2, cost=PRICES, total_cost=7
     ),
     "one measurement": Feasible(HORIZON, 1),
-    # Of one set alone:
+    # The next three allow one set alone:
     "all times": Feasible(HORIZON, HORIZON + 1),
     "all required": Feasible(HORIZON, 3, required=(2, 5, 9)),
     "all paid for": Feasible(HORIZON, cost=PRICES, total_cost=100),

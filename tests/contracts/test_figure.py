@@ -1,4 +1,4 @@
-"""What every figure of a run keeps to: one contract, one test."""
+"""The contract of every figure of a run."""
 
 import shutil
 from collections.abc import Iterator

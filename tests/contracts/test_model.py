@@ -1,4 +1,4 @@
-"""What every model that ships must do, and every job file."""
+"""The contract of every shipped model, and of every job file."""
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -58,7 +58,8 @@ def test_check_model_finds_nothing_wrong(name: str) -> None:
 
 @pytest.mark.parametrize("name", _by_model(SHIPPED, str))
 def test_no_function_of_the_c_library_is_called(name: str) -> None:
-    # What rounds otherwise elsewhere: the root, fused multiplications and remainders do not.
+    # Such a function may round otherwise on another machine; a root, a fused multiplication and
+    # a remainder do not.
     estimation = Estimation(1)
     problem = Problem(load_model(name), 1)
     problem.compile(estimation)

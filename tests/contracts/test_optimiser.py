@@ -1,4 +1,4 @@
-"""What every optimiser keeps to: one contract, one test."""
+"""The contract of every optimiser."""
 
 import dataclasses
 import itertools

@@ -1,4 +1,4 @@
-"""What every pool keeps to: one contract, one test."""
+"""The contract of every pool."""
 
 import os
 import signal
@@ -136,7 +136,7 @@ def function(work):
 
 
 def _made(source: str) -> Callable[[], Any]:
-    """What makes the function in a worker, which does not know this file."""
+    """Give the maker of the function for a worker, which does not know this file."""
     return partial(eval, f"(lambda scope: (exec({source!r}, scope), scope['function'])[1])({{}})")
 
 
@@ -165,9 +165,9 @@ Record = Callable[[str, object], None]
 @pytest.fixture
 def impatient(ray_cluster: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing here takes longer than a moment."""
-    from pfdist.pools import ray_pool
+    from pfdist.pools import ray_pool, ray_worker
 
-    monkeypatch.setattr(ray_pool, "PATIENCE_SECONDS", 3.0)  # the machine may be busy
+    monkeypatch.setattr(ray_worker, "PATIENCE_SECONDS", 3.0)  # the machine may be busy
     monkeypatch.setattr(ray_pool, "LOOK_SECONDS", 0.1)
 
 
@@ -212,9 +212,9 @@ def test_a_task_that_costs_every_worker_is_given_up_with_an_error(
 def test_when_no_worker_answers_the_pool_says_so_and_nothing_hangs(
     impatient: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, record_property: Record
 ) -> None:
-    from pfdist.pools import ray_pool
+    from pfdist.pools import ray_pool, ray_worker
 
-    monkeypatch.setattr(ray_pool, "ANSWER_SECONDS", 4.0)
+    monkeypatch.setattr(ray_worker, "ANSWER_SECONDS", 4.0)
     stop_all = _faulty(STOP, times=ALWAYS).replace("number == 3", "True")
     # Those that are to replace the stopped ones stop too, before they have said who they are.
     stop_all += f"if os.listdir({str(tmp_path)!r}): function((3, {str(tmp_path)!r}))"
@@ -234,9 +234,9 @@ def test_workers_that_were_all_killed_are_replaced_however_long_it_takes_to_load
     impatient: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, record_property: Record
 ) -> None:
     """A model may take longer to compile than silent workers are waited for."""
-    from pfdist.pools import ray_pool
+    from pfdist.pools import ray_pool, ray_worker
 
-    monkeypatch.setattr(ray_pool, "ANSWER_SECONDS", 4.0)
+    monkeypatch.setattr(ray_worker, "ANSWER_SECONDS", 4.0)
     slow = tmp_path / "slow"
     source = f"""
 import os, pathlib, time
@@ -265,25 +265,26 @@ if pathlib.Path({str(slow)!r}).exists():
 def test_nobody_listens_to_an_answer_that_comes_too_late(
     impatient: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, record_property: Record
 ) -> None:
-    from pfdist.pools import ray_pool
+    from pfdist.pools.ray_pool import RayPool
+    from pfdist.pools.ray_worker import Worker
 
-    end, kept = ray_pool._end, []
+    end, kept = Worker.end, []
 
-    def keep(actor: Any) -> threading.Thread:
-        kept.append(actor)
+    def keep(worker: Worker) -> threading.Thread:
+        kept.append(worker)
         return threading.Timer(0.0, int)
 
     late = tmp_path / "late"
     fault = _faulty(f"time.sleep(6); pathlib.Path({str(late)!r}).touch()", times=1)
-    monkeypatch.setattr(ray_pool, "_end", keep)
+    monkeypatch.setattr(Worker, "end", keep)
     outcomes, seen_late = [], 0
     (tmp_path / "folder").mkdir()
-    with ray_pool.RayPool(_made(fault.replace("return", "time.sleep(0.5); return")), 1) as pool:
+    with RayPool(_made(fault.replace("return", "time.sleep(0.5); return")), 1) as pool:
         for outcome in pool.run(_tasks_in(tmp_path / "folder", 20)):
             outcomes.append(outcome.value)
             seen_late += late.exists()
         (lost, *_) = kept
-        monkeypatch.setattr(ray_pool, "_end", end)
+        monkeypatch.setattr(Worker, "end", end)
         end(lost).join()
     assert sorted(outcomes) == list(range(20))
     assert seen_late > 3  # it had answered long before the end
@@ -295,7 +296,7 @@ def test_workers_that_stood_still_with_everything_else_are_kept(
     impatient: None, monkeypatch: pytest.MonkeyPatch, record_property: Record
 ) -> None:
     """A batch system suspends a job: all its processes, for a while."""
-    from pfdist.pools import ray_pool
+    from pfdist.pools import ray_pool, ray_worker
 
     monkeypatch.setattr(ray_pool, "STILL_SECONDS", 1.0)
     who = _made("import os, time\ndef function(work): time.sleep(0.05); return os.getpid()")
@@ -304,7 +305,7 @@ def test_workers_that_stood_still_with_everything_else_are_kept(
         workers = {next(run).value for _ in range(10)}
         for worker in workers:
             os.kill(worker, signal.SIGSTOP)
-        time.sleep(3 * ray_pool.PATIENCE_SECONDS)
+        time.sleep(3 * ray_worker.PATIENCE_SECONDS)
         for worker in workers:  # they wake up a moment after this process
             threading.Timer(0.3, os.kill, [worker, signal.SIGCONT]).start()
         rest = [outcome.value for outcome in run]

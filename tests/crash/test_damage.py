@@ -45,8 +45,6 @@ def _small_files() -> Iterator[None]:
         patch.setattr(first_draws, "REPEATED", 10)
         patch.setitem(parquet.ROWS_IN_A_FILE, "comparison", 50)
         patch.setitem(parquet.ROWS_IN_A_FILE, "draws", 100)
-        patch.setattr("pfdist.api.run.draw_figures", lambda run: [])
-        patch.setattr("pfdist.api.run.figure_files", lambda run: [])
         yield
 
 
@@ -118,7 +116,7 @@ def _committed_without(file: Path) -> int:
 def _run_again(job: Job, run: Path) -> list[str]:
     """Go on with a run; give what it said of its files."""
     said: list[str] = []
-    pfdist.run(job, run, say=said.append)
+    pfdist.run(job, run, say=said.append, figures=False)
     return [line for line in said if "ready" not in line]
 
 
@@ -356,7 +354,7 @@ def test_a_damaged_job_grows_all_the_same_and_does_not_shrink(
     job: Job, runs: dict[str, Path], tmp_path: Path, record_property: Record
 ) -> None:
     larger, fewer = (job.with_changes([f"comparison.draws={draws}"]) for draws in (170, 100))
-    at_once = pfdist.run(larger, tmp_path / "at once")
+    at_once = pfdist.run(larger, tmp_path / "at once", figures=False)
     run = shutil.copytree(runs["finished"], tmp_path / "run")
     _flip(run / "job.toml", 3)
     before = _tree(run)

@@ -48,13 +48,13 @@ def _fresh(job: Job, path: Path) -> Job:
 
 
 def _grown(job: Job, path: Path) -> Job:
-    pfdist.run(job, path)
+    pfdist.run(job, path, figures=False)
     return job.with_changes(["comparison.draws=110"])
 
 
 def _damaged(job: Job, path: Path) -> Job:
     """A finished run with a bit flipped, a file deleted, and an entry of its manifest gone."""
-    pfdist.run(job, path)
+    pfdist.run(job, path, figures=False)
     first, second = sorted((path / "tables" / "draws").glob("genetic-*"))[:2]
     first.write_bytes(bytes([first.read_bytes()[0] ^ 1]) + first.read_bytes()[1:])
     second.unlink()
@@ -63,7 +63,6 @@ def _damaged(job: Job, path: Path) -> Job:
     return job
 
 
-@pytest.mark.usefixtures("no_figures")
 @pytest.mark.parametrize("step", [29, pytest.param(1, marks=pytest.mark.crash)])
 @pytest.mark.parametrize("fault", FAULTS)
 @pytest.mark.parametrize("begin", [_fresh, _grown, _damaged])
@@ -93,7 +92,7 @@ def test_a_run_that_goes_wrong_at_any_file_operation_ends_with_the_same_bytes(
         if (path / "run.json").exists() and begin is not _damaged:
             pfdist.open_run(path).summary()  # whoever asks how far it is gets an answer
         counted.clear()
-        pfdist.run(job, path, say=said.append)
+        pfdist.run(job, path, say=said.append, figures=False)
         assert hashes(path) == whole, where
         assert committed is None or sum(counted) == needed - committed, where
         assert not list(path.glob("parts/**/*.parquet")), where
@@ -117,7 +116,7 @@ def test_a_figure_is_there_whole_or_not_at_all(
     record_property: Callable[[str, object], None],
 ) -> None:
     monkeypatch.setattr(Figure, "savefig", lambda figure, path, **options: path.write_text("it"))
-    run = pfdist.run(small_job.with_changes(CHANGES), tmp_path / "run")
+    run = pfdist.run(small_job.with_changes(CHANGES), tmp_path / "run", figures=False)
     again = partial(pfdist.run, small_job.with_changes(CHANGES), run.path)
     shutil.rmtree(run.path / "figures")
     count = layer.run(again)

@@ -73,7 +73,7 @@ Make = Callable[..., list[str]]
 
 @pytest.fixture
 def command(small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Make:
-    """What runs a job whose model has a fault, in one draw of the comparison or in all."""
+    """Make the command that runs a job whose model has a fault, in one draw or in all."""
 
     for few in ("TRAJECTORIES", "REPEATED"):
         monkeypatch.setattr(first_draws, few, 10)  # the fault is in none of these
@@ -171,9 +171,9 @@ def test_a_draw_that_never_ends_fails(
     monkeypatch: pytest.MonkeyPatch,
     record_property: Record,
 ) -> None:
-    from pfdist.pools import ray_pool
+    from pfdist.pools import ray_pool, ray_worker
 
-    monkeypatch.setattr(ray_pool, "PATIENCE_SECONDS", 3.0)
+    monkeypatch.setattr(ray_worker, "PATIENCE_SECONDS", 3.0)
     options = ["--set", "execution.failures=1", "--pool", "ray"]
     assert main(command(LOOP, tmp_path / "run", *options)) == 1
     errors = _failures(tmp_path / "run")

@@ -17,7 +17,7 @@ from pfdist.cli.main import main
 from pfdist.errors import StoreError
 from pfdist.store import Store, files, schema
 
-pytestmark = [pytest.mark.fault, pytest.mark.usefixtures("no_figures")]
+pytestmark = pytest.mark.fault
 PROMISE = "damage is found"
 Record = Callable[[str, object], None]
 SMALL = ["search.genetic.generations=2", "search.random.evaluations=3", "comparison.draws=120"]
@@ -34,7 +34,7 @@ def job(tmp_path_factory: pytest.TempPathFactory) -> Job:
 
 @pytest.fixture(scope="module")
 def finished(job: Job, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return pfdist.run(job, tmp_path_factory.mktemp("runs") / "finished").path
+    return pfdist.run(job, tmp_path_factory.mktemp("runs") / "finished", figures=False).path
 
 
 @pytest.fixture
@@ -135,7 +135,7 @@ def test_repair_moves_a_link_and_the_run_goes_on(
     before = _state(outside)
     assert main(["repair", str(run)]) == 0
     assert (run / "quarantine" / entry).is_symlink()
-    assert _tables(pfdist.run(job, run).path) == _tables(finished)
+    assert _tables(pfdist.run(job, run, figures=False).path) == _tables(finished)
     assert _state(outside) == before
     record_property("faults", f"{PROMISE}: 1")
 
@@ -158,7 +158,7 @@ def test_what_is_no_file_in_a_files_place_is_named_and_moved(
     assert main(["repair", str(run)]) == 0
     assert f"{place}/x.parquet is" in capsys.readouterr().out
     assert main(["verify", str(run)]) == 0
-    assert _tables(pfdist.run(job, run).path) == _tables(finished)
+    assert _tables(pfdist.run(job, run, figures=False).path) == _tables(finished)
     record_property("faults", f"{PROMISE}: 1")
 
 
@@ -201,7 +201,7 @@ def test_the_folders_above_a_new_run_are_flushed_to_disk(
         flush(path, mode)
 
     monkeypatch.setattr(files, "_flush", noted)
-    pfdist.run(job, tmp_path / "results" / "new")
+    pfdist.run(job, tmp_path / "results" / "new", figures=False)
     assert {tmp_path, tmp_path / "results", tmp_path / "results" / "new"} <= set(flushed)
 
 

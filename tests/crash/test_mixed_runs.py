@@ -31,8 +31,6 @@ def _many_commits() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(collect, "COMMIT_SECONDS", 0.0)
         patch.setattr(Pace, "size", lambda pace, remaining: 90 * A_DRAW)
-        patch.setattr("pfdist.api.run.draw_figures", lambda run: [])
-        patch.setattr("pfdist.api.run.figure_files", lambda run: [])
         yield
 
 
@@ -56,9 +54,13 @@ def runs(job: Job, tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[int, 
         for state, last_phase in (("searching", "genetic"), ("comparing", "comparison")):
             found[seed, state] = folder / f"{seed}-{state}"
             with pytest.raises(EndedError):
-                pfdist.run(seeded, found[seed, state], report=partial(_end_in, last_phase))
+                pfdist.run(
+                    seeded, found[seed, state], report=partial(_end_in, last_phase), figures=False
+                )
             assert pfdist.open_run(found[seed, state]).state == state
-        found[seed, "finished"] = pfdist.run(seeded, folder / f"{seed}-finished").path
+        found[seed, "finished"] = pfdist.run(
+            seeded, folder / f"{seed}-finished", figures=False
+        ).path
     return found
 
 
@@ -99,7 +101,7 @@ def test_rows_of_another_run_are_named_put_aside_and_computed(
     named = {damage.path: damage.what for damage in verify_run(run)}
     assert named == dict.fromkeys(foreign, "belongs to another run")
     said: list[str] = []
-    pfdist.run(job, run, say=said.append)
+    pfdist.run(job, run, say=said.append, figures=False)
     moved = [line for line in said if "belongs to another run: it is now" in line]
     assert len(moved) == len(foreign)
     assert hashes(run) == hashes(runs[1, "finished"])
@@ -167,7 +169,7 @@ def test_two_runs_in_one_folder_are_told_apart_by_job_and_model(
     assert f"it holds {run_key(runs[1, state])} now" in said[0]
     assert [line for line in said if "belongs to another run" in line]
     for folder in (run, again):
-        pfdist.run(job, folder)
+        pfdist.run(job, folder, figures=False)
         assert hashes(folder) == hashes(runs[1, "finished"])
         assert not list(verify_run(folder))
     record_property("faults", f"{PROMISE}: 2")
@@ -187,7 +189,7 @@ def test_where_nothing_says_whose_files_they_are_repair_moves_them_all(
     assert "do not say which is the run's own" in said[0]
     assert not list(run.glob("tables/*/*.parquet"))
     assert all((run / "quarantine" / file).exists() for file in files)
-    pfdist.run(job, run)  # either job goes on from there
+    pfdist.run(job, run, figures=False)  # either job goes on from there
     assert hashes(run) == hashes(runs[1, "finished"])
     assert not list(verify_run(run))
     record_property("faults", f"{PROMISE}: 1")
@@ -226,7 +228,7 @@ def test_a_run_that_is_started_from_another_signs_what_it_takes(
     job: Job, runs: dict[tuple[int, str], Path], tmp_path: Path
 ) -> None:
     longer = job.with_changes(["search.random.evaluations=12"])
-    forked = pfdist.run(longer, runs[1, "finished"], fork=tmp_path / "new")
+    forked = pfdist.run(longer, runs[1, "finished"], fork=tmp_path / "new", figures=False)
     assert not list(verify_run(forked.path))
-    assert hashes(forked.path) == hashes(pfdist.run(longer, tmp_path / "alone").path)
+    assert hashes(forked.path) == hashes(pfdist.run(longer, tmp_path / "alone", figures=False).path)
     assert len(Store(forked.path).read("draws")) == len(pfdist.open_run(forked.path).draws())

@@ -44,7 +44,6 @@ sys.exit(main(sys.argv[1:]))
 
 
 @pytest.mark.fault
-@pytest.mark.usefixtures("no_figures")
 def test_the_second_ctrl_c_ends_at_once_what_the_first_cannot(
     small_job: Job, tmp_path: Path, record_property: Record
 ) -> None:
@@ -66,7 +65,7 @@ def test_the_second_ctrl_c_ends_at_once_what_the_first_cannot(
         assert process.poll() is None
         process.send_signal(signal.SIGINT)
         assert process.wait(2.0) == 130
-    runs = [pfdist.run(small_job, tmp_path / name) for name in ("run", "whole")]
+    runs = [pfdist.run(small_job, tmp_path / name, figures=False) for name in ("run", "whole")]
     assert hashes(runs[0].path) == hashes(runs[1].path)
     record_property("faults", f"{ASKED}: 2")
 

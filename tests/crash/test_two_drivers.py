@@ -30,14 +30,12 @@ def report(progress):
     if progress.phase == "comparison" and progress.evaluations:
         print("comparing", flush=True)
         time.sleep(600)
-pfdist.run(sys.argv[1], sys.argv[2], report=report)
+pfdist.run(sys.argv[1], sys.argv[2], report=report, figures=False)
 """
 # A file system without locks, that takes its time; and as many commits as there are tasks.
 WITHOUT_LOCKS = """
 import errno, fcntl, random, sys, time, pfdist
 from pfdist.runner import collect, pace
-from pfdist.api import run
-run.draw_figures = run.figure_files = lambda run: []
 from pfdist.store import files
 def no_locks(*_):
     raise OSError(errno.ENOLCK, "No locks available")
@@ -48,7 +46,7 @@ def slow(path, mode):
     time.sleep(chance.random() * 0.01)
 files._flush = slow
 collect.COMMIT_SECONDS, pace.Pace.size = 0.0, lambda pace, remaining: 60 * 520
-pfdist.run(sys.argv[1], sys.argv[2])
+pfdist.run(sys.argv[1], sys.argv[2], figures=False)
 """
 
 
@@ -104,12 +102,12 @@ def test_after_kill_9_the_second_driver_starts_without_hand_work(
     tmp_path: Path,
     record_property: Callable[[str, object], None],
 ) -> None:
-    whole = pfdist.run(small_job, tmp_path / "whole")
+    whole = pfdist.run(small_job, tmp_path / "whole", figures=False)
     with pytest.raises(StoreError, match="is being computed by"):
-        pfdist.run(small_job, tmp_path / "run")
+        pfdist.run(small_job, tmp_path / "run", figures=False)
     os.kill(first.pid, signal.SIGKILL)
     assert first.wait(PATIENCE_SECONDS) == -signal.SIGKILL
-    pfdist.run(small_job, tmp_path / "run")
+    pfdist.run(small_job, tmp_path / "run", figures=False)
     assert hashes(tmp_path / "run") == hashes(whole.path)
     record_property("faults", f"{PROMISE}: 2")
 
@@ -121,7 +119,7 @@ def test_three_drivers_that_nobody_refuses_end_with_the_same_bytes(
     tmp_path: Path,
     record_property: Callable[[str, object], None],
 ) -> None:
-    whole = hashes(pfdist.run(small_job, tmp_path / "whole").path)
+    whole = hashes(pfdist.run(small_job, tmp_path / "whole", figures=False).path)
     for number in range(times):
         run = tmp_path / f"{number}"
         drivers = [_start(WITHOUT_LOCKS, small_job.path, run, 3 * number + k) for k in range(3)]

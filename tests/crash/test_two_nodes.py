@@ -17,7 +17,6 @@ from crash.runs import family, until
 from oracles.bytes_of import hashes
 from pfdist.pools.processes import end
 
-pytestmark = pytest.mark.usefixtures("no_figures")
 _ENVIRONMENT = {
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_AUTH_MODE": "token",
@@ -59,7 +58,6 @@ import pfdist
 job, run, address, model = sys.argv[1:]
 nodes = set()
 program = importlib.import_module("pfdist.api.run")
-program.draw_figures = program.figure_files = lambda run: []
 make_pool = program.make_pool
 
 
@@ -77,7 +75,7 @@ def say(line):
         nodes.update(actor["Address"]["NodeID"] for actor in actors if actor["State"] == "ALIVE")
 
 
-done = pfdist.run(job, run, pool="ray", workers=2, address=address, say=say)
+done = pfdist.run(job, run, pool="ray", workers=2, address=address, say=say, figures=False)
 print(len(nodes), done.timings()["worker"].nunique(), done.timings()["error"].isna().all())
 """
 
@@ -144,7 +142,7 @@ def test_helper_modules_and_data_files_arrive_on_nodes_that_lack_them(tmp_path: 
     small = (Path(__file__).parents[1] / "small.toml").read_text()
     job = tmp_path / "job.toml"
     job.write_text(f'{small}\n[model]\nname = "model/mine.py:model"\n'.replace("250", "60000"))
-    whole = pfdist.run(job, tmp_path / "whole", pool="serial")
+    whole = pfdist.run(job, tmp_path / "whole", pool="serial", figures=False)
     with _two_nodes(tmp_path) as address:
         arguments = [str(job), str(tmp_path / "run"), address, str(model)]
         done = subprocess.run(

@@ -83,7 +83,7 @@ def _is_comparing(driver: Running) -> bool:
 
 
 @pytest.mark.fault
-@pytest.mark.usefixtures("no_figures", "ray_cluster")
+@pytest.mark.usefixtures("ray_cluster")
 def test_a_worker_that_is_killed_in_each_phase_makes_no_difference(
     small_job: Job, tmp_path: Path, record_property: Record
 ) -> None:
@@ -96,9 +96,11 @@ def test_a_worker_that_is_killed_in_each_phase_makes_no_difference(
             os.kill(workers[0].pid, signal.SIGKILL)
 
     job = small_job.with_changes(["comparison.draws=20000"])
-    run = pfdist.run(job, tmp_path / "run", pool="ray", workers=2, report=kill)
+    run = pfdist.run(job, tmp_path / "run", pool="ray", workers=2, report=kill, figures=False)
     assert set(killed) == {"genetic", "random", "comparison"}
-    assert hashes(run.path) == hashes(pfdist.run(job, tmp_path / "whole", pool="serial").path)
+    assert hashes(run.path) == hashes(
+        pfdist.run(job, tmp_path / "whole", pool="serial", figures=False).path
+    )
     record_property("faults", f"{DIES}: {len(killed)}")
 
 

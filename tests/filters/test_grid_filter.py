@@ -40,7 +40,7 @@ def assert_zero(values: Array) -> None:  # the mean of one value a draw, within 
 
 
 def median_bounds(values: Array) -> Array:
-    """What the median over the draws lies between, at 4.5 standard errors of its rank."""
+    """Give bounds of the median over the draws, at 4.5 standard errors of its rank."""
     beyond = 4.5 * 0.5 / np.sqrt(len(values))
     return np.quantile(values, [0.5 - beyond, 0.5 + beyond], axis=0)
 
@@ -52,8 +52,8 @@ def test_on_a_linear_gaussian_model_it_is_the_kalman_filter(times: tuple[int, ..
     mean, variance = grid_filter(model, draws, times, POINTS)
     exact = [kalman_filter(SCALAR, y, times) for y in draws.y]
     # The error is what lies beyond the grid's ends, where no measurement narrows the density.
-    np.testing.assert_allclose(mean, [one[:, 0] for one, _ in exact], atol=1e-5)
-    np.testing.assert_allclose(variance, [one[:, 0] for _, one in exact], rtol=1e-5)
+    np.testing.assert_allclose(mean, [means[:, 0] for means, _ in exact], atol=1e-5)
+    np.testing.assert_allclose(variance, [variances[:, 0] for _, variances in exact], rtol=1e-5)
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -39,17 +39,17 @@ Array = np.ndarray
 
 def relative_bias(estimator: str, times: Times, particles: int, draws: int) -> tuple[float, float]:
     """Mean of the paired difference to the squared error, of whose mean; and its standard error."""
-    of = simulate(UNGM, 60, range(draws), 11)
+    drawn = simulate(UNGM, 60, range(draws), 11)
     error, estimate = (
-        filter_sets(UNGM, of, [times], particles, 12, estimator=one)[:, 0]
-        for one in ("squared_error", estimator)
+        filter_sets(UNGM, drawn, [times], particles, 12, estimator=name)[:, 0]
+        for name in ("squared_error", estimator)
     )
     apart = (estimate - error) / error.mean()
     return float(apart.mean()), float(apart.std() / math.sqrt(draws))
 
 
 def test_two_filters_estimate_the_squared_error_without_bias() -> None:
-    # What is left is of order 1/P^2. Without the distance of the means it would be twice what 200
+    # The bias is of order 1/P^2. Without the distance of the means it would be twice what 200
     # particles lose against the exact filter: by REFERENCE 2 * 0.56 % * 500 / 200 = 2.8 %.
     bias, standard_error = relative_bias("two_filters", regular(60, 21), 200, 12_000)
     assert standard_error < 0.0035
@@ -60,12 +60,12 @@ def test_the_variance_of_one_filter_is_too_small_by_a_known_bias() -> None:
     # REFERENCE: -13 % at 50 particles, given to a percent.
     bias, standard_error = relative_bias("filter_variance", regular(60, 21), 50, 12_000)
     assert abs(bias + 0.13) < 3 * standard_error + 0.005
-    # Of order 1/P, it would be -1.3 % at 500; REFERENCE has -1.5 %, again to its last digit.
+    # A bias of order 1/P would be -1.3 % at 500; REFERENCE has -1.5 %, again to its last digit.
     bias, standard_error = relative_bias("filter_variance", regular(60, 21), 500, 4000)
     assert abs(bias + 0.015) < 3 * standard_error + 0.0005
 
 
-# Of P independent particles the mean has the variance V / P, and their own variance the mean
+# The mean of P independent particles has the variance V / P, and their variance has the mean
 # V - V / P: so the estimates of V, without a measurement, have the mean V (1 + c / P).
 BLIND = {"squared_error": 1.0, "filter_variance": -1.0, "two_filters": 1.0}
 
@@ -77,9 +77,9 @@ def test_of_a_linear_gaussian_model_the_mean_is_the_riccati_cost(estimator: str)
     sets = [(), (2,), (0, 3, 5), tuple(range(7))]
     exact = np.array([riccati_cost(TRACKING, horizon, times) for times in sets])
     model = TRACKING.as_model()
-    of = simulate(model, horizon, range(draws), 1)
+    drawn = simulate(model, horizon, range(draws), 1)
     found, fewer = (
-        filter_sets(model, of, sets, count, 2, "systematic", estimator=estimator)
+        filter_sets(model, drawn, sets, count, 2, "systematic", estimator=estimator)
         for count in (particles, particles // 2)
     )
     limit = 4 * found.std(axis=0) / math.sqrt(draws)
@@ -111,7 +111,7 @@ def by_hand(draws: Draws, times: Times, end: int, estimator: str) -> Array:
 def test_only_instants_up_to_the_end_count(estimator: str) -> None:
     draws = simulate(UNGM, HORIZON, range(5), 3)
     found = filter_sets(UNGM, draws, SETS, 70, 9, ends=ENDS, estimator=estimator)
-    # What is measured later changes nothing before.
+    # A later measurement changes nothing before.
     expected = [
         by_hand(draws, times, end, estimator) for times, end in zip(SETS, ENDS, strict=True)
     ]
@@ -208,17 +208,17 @@ def test_the_squared_error_alone_is_always_allowed(engine: str) -> None:
 @others
 def test_of_an_exact_engine_every_estimate_is_exact(estimator: str) -> None:
     problem = Problem(load_model("random_walk"), HORIZON, engine="kalman")
-    by = Estimation(1, "sorted_systematic", estimator)
-    problem.check(by)
+    estimation = Estimation(1, "sorted_systematic", estimator)
+    problem.check(estimation)
     sets: Sequence[Times] = ((0, 4, 8), (2, 9))
-    mse = problem(Work(tuple(sets), (12, 9), (1, 1), 1, (0, 3), by)).mse
+    mse = problem(Work(tuple(sets), (12, 9), (1, 1), 1, (0, 3), estimation)).mse
     np.testing.assert_allclose(mse, [problem.expected_mse(sets, (12, 9))] * 3, rtol=1e-12)
 
 
 def test_two_filters_take_the_work_of_two() -> None:
     def steps(estimator: str) -> int:
-        by = Estimation(10, estimator=estimator)
-        return Work(((1, 2), (1, 3)), (5, 5), (1, 1), 1, (0, 7), by).steps
+        estimation = Estimation(10, estimator=estimator)
+        return Work(((1, 2), (1, 3)), (5, 5), (1, 1), 1, (0, 7), estimation).steps
 
     # 6 instants and, since the first two are shared, 4 more.
     assert steps("squared_error") == steps("filter_variance") == 7 * 10 * (6 + 4)

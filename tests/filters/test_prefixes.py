@@ -78,18 +78,18 @@ def test_every_distinct_prefix_is_walked_once(with_ends: bool, seed: int) -> Non
     assert [tuple(row[:end].tolist()) for row, end in (ordered[k] for k in place)] == words
     prefixes = {word[: t + 1] for word in words for t in range(len(word))}
     assert (planned.ends - planned.begins).sum() == len(prefixes)
-    # What a set goes on from is in its place: kept by one with the same times before, and not
-    # overwritten since.
+    # The state from which a set goes on is in its place: a set with the same times before has
+    # kept it there, and no other has overwritten it.
     kept: dict[int, tuple[bool, ...]] = {}
-    for one, (row, end) in enumerate(ordered):
-        stop = begin = int(planned.begins[one])
+    for index, (row, end) in enumerate(ordered):
+        stop = begin = int(planned.begins[index])
         if begin > 0:
-            assert kept[int(planned.sources[one])] == tuple(row[:begin].tolist())
+            assert kept[int(planned.sources[index])] == tuple(row[:begin].tolist())
         while stop < end:
-            stop = int(planned.stops[one, stop])
+            stop = int(planned.stops[index, stop])
             assert begin < stop <= end
-            if planned.slots[one, stop] >= 0:
-                kept[int(planned.slots[one, stop])] = tuple(row[:stop].tolist())
+            if planned.slots[index, stop] >= 0:
+                kept[int(planned.slots[index, stop])] = tuple(row[:stop].tolist())
     assert len(kept) <= planned.clouds
 
 

@@ -108,8 +108,8 @@ def test_larger_is_the_maximum_compiled_and_plain(kind):
 @kinds
 def test_fma_and_larger_keep_the_kind(kind):
     # A float64 slipping in would halve a vector's lanes.
-    one = KINDS[kind](1.0)
-    kept = njit(lambda x: (np.array([fma(x, x, x)]), np.array([larger(x, x)])))(one)
+    unit = KINDS[kind](1.0)
+    kept = njit(lambda x: (np.array([fma(x, x, x)]), np.array([larger(x, x)])))(unit)
     assert [array.dtype for array in kept] == [np.dtype(kind)] * 2
 
 

@@ -67,7 +67,7 @@ def test_entry_c_of_the_tuple_is_the_expression_with_c_in_it(components, any_ord
 
 
 def test_nan_and_infinity_are_told_apart_where_additions_may_be_in_any_order():
-    # Of what may be assumed of floats, the order alone.
+    # Additions may change their order; nothing else may be assumed of floats.
     known = tuple_of(1, "a, b", "a[c] + (b[c] if b[c] == b[c] else 0.0)", any_order=True)
     finite = tuple_of(1, "a, b", "a[c] + (b[c] if abs(b[c]) < 1e999 else 0.0)", any_order=True)
     values = (2.0,), (np.inf,), (np.nan,)

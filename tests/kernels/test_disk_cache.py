@@ -228,8 +228,8 @@ def models(tmp_path):
             cwd=tmp_path, env=environment, capture_output=True, text=True, check=True,
         )  # fmt: skip
         told = json.loads(finished.stdout)
-        for one in told:
-            assert one["fast"] == pytest.approx(one["slow"], rel=1e-12)
+        for answer in told:
+            assert answer["fast"] == pytest.approx(answer["slow"], rel=1e-12)
         return told
 
     (tmp_path / "mine.py").write_text(MODEL)
@@ -241,7 +241,7 @@ def models(tmp_path):
 def test_another_process_loads_what_one_compiled_and_never_for_an_edited_model(models, tmp_path):
     (first,) = models("mine.py")
     other, second = models("other.py", "mine.py", hash_seed="2")  # beside another model's code
-    assert [one.pop("compiled") for one in (first, other, second)] == [True, True, False]
+    assert [answer.pop("compiled") for answer in (first, other, second)] == [True, True, False]
     assert first == second
     figures = [first["fast"], other["fast"]]
     for name, old, new in EDITS:

@@ -62,7 +62,7 @@ def uniform(low, high):
 
 
 def magnitudes(low, high):
-    """Of both signs, from 10^low to 10^high."""
+    """Give numbers of both signs, from 10^low to 10^high."""
     return 10.0 ** uniform(low, high) * RNG.choice([-1, 1], COUNT)
 
 
@@ -99,10 +99,10 @@ def test_a_function_is_within_its_ulps(name):
 
 def pi_from_integers(bits):
     """2^bits pi, rounded down in its last few bits (Machin: 16 arctan 1/5 - 4 arctan 1/239)."""
-    one = 1 << (bits + 32)
+    unit = 1 << (bits + 32)
 
     def arctan_of_inverse(n):
-        powers = ((-1) ** k * one // (n ** (2 * k + 1) * (2 * k + 1)) for k in range(bits))
+        powers = ((-1) ** k * unit // (n ** (2 * k + 1) * (2 * k + 1)) for k in range(bits))
         return sum(powers)
 
     return (16 * arctan_of_inverse(5) - 4 * arctan_of_inverse(239)) >> 32

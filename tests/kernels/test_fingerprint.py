@@ -1,4 +1,4 @@
-"""What the cache on disk takes a function for: two that differ are never taken for one."""
+"""The fingerprints of functions in the cache on disk: two that differ are never taken for one."""
 
 import functools
 import math
@@ -30,7 +30,7 @@ USE = made("def f(m): return m.C")
 
 
 @pytest.mark.parametrize(
-    ("one", "other"),
+    ("first", "other"),
     [
         ("def f(x): return 2 * x", "def f(x): return 2 + x"),
         ("def f(x): return 2.0 * x", "def f(x): return 3.0 * x"),
@@ -53,12 +53,12 @@ USE = made("def f(m): return m.C")
         *("an attribute", "a function inside", "a closure's value"),
     ],
 )
-def test_functions_of_different_source_differ(one, other):
-    assert fingerprint(made(one)) != fingerprint(made(other))
+def test_functions_of_different_source_differ(first, other):
+    assert fingerprint(made(first)) != fingerprint(made(other))
 
 
 @pytest.mark.parametrize(
-    ("expression", "one", "other"),
+    ("expression", "first", "other"),
     [
         ("C * x", {"C": 2.0}, {"C": 3.0}),
         ("C * x - D", {"C": 2.0, "D": 1.0}, {"C": 1.0, "D": 2.0}),
@@ -107,18 +107,18 @@ def test_functions_of_different_source_differ(one, other):
         *("a named tuple's names", "a function of a model that ships"),
     ],
 )
-def test_functions_that_see_something_else_differ(expression, one, other):
+def test_functions_that_see_something_else_differ(expression, first, other):
     source = f"def f(x): return {expression}"
-    assert fingerprint(made(source, **one)) != fingerprint(made(source, **other))
+    assert fingerprint(made(source, **first)) != fingerprint(made(source, **other))
 
 
 def test_what_a_function_does_not_use_makes_no_difference():
     source = "# {}\nk = 1.5\ndef f(x):\n def g(y): return C[0] * y + k\n return g(m.D * x)"
-    one, other = (
+    first, other = (
         made(source.format(i), C=np.array([2.0]), m=module_of(D=1.0, E=i), unused=object())
         for i in range(2)
     )
-    assert fingerprint(one) == fingerprint(other)
+    assert fingerprint(first) == fingerprint(other)
 
 
 def test_values_one_by_one_and_together_differ():
@@ -126,20 +126,20 @@ def test_values_one_by_one_and_together_differ():
 
 
 def test_a_function_that_calls_itself_has_a_fingerprint():
-    one, other = (made(f"def f(n): return {k} if n < 1 else n * f(n - 1)") for k in (1.0, 2.0))
-    assert fingerprint(one) != fingerprint(other)
+    first, other = (made(f"def f(n): return {k} if n < 1 else n * f(n - 1)") for k in (1.0, 2.0))
+    assert fingerprint(first) != fingerprint(other)
 
 
 def test_functions_that_call_each_other_have_fingerprints():
     source = "def f(n): return n < 1 or g(n - 1)\ndef g(n): return n > {} and f(n - 1)"
-    one, again, other = (fingerprint(made(source.format(k))) for k in (1, 1, 2))
-    assert one == again != other
+    first, again, other = (fingerprint(made(source.format(k))) for k in (1, 1, 2))
+    assert first == again != other
 
 
 def cyclic():
-    one, other = module_of("one", C=1.0), module_of("other", D=1.0)
-    one.other, other.one = other, one
-    return made("def f(x): return one.C * x + other.D", one=one, other=other)
+    first, other = module_of("first", C=1.0), module_of("other", D=1.0)
+    first.other, other.first = other, first
+    return made("def f(x): return first.C * x + other.D", first=first, other=other)
 
 
 def not_yet_defined():
@@ -186,10 +186,10 @@ def test_modules_that_import_each_other_have_fingerprints():
 
 
 def test_a_decorator_that_copies_a_name_hides_nothing():
-    def scaled(by):
+    def scaled(factor):
         @functools.wraps(math.sin)
         def f(x):
-            return by * x
+            return factor * x
 
         return f
 

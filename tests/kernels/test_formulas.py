@@ -1,4 +1,4 @@
-"""What a model's author may write in a formula, and what the author is told of what may not be."""
+"""Check what a model's author may write in a formula, and what the author is told otherwise."""
 
 import inspect
 import math
@@ -129,7 +129,7 @@ def divided(a, b):
 
 
 def test_infinity_and_nan_are_numbers_to_a_formula():
-    # Of what may be assumed of floats, not that these do not occur.
+    # The compiler may not assume that these do not occur.
     finite = formula(lambda x: where(abs(x) < math.inf, 1.0, 0.0))
     assert [finite(x) for x in (1.0, math.inf, -math.inf, math.nan)] == [1, 0, 0, 0]
     assert formula(lambda x: x != x)(math.nan)  # noqa: PLR0124

@@ -121,7 +121,7 @@ def test_moments_are_those_of_the_distribution(kind):
     # Standard errors of mean and variance, by the central moments 2 and 4; 5 of them.
     assert abs(values.mean() - mean) < 5 * np.sqrt(variance / n)
     assert abs(values.var() - variance) < 5 * variance * np.sqrt((kurtosis + 2) / n)
-    # Of the mean of the standardised cubes, by the moments 6 and 3.
+    # The same for the mean of the standardised cubes, by the moments 6 and 3.
     cubes = (values - mean) ** 3 / variance**1.5
     sixth = {"normal": 15, "uniform": 27 / 7, "exponential": 265}[kind]
     assert abs(cubes.mean() - skewness) < 5 * np.sqrt((sixth - skewness**2) / n)

@@ -1,4 +1,4 @@
-"""What a model means: all that its formulas reach, and nothing else."""
+"""The meaning of a model: all that its formulas reach, and nothing else."""
 
 import importlib
 import itertools

@@ -62,7 +62,7 @@ def write(tmp_path: Path) -> Write:
 
 
 def moved(source: ModelSource) -> Any:
-    """What the model makes of x = 2."""
+    """Give the state to which the model takes x = 2."""
     model = source.load()
     return model.transition((2.0,), 0, (0.0,), model.p)[0]
 

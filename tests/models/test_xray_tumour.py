@@ -34,7 +34,7 @@ def exact_step(damping, step):
 
 
 def generators(damping, step):
-    """What the exponentials are of: the drift, and the drift and the noise in one block."""
+    """Give the matrices in the exponentials: the drift, and drift and noise in one block."""
     drift = np.kron([[0, 1], [-(PACE**2), -2 * damping * PACE]], np.eye(3))
     noise = np.kron(np.diag([0, 4 * damping * PACE**3]), np.diag(SD**2))
     return step * drift, step * np.block([[-drift, noise], [np.zeros((6, 6)), drift.T]])

@@ -1,4 +1,4 @@
-"""What of a run must not depend on how it was computed."""
+"""The part of a run that must not depend on how it was computed."""
 
 import hashlib
 from pathlib import Path

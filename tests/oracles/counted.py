@@ -1,4 +1,4 @@
-"""What was computed, and what is committed: together all that a run needs, and nothing twice."""
+"""Count what was computed and committed: together all that a run needs, and nothing twice."""
 
 from collections.abc import Iterator
 from pathlib import Path

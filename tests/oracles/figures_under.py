@@ -1,4 +1,4 @@
-"""What NumPy and its linear algebra compute, in a process with the kernels of a processor."""
+"""Print what NumPy and its linear algebra compute, in a process with the kernels of a processor."""
 
 import json
 import os

@@ -24,7 +24,7 @@ class FileLayer:
     ----------
     monkeypatch : pytest.MonkeyPatch
     folder : Path
-        What is done elsewhere, as in the cache of compiled code, goes its way.
+        Files elsewhere, such as the cache of compiled code, are left alone.
     """
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
@@ -41,7 +41,7 @@ class FileLayer:
         ):
             operation = getattr(place, name)
             monkeypatch.setattr(place, name, self._counted(operation, needs_space))
-        # What a flush does is for the disk; here it can only go wrong, and takes no time.
+        # A flush serves the disk; here it can only go wrong, and takes no time.
         monkeypatch.setattr(files, "_flush", self._counted(lambda path, mode: None, True))
 
     def run(self, act: Callable[[], Any], fault: str | None = None, at: int = -1) -> int:

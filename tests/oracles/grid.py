@@ -54,7 +54,7 @@ def grid_filter(
 
 
 def _mean_and_deviation(formula) -> tuple[Array, float]:
-    """What a formula that is affine in its one noise adds it to, and times what."""
+    """Give the mean and the factor of the noise of a formula that is affine in its noise."""
     mean, plus_one, minus_one = formula(0.0), formula(1.0), formula(-1.0)
     sd = np.ravel(plus_one - mean)[0]
     if not (sd > 0 and np.allclose(plus_one - mean, sd) and np.allclose(mean - minus_one, sd)):

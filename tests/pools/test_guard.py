@@ -1,4 +1,4 @@
-"""What a command starts ends with the command, whatever ends the command."""
+"""All that a command starts ends with the command, whatever ends the command."""
 
 import os
 import secrets
@@ -90,6 +90,28 @@ def test_nothing_outlives_a_command_that_is_killed(
         assert driver.wait() == -number
     _until(lambda: not marked("PFDIST_TEST", value))
     record_property("faults", "nothing hangs: 1")
+
+
+def test_a_process_that_lost_mark_and_parent_ends_with_its_command() -> None:
+    """Ray's agents do, when the kernel ends their server together with the command."""
+    value = secrets.token_hex(8)
+    agent = "import subprocess; subprocess.run(['sleep', '60'], env={'PFDIST_TEST': 'VALUE'})"
+    server = f"""
+        with guard.watching():
+            server = subprocess.Popen([sys.executable, "-c", {agent.replace("VALUE", value)!r}])
+            time.sleep(2.0)
+        server.kill()
+"""
+    start, rest = DRIVER.split("        with guard.watching():\n")
+    driver = f"{start}{server.lstrip(chr(10))}{rest[rest.index('        print') :]}"
+    with subprocess.Popen(
+        [sys.executable, "-c", f"{driver}\nmain()"], stdout=subprocess.PIPE
+    ) as started:
+        assert started.stdout is not None
+        assert started.stdout.readline() == b"started\n"
+        (lost,) = marked("PFDIST_TEST", value)
+        started.kill()
+    _until(lambda: not lost.is_running())
 
 
 def test_a_module_is_not_looked_for_in_the_working_directory(

@@ -42,7 +42,9 @@ def test_nobody_else_can_enter_the_folder_of_a_clusters_sockets(ray_cluster: Non
     from pfdist.pools.ray_cluster import ray
 
     folder = Path(ray._private.worker._global_node.get_session_dir_path())
-    private = next(one for one in folder.parents if one.name == f"pfdist-ray-{os.getuid()}")
+    private = next(
+        parent for parent in folder.parents if parent.name == f"pfdist-ray-{os.getuid()}"
+    )
     assert stat.S_IMODE(private.stat().st_mode) == 0o700
     assert private.stat().st_uid == os.getuid()
 

@@ -159,7 +159,7 @@ def test_searches_estimate_as_they_like_and_the_comparison_by_the_squared_error(
     )
     regular = [run.comparison()["mse_regular"] for run in (paper, other)]
     np.testing.assert_array_equal(*regular)
-    # Of the same draws, the truth's own chance is gone.
+    # On the same draws, two filters leave out the truth's own chance.
     first, second = (run.evaluations()["standard_error"].mean() for run in (paper, other))
     assert second < 0.8 * first
     ids = [set(run.evaluations()["evaluation"]) for run in (paper, other)]

@@ -24,7 +24,7 @@ BLOCK, MOST = 50, 430
 
 
 @pytest.fixture(autouse=True)
-def _small_blocks(monkeypatch: pytest.MonkeyPatch, no_figures: None) -> None:
+def _small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     for module in ("analysis.stored_run", "runner.comparison_phase", "runner.interim"):
         monkeypatch.setattr(f"pfdist.{module}.BLOCK", BLOCK)
     monkeypatch.setattr(Pace, "size", lambda pace, remaining: BLOCK * SETS * A_DRAW)
@@ -32,7 +32,9 @@ def _small_blocks(monkeypatch: pytest.MonkeyPatch, no_figures: None) -> None:
 
 @pytest.fixture
 def all_draws(small_job: Job, tmp_path: Path) -> pfdist.Run:
-    return pfdist.run(small_job.with_changes([f"comparison.draws={MOST}"]), tmp_path / "all")
+    return pfdist.run(
+        small_job.with_changes([f"comparison.draws={MOST}"]), tmp_path / "all", figures=False
+    )
 
 
 def _half_widths(run: pfdist.Run) -> dict[int, float]:
@@ -57,10 +59,13 @@ def test_a_comparison_stops_at_the_first_block_after_which_it_is_narrow_enough(
     for wanted in (150, 300, MOST):
         half_width = widths[wanted] * (1 + 1e-9)
         first = min(draws for draws, width in widths.items() if width <= half_width)
-        run = pfdist.run(_until(small_job, half_width), tmp_path / f"{wanted}")
+        run = pfdist.run(_until(small_job, half_width), tmp_path / f"{wanted}", figures=False)
         assert run.state == "finished"
         assert run.comparison().equals(all_draws.comparison()[:first])
-    assert pfdist.run(_until(small_job, 1e-9), tmp_path / "never").draws_compared == MOST
+    assert (
+        pfdist.run(_until(small_job, 1e-9), tmp_path / "never", figures=False).draws_compared
+        == MOST
+    )
 
 
 def test_where_every_gain_is_the_same_all_draws_are_compared_unless_it_is_said(
@@ -68,11 +73,13 @@ def test_where_every_gain_is_the_same_all_draws_are_compared_unless_it_is_said(
 ) -> None:
     changes = ["model.name=random_walk", "filter.engine=kalman", "problem.measurement_budget=13"]
     job = small_job.with_changes([*changes, "search.random.evaluations=1"])
-    run = pfdist.run(job, tmp_path / "run")  # all instants: every set is the regular one
+    run = pfdist.run(
+        job, tmp_path / "run", figures=False
+    )  # all instants: every set is the regular one
     assert (run.gains().drop(columns="draw") == 0).all(axis=None)
     assert run.draws_compared == 250
     until = job.with_changes(["comparison.until.half_width=0.001"])
-    assert pfdist.run(until, tmp_path / "until").draws_compared == BLOCK
+    assert pfdist.run(until, tmp_path / "until", figures=False).draws_compared == BLOCK
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -84,7 +91,7 @@ def test_where_it_stops_does_not_depend_on_order_or_kills(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     job = _until(small_job, _half_widths(all_draws)[200] * (1 + 1e-9))
-    whole = pfdist.run(job, tmp_path / "whole")
+    whole = pfdist.run(job, tmp_path / "whole", figures=False)
     assert whole.draws_compared <= 200
     chance, do = random.Random(seed), SerialPool.run
 
@@ -102,7 +109,7 @@ def test_where_it_stops_does_not_depend_on_order_or_kills(
     kills = 0
     while True:
         try:
-            pfdist.run(job, tmp_path / "run")
+            pfdist.run(job, tmp_path / "run", figures=False)
             break
         except KeyboardInterrupt:
             kills += 1
@@ -115,15 +122,15 @@ def test_narrower_goes_on_with_only_new_draws_and_wider_is_refused(
 ) -> None:
     widths = _half_widths(all_draws)
     wide, narrow = widths[100] * (1 + 1e-9), widths[300] * (1 + 1e-9)
-    at_once = pfdist.run(_until(small_job, narrow), tmp_path / "at once")
-    run = pfdist.run(_until(small_job, wide), tmp_path / "run")
+    at_once = pfdist.run(_until(small_job, narrow), tmp_path / "at once", figures=False)
+    run = pfdist.run(_until(small_job, wide), tmp_path / "run", figures=False)
     before, counted = run.draws_compared, count_draws(monkeypatch)
-    pfdist.run(_until(small_job, narrow), run.path)
+    pfdist.run(_until(small_job, narrow), run.path, figures=False)
     assert sum(counted) == (at_once.draws_compared - before) * SETS > 0
     assert hashes(run.path) == hashes(at_once.path)
     with pytest.raises(RunMismatchError, match=r"comparison\.until\.half_width: \S+ -> \S+$"):
-        pfdist.run(_until(small_job, wide), run.path)
-    never = pfdist.run(_until(small_job, 0.0), run.path)
+        pfdist.run(_until(small_job, wide), run.path, figures=False)
+    never = pfdist.run(_until(small_job, 0.0), run.path, figures=False)
     assert never.comparison().equals(all_draws.comparison())
 
 
@@ -131,9 +138,9 @@ def test_more_draws_and_until_are_the_same_as_at_once(
     small_job: Job, all_draws: pfdist.Run, tmp_path: Path
 ) -> None:
     half_width = _half_widths(all_draws)[300] * (1 + 1e-9)
-    at_once = pfdist.run(_until(small_job, half_width), tmp_path / "at once")
-    pfdist.run(_until(small_job, half_width, draws=130), tmp_path / "run")
-    run = pfdist.run(_until(small_job, half_width), tmp_path / "run")
+    at_once = pfdist.run(_until(small_job, half_width), tmp_path / "at once", figures=False)
+    pfdist.run(_until(small_job, half_width, draws=130), tmp_path / "run", figures=False)
+    run = pfdist.run(_until(small_job, half_width), tmp_path / "run", figures=False)
     assert 130 < run.draws_compared <= 300
     assert hashes(run.path) == hashes(at_once.path)
 
@@ -144,7 +151,7 @@ def test_what_is_shown_at_the_end_is_what_the_summary_says(
 ) -> None:
     seen: list[Progress] = []
     job = _until(small_job, half_width)
-    run = pfdist.run(job, tmp_path / "run", report=seen.append)
+    run = pfdist.run(job, tmp_path / "run", report=seen.append, figures=False)
     results = run.summary()["results"]
     assert [found.name for found in seen[-1].found] == ["genetic", "random"]
     for found in seen[-1].found:
@@ -162,11 +169,11 @@ def test_a_kill_in_the_midst_shows_what_was_found_before(small_job: Job, tmp_pat
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        pfdist.run(small_job, tmp_path / "run", report=stop)
+        pfdist.run(small_job, tmp_path / "run", report=stop, figures=False)
     seen: list[Progress] = []
     known = pfdist.open_run(tmp_path / "run").summary()
     assert (known["state"], known["draws_compared"]) == ("comparing", 200)
-    pfdist.run(small_job, tmp_path / "run", report=seen.append)
+    pfdist.run(small_job, tmp_path / "run", report=seen.append, figures=False)
     first = next(state for state in seen if state.found)
     assert first.evaluations == 200
     assert first.found[0].mean_relative_gain == known["results"]["genetic"]["mean_relative_gain"]
@@ -192,10 +199,10 @@ def test_a_fork_computes_only_what_is_new_and_ends_as_a_run_from_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     old, new = tmp_path / "old", tmp_path / "new"
-    known = set(pfdist.run(small_job, old).evaluations()["evaluation"])
+    known = set(pfdist.run(small_job, old, figures=False).evaluations()["evaluation"])
     counted = count_draws(monkeypatch)
     longer = small_job.with_changes(["search.genetic.generations=6"])
-    nothing = pfdist.run(longer, tmp_path / "nothing")
+    nothing = pfdist.run(longer, tmp_path / "nothing", figures=False)
     from_nothing = sum(counted)
     if damage is not None:
         damage(old)
@@ -209,17 +216,18 @@ def test_a_fork_computes_only_what_is_new_and_ends_as_a_run_from_nothing(
                 raise KeyboardInterrupt
 
         with pytest.raises(KeyboardInterrupt):
-            pfdist.run(longer, old, fork=new, report=stop)
-    run = pfdist.run(longer, old, fork=new)
+            pfdist.run(longer, old, fork=new, report=stop, figures=False)
+    run = pfdist.run(longer, old, fork=new, figures=False)
     same = known & set(run.evaluations()["evaluation"])
     assert len(same) == len(known) >= 10  # earlier generations, and all random trials
     assert sum(counted) == from_nothing - len(same) * small_job.evaluation.draws
     assert hashes(new) == hashes(nothing.path)
     assert _tree(old) == before
-    assert pfdist.run(longer, old, fork=new).state == "finished"
-    assert pfdist.run(longer, new).state == "finished"  # it stands on its own
+    assert pfdist.run(longer, old, fork=new, figures=False).state == "finished"
+    assert pfdist.run(longer, new, figures=False).state == "finished"  # it stands on its own
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_the_command_line_forks(small_job: Job, tmp_path: Path) -> None:
     old, new = str(tmp_path / "old"), str(tmp_path / "new")
     command = ["run", str(small_job.path), "--results", old]

@@ -1,4 +1,4 @@
-"""What a run is: the meaning of its models, whatever the words around it."""
+"""The identity of a run: the meaning of its models, whatever the words around it."""
 
 import hashlib
 import json

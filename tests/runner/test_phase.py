@@ -93,7 +93,7 @@ def test_a_comparison_of_other_times_than_there_are_computes_nothing(
 
 
 def test_what_the_build_has_checked_no_task_checks_again(
-    small_job: Job, tmp_path: Path, no_figures: None, monkeypatch: pytest.MonkeyPatch
+    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The number of checks depends on the sets alone, not on draws, tasks and filters."""
     calls: list[str] = []
@@ -106,7 +106,9 @@ def test_what_the_build_has_checked_no_task_checks_again(
         monkeypatch.setattr(Pace, "size", lambda pace, remaining: 13 * 40)
         calls.clear()
         run = pfdist.run(
-            small_job.with_changes([f"comparison.draws={draws}"]), tmp_path / f"{draws}"
+            small_job.with_changes([f"comparison.draws={draws}"]),
+            tmp_path / f"{draws}",
+            figures=False,
         )
         counts.append(len(calls))
         tasks.append(len(run.timings()))
@@ -134,12 +136,11 @@ def test_results_come_back_under_the_ids_of_their_evaluations(built: Built) -> N
         replace(work, ids=("a",)).by_id(built.problem.filtered(work))
 
 
-@pytest.mark.usefixtures("no_figures")
 def test_whatever_order_outcomes_come_in_each_evaluation_has_its_own_results(
     small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     job = small_job.with_changes(["evaluation.noise=common", "comparison.draws=40"])
-    in_order = pfdist.run(job, tmp_path / "in order")
+    in_order = pfdist.run(job, tmp_path / "in order", figures=False)
     chance, do = random.Random(1), SerialPool.run
 
     def in_disorder(self: SerialPool, tasks: Any) -> Iterator[Outcome]:
@@ -150,7 +151,7 @@ def test_whatever_order_outcomes_come_in_each_evaluation_has_its_own_results(
 
     monkeypatch.setattr(SerialPool, "run", in_disorder)
     monkeypatch.setattr(Pace, "size", lambda pace, remaining: chance.randrange(1, 3000))
-    assert hashes(pfdist.run(job, tmp_path / "run").path) == hashes(in_order.path)
+    assert hashes(pfdist.run(job, tmp_path / "run", figures=False).path) == hashes(in_order.path)
 
 
 def test_a_set_that_is_asked_for_twice_is_computed_once(

@@ -32,15 +32,17 @@ model = StateSpaceModel(
 def lines_when_it_goes_on(
     job: Job, path: Path, monkeypatch: pytest.MonkeyPatch, *elsewhere: dict[str, str]
 ) -> list[str]:
-    """What is said of processors when a run goes on with more draws, on each of them in turn."""
+    """Give what a run says as it goes on with more draws, on each processor in turn."""
     for module in (identity, processor):
         monkeypatch.setattr(module, "processor", lambda: HERE)
-    pfdist.run(job, path)
+    pfdist.run(job, path, figures=False)
     said: list[str] = []
     for more, other in enumerate(elsewhere, 1):
         monkeypatch.setattr(processor, "processor", lambda other=other: other)
         draws = job.comparison.draws + 10 * more
-        pfdist.run(job.with_changes([f"comparison.draws={draws}"]), path, say=said.append)
+        pfdist.run(
+            job.with_changes([f"comparison.draws={draws}"]), path, say=said.append, figures=False
+        )
     return [line for line in said if "processor" in line]
 
 
@@ -50,10 +52,8 @@ def provenance(path: Path) -> dict[str, object]:
     return found
 
 
-def test_the_processor_stands_in_the_provenance(
-    small_job: Job, tmp_path: Path, no_figures: None
-) -> None:
-    pfdist.run(small_job, tmp_path / "run")
+def test_the_processor_stands_in_the_provenance(small_job: Job, tmp_path: Path) -> None:
+    pfdist.run(small_job, tmp_path / "run", figures=False)
     found = provenance(tmp_path / "run")
     assert found["processor"] == processor.processor()
     assert set(processor.processor()) == {"compiled_for", "model"}
@@ -62,7 +62,7 @@ def test_the_processor_stands_in_the_provenance(
 
 
 def test_nothing_is_said_where_nothing_may_differ(
-    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, no_figures: None
+    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "run"
     assert lines_when_it_goes_on(small_job, path, monkeypatch, HERE, THERE, THERE, HERE) == []
@@ -71,7 +71,7 @@ def test_nothing_is_said_where_nothing_may_differ(
 
 
 def test_the_functions_of_the_c_library_are_named_when_a_run_goes_on_elsewhere(
-    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, no_figures: None
+    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "power.py").write_text(POWER)
     text = small_job.path.read_text()
@@ -85,7 +85,7 @@ def test_the_functions_of_the_c_library_are_named_when_a_run_goes_on_elsewhere(
 
 
 def test_an_engine_in_numpy_agrees_to_12_digits_and_says_so(
-    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, no_figures: None
+    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     changes = ['filter.engine="numpy"', "comparison.draws=20", "evaluation.draws=5"]
     job = small_job.with_changes(changes)

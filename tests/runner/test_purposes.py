@@ -42,20 +42,25 @@ def _asked_by(streams: dict[str, set[int]], compute: Callable[[], object]) -> di
     return {phase: set(keys) for phase, keys in streams.items()}
 
 
-@pytest.mark.usefixtures("no_figures")
 def test_no_two_phases_share_a_draw(
     small_job: Job, tmp_path: Path, streams: dict[str, set[int]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    paper = _asked_by(streams, lambda: pfdist.run(small_job, tmp_path / "run"))
+    paper = _asked_by(streams, lambda: pfdist.run(small_job, tmp_path / "run", figures=False))
     assert paper.keys() == {"genetic", "random", "comparison"}
     plan = _asked_by(
-        streams, lambda: pfdist.plan(small_job, tmp_path / "plan", changes=[*SMALL, "seed=1"])
+        streams,
+        lambda: pfdist.plan(
+            small_job, tmp_path / "plan", changes=[*SMALL, "seed=1"], figures=False
+        ),
     )
     first = {"survivors", "survivors.polish", "survivors.probe"}  # 10 particles fool themselves
     again = {"survivors.again", "survivors.again.polish", "survivors.again.shortlist"}
     assert plan.keys() == first | again | {"comparison"}
     budget = _asked_by(
-        streams, lambda: pfdist.budget(small_job, (2, 3), tmp_path / "budget", 30, changes=SMALL)
+        streams,
+        lambda: pfdist.budget(
+            small_job, (2, 3), tmp_path / "budget", 30, changes=SMALL, figures=False
+        ),
     )
     assert budget.keys() == {"survivors", "survivors.probe", "survivors.again", "comparison"}
     for phases in (paper, plan, budget):

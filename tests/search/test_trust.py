@@ -1,4 +1,4 @@
-"""What an estimator is distrusted for, and what it is not."""
+"""Reasons for which an estimator is distrusted, and others for which it is not."""
 
 import math
 from collections.abc import Callable

@@ -92,7 +92,9 @@ def test_the_run_of_the_present_schema_is_verified_and_computed_again_to_the_las
 ) -> None:
     kept = shutil.copytree(ASSETS / f"schema-{SCHEMA_VERSION}", tmp_path / "kept")
     assert main(["verify", str(kept)]) == 0
-    again = pfdist.run(load_job(kept / "job.toml"), tmp_path / "again", pool="serial").path
+    again = pfdist.run(
+        load_job(kept / "job.toml"), tmp_path / "again", pool="serial", figures=False
+    ).path
     tables = sorted(folder.name for folder in (kept / "tables").iterdir())
     assert len(tables) >= 6
     assert sorted(folder.name for folder in (again / "tables").iterdir()) == tables
@@ -130,7 +132,7 @@ def test_going_on_with_it_is_refused_with_the_difference_and_moves_nothing(
     job = load_job(any_old / "job.toml", ["execution.pool=serial"])
     for wanted in (job, job.with_changes(["comparison.draws=430"])):
         with pytest.raises(RunMismatchError, match=rf"schema_version: [12] -> {SCHEMA_VERSION}"):
-            pfdist.run(wanted, any_old)
+            pfdist.run(wanted, any_old, figures=False)
     assert _content(any_old) == before
     record_property("faults", f"{PROMISE}: 1")
 
@@ -140,8 +142,8 @@ def test_another_run_is_started_from_it_and_it_stays_as_it_is(
 ) -> None:
     before = _content(any_old)
     job = load_job(ASSETS.with_name("small.toml"), ["comparison.draws=20"])
-    forked = pfdist.run(job, any_old, fork=tmp_path / "new")
-    assert hashes(forked.path) == hashes(pfdist.run(job, tmp_path / "nothing").path)
+    forked = pfdist.run(job, any_old, fork=tmp_path / "new", figures=False)
+    assert hashes(forked.path) == hashes(pfdist.run(job, tmp_path / "nothing", figures=False).path)
     assert _content(any_old) == before
     record_property("faults", f"{PROMISE}: 1")
 

@@ -1,4 +1,4 @@
-"""What a user adds from outside the package, without touching a file of it.
+"""Additions that a user makes from outside the package, without touching a file of it.
 
 A scratch package declares additions, and its metadata names them as entry points, as an installed
 package does.

@@ -1,4 +1,4 @@
-"""Names and prose of the package follow the house rules; each failure names file and line."""
+"""Names and prose of package and tests follow the house rules; each failure names file and line."""
 
 import ast
 import io
@@ -10,10 +10,13 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-FILES = sorted(
-    path.relative_to(ROOT).as_posix()
-    for folder in ("pfdist", "benchmarks")
-    for path in (ROOT / folder).rglob("*.py")
+FILES, TESTS = (
+    sorted(
+        path.relative_to(ROOT).as_posix()
+        for folder in folders
+        for path in (ROOT / folder).rglob("*.py")
+    )
+    for folders in (("pfdist", "benchmarks"), ("tests",))
 )
 VAGUE = {"its", "one", "of", "no", "by"}
 
@@ -62,13 +65,13 @@ def messages(source: str) -> Iterator[tuple[int, str]]:
             yield node.lineno, node.value
 
 
-@pytest.mark.parametrize("file", FILES)
+@pytest.mark.parametrize("file", FILES + TESTS)
 def test_variables_have_nouns_for_names(file: str) -> None:
     found = list(vague_names((ROOT / file).read_text()))
     assert not found, f"{file} has vague names: {', '.join(found)}"
 
 
-@pytest.mark.parametrize("file", FILES)
+@pytest.mark.parametrize("file", FILES + TESTS)
 def test_no_sentence_is_built_backwards(file: str) -> None:
     found = [
         f"{line}: {match[0].strip()[:60]}"

@@ -35,7 +35,7 @@ def _add_numbers(parser: ArgumentParser) -> None:
 
 @command("budget", add_job, _add_numbers, computing(f"{RESULTS}-budget"), add_json, goes_on=True)
 def budget_command(options: Namespace) -> None:
-    """Show how the expected MSE falls with the number of measurements."""
+    """Find times for each number of measurements, and compare them with regular times."""
     from pfdist.api.budget import budget
     from pfdist.cli.computing import settings
     from pfdist.cli.progress import Display
