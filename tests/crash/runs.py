@@ -16,6 +16,7 @@ from psutil import Process
 from oracles.bytes_of import hashes
 from pfdist.pools.processes import end
 
+WORKER = "ray::_Actor"  # begins the title of a worker's process
 PATIENCE_SECONDS = 180.0
 # As a terminal starts it: a shell's background jobs, as CI may be, have SIGINT ignored.
 PROGRAM = """
@@ -51,9 +52,7 @@ class Running:
 
     def workers(self) -> list[Process]:
         """Its Ray workers that have a task in their hands or wait for one."""
-        return [
-            process for process in self.family("raylet") if "ray::_Worker" in command_of(process)
-        ]
+        return [process for process in self.family("raylet") if WORKER in command_of(process)]
 
     def wait_for(self, reached: Callable[[], object]) -> None:
         """Wait until something is reached while it runs."""

@@ -61,10 +61,10 @@ def runs(job: Job, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("runs")
     with pytest.MonkeyPatch.context() as patch:
         layer = FileLayer(patch, folder)
-        count = layer.run(partial(pfdist.run, job, folder / "finished"))
+        count = layer.run(partial(pfdist.run, job, folder / "finished", figures=False))
         for state, at in (("searching", count // 4), ("comparing", count * 3 // 4)):
             with pytest.raises(Ended):
-                layer.run(partial(pfdist.run, job, folder / state), "ended", at)
+                layer.run(partial(pfdist.run, job, folder / state, figures=False), "ended", at)
             assert pfdist.open_run(folder / state).state == state
             assert list((folder / state / "parts").rglob("*.parquet"))
     return {state: folder / state for state in STATES}

@@ -15,6 +15,7 @@ from psutil import Process
 import pfdist
 from crash.runs import (
     GONE_SECONDS,
+    WORKER,
     Running,
     all_gone,
     command_of,
@@ -48,7 +49,7 @@ draws = {draws}
 TWO = ("--pool", "ray", "--workers", "2")
 RAY_SECONDS = 60.0  # in which a run whose Ray does not answer has ended
 
-RAYLET, GCS, WORKER = "raylet/raylet", "gcs_server", "ray::_Worker"
+RAYLET, GCS = "raylet/raylet", "gcs_server"
 
 Record = Callable[[str, object], None]
 
