@@ -89,7 +89,7 @@ def _one_by_one(draws: Draws, sets: list[Times], particles: int) -> None:
 
 
 def _share_of_steps(sets: list[Times], horizon: int) -> float:
-    planned, _ = plan(tuple(sets), horizon + 1)
+    planned = plan(tuple(sets), horizon + 1).plan
     return float((planned.ends - planned.begins).sum() / (len(sets) * (horizon + 1)))
 
 

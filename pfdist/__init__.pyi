@@ -1,5 +1,6 @@
 from .analysis import Run as Run
 from .analysis import open_run as open_run
+from .api.bound import bound as bound
 from .api.budget import budget as budget
 from .api.evaluate import evaluate as evaluate
 from .api.plan import plan as plan

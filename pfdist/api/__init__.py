@@ -1,4 +1,5 @@
-"""Functions for users, from Python and from the command line: run, plan, budget, evaluate, why.
+"""Functions for users, from Python and from the command line.
 
-Each function takes a job or a run, returns an object with results, and prints nothing.
+They are run, plan, budget, evaluate, why and bound. Each function takes a job or a run, returns an
+object with results, and prints nothing.
 """

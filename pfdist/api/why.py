@@ -3,7 +3,7 @@
 Everything is computed on new draws, which neither chose the times nor compared them.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,16 +12,14 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from pfdist.analysis import Moments, Run, finite, open_run, read_recorded
-from pfdist.errors import JobError, RunMismatchError, StoreError, shown
+from pfdist.analysis import Moments, finite
+from pfdist.api.finished_run import built_again, finished_run
+from pfdist.errors import JobError, shown
 from pfdist.evaluation.estimate import Purpose, ReportEvaluation
 from pfdist.evaluation.problem import Problem
 from pfdist.evaluation.work import Work
-from pfdist.job.job import load_job
 from pfdist.plots import draw_why
-from pfdist.runner.build import Built, build
-from pfdist.runner.identity import changed_meanings
-from pfdist.runner.named_by_a_run import NamedByRun
+from pfdist.runner.build import Built
 from pfdist.runner.pace import MOST_SECONDS
 from pfdist.runner.progress import Report, Reporter
 from pfdist.times.feasible import Feasible
@@ -126,11 +124,9 @@ def why(
     if not 2 <= draws <= MOST_DRAWS:
         least = "at least 2" if draws < 2 else f"at most {MOST_DRAWS:,}"
         raise JobError(f"draws must be {least}, got {shown(draws)}", argument="draws")
-    opened = open_run(run)
-    if opened.state != "finished":
-        raise StoreError(f"{opened.path} is not finished ({opened.state}): run its job on first")
+    opened = finished_run(run)
     sets = opened.sets_of_one_number()
-    built = _build(opened, {"model": model, "filter_model": filter_model}, say)
+    built = built_again(opened, {"model": model, "filter_model": filter_model}, say)
     reporter, examined = Reporter(report, len(sets)), []
     for number, (name, times) in enumerate(sets.items()):
         reporter.note(phase=f"why {name}", done=number)
@@ -143,19 +139,6 @@ def why(
     drawn = 0 if built.problem.exact else draws
     files = draw_why(opened, profile, measurements, drawn) if figures else []
     return Why(opened.path, drawn, summary, profile, measurements, files)
-
-
-def _build(run: Run, instead: Mapping[str, str], say: Callable[[str], Any]) -> Built:
-    """Build the run's own job, and check that the models are those of the run."""
-    about, _ = read_recorded(run.path)
-    remedy = "to have a model run that you trust, name it: {part} = FILE.py:OBJECT"
-    choose = NamedByRun(run.path, about, instead, say, remedy)
-    built = build(load_job(run.path / "job.toml"), choose)
-    differences = changed_meanings(about, built)
-    if differences:
-        message = f"{run.path} is of another model than is there now: the run's -> this one's"
-        raise RunMismatchError(message, tuple(f"{k}: {v}" for k, v in differences.items()))
-    return built
 
 
 def _examine(

@@ -30,6 +30,23 @@ def add_run(parser: ArgumentParser) -> None:
     parser.add_argument("run", metavar="RUN", help="folder of a run")
 
 
+def add_models(parser: ArgumentParser) -> None:
+    """Add ``--model`` and ``--filter-model``, for a run whose model is run once more."""
+    parser.add_argument(
+        "--model",
+        default="",
+        metavar="FILE.py:OBJECT",
+        help="run this model instead of the file that the run names; that file runs only if it "
+        "is unchanged and you have run it on this machine before",
+    )
+    parser.add_argument(
+        "--filter-model",
+        default="",
+        metavar="FILE.py:OBJECT",
+        help="run this filter model instead of the file that the run names for the filter",
+    )
+
+
 def add_json(parser: ArgumentParser) -> None:
     """Add ``--json``."""
     parser.add_argument("--json", action="store_true", help="print one JSON object and no text")

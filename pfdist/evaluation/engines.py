@@ -21,8 +21,8 @@ class Engine:
     simulated_by : str
         The module whose ``simulate`` has the contract of `pfdist.filters.draws.simulate`.
     filtered_by : str
-        The module whose ``filter_draws``, ``filter_checked_draws`` and ``filter_checked_sets`` have
-        the contracts of those in `pfdist.filters.particle_filter`.
+        The module whose ``filter_draws``, ``filter_checked_draws``, ``filter_checked_sets`` and
+        ``sum_errors`` have the contracts of those in `pfdist.filters.particle_filter`.
     seconds_a_step : float
         About how long a particle takes for one instant.
     compiled : bool
@@ -58,6 +58,11 @@ class Engine:
     def filter_checked_sets(self) -> Callable[..., Any]:
         """The function that filters draws with several sets, all checked by the caller."""
         return self._function(self.filtered_by, "filter_checked_sets")
+
+    @property
+    def sum_errors(self) -> Callable[..., Any]:
+        """The function that sums the errors of each instant; exact engines have none."""
+        return self._function(self.filtered_by, "sum_errors")
 
     @staticmethod
     def _function(module: str, name: str) -> Callable[..., Any]:

@@ -92,6 +92,40 @@ class Problem:
         """
         return kalman.expected_mse(self.model, self.horizon, sets, ends)
 
+    def expected_errors(self, sets: Sequence[Times]) -> NDArray[np.float64]:
+        """Exact expected error of each instant with each set, (S, T+1), where the engine knows it.
+
+        Parameters
+        ----------
+        sets : sequence of tuples of int, (S,)
+        """
+        return kalman.expected_errors(self.model, self.horizon, sets)
+
+    def sum_errors(self, work: Work) -> NDArray[np.float64]:
+        """Sum the errors of each instant over the draws of a work, (S, T+1).
+
+        All sets of the work have the same filter noise. Values after a set's end mean nothing, and
+        none is finite if a draw is degenerate or infinite with any set.
+
+        Raises
+        ------
+        ModelError
+            A formula failed.
+        """
+        draws = self._engine.simulate(
+            self.model, self.horizon, range(*work.draws), work.draws_stream
+        )
+        stream, *_ = work.filter_streams
+        sums: NDArray[np.float64] = self._engine.sum_errors(
+            self.believed,
+            draws,
+            work.measurement_times,
+            work.ends,
+            stream,
+            self._settings(work.estimation),
+        )
+        return sums
+
     @property
     def cheapest_estimator(self) -> str:
         """The estimator with the least variance that this problem allows."""
@@ -196,10 +230,7 @@ class Problem:
 
     def filtered(self, work: Work) -> Result:
         """Per-draw MSE as `__call__` gives it, for a work that the caller has checked."""
-        engine, estimation = self._engine, work.estimation
-        settings = FilterSettings(
-            estimation.particles, estimation.resampling, self.dtype, estimation.estimator
-        )
+        engine, settings = self._engine, self._settings(work.estimation)
         draws = engine.simulate(self.model, self.horizon, range(*work.draws), work.draws_stream)
         if work.trajectories:
             filtered = [
@@ -222,3 +253,8 @@ class Problem:
                 self.believed, draws, sets, ends, stream, settings
             )
         return Result(values)
+
+    def _settings(self, estimation: Estimation) -> FilterSettings:
+        return FilterSettings(
+            estimation.particles, estimation.resampling, self.dtype, estimation.estimator
+        )

@@ -100,7 +100,7 @@ def _instants(sets: tuple[Times, ...], ends: tuple[int, ...], streams: tuple[int
     total = 0
     for same_noise in columns(streams).values():
         stops = tuple(ends[column] + 1 for column in same_noise)
-        planned, _ = plan(tuple(sets[column] for column in same_noise), max(stops), stops)
+        planned = plan(tuple(sets[column] for column in same_noise), max(stops), stops).plan
         total += int(np.sum(planned.ends - planned.begins))
     return total
 

@@ -112,21 +112,35 @@ def expected_mse(
     MeasurementTimesError, ModelError
         A set lies outside 0..T, or the model is not linear-Gaussian.
     """
+    errors = np.cumsum(expected_errors(model, horizon, sets), axis=1)
+    last = [horizon] * len(sets) if ends is None else list(ends)
+    mse: Array = errors[range(len(sets)), last] / (horizon + 1)
+    return mse
+
+
+def expected_errors(model: StateSpaceModel, horizon: int, sets: Sequence[Times]) -> Array:
+    """Exact expected error of each instant with each set of times, (S, T+1).
+
+    Raises
+    ------
+    MeasurementTimesError, ModelError
+        As `expected_mse`.
+    """
     matrices = linear_gaussian(model, horizon)
     measured = np.zeros((len(sets), horizon + 1), np.bool_)
     for row, times in zip(measured, sets, strict=True):
         row[list(validated(times, horizon))] = True
     covariance = np.repeat(_square(matrices.initial.matrix)[None], len(sets), axis=0)
-    total, last = np.zeros(len(sets)), np.array([horizon] * len(sets) if ends is None else ends)
+    errors = np.empty((len(sets), horizon + 1))
     for t in range(horizon + 1):
         here = measured[:, t]
         gain, observation_matrix = _gain(covariance[here], matrices.measurement[t])
         covariance[here] -= gain @ observation_matrix @ covariance[here]
         h = matrices.quantity_of_interest[t].matrix
-        total += (t <= last) * np.trace(h @ covariance @ h.T, axis1=1, axis2=2)
+        errors[:, t] = np.trace(h @ covariance @ h.T, axis1=1, axis2=2)
         if t < horizon:
             covariance = _propagated(covariance, matrices.transition[t])
-    return total / (horizon + 1)
+    return errors
 
 
 def filter_checked_draws(

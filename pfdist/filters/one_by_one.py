@@ -76,6 +76,44 @@ def one_by_one(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., A
     return filter_checked_sets
 
 
+def summed_one_by_one(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., Array]:
+    """Give a function that sums the errors of each instant, and filters one set after another.
+
+    Parameters
+    ----------
+    filter_checked_draws : callable
+        With the arguments of `pfdist.filters.particle_filter.filter_checked_draws`.
+
+    Returns
+    -------
+    callable
+        With the contract of `pfdist.filters.particle_filter.sum_errors`.
+    """
+
+    def sum_errors(
+        model: StateSpaceModel,
+        draws: Draws,
+        sets: Sequence[Times],
+        ends: Sequence[int],
+        stream: int,
+        settings: FilterSettings,
+    ) -> Array:
+        keys, weights = filter_streams(stream, settings.estimator), ESTIMATORS[settings.estimator]
+        sums, mse = np.zeros((len(sets), draws.z.shape[1])), 0.0
+        for row, times, end in zip(sums, sets, ends, strict=True):
+            filters = [
+                filter_checked_draws(model, draws.upto(end), times, key, settings, True)
+                for key in keys
+            ]
+            mse += sum(float(filtered.mse.sum()) for filtered in filters)
+            estimates, variances = _moments(filters)
+            errors = errors_by_variance(estimates, variances, weights.weights)
+            row[: end + 1] = errors.sum(axis=0)
+        return sums if np.isfinite(mse) else np.full_like(sums, mse)
+
+    return sum_errors
+
+
 def errors_by_variance(estimates: Array, variances: Array, weights: ErrorWeights) -> Array:
     """Estimate the error of each instant by what filters know of themselves.
 
@@ -102,12 +140,18 @@ def _mse(filters: Sequence[Filtered], estimator: Estimator) -> Array:
     weights = estimator.weights
     if estimator.for_any_filter:
         return weights.squared_error * mse
-    estimates, variances = (
-        np.array([getattr(filtered, name) for filtered in filters])
-        for name in ("estimate", "variance")
-    )
+    estimates, variances = _moments(filters)
     with np.errstate(all="ignore"):
         mean = np.mean(errors_by_variance(estimates, variances, weights), axis=1)
         if weights.squared_error:
             mean += weights.squared_error * mse
     return np.where(np.isnan(mse), np.nan, np.where(mean < np.inf, mean, np.inf))
+
+
+def _moments(filters: Sequence[Filtered]) -> tuple[Array, Array]:
+    """Estimates and variances of filters, (F, D, T+1, q) each."""
+    estimates, variances = (
+        np.array([getattr(filtered, name) for filtered in filters])
+        for name in ("estimate", "variance")
+    )
+    return estimates, variances

@@ -29,6 +29,7 @@ from pfdist.times.measurement_times import Times, validated
 
 KERNEL_VERSION = 4
 """Counts the changes after which the same keys give other figures; part of a run's identity."""
+_NO_MOMENTS = (2, 0, 0, 0)
 
 
 def filter_checked_draws(
@@ -52,8 +53,8 @@ def filter_checked_draws(
         Accepted by `check_filter` for this model and the draws' model.
     trajectories : bool
     """
-    planned, _ = plan((measurement_times,), draws.z.shape[1])
-    moments = np.full((2, *draws.z.shape) if trajectories else (2, 0, 0, 0), np.nan)
+    planned = plan((measurement_times,), draws.z.shape[1]).plan
+    moments = np.full((2, *draws.z.shape) if trajectories else _NO_MOMENTS, np.nan)
     mse = _filter(model, draws, planned, stream, settings, moments)[:, 0]
     moments[np.isnan(moments)] = np.nan  # which NaN an operation gives depends on the processor
     return Filtered(mse, *moments) if trajectories else Filtered(mse)
@@ -124,9 +125,35 @@ def filter_checked_sets(
     -------
     array of float64, (D, S)
     """
-    planned, columns = plan(tuple(sets), draws.z.shape[1], tuple(end + 1 for end in ends))
-    mse = _filter(model, draws, planned, stream, settings, np.empty((2, 0, 0, 0)))
-    return mse[:, columns]
+    planned, columns, _ = plan(tuple(sets), draws.z.shape[1], tuple(end + 1 for end in ends))
+    return _filter(model, draws, planned, stream, settings, np.empty(_NO_MOMENTS))[:, columns]
+
+
+def sum_errors(
+    model: StateSpaceModel,
+    draws: Draws,
+    sets: Sequence[Times],
+    ends: Sequence[int],
+    stream: int,
+    settings: FilterSettings,
+) -> NDArray[np.float64]:
+    """Sum the errors of each instant over draws, with arguments as for `filter_checked_sets`.
+
+    The memory does not grow with the draws. The estimator must be one by the filter's variance.
+
+    Returns
+    -------
+    array of float64, (S, T+1)
+        NaN or infinite up to the end of every set if a draw is degenerate or infinite with any set.
+        Values after the end of a set mean nothing.
+    """
+    instants = draws.z.shape[1]
+    planned, columns, rows = plan(tuple(sets), instants, tuple(end + 1 for end in ends))
+    errors = np.zeros((len(planned.measured), instants))
+    mse = _filter(model, draws, planned, stream, settings, np.empty(_NO_MOMENTS), errors)
+    if not np.isfinite(mse).all():
+        return np.full((len(columns), instants), mse.sum())
+    return errors[rows[columns], np.arange(instants)]
 
 
 def filter_streams(stream: int, estimator: str) -> list[int]:
@@ -141,8 +168,9 @@ def _filter(
     stream: int,
     settings: FilterSettings,
     moments: NDArray[np.float64],
+    errors: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]:
-    """Fill estimate and variance, unless they are empty, and give the mse, (D, U)."""
+    """Fill estimate, variance and errors where they are wanted, and give the mse, (D, U)."""
     mse, truth = np.empty((len(draws.index), len(planned.measured))), draws.model
     request = Request(
         np.array(filter_streams(stream, settings.estimator), np.uint64),
@@ -155,8 +183,10 @@ def _filter(
         np.array(truth.p),
     )
     compiled = _compiled(model, truth, settings.resampling, settings.dtype)
+    estimate, variance = moments
+    errors = np.empty((0, 0)) if errors is None else errors
     with formulas_of(model.name, model.formulas | {"error": truth.error}):
-        compiled(request, planned, Results(mse, *moments))
+        compiled(request, planned, Results(mse, estimate, variance, errors))
     return mse
 
 

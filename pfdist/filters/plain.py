@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pfdist.filters.draws import Draws, check_finite
 from pfdist.filters.interface import Filtered, checking
-from pfdist.filters.one_by_one import one_by_one
+from pfdist.filters.one_by_one import one_by_one, summed_one_by_one
 from pfdist.filters.settings import FilterSettings
 from pfdist.kernels.formulas import formulas_of
 from pfdist.kernels.noise import (
@@ -165,3 +165,4 @@ def _put(array: Array, t: int, components: tuple[Any, ...]) -> None:
 
 filter_draws = checking(filter_checked_draws)
 filter_checked_sets = one_by_one(filter_checked_draws)
+sum_errors = summed_one_by_one(filter_checked_draws)

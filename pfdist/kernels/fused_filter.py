@@ -63,11 +63,16 @@ class Results(NamedTuple):
         For each of the plan's sets, the errors up to the set's end over T + 1.
     estimate, variance : arrays of float64, (D, T+1, q)
         Moments of one set; empty if they are not wanted.
+    errors : array of float64, (U, T+1)
+        Sums over the draws of the errors that a filter knows by its variance, for each of the
+        plan's sets, at the instants that the set filters. They begin at 0; empty if they are not
+        wanted.
     """
 
     mse: NDArray[np.float64]
     estimate: NDArray[np.float64]
     variance: NDArray[np.float64]
+    errors: NDArray[np.float64]
 
 
 class _At(NamedTuple):
@@ -213,9 +218,11 @@ def _filter_draw(
                     fill_squares(cloud, here, t, p, weight, row, mean, terms)
                     variances = mean_of(terms, total)
                     record(results, d, t, mean, variances)
-                    error += error_by_variance(
+                    known = error_by_variance(
                         weights, first_means, filter_number, s, t, mean, variances, truth
                     )
+                    error += known
+                    _add(results.errors, s, t, known)
                 squared = error_of(read_z(request.z, d, t), mean, t, truth) if by_error else 0.0
                 error += weights.squared_error * squared
                 if not error < np.inf:
@@ -234,6 +241,13 @@ def _filter_draw(
 def _leave_unsorted(cloud, here, particles, weight, row, scratch):
     """Sort nothing; see `sort_by_state`."""
     return here
+
+
+@melted
+def _add(errors, s, t, error):
+    """Add an error to the sum over the draws, if sums are wanted."""
+    if errors.size > 0:
+        errors[s, t] += error
 
 
 @melted

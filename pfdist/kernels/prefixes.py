@@ -44,6 +44,23 @@ class Plan(NamedTuple):
         return int(self.slots.max(initial=0)) + 1
 
 
+class Planned(NamedTuple):
+    """A plan, and where the results of the wanted sets are found in it.
+
+    Parameters
+    ----------
+    plan : Plan
+    places : array of int64, (S,)
+        The index of each wanted set in the plan.
+    rows : array of int64, (U, T+1)
+        For each set of the plan and each instant, the index of the set that filters this instant.
+    """
+
+    plan: Plan
+    places: NDArray[np.int64]
+    rows: NDArray[np.int64]
+
+
 class Saved(NamedTuple):
     """Clouds that later sets resume from.
 
@@ -61,7 +78,7 @@ class Saved(NamedTuple):
 @lru_cache(maxsize=64)
 def plan(
     sets: tuple[tuple[int, ...], ...], instants: int, ends: tuple[int, ...] | None = None
-) -> tuple[Plan, NDArray[np.int64]]:
+) -> Planned:
     """Plan the filter of several sets.
 
     Parameters
@@ -76,15 +93,15 @@ def plan(
 
     Returns
     -------
-    Plan
-    index : array of int64, (S,)
-        The index of each set in the plan.
+    Planned
 
     Examples
     --------
-    >>> found, index = plan(((0, 2), (1, 2), (0, 1)), 3)
-    >>> index, found.begins  # the order is (1, 2), (0, 2), (0, 1); (0, 1) shares (0,)
+    >>> found, places, rows = plan(((0, 2), (1, 2), (0, 1)), 3)
+    >>> places, found.begins  # the order is (1, 2), (0, 2), (0, 1); (0, 1) shares (0,)
     (array([1, 0, 2]), array([0, 0, 1]))
+    >>> rows[2]  # the error of (0, 1) at t = 0 is that of (0, 2)
+    array([1, 2, 2])
     """
     wanted = [instants] * len(sets) if ends is None else list(ends)
     # If sets differ only in their ends, the longest comes first, so the others can share it.
@@ -97,7 +114,10 @@ def plan(
     begins, givers = _shared(measured, ends_)
     stops, slots, sources = _kept(begins, givers, ends_, instants)
     found = Plan(measured, begins, ends_, sources, stops, slots)
-    return found, np.array([index[key] for key in zip(sets, wanted, strict=True)])
+    rows = np.repeat(np.arange(len(order))[:, None], instants, axis=1)
+    for row, giver, begin in zip(rows, givers, begins, strict=True):
+        row[:begin] = rows[giver, :begin]
+    return Planned(found, np.array([index[k] for k in zip(sets, wanted, strict=True)]), rows)
 
 
 def _word(key: tuple[tuple[int, ...], int]) -> tuple[tuple[int, ...], int]:

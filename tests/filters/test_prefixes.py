@@ -72,7 +72,7 @@ def test_every_distinct_prefix_is_walked_once(with_ends: bool, seed: int) -> Non
     ends = [instants] * len(sets)
     if with_ends:
         ends = [int(rng.integers(max(times, default=0) + 1, instants + 1)) for times in sets]
-    planned, place = plan(tuple(sets), instants, tuple(ends))
+    planned, place, _ = plan(tuple(sets), instants, tuple(ends))
     words = [tuple(t in times for t in range(end)) for times, end in zip(sets, ends, strict=True)]
     ordered = list(zip(planned.measured, planned.ends, strict=True))
     assert [tuple(row[:end].tolist()) for row, end in (ordered[k] for k in place)] == words

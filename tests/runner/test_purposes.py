@@ -10,7 +10,9 @@ import pytest
 
 import pfdist
 from pfdist import Job
+from pfdist.api.bound import LEAST_DRAWS
 from pfdist.api.why import why
+from pfdist.evaluation.problem import Problem
 from pfdist.evaluation.work import Work
 from pfdist.runner.collect import Collector
 
@@ -79,6 +81,17 @@ def test_no_two_phases_share_a_draw(
     monkeypatch.setattr("pfdist.api.why.draw_why", lambda *found: [])
     why(tmp_path / "plan", draws=2)
     explaining = {key for work in works for key in (work.draws_stream, *work.filter_streams)}
+    works.clear()
+    for name in ("sum_errors", "filtered"):
+        method = getattr(Problem, name)
+        monkeypatch.setattr(
+            Problem, name, lambda self, work, do=method: works.append(work) or do(self, work)
+        )
+    pfdist.bound(tmp_path / "plan", LEAST_DRAWS)
+    proving = {key for work in works for key in (work.draws_stream, *work.filter_streams)}
     assert explaining
+    assert proving
+    assert not explaining & proving
     for keys in (*paper.values(), *plan.values(), *budget.values()):
         assert not explaining & keys
+        assert not proving & keys

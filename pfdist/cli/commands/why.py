@@ -4,7 +4,7 @@ from argparse import ArgumentParser, Namespace
 from typing import Any
 
 from pfdist.cli.answers import print_json
-from pfdist.cli.arguments import add_json, add_run, whole
+from pfdist.cli.arguments import add_json, add_models, add_run, whole
 from pfdist.cli.command import command
 from pfdist.cli.numbers import cost
 from pfdist.common.rounding import with_error
@@ -14,7 +14,7 @@ _ROUNDING = 1e-12  # relative to the expected MSE: rounding errors of doubles ar
 _LEAST_WIDTH = 17  # of a column
 
 
-def _add_models(parser: ArgumentParser) -> None:
+def _add_draws(parser: ArgumentParser) -> None:
     from pfdist.api.why import DRAWS
 
     parser.add_argument(
@@ -24,22 +24,9 @@ def _add_models(parser: ArgumentParser) -> None:
         metavar="K",
         help=f"number of fresh draws (default: {DRAWS})",
     )
-    parser.add_argument(
-        "--model",
-        default="",
-        metavar="FILE.py:OBJECT",
-        help="run this model instead of the file that the run names; that file runs only if it "
-        "is unchanged and you have run it on this machine before",
-    )
-    parser.add_argument(
-        "--filter-model",
-        default="",
-        metavar="FILE.py:OBJECT",
-        help="run this filter model instead of the file that the run names for the filter",
-    )
 
 
-@command("why", add_run, _add_models, add_json)
+@command("why", add_run, _add_draws, add_models, add_json)
 def why_command(options: Namespace) -> None:
     """Show what each measurement of a finished run is worth."""
     from pfdist.api.why import why

@@ -1,0 +1,1 @@
+"""Lower bounds: no feasible set of measurement times has a lower expected MSE."""
