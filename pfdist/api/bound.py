@@ -1,18 +1,17 @@
 """A lower bound of the expected MSE of every feasible set, and the gap of a run's sets."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from pfdist.analysis import Moments, Run, finite
 from pfdist.api.finished_run import built_again, finished_run
-from pfdist.bounds.proof import Known, Proof, paired, prove
+from pfdist.bounds.proof import Estimate, Proof, falls, prove
 from pfdist.bounds.relaxation import Relaxation
 from pfdist.errors import JobError, ModelError, shown
 from pfdist.evaluation.estimate import BOUND
@@ -22,22 +21,27 @@ from pfdist.kernels.estimators import FILTER_VARIANCE
 from pfdist.runner.build import Built
 from pfdist.runner.pace import MOST_SECONDS
 from pfdist.runner.progress import Report, Reporter
+from pfdist.times.constraints import Constraints
 from pfdist.times.measurement_times import Times, validated
 
 DRAWS, WINDOW = 1920, 2
 BLOCK = 24
 """Draws whose errors are added up by themselves; a figure never depends on how they are shared."""
-GROUPS = 40
-LEAST_DRAWS = 20 * BLOCK  # the jackknife wants 20 groups
-MOST_DRAWS = 10_000_000
-MOST_WINDOW = 6  # the number of states grows as the longest gap to this power
+GROUPS = 20
+"""Groups of blocks; the jackknife leaves one group out."""
+LEAST_DRAWS = GROUPS * BLOCK
+MOST_DRAWS, MOST_PARTICLES, MOST_WINDOW = 10_000_000, 32_000, 6
+MOST_CELLS = 3_000_000
+"""States of the relaxation times instants: the memory of a bound grows with them."""
 SET_DRAWS = 20_000
 """Draws on which a set alone is filtered, by its squared error and by its variance."""
 _MEAN_GAPS = 4  # the longest gap of the relaxation, in mean gaps
 _FINER = 4  # times the particles, for the guard
-_APART, _TOO_LOW = 4.0, 0.005  # standard errors, and a fraction: what the guard tolerates
+_GUARDED = 10  # groups of draws that the guard filters again
+_TOLERATED = 0.005  # fall of a variance with more particles
 
 Array = NDArray[np.float64]
+_UNKNOWN = Estimate(math.nan, math.nan)
 
 
 @dataclass(frozen=True)
@@ -48,34 +52,35 @@ class Gap:
     ----------
     name : str
     measurement_times : tuple of int
-    expected_mse : Known
+    expected_mse : Estimate
         With the job's own filter, on draws that neither chose the set nor gave the bound.
-    bound : Known
+    reason : str
+        Why there is no bound; then everything below is NaN. Empty if the bound holds.
+    bound : Estimate
         Lower bound of the expected MSE of every feasible set of so many times, by any filter.
     path : tuple of int
         The times that reach the bound in the relaxation.
     gap : float
-        1 - bound / expected_mse.
+        The sum of the three parts below over the expected MSE, at least 0. Each part is a
+        difference on common draws, so the gap has a smaller error than 1 - bound / expected_mse.
     gap_at_most : float
-        One-sided 95 % limit of the gap.
-    relaxation, estimate, filter_model : Known
+        One-sided 95 % limit of the gap, and what the bound falls with four times the particles.
+    relaxation, estimate, filter_model : Estimate
         The parts of the difference: relaxation and chance; number of particles and bias of the
         estimate; wrong model of the filter.
-    reason : str
-        Why there is no bound; else empty, as the bound holds.
     """
 
     name: str
     measurement_times: Times
-    expected_mse: Known
-    bound: Known
-    path: Times
-    gap: float
-    gap_at_most: float
-    relaxation: Known
-    estimate: Known
-    filter_model: Known
+    expected_mse: Estimate
     reason: str = ""
+    bound: Estimate = _UNKNOWN
+    path: Times = ()
+    gap: float = math.nan
+    gap_at_most: float = math.nan
+    relaxation: Estimate = _UNKNOWN
+    estimate: Estimate = _UNKNOWN
+    filter_model: Estimate = _UNKNOWN
 
 
 @dataclass(frozen=True)
@@ -106,7 +111,7 @@ class Bound:
         for gap in self.gaps:
             row: dict[str, Any] = {}
             for key, value in vars(gap).items():
-                if isinstance(value, Known):
+                if isinstance(value, Estimate):
                     row |= {key: value.value, f"{key}_error": value.standard_error}
                 elif key != "name":
                     row[key] = list(value) if isinstance(value, tuple) else value
@@ -114,11 +119,6 @@ class Bound:
         own = {key: value for key, value in vars(self).items() if key not in ("run", "gaps")}
         answer: dict[str, Any] = finite({"run": str(self.run), **own, "sets": sets})
         return answer
-
-    def as_frame(self) -> pd.DataFrame:
-        """A row for each set, with the columns of `as_json`."""
-        rows = self.as_json()["sets"]
-        return pd.DataFrame([{"name": name, **row} for name, row in rows.items()])
 
 
 def bound(
@@ -143,8 +143,9 @@ def bound(
     run : str or Path
         Folder of a finished run.
     draws : int
-        Number of draws of the bound, computed in this process. With more draws the bound is
-        higher, because the least of many noisy costs is too low.
+        Number of draws of the bound, rounded up to a multiple of 24, computed in this process. With
+        more draws the bound is higher, because the least of many noisy costs is too low. Exact
+        engines ignore it.
     particles : int, optional
         Number of particles of the bound's filter; by default that of the job's filter.
     window : int
@@ -168,12 +169,12 @@ def bound(
         The folder holds no finished run, or the model has changed since, or the run names a model
         file that is not run without the user's word.
     JobError, ModelError
-        An argument is out of its range; the measurements of the job have costs; the model defines
-        an error of its own; or the model cannot be loaded.
+        An argument is out of its range; the measurements of the job have costs; no compared set is
+        feasible; the model defines an error of its own; or the model cannot be loaded.
     """
     for name, value, least, most in (
         ("draws", draws, LEAST_DRAWS, MOST_DRAWS),
-        ("particles", 1 if particles is None else particles, 1, 10**9),
+        ("particles", 1 if particles is None else particles, 1, MOST_PARTICLES),
         ("window", window, 1, MOST_WINDOW),
     ):
         if not least <= value <= most:
@@ -203,14 +204,18 @@ class _Prover:
             str(name): validated([int(t) for t in times], horizon, f"{run.path}: {name}")
             for name, times in zip(rows["name"], rows["measurement_times"], strict=True)
         }
-        constraints, sizes = built.job.problem.feasible, [len(s) for s in self._sets.values()]
+        constraints = built.job.problem.feasible
         if not constraints.counted:
             raise JobError(
                 f"{run.path}: measurements have costs, and no lower bound is known for them yet"
             )
-        gap = math.ceil(_MEAN_GAPS * (horizon + 1) / (min(sizes) + 1))
-        self._relaxation = Relaxation(constraints, window, min(gap, horizon + 1))
-        self._most = max(sizes)
+        self._feasible = {
+            name: times for name, times in self._sets.items() if _satisfies(constraints, times)
+        }
+        if not self._feasible:
+            raise JobError(f"{run.path}: no compared set satisfies the constraints of the job")
+        self._relaxation = _relaxation(constraints, window, self._feasible.values())
+        self._most = max(map(len, self._feasible.values()))
         # The relaxation filters with the truth's model: a bound for the filter of any model.
         self._truth: Problem = replace(built.problem, filter_model=None)
         count = particles or built.job.filter.particles
@@ -222,48 +227,50 @@ class _Prover:
 
     def prove(self) -> Bound:
         """Compute everything."""
-        relaxation, known = self._relaxation, list(self._sets.values())
-        sets, ends = [*relaxation.sets, *known], [*relaxation.ends, *self._whole(known)]
-        sums, draws = self._sums("lower bound", sets, ends, self._estimation)
+        relaxation, known = self._relaxation, list(self._feasible.values())
+        sums, draws = self._sums("lower bound", self._estimation, GROUPS)
         proof = prove(relaxation, sums, draws, known, self._most)
-        gaps = [
-            self._gap(name, times, proof, proof.slack[number])
-            for number, (name, times) in enumerate(self._sets.items())
-        ]
+        gaps = {
+            name: self._gap(name, times, proof, slack)
+            for (name, times), slack in zip(self._feasible.items(), proof.slack, strict=True)
+        }
         if self._blocks:
-            gaps = self._guarded(gaps, sums, draws)
+            gaps = self._guarded(gaps, sums[:_GUARDED], draws[:_GUARDED])
+        strangers = {
+            name: Gap(name, times, self._mse(name, times)[0], "the set is not feasible")
+            for name, times in self._sets.items()
+            if name not in gaps
+        }
         return Bound(
             self._run.path,
             relaxation.window,
             relaxation.longest_gap,
             self._estimation.particles if self._blocks else 0,
             self._blocks * BLOCK,
-            gaps,
+            [(gaps | strangers)[name] for name in self._sets],
         )
 
-    def _whole(self, sets: Sequence[Times]) -> list[int]:
-        return [self._truth.horizon] * len(sets)
-
-    def _sums(
-        self, phase: str, sets: Sequence[Times], ends: Sequence[int], estimation: Estimation
-    ) -> tuple[Array, Array]:
-        """Sums of the errors of each set over groups of draws, and the draws of each group.
+    def _sums(self, phase: str, estimation: Estimation, groups: int) -> tuple[Array, Array]:
+        """Sum the errors of all states and feasible sets over the first groups of draws.
 
         Raises
         ------
         ModelError
             A draw is degenerate.
         """
+        relaxation, known = self._relaxation, tuple(self._feasible.values())
+        sets, horizon = (*relaxation.sets, *known), self._truth.horizon
         if not self._blocks:
             return self._truth.expected_errors(sets)[None], np.ones(1)
-        seed, groups = self._built.job.seed, min(GROUPS, self._blocks)
-        sums = np.zeros((groups, len(sets), self._truth.horizon + 1))
+        seed, sums = self._built.job.seed, np.zeros((groups, len(sets), horizon + 1))
         self._reporter.begin(phase)
-        start = self._reporter.progress.done
+        start, draws = self._reporter.progress.done, np.zeros(groups)
         for block in range(self._blocks):
+            if (group := block % GROUPS) >= groups:
+                continue
             work = Work(
-                measurement_times=tuple(sets),
-                ends=tuple(ends),
+                measurement_times=sets,
+                ends=(*relaxation.ends, *(horizon,) * len(known)),
                 filter_streams=(BOUND.stream(seed, "filter"),) * len(sets),
                 draws_stream=BOUND.stream(seed, "draws"),
                 draws=(block * BLOCK, (block + 1) * BLOCK),
@@ -276,40 +283,43 @@ class _Prover:
                     f"infinite with {estimation.particles} particles of the true model; more "
                     "particles may help"
                 )
-            sums[block % groups] += errors
-            share = 0.45 * (block + 1) / self._blocks
-            self._reporter.reach(start + share, evaluations=(block + 1) * BLOCK)
-        counts = np.bincount(np.arange(self._blocks) % groups).astype(np.float64) * BLOCK
-        return sums, counts
+            sums[group] += errors
+            draws[group] += BLOCK
+            share = 0.3 * groups / GROUPS * estimation.particles / self._estimation.particles
+            done = start + share * (block + 1) / self._blocks
+            self._reporter.reach(done, evaluations=int(draws.sum()))
+        return sums, draws
 
-    def _gap(self, name: str, times: Times, proof: Proof, slack: Known) -> Gap:
-        number = len(times)
-        mse, estimate, filter_model, both = self._of_set(name, times)
+    def _gap(self, name: str, times: Times, proof: Proof, slack: Estimate) -> Gap:
+        """Give the gap of a feasible set, before the guard has looked at it."""
+        mse, estimate, filter_model, both = self._mse(name, times)
+        if not math.isfinite(mse.value):
+            return Gap(name, times, mse, "a draw is degenerate or infinite with the set itself")
         total = slack.plus(both)
+        scale = 1 / mse.value if mse.value > 0 else 0.0
         at_most = total.at_most(max(1, proof.groups - 1))
         return Gap(
             name,
             times,
             mse,
-            proof.bounds[number],
-            proof.paths[number],
-            total.value / mse.value,
-            at_most / mse.value,
+            "the set costs less than the bound" if at_most < 0 and proof.groups else "",
+            proof.bounds[len(times)],
+            proof.paths[len(times)],
+            max(0.0, total.value * scale),
+            max(0.0, at_most * scale),
             slack,
             estimate,
             filter_model,
         )
 
-    def _of_set(self, name: str, times: Times) -> tuple[Known, Known, Known, Known]:
-        """Expected MSE; particles and estimate, the filter's model, and both parts together."""
-        problem, truth = self._built.problem, self._truth
+    def _mse(self, name: str, times: Times) -> tuple[Estimate, Estimate, Estimate, Estimate]:
+        """Expected MSE; particles and estimate, the filter's model, and both parts together.
+
+        All are NaN if a draw is degenerate or infinite.
+        """
+        problem, truth, zero = self._built.problem, self._truth, Estimate(0.0)
         if not self._blocks:
-            return (
-                Known(float(problem.expected_mse([times])[0])),
-                Known(0.0),
-                Known(0.0),
-                Known(0.0),
-            )
+            return Estimate(float(problem.expected_mse([times])[0])), zero, zero, zero
         moments, seed = [Moments() for _ in range(4)], self._built.job.seed
         work = Work(
             measurement_times=(times,),
@@ -324,69 +334,76 @@ class _Prover:
             knows_the_truth = problem.believed == truth.model
             by_truth = squared if knows_the_truth else truth.filtered(piece).mse[:, 0]
             variance = truth.filtered(replace(piece, estimation=self._estimation)).mse[:, 0]
+            if not np.isfinite(squared + by_truth + variance).all():
+                return _UNKNOWN, _UNKNOWN, _UNKNOWN, _UNKNOWN
             parts = (squared, by_truth - variance, squared - by_truth, squared - variance)
             for moment, values in zip(moments, parts, strict=True):
-                moment.add(values[~np.isnan(values)])
+                moment.add(values)
         mse, estimate, filter_model, both = (
-            Known(moment.mean, moment.standard_error) for moment in moments
+            Estimate(moment.mean, moment.standard_error) for moment in moments
         )
         return mse, estimate, filter_model, both
 
-    def _guarded(self, gaps: list[Gap], sums: Array, draws: Array) -> list[Gap]:
+    def _guarded(self, gaps: dict[str, Gap], sums: Array, draws: Array) -> dict[str, Gap]:
         """Withdraw bounds that more particles, or known sets, contradict."""
-        relaxation = self._relaxation
-        paths = list(dict.fromkeys(gap.path for gap in gaps))
-        visited = list(
-            dict.fromkeys(state for path in paths for state in relaxation.states_of(path))
-        )
-        places = [relaxation.index[state] for state in visited]
-        known = list(self._sets.values())
-        sets = [relaxation.sets[place] for place in places] + known
-        ends = [relaxation.ends[place] for place in places] + self._whole(known)
         finer = replace(self._estimation, particles=_FINER * self._estimation.particles)
-        finer_sums, _ = self._sums("guard of the bound", sets, ends, finer)
-        instants = range(relaxation.horizon + 1)
-        checked = []
-        for number, gap in enumerate(gaps):
-            states = relaxation.states_of(gap.path)
-            at = [relaxation.index[state] for state in states]
-            at_finer = [visited.index(state) for state in states]
-            pairs = {
-                "the relaxed filter": (
-                    sums[:, at, instants].sum(axis=1),
-                    finer_sums[:, at_finer, instants].sum(axis=1),
-                ),
-                "the set's own filter": (
-                    sums[:, len(relaxation.states) + number].sum(axis=1),
-                    finer_sums[:, len(visited) + number].sum(axis=1),
-                ),
-            }
-            reason = next(
-                (
-                    f"the variance of {who} is {shrunk:.2g} % lower with {finer.particles} "
-                    f"particles than with {self._estimation.particles}"
-                    for who, (coarse, fine) in pairs.items()
-                    if (shrunk := _shrunk(coarse, fine, draws)) > 0
-                ),
-                "",
-            )
-            checked.append(replace(gap, reason=reason or self._contradiction(gap, gaps)))
+        fine, _ = self._sums("guard of the bound", finer, _GUARDED)
+        of_bounds, of_sets = falls(self._relaxation, sums, fine, draws, self._most)
+        with_more = f"{finer.particles} particles in the place of {self._estimation.particles}"
+        if any(gap.estimate.is_negative for gap in gaps.values()):
+            everywhere = "the variance of the particles exceeds their squared error"
+        elif any(fall.is_positive and fall.value > _TOLERATED for fall in of_sets):
+            everywhere = f"the variance of a compared set falls with {with_more}"
+        else:
+            everywhere = ""
+        checked = {}
+        for name, gap in gaps.items():
+            number = len(gap.measurement_times)
+            fall = of_bounds[number]
+            reason = gap.reason or everywhere
+            if not reason and fall.is_positive and fall.value > _TOLERATED:
+                reason = f"the bound falls by {100 * fall.value:.2g} % with {with_more}"
+            if not reason:
+                reason = _contradiction(gap, gaps)
+            if reason:
+                checked[name] = Gap(name, gap.measurement_times, gap.expected_mse, reason)
+            else:
+                at_most = gap.gap_at_most + max(0.0, fall.value)
+                checked[name] = replace(gap, gap_at_most=at_most)
         return checked
 
-    @staticmethod
-    def _contradiction(gap: Gap, gaps: list[Gap]) -> str:
-        """Say which known set of as many times costs less than the bound; empty if none does."""
-        for other in gaps:
-            error = math.hypot(other.expected_mse.standard_error, gap.bound.standard_error)
-            low = other.expected_mse.value + _APART * error
-            if len(other.path) == len(gap.path) and low < gap.bound.value:
-                return f"the set {other.name} costs less than the bound"
-        return ""
+
+def _satisfies(constraints: Constraints, times: Times) -> bool:
+    """Whether times satisfy all constraints but that on their number."""
+    return constraints.compatible(times) and set(constraints.required).issubset(times)
 
 
-def _shrunk(coarse: Array, fine: Array, draws: Array) -> float:
-    """Per cent by which more particles lower a variance; 0 if that is tolerated."""
-    difference, whole = paired(coarse, fine, draws), coarse.sum() / draws.sum()
-    fraction = difference.value / whole if whole else 0.0
-    clear = difference.value > _APART * difference.standard_error
-    return 100 * fraction if clear and fraction > _TOO_LOW else 0.0
+def _relaxation(constraints: Constraints, window: int, sets: Iterable[Times]) -> Relaxation:
+    """Give the relaxation for sets of typically so many times.
+
+    Raises
+    ------
+    JobError
+        It has more states than fit into memory.
+    """
+    sizes, instants = sorted(map(len, sets)), constraints.horizon + 1
+    longest_gap = math.ceil(_MEAN_GAPS * instants / (sizes[len(sizes) // 2] + 1))
+    longest_gap = min(longest_gap, instants)
+    if instants**2 * longest_gap ** (window - 1) > MOST_CELLS:
+        raise JobError(
+            f"window = {window} needs about {instants * longest_gap ** (window - 1):,} states of "
+            f"{instants} instants, allowed: {MOST_CELLS:,} in all; take a smaller window",
+            argument="window",
+        )
+    return Relaxation(constraints, window, longest_gap)
+
+
+def _contradiction(gap: Gap, gaps: dict[str, Gap]) -> str:
+    """Say which known set of at most as many times costs less than the bound; empty if none."""
+    for other in gaps.values():
+        error = math.hypot(other.expected_mse.standard_error, gap.bound.standard_error)
+        difference = Estimate(gap.bound.value - other.expected_mse.value, error)
+        fewer = len(other.measurement_times) <= len(gap.measurement_times)
+        if fewer and difference.is_positive:
+            return f"the set {other.name} costs less than the bound"
+    return ""

@@ -23,12 +23,13 @@ from pfdist.bounds.relaxation import Relaxation
 from pfdist.times.measurement_times import Times
 
 CONFIDENCE = 0.95
+_CLEARLY = 4.0  # standard errors
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Known:
+class Estimate:
     """An estimate and its standard error.
 
     Parameters
@@ -40,16 +41,26 @@ class Known:
     value: float
     standard_error: float = 0.0
 
-    def plus(self, other: "Known") -> "Known":
+    def plus(self, other: "Estimate") -> "Estimate":
         """Add an independent estimate."""
         error = math.hypot(self.standard_error, other.standard_error)
-        return Known(self.value + other.value, error)
+        return Estimate(self.value + other.value, error)
 
     def at_most(self, degrees: int) -> float:
         """Give the upper end of the one-sided 95 % interval, by Student's t."""
         if self.standard_error == 0.0:
             return self.value
         return self.value + float(stats.t.ppf(CONFIDENCE, degrees)) * self.standard_error
+
+    @property
+    def is_positive(self) -> bool:
+        """Whether the value is above 0 by more than 4 standard errors."""
+        return self.value > _CLEARLY * self.standard_error
+
+    @property
+    def is_negative(self) -> bool:
+        """Whether the value is below 0 by more than 4 standard errors."""
+        return -self.value > _CLEARLY * self.standard_error
 
 
 @dataclass(frozen=True)
@@ -58,20 +69,20 @@ class Proof:
 
     Parameters
     ----------
-    bounds : list of Known
+    bounds : list of Estimate
         Lower bound of the expected MSE for 0, 1, 2, ... measurements.
     paths : list of tuples of int
         The times that reach each bound in the relaxation; they need not reach it themselves.
-    slack : list of Known
+    slack : list of Estimate
         For each known set, how much its own expected error, by the same estimate on the same draws,
         lies above the bound of its number of measurements.
     groups : int
         Number of groups of draws of the jackknife; 0 if everything is exact.
     """
 
-    bounds: list[Known]
+    bounds: list[Estimate]
     paths: list[Times]
-    slack: list[Known]
+    slack: list[Estimate]
     groups: int
 
 
@@ -93,43 +104,66 @@ def prove(
     most : int
         The largest number of measurements.
     """
-    groups = len(draws)
-    means = (sums.sum(axis=0) / draws.sum())[None]
-    if groups > 1:
-        without = (sums.sum(axis=0) - sums) / (draws.sum() - draws)[:, None, None]
-        means = np.concatenate([means, without])
+    mse = _resampled(sums, draws)
     states = len(relaxation.states)
-    found = least(relaxation, means[:, :states], most)
-    own = means[:, states:].mean(axis=2)
+    found = least(relaxation, mse[:, :states], most)
+    own = mse[:, states:].mean(axis=2)
     numbers = [len(times) for times in sets]
     return Proof(
         [_jackknifed(bound) for bound in found.mse.T],
         found.paths,
         [_jackknifed(own[:, i] - found.mse[:, number]) for i, number in enumerate(numbers)],
-        groups if groups > 1 else 0,
+        len(draws) if len(draws) > 1 else 0,
     )
 
 
-def paired(first: Array, second: Array, draws: Array) -> Known:
-    """Give the mean of a difference that is known for groups of draws.
+def falls(
+    relaxation: Relaxation, coarse: Array, fine: Array, draws: Array, most: int
+) -> tuple[list[Estimate], list[Estimate]]:
+    """Give how far bounds and own errors fall with more particles, on the same draws.
 
     Parameters
     ----------
-    first, second : array of float64, (G,)
-        Sums over the draws of each group.
+    relaxation : Relaxation
+    coarse, fine : array of float64, (G, S+C, T+1)
+        Sums as in `prove`, with few and with many particles.
     draws : array of float64, (G,)
+    most : int
+
+    Returns
+    -------
+    list of Estimate, (most+1,)
+        Relative fall of each bound.
+    list of Estimate, (C,)
+        Relative fall of each known set's own expected error.
     """
-    difference = first - second
-    mean = difference.sum() / draws.sum()
-    without = (difference.sum() - difference) / (draws.sum() - draws)
-    return _jackknifed(np.concatenate([[mean], without]))
+    states = len(relaxation.states)
+    both = [_resampled(sums, draws) for sums in (coarse, fine)]
+    bounds = [least(relaxation, mse[:, :states], most).mse for mse in both]
+    own = [mse[:, states:].mean(axis=2) for mse in both]
+    return tuple(_relative_falls(*pair) for pair in (bounds, own))  # type: ignore[return-value]
 
 
-def _jackknifed(values: Array) -> Known:
+def _relative_falls(coarse: Array, fine: Array) -> list[Estimate]:
+    with np.errstate(invalid="ignore"):
+        share = np.where(coarse > 0.0, 1 - fine / np.where(coarse > 0.0, coarse, 1.0), 0.0)
+    return [_jackknifed(column) for column in share.T]
+
+
+def _resampled(sums: Array, draws: Array) -> Array:
+    """Means over all groups, then over all groups but each, (1+G, ...); (1, ...) for one group."""
+    whole: Array = (sums.sum(axis=0) / draws.sum())[None]
+    if len(draws) == 1:
+        return whole
+    without = (sums.sum(axis=0) - sums) / (draws.sum() - draws)[:, None, None]
+    return np.concatenate([whole, without])
+
+
+def _jackknifed(values: Array) -> Estimate:
     """Estimate and standard error from the value of all groups and those without one group each."""
     whole, without = float(values[0]), values[1:]
     if not without.size or not math.isfinite(whole):
-        return Known(whole)
+        return Estimate(whole)
     groups = without.size
     pseudo = groups * whole - (groups - 1) * without
-    return Known(whole, float(np.std(pseudo, ddof=1) / math.sqrt(groups)))
+    return Estimate(whole, float(np.std(pseudo, ddof=1) / math.sqrt(groups)))

@@ -88,10 +88,10 @@ class Relaxation:
         found, new = {START}, [START]
         while new:
             state = new.pop()
-            reached = {self.after(state, time) for time in self.followers(state)}
-            reached |= {self.fallback(state)}
-            new += reached - found
+            reached = {self.after(state, time) for time in self.followers(state)} - found
+            new += reached
             found |= reached
+        found |= {self.fallback(state) for state in found}
         return tuple(sorted(found, key=lambda state: (state.last, state)))
 
     @cached_property

@@ -94,10 +94,6 @@ class ReportEvaluation(Evaluation):
     """An evaluation on draws that chose nothing."""
 
 
-class BoundEvaluation(Evaluation):
-    """An evaluation on draws of a lower bound, which are taken after the sets were found."""
-
-
 E = TypeVar("E", bound=Evaluation)
 
 
@@ -124,6 +120,6 @@ SEARCH = Purpose("search", SearchEvaluation)
 PROBE = Purpose("probe", ProbeEvaluation)
 SHORTLIST = Purpose("shortlist", ShortlistEvaluation)
 REPORT = Purpose("comparison", ReportEvaluation)
-BOUND = Purpose("bound", BoundEvaluation)
+BOUND = Purpose("bound", ReportEvaluation)
 BUDGET = Purpose("budget", ReportEvaluation)
 """The comparison of a budget study: a later comparison must not reuse draws that chose N."""

@@ -99,17 +99,17 @@ def summed_one_by_one(filter_checked_draws: Callable[..., Filtered]) -> Callable
         settings: FilterSettings,
     ) -> Array:
         keys, weights = filter_streams(stream, settings.estimator), ESTIMATORS[settings.estimator]
-        sums, mse = np.zeros((len(sets), draws.z.shape[1])), 0.0
+        sums, total = np.zeros((len(sets), draws.z.shape[1])), 0.0
         for row, times, end in zip(sums, sets, ends, strict=True):
             filters = [
                 filter_checked_draws(model, draws.upto(end), times, key, settings, True)
                 for key in keys
             ]
-            mse += sum(float(filtered.mse.sum()) for filtered in filters)
-            estimates, variances = _moments(filters)
-            errors = errors_by_variance(estimates, variances, weights.weights)
-            row[: end + 1] = errors.sum(axis=0)
-        return sums if np.isfinite(mse) else np.full_like(sums, mse)
+            with np.errstate(all="ignore"):
+                errors = errors_by_variance(*_moments(filters), weights.weights)
+                row[: end + 1] = errors.sum(axis=0)
+                total += float(row.sum())
+        return sums if np.isfinite(total) else np.full_like(sums, total)
 
     return sum_errors
 

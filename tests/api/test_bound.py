@@ -1,6 +1,7 @@
 """Lower bounds of finished runs, against brute force and where a filter fools itself."""
 
 import json
+import math
 from pathlib import Path
 
 import pytest
@@ -89,7 +90,7 @@ def test_a_wrong_model_of_the_filter_is_a_part_of_the_gap(small_job: Job, tmp_pa
 
 @pytest.mark.parametrize("sharp", [0.03, 0.01])
 def test_a_filter_that_fools_itself_gives_no_false_bound(sharp: float, tmp_path: Path) -> None:
-    """The set {1, 3, 6, 9} costs 1.4; by squared errors the "bound" would be 3.45."""
+    """The "bound" by squared errors would be 3.45 for 0.03, above a set that costs 1.00."""
     changes = [f"model.parameters.sharp={sharp}", "comparison.draws=1000"]
     run = pfdist.plan(load_job(SHARP, changes), tmp_path / "run", figures=False)
     for gap in bound(run.path, LEAST_DRAWS).gaps:
@@ -100,7 +101,93 @@ def test_a_sensor_with_outliers_gives_no_false_bound(small_job: Job, tmp_path: P
     (small_job.path.parent / "outliers.py").write_text(OUTLIERS)
     run = _run(small_job, tmp_path / "run", "model.name=outliers.py:model", "filter.particles=500")
     for gap in bound(run.path, LEAST_DRAWS).gaps:
-        assert "with 2000 particles than with 500" in gap.reason
+        assert "falls" in gap.reason
+        assert "2000 particles in the place of 500" in gap.reason
+        assert math.isnan(gap.bound.value)
+        assert math.isnan(gap.gap_at_most)
+
+
+INFLATED = """
+from dataclasses import replace
+from pfdist import load_model
+walk = load_model("random_walk")
+model = replace(walk, log_likelihood=lambda y, x, t, p:
+    -0.5 * ((y[0] - x[0]) / (1.2 * p.measurement_sd)) ** 2, linear_gaussian=False)
+"""
+STATIC = """
+from pfdist import StateSpaceModel, where
+import numpy as np
+
+def log_likelihood(y, x, t, p):
+    d = y[0] - x[0]
+    sharp = np.log(0.9 / 0.01 * np.exp(-0.5 * (d / 0.01) ** 2)
+        + 0.1 / 30 * np.exp(-0.5 * (d / 30) ** 2) + 1e-300)
+    return where(t % 2 == 0, -0.5 * d**2, sharp)
+
+model = StateSpaceModel(
+    name="static",
+    initial=lambda w, p: (3 * w[0],),
+    transition=lambda x, t, w, p: (x[0],),
+    measurement=lambda x, t, v, p: (
+        x[0] + where(t % 2 == 0, 1.0, where(v[1] < 0.9, 0.01, 30.0)) * v[0],
+    ),
+    log_likelihood=log_likelihood,
+    quantity_of_interest=lambda x, t, p: (x[0],),
+    initial_noise=("normal",),
+    process_noise=("normal",),
+    measurement_noise=("normal", "uniform"),
+)
+"""
+
+
+def test_a_likelihood_that_is_not_the_truths_gives_no_bound(small_job: Job, tmp_path: Path) -> None:
+    """A likelihood with a larger sd than the noise: its variance exceeds the squared error."""
+    (small_job.path.parent / "inflated.py").write_text(INFLATED)
+    changes = ("model.name=inflated.py:model", "filter.particles=200")
+    for gap in bound(_run(small_job, tmp_path / "run", *changes).path, LEAST_DRAWS).gaps:
+        assert "exceeds their squared error" in gap.reason or "costs less" in gap.reason
+
+
+def test_the_guard_looks_where_the_path_does_not_go(small_job: Job, tmp_path: Path) -> None:
+    """A sharp sensor with outliers at odd instants; few particles make it look worthless."""
+    (small_job.path.parent / "static.py").write_text(STATIC)
+    changes = ("model.name=static.py:model", "filter.particles=200")
+    for gap in bound(_run(small_job, tmp_path / "run", *changes).path, LEAST_DRAWS).gaps:
+        assert "falls" in gap.reason
+
+
+def test_a_reference_that_is_not_feasible_has_no_gap(small_job: Job, tmp_path: Path) -> None:
+    changes = ("comparison.reference=[1, 3, 6, 9]", "problem.forbidden=[3, 4]")
+    found = bound(_run(small_job, tmp_path / "run", *EXACT, *changes).path)
+    reasons = {gap.name: gap.reason for gap in found.gaps}
+    assert reasons == {"reference": "the set is not feasible", "genetic": "", "random": ""}
+
+
+def test_where_nothing_is_unknown_the_gap_is_zero(small_job: Job, tmp_path: Path) -> None:
+    (small_job.path.parent / "known.py").write_text(
+        "from pfdist import linear_gaussian\n"
+        "model = linear_gaussian('known', initial_noise=[[0.0]], transition=[[1.0]],\n"
+        "    process_noise=[[0.0]], measurement=[[1.0]], measurement_noise=[[1.0]],\n"
+        "    quantity_of_interest=[[1.0]])\n"
+    )
+    changes = ("model.name=known.py:model", "filter.engine=kalman")
+    for gap in bound(_run(small_job, tmp_path / "run", *changes).path).gaps:
+        assert (gap.gap, gap.gap_at_most, gap.reason) == (0.0, 0.0, "")
+
+
+def test_a_set_with_degenerate_draws_has_no_gap(small_job: Job, tmp_path: Path) -> None:
+    (small_job.path.parent / "cut.py").write_text(
+        "from dataclasses import replace\n"
+        "import numpy as np\n"
+        "from pfdist import load_model, where\n"
+        "walk = load_model('random_walk')\n"
+        "model = replace(walk, log_likelihood=lambda y, x, t, p:\n"
+        "    where(abs(y[0] - x[0]) > 3.5, -np.inf, -0.5 * (y[0] - x[0]) ** 2))\n"
+    )
+    changes = ("model.name=random_walk", "model.filter.name=cut.py:model")
+    leave_out = ("evaluation.degenerate_draws=leave_out", "filter.particles=5")
+    for gap in bound(_run(small_job, tmp_path / "run", *changes, *leave_out).path).gaps:
+        assert gap.reason == "a draw is degenerate or infinite with the set itself"
 
 
 def test_the_command_says_how_much_is_left(

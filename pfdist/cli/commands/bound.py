@@ -67,8 +67,9 @@ def bound_command(options: Namespace) -> None:
 def _lines(name: str, gap: dict[str, Any]) -> list[str]:
     """Give the lines about one set."""
     number = len(gap["measurement_times"])
+    times = "time" if number == 1 else f"{number} times"
     lines = [
-        f"{name}: {number} measurements",
+        f"{name}: {number} measurement{'s' * (number != 1)}",
         f"  expected MSE          {with_error(gap['expected_mse'], gap['expected_mse_error'])}",
     ]
     if gap["reason"]:
@@ -76,10 +77,11 @@ def _lines(name: str, gap: dict[str, Any]) -> list[str]:
     limit = f"  (95 %: {_percent(gap['gap_at_most'])})" if gap["bound_error"] else ""
     lines += [
         f"  lower bound           {with_error(gap['bound'], gap['bound_error'])}",
-        f"  no other {number} times can lower the error by more than {_percent(gap['gap'])}{limit}",
+        f"  no other {times} can lower the error by more than {_percent(gap['gap'])}{limit}",
     ]
+    scale = 100 / gap["expected_mse"] if gap["expected_mse"] else 0.0
     for part, title in _PARTS.items():
-        share, error = (100 * gap[key] / gap["expected_mse"] for key in (part, f"{part}_error"))
+        share, error = (scale * gap[key] for key in (part, f"{part}_error"))
         if share or error:
             lines.append(f"    {title:<24}{with_error(share, error)} %")
     return lines
