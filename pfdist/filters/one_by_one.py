@@ -63,11 +63,7 @@ def one_by_one(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., A
     ) -> Array:
         keys, columns = filter_streams(stream, settings.estimator), []
         for times, end in zip(sets, ends, strict=True):
-            prefix = draws.upto(end)
-            filters = [
-                filter_checked_draws(model, prefix, times, key, settings, trajectories=True)
-                for key in keys
-            ]
+            filters = _filters(filter_checked_draws, model, draws.upto(end), times, keys, settings)
             columns.append(
                 _mse(filters, ESTIMATORS[settings.estimator]) * ((end + 1) / draws.z.shape[1])
             )
@@ -101,10 +97,7 @@ def summed_one_by_one(filter_checked_draws: Callable[..., Filtered]) -> Callable
         keys, weights = filter_streams(stream, settings.estimator), ESTIMATORS[settings.estimator]
         sums, total = np.zeros((len(sets), draws.z.shape[1])), 0.0
         for row, times, end in zip(sums, sets, ends, strict=True):
-            filters = [
-                filter_checked_draws(model, draws.upto(end), times, key, settings, True)
-                for key in keys
-            ]
+            filters = _filters(filter_checked_draws, model, draws.upto(end), times, keys, settings)
             with np.errstate(all="ignore"):
                 errors = errors_by_variance(*_moments(filters), weights.weights)
                 row[: end + 1] = errors.sum(axis=0)
@@ -112,6 +105,20 @@ def summed_one_by_one(filter_checked_draws: Callable[..., Filtered]) -> Callable
         return sums if np.isfinite(total) else np.full_like(sums, total)
 
     return sum_errors
+
+
+def _filters(
+    filter_checked_draws: Callable[..., Filtered],
+    model: StateSpaceModel,
+    draws: Draws,
+    times: Times,
+    keys: Sequence[int],
+    settings: FilterSettings,
+) -> list[Filtered]:
+    """Filter the same draws with one set of times, once with each key of noise."""
+    return [
+        filter_checked_draws(model, draws, times, key, settings, trajectories=True) for key in keys
+    ]
 
 
 def errors_by_variance(estimates: Array, variances: Array, weights: ErrorWeights) -> Array:

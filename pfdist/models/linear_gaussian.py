@@ -72,8 +72,24 @@ def linear_gaussian(
     """
     start, want, look = map(_times, (initial_noise, quantity_of_interest, measurement))
     move, see = _sum(transition, process_noise), _sum(measurement, measurement_noise)
-    noise, measurements = _function(measurement_noise), _shape(measurement)[0]
+    noise = _function(measurement_noise)
     _check_diagonal(name, noise(0))
+    return StateSpaceModel(
+        name=name,
+        initial=lambda w, p: start(w, 0),
+        transition=lambda x, t, w, p: move(x, w, t),
+        measurement=lambda x, t, v, p: see(x, v, t),
+        log_likelihood=_log_likelihood(look, noise, _shape(measurement)[0]),
+        quantity_of_interest=lambda x, t, p: want(x, t),
+        initial_noise=_normal(initial_noise),
+        process_noise=_normal(process_noise),
+        measurement_noise=_normal(measurement_noise),
+        linear_gaussian=True,
+    )
+
+
+def _log_likelihood(look: Formula, noise: Formula, measurements: int) -> Formula:
+    """Give the log-likelihood of independent normal measurements, up to a constant."""
 
     def log_likelihood(y: Any, x: Any, t: Any, p: Any) -> Any:
         expected, sd, total = look(x, t), noise(t), 0.0
@@ -81,21 +97,12 @@ def linear_gaussian(
             total = total - 0.5 * ((y[i] - expected[i]) / sd[i][i]) ** 2
         return total
 
-    def normal(matrix: Matrix) -> tuple[str, ...]:
-        return ("normal",) * _shape(matrix)[1]
+    return log_likelihood
 
-    return StateSpaceModel(
-        name=name,
-        initial=lambda w, p: start(w, 0),
-        transition=lambda x, t, w, p: move(x, w, t),
-        measurement=lambda x, t, v, p: see(x, v, t),
-        log_likelihood=log_likelihood,
-        quantity_of_interest=lambda x, t, p: want(x, t),
-        initial_noise=normal(initial_noise),
-        process_noise=normal(process_noise),
-        measurement_noise=normal(measurement_noise),
-        linear_gaussian=True,
-    )
+
+def _normal(matrix: Matrix) -> tuple[str, ...]:
+    """Give the kinds of noise that a matrix is multiplied with."""
+    return ("normal",) * _shape(matrix)[1]
 
 
 def _check_diagonal(name: str, matrix: Sequence[Sequence[float]]) -> None:
