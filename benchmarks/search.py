@@ -283,7 +283,8 @@ def _panel(axes: Axes, found: pd.DataFrame) -> None:
     for name, (colour, marker) in LOOKS.items():
         ways = found[found["search"] == name].sort_values("steps")
         if len(ways):
-            spread = ways["excess"] - ways["min"], ways["max"] - ways["excess"]
+            below, above = ways["excess"] - ways["min"], ways["max"] - ways["excess"]
+            spread = below.clip(lower=0), above.clip(lower=0)  # a mean of equal values is rounded
             axes.errorbar(
                 ways["steps"], ways["excess"], spread, label=name, color=colour, marker=marker,
                 ms=5 if marker == "*" else 3.5, lw=0.7, elinewidth=0.6, capsize=1.5,

@@ -92,10 +92,7 @@ class TimesResults:
 
     def sets_of_one_number(self, run: "Run") -> dict[str, Times]:
         """All compared sets by name."""
-        return {
-            str(name): tuple(int(time) for time in times)
-            for name, times in run.compared().set_index("name")["measurement_times"].items()
-        }
+        return run.sets()
 
 
 class BudgetResults:

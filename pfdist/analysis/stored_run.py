@@ -11,11 +11,12 @@ import pandas as pd
 import pyarrow as pa
 
 from pfdist.analysis.belief import own_estimation
+from pfdist.analysis.bounds import last_bounds
 from pfdist.analysis.budget_curve import reaching
 from pfdist.analysis.gains import BLOCK, ComparisonStatistics, relative_gain
 from pfdist.analysis.recorded import read_recorded
 from pfdist.analysis.results import results_of
-from pfdist.store import Store, check_entries
+from pfdist.store import BOUND_PHASE, Store, check_entries
 from pfdist.times.measurement_times import Times
 
 
@@ -100,7 +101,7 @@ class Run:
         """``searching``, ``comparing`` or ``finished``."""
         if not self._store.has("compared"):
             return "searching"
-        if self._store.has_parts() or self._store.manifest.lost():
+        if self._store.has_parts(without=BOUND_PHASE) or self._store.manifest.lost():
             return "comparing"
         enough = self.draws_compared == self.job["comparison"]["draws"] or self._narrow
         return "finished" if enough else "comparing"
@@ -123,6 +124,14 @@ class Run:
         """The comparison in tables of as many draws each, so that memory does not grow."""
         last = self._store.present("comparison", "draw").size
         return self._store.blocks("comparison", "draw", BLOCK, last)
+
+    def sets(self) -> dict[str, Times]:
+        """All compared sets by name, the reference first."""
+        return self._store.compared_sets()
+
+    def bounds(self) -> pd.DataFrame:
+        """A row for each set and each proof of a lower bound: see the columns' descriptions."""
+        return self._store.read("bound")
 
     @property
     def has_budget(self) -> bool:
@@ -202,6 +211,9 @@ class Run:
               was run again by the squared error, or None), the fields of `GainSummary`, and
               gains_disagree (`GainSummary.disagree`).
 
+            - For all, if a lower bound was proved: lower_bound, with the columns of `bounds` for
+              the proof of most particle-steps.
+
             If the run has several numbers of measurements, the results are the rows of `budget`,
             with the four search_ fields for found times. Before the comparison has begun, a result
             has only measurement_times, search_cost and search_standard_error.
@@ -210,6 +222,9 @@ class Run:
         if self.has("compared"):
             compared = self.has("comparison")
             results = self._results.summary(self) if compared else self._before_the_comparison()
+            proved = last_bounds(self.bounds()) if self.has("bound") else {}
+            for name, columns in proved.items():
+                results[name]["lower_bound"] = columns
         evaluations = int(self.evaluations()["copies"].sum()) if self.has("evaluations") else 0
         return {
             "state": self.state,

@@ -1,21 +1,29 @@
 """A lower bound of the expected MSE of every feasible set, and the gap of a run's sets."""
 
-from collections.abc import Callable
+import contextlib
+import tempfile
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pfdist.analysis import finite
+from pfdist.analysis import Run, finite
+from pfdist.api.at_work import at_work
 from pfdist.api.finished_run import built_again, finished_run
 from pfdist.bounds.gap import Gap
-from pfdist.bounds.proof import Estimate
-from pfdist.errors import JobError, shown
-from pfdist.runner.progress import Report, Reporter
-from pfdist.runner.prover import BLOCK, GROUPS, Prover
+from pfdist.errors import JobError, RunMismatchError, shown
+from pfdist.plots import draw_figures
+from pfdist.runner.build import Built, check_pool
+from pfdist.runner.identity import opened
+from pfdist.runner.processor import note_processor
+from pfdist.runner.progress import Report
+from pfdist.runner.prover import LEAST_DRAWS, WINDOW, Prover
+from pfdist.store import Store
 
-DRAWS, WINDOW = 1920, 2
-LEAST_DRAWS = GROUPS * BLOCK
-MOST_DRAWS, MOST_PARTICLES, MOST_WINDOW = 10_000_000, 32_000, 6
+DRAWS = 1920
+MOST_DRAWS, MOST_PARTICLES, MOST_WINDOW = 100_000, 32_000, 6
+WITHIN_DRAWS = 30_720
+"""Largest number of draws, if a gap is demanded and no number of draws."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +37,8 @@ class Bound:
         Settings of the relaxation.
     particles, draws : int
         Settings of the bound's filter; 0 where the engine is exact.
+    confidence : float
+        Confidence of the limit of each gap.
     gaps : list of Gap
         One for each compared set of the run.
     """
@@ -38,61 +48,69 @@ class Bound:
     longest_gap: int
     particles: int
     draws: int
+    confidence: float
     gaps: list[Gap]
 
     def as_json(self) -> dict[str, Any]:
         """The whole result as JSON values; an unknown value is None."""
-        sets = {}
-        for gap in self.gaps:
-            row: dict[str, Any] = {}
-            for key, value in vars(gap).items():
-                if isinstance(value, Estimate):
-                    row |= {key: value.value, f"{key}_error": value.standard_error}
-                elif key != "name":
-                    row[key] = list(value) if isinstance(value, tuple) else value
-            sets[gap.name] = row
         own = {key: value for key, value in vars(self).items() if key not in ("run", "gaps")}
+        sets = {gap.name: gap.columns() for gap in self.gaps}
+        for row in sets.values():
+            del row["name"]
         answer: dict[str, Any] = finite({"run": str(self.run), **own, "sets": sets})
         return answer
 
 
 def bound(
     run: str | Path,
-    draws: int = DRAWS,
+    draws: int | None = None,
     *,
+    within: float | None = None,
     particles: int | None = None,
     window: int = WINDOW,
+    pool: str | None = None,
+    workers: int | None = None,
+    address: str | None = None,
     model: str = "",
     filter_model: str = "",
+    figures: bool = True,
     report: Report = lambda progress: None,
     say: Callable[[str], Any] = lambda line: None,
 ) -> Bound:
     """Prove how much lower the expected MSE of any other feasible times can be.
 
-    The function runs the model, on draws that neither chose the times nor compared them. It runs a
-    model file that the run's folder names only if the file is unchanged since the run, and if the
-    user has run the file on this machine before.
+    The function runs the model, on draws that neither chose the times nor compared them, and
+    writes the tables ``bound`` and ``bound_sums`` of the run. The same call goes on where it was
+    stopped. It runs a model file that the run's folder names only if the file is unchanged since
+    the run, and if the user has run the file on this machine before.
 
     Parameters
     ----------
     run : str or Path
         Folder of a finished run.
-    draws : int
-        Number of draws of the bound, rounded up to a multiple of 24, computed in this process. With
-        more draws the bound is higher, because the least of many noisy costs is too low. Exact
-        engines ignore it.
+    draws : int, optional
+        Number of draws of the bound, rounded up to a multiple of 24; by default 1,920. With more
+        draws the bound is higher, because the least of many noisy costs is too low. Exact engines
+        ignore it.
+    within : float, optional
+        Take more and more draws until the limits of the gaps of all found sets are at most this
+        fraction of the expected MSE, but at most `draws`, by default 30,720.
     particles : int, optional
         Number of particles of the bound's filter; by default that of the job's filter.
     window : int
         Number of last measurements that the relaxation keeps. A larger window gives a higher
         bound, and takes several times as long.
+    pool, workers, address : optional
+        Where to compute, as for `pfdist.run`.
     model, filter_model : str, optional
         ``path/file.py:object``: replaces the file that the run names for the model or for the
         filter's model. It is run without question, and must mean the same as the run's model.
+    figures : bool
+        Whether to draw the figure of the bound against work.
     report : callable, optional
         Receives the progress.
     say : callable, optional
-        Receives a line for each model file before the file is run.
+        Receives lines: each model file before it is run, and when the pool is ready.
 
     Returns
     -------
@@ -104,20 +122,56 @@ def bound(
         The folder holds no finished run, or the model has changed since, or the run names a model
         file that is not run without the user's word.
     JobError, ModelError
-        An argument is out of its range; the measurements of the job have costs; no compared set is
-        feasible; the model defines an error of its own; or the model cannot be loaded.
+        An argument is out of its range; the measurements of the job have costs; the model defines
+        an error of its own; a draw is degenerate in the relaxation; or the model cannot be loaded.
+    TaskError, PoolError
+        A task failed, or no worker answers. All committed sums are kept.
     """
-    for name, value, least, most in (
-        ("draws", draws, LEAST_DRAWS, MOST_DRAWS),
+    most = draws or (DRAWS if within is None else WITHIN_DRAWS)
+    for name, value, least, largest in (
+        ("draws", most if draws is None else draws, LEAST_DRAWS, MOST_DRAWS),
         ("particles", 1 if particles is None else particles, 1, MOST_PARTICLES),
         ("window", window, 1, MOST_WINDOW),
     ):
-        if not least <= value <= most:
+        if not least <= value <= largest:
             raise JobError(
-                f"{name} must be {least:,} to {most:,}, got {shown(value)}", argument=name
+                f"{name} must be {least:,} to {largest:,}, got {shown(value)}", argument=name
             )
-    opened = finished_run(run)
-    built = built_again(opened, {"model": model, "filter_model": filter_model}, say)
-    prover = Prover(opened, built, draws, particles, window, Reporter(report, 1.0))
-    gaps, relaxation = prover.gaps(), prover.relaxation
-    return Bound(opened.path, window, relaxation.longest_gap, prover.particles, prover.draws, gaps)
+    if within is not None and not 0 < within < 1:
+        raise JobError(
+            f"within must be a fraction above 0 and below 1, got {shown(within)}", argument="within"
+        )
+    execution = {"pool": pool, "workers": workers, "address": address}
+    given = {key: value for key, value in execution.items() if value is not None}
+    proved = finished_run(run)
+    built = built_again(proved, {"model": model, "filter_model": filter_model}, say, given)
+    check_pool(built.job.execution)
+    prover = Prover(built, most, particles, window, within)
+    with _store(proved, built, say) as store, at_work(built, store, report, say) as session:
+        session.reporter.foresee(prover.steps)
+        look = prover.prove(session, finished_run(run))  # it may have been found damaged
+        if figures and store.path == proved.path:
+            draw_figures(proved, "bound")
+    return Bound(
+        proved.path,
+        window,
+        prover.relaxation.longest_gap,
+        prover.particles,
+        look.draws,
+        prover.confidence,
+        look.gaps,
+    )
+
+
+@contextlib.contextmanager
+def _store(run: Run, built: Built, say: Callable[[str], Any]) -> Iterator[Store]:
+    """Give the run's own store, or a store for a while if another version computed the run."""
+    with contextlib.ExitStack() as stack:
+        try:
+            store = stack.enter_context(opened(run.path, built, say))
+            note_processor(run.path, built, say)
+        except RunMismatchError:
+            say(f"another version of pfdist computed {run.path}: the bound is not stored there")
+            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="pfdist-bound-"))
+            store = Store(Path(folder))
+        yield store

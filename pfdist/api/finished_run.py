@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from pfdist.analysis import Run, open_run, read_recorded
@@ -10,6 +11,8 @@ from pfdist.job.job import load_job
 from pfdist.runner.build import Built, build
 from pfdist.runner.identity import changed_meanings
 from pfdist.runner.named_by_a_run import NamedByRun
+
+_AS_DEFAULT: Mapping[str, Any] = MappingProxyType({})
 
 
 def finished_run(run: str | Path) -> Run:
@@ -26,7 +29,12 @@ def finished_run(run: str | Path) -> Run:
     return opened
 
 
-def built_again(run: Run, instead: Mapping[str, str], say: Callable[[str], Any]) -> Built:
+def built_again(
+    run: Run,
+    instead: Mapping[str, str],
+    say: Callable[[str], Any],
+    execution: Mapping[str, Any] = _AS_DEFAULT,
+) -> Built:
     """Build the run's own job, and check that the models are those of the run.
 
     Parameters
@@ -36,6 +44,8 @@ def built_again(run: Run, instead: Mapping[str, str], say: Callable[[str], Any])
         Models that the user names, for the parts "model" and "filter_model"; empty: the run's own.
     say : callable
         Receives a line for each model file before the file is run.
+    execution : mapping, optional
+        Values of keys of [execution].
 
     Raises
     ------
@@ -48,7 +58,8 @@ def built_again(run: Run, instead: Mapping[str, str], say: Callable[[str], Any])
     about, _ = read_recorded(run.path)
     remedy = "to have a model run that you trust, name it: {part} = FILE.py:OBJECT"
     choose = NamedByRun(run.path, about, instead, say, remedy)
-    built = build(load_job(run.path / "job.toml"), choose)
+    settings = {"execution": dict(execution)} if execution else {}
+    built = build(load_job(run.path / "job.toml", settings=settings), choose)
     differences = changed_meanings(about, built)
     if differences:
         message = f"{run.path} is of another model than is there now: the run's -> this one's"

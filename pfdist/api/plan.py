@@ -7,6 +7,7 @@ from typing import Any
 from pfdist.analysis import Run
 from pfdist.api.run import run
 from pfdist.job.job import Job, as_job
+from pfdist.runner.prover import LEAST_DRAWS
 from pfdist.search.methods import DEFAULT_METHOD
 
 
@@ -15,9 +16,10 @@ def plan(
     results: str | Path | None = None,
     search: str = DEFAULT_METHOD,
     changes: Iterable[str] = (),
+    bound_draws: int = LEAST_DRAWS,
     **options: Any,
 ) -> Run:
-    """Find times with one search, and compare them with regular times on fresh draws.
+    """Find times with one search, compare them with regular times, and prove a lower bound.
 
     Parameters
     ----------
@@ -31,6 +33,9 @@ def plan(
     changes : iterable of str, optional
         Changes ``key=value``, as `pfdist.load_job` takes them. The name of the search is its
         method, as in ``search.survivors.survivors=4``.
+    bound_draws : int
+        Number of draws of the lower bound that is proved for the found times; 0 for no bound. A
+        range of measurement budgets gets none here; see `pfdist.bound`.
     options : object
         Further arguments of `pfdist.run`, by name.
 
@@ -47,4 +52,4 @@ def plan(
     if results is None:
         suffix = "-plan" if job.names_its_searches else ""
         results = Path("results") / f"{job.path.stem}{suffix}"
-    return run(job, results, **options)
+    return run(job, results, bound_draws=0 if job.budget else bound_draws, **options)

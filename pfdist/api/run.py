@@ -1,20 +1,22 @@
-"""Run a job: compute what the run lacks, then draw the figures."""
+"""Run a job: compute what the run lacks, prove a lower bound if wanted, then draw the figures."""
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
 from pfdist.analysis import Run, open_run
+from pfdist.api.at_work import at_work
+from pfdist.errors import JobError, ModelError
 from pfdist.job.job import Job, as_job
 from pfdist.plots import draw_figures, figure_files, remove_figures
-from pfdist.pools.kinds import POOLS
-from pfdist.runner.build import Built, build, check_pool, make_pool
+from pfdist.runner.build import Built, build, check_pool
 from pfdist.runner.driver import FORKED, drive
 from pfdist.runner.identity import opened
 from pfdist.runner.named_by_a_run import files_named
 from pfdist.runner.processor import note_processor
 from pfdist.runner.progress import Report
+from pfdist.runner.prover import WINDOW, Prover
+from pfdist.runner.session import Session
 from pfdist.store import Store
 
 
@@ -28,6 +30,7 @@ def run(
     fork: str | Path | None = None,
     changes: Iterable[str] = (),
     figures: bool = True,
+    bound_draws: int = 0,
     report: Report = lambda progress: None,
     say: Callable[[str], Any] = lambda line: None,
 ) -> Run:
@@ -52,11 +55,14 @@ def run(
         Changes ``key=value``, as `pfdist.load_job` takes them.
     figures : bool
         Whether to draw the figures that the run's folder lacks.
+    bound_draws : int
+        Number of draws of a lower bound of the expected MSE of all feasible times, which is proved
+        after the comparison unless the run has one; 0 for no bound. See `pfdist.bound`.
     report : callable, optional
         Receives the progress, each time as a `pfdist.runner.progress.Progress`.
     say : callable, optional
         Receives lines: which model files are run, when the pool is ready, which files were
-        damaged, and why a search does not trust its estimator.
+        damaged, why a search does not trust its estimator, and why there is no lower bound.
 
     Returns
     -------
@@ -79,24 +85,39 @@ def run(
         say(f"runs the model file {file}, which your job names")
     built = build(job)
     with opened(path, built, say) as store:
-        if open_run(path).state != "finished":
+        prover = None if store.has("bound") else _prover(built, bound_draws, say)
+        unfinished = open_run(path).state != "finished"
+        if unfinished:
             remove_figures(path)  # they show fewer draws
             if origin is not None:
                 store.adopt(origin, FORKED)
-            _compute(built, store, report, say)
+        if unfinished or prover is not None:
+            note_processor(store.path, built, say)
+            with at_work(built, store, report, say) as session:
+                if prover is not None:
+                    session.reporter.foresee(prover.steps)
+                drive(session)
+                if prover is not None:
+                    _prove(prover, session)
         finished = open_run(path)
         if figures and not all(file.exists() for file in figure_files(finished)):
             draw_figures(finished)
     return finished
 
 
-def _compute(built: Built, store: Store, report: Report, say: Callable[[str], Any]) -> None:
-    """Compute what the run lacks, in the pool of the job."""
-    execution = built.job.execution
-    note_processor(store.path, built, say)
-    start = perf_counter()
-    with make_pool(built, execution) as pool:
-        seconds = perf_counter() - start
-        workers = f"{pool.workers} worker{'s' * (pool.workers != 1)}"
-        say(f"{POOLS[execution.pool].title} is ready: {workers} in {seconds:.1f} s")
-        drive(built, store, pool, report, say)
+def _prover(built: Built, draws: int, say: Callable[[str], Any]) -> Prover | None:
+    """A prover of the run's lower bound; None if no bound is wanted or known."""
+    if not draws:
+        return None
+    try:
+        return Prover(built, draws, None, WINDOW)
+    except (JobError, ModelError) as error:
+        say(f"there is no lower bound: {error}")
+        return None
+
+
+def _prove(prover: Prover, session: Session) -> None:
+    try:
+        prover.prove(session, open_run(session.store.path))
+    except ModelError as error:  # the results of the run stand
+        session.say(str(error))

@@ -1,13 +1,35 @@
 """The gap between a set's expected MSE and the lower bound of all sets of so many times."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
-from pfdist.bounds.proof import Estimate
+from pfdist.bounds.proof import Estimate, Proof
 from pfdist.times.measurement_times import Times
 
-UNKNOWN = Estimate(math.nan, math.nan)
+UNKNOWN, NOTHING = Estimate(math.nan, math.nan), Estimate(0.0)
+
+
+@dataclass(frozen=True)
+class SetAlone:
+    """The expected MSE of a set, and the parts of its gap that no relaxation causes.
+
+    Parameters
+    ----------
+    expected_mse : Estimate
+        With the job's own filter. It is NaN if a draw is degenerate or infinite.
+    estimate : Estimate
+        Expected MSE with the true model, less the expected variance of the particles.
+    filter_model : Estimate
+        Expected MSE with the filter's model, less that with the true model.
+    both : Estimate
+        Sum of both parts, with its own error.
+    """
+
+    expected_mse: Estimate
+    estimate: Estimate = NOTHING
+    filter_model: Estimate = NOTHING
+    both: Estimate = NOTHING
 
 
 @dataclass(frozen=True)
@@ -30,7 +52,7 @@ class Gap:
         The sum of the three parts below over the expected MSE, at least 0. Each part is a
         difference on common draws, so the gap has a smaller error than 1 - bound / expected_mse.
     gap_at_most : float
-        One-sided 95 % limit of the gap, and what the bound falls with four times the particles.
+        One-sided limit of the gap, and what the bound falls with four times the particles.
     relaxation, estimate, filter_model : Estimate
         The parts of the difference: relaxation and chance; number of particles and bias of the
         estimate; wrong model of the filter.
@@ -48,21 +70,49 @@ class Gap:
     estimate: Estimate = UNKNOWN
     filter_model: Estimate = UNKNOWN
 
+    def columns(self) -> dict[str, Any]:
+        """The gap as values of a table's row; an estimate becomes two."""
+        row = dict[str, Any]()
+        for key, value in vars(self).items():
+            if isinstance(value, Estimate):
+                row |= {key: value.value, f"{key}_error": value.standard_error}
+            else:
+                row[key] = value
+        return row
 
-def contradiction(gap: Gap, gaps: Mapping[str, Gap]) -> str:
-    """Say which known set costs less than the bound; empty if none does.
+
+def gap_of(
+    name: str, times: Times, alone: SetAlone, proof: Proof, slack: Estimate, confidence: float
+) -> Gap:
+    """Give the gap of a feasible set, before the guard has looked at it.
 
     Parameters
     ----------
-    gap : Gap
-        With the bound.
-    gaps : mapping of str to Gap
-        All known sets; those of more measurements contradict nothing.
+    name : str
+    times : tuple of int
+    alone : SetAlone
+    proof : Proof
+    slack : Estimate
+        The slack of this set in the proof.
+    confidence : float
+        Confidence of the limit of the gap.
     """
-    for other in gaps.values():
-        error = math.hypot(other.expected_mse.standard_error, gap.bound.standard_error)
-        difference = Estimate(gap.bound.value - other.expected_mse.value, error)
-        fewer = len(other.measurement_times) <= len(gap.measurement_times)
-        if fewer and difference.is_positive:
-            return f"the set {other.name} costs less than the bound"
-    return ""
+    mse = alone.expected_mse
+    if not math.isfinite(mse.value):
+        return Gap(name, times, mse, "a draw is degenerate or infinite with the set itself")
+    total = slack.plus(alone.both)
+    at_most = total.at_most(max(1, proof.groups - 1), confidence)
+    scale = 1 / mse.value if mse.value > 0 else 0.0
+    return Gap(
+        name,
+        times,
+        mse,
+        "the set costs less than the bound" if at_most < 0 and proof.groups else "",
+        proof.bounds[len(times)],
+        proof.paths[len(times)],
+        max(0.0, total.value * scale),
+        max(0.0, at_most * scale),
+        slack,
+        alone.estimate,
+        alone.filter_model,
+    )

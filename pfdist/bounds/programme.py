@@ -38,23 +38,26 @@ def least(relaxation: Relaxation, errors: Array, most: int) -> Least:
     most : int
         The largest number of measurements.
     """
-    states, index, instants = relaxation.states, relaxation.index, relaxation.horizon + 1
+    states, instants = relaxation.states, relaxation.horizon + 1
     between = _Between(relaxation, errors)
     cost = np.full((len(states), *errors.shape[:-2], most + 1), np.inf)
-    cost[index[START], ..., 0] = 0.0
-    before = np.full((len(states), most + 1), -1)
-    whole, last = np.full(cost.shape[1:], np.inf), np.full(most + 1, -1)
-    for number, state in enumerate(states):  # a step leads to a later state
+    cost[relaxation.index[START], ..., 0] = 0.0
+    origin = np.full((len(states), most + 1), -1)
+    whole, last = np.full((1, *cost.shape[1:]), np.inf), np.full((1, most + 1), -1)
+    end = np.array([instants])
+    for number, (state, steps) in enumerate(zip(states, relaxation.steps, strict=True)):
         if not np.isfinite(cost[number]).any():
             continue
-        for time in relaxation.followers(state):
-            after = index[relaxation.after(state, time)]
-            reached = cost[number, ..., :-1] + between(number, time)[..., None]
-            _improve(cost[after, ..., 1:], before[after, 1:], reached, number)
+        if steps.times.size:  # a step leads to a later state
+            reached = between(number, steps.times) + cost[number, ..., :-1]
+            least_cost, better = _lesser(cost[steps.after, ..., 1:], reached)
+            cost[steps.after, ..., 1:] = least_cost
+            origin[steps.after, 1:] = np.where(better, number, origin[steps.after, 1:])
         if not relaxation.required_after(state):
-            _improve(whole, last, cost[number] + between(number, instants)[..., None], number)
-    paths = [_path(relaxation, before, int(end), count) for count, end in enumerate(last)]
-    return Least(whole / instants, paths)
+            whole, better = _lesser(whole, between(number, end) + cost[number])
+            last = np.where(better, number, last)
+    paths = [_path(relaxation, origin, int(end), count) for count, end in enumerate(last[0])]
+    return Least(whole[0] / instants, paths)
 
 
 class _Between:
@@ -67,31 +70,34 @@ class _Between:
             summed = np.cumsum(errors[..., number, : end + 1], axis=-1)
             self._before[..., number, 1 : end + 2] = summed
 
-    def __call__(self, number: int, until: int) -> Array:
-        """Sum up to the instant before `until`, (...)."""
+    def __call__(self, number: int, until: NDArray[np.int64]) -> Array:
+        """Sums up to the instant before each of `until`, (len(until), ..., 1)."""
         relaxation, before = self._relaxation, self._before
         state = relaxation.states[number]
-        own = min(until, relaxation.reach(state))
-        total: Array = before[..., number, own] - before[..., number, max(state.last, 0)]
-        if until > own:
-            fallback = relaxation.index[relaxation.fallback(state)]
-            total = total + before[..., fallback, until] - before[..., fallback, own]
-        return total
+        fallback = relaxation.index[relaxation.fallback(state)]
+        own = np.minimum(until, relaxation.reach(state))
+        total = before[..., number, own] - before[..., number, [max(state.last, 0)]]
+        total += before[..., fallback, until] - before[..., fallback, own]
+        return np.moveaxis(total, -1, 0)[..., None]
 
 
-def _improve(cost: Array, origin: NDArray[np.int64], new: Array, number: int) -> None:
-    """Take lower costs, and note where those of the first leading axes come from."""
+def _lesser(cost: Array, new: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """The lesser costs, (n, ..., N), and where the new are less for the first leading axes, (n, N).
+
+    Parameters
+    ----------
+    cost, new : array of float64, (n, ..., N)
+    """
     better = new < cost
-    origin[better.reshape(-1, len(origin))[0]] = number
-    np.copyto(cost, new, where=better)
+    return np.where(better, new, cost), better.reshape(len(cost), -1, cost.shape[-1])[:, 0]
 
 
 def _path(
-    relaxation: Relaxation, before: NDArray[np.int64], state: int, measurements: int
+    relaxation: Relaxation, origin: NDArray[np.int64], state: int, measurements: int
 ) -> Times:
     """Follow the programme back from a last state."""
     times: list[int] = []
     while state >= 0 and measurements > 0:
         times.append(relaxation.states[state].last)
-        state, measurements = int(before[state, measurements]), measurements - 1
+        state, measurements = int(origin[state, measurements]), measurements - 1
     return tuple(reversed(times))

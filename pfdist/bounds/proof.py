@@ -46,11 +46,11 @@ class Estimate:
         error = math.hypot(self.standard_error, other.standard_error)
         return Estimate(self.value + other.value, error)
 
-    def at_most(self, degrees: int) -> float:
-        """Give the upper end of the one-sided 95 % interval, by Student's t."""
+    def at_most(self, degrees: int, confidence: float = CONFIDENCE) -> float:
+        """Give the upper end of the one-sided interval, by Student's t."""
         if self.standard_error == 0.0:
             return self.value
-        return self.value + float(stats.t.ppf(CONFIDENCE, degrees)) * self.standard_error
+        return self.value + float(stats.t.ppf(confidence, degrees)) * self.standard_error
 
     @property
     def is_positive(self) -> bool:

@@ -17,6 +17,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from pfdist.errors import MeasurementTimesError
 from pfdist.times.constraints import Constraints
 from pfdist.times.measurement_times import Times
@@ -42,6 +45,21 @@ class State(NamedTuple):
     def last(self) -> int:
         """The last measurement time; -1 if there is none."""
         return self.later[-1] if self.later else self.filled_up_to
+
+
+class Steps(NamedTuple):
+    """The steps from a state to others, each by one measurement.
+
+    Parameters
+    ----------
+    times : array of int64, (n,)
+        The time of each measurement.
+    after : array of int64, (n,)
+        Index of the state to which it leads.
+    """
+
+    times: NDArray[np.int64]
+    after: NDArray[np.int64]
 
 
 START = State(NOTHING, ())
@@ -83,21 +101,36 @@ class Relaxation:
         return self.constraints.horizon
 
     @cached_property
-    def states(self) -> tuple[State, ...]:
-        """All states that a path can reach, with their fallbacks, by their last time."""
+    def _reached(self) -> set[State]:
+        """All states that a path can reach."""
         found, new = {START}, [START]
         while new:
             state = new.pop()
             reached = {self.after(state, time) for time in self.followers(state)} - found
             new += reached
             found |= reached
-        found |= {self.fallback(state) for state in found}
+        return found
+
+    @cached_property
+    def states(self) -> tuple[State, ...]:
+        """All states that a path can reach, with their fallbacks, by their last time."""
+        found = self._reached | {self.fallback(state) for state in self._reached}
         return tuple(sorted(found, key=lambda state: (state.last, state)))
 
     @cached_property
     def index(self) -> dict[State, int]:
         """Index of each state in `states`."""
         return {state: index for index, state in enumerate(self.states)}
+
+    @cached_property
+    def steps(self) -> list["Steps"]:
+        """The steps from each state in `states`; none from a state that no path reaches."""
+        found = []
+        for state in self.states:
+            times = self.followers(state) if state in self._reached else []
+            after = [self.index[self.after(state, time)] for time in times]
+            found.append(Steps(np.array(times, np.int64), np.array(after, np.int64)))
+        return found
 
     @property
     def sets(self) -> list[Times]:

@@ -52,6 +52,30 @@ def add_json(parser: ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print one JSON object and no text")
 
 
+def add_pool(parser: ArgumentParser) -> None:
+    """Add ``--pool``, ``--workers`` and ``--address``."""
+    parser.add_argument(
+        "--pool",
+        choices=list(POOLS),
+        help="where tasks are computed: "
+        + "; ".join(f"{name}, {kind.description}" for name, kind in POOLS.items())
+        + " (default: execution.pool of the job)",
+    )
+    parser.add_argument(
+        "--workers",
+        type=whole,
+        metavar="N",
+        help="number of workers; 0 is one for each core (default: execution.workers of the job)",
+    )
+    parser.add_argument(
+        "--address",
+        metavar="HOST:PORT",
+        help="join the Ray cluster at this address; "
+        '"auto" finds a cluster, "local" starts one on this machine '
+        "(default: execution.address of the job)",
+    )
+
+
 def computing(results: str) -> Callable[[ArgumentParser], None]:
     """Give a function that adds what a command needs to compute a run.
 
@@ -65,27 +89,7 @@ def computing(results: str) -> Callable[[ArgumentParser], None]:
         parser.add_argument(
             "--results", metavar="DIR", help=f"folder of the run (default: {results})"
         )
-        parser.add_argument(
-            "--pool",
-            choices=list(POOLS),
-            help="where tasks are computed: "
-            + "; ".join(f"{name}, {kind.description}" for name, kind in POOLS.items())
-            + " (default: execution.pool of the job)",
-        )
-        parser.add_argument(
-            "--workers",
-            type=whole,
-            metavar="N",
-            help="number of workers; 0 is one for each core "
-            "(default: execution.workers of the job)",
-        )
-        parser.add_argument(
-            "--address",
-            metavar="HOST:PORT",
-            help="join the Ray cluster at this address; "
-            '"auto" finds a cluster, "local" starts one on this machine '
-            "(default: execution.address of the job)",
-        )
+        add_pool(parser)
         parser.add_argument(
             "--fork",
             metavar="NEW",

@@ -16,5 +16,6 @@ def wrapped_lines(name: str, text: str) -> list[str]:
 
 
 def paragraph(text: str) -> list[str]:
-    """Give the lines of an indented sentence."""
-    return textwrap.wrap(text, COLUMNS, initial_indent="  ", subsequent_indent="  ")
+    """Give the lines of an indented sentence; a no-break space becomes a space."""
+    lines = textwrap.wrap(text, COLUMNS, initial_indent="  ", subsequent_indent="  ")
+    return [line.replace("\xa0", " ") for line in lines]

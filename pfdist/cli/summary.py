@@ -4,6 +4,7 @@ import sys
 from typing import Any
 
 from pfdist.cli.belief import belief_line
+from pfdist.cli.bound_lines import proof_lines
 from pfdist.cli.budget_summary import budget_lines, is_for_several_numbers
 from pfdist.cli.layout import line, paragraph, wrapped_lines
 from pfdist.cli.numbers import cost, percent, percent_with_interval, range_of, times_100
@@ -60,6 +61,8 @@ def _compared_lines(name: str, results: dict[str, Any], reference: str) -> list[
     if "mean_relative_gain" in result:
         noise = results[reference].get("gain_over_itself")
         lines += _gain_lines(result, reference, noise)
+        if "lower_bound" in result:
+            lines += proof_lines(result["lower_bound"], len(result["measurement_times"]))
     if "gain_over_itself" in result:
         interval = result["gain_over_itself_interval"]
         gain = percent_with_interval(result["gain_over_itself"], interval)

@@ -6,6 +6,7 @@ draw stays the same, and so does every figure that is computed from the draws in
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,6 +70,11 @@ class Problem:
     def believed(self) -> StateSpaceModel:
         """The model that the filter uses."""
         return self.filter_model or self.model
+
+    @cached_property
+    def truth(self) -> "Problem":
+        """The same problem with a filter that knows the true model."""
+        return self if self.believed == self.model else replace(self, filter_model=None)
 
     @property
     def _engine(self) -> Engine:
@@ -215,7 +221,7 @@ class Problem:
         ModelError
             A formula failed.
         """
-        return [self.filtered(work) for work in works]
+        return [(self.truth if work.knows_truth else self).filtered(work) for work in works]
 
     def pieces(self, work: Work, seconds: float) -> list[Work]:
         """Cut a work between its draws into works of about as many seconds each.
@@ -230,6 +236,8 @@ class Problem:
 
     def filtered(self, work: Work) -> Result:
         """Per-draw MSE as `__call__` gives it, for a work that the caller has checked."""
+        if work.summed:
+            return Result(np.empty(0), sums=self.sum_errors(work))
         engine, settings = self._engine, self._settings(work.estimation)
         draws = engine.simulate(self.model, self.horizon, range(*work.draws), work.draws_stream)
         if work.trajectories:

@@ -55,8 +55,14 @@ class Work:
     estimation : Estimation
     trajectories : bool
         Whether z, y and the estimates are wanted.
-    ids : tuple of str, (S,), optional
-        The id of each set's evaluation; its results come back under this id.
+    ids : tuple of str, optional
+        The id of each set's evaluation, (S,); its results come back under this id. Sums have one
+        id for all sets.
+    summed : bool
+        Whether the errors of each instant are wanted as sums over the draws. Such a work is not
+        cut: the rounding of a sum depends on its draws.
+    knows_truth : bool
+        Whether the filter uses the true model, whatever the problem's filter model is.
     """
 
     measurement_times: tuple[Times, ...]
@@ -67,6 +73,8 @@ class Work:
     estimation: Estimation
     trajectories: bool = False
     ids: tuple[str, ...] = ()
+    summed: bool = False
+    knows_truth: bool = False
 
     def by_id(self, result: "Result") -> dict[str, NDArray[np.float64]]:
         """Per-draw MSE of each set, (D,), by the id of its evaluation."""
@@ -116,12 +124,16 @@ class Result:
     z, y : array of float64, (D, T+1, q) and (D, T+1, m)
     estimates : array of float64, (S, D, T+1, q)
         z, y and estimates are empty unless trajectories are wanted.
+    sums : array of float64, (S, T+1)
+        Sums of the errors over the draws, if they are wanted; then everything else is empty. None
+        is finite if a draw is degenerate or infinite with any set.
     """
 
     mse: NDArray[np.float64]
     z: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
     y: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
     estimates: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    sums: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
 
 
 def cut(draws: ArrayLike, block: int) -> list[tuple[int, int]]:

@@ -5,6 +5,7 @@ each set comes soon after the set with which it shares the longest prefix. It re
 that the earlier set saved. The result has the same bits as if it had begun at 0.
 """
 
+from collections import defaultdict
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -129,19 +130,25 @@ def _word(key: tuple[tuple[int, ...], int]) -> tuple[tuple[int, ...], int]:
 def _shared(
     measured: NDArray[np.bool_], ends: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], list[int]]:
-    """For each set: the length of its longest shared prefix, and the set that filters it."""
+    """For each set: the length of its longest shared prefix, and the set that filters it.
+
+    In lexicographic order, all earlier sets that share a prefix with a set share the prefix with
+    the set before it, too.
+    """
     begins, givers = np.zeros(len(ends), np.int64), [-1] * len(ends)
-    for index in range(1, len(ends)):
-        differ = measured[:index] != measured[index]
-        alike = np.where(differ.any(axis=1), differ.argmax(axis=1), measured.shape[1])
-        upto = np.minimum(np.minimum(alike, ends[:index]), ends[index])
-        giver = int(np.flatnonzero(upto == upto.max())[-1])
-        begins[index] = upto[giver]
-        while (
-            begins[giver] > begins[index]
-        ):  # it resumed behind this instant, so its giver is asked
+    differ = measured[1:] != measured[:-1]
+    alike = np.where(differ.any(axis=1), differ.argmax(axis=1), measured.shape[1]).tolist()
+    # For each length of a prefix of the present set, the last set before that reaches so far.
+    latest = np.full(measured.shape[1] + 1, -1)
+    latest[: ends[0] + 1] = 0
+    for index, (shared, end) in enumerate(zip(alike, ends[1:].tolist(), strict=True), start=1):
+        latest[shared + 1 :] = -1
+        begin = int(np.flatnonzero(latest[: end + 1] >= 0)[-1])
+        giver, begins[index] = int(latest[begin]), begin
+        while begins[giver] > begin:  # it resumed behind this instant, so its giver is asked
             giver = givers[giver]
         givers[index] = giver
+        latest[: end + 1] = index
     return begins, givers
 
 
@@ -150,12 +157,14 @@ def _kept(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """For each set: where it saves clouds, and the slot it resumes from. Slots are reused."""
     last_use: dict[tuple[int, int], int] = {}
+    begins_of_takers: dict[int, set[int]] = defaultdict(set)
     origins: list[tuple[int, int]] = []
     for index, (giver, begin) in enumerate(zip(givers, begins.tolist(), strict=True)):
         as_its_giver = begin > 0 and begins[giver] == begin
         origins.append(origins[giver] if as_its_giver else (giver, begin))
         if begin > 0:
             last_use[origins[index]] = index
+            begins_of_takers[origins[index][0]].add(origins[index][1])
     stops = np.repeat(ends[:, None], instants + 1, axis=1)
     slots, sources = np.full_like(stops, -1), np.zeros_like(ends)
     held: dict[tuple[int, int], int] = {}
@@ -163,8 +172,8 @@ def _kept(
         if begins[index] > 0:
             sources[index] = held[origins[index]]
         held = {what: slot for what, slot in held.items() if last_use[what] > index}
-        for what in sorted((what for what in last_use if what[0] == index), reverse=True):
-            held[what] = min(set(range(len(held) + 1)) - set(held.values()))
-            stops[index, : what[1]] = what[1]
-            slots[index, what[1]] = held[what]
+        for begin in sorted(begins_of_takers[index], reverse=True):
+            held[index, begin] = min(set(range(len(held) + 1)) - set(held.values()))
+            stops[index, :begin] = begin
+            slots[index, begin] = held[index, begin]
     return stops, slots, sources

@@ -35,12 +35,14 @@ def remove_figures(path: Path) -> None:
             remove_file(file)
 
 
-def draw_figures(run: Run) -> list[Path]:
-    """Draw all figures of a run from its tables, into its folder ``figures``.
+def draw_figures(run: Run, only: str = "") -> list[Path]:
+    """Draw all figures of a run from its tables, or one, into its folder ``figures``.
 
     Parameters
     ----------
     run : Run
+    only : str
+        Name of the one figure that is wanted, as its file declares it; empty for all.
 
     Returns
     -------
@@ -55,8 +57,8 @@ def draw_figures(run: Run) -> list[Path]:
     """
     if run.state == "searching" or not run.draws_compared:
         raise StoreError(f"{run.path} has no compared draws yet: run the job on, then plot")
-    tables = Tables(run)
-    return save_plots(run, (plot for figure in FIGURES.values() for plot in figure.plots(tables)))
+    tables, wanted = Tables(run), [FIGURES[only]] if only else FIGURES.values()
+    return save_plots(run, (plot for figure in wanted for plot in figure.plots(tables)))
 
 
 def save_plots(run: Run, plots: Iterable[tuple[str, Plot]]) -> list[Path]:

@@ -1,7 +1,7 @@
 """From the names in a job to objects: model, problem, optimisers, pool."""
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
@@ -45,6 +45,11 @@ class ProblemSource:
     engine: str
     estimations: tuple[Estimation, ...]
 
+    @property
+    def truth(self) -> "ProblemSource":
+        """The same problem with a filter that knows the true model."""
+        return replace(self, filter_model=self.model)
+
     def make(self) -> Problem:
         """The problem with its models loaded and every estimation checked."""
         try:
@@ -80,6 +85,15 @@ class ProblemSource:
 
     def evaluation_id(self, times: Times, end: int, stream: int, estimation: Estimation) -> str:
         """Id of an evaluation: a hash of everything on which its per-draw MSE depends."""
+        return self._id(estimation, times, end, stream)
+
+    def sums_id(
+        self, sets: Sequence[Times], ends: Sequence[int], stream: int, estimation: Estimation
+    ) -> str:
+        """Id of sums of errors: a hash of everything on which they depend but their draws."""
+        return self._id(estimation, sets, ends, stream, "sums")
+
+    def _id(self, estimation: Estimation, *parts: Any) -> str:
         key = stream_key(
             KERNEL_VERSION,
             self.model.content,
@@ -88,9 +102,7 @@ class ProblemSource:
             self.dtype,
             self.engine,
             vars(estimation),
-            times,
-            end,
-            stream,
+            *parts,
         )
         return f"{key:016x}"
 

@@ -45,8 +45,8 @@ def run_comparison(
     interim = InterimGains(list(sets), draws, built.job.comparison.until.half_width)
     for rows in store.blocks("comparison", "draw", BLOCK, draws):
         interim.learn(rows)
-    compared = int(present.sum())
-    reporter.note(done=reporter.progress.done + compared * work.steps_a_draw)
+    compared, start = int(present.sum()), reporter.progress.done
+    reporter.note(done=start + compared * work.steps_a_draw)
     reporter.begin(COMPARISON, evaluations=compared, found=study.shown(interim.found))
     for table in study.first_draws:
         TABLES[table](built, work).fill(COMPARISON, collector)
@@ -74,7 +74,7 @@ def run_comparison(
                 )
                 if interim.enough:
                     break
-    reporter.finish()
+    reporter.reach(start + comparison_steps(built))
     _publish(store, interim.enough or draws)
 
 

@@ -1,22 +1,15 @@
 """The driver: search phases, then the comparison. It uses a pool and a store, and knows no Ray."""
 
-import uuid
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-import pandas as pd
 import pyarrow as pa
 
 from pfdist.errors import SearchError
-from pfdist.pools.base import Pool
-from pfdist.runner.build import Built
-from pfdist.runner.collect import Collector
 from pfdist.runner.comparison_phase import COMPARISON, comparison_steps, run_comparison
-from pfdist.runner.pace import Pace
-from pfdist.runner.progress import Report, Reporter
 from pfdist.runner.search_phase import run_search, search_steps
 from pfdist.runner.search_tables import unpublished
+from pfdist.runner.session import Session
 from pfdist.store import Store, schema
 from pfdist.times.measurement_times import Times
 
@@ -25,25 +18,12 @@ FORKED = "forked-from"
 COMPARED = "search"
 
 
-def drive(
-    built: Built,
-    store: Store,
-    pool: Pool,
-    report: Report,
-    say: Callable[[str], Any] = lambda line: None,
-) -> None:
+def drive(session: Session) -> None:
     """Compute everything that a run still lacks, be it new or half finished.
 
     Parameters
     ----------
-    built : Built
-    store : Store
-    pool : Pool
-        A pool that the caller has entered.
-    report : callable
-        Receives the progress after each outcome.
-    say : callable, optional
-        Receives a line if a search does not trust its estimator.
+    session : Session
 
     Raises
     ------
@@ -52,18 +32,21 @@ def drive(
     TaskError, PoolError, StoreError
         A task failed, no worker answers, or a file cannot be read or written.
     """
-    failures = built.job.execution.failures
-    pace = Pace(built.problem.seconds_a_step, pool.workers)
-    collector = Collector(store, pool, uuid.uuid4().hex[:8], pace, failures, store.has("draws"))
+    built, store, collector, reporter = (
+        session.built,
+        session.store,
+        session.collector,
+        session.reporter,
+    )
     searched = sum(search_steps(built, search) for search in built.searches)
-    reporter = Reporter(report, searched + comparison_steps(built))
+    reporter.foresee(searched + comparison_steps(built))
     try:
         lost = store.manifest.lost()  # they are computed again
         has = store.has("compared") and not store.has_parts("compared")
         if lost or not has or unpublished(store, built.phases):
-            sets = _search(built, collector, reporter, say)
+            sets = _search(session)
         else:
-            sets = compared_sets(store)
+            sets = store.compared_sets()
             reporter.note(done=searched)
         run_comparison(built, sets, collector, reporter)
         collector.flush()
@@ -72,27 +55,17 @@ def drive(
     finally:
         collector.flush()
         for phase in (*built.phases, COMPARISON):
-            _publish_timings(store, phase)
+            store.settle("timings", phase)
 
 
-def compared_sets(store: Store) -> dict[str, Times]:
-    """The compared sets of times by name, in the order of their table."""
-    rows = store.compared()
-    return {
-        str(name): tuple(int(time) for time in times)
-        for name, times in zip(rows["name"], rows["measurement_times"], strict=True)
-    }
-
-
-def _search(
-    built: Built, collector: Collector, reporter: Reporter, say: Callable[[str], Any]
-) -> dict[str, Times]:
+def _search(session: Session) -> dict[str, Times]:
     """Run every search, and return the sets that are compared, by name."""
+    built, collector = session.built, session.collector
     rows: list[dict[str, Any]] = [
         {"name": name, "measurement_times": times} for name, times in built.study.references.items()
     ]
     for search in built.searches:
-        end = run_search(built, search, collector, reporter, say)
+        end = run_search(built, search, collector, session.reporter, session.say)
         rows += [
             {
                 "name": name,
@@ -122,12 +95,3 @@ def _search(
 def _publish_compared(store: Store, table: pa.Table) -> None:
     store.commit("compared", COMPARED, "sets", table)  # a part shows that publishing was cut short
     store.publish("compared", COMPARED, [table])
-
-
-def _publish_timings(store: Store, phase: str) -> None:
-    if not store.has_parts("timings", phase):
-        return
-    rows: pd.DataFrame = store.read("timings")
-    rows = rows[rows["phase"] == phase]
-    table = pa.Table.from_pandas(rows, schema=schema("timings"), preserve_index=False)
-    store.publish("timings", phase, [table])

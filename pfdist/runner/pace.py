@@ -83,7 +83,7 @@ def bundles(works: Iterable[Work], size: Callable[[int], int]) -> Iterator[Bundl
     Yields
     ------
     Bundle
-        It has about that size, but at least one draw.
+        It has about that size, but at least one draw; sums over draws are never cut.
 
     Examples
     --------
@@ -104,7 +104,7 @@ def bundles(works: Iterable[Work], size: Callable[[int], int]) -> Iterator[Bundl
         most = MOST_ROWS // len(work.measurement_times) * a_draw
         while first < last:
             room = room if bundle else min(size(remaining), most)
-            end = min(last, first + max(1, room // a_draw))
+            end = last if work.summed else min(last, first + max(1, room // a_draw))
             bundle.append(replace(work, draws=(first, end)))
             steps, first = (end - first) * a_draw, end
             room, remaining, total = room - steps, remaining - steps, total + steps

@@ -199,7 +199,7 @@ def _evaluate(
         if request.id not in wanted:
             yield request.candidate, phase.evaluation(request)
     works = _works(list(wanted.values()))
-    run = collector.run(phase.name, "draws", works, _draw_rows, more_follows=True)
+    run = collector.run(phase.name, "draws", works, draw_rows, more_follows=True)
     with closing(run) as pieces:
         for work, result in pieces:
             for id_, mse in work.by_id(result).items():
@@ -246,7 +246,7 @@ def _works(requests: list[_Request]) -> Iterator[Work]:
             )
 
 
-def _draw_rows(work: Work, result: Result) -> pa.Table:
+def draw_rows(work: Work, result: Result) -> pa.Table:
     """Rows of the table ``draws``: evaluation after evaluation."""
     evaluation = np.repeat(np.arange(len(work.ids)), len(result.mse))
     columns = [

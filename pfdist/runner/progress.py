@@ -74,10 +74,10 @@ class Reporter:
     report : callable
         Receives a `Progress` each time.
     total : float
-        Particle-steps that the whole run is expected to take.
+        Particle-steps that the whole run is expected to take; see also `foresee`.
     """
 
-    def __init__(self, report: Report, total: float) -> None:
+    def __init__(self, report: Report, total: float = 0.0) -> None:
         self._report = report
         self._progress = Progress(phase="", done=0.0, total=total)
 
@@ -107,4 +107,5 @@ class Reporter:
 
     def finish(self) -> None:
         """Report that nothing remains, also where fewer particle-steps were enough."""
-        self.reach(self._progress.done, total=self._progress.done)
+        if self._progress.phase:  # else nothing was begun
+            self.reach(self._progress.done, total=self._progress.done)

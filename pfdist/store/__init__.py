@@ -18,12 +18,19 @@ from pfdist.store.keys import ABOUT, has_key, keep_key, kept_keys, key_of, own_k
 from pfdist.store.lock import check_not_held, held
 from pfdist.store.manifest import Damage, Manifest
 from pfdist.store.parquet import ROWS_IN_A_FILE, Store
-from pfdist.store.schema import SCHEMA_VERSION, comparison_schema, schema, trajectories_schema
+from pfdist.store.schema import (
+    BOUND_PHASE,
+    SCHEMA_VERSION,
+    comparison_schema,
+    schema,
+    trajectories_schema,
+)
 from pfdist.store.strange import check_entries, strange_entries
 from pfdist.store.verify import lacking_evaluations, verify
 
 __all__ = [
     "ABOUT",
+    "BOUND_PHASE",
     "ROWS_IN_A_FILE",
     "SCHEMA_VERSION",
     "Damage",

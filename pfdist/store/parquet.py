@@ -12,58 +12,21 @@ A reader sees both as one. A phase may be published again and again with the sam
 process may die at any instant of it.
 """
 
-import time
-from collections.abc import Callable, Container, Iterable, Iterator, Sequence
-from functools import partial
-from pathlib import Path
-from typing import TypeVar
+from collections.abc import Iterable
 
-import numpy as np
-import pandas as pd
 import pyarrow as pa
-import pyarrow.compute as pc
-from numpy.typing import NDArray
 
-from pfdist.errors import StoreError
 from pfdist.store import files
-from pfdist.store.draw_files import DrawFiles
-from pfdist.store.keys import run_key as folder_key
-from pfdist.store.manifest import Manifest
+from pfdist.store.reader import Reader
 from pfdist.store.schema import KEYS, schema
-from pfdist.store.tables import check_names, cut_rows, first_occurrences, read_file, signed
+from pfdist.store.tables import cut_rows, signed, unique
 
-ROWS_IN_A_FILE = {"draws": 1_000_000, "comparison": 50_000}
+ROWS_IN_A_FILE = {"draws": 1_000_000, "comparison": 50_000, "bound_sums": 200}
 _MANY = 1_000_000_000  # rows of the other tables: one file a phase
-_ATTEMPTS, _PAUSE_SECONDS = 50, 0.02  # another driver may be publishing what is read
-Found = TypeVar("Found")
 
 
-class Store:
-    """Tables of one run.
-
-    Parameters
-    ----------
-    path : Path
-        The run's folder.
-    run_key : str, optional
-        The run that every file must belong to; that of the folder, unless it is given.
-
-    Every reading raises a `StoreError` where a file cannot be read, is of a newer schema, or
-    belongs to another run.
-    """
-
-    def __init__(self, path: Path, run_key: str | None = None) -> None:
-        self.path = path
-        self._run_key = run_key or folder_key(path)
-        self.manifest = Manifest(path, self._run_key)
-        self._draw_files = DrawFiles(
-            lambda: (
-                (file, self._read(file, ["evaluation"])["evaluation"])
-                for file in self._files("draws")
-            )
-        )
-
-    # --- writing ------------------------------------------------------------------------------
+class Store(Reader):
+    """Tables of one run, to be read and written; see `Reader` for the parameters."""
 
     def sweep(self) -> None:
         """Remove unfinished files of killed processes."""
@@ -118,104 +81,14 @@ class Store:
             files.remove(path)
         self._draw_files.remove(gone)
 
-    # --- reading ------------------------------------------------------------------------------
+    def settle(self, table: str, phase: str) -> None:
+        """Publish all rows that a phase has committed so far, sorted by key, if it has parts."""
+        if self.has_parts(table, phase):
+            self.publish(table, phase, [unique(self._load(table, phase), KEYS[table])])
 
-    def read(self, table: str, draws: int | None = None) -> pd.DataFrame:
-        """Read a table, parts and published files as one, sorted by key; or its first draws."""
-        wanted = None if draws is None else pc.field("draw") < draws
-        pieces = self._load(table, filters=wanted)
-        if not pieces:
-            raise StoreError(f"the run {self.path} has no table {table!r} yet")
-        frame: pd.DataFrame = pd.concat([piece.to_pandas() for piece in pieces])
-        return frame.drop_duplicates(KEYS[table]).sort_values(KEYS[table], ignore_index=True)
-
-    def compared(self) -> pd.DataFrame:
-        """Read the table of the compared sets, and check their names.
-
-        The names become parts of the names of columns and files.
-
-        Raises
-        ------
-        StoreError
-            A name is not one that a job could have given; or as any reading.
-        """
-        rows = self.read("compared")
-        check_names(rows["name"], self.path / "tables" / "compared")
-        return rows
-
-    def has(self, table: str) -> bool:
-        """Whether anything of a table was committed."""
-        return bool(self._files(table))
-
-    def has_parts(self, table: str = "*", phase: str = "*") -> bool:
-        """Whether a phase, or the run, has rows that are not published yet."""
-        return bool(self._parts(table, phase))
-
-    def blocks(self, table: str, column: str, rows: int, last: int) -> Iterator[pa.Table]:
-        """Give the rows whose column lies in 0..last-1, in blocks of so many values.
-
-        The rows of a block are sorted and unique; empty blocks are skipped. Only the files that
-        reach into a block are read, so memory does not grow with the table.
-        """
-        spans: list[tuple[Path, int, int]] | None = None
-
-        def look(first: int) -> pa.Table | None:
-            nonlocal spans
-            spans = self._spans(table, column) if spans is None else spans
-            try:
-                return self._between(spans, column, first, min(first + rows, last))
-            except FileNotFoundError:
-                spans = None
-                raise
-
-        for first in range(0, last, rows):
-            block = self._again(partial(look, first))
-            if block is not None:
-                yield block
-
-    def pieces(self, table: str, columns: list[str]) -> Iterator[pa.Table]:
-        """Some columns of a table, a file at a time; rows may come twice."""
-        for path in self._files(table):
-            yield self._read(path, columns)
-
-    def present(self, table: str, column: str, without: Container[Path] = ()) -> NDArray[np.bool_]:
-        """Whether each value 0..largest occurs in a column of counts.
-
-        Parameters
-        ----------
-        table, column : str
-        without : container of Path
-            Files that are not looked at.
-        """
-
-        def look() -> NDArray[np.bool_]:
-            found = np.zeros(0, np.bool_)
-            for path in self._files(table):
-                if path not in without:
-                    values = self._read(path, [column])[column].to_numpy()
-                    found = np.pad(found, (0, max(0, int(values.max(initial=-1)) + 1 - found.size)))
-                    found[values] = True
-            return found
-
-        return self._again(look)
-
-    def per_draw(self, evaluations: Sequence[str]) -> pa.Table:
-        """Rows of the draws table of these evaluations, in their order and by draw, each once."""
-        ids = list(evaluations)
-        wanted = pc.field("evaluation").isin(ids)
-
-        def look() -> list[pa.Table]:
-            paths = sorted(self._draw_files.holding(ids))
-            return [self._read(path, filters=wanted) for path in paths]
-
-        found = self._again(look)
-        if not found:
-            return schema("draws").empty_table()
-        rows = pa.concat_tables(found)
-        place = pc.index_in(rows["evaluation"], pa.array(ids)).to_numpy()
-        draw = rows["draw"].to_numpy()
-        order = np.lexsort((draw, place))
-        return rows.take(order[first_occurrences(place[order], draw[order])])
+    def renew(self, table: str, phase: str, rows: pa.Table) -> None:
+        """Publish rows beside the published rows of a phase, and in the place of the same keys."""
+        self.publish(table, phase, [unique([rows, *self._load(table, phase)], KEYS[table])])
 
     def adopt(self, other: "Store", phase: str) -> None:
         """Commit all per-draw rows of another run, under a phase of their own.
@@ -233,62 +106,3 @@ class Store:
                     self.commit("draws", phase, path.stem.replace(".", "-"), rows)
 
         self._again(copy)
-
-    def _parts(self, table: str, phase: str) -> list[Path]:
-        return sorted((self.path / "parts").glob(f"{table}/{phase}-*.parquet"))
-
-    def _files(self, table: str) -> list[Path]:
-        # Parts are listed first, so a row that is published meanwhile is seen twice, not never.
-        parts = sorted((self.path / "parts" / table).glob("[!.]*.parquet"))
-        tables = sorted((self.path / "tables" / table).glob("[!.]*.parquet"))
-        return tables + parts
-
-    def _load(
-        self,
-        table: str,
-        columns: list[str] | None = None,
-        filters: pc.Expression | None = None,
-    ) -> list[pa.Table]:
-        """Read all files of a table."""
-        return self._again(
-            lambda: [self._read(path, columns, filters) for path in self._files(table)]
-        )
-
-    def _spans(self, table: str, column: str) -> list[tuple[Path, int, int]]:
-        """Files of a table, and the smallest and largest value of a column in each."""
-        spans = []
-        for path in self._files(table):
-            values = self._read(path, [column])[column].to_numpy()
-            if values.size:
-                spans.append((path, int(values.min()), int(values.max())))
-        return spans
-
-    def _again(self, look: Callable[[], Found]) -> Found:
-        """Read files, and start again if another driver published a file meanwhile."""
-        for _ in range(_ATTEMPTS):
-            try:
-                return look()
-            except FileNotFoundError:
-                self._draw_files.forget()
-                time.sleep(_PAUSE_SECONDS)
-        raise StoreError(f"the run {self.path} changes faster than it can be read: try again")
-
-    def _between(
-        self, spans: list[tuple[Path, int, int]], column: str, first: int, last: int
-    ) -> pa.Table | None:
-        """Sorted rows whose column lies in first..last-1, each once; None if there is none."""
-        bounds = (pc.field(column) >= first) & (pc.field(column) < last)
-        reach = [path for path, least, most in spans if least < last and most >= first]
-        pieces = [self._read(path, filters=bounds) for path in reach]
-        if not pieces:
-            return None
-        found = pa.concat_tables(pieces).sort_by(column)
-        return found.filter(pa.array(first_occurrences(found[column].to_numpy())))
-
-    def _read(
-        self,
-        path: Path,
-        columns: list[str] | None = None,
-        filters: pc.Expression | None = None,
-    ) -> pa.Table:
-        return read_file(path, columns, filters, self._run_key)

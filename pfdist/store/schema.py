@@ -22,10 +22,15 @@ KEYS: dict[str, list[str]] = {
     "repeated": ["draw"],
     "trajectories": ["draw", "t"],
     "timings": ["phase", "task", "session", "seconds"],
+    "bound": ["window", "particles", "draws", "position"],
+    "bound_sums": ["evaluation", "block"],
 }
 """What identifies a row of each table."""
 
 TABLES = tuple(KEYS)
+
+BOUND_PHASE = "bound.proof"
+"""Phase of all rows of lower bounds. No search has this name; a run is finished without them."""
 
 
 def _column(name: str, kind: pa.DataType, unit: str, description: str) -> pa.Field:
@@ -36,6 +41,13 @@ def _schema(table: str, columns: Sequence[pa.Field]) -> pa.Schema:
     return pa.schema(
         columns, metadata={"table": table, "pfdist_schema_version": str(SCHEMA_VERSION)}
     )
+
+
+def _estimate(name: str, description: str) -> list[pa.Field]:
+    return [
+        _column(name, pa.float64(), _MSE, description),
+        _column(f"{name}_error", pa.float64(), _MSE, f"standard error of {name}"),
+    ]
 
 
 _TIMES = _column("measurement_times", pa.list_(pa.int16()), "t", "the set M, sorted")
@@ -82,6 +94,31 @@ _SCHEMAS = {
         _column("node", pa.string(), "", "host name"),
         _column("failures", pa.int32(), "", "1: the task failed"),
         _column("error", pa.string(), "", "traceback, if it failed"),
+    ],
+    "bound": [
+        _column("position", pa.int32(), "", "order of the set, as in compared"),
+        _column("name", pa.string(), "", "the set's name, as in compared"),
+        _TIMES,
+        _column("window", pa.int32(), "", "last measurements that the relaxation keeps"),
+        _column("longest_gap", pa.int32(), "t", "after a longer gap everything is measured"),
+        _column("particles", pa.int32(), "", "of the bound's filter; 0: exact"),
+        _column("draws", pa.int32(), "", "of the bound; 0: exact"),
+        _column("steps", pa.float64(), "", "particle-steps of the bound and its guard"),
+        _column("confidence", pa.float64(), "", "of gap_at_most"),
+        _column("reason", pa.string(), "", "why there is no bound; empty: there is one"),
+        *_estimate("expected_mse", "of the set with the job's own filter"),
+        *_estimate("bound", "no feasible set of so many times has a lower expected MSE"),
+        _column("path", pa.list_(pa.int16()), "t", "times that reach the bound when relaxed"),
+        _column("gap", pa.float64(), "", "how much lower the error can be, over expected_mse"),
+        _column("gap_at_most", pa.float64(), "", "one-sided limit of gap"),
+        *_estimate("relaxation", "part of the gap: relaxation and chance"),
+        *_estimate("estimate", "part of the gap: particles and estimate"),
+        *_estimate("filter_model", "part of the gap: wrong filter model"),
+    ],
+    "bound_sums": [
+        _column("evaluation", pa.string(), "", "id: hash of all that the sums depend on"),
+        _column("block", pa.int64(), "", "index of the block of draws"),
+        _column("sums", pa.list_(pa.float64()), _MSE, "errors of all states at their instants"),
     ],
 }
 

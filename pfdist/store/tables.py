@@ -40,6 +40,13 @@ def first_occurrences(*columns: NDArray[Any]) -> NDArray[np.bool_]:
     return first
 
 
+def unique(pieces: list[pa.Table], key: list[str]) -> pa.Table:
+    """Rows sorted by their key, each once: of equal keys the first row."""
+    rows = pa.concat_tables(pieces)
+    rows = rows.sort_by([(name, "ascending") for name in key])  # a stable sort
+    return rows.filter(pa.array(first_occurrences(*(rows[name].to_numpy() for name in key))))
+
+
 def check_names(names: Iterable[object], where: Path) -> None:
     """Raise an error unless each name of a compared set is one that a job could have given.
 

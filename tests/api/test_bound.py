@@ -2,16 +2,22 @@
 
 import json
 import math
+import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import pfdist
 from pfdist import Job, load_job
-from pfdist.api.bound import LEAST_DRAWS, bound
+from pfdist.api.bound import Bound
+from pfdist.api.bound import bound as bound_of
 from pfdist.cli.main import main
 from pfdist.errors import JobError, ModelError, StoreError
 from pfdist.evaluation.problem import Problem
+from pfdist.pools.base import SerialPool
+from pfdist.runner.prover import LEAST_DRAWS
+from pfdist.runner.sets_alone import SET_DRAWS
 
 SHARP = Path(__file__).parents[1] / "oracles" / "sharp_sensor.toml"
 QUICK = ["search.random.evaluations=3", "search.genetic.generations=1", "comparison.draws=20"]
@@ -37,6 +43,10 @@ model = StateSpaceModel(
     measurement_noise=("normal", "uniform"),
 )
 """
+
+
+def bound(run: Path, draws: int | None = None, **options: Any) -> Bound:
+    return bound_of(run, draws, **{"pool": "serial", "figures": False} | options)
 
 
 def _run(job: Job, folder: Path, *changes: str) -> pfdist.Run:
@@ -79,6 +89,7 @@ def test_with_particles_it_lies_below_the_optimum_but_for_its_error(
         assert parts == pytest.approx(gap.gap * gap.expected_mse.value)
         assert gap.filter_model.value == 0.0
     assert bound(run.path, LEAST_DRAWS).as_json() == found.as_json()
+    assert pfdist.open_run(run.path).state == "finished"
 
 
 def test_a_wrong_model_of_the_filter_is_a_part_of_the_gap(small_job: Job, tmp_path: Path) -> None:
@@ -194,16 +205,16 @@ def test_the_command_says_how_much_is_left(
     small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = _run(small_job, tmp_path / "run", *EXACT)
-    assert main(["bound", str(run.path), "--json"]) == 0
+    assert main(["bound", str(run.path), "--json", "--pool", "serial"]) == 0
     answer = json.loads(capsys.readouterr().out)
     assert list(answer["sets"]) == ["regular", "genetic", "random"]
     assert answer == bound(run.path).as_json()
-    assert main(["bound", str(run.path)]) == 0
+    assert main(["bound", str(run.path), "--pool", "serial"]) == 0
     text = capsys.readouterr().out
     for name, gap in answer["sets"].items():
         assert f"{name}: 4 measurements" in text
         percent = f"{100 * gap['gap']:.2g} %"
-        assert f"no other 4 times can lower the error by more than {percent}" in text
+        assert f"No other 4 times can lower the error by more than another {percent}." in text
 
 
 def test_an_unfinished_run_and_wrong_numbers_are_refused(small_job: Job, tmp_path: Path) -> None:
@@ -214,7 +225,15 @@ def test_an_unfinished_run_and_wrong_numbers_are_refused(small_job: Job, tmp_pat
         pfdist.run(small_job, tmp_path / "run", report=stop, figures=False)
     with pytest.raises(StoreError, match="is not finished"):
         bound(tmp_path / "run")
-    for wrong in ({"draws": LEAST_DRAWS - 1}, {"particles": 0}, {"window": 0}, {"window": 7}):
+    for wrong in (
+        {"draws": LEAST_DRAWS - 1},
+        {"draws": 100_001},
+        {"particles": 0},
+        {"window": 0},
+        {"window": 7},
+        {"within": 0.0},
+        {"within": 1.0},
+    ):
         (name,) = wrong
         with pytest.raises(JobError, match=f"{name} must be"):
             bound(tmp_path / "run", **wrong)  # type: ignore[arg-type]
@@ -235,3 +254,171 @@ def test_where_no_bound_is_known_one_line_says_why(small_job: Job, tmp_path: Pat
     )
     with pytest.raises(ModelError, match="squared Euclidean norm"):
         bound(_run(small_job, tmp_path / "own", "model.name=mine.py:model").path)
+
+
+WALK = ("model.name=random_walk", "filter.particles=20", "comparison.draws=300")
+
+
+@pytest.fixture
+def walk(small_job: Job, tmp_path: Path) -> Path:
+    return _run(small_job, tmp_path / "run", *WALK).path
+
+
+def _tables(run: Path) -> dict[str, bytes]:
+    """The published files of a bound."""
+    paths = (run / "tables").glob("*/bound.proof-*.parquet")
+    found = {f"{path.parent.name}/{path.name}": path.read_bytes() for path in paths}
+    return {name: content for name, content in found.items() if not name.startswith("timings")}
+
+
+def _stopped(run: Path, reports: int, **options: Any) -> None:
+    """Stop a bound after so many reports of its progress."""
+    left = iter(range(reports))
+
+    def stop(progress: object) -> None:
+        if next(left, None) is None:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        bound(run, report=stop, **options)
+
+
+def test_a_bound_that_was_stopped_goes_on_and_ends_with_the_same_bytes(
+    walk: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(walk, tmp_path / "other")
+    _stopped(walk, 30, draws=2 * LEAST_DRAWS)
+    stopped = pfdist.open_run(walk)
+    assert stopped.state == "finished"
+    assert stopped.has("bound_sums")
+    assert not stopped.has("bound")
+    bound(walk, 2 * LEAST_DRAWS)
+    bound(tmp_path / "other", 2 * LEAST_DRAWS)
+    assert _tables(walk) == _tables(tmp_path / "other")
+    assert len(_tables(walk)) == 3
+
+
+def test_it_has_the_same_bytes_with_two_workers_of_ray(
+    walk: Path, tmp_path: Path, ray_cluster: None
+) -> None:
+    shutil.copytree(walk, tmp_path / "other")
+    bound(walk)
+    bound(tmp_path / "other", pool="ray", workers=2)
+    assert _tables(walk) == _tables(tmp_path / "other")
+
+
+def test_what_is_committed_is_not_computed_again(
+    walk: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    blocks = list[tuple[str, ...]]()
+
+    class Counting(SerialPool):
+        def run(self, tasks: Any) -> Any:
+            for outcome in super().run(tasks):
+                blocks.extend(work.ids for work in outcome.task.work if work.summed)
+                yield outcome
+
+    monkeypatch.setattr(
+        "pfdist.api.at_work.make_pool",
+        lambda built, execution: Counting(lambda: built.source.compiled().results),
+    )
+    bound(walk, LEAST_DRAWS)
+    assert len(blocks) == 20 + 5  # of the bound, and of its guard
+    bound(walk, 2 * LEAST_DRAWS)
+    assert len(blocks) == 2 * (20 + 5)
+    bound(walk, 2 * LEAST_DRAWS)
+    assert len(blocks) == 2 * (20 + 5)
+
+
+def test_the_table_has_a_row_for_each_set_window_and_number_of_draws(walk: Path) -> None:
+    found = bound(walk, 2 * LEAST_DRAWS)
+    bound(walk, LEAST_DRAWS, window=1)
+    rows = pfdist.open_run(walk).bounds()
+    looks = rows[["window", "draws"]].drop_duplicates().to_numpy().tolist()
+    assert looks == [[1, LEAST_DRAWS], [2, LEAST_DRAWS], [2, 2 * LEAST_DRAWS]]
+    assert list(rows["name"][:3]) == [gap.name for gap in found.gaps]
+    last = rows[(rows["window"] == 2) & (rows["draws"] == 2 * LEAST_DRAWS)]
+    assert list(last["gap_at_most"]) == [gap.gap_at_most for gap in found.gaps]
+    assert [tuple(path) for path in last["path"]] == [gap.path for gap in found.gaps]
+    summary = pfdist.open_run(walk).summary()["results"]
+    for gap in found.gaps:  # the proof of most work
+        assert summary[gap.name]["lower_bound"]["gap"] == gap.gap
+        assert summary[gap.name]["lower_bound"]["window"] == 2
+    assert main(["verify", str(walk)]) == 0
+
+
+def test_it_takes_draws_until_the_gaps_are_within_what_is_demanded(walk: Path) -> None:
+    whole = bound(walk, 4 * LEAST_DRAWS)
+    widest = max(gap.gap_at_most for gap in whole.gaps[1:])  # without the reference's
+    soon = bound(walk, within=0.9)
+    assert soon.draws == LEAST_DRAWS
+    late = bound(walk, 4 * LEAST_DRAWS, within=widest / 2)
+    assert late.draws == 4 * LEAST_DRAWS
+    # With three looks, each limit holds with 1 - 0.05/3.
+    assert late.confidence == pytest.approx(1 - 0.05 / 3)
+    for gap, other in zip(whole.gaps, late.gaps, strict=True):
+        assert gap.bound == other.bound
+        assert gap.gap_at_most < other.gap_at_most
+
+
+def test_a_comparison_of_many_draws_is_used_and_not_computed_again(
+    small_job: Job, tmp_path: Path
+) -> None:
+    changes = ("model.name=random_walk", "filter.particles=20", f"comparison.draws={SET_DRAWS}")
+    run = _run(small_job, tmp_path / "run", *changes)
+    found = bound(run.path, LEAST_DRAWS)
+    statistics = run.statistics()
+    for gap in found.gaps:
+        mse = statistics.mse[gap.name]
+        assert gap.expected_mse.value == mse.mean
+        assert gap.expected_mse.standard_error == mse.standard_error
+        assert not gap.reason
+    of_bounds = pfdist.open_run(run.path).draws().groupby("evaluation").size()
+    assert (of_bounds == SET_DRAWS).sum() == len(found.gaps)  # the variances alone
+
+
+def test_plan_says_how_good_its_times_are(
+    small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str], no_figures: None
+) -> None:
+    path = small_job.path
+    changes = ["--set", "model.name=random_walk", "filter.particles=50", "comparison.draws=200"]
+    command = ["plan", str(path), *changes, "--pool", "serial", "--results"]
+    assert main([*command, str(tmp_path / "plan")]) == 0
+    text = capsys.readouterr().out
+    assert "No other 4 times can lower the error by more than another" in text
+    assert "(95 %: " in text
+    assert len(pfdist.open_run(tmp_path / "plan").bounds()) == 2  # regular and found times
+    tables = _tables(tmp_path / "plan")
+    assert main([*command, str(tmp_path / "plan")]) == 0  # nothing is left to do
+    assert _tables(tmp_path / "plan") == tables
+    assert main([*command, str(tmp_path / "bare"), "--bound-draws", "0"]) == 0
+    assert not pfdist.open_run(tmp_path / "bare").has("bound")
+
+
+def test_a_plan_without_a_bound_says_why_and_stands(small_job: Job, tmp_path: Path) -> None:
+    (small_job.path.parent / "mine.py").write_text(
+        "from dataclasses import replace\n"
+        "from pfdist import load_model\n"
+        "model = replace(load_model('ungm'), error=lambda z, e, t, p: abs(z[0] - e[0]))\n"
+    )
+    said = list[str]()
+    job = small_job.with_changes(["model.name=mine.py:model", "comparison.draws=20"])
+    run = pfdist.plan(job, tmp_path / "plan", figures=False, pool="serial", say=said.append)
+    assert run.state == "finished"
+    assert any(line.startswith("there is no lower bound: ") for line in said)
+
+
+def test_the_figure_shows_the_bound_against_its_work(walk: Path) -> None:
+    bound(walk, 2 * LEAST_DRAWS, figures=True)
+    assert {file.name for file in (walk / "figures").iterdir()} == {"bound.png", "bound.svg"}
+
+
+def test_a_run_of_another_version_is_proved_and_not_written_to(
+    walk: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pfdist.runner.identity.version", lambda name: "99")
+    said, before = list[str](), sorted(walk.rglob("*"))
+    found = bound(walk, LEAST_DRAWS, say=said.append)
+    assert not any(gap.reason for gap in found.gaps)
+    assert any("another version of pfdist" in line for line in said)
+    assert sorted(walk.rglob("*")) == before

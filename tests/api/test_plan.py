@@ -28,7 +28,14 @@ def unnamed(small_job: Job) -> Path:
 
 def test_it_is_the_run_of_a_job_without_searches(unnamed: Path, tmp_path: Path) -> None:
     pfdist.run(unnamed, tmp_path / "run", figures=False)
-    pfdist.plan(unnamed, tmp_path / "plan", figures=False)
+    pfdist.plan(unnamed, tmp_path / "plan", bound_draws=0, figures=False)
+    assert hashes(tmp_path / "plan") == hashes(tmp_path / "run")
+
+
+def test_its_lower_bound_is_that_of_the_command_bound(unnamed: Path, tmp_path: Path) -> None:
+    pfdist.run(unnamed, tmp_path / "run", changes=EXACT, figures=False)
+    pfdist.bound(tmp_path / "run", pool="serial", figures=False)
+    pfdist.plan(unnamed, tmp_path / "plan", changes=EXACT, figures=False)
     assert hashes(tmp_path / "plan") == hashes(tmp_path / "run")
 
 

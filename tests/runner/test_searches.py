@@ -7,7 +7,8 @@ import pytest
 from pfdist.job.job import load_job
 from pfdist.job.sections import Execution
 from pfdist.runner.build import build, make_pool
-from pfdist.runner.driver import compared_sets, drive
+from pfdist.runner.driver import drive
+from pfdist.runner.session import Session
 from pfdist.store import Store
 
 JOB = """
@@ -43,8 +44,8 @@ def costs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, float]:
     (folder / "job.toml").write_text(JOB + "".join(sections))
     built, store = build(load_job(folder / "job.toml")), Store(folder / "run")
     with make_pool(built, Execution(pool="serial")) as pool:
-        drive(built, store, pool, lambda progress: None)
-    sets = compared_sets(store)
+        drive(Session.start(built, store, pool))
+    sets = store.compared_sets()
     return dict(zip(sets, built.problem.expected_mse(list(sets.values())), strict=True))
 
 

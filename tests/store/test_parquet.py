@@ -18,7 +18,7 @@ from pfdist.store import (
     SCHEMA_VERSION,
     Store,
     comparison_schema,
-    parquet,
+    reader,
     schema,
     trajectories_schema,
 )
@@ -44,8 +44,8 @@ def store(tmp_path: Path) -> Store:
 def test_what_is_committed_is_read_sorted_and_by_a_new_store_too(store: Store) -> None:
     store.commit("draws", "genetic", "two", _draws("b", 0, 2))
     store.commit("draws", "genetic", "one", _draws("a", 1, 3))
-    for reader in (store, Store(store.path)):
-        rows = reader.read("draws")
+    for opened in (store, Store(store.path)):
+        rows = opened.read("draws")
         assert rows[["evaluation", "draw"]].to_numpy().tolist() == [
             ["a", 1], ["a", 2], ["b", 0], ["b", 1],
         ]  # fmt: skip
@@ -73,8 +73,8 @@ def test_a_reader_sees_a_row_that_is_published_meanwhile(
     store.commit("draws", "genetic", "key", _draws("a", 0, 5))
     listing, writer = Store._files, Store(store.path)
 
-    def published_in_between(self: Store, table: str) -> list[Path]:
-        found = listing(self, table)
+    def published_in_between(self: Store, table: str, phase: str = "") -> list[Path]:
+        found = listing(self, table, phase)
         if self is store and writer.has_parts():
             writer.publish("draws", "genetic", [_draws("a", 0, 5)])
         return found
@@ -88,11 +88,11 @@ def test_draws_are_found_by_their_evaluation_in_parts_and_tables(store: Store) -
         "draws", "genetic", "one", pa.concat_tables([_draws("a", 0, 2), _draws("b", 0, 1)])
     )
     store.publish("draws", "random", [_draws("c", 0, 2)])
-    for reader in (store, Store(store.path)):
-        rows = reader.per_draw(["c", "a", "unknown"])
+    for opened in (store, Store(store.path)):
+        rows = opened.per_draw(["c", "a", "unknown"])
         assert rows["evaluation"].to_pylist() == ["c", "c", "a", "a"]
         assert rows["draw"].to_pylist() == [0, 1, 0, 1]
-        assert reader.per_draw(["unknown"]).num_rows == 0
+        assert opened.per_draw(["unknown"]).num_rows == 0
 
 
 def test_draws_of_an_evaluation_come_in_order_and_each_once(store: Store) -> None:
@@ -126,14 +126,14 @@ def test_parts_that_become_tables_while_they_are_read_are_read_all_the_same(
     }
     known = Store(store.path)
     assert known.per_draw(["a"]).num_rows == 6  # it has an index now, of parts
-    opened, writer = parquet.read_file, Store(store.path)
+    opened, writer = reader.read_file, Store(store.path)
 
     def published_in_between(path: Path, *arguments: Any, **options: Any) -> pa.Table:
         if writer.has_parts():
             writer.publish("draws", "genetic", [_draws("a", 0, 6)])
         return opened(path, *arguments, **options)
 
-    monkeypatch.setattr(parquet, "read_file", published_in_between)
+    monkeypatch.setattr(reader, "read_file", published_in_between)
     assert readers[read]() == 6
     assert known.per_draw(["a"]).num_rows == 6
 

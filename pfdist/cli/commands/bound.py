@@ -4,9 +4,12 @@ from argparse import ArgumentParser, Namespace
 from typing import Any
 
 from pfdist.cli.answers import print_json
-from pfdist.cli.arguments import add_json, add_models, add_run, count, whole
+from pfdist.cli.arguments import add_json, add_models, add_pool, add_run, count, finite, whole
+from pfdist.cli.bound_lines import proof_lines
 from pfdist.cli.command import command
-from pfdist.common.rounding import rounded, with_error
+from pfdist.cli.layout import line
+from pfdist.cli.numbers import cost
+from pfdist.common.rounding import with_error
 
 _PARTS = {
     "relaxation": "relaxation and chance",
@@ -16,14 +19,22 @@ _PARTS = {
 
 
 def _add_settings(parser: ArgumentParser) -> None:
-    from pfdist.api.bound import DRAWS, WINDOW
+    from pfdist.api.bound import DRAWS, WITHIN_DRAWS
+    from pfdist.runner.prover import WINDOW
 
+    parser.add_argument(
+        "--within",
+        type=finite,
+        metavar="GAP",
+        help="take more and more draws until the 95 %% limit of the gap of every found set is at "
+        "most GAP, for instance 0.02",
+    )
     parser.add_argument(
         "--draws",
         type=whole,
-        default=DRAWS,
         metavar="K",
-        help=f"number of fresh draws; with more draws the bound is higher (default: {DRAWS})",
+        help="number of fresh draws; with more draws the bound is higher "
+        f"(default: {DRAWS}; with --within, at most {WITHIN_DRAWS})",
     )
     parser.add_argument(
         "--particles",
@@ -41,51 +52,50 @@ def _add_settings(parser: ArgumentParser) -> None:
     )
 
 
-@command("bound", add_run, _add_settings, add_models, add_json)
+@command("bound", add_run, _add_settings, add_pool, add_models, add_json, goes_on=True)
 def bound_command(options: Namespace) -> None:
     """Prove how much lower the expected MSE of any other times can be."""
     from pfdist.api.bound import bound
     from pfdist.cli.progress import Display
 
     with Display() as display:
-        answer = bound(
+        found = bound(
             options.run,
             options.draws,
+            within=options.within,
             particles=options.particles,
             window=options.window,
+            pool=options.pool,
+            workers=options.workers,
+            address=options.address,
             model=options.model,
             filter_model=options.filter_model,
             report=display.report,
             say=display.say,
-        ).as_json()
+        )
+    answer = found.as_json()
     if options.json:
         print_json(answer, options)
         return
-    print("\n\n".join("\n".join(_lines(name, gap)) for name, gap in answer["sets"].items()))
+    sets, confidence = answer["sets"], {"confidence": answer["confidence"]}
+    print("\n\n".join("\n".join(_lines(name, gap | confidence)) for name, gap in sets.items()))
 
 
 def _lines(name: str, gap: dict[str, Any]) -> list[str]:
     """Give the lines about one set."""
     number = len(gap["measurement_times"])
-    times = "time" if number == 1 else f"{number} times"
     lines = [
         f"{name}: {number} measurement{'s' * (number != 1)}",
-        f"  expected MSE          {with_error(gap['expected_mse'], gap['expected_mse_error'])}",
+        line("expected MSE", with_error(cost(gap["expected_mse"]), gap["expected_mse_error"])),
     ]
+    if not gap["reason"]:
+        lines.append(line("lower bound", with_error(gap["bound"], gap["bound_error"])))
+    lines += proof_lines(gap, number)
     if gap["reason"]:
-        return [*lines, f"  no lower bound        {gap['reason']}"]
-    limit = f"  (95 %: {_percent(gap['gap_at_most'])})" if gap["bound_error"] else ""
-    lines += [
-        f"  lower bound           {with_error(gap['bound'], gap['bound_error'])}",
-        f"  no other {times} can lower the error by more than {_percent(gap['gap'])}{limit}",
-    ]
+        return lines
     scale = 100 / gap["expected_mse"] if gap["expected_mse"] else 0.0
     for part, title in _PARTS.items():
         share, error = (scale * gap[key] for key in (part, f"{part}_error"))
         if share or error:
-            lines.append(f"    {title:<24}{with_error(share, error)} %")
+            lines.append(line(f"  {title}", f"{with_error(share, error)} %"))
     return lines
-
-
-def _percent(fraction: float) -> str:
-    return f"{rounded(100 * fraction, 2)} %"

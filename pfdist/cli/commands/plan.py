@@ -3,7 +3,7 @@
 from argparse import ArgumentParser, Namespace
 
 from pfdist.cli.answers import print_run
-from pfdist.cli.arguments import RESULTS, add_job, add_json, computing
+from pfdist.cli.arguments import RESULTS, add_job, add_json, computing, whole
 from pfdist.cli.command import command
 
 _RESULTS = f"{RESULTS}, with -plan after it if the job lists searches"
@@ -22,14 +22,35 @@ def _add_search(parser: ArgumentParser) -> None:
     )
 
 
-@command("plan", add_job, computing(_RESULTS), _add_search, add_json, goes_on=True)
+def _add_bound_draws(parser: ArgumentParser) -> None:
+    from pfdist.runner.prover import LEAST_DRAWS
+
+    parser.add_argument(
+        "--bound-draws",
+        type=whole,
+        default=LEAST_DRAWS,
+        metavar="K",
+        help="number of draws of the lower bound that is proved for the found times; 0 for no "
+        f"bound (default: {LEAST_DRAWS})",
+    )
+
+
+@command(
+    "plan", add_job, computing(_RESULTS), _add_search, _add_bound_draws, add_json, goes_on=True
+)
 def plan_command(options: Namespace) -> None:
-    """Find measurement times for a job's problem and compare them with regular times."""
+    """Find measurement times for a job's problem, and prove how good they are."""
     from pfdist.api.plan import plan
     from pfdist.cli.computing import settings
     from pfdist.cli.progress import Display
 
     with Display() as display:
         chosen = settings(options, display)
-        finished = plan(options.job, search=options.search, changes=options.set, **chosen)
+        finished = plan(
+            options.job,
+            search=options.search,
+            changes=options.set,
+            bound_draws=options.bound_draws,
+            **chosen,
+        )
     print_run(finished.summary(), options)

@@ -1,0 +1,52 @@
+"""One start of the program: what all phases of a run need."""
+
+import uuid
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from pfdist.pools.base import Pool
+from pfdist.runner.build import Built
+from pfdist.runner.collect import Collector
+from pfdist.runner.pace import Pace
+from pfdist.runner.progress import Report, Reporter
+from pfdist.store import Store
+
+
+@dataclass(frozen=True)
+class Session:
+    """One start of the program on a run.
+
+    Parameters
+    ----------
+    built : Built
+    collector : Collector
+    reporter : Reporter
+    say : callable
+        Receives lines for the user.
+    """
+
+    built: Built
+    collector: Collector
+    reporter: Reporter
+    say: Callable[[str], Any]
+
+    @classmethod
+    def start(
+        cls,
+        built: Built,
+        store: Store,
+        pool: Pool,
+        report: Report = lambda progress: None,
+        say: Callable[[str], Any] = lambda line: None,
+    ) -> "Session":
+        """Start with a store and a pool that the caller has entered; nothing is computed yet."""
+        pace = Pace(built.problem.seconds_a_step, pool.workers)
+        failures, resumed = built.job.execution.failures, store.has("draws")
+        collector = Collector(store, pool, uuid.uuid4().hex[:8], pace, failures, resumed)
+        return cls(built, collector, Reporter(report), say)
+
+    @property
+    def store(self) -> Store:
+        """The store of the run."""
+        return self.collector.store

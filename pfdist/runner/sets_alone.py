@@ -1,0 +1,200 @@
+"""The compared sets alone: the expected MSE of each, and the variance of its particles.
+
+Both are filtered on draws that neither chose the sets nor gave the bound: on the first draws of the
+comparison, or on draws of their own if the comparison has too few.
+"""
+
+import math
+from collections.abc import Mapping
+from contextlib import closing
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pfdist.analysis import Moments, Run
+from pfdist.bounds.gap import NOTHING, UNKNOWN, SetAlone
+from pfdist.bounds.proof import Estimate
+from pfdist.common.streams import stream_key
+from pfdist.evaluation.estimate import BOUND
+from pfdist.evaluation.work import Estimation, Work, cut
+from pfdist.runner.build import Built
+from pfdist.runner.phase import draw_rows
+from pfdist.runner.session import Session
+from pfdist.store import BOUND_PHASE
+from pfdist.times.measurement_times import Times
+
+SET_DRAWS = 20_000
+"""Draws on which a set alone is filtered for the variance of its particles."""
+
+Array = NDArray[np.float64]
+
+
+_DEGENERATE = SetAlone(UNKNOWN, UNKNOWN, UNKNOWN, UNKNOWN)
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """A filter of the sets: how it estimates, and whether it uses the true model."""
+
+    estimation: Estimation
+    knows_truth: bool
+
+
+def steps_of_sets(built: Built, sets: int, estimation: Estimation) -> int:
+    """About how many particle-steps it takes to filter so many sets alone."""
+    if built.problem.exact:
+        return 0
+    kinds = _kinds(built, estimation, built.job.comparison.draws).values()
+    instants = SET_DRAWS * sets * (built.problem.horizon + 1)
+    return sum(instants * kind.estimation.steps_an_instant for kind in kinds)
+
+
+def sets_alone(
+    session: Session, run: Run, sets: Mapping[str, Times], estimation: Estimation
+) -> dict[str, SetAlone]:
+    """Filter sets alone where the store lacks draws, and give what follows for each.
+
+    Parameters
+    ----------
+    session : Session
+    run : Run
+        The finished run.
+    sets : mapping of str to tuple of int
+        Compared sets by name.
+    estimation : Estimation
+        An estimation by the variance of the particles.
+
+    Raises
+    ------
+    TaskError, PoolError, StoreError
+        A task failed, no worker answers, or a file cannot be read or written.
+    """
+    built = session.built
+    if built.problem.exact:
+        costs = built.problem.expected_mse(list(sets.values())).tolist()
+        return {name: SetAlone(Estimate(cost)) for name, cost in zip(sets, costs, strict=True)}
+    kinds = _kinds(built, estimation, run.draws_compared)
+    purpose, seed = built.study.purpose, built.job.seed
+    if "squared" in kinds:
+        draws_stream = BOUND.stream(seed, "draws of a set")
+    else:
+        draws_stream = purpose.stream(seed, "draws")
+    session.reporter.begin("sets alone")
+    found = {name: _per_draw(session, sets, kind, draws_stream) for name, kind in kinds.items()}
+    squared, whole = found.get("squared"), dict[str, Moments]()
+    if squared is None:
+        rows, statistics = run.comparison(SET_DRAWS), run.statistics()
+        squared = {name: rows[f"mse_{name}"].to_numpy(np.float64) for name in sets}
+        whole = {
+            name: statistics.mse[name]
+            for name in sets
+            if statistics.mse[name].count == statistics.draws  # no draw is degenerate
+        }
+    else:
+        for name, values in squared.items():
+            whole[name] = Moments()
+            whole[name].add(values)
+    by_truth, variance = found.get("by_truth", squared), found["variance"]
+    return {
+        name: parts_of(whole[name], squared[name], by_truth[name], variance[name])
+        if name in whole
+        else _DEGENERATE
+        for name in sets
+    }
+
+
+def _kinds(built: Built, estimation: Estimation, compared: int) -> dict[str, _Kind]:
+    """The filters of the sets; the squared error only if too few draws were compared."""
+    kinds = {"variance": _Kind(estimation, knows_truth=True)}
+    if built.problem.truth is not built.problem:
+        kinds["by_truth"] = _Kind(built.comparing, knows_truth=True)
+    if compared < SET_DRAWS:
+        kinds["squared"] = _Kind(built.comparing, knows_truth=False)
+    return kinds
+
+
+def _per_draw(
+    session: Session, sets: Mapping[str, Times], kind: _Kind, draws_stream: int
+) -> dict[str, Array]:
+    """Errors of each draw, (20,000,), by the name of the set."""
+    built, reporter = session.built, session.reporter
+    horizon, noise = built.problem.horizon, BOUND.stream(built.job.seed, "filter of a set")
+    source = built.source.truth if kind.knows_truth else built.source
+    key = stream_key(noise, draws_stream)
+    ids = {
+        name: source.evaluation_id(times, horizon, key, kind.estimation)
+        for name, times in sets.items()
+    }
+    work = Work(
+        measurement_times=tuple(sets.values()),
+        ends=(horizon,) * len(sets),
+        filter_streams=(noise,) * len(sets),
+        draws_stream=draws_stream,
+        draws=(0, SET_DRAWS),
+        estimation=kind.estimation,
+        ids=tuple(ids.values()),
+        knows_truth=kind.knows_truth,
+    )
+    known, start = _known(session, ids), reporter.progress.done
+    lacking = np.flatnonzero(~np.all([present for present, _ in known.values()], axis=0))
+    done = SET_DRAWS - lacking.size
+    reporter.reach(start + done * work.steps_a_draw, evaluations=done)
+    works = (replace(work, draws=draws) for draws in cut(lacking, SET_DRAWS))
+    with closing(session.collector.run(BOUND_PHASE, "draws", works, draw_rows)) as pieces:
+        for piece, _ in pieces:
+            done += piece.draws[1] - piece.draws[0]
+            reporter.reach(start + done * work.steps_a_draw, evaluations=done)
+    if lacking.size:
+        known = _known(session, ids)
+    return {name: mse for name, (_, mse) in known.items()}
+
+
+def _known(session: Session, ids: Mapping[str, str]) -> dict[str, tuple[NDArray[np.bool_], Array]]:
+    """Whether each draw of each set is in the store, and its error, by the name of the set."""
+    found = {}
+    for name, id_ in ids.items():
+        rows = session.store.per_draw([id_])
+        present, mse = np.zeros(SET_DRAWS, np.bool_), np.full(SET_DRAWS, math.nan)
+        draws = rows["draw"].to_numpy()
+        present[draws], mse[draws] = True, rows["mse"].to_numpy()
+        found[name] = present, mse
+    return found
+
+
+def parts_of(whole: Moments, squared: Array, by_truth: Array, variance: Array) -> SetAlone:
+    """The parts for one set.
+
+    Parameters
+    ----------
+    whole : Moments
+        Moments of the squared errors of all draws, the first of which are `squared`.
+    squared, by_truth, variance : array of float64, (20,000,)
+        Squared errors with the filter's model and with the true model, and variances of the
+        particles with the true model, of the same draws.
+    """
+    if not (math.isfinite(whole.mean) and np.isfinite(squared + by_truth + variance).all()):
+        return _DEGENERATE
+    if by_truth is squared:
+        both = _less(whole, squared, variance)
+        return SetAlone(Estimate(whole.mean, whole.standard_error), both, NOTHING, both)
+    return SetAlone(
+        Estimate(whole.mean, whole.standard_error),
+        _paired(by_truth, variance),
+        _less(whole, squared, by_truth),
+        _less(whole, squared, variance),
+    )
+
+
+def _paired(x: Array, y: Array) -> Estimate:
+    difference = Moments()
+    difference.add(x - y)
+    return Estimate(difference.mean, difference.standard_error)
+
+
+def _less(whole: Moments, first: Array, other: Array) -> Estimate:
+    """A mean over all draws, less the mean of others over the first draws."""
+    common = float(np.cov(first, other)[0, 1])
+    error = whole.standard_error**2 + float(np.var(other, ddof=1)) / other.size
+    error -= 2 * common / whole.count
+    return Estimate(whole.mean - float(np.mean(other)), math.sqrt(max(0.0, error)))

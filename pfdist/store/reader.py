@@ -1,0 +1,221 @@
+"""Reads the tables of one run, parts and published files as one."""
+
+import time
+from collections.abc import Callable, Container, Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+
+from pfdist.errors import StoreError
+from pfdist.store.draw_files import DrawFiles
+from pfdist.store.keys import run_key as folder_key
+from pfdist.store.manifest import Manifest
+from pfdist.store.schema import KEYS, schema
+from pfdist.store.tables import check_names, first_occurrences, read_file, unique
+
+_ATTEMPTS, _PAUSE_SECONDS = 50, 0.02  # another driver may be publishing what is read
+Found = TypeVar("Found")
+
+
+class Reader:
+    """Reads the tables of one run.
+
+    Parameters
+    ----------
+    path : Path
+        The run's folder.
+    run_key : str, optional
+        The run that every file must belong to; that of the folder, unless it is given.
+
+    Every reading raises a `StoreError` where a file cannot be read, is of a newer schema, or
+    belongs to another run.
+    """
+
+    def __init__(self, path: Path, run_key: str | None = None) -> None:
+        self.path = path
+        self._run_key = run_key or folder_key(path)
+        self.manifest = Manifest(path, self._run_key)
+        self._draw_files = DrawFiles(
+            lambda: (
+                (file, self._read(file, ["evaluation"])["evaluation"])
+                for file in self._files("draws")
+            )
+        )
+
+    def read(self, table: str, draws: int | None = None) -> pd.DataFrame:
+        """Read a table, parts and published files as one, sorted by key; or its first draws."""
+        wanted = None if draws is None else pc.field("draw") < draws
+        pieces = self._load(table, filters=wanted)
+        if not pieces:
+            raise StoreError(f"the run {self.path} has no table {table!r} yet")
+        frame: pd.DataFrame = pd.concat([piece.to_pandas() for piece in pieces])
+        return frame.drop_duplicates(KEYS[table]).sort_values(KEYS[table], ignore_index=True)
+
+    def compared(self) -> pd.DataFrame:
+        """Read the table of the compared sets, and check their names.
+
+        The names become parts of the names of columns and files.
+
+        Raises
+        ------
+        StoreError
+            A name is not one that a job could have given; or as any reading.
+        """
+        rows = self.read("compared")
+        check_names(rows["name"], self.path / "tables" / "compared")
+        return rows
+
+    def compared_sets(self) -> dict[str, tuple[int, ...]]:
+        """Read the compared sets by name, the reference first."""
+        rows = self.compared()
+        return {
+            str(name): tuple(map(int, times))
+            for name, times in zip(rows["name"], rows["measurement_times"], strict=True)
+        }
+
+    def has(self, table: str) -> bool:
+        """Whether anything of a table was committed."""
+        return bool(self._files(table))
+
+    def has_parts(self, table: str = "*", phase: str = "*", without: str = "") -> bool:
+        """Whether a phase, or the run without a phase, has rows that are not published yet."""
+        parts = self._parts(table, phase)
+        return any(not (without and path.name.startswith(f"{without}-")) for path in parts)
+
+    def blocks(self, table: str, column: str, rows: int, last: int) -> Iterator[pa.Table]:
+        """Give the rows whose column lies in 0..last-1, in blocks of so many values.
+
+        The rows of a block are sorted and unique; empty blocks are skipped. Only the files that
+        reach into a block are read, so memory does not grow with the table.
+        """
+        spans: list[tuple[Path, int, int]] | None = None
+
+        def look(first: int) -> pa.Table | None:
+            nonlocal spans
+            spans = self._spans(table, column) if spans is None else spans
+            try:
+                return self._between(spans, column, first, min(first + rows, last))
+            except FileNotFoundError:
+                spans = None
+                raise
+
+        for first in range(0, last, rows):
+            block = self._again(partial(look, first))
+            if block is not None:
+                yield block
+
+    def pieces(self, table: str, columns: list[str]) -> Iterator[pa.Table]:
+        """Some columns of a table, a file at a time; rows may come twice."""
+        for path in self._files(table):
+            yield self._read(path, columns)
+
+    def present(self, table: str, column: str, without: Container[Path] = ()) -> NDArray[np.bool_]:
+        """Whether each value 0..largest occurs in a column of counts.
+
+        Parameters
+        ----------
+        table, column : str
+        without : container of Path
+            Files that are not looked at.
+        """
+
+        def look() -> NDArray[np.bool_]:
+            found = np.zeros(0, np.bool_)
+            for path in self._files(table):
+                if path not in without:
+                    values = self._read(path, [column])[column].to_numpy()
+                    found = np.pad(found, (0, max(0, int(values.max(initial=-1)) + 1 - found.size)))
+                    found[values] = True
+            return found
+
+        return self._again(look)
+
+    def per_draw(self, evaluations: Sequence[str]) -> pa.Table:
+        """Rows of the draws table of these evaluations, in their order and by draw, each once."""
+        ids = list(evaluations)
+        wanted = pc.field("evaluation").isin(ids)
+
+        def look() -> list[pa.Table]:
+            paths = sorted(self._draw_files.holding(ids))
+            return [self._read(path, filters=wanted) for path in paths]
+
+        found = self._again(look)
+        if not found:
+            return schema("draws").empty_table()
+        rows = pa.concat_tables(found)
+        place = pc.index_in(rows["evaluation"], pa.array(ids)).to_numpy()
+        draw = rows["draw"].to_numpy()
+        order = np.lexsort((draw, place))
+        return rows.take(order[first_occurrences(place[order], draw[order])])
+
+    def sums(self, evaluation: str, blocks: int) -> pa.Table:
+        """Rows of the table of sums of one evaluation, for its first blocks of draws, in order."""
+        wanted = (pc.field("evaluation") == evaluation) & (pc.field("block") < blocks)
+        pieces = [schema("bound_sums").empty_table(), *self._load("bound_sums", filters=wanted)]
+        return unique(pieces, KEYS["bound_sums"])
+
+    def _parts(self, table: str, phase: str) -> list[Path]:
+        return sorted((self.path / "parts").glob(f"{table}/{phase}-*.parquet"))
+
+    def _files(self, table: str, phase: str = "") -> list[Path]:
+        pattern = f"{phase}-*.parquet" if phase else "[!.]*.parquet"
+        # Parts are listed first, so a row that is published meanwhile is seen twice, not never.
+        parts = sorted((self.path / "parts" / table).glob(pattern))
+        tables = sorted((self.path / "tables" / table).glob(pattern))
+        return tables + parts
+
+    def _load(
+        self,
+        table: str,
+        phase: str = "",
+        filters: pc.Expression | None = None,
+    ) -> list[pa.Table]:
+        """Read all files of a table, or those of one phase."""
+        return self._again(
+            lambda: [self._read(path, filters=filters) for path in self._files(table, phase)]
+        )
+
+    def _spans(self, table: str, column: str) -> list[tuple[Path, int, int]]:
+        """Files of a table, and the smallest and largest value of a column in each."""
+        spans = []
+        for path in self._files(table):
+            values = self._read(path, [column])[column].to_numpy()
+            if values.size:
+                spans.append((path, int(values.min()), int(values.max())))
+        return spans
+
+    def _again(self, look: Callable[[], Found]) -> Found:
+        """Read files, and start again if another driver published a file meanwhile."""
+        for _ in range(_ATTEMPTS):
+            try:
+                return look()
+            except FileNotFoundError:
+                self._draw_files.forget()
+                time.sleep(_PAUSE_SECONDS)
+        raise StoreError(f"the run {self.path} changes faster than it can be read: try again")
+
+    def _between(
+        self, spans: list[tuple[Path, int, int]], column: str, first: int, last: int
+    ) -> pa.Table | None:
+        """Sorted rows whose column lies in first..last-1, each once; None if there is none."""
+        bounds = (pc.field(column) >= first) & (pc.field(column) < last)
+        reach = [path for path, least, most in spans if least < last and most >= first]
+        pieces = [self._read(path, filters=bounds) for path in reach]
+        if not pieces:
+            return None
+        found = pa.concat_tables(pieces).sort_by(column)
+        return found.filter(pa.array(first_occurrences(found[column].to_numpy())))
+
+    def _read(
+        self,
+        path: Path,
+        columns: list[str] | None = None,
+        filters: pc.Expression | None = None,
+    ) -> pa.Table:
+        return read_file(path, columns, filters, self._run_key)

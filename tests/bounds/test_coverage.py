@@ -1,0 +1,259 @@
+"""The 95 % limit of a gap, over 1,000 repetitions of the whole proof.
+
+The window is N + 1 and no gap is too long, so the bound is the optimum but for chance and the bias
+of the particles. The true gap is known: from the Kalman filter, or from the grid filter's costs of
+every set. `pytest -m statistics` runs these tests.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from oracles.grid import grid_filter
+from pfdist import StateSpaceModel, linear_gaussian, load_model
+from pfdist.analysis import Moments
+from pfdist.bounds.gap import gap_of
+from pfdist.bounds.guard import Falls, guarded
+from pfdist.bounds.programme import least
+from pfdist.bounds.proof import falls, prove
+from pfdist.bounds.relaxation import Relaxation
+from pfdist.evaluation.problem import Problem
+from pfdist.evaluation.work import Estimation, Work
+from pfdist.filters.draws import simulate
+from pfdist.filters.kalman import expected_mse
+from pfdist.runner.block_sums import GROUPS
+from pfdist.runner.sets_alone import parts_of
+from pfdist.times.feasible import Feasible
+from pfdist.times.measurement_times import Times
+
+pytestmark = pytest.mark.statistics
+
+REPETITIONS, GUARDED = 1000, 5
+BUDGET, IN_GROUP = 2, 8  # draws of a group
+Array = NDArray[np.float64]
+Record = Callable[[str, object], None]
+
+
+@dataclass(frozen=True)
+class Case:
+    """A small problem, and the settings with which its bias is below half a standard error."""
+
+    model: StateSpaceModel
+    horizon: int
+    particles: int
+    set_draws: int
+    candidate: Times
+    optimum: Callable[["Case"], float]
+
+    @property
+    def feasible(self) -> Feasible:
+        return Feasible(self.horizon, BUDGET)
+
+    @property
+    def problem(self) -> Problem:
+        return Problem(self.model, self.horizon)
+
+
+def _by_kalman(case: Case) -> float:
+    return float(expected_mse(case.model, case.horizon, list(case.feasible.every())).min())
+
+
+def _by_grid(case: Case) -> float:
+    """Least expected variance of the exact filter over all sets."""
+    draws = simulate(case.model, case.horizon, range(4000), 99)
+    costs = [
+        grid_filter(case.model, draws, times, 300)[1].mean(axis=1)
+        for times in case.feasible.every()
+    ]
+    return float(min(map(np.mean, costs)))
+
+
+LINEAR = linear_gaussian(
+    "linear",
+    initial_noise=[[1.0]],
+    transition=[[0.95]],
+    process_noise=[[0.4]],
+    measurement=[[1.0]],
+    measurement_noise=[[0.8]],
+    quantity_of_interest=[[1.0]],
+)
+CASES = {
+    "linear-Gaussian": Case(LINEAR, 8, 200, 200, (2, 7), _by_kalman),
+    "nonlinear": Case(load_model("ungm"), 6, 300, 400, (1, 5), _by_grid),
+}
+
+
+def _errors(case: Case, work: Work) -> Array:
+    return case.problem.filtered(work).mse[:, 0]
+
+
+def _alone(case: Case, times: Times, draws: tuple[int, int], estimator: str) -> Array:
+    estimation = Estimation(case.particles, "systematic", estimator)
+    return _errors(case, Work((times,), (case.horizon,), (3,), 4, draws, estimation))
+
+
+def _sums(
+    case: Case, relaxation: Relaxation, known: Times, number: int, particles: int, groups: int
+) -> Array:
+    """Sums of groups of draws; each repetition has draws of its own."""
+    first, sets = number * GROUPS * IN_GROUP, (*relaxation.sets, known)
+    work = Work(
+        measurement_times=sets,
+        ends=(*relaxation.ends, case.horizon),
+        filter_streams=(1,) * len(sets),
+        draws_stream=2,
+        draws=(0, 0),
+        estimation=Estimation(particles, "systematic", "filter_variance"),
+    )
+    blocks = [(first + group * IN_GROUP, first + (group + 1) * IN_GROUP) for group in range(groups)]
+    return np.stack([case.problem.sum_errors(replace(work, draws=draws)) for draws in blocks])
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Gaps of all repetitions, in the unit of the error."""
+
+    gaps: Array
+    limits: Array
+    errors: Array
+    batch_gaps: Array
+    truth: float
+
+    @property
+    def coverage(self) -> float:
+        return float((self.limits >= self.truth).mean())
+
+
+def _repeated(case: Case, relaxation: Relaxation, *, same_draws: bool = False) -> Outcome:
+    """Prove the gap of a set 1,000 times.
+
+    Parameters
+    ----------
+    case : Case
+    relaxation : Relaxation
+    same_draws : bool
+        Whether the set is chosen on the draws that prove it.
+    """
+    sets, m = list(case.feasible.every()), case.set_draws
+    fixed, counts = case.candidate, np.full(GROUPS, float(IN_GROUP))
+    costs = {times: _true_cost(case, times) for times in (sets if same_draws else [fixed])}
+    optimum = case.optimum(case)
+    rows = []
+    for number in range(REPETITIONS):
+        draws, known = (number * m, (number + 1) * m), fixed
+        if same_draws:
+            known = min(sets, key=lambda t: _alone(case, t, draws, "squared_error").mean())
+        squared = _alone(case, known, draws, "squared_error")
+        variance = _alone(case, known, draws, "filter_variance")
+        whole = Moments()
+        whole.add(squared)
+        coarse, fine = (
+            _sums(case, relaxation, known, number, times * case.particles, groups)
+            for times, groups in ((1, GROUPS), (4, GUARDED))
+        )
+        proof = prove(relaxation, coarse, counts, [known], BUDGET)
+        alone = parts_of(whole, squared, squared, variance)
+        gap = gap_of("set", known, alone, proof, proof.slack[0], 0.95)
+        pair = falls(relaxation, coarse[:GUARDED], fine, counts[:GUARDED], BUDGET)
+        gap = guarded({"set": gap}, Falls(*pair, ""))["set"]
+        of_batches = least(relaxation, coarse[:, :-1] / IN_GROUP, BUDGET).mse[:, BUDGET]
+        own = coarse[:, -1].mean(axis=1) / IN_GROUP
+        total, scale = proof.slack[0].plus(alone.both), gap.expected_mse.value
+        batch_gap = float(np.mean(own - of_batches)) + alone.both.value
+        limit, truth = gap.gap_at_most * scale, costs[known] - optimum
+        rows.append((total.value, limit, total.standard_error, batch_gap, truth))
+    gaps, limits, errors, batch_gaps, truths = np.array(rows).T
+    shift = truths - truths[0]  # the true gap depends on the set
+    return Outcome(gaps - shift, limits - shift, errors, batch_gaps - shift, truths[0])
+
+
+@cache
+def _true_cost_of(name: str, times: Times) -> float:
+    case = CASES[name]
+    estimation = Estimation(case.particles, "systematic")
+    work = Work((times,), (case.horizon,), (5,), 6, (0, 100_000), estimation)
+    return float(_errors(case, work).mean())
+
+
+def _true_cost(case: Case, times: Times) -> float:
+    """Expected MSE of a set with the particles of the case."""
+    name = next(name for name, other in CASES.items() if other is case)
+    return _true_cost_of(name, times)
+
+
+def _exact(case: Case) -> Relaxation:
+    return Relaxation(case.feasible, BUDGET + 1, case.horizon + 1)
+
+
+@pytest.fixture(scope="module", params=CASES)
+def case(request: pytest.FixtureRequest) -> Case:
+    return CASES[request.param]
+
+
+@pytest.fixture(scope="module")
+def outcome(case: Case) -> Outcome:
+    return _repeated(case, _exact(case))
+
+
+def test_the_limit_covers_the_gap_as_often_as_it_says(
+    outcome: Outcome, record_property: Record
+) -> None:
+    record_property("coverage", outcome.coverage)
+    assert 0.93 <= outcome.coverage <= 0.99
+
+
+def test_the_mean_slack_is_at_most_three_standard_errors(
+    outcome: Outcome, record_property: Record
+) -> None:
+    slack = (outcome.limits - outcome.truth).mean() / outcome.errors.mean()
+    record_property("slack", slack)
+    assert 0.0 < slack <= 3.0
+
+
+def test_the_jackknife_gives_the_scatter_of_the_gaps(
+    outcome: Outcome, record_property: Record
+) -> None:
+    ratio = outcome.errors.mean() / outcome.gaps.std()
+    record_property("error over scatter", ratio)
+    assert 0.85 <= ratio <= 1.15
+
+
+def test_batches_find_a_larger_gap_on_average(outcome: Outcome) -> None:
+    """E min <= min E, for the single replication and still more for each of 20 batches.
+
+    Mak, Morton, Wood, "Monte Carlo bounding techniques for determining solution quality in
+    stochastic programs", Operations Research Letters 24, 1999.
+    """
+    error = outcome.gaps.std() / np.sqrt(REPETITIONS)
+    assert outcome.batch_gaps.mean() >= outcome.gaps.mean()
+    assert outcome.gaps.mean() >= outcome.truth - 4 * error - 0.5 * outcome.errors.mean()
+
+
+class _TooLittle(Relaxation):
+    """A relaxation that forgets to measure what the window no longer holds."""
+
+    @property
+    def sets(self) -> list[Times]:
+        return [state.later or ((state.last,) if state.last >= 0 else ()) for state in self.states]
+
+
+def test_a_bound_that_measures_too_little_does_not_cover(
+    case: Case, record_property: Record
+) -> None:
+    relaxation: Any = _TooLittle(case.feasible, 1, case.horizon + 1)
+    outcome = _repeated(case, relaxation)
+    record_property("coverage", outcome.coverage)
+    assert outcome.coverage < 0.9
+
+
+def test_a_bound_on_the_draws_that_chose_the_set_does_not_cover(
+    case: Case, record_property: Record
+) -> None:
+    outcome = _repeated(case, _exact(case), same_draws=True)
+    record_property("coverage", outcome.coverage)
+    assert outcome.coverage < 0.9
