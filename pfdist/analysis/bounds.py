@@ -8,14 +8,14 @@ _OF_THE_SET = ["position", "name", "measurement_times"]
 
 
 def last_bounds(rows: pd.DataFrame) -> dict[str, dict[str, Any]]:
-    """Give the proof of most particle-steps for each set, by the set's name.
+    """Give the proof of most compared draws, then most particle-steps, by the set's name.
 
     Parameters
     ----------
     rows : DataFrame
         As of `pfdist.analysis.Run.bounds`.
     """
-    last = rows.sort_values("steps", kind="stable").groupby("name").tail(1)
+    last = rows.sort_values(["compared_draws", "steps"], kind="stable").groupby("name").tail(1)
     proofs = last.drop(columns=_OF_THE_SET).to_dict("records")
     for proof in proofs:
         proof["path"] = [int(time) for time in proof["path"]]

@@ -101,7 +101,7 @@ class Run:
         """``searching``, ``comparing`` or ``finished``."""
         if not self._store.has("compared"):
             return "searching"
-        if self._store.has_parts(without=BOUND_PHASE) or self._store.manifest.lost():
+        if self._store.has_parts(without=BOUND_PHASE) or self._store.lost():
             return "comparing"
         enough = self.draws_compared == self.job["comparison"]["draws"] or self._narrow
         return "finished" if enough else "comparing"

@@ -12,16 +12,17 @@ from pfdist.api.at_work import at_work
 from pfdist.api.finished_run import built_again, finished_run
 from pfdist.bounds.gap import Gap
 from pfdist.errors import JobError, RunMismatchError, shown
+from pfdist.evaluation.engines import KALMAN
 from pfdist.plots import draw_figures
 from pfdist.runner.build import Built, check_pool
 from pfdist.runner.identity import opened
 from pfdist.runner.processor import note_processor
 from pfdist.runner.progress import Report
-from pfdist.runner.prover import LEAST_DRAWS, WINDOW, Prover
+from pfdist.runner.prover import WINDOW, Prover, check_draws
 from pfdist.store import Store
 
 DRAWS = 1920
-MOST_DRAWS, MOST_PARTICLES, MOST_WINDOW = 100_000, 32_000, 6
+MOST_PARTICLES, MOST_WINDOW = 32_000, 6
 WITHIN_DRAWS = 30_720
 """Largest number of draws, if a gap is demanded and no number of draws."""
 
@@ -39,6 +40,8 @@ class Bound:
         Settings of the bound's filter; 0 where the engine is exact.
     confidence : float
         Confidence of the limit of each gap.
+    within_reached : bool or None
+        Whether the limits of all found sets are as small as demanded; None if nothing was demanded.
     gaps : list of Gap
         One for each compared set of the run.
     """
@@ -49,6 +52,7 @@ class Bound:
     particles: int
     draws: int
     confidence: float
+    within_reached: bool | None
     gaps: list[Gap]
 
     def as_json(self) -> dict[str, Any]:
@@ -101,7 +105,8 @@ def bound(
         Number of last measurements that the relaxation keeps. A larger window gives a higher
         bound, and takes several times as long.
     pool, workers, address : optional
-        Where to compute, as for `pfdist.run`.
+        Where to compute, as for `pfdist.run`. The default is Ray with all cores of this machine,
+        wherever the run was computed; exact engines need no pool.
     model, filter_model : str, optional
         ``path/file.py:object``: replaces the file that the run names for the model or for the
         filter's model. It is run without question, and must mean the same as the run's model.
@@ -128,8 +133,8 @@ def bound(
         A task failed, or no worker answers. All committed sums are kept.
     """
     most = draws or (DRAWS if within is None else WITHIN_DRAWS)
+    check_draws("draws", most if draws is None else draws)
     for name, value, least, largest in (
-        ("draws", most if draws is None else draws, LEAST_DRAWS, MOST_DRAWS),
         ("particles", 1 if particles is None else particles, 1, MOST_PARTICLES),
         ("window", window, 1, MOST_WINDOW),
     ):
@@ -144,6 +149,8 @@ def bound(
     execution = {"pool": pool, "workers": workers, "address": address}
     given = {key: value for key, value in execution.items() if value is not None}
     proved = finished_run(run)
+    if proved.job["filter"]["engine"] == KALMAN.name:
+        given = {"pool": "serial"}  # there is nothing to compute in a pool
     built = built_again(proved, {"model": model, "filter_model": filter_model}, say, given)
     check_pool(built.job.execution)
     prover = Prover(built, most, particles, window, within)
@@ -159,6 +166,7 @@ def bound(
         prover.particles,
         look.draws,
         prover.confidence,
+        None if within is None else look.is_within(within, built.study.references),
         look.gaps,
     )
 
@@ -170,8 +178,9 @@ def _store(run: Run, built: Built, say: Callable[[str], Any]) -> Iterator[Store]
         try:
             store = stack.enter_context(opened(run.path, built, say))
             note_processor(run.path, built, say)
-        except RunMismatchError:
-            say(f"another version of pfdist computed {run.path}: the bound is not stored there")
+        except RunMismatchError as error:
+            difference, *_ = error.differences
+            say(f"{run.path} is of another program ({difference}): the bound is not stored there")
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="pfdist-bound-"))
             store = Store(Path(folder))
         yield store

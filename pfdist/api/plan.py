@@ -16,7 +16,7 @@ def plan(
     results: str | Path | None = None,
     search: str = DEFAULT_METHOD,
     changes: Iterable[str] = (),
-    bound_draws: int = LEAST_DRAWS,
+    bound_draws: int | None = None,
     **options: Any,
 ) -> Run:
     """Find times with one search, compare them with regular times, and prove a lower bound.
@@ -34,8 +34,8 @@ def plan(
         Changes ``key=value``, as `pfdist.load_job` takes them. The name of the search is its
         method, as in ``search.survivors.survivors=4``.
     bound_draws : int
-        Number of draws of the lower bound that is proved for the found times; 0 for no bound. A
-        range of measurement budgets gets none here; see `pfdist.bound`.
+        Number of draws of the lower bound that is proved for the found times, by default 480; 0
+        for no bound. A range of measurement budgets gets a bound only if a number is given.
     options : object
         Further arguments of `pfdist.run`, by name.
 
@@ -52,4 +52,6 @@ def plan(
     if results is None:
         suffix = "-plan" if job.names_its_searches else ""
         results = Path("results") / f"{job.path.stem}{suffix}"
-    return run(job, results, bound_draws=0 if job.budget else bound_draws, **options)
+    if bound_draws is None:
+        bound_draws = 0 if job.budget else LEAST_DRAWS
+    return run(job, results, bound_draws=bound_draws, **options)

@@ -6,7 +6,7 @@ from typing import Any
 
 from pfdist.analysis import Run, open_run
 from pfdist.api.at_work import at_work
-from pfdist.errors import JobError, ModelError
+from pfdist.errors import JobError, ModelError, TaskError
 from pfdist.job.job import Job, as_job
 from pfdist.plots import draw_figures, figure_files, remove_figures
 from pfdist.runner.build import Built, build, check_pool
@@ -15,9 +15,11 @@ from pfdist.runner.identity import opened
 from pfdist.runner.named_by_a_run import files_named
 from pfdist.runner.processor import note_processor
 from pfdist.runner.progress import Report
-from pfdist.runner.prover import WINDOW, Prover
+from pfdist.runner.prover import WINDOW, Prover, check_draws
 from pfdist.runner.session import Session
 from pfdist.store import Store
+
+_PATIENCE = 10  # minutes of one core that a bound may take where nobody asked for it alone
 
 
 def run(
@@ -85,8 +87,9 @@ def run(
         say(f"runs the model file {file}, which your job names")
     built = build(job)
     with opened(path, built, say) as store:
-        prover = None if store.has("bound") else _prover(built, bound_draws, say)
-        unfinished = open_run(path).state != "finished"
+        prover, unfinished = _prover(built, bound_draws, say), open_run(path).state != "finished"
+        if prover is not None and not unfinished and prover.has_proved(open_run(path)):
+            prover = None
         if unfinished:
             remove_figures(path)  # they show fewer draws
             if origin is not None:
@@ -109,15 +112,22 @@ def _prover(built: Built, draws: int, say: Callable[[str], Any]) -> Prover | Non
     """A prover of the run's lower bound; None if no bound is wanted or known."""
     if not draws:
         return None
+    check_draws("bound_draws", draws)
     try:
-        return Prover(built, draws, None, WINDOW)
+        prover = Prover(built, draws, None, WINDOW)
     except (JobError, ModelError) as error:
         say(f"there is no lower bound: {error}")
         return None
+    minutes = prover.steps * built.problem.seconds_a_step / 60
+    if minutes > _PATIENCE:
+        say(f"there is no lower bound yet: pfdist bound would take about {minutes:.0f} minutes of "
+            "one core")  # fmt: skip
+        return None
+    return prover
 
 
 def _prove(prover: Prover, session: Session) -> None:
     try:
         prover.prove(session, open_run(session.store.path))
-    except ModelError as error:  # the results of the run stand
-        session.say(str(error))
+    except TaskError as error:  # the results of the run stand
+        session.say(f"there is no lower bound: {error}")

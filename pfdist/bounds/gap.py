@@ -107,7 +107,7 @@ def gap_of(
         name,
         times,
         mse,
-        "the set costs less than the bound" if at_most < 0 and proof.groups else "",
+        "the set costs less than the bound" if total.is_negative else "",
         proof.bounds[len(times)],
         proof.paths[len(times)],
         max(0.0, total.value * scale),

@@ -52,28 +52,36 @@ def add_json(parser: ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print one JSON object and no text")
 
 
-def add_pool(parser: ArgumentParser) -> None:
-    """Add ``--pool``, ``--workers`` and ``--address``."""
-    parser.add_argument(
-        "--pool",
-        choices=list(POOLS),
-        help="where tasks are computed: "
-        + "; ".join(f"{name}, {kind.description}" for name, kind in POOLS.items())
-        + " (default: execution.pool of the job)",
-    )
-    parser.add_argument(
-        "--workers",
-        type=whole,
-        metavar="N",
-        help="number of workers; 0 is one for each core (default: execution.workers of the job)",
-    )
-    parser.add_argument(
-        "--address",
-        metavar="HOST:PORT",
-        help="join the Ray cluster at this address; "
-        '"auto" finds a cluster, "local" starts one on this machine '
-        "(default: execution.address of the job)",
-    )
+def pool_options(pool: str, workers: str, address: str) -> Callable[[ArgumentParser], None]:
+    """Give a function that adds ``--pool``, ``--workers`` and ``--address``.
+
+    Parameters
+    ----------
+    pool, workers, address : str
+        Describes the default of each option.
+    """
+
+    def add(parser: ArgumentParser) -> None:
+        kinds = "; ".join(f"{name}, {kind.description}" for name, kind in POOLS.items())
+        parser.add_argument(
+            "--pool",
+            choices=list(POOLS),
+            help=f"where tasks are computed: {kinds} (default: {pool})",
+        )
+        parser.add_argument(
+            "--workers",
+            type=whole,
+            metavar="N",
+            help=f"number of workers; 0 is one for each core (default: {workers})",
+        )
+        parser.add_argument(
+            "--address",
+            metavar="HOST:PORT",
+            help="join the Ray cluster at this address; "
+            f'"auto" finds a cluster, "local" starts one on this machine (default: {address})',
+        )
+
+    return add
 
 
 def computing(results: str) -> Callable[[ArgumentParser], None]:
@@ -89,7 +97,8 @@ def computing(results: str) -> Callable[[ArgumentParser], None]:
         parser.add_argument(
             "--results", metavar="DIR", help=f"folder of the run (default: {results})"
         )
-        add_pool(parser)
+        sections = (f"execution.{key} of the job" for key in ("pool", "workers", "address"))
+        pool_options(*sections)(parser)
         parser.add_argument(
             "--fork",
             metavar="NEW",

@@ -23,7 +23,7 @@ from pfdist.store import BOUND_PHASE, schema
 from pfdist.times.measurement_times import Times
 
 BLOCK = 24
-"""Draws whose errors are added up by themselves; a figure never depends on how they are shared."""
+"""Draws of a block. One task adds up a whole block, so results do not depend on the workers."""
 GROUPS = 20
 """Groups of blocks; the jackknife leaves one group out. Block b belongs to group b modulo 20."""
 _TABLE = "bound_sums"
@@ -53,7 +53,8 @@ class BlockSums:
         estimation: Estimation,
         groups: int = GROUPS,
     ) -> None:
-        self._groups, horizon, seed = groups, built.problem.horizon, built.job.seed
+        self._groups, self._reported = groups, 0
+        horizon, seed = built.problem.horizon, built.job.seed
         states = relaxation.states
         # Before the last measurement of a state, and after its end, no error of it counts.
         first = np.array([max(0, state.last) for state in states] + [0] * len(sets))
@@ -74,18 +75,25 @@ class BlockSums:
             knows_truth=True,
         )
 
+    @property
+    def phase(self) -> str:
+        """Phase of the sums in the store."""
+        (id_,) = self._work.ids
+        return f"{BOUND_PHASE}.{id_}"
+
     def steps(self, blocks: int) -> int:
         """Particle-steps of the first blocks."""
         return len(self._wanted(blocks)) * BLOCK * self._work.steps_a_draw
 
-    def fill(self, blocks: int, session: Session, phase: str) -> None:
+    def fill(self, blocks: int, session: Session, title: str) -> None:
         """Filter those of the first blocks of draws that the store lacks.
 
         Parameters
         ----------
         blocks : int
+            At least as many as at the last call.
         session : Session
-        phase : str
+        title : str
             Name of the work in the progress.
 
         Raises
@@ -93,19 +101,18 @@ class BlockSums:
         TaskError, PoolError, StoreError
             A task failed, no worker answers, or a file cannot be read or written.
         """
-        (id_,), wanted = self._work.ids, self._wanted(blocks)
-        known = set(session.store.sums(id_, blocks)["block"].to_pylist())
-        reporter, a_block = session.reporter, BLOCK * self._work.steps_a_draw
-        start = reporter.progress.done
-        reporter.note(done=start + len(known) * a_block)
-        reporter.begin(phase, evaluations=len(known) * BLOCK)
+        wanted, reporter = self._wanted(blocks), session.reporter
+        known = set(self._stored(blocks, session)["block"].to_pylist())
+        a_block, done = BLOCK * self._work.steps_a_draw, len(known)
+        start = reporter.progress.done - self._reported * a_block
+        reporter.note(done=start + done * a_block)
+        reporter.begin(title, evaluations=done * BLOCK)
         works = (self._block(block) for block in wanted if block not in known)
-        run = session.collector.run(BOUND_PHASE, _TABLE, works, self._rows)
-        with closing(run) as pieces:
+        with closing(session.collector.run(self.phase, _TABLE, works, self._rows)) as pieces:
             for _ in pieces:
-                progress = reporter.progress
-                reporter.reach(progress.done + a_block, evaluations=progress.evaluations + BLOCK)
-        reporter.note(done=start + len(wanted) * a_block)
+                done += 1
+                reporter.reach(start + done * a_block, evaluations=done * BLOCK)
+        self._reported = done
 
     def by_group(self, blocks: int, session: Session) -> tuple[Array, Array]:
         """Sums and numbers of draws of each group, (G, S+C, T+1) and (G,), of the first blocks.
@@ -117,16 +124,14 @@ class BlockSums:
         StoreError
             A file cannot be read.
         """
-        (id_,) = self._work.ids
-        rows = session.store.sums(id_, blocks)
+        rows = self._stored(blocks, session)
         sums = np.zeros((self._groups, *self._counts.shape))
         draws = np.zeros(self._groups)
         for block, values in zip(rows["block"].to_pylist(), rows["sums"], strict=True):
             if not np.isfinite(errors := values.values.to_numpy()).all():
                 raise ModelError(
-                    "there is no lower bound, because a draw is degenerate or infinite with "
-                    f"{self._work.estimation.particles} particles of the true model; more "
-                    "particles may help"
+                    f"a draw is degenerate or infinite with {self._work.estimation.particles} "
+                    "particles of the true model; more particles may help"
                 )
             sums[block % GROUPS, self._counts] += errors
             draws[block % GROUPS] += BLOCK
@@ -134,6 +139,13 @@ class BlockSums:
 
     def _wanted(self, blocks: int) -> list[int]:
         return [block for block in range(blocks) if block % GROUPS < self._groups]
+
+    def _stored(self, blocks: int, session: Session) -> pa.Table:
+        """Rows of the store for the blocks that are wanted, in their order."""
+        (id_,) = self._work.ids
+        rows = session.store.sums(id_, blocks)
+        # A guard has the id of a bound of as many particles, which may hold blocks of all groups.
+        return rows.filter(pa.array(np.isin(rows["block"].to_numpy(), self._wanted(blocks))))
 
     def _block(self, block: int) -> Work:
         return replace(self._work, draws=(block * BLOCK, (block + 1) * BLOCK))

@@ -41,7 +41,7 @@ def drive(session: Session) -> None:
     searched = sum(search_steps(built, search) for search in built.searches)
     reporter.foresee(searched + comparison_steps(built))
     try:
-        lost = store.manifest.lost()  # they are computed again
+        lost = store.lost()  # they are computed again
         has = store.has("compared") and not store.has_parts("compared")
         if lost or not has or unpublished(store, built.phases):
             sets = _search(session)

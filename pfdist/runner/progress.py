@@ -37,7 +37,7 @@ class Progress:
     Parameters
     ----------
     phase : str
-        Name of a search, or ``comparison``.
+        Name of a search, ``comparison``, or a part of the proof of a lower bound.
     done, total : float
         Particle-steps over all phases and sets of times; the total is a forecast.
     evaluations : int

@@ -1,7 +1,7 @@
 """The proof of a run's sets: the filters of the relaxation, of its guard, and of the sets alone."""
 
 import math
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,7 +13,8 @@ from pfdist.bounds.gap import Gap, SetAlone, gap_of
 from pfdist.bounds.guard import Falls, guarded
 from pfdist.bounds.proof import CONFIDENCE, falls, prove
 from pfdist.bounds.relaxation import Relaxation
-from pfdist.errors import JobError
+from pfdist.errors import JobError, ModelError, shown
+from pfdist.evaluation.engines import ENGINES
 from pfdist.evaluation.work import Estimation
 from pfdist.kernels.estimators import FILTER_VARIANCE
 from pfdist.runner.block_sums import BLOCK, GROUPS, BlockSums
@@ -25,14 +26,21 @@ from pfdist.times.constraints import Constraints
 from pfdist.times.measurement_times import Times
 
 WINDOW = 2
-LEAST_DRAWS = GROUPS * BLOCK
+LEAST_DRAWS, MOST_DRAWS = GROUPS * BLOCK, 100_000
 MOST_CELLS = 3_000_000
-"""States of the relaxation times instants: the memory of a bound grows with them."""
-_MEAN_GAPS = 3  # the longest gap of the relaxation, in mean gaps
+"""Largest number of states of the relaxation times instants: the memory grows with it."""
 _FINER = 4  # times the particles, for the guard
-_GUARDED = 5  # groups of draws that the guard filters again
+_GUARDED = 10  # groups of draws that the guard filters again
 
 Array = NDArray[np.float64]
+
+
+def check_draws(name: str, draws: int) -> None:
+    """Raise a `JobError` if a bound cannot have so many draws."""
+    if not LEAST_DRAWS <= draws <= MOST_DRAWS:
+        raise JobError(
+            f"{name} must be {LEAST_DRAWS:,} to {MOST_DRAWS:,}, got {shown(draws)}", argument=name
+        )
 
 
 @dataclass(frozen=True)
@@ -99,12 +107,14 @@ class Prover:
         self._built, self._constraints = built, built.job.problem.feasible
         if not self._constraints.counted:
             raise JobError("measurements have costs, and no lower bound is known for them yet")
-        sizes = sorted(map(len, built.study.references.values()))
-        self.relaxation = _relaxation(self._constraints, window, sizes[len(sizes) // 2])
+        self.relaxation = _relaxation(self._constraints, window, built.study.fewest)
         # The relaxation filters with the truth's model: a bound for the filter of any model.
         count = particles or built.job.filter.particles
         self._estimation = Estimation(count, "systematic", FILTER_VARIANCE.name)
-        built.problem.truth.check(self._estimation)
+        truth = built.problem.truth
+        truth.check(self._estimation)
+        if ENGINES[built.source.engine].compiled:  # before the first task, whose time is limited
+            truth.compile(self._estimation)
         self.particles = 0 if built.problem.exact else count
         self._blocks = _doubled(math.ceil(draws / BLOCK)) if self.particles else [0]
         self._within = within
@@ -113,11 +123,9 @@ class Prover:
 
     @property
     def steps(self) -> int:
-        """About how many particle-steps the proof takes."""
-        if not self.particles:
-            return 0
+        """About how many particle-steps the proof takes, before the sets are known."""
         sets = steps_of_sets(self._built, len(self._built.names), self._estimation)
-        return sets + sum(sums.steps(self._blocks[-1]) for sums in self._sums(()))
+        return sets + _steps(self._sums(()), self._blocks[-1])
 
     def prove(self, session: Session, run: Run) -> Look:
         """Prove the sets of a run, and write the table ``bound``.
@@ -145,23 +153,41 @@ class Prover:
         finally:
             session.collector.flush()
             for table in ("bound_sums", "draws", "timings"):
-                session.store.settle(table, BOUND_PHASE)
-        session.store.renew("bound", BOUND_PHASE, self._rows(looks))
+                for phase in session.store.phases_of(table, BOUND_PHASE):
+                    session.store.settle(table, phase)
+        session.store.renew("bound", BOUND_PHASE, self._rows(looks, run.draws_compared))
+        session.store.manifest.forget_lost()  # all that a bound needs is there again
         return looks[-1]
+
+    def has_proved(self, run: Run) -> bool:
+        """Whether the table ``bound`` has this proof, for all draws that the run compares now."""
+        if not run.has("bound"):
+            return False
+        rows = run.bounds()
+        own = (rows["window"] == self.relaxation.window) & (rows["particles"] == self.particles)
+        enough = rows["draws"] >= self._blocks[-1] * BLOCK
+        return bool((own & enough & (rows["compared_draws"] == run.draws_compared)).any())
 
     def _looks(self, session: Session, run: Run) -> Iterator[Look]:
         """Yield the gaps after more and more draws."""
         sets, constraints = run.sets(), self._constraints
         alone = sets_alone(session, run, sets, self._estimation)
         feasible = {name: times for name, times in sets.items() if _satisfies(constraints, times)}
+        sums, most = self._sums(tuple(feasible.values())), self._blocks[-1]
+        session.reporter.foresee(_steps(sums, most) - _steps(self._sums(()), most))
         for blocks in self._blocks:
-            gaps = self._gaps(session, blocks, feasible, alone) if feasible else {}
-            for name in sets.keys() - feasible.keys():
-                mse = alone[name].expected_mse
-                gaps[name] = Gap(name, sets[name], mse, "the set is not feasible")
-            sums = self._sums(tuple(feasible.values())) if self.particles else ()
-            steps = sum(some.steps(blocks) for some in sums)
-            yield Look(blocks * BLOCK, steps, [gaps[name] for name in sets])
+            reason = ""
+            try:
+                gaps = self._gaps(session, blocks, feasible, alone, sums) if feasible else {}
+            except ModelError as error:  # a draw is degenerate
+                reason, gaps = str(error), {}
+            for name in sets.keys() - gaps.keys():
+                why = reason if name in feasible else "the set is not feasible"
+                gaps[name] = Gap(name, sets[name], alone[name].expected_mse, why)
+            found = [gaps[name] for name in sets]
+            yield Look(blocks * BLOCK, _steps(sums, blocks), found)
+            if reason:  # more draws do not help
+                return
 
     def _gaps(
         self,
@@ -169,11 +195,18 @@ class Prover:
         blocks: int,
         sets: Mapping[str, Times],
         alone: Mapping[str, SetAlone],
+        block_sums: Sequence[BlockSums],
     ) -> dict[str, Gap]:
-        """Give the gaps of feasible sets after so many blocks of draws."""
+        """Give the gaps of feasible sets after so many blocks of draws.
+
+        Raises
+        ------
+        ModelError
+            A draw is degenerate.
+        """
         known, most = tuple(sets.values()), max(map(len, sets.values()))
-        if self.particles:
-            coarse, fine = self._sums(known)
+        if block_sums:
+            coarse, fine = block_sums
             coarse.fill(blocks, session, "lower bound")
             fine.fill(blocks, session, "guard of the bound")
             sums, draws = coarse.by_group(blocks, session)
@@ -185,28 +218,31 @@ class Prover:
             name: gap_of(name, times, alone[name], proof, slack, self.confidence)
             for (name, times), slack in zip(sets.items(), proof.slack, strict=True)
         }
-        if not self.particles:
+        if not block_sums:
             return gaps
         finer, counts = fine.by_group(blocks, session)
         pair = falls(self.relaxation, sums[:_GUARDED], finer, counts, most)
         particles = f"{_FINER * self.particles} particles in the place of {self.particles}"
         return guarded(gaps, Falls(*pair, particles))
 
-    def _sums(self, known: tuple[Times, ...]) -> tuple[BlockSums, BlockSums]:
-        """The sums of the bound, and those of the guard."""
+    def _sums(self, known: tuple[Times, ...]) -> list[BlockSums]:
+        """The sums of the bound, and those of the guard; none where the engine is exact."""
+        if not self.particles:
+            return []
         finer = replace(self._estimation, particles=_FINER * self._estimation.particles)
-        return (
+        return [
             BlockSums(self._built, self.relaxation, known, self._estimation),
             BlockSums(self._built, self.relaxation, known, finer, _GUARDED),
-        )
+        ]
 
-    def _rows(self, looks: list[Look]) -> pa.Table:
+    def _rows(self, looks: list[Look], compared_draws: int) -> pa.Table:
         """Rows of the table ``bound``."""
         settings = {
             "window": self.relaxation.window,
             "longest_gap": self.relaxation.longest_gap,
             "particles": self.particles,
             "confidence": self.confidence,
+            "compared_draws": compared_draws,
         }
         rows = [
             {"position": position, "draws": look.draws, "steps": look.steps}
@@ -216,6 +252,11 @@ class Prover:
             for position, gap in enumerate(look.gaps)
         ]
         return pa.Table.from_pylist(rows, schema=schema("bound"))
+
+
+def _steps(sums: Iterable[BlockSums], blocks: int) -> int:
+    """Particle-steps of the first blocks of draws."""
+    return sum(block_sums.steps(blocks) for block_sums in sums)
 
 
 def _doubled(blocks: int) -> list[int]:
@@ -231,8 +272,11 @@ def _satisfies(constraints: Constraints, times: Times) -> bool:
     return constraints.compatible(times) and set(constraints.required).issubset(times)
 
 
-def _relaxation(constraints: Constraints, window: int, size: int) -> Relaxation:
-    """Give the relaxation for sets of typically so many times.
+def _relaxation(constraints: Constraints, window: int, fewest: int) -> Relaxation:
+    """Give the relaxation for sets of at least so many times.
+
+    Its longest gap is three mean gaps, or fewer if they are too many for the memory, but at least
+    two.
 
     Raises
     ------
@@ -240,11 +284,18 @@ def _relaxation(constraints: Constraints, window: int, size: int) -> Relaxation:
         It has more states than fit into memory.
     """
     instants = constraints.horizon + 1
-    longest_gap = min(math.ceil(_MEAN_GAPS * instants / (size + 1)), instants)
-    if instants**2 * longest_gap ** (window - 1) > MOST_CELLS:
+    two, three = (min(math.ceil(gaps * instants / (fewest + 1)), instants) for gaps in (2, 3))
+
+    def states(longest_gap: int) -> int:
+        return int(instants * longest_gap ** (window - 1))
+
+    longest_gap = three
+    while longest_gap > two and states(longest_gap) * instants > MOST_CELLS:
+        longest_gap -= 1
+    if states(longest_gap) * instants > MOST_CELLS:
         raise JobError(
-            f"window = {window} needs about {instants * longest_gap ** (window - 1):,} states of "
-            f"{instants} instants, allowed: {MOST_CELLS:,} in all; take a smaller window",
+            f"window = {window} needs about {states(longest_gap):,} states of {instants} "
+            f"instants, allowed: {MOST_CELLS:,} instants in all; try pfdist bound --window 1",
             argument="window",
         )
     return Relaxation(constraints, window, longest_gap)

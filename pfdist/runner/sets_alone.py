@@ -141,7 +141,8 @@ def _per_draw(
     done = SET_DRAWS - lacking.size
     reporter.reach(start + done * work.steps_a_draw, evaluations=done)
     works = (replace(work, draws=draws) for draws in cut(lacking, SET_DRAWS))
-    with closing(session.collector.run(BOUND_PHASE, "draws", works, draw_rows)) as pieces:
+    phase = f"{BOUND_PHASE}.{stream_key(work.ids):016x}"
+    with closing(session.collector.run(phase, "draws", works, draw_rows)) as pieces:
         for piece, _ in pieces:
             done += piece.draws[1] - piece.draws[0]
             reporter.reach(start + done * work.steps_a_draw, evaluations=done)

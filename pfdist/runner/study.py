@@ -40,6 +40,10 @@ class Study(Protocol):
     def references(self) -> dict[str, Times]:
         """Measurement times with which the found times are compared, by name."""
 
+    @property
+    def fewest(self) -> int:
+        """The least number of measurements that is sought."""
+
     def names(self, search: str) -> list[str]:
         """Names of the sets that a search finds."""
 
@@ -96,6 +100,11 @@ class TimesStudy:
             return {comparison.reference_name: self.job.problem.feasible.regular()}
         return {comparison.reference_name: comparison.reference}
 
+    @property
+    def fewest(self) -> int:
+        """N; with costs, the number of measurements of regular times."""
+        return len(self.job.problem.feasible.regular())
+
     def names(self, search: str) -> list[str]:
         """The name of the search."""
         return [search]
@@ -150,6 +159,11 @@ class BudgetStudy:
         return {
             self._name(name, budget): self.job.feasible(budget).regular() for budget in self.budgets
         }
+
+    @property
+    def fewest(self) -> int:
+        """The least budget."""
+        return self.budgets[0]
 
     def names(self, search: str) -> list[str]:
         """The search's name with each measurement budget."""

@@ -30,7 +30,7 @@ KEYS: dict[str, list[str]] = {
 TABLES = tuple(KEYS)
 
 BOUND_PHASE = "bound.proof"
-"""Phase of all rows of lower bounds. No search has this name; a run is finished without them."""
+"""Start of the phases of lower bounds. No search is named so; a run is finished without them."""
 
 
 def _column(name: str, kind: pa.DataType, unit: str, description: str) -> pa.Field:
@@ -105,6 +105,7 @@ _SCHEMAS = {
         _column("draws", pa.int32(), "", "of the bound; 0: exact"),
         _column("steps", pa.float64(), "", "particle-steps of the bound and its guard"),
         _column("confidence", pa.float64(), "", "of gap_at_most"),
+        _column("compared_draws", pa.int64(), "", "draws of the comparison when it was proved"),
         _column("reason", pa.string(), "", "why there is no bound; empty: there is one"),
         *_estimate("expected_mse", "of the set with the job's own filter"),
         *_estimate("bound", "no feasible set of so many times has a lower expected MSE"),

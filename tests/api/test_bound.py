@@ -6,12 +6,14 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 
 import pfdist
 from pfdist import Job, load_job
 from pfdist.api.bound import Bound
 from pfdist.api.bound import bound as bound_of
+from pfdist.cli.bound_lines import proof_lines
 from pfdist.cli.main import main
 from pfdist.errors import JobError, ModelError, StoreError
 from pfdist.evaluation.problem import Problem
@@ -228,6 +230,7 @@ def test_an_unfinished_run_and_wrong_numbers_are_refused(small_job: Job, tmp_pat
     for wrong in (
         {"draws": LEAST_DRAWS - 1},
         {"draws": 100_001},
+        {"draws": 0},
         {"particles": 0},
         {"window": 0},
         {"window": 7},
@@ -266,7 +269,7 @@ def walk(small_job: Job, tmp_path: Path) -> Path:
 
 def _tables(run: Path) -> dict[str, bytes]:
     """The published files of a bound."""
-    paths = (run / "tables").glob("*/bound.proof-*.parquet")
+    paths = (run / "tables").glob("*/bound.proof*.parquet")
     found = {f"{path.parent.name}/{path.name}": path.read_bytes() for path in paths}
     return {name: content for name, content in found.items() if not name.startswith("timings")}
 
@@ -295,7 +298,7 @@ def test_a_bound_that_was_stopped_goes_on_and_ends_with_the_same_bytes(
     bound(walk, 2 * LEAST_DRAWS)
     bound(tmp_path / "other", 2 * LEAST_DRAWS)
     assert _tables(walk) == _tables(tmp_path / "other")
-    assert len(_tables(walk)) == 3
+    assert {name.partition("/")[0] for name in _tables(walk)} == {"bound", "bound_sums", "draws"}
 
 
 def test_it_has_the_same_bytes_with_two_workers_of_ray(
@@ -323,11 +326,11 @@ def test_what_is_committed_is_not_computed_again(
         lambda built, execution: Counting(lambda: built.source.compiled().results),
     )
     bound(walk, LEAST_DRAWS)
-    assert len(blocks) == 20 + 5  # of the bound, and of its guard
+    assert len(blocks) == 20 + 10  # of the bound, and of its guard
     bound(walk, 2 * LEAST_DRAWS)
-    assert len(blocks) == 2 * (20 + 5)
+    assert len(blocks) == 2 * (20 + 10)
     bound(walk, 2 * LEAST_DRAWS)
-    assert len(blocks) == 2 * (20 + 5)
+    assert len(blocks) == 2 * (20 + 10)
 
 
 def test_the_table_has_a_row_for_each_set_window_and_number_of_draws(walk: Path) -> None:
@@ -420,5 +423,72 @@ def test_a_run_of_another_version_is_proved_and_not_written_to(
     said, before = list[str](), sorted(walk.rglob("*"))
     found = bound(walk, LEAST_DRAWS, say=said.append)
     assert not any(gap.reason for gap in found.gaps)
-    assert any("another version of pfdist" in line for line in said)
+    assert any("is of another program (pfdist: 0.3.0 -> 99)" in line for line in said)
     assert sorted(walk.rglob("*")) == before
+
+
+def test_a_bound_of_as_many_particles_as_an_earlier_guard_takes_its_sums(walk: Path) -> None:
+    first = bound(walk, LEAST_DRAWS)
+    finer = bound(walk, 2 * LEAST_DRAWS, particles=80)  # as the guard of the first
+    assert finer.particles == 80
+    assert bound(walk, LEAST_DRAWS).as_json() == first.as_json()
+
+
+def test_more_compared_draws_are_proved_again(small_job: Job, tmp_path: Path) -> None:
+    job = small_job.with_changes([*QUICK, *WALK])
+    job = job.with_changes(["comparison.draws=300"])
+
+    def proved(draws: int) -> pd.DataFrame:
+        more = job.with_changes([f"comparison.draws={draws}"])
+        run = pfdist.run(more, tmp_path / "run", figures=False, bound_draws=LEAST_DRAWS)
+        return run.bounds()
+
+    assert set(proved(300)["compared_draws"]) == {300}
+    assert set(proved(300)["compared_draws"]) == {300}
+    assert set(proved(400)["compared_draws"]) == {400}
+
+
+def test_a_damaged_file_of_a_bound_is_made_again_by_the_bound(walk: Path) -> None:
+    bound(walk, LEAST_DRAWS)
+    before = _tables(walk)
+    for path in (walk / "tables").glob("bound*/*.parquet"):
+        content = bytearray(path.read_bytes())
+        content[len(content) // 2] ^= 1
+        path.write_bytes(content)
+    bound(walk, LEAST_DRAWS)
+    assert _tables(walk) == before
+    assert pfdist.open_run(walk).state == "finished"
+    assert main(["verify", str(walk)]) == 0
+
+
+def test_a_degenerate_draw_in_the_relaxation_is_a_reason(small_job: Job, tmp_path: Path) -> None:
+    (small_job.path.parent / "cut.py").write_text(
+        "from dataclasses import replace\n"
+        "import numpy as np\n"
+        "from pfdist import load_model, where\n"
+        "walk = load_model('random_walk')\n"
+        "model = replace(walk, linear_gaussian=False, log_likelihood=lambda y, x, t, p:\n"
+        "    where(abs(y[0] - x[0]) > 3.0, -np.inf, -0.5 * (y[0] - x[0]) ** 2))\n"
+    )
+    changes = ("model.name=cut.py:model", "evaluation.degenerate_draws=leave_out")
+    run = _run(small_job, tmp_path / "run", *changes, "filter.particles=5")
+    bound(run.path, LEAST_DRAWS)
+    rows = pfdist.open_run(run.path).bounds()
+    assert all("degenerate or infinite" in reason for reason in rows["reason"])
+    assert main(["bound", str(run.path), "--pool", "serial"]) == 0
+
+
+def test_a_limit_is_printed_rounded_up(walk: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for gap, printed in ((0.02901, "3.0 %"), (0.029, "2.9 %"), (0.1, "10 %"), (0.0, "0 %")):
+        row = {"reason": "", "bound_error": 1.0, "confidence": 0.95, "gap": 0.0}
+        (line,) = proof_lines(row | {"gap_at_most": gap}, 4)
+        assert line.endswith(f"(95 %: {printed}).")
+
+
+def test_more_than_is_demanded_is_said(walk: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["bound", str(walk), "--pool", "serial", "--draws", "480", "--within", "0.0001"]
+    assert main(command) == 0
+    assert "The limit of a found set is above 0.01 % with 480 draws." in capsys.readouterr().out
+    assert bound(walk, LEAST_DRAWS, within=0.0001).within_reached is False
+    assert bound(walk, LEAST_DRAWS, within=0.99).within_reached is True
+    assert bound(walk, LEAST_DRAWS).within_reached is None

@@ -1,8 +1,8 @@
-"""The 95 % limit of a gap, over 1,000 repetitions of the whole proof.
+"""The 95 % limit of a gap, over many repetitions of the whole proof.
 
 The window is N + 1 and no gap is too long, so the bound is the optimum but for chance and the bias
 of the particles. The true gap is known: from the Kalman filter, or from the grid filter's costs of
-every set. `pytest -m statistics` runs these tests.
+every set. `pytest -m statistics` repeats the proof 1,000 times.
 """
 
 from collections.abc import Callable
@@ -24,16 +24,14 @@ from pfdist.bounds.proof import falls, prove
 from pfdist.bounds.relaxation import Relaxation
 from pfdist.evaluation.problem import Problem
 from pfdist.evaluation.work import Estimation, Work
-from pfdist.filters.draws import simulate
+from pfdist.filters.draws import Draws, simulate
 from pfdist.filters.kalman import expected_mse
 from pfdist.runner.block_sums import GROUPS
 from pfdist.runner.sets_alone import parts_of
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
-pytestmark = pytest.mark.statistics
-
-REPETITIONS, GUARDED = 1000, 5
+REPETITIONS, GUARDED = 1000, 10
 BUDGET, IN_GROUP = 2, 8  # draws of a group
 Array = NDArray[np.float64]
 Record = Callable[[str, object], None]
@@ -64,13 +62,13 @@ def _by_kalman(case: Case) -> float:
 
 
 def _by_grid(case: Case) -> float:
-    """Least expected variance of the exact filter over all sets."""
-    draws = simulate(case.model, case.horizon, range(4000), 99)
-    costs = [
-        grid_filter(case.model, draws, times, 300)[1].mean(axis=1)
-        for times in case.feasible.every()
-    ]
-    return float(min(map(np.mean, costs)))
+    """Least expected variance of the exact filter, on draws that did not choose the set."""
+    few, many = (simulate(case.model, case.horizon, range(n), n) for n in (4000, 40_000))
+
+    def cost(times: Times, draws: Draws) -> float:
+        return float(grid_filter(case.model, draws, times, 300)[1].mean())
+
+    return cost(min(case.feasible.every(), key=lambda times: cost(times, few)), many)
 
 
 LINEAR = linear_gaussian(
@@ -83,8 +81,8 @@ LINEAR = linear_gaussian(
     quantity_of_interest=[[1.0]],
 )
 CASES = {
-    "linear-Gaussian": Case(LINEAR, 8, 200, 200, (2, 7), _by_kalman),
-    "nonlinear": Case(load_model("ungm"), 6, 300, 400, (1, 5), _by_grid),
+    "linear-Gaussian": Case(LINEAR, 8, 200, 1000, (2, 7), _by_kalman),
+    "nonlinear": Case(load_model("ungm"), 6, 300, 1000, (1, 5), _by_grid),
 }
 
 
@@ -116,7 +114,7 @@ def _sums(
 
 @dataclass(frozen=True)
 class Outcome:
-    """Gaps of all repetitions, in the unit of the error."""
+    """Gaps of all repetitions, in the unit of the error; a limit is NaN without a bound."""
 
     gaps: Array
     limits: Array
@@ -129,22 +127,30 @@ class Outcome:
         return float((self.limits >= self.truth).mean())
 
 
-def _repeated(case: Case, relaxation: Relaxation, *, same_draws: bool = False) -> Outcome:
-    """Prove the gap of a set 1,000 times.
+def _repeated(
+    case: Case,
+    relaxation: Relaxation,
+    repetitions: int = REPETITIONS,
+    *,
+    same_draws: bool = False,
+) -> Outcome:
+    """Prove the gap of a set many times.
 
     Parameters
     ----------
     case : Case
     relaxation : Relaxation
+    repetitions : int
     same_draws : bool
         Whether the set is chosen on the draws that prove it.
     """
-    sets, m = list(case.feasible.every()), case.set_draws
+    sets = list(case.feasible.every())
+    m = case.set_draws // 25 if same_draws else case.set_draws  # few draws are easily fooled
     fixed, counts = case.candidate, np.full(GROUPS, float(IN_GROUP))
     costs = {times: _true_cost(case, times) for times in (sets if same_draws else [fixed])}
     optimum = case.optimum(case)
     rows = []
-    for number in range(REPETITIONS):
+    for number in range(repetitions):
         draws, known = (number * m, (number + 1) * m), fixed
         if same_draws:
             known = min(sets, key=lambda t: _alone(case, t, draws, "squared_error").mean())
@@ -176,7 +182,7 @@ def _repeated(case: Case, relaxation: Relaxation, *, same_draws: bool = False) -
 def _true_cost_of(name: str, times: Times) -> float:
     case = CASES[name]
     estimation = Estimation(case.particles, "systematic")
-    work = Work((times,), (case.horizon,), (5,), 6, (0, 100_000), estimation)
+    work = Work((times,), (case.horizon,), (5,), 6, (0, 1_000_000), estimation)
     return float(_errors(case, work).mean())
 
 
@@ -200,6 +206,12 @@ def outcome(case: Case) -> Outcome:
     return _repeated(case, _exact(case))
 
 
+def test_the_limit_hardly_ever_fails(case: Case) -> None:
+    """60 repetitions: 0.85 is 3.5 standard errors below 0.95."""
+    assert _repeated(case, _exact(case), 60).coverage >= 0.85
+
+
+@pytest.mark.statistics
 def test_the_limit_covers_the_gap_as_often_as_it_says(
     outcome: Outcome, record_property: Record
 ) -> None:
@@ -207,14 +219,16 @@ def test_the_limit_covers_the_gap_as_often_as_it_says(
     assert 0.93 <= outcome.coverage <= 0.99
 
 
+@pytest.mark.statistics
 def test_the_mean_slack_is_at_most_three_standard_errors(
     outcome: Outcome, record_property: Record
 ) -> None:
-    slack = (outcome.limits - outcome.truth).mean() / outcome.errors.mean()
+    slack = np.nanmean(outcome.limits - outcome.truth) / outcome.errors.mean()
     record_property("slack", slack)
     assert 0.0 < slack <= 3.0
 
 
+@pytest.mark.statistics
 def test_the_jackknife_gives_the_scatter_of_the_gaps(
     outcome: Outcome, record_property: Record
 ) -> None:
@@ -223,6 +237,7 @@ def test_the_jackknife_gives_the_scatter_of_the_gaps(
     assert 0.85 <= ratio <= 1.15
 
 
+@pytest.mark.statistics
 def test_batches_find_a_larger_gap_on_average(outcome: Outcome) -> None:
     """E min <= min E, for the single replication and still more for each of 20 batches.
 
@@ -242,6 +257,7 @@ class _TooLittle(Relaxation):
         return [state.later or ((state.last,) if state.last >= 0 else ()) for state in self.states]
 
 
+@pytest.mark.statistics
 def test_a_bound_that_measures_too_little_does_not_cover(
     case: Case, record_property: Record
 ) -> None:
@@ -251,6 +267,7 @@ def test_a_bound_that_measures_too_little_does_not_cover(
     assert outcome.coverage < 0.9
 
 
+@pytest.mark.statistics
 def test_a_bound_on_the_draws_that_chose_the_set_does_not_cover(
     case: Case, record_property: Record
 ) -> None:

@@ -14,8 +14,9 @@ from oracles.counted import A_DRAW, committed_draws, count_draws
 from oracles.file_layer import Ended, FileLayer
 from pfdist import Job
 from pfdist.errors import StoreError
-from pfdist.runner import collect, first_draws
+from pfdist.runner import collect, first_draws, sets_alone
 from pfdist.runner.pace import Pace
+from pfdist.runner.prover import LEAST_DRAWS
 from pfdist.store import parquet
 from pfdist.store.repair import verify_run
 
@@ -100,6 +101,43 @@ def test_a_run_that_goes_wrong_at_any_file_operation_ends_with_the_same_bytes(
         if begin is not _damaged:  # to be killed is no damage
             assert not (path / "quarantine").exists(), where
             assert not [line for line in said if "ready" not in line], where
+        shutil.rmtree(path)
+    record_property("faults", f"{PROMISE}: {len(range(0, count, step))}")
+
+
+@pytest.mark.parametrize("step", [97, pytest.param(1, marks=pytest.mark.crash)])
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_bound_that_goes_wrong_at_any_file_operation_ends_with_the_same_bytes(
+    fault: str,
+    step: int,
+    small_job: Job,
+    tmp_path: Path,
+    layer: FileLayer,
+    monkeypatch: pytest.MonkeyPatch,
+    record_property: Callable[[str, object], None],
+) -> None:
+    """A bound of 480 draws that grows to 960, in files of 8 blocks."""
+    monkeypatch.setattr(sets_alone, "SET_DRAWS", 60)
+    monkeypatch.setattr(Pace, "size", lambda pace, remaining: 10**9)  # a task for each work
+    monkeypatch.setitem(parquet.ROWS_IN_A_FILE, "bound_sums", 8)
+    job = small_job.with_changes([*CHANGES, "model.name=random_walk", "problem.horizon=6"])
+    begun = pfdist.run(job, tmp_path / "begun", figures=False).path
+    pfdist.bound(begun, LEAST_DRAWS, pool="serial", figures=False)
+    prove = partial(pfdist.bound, draws=2 * LEAST_DRAWS, pool="serial", figures=False)
+    untouched = shutil.copytree(begun, tmp_path / "whole")
+    count = layer.run(partial(prove, untouched))
+    whole = hashes(untouched)
+    assert count > 50
+    for at in range(0, count, step):
+        path = shutil.copytree(begun, tmp_path / f"{at}")
+        with pytest.raises(FAULTS[fault]):
+            layer.run(partial(prove, path), fault, at)
+        where = f"{fault} at operation {at} of {count}"
+        assert pfdist.open_run(path).state == "finished", where
+        prove(path)
+        assert hashes(path) == whole, where
+        assert not list(path.glob("parts/**/*.parquet")), where
+        assert not list(verify_run(path)), where
         shutil.rmtree(path)
     record_property("faults", f"{PROMISE}: {len(range(0, count, step))}")
 

@@ -82,7 +82,7 @@ sys.exit(main(sys.argv[1:]))
 @pytest.mark.fault
 @pytest.mark.parametrize("after", [0.05, 0.3])
 def test_ctrl_c_is_heard_while_the_program_is_loaded(after: float, record_property: Record) -> None:
-    command = [sys.executable, "-c", BEGINS, "models"]
+    command = [sys.executable, "-c", BEGINS, "check-model", "ungm"]  # loads Numba: a second
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:

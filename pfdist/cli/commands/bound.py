@@ -4,16 +4,15 @@ from argparse import ArgumentParser, Namespace
 from typing import Any
 
 from pfdist.cli.answers import print_json
-from pfdist.cli.arguments import add_json, add_models, add_pool, add_run, count, finite, whole
+from pfdist.cli.arguments import add_json, add_models, add_run, count, finite, pool_options, whole
 from pfdist.cli.bound_lines import proof_lines
 from pfdist.cli.command import command
 from pfdist.cli.layout import line
-from pfdist.cli.numbers import cost
 from pfdist.common.rounding import with_error
 
 _PARTS = {
-    "relaxation": "relaxation and chance",
-    "estimate": "particles and estimate",
+    "relaxation": "relaxation, chance",
+    "estimate": "particles, estimate",
     "filter_model": "wrong filter model",
 }
 
@@ -52,7 +51,10 @@ def _add_settings(parser: ArgumentParser) -> None:
     )
 
 
-@command("bound", add_run, _add_settings, add_pool, add_models, add_json, goes_on=True)
+_add_pool = pool_options("ray", "0", "local")
+
+
+@command("bound", add_run, _add_settings, _add_pool, add_models, add_json, goes_on=True)
 def bound_command(options: Namespace) -> None:
     """Prove how much lower the expected MSE of any other times can be."""
     from pfdist.api.bound import bound
@@ -79,6 +81,9 @@ def bound_command(options: Namespace) -> None:
         return
     sets, confidence = answer["sets"], {"confidence": answer["confidence"]}
     print("\n\n".join("\n".join(_lines(name, gap | confidence)) for name, gap in sets.items()))
+    if answer["within_reached"] is False:
+        print(f"\nThe limit of a found set is above {100 * options.within:g} % with "
+              f"{answer['draws']:,} draws.")  # fmt: skip
 
 
 def _lines(name: str, gap: dict[str, Any]) -> list[str]:
@@ -86,10 +91,10 @@ def _lines(name: str, gap: dict[str, Any]) -> list[str]:
     number = len(gap["measurement_times"])
     lines = [
         f"{name}: {number} measurement{'s' * (number != 1)}",
-        line("expected MSE", with_error(cost(gap["expected_mse"]), gap["expected_mse_error"])),
+        line("expected MSE", _estimate(gap, "expected_mse")),
     ]
     if not gap["reason"]:
-        lines.append(line("lower bound", with_error(gap["bound"], gap["bound_error"])))
+        lines.append(line("lower bound", _estimate(gap, "bound")))
     lines += proof_lines(gap, number)
     if gap["reason"]:
         return lines
@@ -99,3 +104,8 @@ def _lines(name: str, gap: dict[str, Any]) -> list[str]:
         if share or error:
             lines.append(line(f"  {title}", f"{with_error(share, error)} %"))
     return lines
+
+
+def _estimate(gap: dict[str, Any], name: str) -> str:
+    value = gap[name]
+    return "unknown" if value is None else with_error(value, gap[f"{name}_error"])

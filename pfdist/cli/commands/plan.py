@@ -28,10 +28,9 @@ def _add_bound_draws(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--bound-draws",
         type=whole,
-        default=LEAST_DRAWS,
         metavar="K",
         help="number of draws of the lower bound that is proved for the found times; 0 for no "
-        f"bound (default: {LEAST_DRAWS})",
+        f"bound (default: {LEAST_DRAWS}, or 0 for a range of measurement budgets)",
     )
 
 
