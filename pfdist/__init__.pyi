@@ -14,6 +14,7 @@ from .job.job import load_job as load_job
 from .models import StateSpaceModel as StateSpaceModel
 from .models import load_model as load_model
 from .models.linear_gaussian import linear_gaussian as linear_gaussian
+from .runner.bound_settings import BoundSettings as BoundSettings
 
 __all__: list[str]
 __version__: str

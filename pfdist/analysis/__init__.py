@@ -4,6 +4,7 @@ Reads tables alone: no Ray, no model, no kernel.
 """
 
 from pfdist.analysis.budget_curve import reaching
+from pfdist.analysis.finite import finite
 from pfdist.analysis.gains import (
     BIN,
     BLOCK,
@@ -15,7 +16,7 @@ from pfdist.analysis.gains import (
     summarise_gain,
 )
 from pfdist.analysis.recorded import read_recorded
-from pfdist.analysis.stored_run import Run, finite, open_run
+from pfdist.analysis.stored_run import Run, open_run
 from pfdist.analysis.streaming_moments import Moments
 
 __all__ = [

@@ -1,6 +1,5 @@
 """A run as pandas DataFrames and as a summary."""
 
-import math
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
@@ -13,6 +12,7 @@ import pyarrow as pa
 from pfdist.analysis.belief import own_estimation
 from pfdist.analysis.bounds import last_bounds
 from pfdist.analysis.budget_curve import reaching
+from pfdist.analysis.finite import finite
 from pfdist.analysis.gains import BLOCK, ComparisonStatistics, relative_gain
 from pfdist.analysis.recorded import read_recorded
 from pfdist.analysis.results import results_of
@@ -212,7 +212,7 @@ class Run:
               gains_disagree (`GainSummary.disagree`).
 
             - For all, if a lower bound was proved: lower_bound, with the columns of `bounds` for
-              the proof of most particle-steps.
+              the proof of most compared draws, then of most particle-steps.
 
             If the run has several numbers of measurements, the results are the rows of `budget`,
             with the four search_ fields for found times. Before the comparison has begun, a result
@@ -292,12 +292,3 @@ def open_run(path: str | Path) -> Run:
     """
     check_entries(Path(path))
     return Run(Path(path))
-
-
-def finite(value: Any) -> Any:
-    """The same value with None for floats that are not finite, and with lists for tuples."""
-    if isinstance(value, dict):
-        return {key: finite(inner) for key, inner in value.items()}
-    if isinstance(value, list | tuple):
-        return [finite(inner) for inner in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

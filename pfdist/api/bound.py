@@ -11,20 +11,18 @@ from pfdist.analysis import Run, finite
 from pfdist.api.at_work import at_work
 from pfdist.api.finished_run import built_again, finished_run
 from pfdist.bounds.gap import Gap
-from pfdist.errors import JobError, RunMismatchError, shown
+from pfdist.errors import RunMismatchError
 from pfdist.evaluation.engines import KALMAN
 from pfdist.plots import draw_figures
+from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built, check_pool
 from pfdist.runner.identity import opened
 from pfdist.runner.processor import note_processor
 from pfdist.runner.progress import Report
-from pfdist.runner.prover import WINDOW, Prover, check_draws
+from pfdist.runner.prover import Prover
 from pfdist.store import Store
 
-DRAWS = 1920
-MOST_PARTICLES, MOST_WINDOW = 32_000, 6
-WITHIN_DRAWS = 30_720
-"""Largest number of draws, if a gap is demanded and no number of draws."""
+_DEFAULT = BoundSettings()
 
 
 @dataclass(frozen=True)
@@ -67,11 +65,8 @@ class Bound:
 
 def bound(
     run: str | Path,
-    draws: int | None = None,
+    settings: BoundSettings = _DEFAULT,
     *,
-    within: float | None = None,
-    particles: int | None = None,
-    window: int = WINDOW,
     pool: str | None = None,
     workers: int | None = None,
     address: str | None = None,
@@ -92,18 +87,8 @@ def bound(
     ----------
     run : str or Path
         Folder of a finished run.
-    draws : int, optional
-        Number of draws of the bound, rounded up to a multiple of 24; by default 1,920. With more
-        draws the bound is higher, because the least of many noisy costs is too low. Exact engines
-        ignore it.
-    within : float, optional
-        Take more and more draws until the limits of the gaps of all found sets are at most this
-        fraction of the expected MSE, but at most `draws`, by default 30,720.
-    particles : int, optional
-        Number of particles of the bound's filter; by default that of the job's filter.
-    window : int
-        Number of last measurements that the relaxation keeps. A larger window gives a higher
-        bound, and takes several times as long.
+    settings : BoundSettings
+        Draws, particles and window of the proof, and the gap that is demanded.
     pool, workers, address : optional
         Where to compute, as for `pfdist.run`. The default is Ray with all cores of this machine,
         wherever the run was computed; exact engines need no pool.
@@ -127,25 +112,11 @@ def bound(
         The folder holds no finished run, or the model has changed since, or the run names a model
         file that is not run without the user's word.
     JobError, ModelError
-        An argument is out of its range; the measurements of the job have costs; the model defines
-        an error of its own; a draw is degenerate in the relaxation; or the model cannot be loaded.
+        The measurements of the job have costs; the model defines an error of its own; the
+        relaxation is too large; or the model cannot be loaded.
     TaskError, PoolError
         A task failed, or no worker answers. All committed sums are kept.
     """
-    most = draws or (DRAWS if within is None else WITHIN_DRAWS)
-    check_draws("draws", most if draws is None else draws)
-    for name, value, least, largest in (
-        ("particles", 1 if particles is None else particles, 1, MOST_PARTICLES),
-        ("window", window, 1, MOST_WINDOW),
-    ):
-        if not least <= value <= largest:
-            raise JobError(
-                f"{name} must be {least:,} to {largest:,}, got {shown(value)}", argument=name
-            )
-    if within is not None and not 0 < within < 1:
-        raise JobError(
-            f"within must be a fraction above 0 and below 1, got {shown(within)}", argument="within"
-        )
     execution = {"pool": pool, "workers": workers, "address": address}
     given = {key: value for key, value in execution.items() if value is not None}
     proved = finished_run(run)
@@ -153,7 +124,7 @@ def bound(
         given = {"pool": "serial"}  # there is nothing to compute in a pool
     built = built_again(proved, {"model": model, "filter_model": filter_model}, say, given)
     check_pool(built.job.execution)
-    prover = Prover(built, most, particles, window, within)
+    prover, within = Prover(built, settings), settings.within
     with _store(proved, built, say) as store, at_work(built, store, report, say) as session:
         session.reporter.foresee(prover.steps)
         look = prover.prove(session, finished_run(run))  # it may have been found damaged
@@ -161,7 +132,7 @@ def bound(
             draw_figures(proved, "bound")
     return Bound(
         proved.path,
-        window,
+        settings.window,
         prover.relaxation.longest_gap,
         prover.particles,
         look.draws,

@@ -7,7 +7,7 @@ from typing import Any
 from pfdist.analysis import Run
 from pfdist.api.run import run
 from pfdist.job.job import Job, as_job
-from pfdist.runner.prover import LEAST_DRAWS
+from pfdist.runner.bound_settings import LEAST_DRAWS
 from pfdist.search.methods import DEFAULT_METHOD
 
 

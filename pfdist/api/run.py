@@ -9,13 +9,14 @@ from pfdist.api.at_work import at_work
 from pfdist.errors import JobError, ModelError, TaskError
 from pfdist.job.job import Job, as_job
 from pfdist.plots import draw_figures, figure_files, remove_figures
+from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built, build, check_pool
 from pfdist.runner.driver import FORKED, drive
 from pfdist.runner.identity import opened
 from pfdist.runner.named_by_a_run import files_named
 from pfdist.runner.processor import note_processor
 from pfdist.runner.progress import Report
-from pfdist.runner.prover import WINDOW, Prover, check_draws
+from pfdist.runner.prover import Prover
 from pfdist.runner.session import Session
 from pfdist.store import Store
 
@@ -112,9 +113,12 @@ def _prover(built: Built, draws: int, say: Callable[[str], Any]) -> Prover | Non
     """A prover of the run's lower bound; None if no bound is wanted or known."""
     if not draws:
         return None
-    check_draws("bound_draws", draws)
     try:
-        prover = Prover(built, draws, None, WINDOW)
+        settings = BoundSettings(draws)
+    except JobError as error:
+        raise JobError(f"bound_{error}", argument="bound_draws") from error
+    try:
+        prover = Prover(built, settings)
     except (JobError, ModelError) as error:
         say(f"there is no lower bound: {error}")
         return None

@@ -13,6 +13,7 @@ Automatica 48, 2012 (monotone covariances). Brown, Smith, Sun, "Information rela
 in stochastic dynamic programs", Operations Research 58, 2010.
 """
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -20,11 +21,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.errors import MeasurementTimesError
+from pfdist.errors import JobError, MeasurementTimesError
 from pfdist.times.constraints import Constraints
 from pfdist.times.measurement_times import Times
 
 NOTHING = -1
+MOST_CELLS = 3_000_000
+"""Largest number of states of a relaxation times instants: the memory grows with it."""
 
 
 class State(NamedTuple):
@@ -189,3 +192,32 @@ class Relaxation:
     def fallback(self, state: State) -> State:
         """Give the state in which every allowed instant up to the last measurement is measured."""
         return state if state == START else State(state.last, ())
+
+
+def relaxation_for(constraints: Constraints, window: int, fewest: int) -> Relaxation:
+    """Give the relaxation for sets of at least so many times.
+
+    Its longest gap is three mean gaps, or fewer if they are too many for the memory, but at least
+    two.
+
+    Raises
+    ------
+    JobError
+        It has more states than fit into memory.
+    """
+    instants = constraints.horizon + 1
+    two, three = (min(math.ceil(gaps * instants / (fewest + 1)), instants) for gaps in (2, 3))
+
+    def states(longest_gap: int) -> int:
+        return int(instants * longest_gap ** (window - 1))
+
+    longest_gap = three
+    while longest_gap > two and states(longest_gap) * instants > MOST_CELLS:
+        longest_gap -= 1
+    if states(longest_gap) * instants > MOST_CELLS:
+        raise JobError(
+            f"window = {window} needs about {states(longest_gap):,} states of {instants} "
+            f"instants, allowed: {MOST_CELLS:,} instants in all; try pfdist bound --window 1",
+            argument="window",
+        )
+    return Relaxation(constraints, window, longest_gap)

@@ -12,12 +12,13 @@ from pfdist.analysis import Run
 from pfdist.bounds.gap import Gap, SetAlone, gap_of
 from pfdist.bounds.guard import Falls, guarded
 from pfdist.bounds.proof import CONFIDENCE, falls, prove
-from pfdist.bounds.relaxation import Relaxation
-from pfdist.errors import JobError, ModelError, shown
+from pfdist.bounds.relaxation import relaxation_for
+from pfdist.errors import JobError, ModelError
 from pfdist.evaluation.engines import ENGINES
 from pfdist.evaluation.work import Estimation
 from pfdist.kernels.estimators import FILTER_VARIANCE
 from pfdist.runner.block_sums import BLOCK, GROUPS, BlockSums
+from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built
 from pfdist.runner.session import Session
 from pfdist.runner.sets_alone import sets_alone, steps_of_sets
@@ -25,22 +26,10 @@ from pfdist.store import BOUND_PHASE, schema
 from pfdist.times.constraints import Constraints
 from pfdist.times.measurement_times import Times
 
-WINDOW = 2
-LEAST_DRAWS, MOST_DRAWS = GROUPS * BLOCK, 100_000
-MOST_CELLS = 3_000_000
-"""Largest number of states of the relaxation times instants: the memory grows with it."""
 _FINER = 4  # times the particles, for the guard
 _GUARDED = 10  # groups of draws that the guard filters again
 
 Array = NDArray[np.float64]
-
-
-def check_draws(name: str, draws: int) -> None:
-    """Raise a `JobError` if a bound cannot have so many draws."""
-    if not LEAST_DRAWS <= draws <= MOST_DRAWS:
-        raise JobError(
-            f"{name} must be {LEAST_DRAWS:,} to {MOST_DRAWS:,}, got {shown(draws)}", argument=name
-        )
 
 
 @dataclass(frozen=True)
@@ -73,13 +62,7 @@ class Prover:
     Parameters
     ----------
     built : Built
-    draws : int
-        Largest number of draws of the bound, at least `LEAST_DRAWS`.
-    particles : int or None
-        None: as many as the job's filter has.
-    window : int
-    within : float or None
-        The proof ends when the limits of the gaps of all found sets are at most so large.
+    settings : BoundSettings
 
     Attributes
     ----------
@@ -96,29 +79,22 @@ class Prover:
         No bound is known for the job's problem, or its relaxation is too large.
     """
 
-    def __init__(
-        self,
-        built: Built,
-        draws: int,
-        particles: int | None,
-        window: int,
-        within: float | None = None,
-    ) -> None:
+    def __init__(self, built: Built, settings: BoundSettings) -> None:
         self._built, self._constraints = built, built.job.problem.feasible
         if not self._constraints.counted:
             raise JobError("measurements have costs, and no lower bound is known for them yet")
-        self.relaxation = _relaxation(self._constraints, window, built.study.fewest)
+        self.relaxation = relaxation_for(self._constraints, settings.window, built.study.fewest)
         # The relaxation filters with the truth's model: a bound for the filter of any model.
-        count = particles or built.job.filter.particles
+        count = settings.particles or built.job.filter.particles
         self._estimation = Estimation(count, "systematic", FILTER_VARIANCE.name)
         truth = built.problem.truth
         truth.check(self._estimation)
         if ENGINES[built.source.engine].compiled:  # before the first task, whose time is limited
             truth.compile(self._estimation)
         self.particles = 0 if built.problem.exact else count
-        self._blocks = _doubled(math.ceil(draws / BLOCK)) if self.particles else [0]
-        self._within = within
-        looks = 1 if within is None else len(self._blocks)
+        self._blocks = _doubled(math.ceil(settings.most_draws / BLOCK)) if self.particles else [0]
+        self._within = settings.within
+        looks = 1 if self._within is None else len(self._blocks)
         self.confidence = 1 - (1 - CONFIDENCE) / looks
 
     @property
@@ -138,8 +114,6 @@ class Prover:
 
         Raises
         ------
-        ModelError
-            A draw is degenerate in the relaxation.
         TaskError, PoolError, StoreError
             A task failed, no worker answers, or a file cannot be read or written.
         """
@@ -270,32 +244,3 @@ def _doubled(blocks: int) -> list[int]:
 def _satisfies(constraints: Constraints, times: Times) -> bool:
     """Whether times satisfy all constraints but that on their number."""
     return constraints.compatible(times) and set(constraints.required).issubset(times)
-
-
-def _relaxation(constraints: Constraints, window: int, fewest: int) -> Relaxation:
-    """Give the relaxation for sets of at least so many times.
-
-    Its longest gap is three mean gaps, or fewer if they are too many for the memory, but at least
-    two.
-
-    Raises
-    ------
-    JobError
-        It has more states than fit into memory.
-    """
-    instants = constraints.horizon + 1
-    two, three = (min(math.ceil(gaps * instants / (fewest + 1)), instants) for gaps in (2, 3))
-
-    def states(longest_gap: int) -> int:
-        return int(instants * longest_gap ** (window - 1))
-
-    longest_gap = three
-    while longest_gap > two and states(longest_gap) * instants > MOST_CELLS:
-        longest_gap -= 1
-    if states(longest_gap) * instants > MOST_CELLS:
-        raise JobError(
-            f"window = {window} needs about {states(longest_gap):,} states of {instants} "
-            f"instants, allowed: {MOST_CELLS:,} instants in all; try pfdist bound --window 1",
-            argument="window",
-        )
-    return Relaxation(constraints, window, longest_gap)

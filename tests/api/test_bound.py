@@ -3,6 +3,7 @@
 import json
 import math
 import shutil
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from pfdist.cli.main import main
 from pfdist.errors import JobError, ModelError, StoreError
 from pfdist.evaluation.problem import Problem
 from pfdist.pools.base import SerialPool
-from pfdist.runner.prover import LEAST_DRAWS
+from pfdist.runner.bound_settings import LEAST_DRAWS, BoundSettings
 from pfdist.runner.sets_alone import SET_DRAWS
 
 SHARP = Path(__file__).parents[1] / "oracles" / "sharp_sensor.toml"
@@ -48,7 +49,9 @@ model = StateSpaceModel(
 
 
 def bound(run: Path, draws: int | None = None, **options: Any) -> Bound:
-    return bound_of(run, draws, **{"pool": "serial", "figures": False} | options)
+    names = {field.name for field in fields(BoundSettings)} & options.keys()
+    settings = BoundSettings(**{"draws": draws} | {name: options.pop(name) for name in names})
+    return bound_of(run, settings, **{"pool": "serial", "figures": False} | options)
 
 
 def _run(job: Job, folder: Path, *changes: str) -> pfdist.Run:

@@ -7,7 +7,7 @@ import pytest
 import pfdist
 from pfdist import load_job
 from pfdist.models import installed_models
-from pfdist.runner.prover import LEAST_DRAWS
+from pfdist.runner.bound_settings import LEAST_DRAWS, BoundSettings
 
 SHIPPED = sorted(name for name, (module, _) in installed_models().items() if "pfdist." in module)
 JOB_OF = {"ungm": "plan"}
@@ -25,6 +25,8 @@ SMALL = [
 def test_a_bound_is_given(name: str, tmp_path: Path) -> None:
     job = load_job(JOBS / f"{JOB_OF.get(name, name)}.toml", SMALL)
     run = pfdist.plan(job, tmp_path / "run", search="random", bound_draws=0, figures=False)
-    for gap in pfdist.bound(run.path, LEAST_DRAWS, pool="serial", figures=False).gaps:
+    for gap in pfdist.bound(
+        run.path, BoundSettings(LEAST_DRAWS), pool="serial", figures=False
+    ).gaps:
         assert not gap.reason
         assert 0.0 <= gap.gap <= gap.gap_at_most < 1.0

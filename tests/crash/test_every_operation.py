@@ -15,8 +15,8 @@ from oracles.file_layer import Ended, FileLayer
 from pfdist import Job
 from pfdist.errors import StoreError
 from pfdist.runner import collect, first_draws, sets_alone
+from pfdist.runner.bound_settings import LEAST_DRAWS, BoundSettings
 from pfdist.runner.pace import Pace
-from pfdist.runner.prover import LEAST_DRAWS
 from pfdist.store import parquet
 from pfdist.store.repair import verify_run
 
@@ -122,8 +122,10 @@ def test_a_bound_that_goes_wrong_at_any_file_operation_ends_with_the_same_bytes(
     monkeypatch.setitem(parquet.ROWS_IN_A_FILE, "bound_sums", 8)
     job = small_job.with_changes([*CHANGES, "model.name=random_walk", "problem.horizon=6"])
     begun = pfdist.run(job, tmp_path / "begun", figures=False).path
-    pfdist.bound(begun, LEAST_DRAWS, pool="serial", figures=False)
-    prove = partial(pfdist.bound, draws=2 * LEAST_DRAWS, pool="serial", figures=False)
+    pfdist.bound(begun, BoundSettings(LEAST_DRAWS), pool="serial", figures=False)
+    prove = partial(
+        pfdist.bound, settings=BoundSettings(2 * LEAST_DRAWS), pool="serial", figures=False
+    )
     untouched = shutil.copytree(begun, tmp_path / "whole")
     count = layer.run(partial(prove, untouched))
     whole = hashes(untouched)

@@ -18,8 +18,7 @@ _PARTS = {
 
 
 def _add_settings(parser: ArgumentParser) -> None:
-    from pfdist.api.bound import DRAWS, WITHIN_DRAWS
-    from pfdist.runner.prover import WINDOW
+    from pfdist.runner.bound_settings import DRAWS, WINDOW, WITHIN_DRAWS
 
     parser.add_argument(
         "--within",
@@ -59,14 +58,12 @@ def bound_command(options: Namespace) -> None:
     """Prove how much lower the expected MSE of any other times can be."""
     from pfdist.api.bound import bound
     from pfdist.cli.progress import Display
+    from pfdist.runner.bound_settings import BoundSettings
 
     with Display() as display:
         found = bound(
             options.run,
-            options.draws,
-            within=options.within,
-            particles=options.particles,
-            window=options.window,
+            BoundSettings(options.draws, options.within, options.particles, options.window),
             pool=options.pool,
             workers=options.workers,
             address=options.address,

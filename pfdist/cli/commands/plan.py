@@ -23,7 +23,7 @@ def _add_search(parser: ArgumentParser) -> None:
 
 
 def _add_bound_draws(parser: ArgumentParser) -> None:
-    from pfdist.runner.prover import LEAST_DRAWS
+    from pfdist.runner.bound_settings import LEAST_DRAWS
 
     parser.add_argument(
         "--bound-draws",

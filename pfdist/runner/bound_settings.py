@@ -1,0 +1,63 @@
+"""Settings of the proof of a lower bound."""
+
+from dataclasses import dataclass
+
+from pfdist.errors import JobError, shown
+from pfdist.runner.block_sums import BLOCK, GROUPS
+
+LEAST_DRAWS, MOST_DRAWS, DRAWS = GROUPS * BLOCK, 100_000, 1920
+WITHIN_DRAWS = 30_720
+"""Largest number of draws, if a gap is demanded and no number of draws."""
+WINDOW, MOST_WINDOW, MOST_PARTICLES = 2, 6, 32_000
+
+
+@dataclass(frozen=True)
+class BoundSettings:
+    """How a lower bound is proved.
+
+    Parameters
+    ----------
+    draws : int, optional
+        Number of draws of the bound, rounded up to a multiple of 24; by default 1,920. With more
+        draws the bound is higher, because the least of many noisy costs is too low. Exact engines
+        ignore it.
+    within : float, optional
+        Take more and more draws until the limits of the gaps of all found sets are at most this
+        fraction of the expected MSE, but at most `draws`, by default 30,720.
+    particles : int, optional
+        Number of particles of the bound's filter; by default that of the job's filter.
+    window : int
+        Number of last measurements that the relaxation keeps. A larger window gives a higher
+        bound, and takes several times as long.
+
+    Raises
+    ------
+    JobError
+        A value is out of its range.
+    """
+
+    draws: int | None = None
+    within: float | None = None
+    particles: int | None = None
+    window: int = WINDOW
+
+    def __post_init__(self) -> None:
+        for name, value, least, most in (
+            ("draws", self.draws, LEAST_DRAWS, MOST_DRAWS),
+            ("particles", self.particles, 1, MOST_PARTICLES),
+            ("window", self.window, 1, MOST_WINDOW),
+        ):
+            if value is not None and not least <= value <= most:
+                raise JobError(
+                    f"{name} must be {least:,} to {most:,}, got {shown(value)}", argument=name
+                )
+        if self.within is not None and not 0 < self.within < 1:
+            raise JobError(
+                f"within must be a fraction above 0 and below 1, got {shown(self.within)}",
+                argument="within",
+            )
+
+    @property
+    def most_draws(self) -> int:
+        """The number of draws after which the proof ends at the latest."""
+        return self.draws or (DRAWS if self.within is None else WITHIN_DRAWS)
