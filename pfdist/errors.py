@@ -7,6 +7,8 @@
     ├── ModelError                  a model cannot be loaded, or a formula is wrong
     │   └── CompileError            Numba cannot compile a formula
     ├── MeasurementTimesError       measurement times or their constraints are wrong
+    ├── MeasurementsError           measured values or their table are wrong
+    ├── PriorError                  particles from which a filter is to start are wrong
     ├── StoreError                  a run's folder cannot be read or written
     │   └── RunMismatchError        the folder holds the run of another job
     ├── SearchError                 a search ended without a result
@@ -108,6 +110,14 @@ class CompileError(ModelError):
 
 class MeasurementTimesError(PfdistError):
     """Measurement times, or constraints on them, are wrong."""
+
+
+class MeasurementsError(PfdistError):
+    """Measured values, or a table of them, are wrong."""
+
+
+class PriorError(PfdistError):
+    """Particles from which draws and filters are to start are wrong."""
 
 
 class StoreError(PfdistError):

@@ -45,8 +45,8 @@ def few_draws(model: StateSpaceModel, horizon: int) -> Draws:
                 part.append(np.stack(values, axis=1))
             if t < horizon:
                 x = _finite(model, "transition", "x", t + 1, x, t, w)
-    kept = (np.stack(part[: last + 1], axis=1) for part in parts)
-    return Draws(model, range(_DRAWS), *kept)
+    states, measured, wanted = (np.stack(part[: last + 1], axis=1) for part in parts)
+    return Draws(model, range(_DRAWS), states, measured, wanted)
 
 
 def _noise(kinds: tuple[str, ...], rng: np.random.Generator) -> tuple[Array, ...]:

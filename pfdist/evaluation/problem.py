@@ -11,16 +11,24 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.errors import ModelError
+from pfdist.errors import ModelError, PriorError
 from pfdist.evaluation.engines import COMPILED, ENGINES, KALMAN, Engine
 from pfdist.evaluation.work import Estimation, Result, Work, columns, cut
 from pfdist.filters import kalman
-from pfdist.filters.draws import libm_of_simulation, simulate, simulation_makes_arrays
+from pfdist.filters.cloud import Gaussian, Prior
+from pfdist.filters.draws import (
+    Draws,
+    check_prior,
+    libm_of_simulation,
+    simulate,
+    simulation_makes_arrays,
+)
+from pfdist.filters.interface import validated_from
 from pfdist.filters.particle_filter import filter_draws, filter_makes_arrays, libm_of_filter
 from pfdist.filters.settings import FilterSettings, check_filter, check_fits
 from pfdist.kernels.estimators import FILTER_VARIANCE
 from pfdist.models import StateSpaceModel
-from pfdist.times.measurement_times import Times, validated
+from pfdist.times.measurement_times import Times
 
 _TRAJECTORIES = ("mse", "estimate")
 
@@ -43,9 +51,14 @@ class Problem:
         Type in which the particles' states are stored.
     engine : {"auto", "compiled", "numpy", "kalman"}
         Here "auto" means the compiled engine.
+    prior : Cloud or Gaussian, optional
+        What is known of x(s), in the place of `initial`: draws and filters start at s. A normal
+        distribution is for the engine "kalman" alone.
 
     Raises
     ------
+    PriorError
+        The prior does not fit a model or the horizon.
     ModelError
         The filter's model has measurements or quantities of interest of another size. Or the
         engine is "kalman" and the model is not linear-Gaussian, or is not the filter's model.
@@ -56,15 +69,29 @@ class Problem:
     filter_model: StateSpaceModel | None = None
     dtype: str = "float64"
     engine: str = "compiled"
+    prior: Prior | None = None
 
     def __post_init__(self) -> None:
         check_fits(self.believed, self.model)
+        if self.prior is not None:
+            check_prior(self.prior, self.model, self.horizon)
+            check_prior(self.prior, self.believed, self.horizon)
         if self.exact:
             if self.believed != self.model:
                 raise ModelError(
                     f"filter.engine = {KALMAN.name!r} needs a filter that knows the truth"
                 )
-            kalman.linear_gaussian(self.model, self.horizon)
+            kalman.linear_gaussian(self.model, self.horizon, self.start)
+        elif isinstance(self.prior, Gaussian):
+            raise PriorError(
+                "particles must start from particles, got a normal distribution; it is for the "
+                f"engine {KALMAN.name!r}"
+            )
+
+    @property
+    def start(self) -> int:
+        """The first instant: 0, or the instant of the prior."""
+        return 0 if self.prior is None else self.prior.t
 
     @property
     def believed(self) -> StateSpaceModel:
@@ -96,7 +123,7 @@ class Problem:
         ends : sequence of int, (S,), optional
             Last instant of each set whose error counts; by default T.
         """
-        return kalman.expected_mse(self.model, self.horizon, sets, ends)
+        return kalman.expected_mse(self.model, self.horizon, sets, ends, self.prior)
 
     def expected_errors(self, sets: Sequence[Times]) -> NDArray[np.float64]:
         """Exact expected error of each instant with each set, (S, T+1), where the engine knows it.
@@ -105,7 +132,7 @@ class Problem:
         ----------
         sets : sequence of tuples of int, (S,)
         """
-        return kalman.expected_errors(self.model, self.horizon, sets)
+        return kalman.expected_errors(self.model, self.horizon, sets, self.prior)
 
     def sum_errors(self, work: Work) -> NDArray[np.float64]:
         """Sum the errors of each instant over the draws of a work, (S, T+1).
@@ -118,9 +145,7 @@ class Problem:
         ModelError
             A formula failed.
         """
-        draws = self._engine.simulate(
-            self.model, self.horizon, range(*work.draws), work.draws_stream
-        )
+        draws = self.draws(range(*work.draws), work.draws_stream)
         stream, *_ = work.filter_streams
         sums: NDArray[np.float64] = self._engine.sum_errors(
             self.believed,
@@ -210,8 +235,45 @@ class Problem:
         """
         self.check(work.estimation)
         for times, end in zip(work.measurement_times, work.ends, strict=True):
-            validated(times, end)
+            validated_from(self.start, times, end)
         return self.filtered(work)
+
+    def draws(self, index: range, stream: int) -> Draws:
+        """Simulate some draws of a stream.
+
+        Raises
+        ------
+        ModelError
+            A formula failed.
+        """
+        draws: Draws = self._engine.simulate(self.model, self.horizon, index, stream, self.prior)
+        return draws
+
+    def mse_of_sets(
+        self,
+        draws: Draws,
+        sets: Sequence[Times],
+        ends: Sequence[int],
+        stream: int,
+        estimation: Estimation,
+    ) -> NDArray[np.float64]:
+        """Filter draws with several sets under the same noise, all checked by the caller.
+
+        Returns
+        -------
+        array of float64, (D, S)
+            Sum of the errors up to each set's end, divided by the number of instants.
+
+        Raises
+        ------
+        ModelError
+            A formula failed.
+        """
+        settings = self._settings(estimation)
+        mse: NDArray[np.float64] = self._engine.filter_checked_sets(
+            self.believed, draws, sets, ends, stream, settings
+        )
+        return mse
 
     def results(self, works: Iterable[Work]) -> list[Result]:
         """Results of works whose settings and times the caller has checked: what a task computes.
@@ -239,7 +301,7 @@ class Problem:
         if work.summed:
             return Result(np.empty(0), sums=self.sum_errors(work))
         engine, settings = self._engine, self._settings(work.estimation)
-        draws = engine.simulate(self.model, self.horizon, range(*work.draws), work.draws_stream)
+        draws = self.draws(range(*work.draws), work.draws_stream)
         if work.trajectories:
             filtered = [
                 engine.filter_checked_draws(
@@ -253,16 +315,16 @@ class Problem:
             return Result(np.stack(mse, axis=1), draws.z, draws.y, np.stack(estimates))
         values = np.empty((len(draws.index), len(work.measurement_times)))
         for stream, same_noise in columns(work.filter_streams).items():
-            sets, ends = (
-                [values_of_sets[column] for column in same_noise]
-                for values_of_sets in (work.measurement_times, work.ends)
-            )
-            values[:, same_noise] = engine.filter_checked_sets(
-                self.believed, draws, sets, ends, stream, settings
-            )
+            sets = [work.measurement_times[column] for column in same_noise]
+            ends = [work.ends[column] for column in same_noise]
+            values[:, same_noise] = self.mse_of_sets(draws, sets, ends, stream, work.estimation)
         return Result(values)
 
     def _settings(self, estimation: Estimation) -> FilterSettings:
         return FilterSettings(
-            estimation.particles, estimation.resampling, self.dtype, estimation.estimator
+            estimation.particles,
+            estimation.resampling,
+            self.dtype,
+            estimation.estimator,
+            self.prior,
         )

@@ -1,7 +1,7 @@
 """Simulate draws: realisations of x(0..T), y(0..T) and z(0..T) (paper, equations 1 to 4)."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, SupportsIndex
 
@@ -9,7 +9,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from pfdist.errors import ModelError
+from pfdist.errors import ModelError, PriorError
+from pfdist.filters.cloud import Cloud, Indices, Prior
 from pfdist.kernels.components import naming, reader, writer
 from pfdist.kernels.disk_cache import kept_on_disk
 from pfdist.kernels.formulas import formula, formulas_of
@@ -39,6 +40,10 @@ class Draws:
         Measurements at all instants, also at those that are not measurement times.
     z : array of float64, (D, T+1, q)
         Quantities of interest.
+    start : int
+        The first instant of the arrays; T+1 is their number of instants.
+    origin : array of int64, (D,), optional
+        The particle of a cloud from which each draw started, if it did.
     """
 
     model: StateSpaceModel
@@ -46,18 +51,29 @@ class Draws:
     x: NDArray[np.float64]
     y: NDArray[np.float64]
     z: NDArray[np.float64]
+    start: int = 0
+    origin: Indices | None = None
+
+    @property
+    def instants(self) -> range:
+        """The instants of the arrays."""
+        return range(self.start, self.start + self.z.shape[1])
 
     def __getitem__(self, which: slice) -> "Draws":
         """Some of the draws."""
-        return Draws(self.model, self.index[which], self.x[which], self.y[which], self.z[which])
+        x, y, z = self.x[which], self.y[which], self.z[which]
+        origin = None if self.origin is None else self.origin[which]
+        return replace(self, index=self.index[which], x=x, y=y, z=z, origin=origin)
 
     def upto(self, end: int) -> "Draws":
         """The same draws up to an instant."""
-        t = slice(end + 1)
-        return Draws(self.model, self.index, self.x[:, t], self.y[:, t], self.z[:, t])
+        t = slice(end + 1 - self.start)
+        return replace(self, x=self.x[:, t], y=self.y[:, t], z=self.z[:, t])
 
 
-def simulate(model: StateSpaceModel, horizon: int, index: range, stream: int) -> Draws:
+def simulate(
+    model: StateSpaceModel, horizon: int, index: range, stream: int, prior: Cloud | None = None
+) -> Draws:
     """Simulate some draws of a stream.
 
     Parameters
@@ -69,6 +85,8 @@ def simulate(model: StateSpaceModel, horizon: int, index: range, stream: int) ->
         The consecutive indices of the draws. A draw does not depend on the other draws.
     stream : int
         Key of the noise, 64 bits.
+    prior : Cloud, optional
+        Particles of x(s), from which the draws start at s in the place of `initial`.
 
     Returns
     -------
@@ -78,16 +96,57 @@ def simulate(model: StateSpaceModel, horizon: int, index: range, stream: int) ->
     ------
     ModelError
         A formula cannot be compiled or failed, or gave a value that is not finite.
+    PriorError
+        The prior does not fit the model or the horizon.
+    """
+    draws = begun(model, horizon, index, stream, prior)
+    with formulas_of(model.name, model.formulas):
+        given = np.uint64(stream), index.start, draws.start, prior is not None, np.array(model.p)
+        _compiled(model)(*given, draws.x, draws.y, draws.z)
+    check_finite(model, draws, stream)
+    return draws
+
+
+def check_prior(prior: Prior, model: StateSpaceModel, horizon: int) -> None:
+    """Refuse a prior whose states are not those of a model, or whose instant lies outside 0..T.
+
+    Raises
+    ------
+    PriorError
+        The numbers of components differ, or the instant lies outside.
+    """
+    if not 0 <= prior.t <= horizon:
+        raise PriorError(f"a prior must be of an instant in 0..{horizon}, got {prior.t}")
+    components = prior.components
+    if components != model.components[0]:
+        raise PriorError(
+            f"a prior must have as many components of x as the model {model.name}, "
+            f"{model.components[0]}, got {components}"
+        )
+
+
+def begun(
+    model: StateSpaceModel, horizon: int, index: range, stream: int, prior: Cloud | None
+) -> Draws:
+    """Give draws whose arrays are empty but for the states that a prior gives.
+
+    Raises
+    ------
+    PriorError
+        The prior does not fit the model or the horizon.
     """
     if index.step != 1:
         raise ValueError(f"index must be a range with step 1, got {index}")
-    shape = (len(index), horizon + 1)
+    if prior is not None:
+        check_prior(prior, model, horizon)
+    start = 0 if prior is None else prior.t
+    shape = (len(index), horizon + 1 - start)
     x, y, z = (np.empty((*shape, count)) for count in model.components)
-    with formulas_of(model.name, model.formulas):
-        _compiled(model)(np.uint64(stream), index.start, np.array(model.p), x, y, z)
-    draws = Draws(model, index, x, y, z)
-    check_finite(model, draws, stream)
-    return draws
+    if prior is None:
+        return Draws(model, index, x, y, z)
+    origin = prior.chosen_for(index, stream)
+    x[:, 0] = prior.x[:, origin].T
+    return Draws(model, index, x, y, z, start, origin)
 
 
 def check_finite(model: StateSpaceModel, draws: Draws, stream: int) -> None:
@@ -104,10 +163,9 @@ def check_finite(model: StateSpaceModel, draws: Draws, stream: int) -> None:
         values = getattr(draws, name)
         if np.isfinite(values).all():
             continue
-        row, t, component = (int(i) for i in np.argwhere(~np.isfinite(values))[0])
-        draw = Draws(model, draws.index[row : row + 1], draws.x[row], draws.y[row], draws.z[row])
-        formula, arguments = _given(model, name, draw, t, stream)
-        got = values[row, t, component]
+        row, k, component = (int(i) for i in np.argwhere(~np.isfinite(values))[0])
+        formula, arguments = _given(model, name, draws[row : row + 1], k, stream)
+        got, t = values[row, k, component], draws.instants[k]
         raise ModelError(not_finite(model, formula, arguments, f"{name}[{component}] = {got}", t))
 
 
@@ -143,9 +201,9 @@ def not_finite(
 
 
 def _given(
-    model: StateSpaceModel, name: str, draw: Draws, t: int, stream: int
+    model: StateSpaceModel, name: str, draw: Draws, k: int, stream: int
 ) -> tuple[str, tuple[Any, ...]]:
-    """The formula that gives x, y or z of a draw at t, and its arguments."""
+    """The formula that gives x, y or z of a draw at its instant number k, and its arguments."""
 
     def noise(kinds: tuple[str, ...], t: int, role: SupportsIndex) -> tuple[Any, ...]:
         index = np.array(draw.index)
@@ -154,12 +212,13 @@ def _given(
             for component, kind in enumerate(kinds)
         )
 
-    x, before = (tuple(draw.x[max(0, i)][:, None]) for i in (t, t - 1))
+    x, before = (tuple(draw.x[0, max(0, i)][:, None]) for i in (k, k - 1))
+    t = draw.instants[k]
     if name == "y":
         return "measurement", (x, t, noise(model.measurement_noise, t, TRUTH_MEASUREMENT), model.p)
     if name == "z":
         return "quantity_of_interest", (x, t, model.p)
-    if t == 0:
+    if k == 0:
         return "initial", (noise(model.initial_noise, 0, TRUTH_INITIAL), model.p)
     w = noise(model.process_noise, t - 1, TRUTH_PROCESS)
     return "transition", (before, t - 1, w, model.p)
@@ -203,25 +262,27 @@ def _compile(
     named = naming(parameters)
 
     @njit(nogil=True, error_model="numpy", _nrt=False)
-    def simulate_draws(stream, first, parameters, noise, x, y, z):  # type: ignore[no-untyped-def]
+    def simulate_draws(stream, first, start, begun, parameters, noise, x, y, z):  # type: ignore[no-untyped-def]
         p = named(parameters)
         for begin in range(0, x.shape[0], _TOGETHER):
             draw, count = first + begin, min(_TOGETHER, x.shape[0] - begin)
-            fill_w0(noise, count, stream, draw, np.int64(0), TRUTH_INITIAL)
-            for i in range(count):
-                write_x(x, begin + i, 0, initial(read_w0(noise, i), p))
-            for t in range(x.shape[1]):
+            if not begun:
+                fill_w0(noise, count, stream, draw, np.int64(0), TRUTH_INITIAL)
+                for i in range(count):
+                    write_x(x, begin + i, 0, initial(read_w0(noise, i), p))
+            for k in range(x.shape[1]):
+                t = start + k
                 fill_v(noise, count, stream, draw, t, TRUTH_MEASUREMENT)
                 for i in range(count):
-                    state = read_x(x, begin + i, t)
-                    write_y(y, begin + i, t, measurement(state, t, read_v(noise, i), p))
-                    write_z(z, begin + i, t, quantity(state, t, p))
-                if t + 1 == x.shape[1]:
+                    state = read_x(x, begin + i, k)
+                    write_y(y, begin + i, k, measurement(state, t, read_v(noise, i), p))
+                    write_z(z, begin + i, k, quantity(state, t, p))
+                if k + 1 == x.shape[1]:
                     break
                 fill_w(noise, count, stream, draw, t, TRUTH_PROCESS)
                 for i in range(count):
-                    following = transition(read_x(x, begin + i, t), t, read_w(noise, i), p)
-                    write_x(x, begin + i, t + 1, following)
+                    following = transition(read_x(x, begin + i, k), t, read_w(noise, i), p)
+                    write_x(x, begin + i, k + 1, following)
 
     compiled = kept_on_disk(simulate_draws, functions, noise, components, parameters)
 

@@ -1,13 +1,15 @@
 """The result that all filters give, and the function that checks their arguments."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pfdist.errors import MeasurementTimesError
+from pfdist.filters.cloud import Gaussian, Prior
 from pfdist.filters.draws import Draws
-from pfdist.filters.settings import FilterSettings, check_filter
+from pfdist.filters.settings import FilterSettings, check_filter, check_start
 from pfdist.models import StateSpaceModel
 from pfdist.times.measurement_times import Times, validated
 
@@ -26,11 +28,16 @@ class Filtered:
         Weighted mean and variance of the particles' z(t), if they were asked for. They are NaN
         from the measurement at which a draw became degenerate, and after the instant at which it
         became infinite.
+    last : sequence of arrays of float64 or Gaussian, (D,), or None
+        What each draw's filter knows at the last instant, if trajectories were asked for: its
+        particles (n, P), resampled if it measured then, or its normal distribution. The particles
+        are NaN if the draw is degenerate or infinite.
     """
 
     mse: NDArray[np.float64]
     estimate: NDArray[np.float64] | None = None
     variance: NDArray[np.float64] | None = None
+    last: Sequence[NDArray[np.float64] | Gaussian] | None = None
 
 
 def checking(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., Filtered]:
@@ -51,6 +58,7 @@ def checking(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., Fil
         resampling: str = "multinomial",
         trajectories: bool = False,
         dtype: str = "float64",
+        prior: Prior | None = None,
     ) -> Filtered:
         """Filter draws with one set of measurement times.
 
@@ -71,6 +79,10 @@ def checking(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., Fil
             Whether estimate and variance are wanted.
         dtype : {"float64", "float32"}
             The dtype of the particles' states; formulas compute in float64.
+        prior : Cloud or Gaussian, optional
+            What the filter knows at the first instant of the draws, in the place of `initial`. If
+            the draws started from this cloud, no filter starts with the state of its draw's truth.
+            A normal distribution is for the Kalman filter alone.
 
         Returns
         -------
@@ -79,15 +91,32 @@ def checking(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., Fil
         Raises
         ------
         MeasurementTimesError
-            The measurement times do not lie in 0..T, or a time is given twice.
+            The measurement times are no instants of the draws, or a time is given twice.
         ModelError
             A formula cannot be compiled, or failed.
+        PriorError
+            The prior does not fit the model or the draws.
         ValueError
             A setting has a value that is not allowed.
         """
         check_filter(model, draws.model, particles, resampling, dtype)
-        times = validated(measurement_times, draws.z.shape[1] - 1)
-        settings = FilterSettings(particles, resampling, dtype)
+        check_start(model, draws, prior)
+        times = validated_from(draws.start, measurement_times, draws.instants[-1])
+        settings = FilterSettings(particles, resampling, dtype, prior=prior)
         return filter_checked_draws(model, draws, times, stream, settings, trajectories)
 
     return filter_draws
+
+
+def validated_from(start: int, measurement_times: Iterable[int], end: int) -> Times:
+    """Give a set of measurement times sorted, after checking that it lies in start..end.
+
+    Raises
+    ------
+    MeasurementTimesError
+        A time is not an integer, lies outside start..end, or is given twice.
+    """
+    times = validated(measurement_times, end)
+    if times and times[0] < start:
+        raise MeasurementTimesError(f"measurement_times must lie in {start}..{end}, got {times[0]}")
+    return times

@@ -18,13 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.errors import ModelError
+from pfdist.filters.cloud import Gaussian, Prior
 from pfdist.filters.draws import Draws
-from pfdist.filters.interface import Filtered, checking
+from pfdist.filters.interface import Filtered, checking, validated_from
 from pfdist.filters.one_by_one import one_by_one
 from pfdist.filters.settings import FilterSettings
 from pfdist.kernels.formulas import formulas_of
 from pfdist.models import StateSpaceModel, squared_error
-from pfdist.times.measurement_times import Times, validated
+from pfdist.times.measurement_times import Times
 
 Array = NDArray[np.float64]
 
@@ -47,15 +48,15 @@ class Affine:
 
 @dataclass(frozen=True)
 class LinearGaussian:
-    """Matrices of a model's formulas, for t = 0..T.
+    """Matrices of a model's formulas, for t = s..T.
 
     Parameters
     ----------
     initial : Affine
         From w to x(0).
-    transition, measurement : tuple of Affine, (T,) and (T+1,)
+    transition, measurement : tuple of Affine, (T-s,) and (T-s+1,)
         From (x(t), w) to x(t+1), and from (x(t), v) to y(t).
-    quantity_of_interest : tuple of Affine, (T+1,)
+    quantity_of_interest : tuple of Affine, (T-s+1,)
         From x(t) to z(t).
     """
 
@@ -65,8 +66,8 @@ class LinearGaussian:
     quantity_of_interest: tuple[Affine, ...]
 
 
-def linear_gaussian(model: StateSpaceModel, horizon: int) -> LinearGaussian:
-    """Find the matrices of a model.
+def linear_gaussian(model: StateSpaceModel, horizon: int, start: int = 0) -> LinearGaussian:
+    """Find the matrices of a model, for t = start..horizon.
 
     Raises
     ------
@@ -88,7 +89,7 @@ def linear_gaussian(model: StateSpaceModel, horizon: int) -> LinearGaussian:
 
         return _probed(at, inputs, f"model {model.name}: {name} at t = {t}")
 
-    instants = range(horizon + 1)
+    instants = range(start, horizon + 1)
     process_inputs = states + len(model.process_noise)
     measurement_inputs = states + len(model.measurement_noise)
     with formulas_of(model.name, model.formulas):
@@ -101,44 +102,56 @@ def linear_gaussian(model: StateSpaceModel, horizon: int) -> LinearGaussian:
 
 
 def expected_mse(
-    model: StateSpaceModel, horizon: int, sets: Sequence[Times], ends: Sequence[int] | None = None
+    model: StateSpaceModel,
+    horizon: int,
+    sets: Sequence[Times],
+    ends: Sequence[int] | None = None,
+    prior: Prior | None = None,
 ) -> Array:
     """Exact expected MSE of the Kalman filter with each set of times, (S,): no draws are needed.
 
-    If `ends` are given, each set's errors count up to its end only, and are divided by T + 1.
+    The mean is over t = 0..T, or over t = s..T with a prior of x(s). If `ends` are given, each
+    set's errors count up to its end only, and are divided by the number of all instants.
 
     Raises
     ------
     MeasurementTimesError, ModelError
-        A set lies outside 0..T, or the model is not linear-Gaussian.
+        A set lies outside these instants, or the model is not linear-Gaussian.
     """
-    errors = np.cumsum(expected_errors(model, horizon, sets), axis=1)
-    last = [horizon] * len(sets) if ends is None else list(ends)
-    mse: Array = errors[range(len(sets)), last] / (horizon + 1)
+    errors = expected_errors(model, horizon, sets, prior)
+    start = horizon + 1 - errors.shape[1]
+    last = [horizon - start] * len(sets) if ends is None else [end - start for end in ends]
+    mse: Array = np.cumsum(errors, axis=1)[range(len(sets)), last] / errors.shape[1]
     return mse
 
 
-def expected_errors(model: StateSpaceModel, horizon: int, sets: Sequence[Times]) -> Array:
+def expected_errors(
+    model: StateSpaceModel, horizon: int, sets: Sequence[Times], prior: Prior | None = None
+) -> Array:
     """Exact expected error of each instant with each set of times, (S, T+1).
+
+    With a prior of x(s), the instants are s..T.
 
     Raises
     ------
     MeasurementTimesError, ModelError
         As `expected_mse`.
     """
-    matrices = linear_gaussian(model, horizon)
-    measured = np.zeros((len(sets), horizon + 1), np.bool_)
+    start = 0 if prior is None else prior.t
+    matrices, instants = linear_gaussian(model, horizon, start), horizon + 1 - start
+    measured = np.zeros((len(sets), instants), np.bool_)
     for row, times in zip(measured, sets, strict=True):
-        row[list(validated(times, horizon))] = True
-    covariance = np.repeat(_square(matrices.initial.matrix)[None], len(sets), axis=0)
-    errors = np.empty((len(sets), horizon + 1))
-    for t in range(horizon + 1):
+        row[[time - start for time in validated_from(start, times, horizon)]] = True
+    _, begin = _begin(matrices, prior)
+    covariance = np.repeat(begin[None], len(sets), axis=0)
+    errors = np.empty((len(sets), instants))
+    for t in range(instants):
         here = measured[:, t]
         gain, observation_matrix = _gain(covariance[here], matrices.measurement[t])
         covariance[here] -= gain @ observation_matrix @ covariance[here]
         h = matrices.quantity_of_interest[t].matrix
         errors[:, t] = np.trace(h @ covariance @ h.T, axis1=1, axis2=2)
-        if t < horizon:
+        if t + 1 < instants:
             covariance = _propagated(covariance, matrices.transition[t])
     return errors
 
@@ -155,27 +168,37 @@ def filter_checked_draws(
 
     The filter has no particles, so of the settings and the stream nothing is used.
     """
-    instants = draws.z.shape[1]
-    matrices = linear_gaussian(model, instants - 1)
-    mean = np.repeat(matrices.initial.offset[None], len(draws.index), axis=0)
-    covariance = _square(matrices.initial.matrix)
+    instants = draws.instants
+    matrices = linear_gaussian(model, instants[-1], draws.start)
+    begin, covariance = _begin(matrices, settings.prior)
+    mean = np.repeat(begin[None], len(draws.index), axis=0)
     estimate, variance = np.empty_like(draws.z), np.empty_like(draws.z)
-    for t in range(instants):
+    for k, t in enumerate(instants):
         if t in measurement_times:
-            gain, observation_matrix = _gain(covariance, matrices.measurement[t])
-            offset = matrices.measurement[t].offset
-            innovation = draws.y[:, t] - offset - mean @ observation_matrix.T
+            gain, observation_matrix = _gain(covariance, matrices.measurement[k])
+            offset = matrices.measurement[k].offset
+            innovation = draws.y[:, k] - offset - mean @ observation_matrix.T
             mean = mean + innovation @ gain.T
             covariance = covariance - gain @ observation_matrix @ covariance
-        quantity = matrices.quantity_of_interest[t]
-        estimate[:, t] = quantity.offset + mean @ quantity.matrix.T
-        variance[:, t] = np.diag(quantity.matrix @ covariance @ quantity.matrix.T)
-        if t + 1 < instants:
-            step = matrices.transition[t]
+        quantity = matrices.quantity_of_interest[k]
+        estimate[:, k] = quantity.offset + mean @ quantity.matrix.T
+        variance[:, k] = np.diag(quantity.matrix @ covariance @ quantity.matrix.T)
+        if t < instants[-1]:
+            step = matrices.transition[k]
             mean = step.offset + mean @ step.matrix[:, : mean.shape[1]].T
             covariance = _propagated(covariance, step)
     mse = np.mean(np.sum((draws.z - estimate) ** 2, axis=2), axis=1)
-    return Filtered(mse, estimate, variance) if trajectories else Filtered(mse)
+    if not trajectories:
+        return Filtered(mse)
+    last = tuple(Gaussian(instants[-1], row, covariance) for row in mean)
+    return Filtered(mse, estimate, variance, last)
+
+
+def _begin(matrices: LinearGaussian, prior: Prior | None) -> tuple[Array, Array]:
+    """Mean and covariance of the first state."""
+    if prior is None:
+        return matrices.initial.offset, _square(matrices.initial.matrix)
+    return prior.gaussian.mean, prior.gaussian.covariance
 
 
 def _gain(covariance: Array, measurement: Affine) -> tuple[Array, Array]:

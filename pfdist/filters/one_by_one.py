@@ -65,7 +65,8 @@ def one_by_one(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., A
         for times, end in zip(sets, ends, strict=True):
             filters = _filters(filter_checked_draws, model, draws.upto(end), times, keys, settings)
             columns.append(
-                _mse(filters, ESTIMATORS[settings.estimator]) * ((end + 1) / draws.z.shape[1])
+                _mse(filters, ESTIMATORS[settings.estimator])
+                * ((end + 1 - draws.start) / draws.z.shape[1])
             )
         return np.stack(columns, axis=1)
 
@@ -100,7 +101,7 @@ def summed_one_by_one(filter_checked_draws: Callable[..., Filtered]) -> Callable
             filters = _filters(filter_checked_draws, model, draws.upto(end), times, keys, settings)
             with np.errstate(all="ignore"):
                 errors = errors_by_variance(*_moments(filters), weights.weights)
-                row[: end + 1] = errors.sum(axis=0)
+                row[: end + 1 - draws.start] = errors.sum(axis=0)
                 total += float(row.sum())
         return sums if np.isfinite(total) else np.full_like(sums, total)
 

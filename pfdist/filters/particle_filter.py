@@ -10,26 +10,41 @@ Arulampalam, Maskell, Gordon, Clapp, "A tutorial on particle filters", 2002, alg
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.common.streams import stream_key
+from pfdist.errors import PriorError
+from pfdist.filters import cloud
+from pfdist.filters.cloud import Gaussian
 from pfdist.filters.draws import Draws
-from pfdist.filters.interface import Filtered, checking
-from pfdist.filters.settings import FilterSettings, check_filter
+from pfdist.filters.interface import Filtered, checking, validated_from
+from pfdist.filters.settings import FilterSettings, check_filter, check_start
+from pfdist.kernels.cloud import FROM_INITIAL, Prior
 from pfdist.kernels.estimators import ESTIMATORS, SQUARED_ERROR
 from pfdist.kernels.formulas import formulas_of
 from pfdist.kernels.fused_filter import Request, Results, fused_filter
 from pfdist.kernels.libm import libm_functions, makes_arrays
-from pfdist.kernels.prefixes import Plan, plan
+from pfdist.kernels.prefixes import Plan, Planned, plan
 from pfdist.kernels.scratch import WithScratch
 from pfdist.models import StateSpaceModel
-from pfdist.times.measurement_times import Times, validated
+from pfdist.times.measurement_times import Times
 
 KERNEL_VERSION = 4
 """Counts the changes after which the same keys give other figures; part of a run's identity."""
-_NO_MOMENTS = (2, 0, 0, 0)
+
+
+class _Wanted(NamedTuple):
+    """Arrays that the filter fills beside the mse; see `pfdist.kernels.fused_filter.Results`."""
+
+    moments: NDArray[np.float64] = np.empty((2, 0, 0, 0))
+    errors: NDArray[np.float64] = np.empty((0, 0))
+    cloud: NDArray[np.float64] = np.empty((0, 0, 0))
+
+
+_NOTHING_ELSE = _Wanted()
 
 
 def filter_checked_draws(
@@ -53,11 +68,18 @@ def filter_checked_draws(
         Accepted by `check_filter` for this model and the draws' model.
     trajectories : bool
     """
-    planned = plan((measurement_times,), draws.z.shape[1]).plan
-    moments = np.full((2, *draws.z.shape) if trajectories else _NO_MOMENTS, np.nan)
-    mse = _filter(model, draws, planned, stream, settings, moments)[:, 0]
-    moments[np.isnan(moments)] = np.nan  # which NaN an operation gives depends on the processor
-    return Filtered(mse, *moments) if trajectories else Filtered(mse)
+    planned = _planned(draws, (measurement_times,)).plan
+    if not trajectories:
+        return Filtered(_filter(model, draws, planned, stream, settings)[:, 0])
+    wanted = _Wanted(
+        moments=np.full((2, *draws.z.shape), np.nan),
+        cloud=np.full((len(draws.index), model.components[0], settings.particles), np.nan),
+    )
+    mse = _filter(model, draws, planned, stream, settings, wanted)[:, 0]
+    estimate, variance = wanted.moments
+    for array in (estimate, variance, wanted.cloud):
+        array[np.isnan(array)] = np.nan  # which NaN an operation gives depends on the processor
+    return Filtered(mse, estimate, variance, tuple(wanted.cloud))
 
 
 filter_draws = checking(filter_checked_draws)
@@ -73,6 +95,7 @@ def filter_sets(
     dtype: str = "float64",
     ends: Sequence[int] | None = None,
     estimator: str = SQUARED_ERROR.name,
+    prior: cloud.Prior | None = None,
 ) -> NDArray[np.float64]:
     """Filter draws with several sets of measurement times, all under the same noise.
 
@@ -90,13 +113,14 @@ def filter_sets(
     Returns
     -------
     array of float64, (D, S)
-        Sum of the errors up to each set's end, divided by T + 1. This is the mse of `filter_draws`
-        if the end is T.
+        Sum of the errors up to each set's end, divided by the number of instants. This is the mse
+        of `filter_draws` if the end is T.
     """
     check_filter(model, draws.model, particles, resampling, dtype, estimator)
-    last = [draws.z.shape[1] - 1] * len(sets) if ends is None else list(ends)
-    valid = [validated(times, end) for times, end in zip(sets, last, strict=True)]
-    settings = FilterSettings(particles, resampling, dtype, estimator)
+    check_start(model, draws, prior)
+    last = [draws.instants[-1]] * len(sets) if ends is None else list(ends)
+    valid = [validated_from(draws.start, times, end) for times, end in zip(sets, last, strict=True)]
+    settings = FilterSettings(particles, resampling, dtype, estimator, prior)
     return filter_checked_sets(model, draws, valid, last, stream, settings)
 
 
@@ -125,8 +149,8 @@ def filter_checked_sets(
     -------
     array of float64, (D, S)
     """
-    planned, columns, _ = plan(tuple(sets), draws.z.shape[1], tuple(end + 1 for end in ends))
-    return _filter(model, draws, planned, stream, settings, np.empty(_NO_MOMENTS))[:, columns]
+    planned, columns, _ = _planned(draws, sets, ends)
+    return _filter(model, draws, planned, stream, settings)[:, columns]
 
 
 def sum_errors(
@@ -148,9 +172,9 @@ def sum_errors(
         Values after the end of a set mean nothing.
     """
     instants = draws.z.shape[1]
-    planned, columns, rows = plan(tuple(sets), instants, tuple(end + 1 for end in ends))
+    planned, columns, rows = _planned(draws, sets, ends)
     errors = np.zeros((len(planned.measured), instants))
-    mse = _filter(model, draws, planned, stream, settings, np.empty(_NO_MOMENTS), errors)
+    mse = _filter(model, draws, planned, stream, settings, _Wanted(errors=errors))
     if not np.isfinite(mse).all():
         return np.full((len(columns), instants), mse.sum())
     return errors[rows[columns], np.arange(instants)]
@@ -167,14 +191,15 @@ def _filter(
     planned: Plan,
     stream: int,
     settings: FilterSettings,
-    moments: NDArray[np.float64],
-    errors: NDArray[np.float64] | None = None,
+    wanted: _Wanted = _NOTHING_ELSE,
 ) -> NDArray[np.float64]:
-    """Fill estimate, variance and errors where they are wanted, and give the mse, (D, U)."""
+    """Fill the arrays that are wanted, and give the mse, (D, U)."""
     mse, truth = np.empty((len(draws.index), len(planned.measured))), draws.model
     request = Request(
         np.array(filter_streams(stream, settings.estimator), np.uint64),
         draws.index.start,
+        draws.start,
+        _prior(draws, stream, settings),
         draws.y,
         draws.z,
         settings.particles,
@@ -183,11 +208,32 @@ def _filter(
         np.array(truth.p),
     )
     compiled = _compiled(model, truth, settings.resampling, settings.dtype)
-    estimate, variance = moments
-    errors = np.empty((0, 0)) if errors is None else errors
+    estimate, variance = wanted.moments
+    results = Results(mse, estimate, variance, wanted.errors, wanted.cloud)
     with formulas_of(model.name, model.formulas | {"error": truth.error}):
-        compiled(request, planned, Results(mse, estimate, variance, errors))
+        compiled(request, planned, results)
     return mse
+
+
+def _planned(draws: Draws, sets: Sequence[Times], ends: Sequence[int] | None = None) -> Planned:
+    """Plan the filter of several sets, counting instants from the draws' first."""
+    start, instants = draws.start, draws.z.shape[1]
+    if start:
+        sets = [tuple(time - start for time in times) for times in sets]
+    stops = None if ends is None else tuple(end + 1 - start for end in ends)
+    return plan(tuple(sets), instants, stops)
+
+
+def _prior(draws: Draws, stream: int, settings: FilterSettings) -> Prior:
+    """The particles from which each draw's filter starts."""
+    if settings.prior is None:
+        return FROM_INITIAL
+    if isinstance(settings.prior, Gaussian):
+        raise PriorError("a particle filter must start from particles, got a normal distribution")
+    particle = settings.prior.chosen_for_filters(
+        settings.particles, draws.index, stream, draws.origin
+    )
+    return Prior(np.ascontiguousarray(settings.prior.x), particle)
 
 
 def libm_of_filter(

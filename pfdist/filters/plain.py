@@ -10,7 +10,8 @@ from typing import Any, SupportsIndex
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.filters.draws import Draws, check_finite
+from pfdist.filters.cloud import Cloud
+from pfdist.filters.draws import Draws, begun, check_finite
 from pfdist.filters.interface import Filtered, checking
 from pfdist.filters.one_by_one import one_by_one, summed_one_by_one
 from pfdist.filters.settings import FilterSettings
@@ -35,26 +36,29 @@ Array = NDArray[np.float64]
 _AT_ONCE = 2**16  # particles of all draws that are filtered together; they fit into a cache
 
 
-def simulate(model: StateSpaceModel, horizon: int, index: range, stream: int) -> Draws:
+def simulate(
+    model: StateSpaceModel, horizon: int, index: range, stream: int, prior: Cloud | None = None
+) -> Draws:
     """Plain twin of `pfdist.filters.draws.simulate`."""
-    shape = (len(index), horizon + 1)
-    x, y, z = (np.empty((*shape, count)) for count in model.components)
+    draws = begun(model, horizon, index, stream, prior)
 
     def noise(kinds: tuple[str, ...], t: int, role: SupportsIndex) -> tuple[Array, ...]:
         return tuple(w[:, 0] for w in _noise(kinds, 1, stream, index, t, role))
 
     with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
-        state = model.initial(noise(model.initial_noise, 0, TRUTH_INITIAL), model.p)
-        for t in range(horizon + 1):
+        if prior is None:
+            state = model.initial(noise(model.initial_noise, 0, TRUTH_INITIAL), model.p)
+        else:
+            state = tuple(draws.x[:, 0].T)
+        for k, t in enumerate(draws.instants):
             v = noise(model.measurement_noise, t, TRUTH_MEASUREMENT)
-            _put(x, t, state)
-            _put(y, t, model.measurement(state, t, v, model.p))
-            _put(z, t, model.quantity_of_interest(state, t, model.p))
+            _put(draws.x, k, state)
+            _put(draws.y, k, model.measurement(state, t, v, model.p))
+            _put(draws.z, k, model.quantity_of_interest(state, t, model.p))
             if t == horizon:
                 break
             w = noise(model.process_noise, t, TRUTH_PROCESS)
             state = model.transition(state, t, w, model.p)
-    draws = Draws(model, index, x, y, z)
     check_finite(model, draws, stream)
     return draws
 
@@ -74,8 +78,8 @@ def filter_checked_draws(
             _filter(model, draws[first : first + count], measurement_times, stream, settings)
             for first in range(0, len(draws.index), count)
         ]
-    mse, estimate, variance = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
-    return Filtered(mse, estimate, variance) if trajectories else Filtered(mse)
+    mse, estimate, variance, last = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
+    return Filtered(mse, estimate, variance, tuple(last)) if trajectories else Filtered(mse)
 
 
 def _filter(
@@ -84,22 +88,26 @@ def _filter(
     times: Times,
     stream: int,
     settings: FilterSettings,
-) -> tuple[Array, Array, Array]:
-    """Filter D draws; their MSE (D,), and mean and variance of z (D, T+1, q)."""
+) -> tuple[Array, Array, Array, Array]:
+    """Filter D draws; their MSE (D,), mean and variance of z (D, T+1, q), last x (D, n, P)."""
     particles, dtype = settings.particles, settings.dtype
     count, instants, _ = draws.z.shape
     cloud = (count, particles)
     mean, variance = np.full_like(draws.z, np.nan), np.full_like(draws.z, np.nan)
     total, alive = np.zeros(count), np.ones(count, np.bool_)
-    noise = _noise(model.initial_noise, particles, stream, draws.index, 0, FILTER_INITIAL)
-    x = _kept(model.initial(_flat(noise), model.p), cloud, dtype)
-    for t in range(instants):
-        if t > 0:
+    if isinstance(settings.prior, Cloud):
+        chosen = settings.prior.chosen_for_filters(particles, draws.index, stream, draws.origin)
+        x = _kept(_flat(tuple(settings.prior.x[:, chosen])), cloud, dtype)
+    else:
+        noise = _noise(model.initial_noise, particles, stream, draws.index, 0, FILTER_INITIAL)
+        x = _kept(model.initial(_flat(noise), model.p), cloud, dtype)
+    for k, t in enumerate(draws.instants):
+        if k > 0:
             w = _noise(model.process_noise, particles, stream, draws.index, t - 1, FILTER_PROCESS)
             x = _kept(model.transition(_flat(x), t - 1, _flat(w), model.p), cloud, dtype)
         weight = np.ones(cloud)
         if t in times:
-            y = tuple(np.repeat(draws.y[:, t, k], particles) for k in range(draws.y.shape[2]))
+            y = tuple(np.repeat(values, particles) for values in draws.y[:, k].T)
             log_weight = model.log_likelihood(y, _flat(x), t, model.p)
             weight = plain_weights(_of_cloud(log_weight, cloud))
             if SCHEMES[settings.resampling].sorts:
@@ -107,19 +115,21 @@ def _filter(
             degenerate = alive & ~weight.any(axis=1)
             total[degenerate], alive[degenerate] = np.nan, False
         share = weight / weight.sum(axis=1, keepdims=True)
-        for k, values in enumerate(model.quantity_of_interest(_flat(x), t, model.p)):
+        for c, values in enumerate(model.quantity_of_interest(_flat(x), t, model.p)):
             counted = np.where(weight > 0, _of_cloud(values, cloud), 0.0)
-            mean[:, t, k] = np.sum(share * counted, axis=1)
-            variance[:, t, k] = np.sum(share * (counted - mean[:, t, k, None]) ** 2, axis=1)
-        error = draws.model.error(tuple(draws.z[:, t].T), tuple(mean[:, t].T), t, draws.model.p)
-        mean[~alive, t], variance[~alive, t] = np.nan, np.nan
+            mean[:, k, c] = np.sum(share * counted, axis=1)
+            variance[:, k, c] = np.sum(share * (counted - mean[:, k, c, None]) ** 2, axis=1)
+        error = draws.model.error(tuple(draws.z[:, k].T), tuple(mean[:, k].T), t, draws.model.p)
+        mean[~alive, k], variance[~alive, k] = np.nan, np.nan
         total[alive] += _like(error, (count,))[alive]
         infinite = alive & ~(total < np.inf)
         total[infinite], alive[infinite] = np.inf, False
         if t in times:
             ancestors = plain_ancestors(settings.resampling, weight, stream, draws.index, t)
             x = tuple(np.take_along_axis(component, ancestors, axis=1) for component in x)
-    return total / instants, mean, variance
+    last = np.stack(x, axis=1)
+    last[~alive] = np.nan
+    return total / instants, mean, variance, last
 
 
 def _in_line(x: tuple[Array, ...], weight: Array) -> tuple[tuple[Array, ...], Array]:

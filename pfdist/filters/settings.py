@@ -2,7 +2,9 @@
 
 from dataclasses import dataclass
 
-from pfdist.errors import ModelError
+from pfdist.errors import ModelError, PriorError
+from pfdist.filters.cloud import Prior
+from pfdist.filters.draws import Draws, check_prior
 from pfdist.kernels.estimators import ESTIMATORS, SQUARED_ERROR
 from pfdist.kernels.schemes import MULTINOMIAL, SCHEMES
 from pfdist.models import StateSpaceModel, squared_error
@@ -24,12 +26,33 @@ class FilterSettings:
         The dtype of the particles' states; formulas compute in float64.
     estimator : {"squared_error", "filter_variance", "two_filters"}
         How the error of an instant is estimated; see `pfdist.filters.one_by_one`.
+    prior : Cloud or Gaussian, optional
+        What the filter knows at the first instant of the draws, in the place of `initial`.
     """
 
     particles: int
     resampling: str = MULTINOMIAL.name
     dtype: str = "float64"
     estimator: str = SQUARED_ERROR.name
+    prior: Prior | None = None
+
+
+def check_start(model: StateSpaceModel, draws: Draws, prior: Prior | None) -> None:
+    """Raise an error if a filter with this prior cannot start where the draws start.
+
+    Raises
+    ------
+    PriorError
+        The prior has other components than the model, or is of another instant.
+    """
+    start = 0 if prior is None else prior.t
+    if start != draws.start:
+        raise PriorError(
+            f"a filter must start at the first instant of its draws, {draws.start}, got a prior "
+            f"for {start}"
+        )
+    if prior is not None:
+        check_prior(prior, model, draws.instants[-1])
 
 
 def check_fits(model: StateSpaceModel, truth: StateSpaceModel) -> None:

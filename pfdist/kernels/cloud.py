@@ -5,9 +5,10 @@ reads one half, whose index is `here`, and writes the other half.
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pfdist.kernels.components import reader, writer
 from pfdist.kernels.formulas import formula
@@ -16,6 +17,25 @@ from pfdist.kernels.noise import FILTER_INITIAL, FILTER_PROCESS, filler
 from pfdist.kernels.weights import IMPOSSIBLE
 
 _FORMULAS = ("initial", "transition", "log_likelihood")
+
+
+class Prior(NamedTuple):
+    """Particles from which each filter starts in the place of `initial`.
+
+    Parameters
+    ----------
+    x : array of float64, (n, M)
+        States of all particles.
+    particle : array of int64, (D, P)
+        The particle of x that each particle of each draw's filter starts as; empty if the filters
+        start from `initial`.
+    """
+
+    x: NDArray[np.float64]
+    particle: NDArray[np.int64]
+
+
+FROM_INITIAL = Prior(np.empty((0, 0)), np.empty((0, 0), np.int64))
 
 
 def cloud_steps(
@@ -37,27 +57,29 @@ def cloud_steps(
     Returns
     -------
     begin : callable
-        ``begin(cloud, noise, particles, p, stream, draw, saved, source)`` fills the first half with
-        the saved cloud number `source`, or with x(0) if `source` is -1. It returns the sum of the
+        ``begin(cloud, noise, particles, p, stream, draw, saved, source, prior, d)`` fills the first
+        half with the saved cloud number `source`. If `source` is -1, it fills it with the particles
+        of the prior for the draw in row d; without a prior, with x(0). It returns the sum of the
         errors so far.
     propagate : callable
         ``propagate(cloud, here, noise, particles, p, stream, draw, t)`` computes x(t+1) from x(t).
     fill_log_weights : callable
-        ``fill_log_weights(cloud, here, particles, p, y, d, t, log_weight)``, for the measurement
-        y[d, t].
+        ``fill_log_weights(cloud, here, particles, p, y, t, log_weight)``, for a measurement y at t.
     """
     initial, transition, log_likelihood = map(formula, functions, _FORMULAS)
     fill_w0, fill_w = map(filler, noise_kinds)
     read_w0, read_w = (reader(len(kinds), "c, i") for kinds in noise_kinds)
-    states, measurements, _ = components
+    states = components[0]
     read_x, write_x = reader(states, "half, c, i"), writer(states, "half, c, i")
-    read_y = reader(measurements, "d, t, c")
 
     @melted
-    def begin(cloud, noise, particles, p, stream, draw, saved, source):
+    def begin(cloud, noise, particles, p, stream, draw, saved, source, prior, d):
         if source >= 0:
             copy_cloud(saved.clouds, source, cloud, 0)
             return saved.errors[source]
+        if prior.particle.size > 0:
+            _copy_prior(prior, d, particles, cloud)
+            return 0.0
         fill_w0(noise, particles, stream, draw, np.int64(0), FILTER_INITIAL)
         _repeat_first(noise, particles, cloud.shape[2])
         for i in range(cloud.shape[2]):
@@ -73,15 +95,23 @@ def cloud_steps(
             write_x(cloud, 1 - here, i, x)
 
     @melted
-    def fill_log_weights(cloud, here, particles, p, y, d, t, log_weight):
-        measured = read_y(y, d, t)
+    def fill_log_weights(cloud, here, particles, p, y, t, log_weight):
         for i in range(log_weight.size):
-            value = log_likelihood(measured, read_x(cloud, here, i), t, p)
+            value = log_likelihood(y, read_x(cloud, here, i), t, p)
             log_weight[i] = value if abs(value) < np.inf else IMPOSSIBLE
         for i in range(particles, log_weight.size):
             log_weight[i] = IMPOSSIBLE
 
     return begin, propagate, fill_log_weights
+
+
+@melted
+def _copy_prior(prior, d, particles, cloud):
+    """Copy a filter's first particles to the first half; behind the last, repeat the first."""
+    for i in range(cloud.shape[2]):
+        chosen = prior.particle[d, i if i < particles else 0]
+        for component in range(cloud.shape[1]):
+            cloud[0, component, i] = prior.x[component, chosen]
 
 
 @melted

@@ -12,18 +12,15 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from pfdist.kernels.cloud import cloud_steps, copy_ancestors, copy_cloud
+from pfdist.kernels.cloud import Prior, cloud_steps, copy_cloud
 from pfdist.kernels.components import naming, reader
 from pfdist.kernels.disk_cache import kept_on_disk
 from pfdist.kernels.estimators import ErrorWeights
 from pfdist.kernels.formulas import formula
+from pfdist.kernels.measuring import measuring
 from pfdist.kernels.melting import melted
 from pfdist.kernels.moments import moments, recorders
-from pfdist.kernels.resampling import RESAMPLE
-from pfdist.kernels.schemes import SCHEMES
 from pfdist.kernels.scratch import EQUAL, WEIGHTED, WithScratch, filter_scratch, with_sizes
-from pfdist.kernels.sorting import sort_by_state
-from pfdist.kernels.weights import cumulate, weigh
 
 
 class Request(NamedTuple):
@@ -35,8 +32,11 @@ class Request(NamedTuple):
         The key of each filter's noise.
     first_draw : int
         The index of the first draw in its stream.
+    start : int
+        The first instant, 0 unless there is a prior. Sets, plans and arrays count from it.
+    prior : Prior
     y, z : arrays of float64, (D, T+1, m) and (D, T+1, q)
-        Measurements and quantities of interest of the draws.
+        Measurements and quantities of interest of the draws. T+1 is the number of instants.
     particles : int
     weights : ErrorWeights
         Weights of the estimator.
@@ -46,6 +46,8 @@ class Request(NamedTuple):
 
     streams: NDArray[np.uint64]
     first_draw: int
+    start: int
+    prior: Prior
     y: NDArray[np.float64]
     z: NDArray[np.float64]
     particles: int
@@ -67,12 +69,15 @@ class Results(NamedTuple):
         Sums over the draws of the errors that a filter knows by its variance, for each of the
         plan's sets, at the instants that the set filters. They begin at 0; empty if they are not
         wanted.
+    cloud : array of float64, (D, n, P)
+        The particles of one set after its last instant; empty if they are not wanted.
     """
 
     mse: NDArray[np.float64]
     estimate: NDArray[np.float64]
     variance: NDArray[np.float64]
     errors: NDArray[np.float64]
+    cloud: NDArray[np.float64]
 
 
 class _At(NamedTuple):
@@ -179,68 +184,60 @@ def _filter_draw(
     It resumes from the cloud that an earlier set saved, and saves the clouds that later sets need.
     """
     begin, propagate, fill_log_weights = cloud_steps(functions[:3], noise_kinds, components)
+    weigh_cloud, resample_cloud = measuring(fill_log_weights, components[1], resampling)
     fill_terms, fill_squares, mean_of = moments(functions[3], components)
     read_z, error_of = reader(components[2], "d, t, c"), formula(functions[4], "error")
     record, error_by_variance = recorders(functions[4], components[2])
-    resample = RESAMPLE[resampling]
-    sort = sort_by_state if SCHEMES[resampling].sorts else _leave_unsorted
 
     @melted
     def filter_draw(at, request, models, plan, results, scratch):
         stream, filter_number, draw, d, s = at
         particles, p, truth = request.particles, models.p, models.truth
-        cloud, noise, weight, log_weight, terms, resampling, sorting, saved, first_means = scratch
+        cloud, noise, weight, terms = scratch.cloud, scratch.noise, scratch.weight, scratch.terms
+        saved, first_means = scratch.saved, scratch.first_means
         measured, begins, ends, sources, stops, slots = plan
         weights = request.weights
         by_error = weights.squared_error != 0.0
         by_error_alone = weights[1:] == (0.0, 0.0) and results.estimate.size == 0
         here, stop = np.int64(0), begins[s]
         source = sources[s] if stop > 0 else np.int64(-1)
-        error = begin(cloud, noise, particles, p, stream, draw, saved, source)
+        error = begin(cloud, noise, particles, p, stream, draw, saved, source, request.prior, d)
         while stop < ends[s] and error < np.inf:
             first, stop = stop, stops[s, stop]
             for t in range(first, stop):
+                instant = request.start + t
                 if t > 0:
-                    propagate(cloud, here, noise, particles, p, stream, draw, t - 1)
+                    propagate(cloud, here, noise, particles, p, stream, draw, instant - 1)
                     here = 1 - here
                 row, total = EQUAL, float(particles)
                 if measured[s, t]:
-                    fill_log_weights(cloud, here, particles, p, request.y, d, t, log_weight)
-                    weigh(log_weight, weight, WEIGHTED)
-                    here = sort(cloud, here, particles, weight, WEIGHTED, sorting)
-                    total = cumulate(weight, WEIGHTED, log_weight.size, resampling.cumulative)
+                    here, total = weigh_cloud(scratch, here, request, p, d, t)
                     row = WEIGHTED
                 if total == 0.0:
                     return _end(saved.errors, slots, s, t, np.nan)  # degenerate
-                fill_terms(cloud, here, t, p, weight, row, terms)
+                fill_terms(cloud, here, instant, p, weight, row, terms)
                 mean = mean_of(terms, total)
                 if not by_error_alone:
-                    fill_squares(cloud, here, t, p, weight, row, mean, terms)
+                    fill_squares(cloud, here, instant, p, weight, row, mean, terms)
                     variances = mean_of(terms, total)
                     record(results, d, t, mean, variances)
                     known = error_by_variance(
-                        weights, first_means, filter_number, s, t, mean, variances, truth
+                        weights, first_means, filter_number, s, t, mean, variances, truth, instant
                     )
                     error += known
                     _add(results.errors, s, t, known)
-                squared = error_of(read_z(request.z, d, t), mean, t, truth) if by_error else 0.0
+                z = read_z(request.z, d, t)
+                squared = error_of(z, mean, instant, truth) if by_error else 0.0
                 error += weights.squared_error * squared
                 if not error < np.inf:
                     return _end(saved.errors, slots, s, t, np.inf)
                 if measured[s, t]:
-                    resample(resampling, particles, stream, draw, t)
-                    copy_ancestors(cloud, here, particles, resampling.ancestor)
-                    here = 1 - here
+                    here = resample_cloud(scratch, here, particles, stream, draw, instant)
             _save(cloud, here, saved, slots[s, stop], error)  # inside the loop over t it costs 3 %
+        _keep(cloud, here, results.cloud, d)
         return _mean(error, measured.shape[1], saved.errors, slots, s, stop)
 
     return filter_draw
-
-
-@melted
-def _leave_unsorted(cloud, here, particles, weight, row, scratch):
-    """Sort nothing; see `sort_by_state`."""
-    return here
 
 
 @melted
@@ -256,6 +253,15 @@ def _save(cloud, here, saved, slot, error):
     if slot >= 0:
         saved.errors[slot] = error
         copy_cloud(cloud, here, saved.clouds, slot)
+
+
+@melted
+def _keep(cloud, here, kept, d):
+    """Keep the particles of a draw, if they are wanted."""
+    if kept.size > 0:
+        for component in range(kept.shape[1]):
+            for i in range(kept.shape[2]):
+                kept[d, component, i] = cloud[here, component, i]
 
 
 @melted

@@ -61,7 +61,9 @@ def recorders(error: Callable[..., Any], quantities: int) -> tuple[Callable[...,
             write_z(results.variance, d, t, variances)
 
     @melted
-    def error_by_variance(weights, first_means, filter_number, s, t, mean, variances, truth):
+    def error_by_variance(
+        weights, first_means, filter_number, s, t, mean, variances, truth, instant
+    ):
         total = 0.0
         if weights.variance != 0.0:  # else an infinite variance would make a NaN
             for variance in variances:
@@ -69,7 +71,7 @@ def recorders(error: Callable[..., Any], quantities: int) -> tuple[Callable[...,
             total *= weights.variance
         if first_means.size > 0:
             if filter_number > 0:
-                distance = error_of(read_mean(first_means, s, t), mean, t, truth)
+                distance = error_of(read_mean(first_means, s, t), mean, instant, truth)
                 total += weights.distance * distance
             write_mean(first_means, s, t, mean)
         return total

@@ -1,0 +1,197 @@
+"""What is known of the state at an instant: draws and filters start from it, not from `initial`."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pfdist.errors import PriorError, shown
+from pfdist.kernels.noise import FILTER_INITIAL, TRUTH_INITIAL, variates
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+_ROUNDING = 1e-12  # of a sum of weights
+
+
+@dataclass(frozen=True)
+class Gaussian:
+    """A normal distribution of x(t), from which the Kalman filter starts.
+
+    Parameters
+    ----------
+    t : int
+    mean : array of float64, (n,)
+    covariance : array of float64, (n, n)
+    """
+
+    t: int
+    mean: Array
+    covariance: Array
+
+    @property
+    def components(self) -> int:
+        """The number n of components of x."""
+        return self.mean.size
+
+    @property
+    def gaussian(self) -> "Gaussian":
+        """The distribution itself."""
+        return self
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """Weighted particles of x(t), from which draws and filters start.
+
+    Parameters
+    ----------
+    t : int
+        The instant of the states.
+    x : array of float64, (n, M)
+        States, one column a particle.
+    weight : array of float64, (M,), optional
+        Weights, in any unit; by default all are equal.
+
+    Raises
+    ------
+    PriorError
+        A state or a weight is not finite, a weight is negative, or all weights are 0.
+    """
+
+    t: int
+    x: Array
+    weight: Array | None = None
+
+    def __post_init__(self) -> None:
+        if self.x.ndim != 2 or not self.x.size:
+            raise PriorError(
+                "a prior must have an array x (components, particles) with one particle or more, "
+                f"got {shown(self.x.shape)}"
+            )
+        if not np.isfinite(self.x).all():
+            component, particle = np.argwhere(~np.isfinite(self.x))[0].tolist()
+            got = self.x[component, particle]
+            raise PriorError(
+                f"a prior must have finite states, got x[{component}] = {got} of particle "
+                f"{particle}"
+            )
+        if self.weight is None:
+            return
+        if self.weight.shape != self.x.shape[1:]:
+            raise PriorError(
+                f"a prior must have one weight for each of its {self.x.shape[1]} particles, got "
+                f"{shown(self.weight.shape)}"
+            )
+        usable = np.isfinite(self.weight) & (self.weight >= 0)
+        if not usable.all():
+            particle = int(np.argmin(usable))
+            raise PriorError(
+                "a prior must have finite weights of at least 0, got "
+                f"{self.weight[particle]} for particle {particle}"
+            )
+        if not self.weight.any():
+            raise PriorError("a prior must have a weight above 0, got none")
+
+    @property
+    def components(self) -> int:
+        """The number n of components of x."""
+        return int(self.x.shape[0])
+
+    @property
+    def particles(self) -> int:
+        """The number M of particles."""
+        return int(self.x.shape[1])
+
+    @cached_property
+    def share(self) -> Array:
+        """The weights, with a sum of 1, (M,)."""
+        if self.weight is None:
+            return np.full(self.particles, 1 / self.particles)
+        share: Array = self.weight / self.weight.sum()
+        return share
+
+    @cached_property
+    def gaussian(self) -> Gaussian:
+        """The normal distribution with the mean and the covariance of the particles."""
+        mean = self.x @ self.share
+        deviation = self.x - mean[:, None]
+        return Gaussian(self.t, mean, (deviation * self.share) @ deviation.T)
+
+    def chosen_for(self, draws: range, stream: int) -> Indices:
+        """Choose the particle that each draw starts as, (D,), with probability by weight.
+
+        Parameters
+        ----------
+        draws : range
+            Indices of the D draws in their stream.
+        stream : int
+            Key of the draws' noise.
+        """
+        uniform = variates("uniform", 1, stream, np.array(draws), self.t, TRUTH_INITIAL, 0)
+        return _at(self._ends, uniform[:, 0] * self._ends[-1])
+
+    def chosen_for_filters(
+        self, particles: int, draws: range, stream: int, truths: Indices | None = None
+    ) -> Indices:
+        """Choose the particles from which each draw's filter starts, (D, P).
+
+        Systematic resampling. A cloud of P particles of the same weight is taken as it is. If the
+        truths are particles of this cloud, no filter starts with the state of its own draw's truth:
+        a filter that contained the truth would look too good.
+
+        Parameters
+        ----------
+        particles : int
+            P.
+        draws : range
+            Indices of the D draws in their stream.
+        stream : int
+            Key of the filters' noise.
+        truths : array of int64, (D,), optional
+            The particle that each draw starts as.
+        """
+        offset = variates("uniform", 1, stream, np.array(draws), self.t, FILTER_INITIAL, 0)
+        points = (np.arange(particles) + offset) / particles  # in (0, 1)
+        if truths is None:
+            return _at(self._ends, points * self._ends[-1])
+        order, ends, first, after = self._by_state
+        first, after = first[truths][:, None], after[truths][:, None]
+        below, above = np.r_[0.0, ends][first], np.r_[0.0, ends][after]
+        alone = above - below > 1 - _ROUNDING  # there is no other state
+        first, after = np.where(alone, len(ends), first), np.where(alone, 0, after)
+        left_out = np.where(alone, 0.0, above - below)
+        points = points * (ends[-1] - left_out)
+        place = _at(ends, np.where(points < below, points, points + left_out))
+        return order[
+            np.where(points < below, np.minimum(place, first - 1), np.maximum(place, after))
+        ]
+
+    @cached_property
+    def _ends(self) -> Array:
+        """Where each particle ends on a line on which its length is its weight, (M,)."""
+        if self.weight is None:
+            return np.arange(1.0, self.particles + 1)
+        return np.cumsum(self.weight)
+
+    @cached_property
+    def _by_state(self) -> tuple[Indices, Array, Indices, Indices]:
+        """Particles in the order of their states, and where each ends on the line of weights.
+
+        Then, for each particle, the first place in this order of a particle with the same state,
+        and the place after the last.
+        """
+        _, state, count = np.unique(self.x, axis=1, return_inverse=True, return_counts=True)
+        order = np.argsort(state, kind="stable")
+        after = np.cumsum(count)
+        ends = np.cumsum(self.share[order])
+        return order, ends, (after - count)[state], after[state]
+
+
+Prior = Cloud | Gaussian
+
+
+def _at(ends: Array, points: Array) -> Indices:
+    """Give the particle on which each point of the line of weights lies."""
+    last = int(np.searchsorted(ends, ends[-1]))  # particles behind it have no weight
+    return np.minimum(np.searchsorted(ends, points, side="right"), last)

@@ -1,0 +1,159 @@
+"""Draws and filters that start from particles of x(s) in the place of `initial`."""
+
+from dataclasses import replace
+from types import ModuleType
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import oracles.kalman
+from pfdist import StateSpaceModel
+from pfdist.errors import MeasurementTimesError, PriorError
+from pfdist.evaluation.problem import Problem
+from pfdist.evaluation.work import Estimation
+from pfdist.filters import draws as compiled_draws
+from pfdist.filters import kalman, particle_filter, plain
+from pfdist.filters.cloud import Cloud, Gaussian
+from pfdist.filters.draws import Draws, simulate
+from pfdist.kernels.schemes import SCHEMES
+
+HORIZON, TIMES = 20, (0, 3, 6, 9, 12, 15, 18)
+ENGINES = {"compiled": particle_filter, "numpy": plain}
+STATES = np.array([[0.0, 1.0, 1.0, 2.0, 2.0, 2.0, 3.0]])
+
+
+def from_instant(draws: Draws, start: int) -> Draws:
+    """The same draws without their instants before the start."""
+    later = slice(start, None)
+    return replace(
+        draws, x=draws.x[:, later], y=draws.y[:, later], z=draws.z[:, later], start=start
+    )
+
+
+@pytest.mark.parametrize("start", [0, 4, 9, 20])
+@pytest.mark.parametrize("resampling", SCHEMES)
+@pytest.mark.parametrize("engine", ENGINES.values(), ids=ENGINES)
+def test_a_filter_that_stops_and_goes_on_is_the_filter_that_never_stopped(
+    ungm: StateSpaceModel, engine: ModuleType, resampling: str, start: int
+) -> None:
+    draws = simulate(ungm, HORIZON, range(3), 7)
+    settings = {"particles": 100, "stream": 9, "resampling": resampling, "trajectories": True}
+    whole = engine.filter_draws(ungm, draws, TIMES, **settings)
+    before = tuple(t for t in TIMES if t <= start)
+    for d in range(3):
+        draw = draws[d : d + 1]
+        stopped = engine.filter_draws(ungm, draw.upto(start), before, **settings)
+        later, prior = TIMES[len(before) :], Cloud(start, stopped.last[0])
+        on = engine.filter_draws(ungm, from_instant(draw, start), later, **settings, prior=prior)
+        np.testing.assert_array_equal(on.estimate[0, 1:], whole.estimate[d, start + 1 :])
+        np.testing.assert_array_equal(on.variance[0, 1:], whole.variance[d, start + 1 :])
+        np.testing.assert_array_equal(on.last[0], whole.last[d])
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+def test_compiled_and_plain_start_alike(ungm: StateSpaceModel, weighted: bool) -> None:
+    rng = np.random.default_rng(1)
+    weight = rng.uniform(size=300) if weighted else None
+    prior = Cloud(8, rng.normal(0, 10, (1, 300)), weight)
+    found = []
+    for draws_by, engine in ((compiled_draws, particle_filter), (plain, plain)):
+        draws = draws_by.simulate(ungm, HORIZON, range(40), 3, prior)
+        filtered = engine.filter_draws(ungm, draws, (8, 11, 17), 64, 4, prior=prior)
+        found.append((draws.x, draws.y, draws.z, draws.origin, filtered.mse))
+    for by_compiled, by_plain in zip(*found, strict=True):
+        np.testing.assert_allclose(by_compiled, by_plain, rtol=1e-9)
+
+
+def test_several_sets_share_prefixes_as_without_a_prior(ungm: StateSpaceModel) -> None:
+    prior = Cloud(8, np.random.default_rng(1).normal(0, 10, (1, 300)))
+    problem, estimation = Problem(ungm, HORIZON, prior=prior), Estimation(64, "systematic")
+    draws, sets = problem.draws(range(20), 3), [(8, 11), (9, 11, 17), (9, 12, 17), ()]
+    together = problem.mse_of_sets(draws, sets, [20, 20, 19, 14], 5, estimation)
+    for column, times, end in zip(together.T, sets, [20, 20, 19, 14], strict=True):
+        alone = problem.mse_of_sets(draws, [times], [end], 5, estimation)[:, 0]
+        np.testing.assert_array_equal(column, alone)
+
+
+def test_a_draw_starts_as_a_particle_with_the_probability_of_its_weight() -> None:
+    weight, count = np.array([1.0, 0.0, 2.0, 5.0]), 8000
+    chosen = Cloud(3, np.arange(4.0)[None], weight).chosen_for(range(count), 1)
+    found = np.bincount(chosen, minlength=4)
+    assert found[1] == 0
+    p = stats.chisquare(found[[0, 2, 3]], count * np.array([1, 2, 5]) / 8).pvalue
+    assert p > 1e-4
+
+
+def test_no_filter_starts_with_the_state_of_its_own_truth() -> None:
+    cloud = Cloud(3, STATES)
+    truths = cloud.chosen_for(range(2000), 1)
+    chosen = cloud.chosen_for_filters(40, range(2000), 2, truths)
+    states, of_truth = STATES[0][chosen], STATES[0][truths]
+    assert not (states == of_truth[:, None]).any()
+    # The others keep their shares: without state 2, the states 0, 1 and 3 have 1, 2 and 1 of 4.
+    shares = [(states[of_truth == 2.0] == state).mean() for state in (0.0, 1.0, 3.0)]
+    assert shares == pytest.approx([0.25, 0.5, 0.25], abs=0.01)
+
+
+def test_one_state_alone_starts_every_filter() -> None:
+    cloud = Cloud(3, np.ones((2, 5)))
+    chosen = cloud.chosen_for_filters(4, range(3), 2, cloud.chosen_for(range(3), 1))
+    assert chosen.shape == (3, 4)
+    assert ((chosen >= 0) & (chosen < 5)).all()
+
+
+def test_the_kalman_filter_goes_on_from_its_normal_distribution() -> None:
+    model = oracles.kalman.TRACKING.as_model()
+    draws = simulate(model, HORIZON, range(4), 7)
+    whole = kalman.filter_draws(model, draws, TIMES, 1, 1, trajectories=True)
+    stopped = kalman.filter_draws(model, draws.upto(9), TIMES[:4], 1, 1, trajectories=True)
+    rest, settings = from_instant(draws, 9), {"particles": 1, "stream": 1, "trajectories": True}
+    for d, prior in enumerate(stopped.last):
+        on = kalman.filter_draws(model, rest[d : d + 1], TIMES[4:], **settings, prior=prior)
+        np.testing.assert_allclose(on.estimate[0], whole.estimate[d, 9:], rtol=1e-12)
+        np.testing.assert_allclose(on.variance[0], whole.variance[d, 9:], rtol=1e-12)
+    errors = kalman.expected_errors(model, HORIZON, [TIMES])[0, 9:]
+    on = kalman.expected_errors(model, HORIZON, [TIMES[4:]], stopped.last[0])[0]
+    np.testing.assert_allclose(on, errors, rtol=1e-12)
+
+
+def test_the_kalman_filter_starts_from_the_moments_of_particles() -> None:
+    model = oracles.kalman.SCALAR.as_model()
+    prior = Cloud(2, np.array([[1.0, 4.0]]), np.array([2.0, 1.0]))
+    assert prior.gaussian.mean == pytest.approx([2.0])
+    assert prior.gaussian.covariance == pytest.approx(np.array([[2.0]]))
+    (error,) = kalman.expected_errors(model, 2, [()], prior)
+    (same,) = kalman.expected_errors(model, 2, [()], Gaussian(2, np.ones(1), np.array([[2.0]])))
+    assert error == pytest.approx(same)
+
+
+@pytest.mark.parametrize(
+    ("x", "weight", "message"),
+    [
+        (np.ones(3), None, r"an array x \(components, particles\)"),
+        (np.ones((1, 0)), None, "one particle or more"),
+        (np.array([[1.0, np.nan]]), None, r"finite states, got x\[0\] = nan of particle 1"),
+        (np.ones((1, 2)), np.ones(3), "one weight for each of its 2 particles"),
+        (np.ones((1, 2)), np.array([1.0, -2.0]), "got -2.0 for particle 1"),
+        (np.ones((1, 2)), np.zeros(2), "a weight above 0, got none"),
+    ],
+)
+def test_wrong_particles_are_refused(
+    x: np.ndarray, weight: np.ndarray | None, message: str
+) -> None:
+    with pytest.raises(PriorError, match=message):
+        Cloud(0, x, weight)
+
+
+def test_a_prior_that_does_not_fit_is_refused(ungm: StateSpaceModel) -> None:
+    with pytest.raises(PriorError, match=r"components of x as the model ungm, 1, got 2"):
+        simulate(ungm, 5, range(1), 1, Cloud(2, np.ones((2, 3))))
+    with pytest.raises(PriorError, match=r"an instant in 0..5, got 6"):
+        simulate(ungm, 5, range(1), 1, Cloud(6, np.ones((1, 3))))
+    with pytest.raises(PriorError, match="got a normal distribution"):
+        Problem(ungm, 5, prior=Gaussian(2, np.ones(1), np.eye(1)))
+    draws = simulate(ungm, 5, range(1), 1, Cloud(2, np.ones((1, 3))))
+    with pytest.raises(PriorError, match="first instant of its draws, 2, got a prior for 0"):
+        particle_filter.filter_draws(ungm, draws, (3,), 10, 1)
+    with pytest.raises(MeasurementTimesError, match=r"must lie in 2..5, got 1"):
+        particle_filter.filter_draws(ungm, draws, (1,), 10, 1, prior=Cloud(2, np.ones((1, 3))))
