@@ -63,6 +63,13 @@ class Run:
         """A row for each of the first draws: the reference's MSE under other filter noise."""
         return self._store.read("repeated")
 
+    def online(self) -> pd.DataFrame:
+        """A row for each of the first draws: times chosen one after another, and their MSE.
+
+        Without such times the table is empty.
+        """
+        return self._store.read("online")
+
     def trajectories(self) -> pd.DataFrame:
         """z, y and the estimate of every filter over time, for the comparison's first draws."""
         return self._store.read("trajectories")
@@ -104,7 +111,9 @@ class Run:
         if self._store.has_parts(without=BOUND_PHASE) or self._store.lost():
             return "comparing"
         enough = self.draws_compared == self.job["comparison"]["draws"] or self._narrow
-        return "finished" if enough else "comparing"
+        online = self._store.present("online", "draw").size if self.has("online") else 0
+        wanted = self.job.get("online", {}).get("draws", 0)
+        return "finished" if enough and online >= wanted else "comparing"
 
     @property
     def _narrow(self) -> bool:

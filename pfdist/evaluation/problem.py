@@ -52,7 +52,7 @@ class Problem:
     engine : {"auto", "compiled", "numpy", "kalman"}
         Here "auto" means the compiled engine.
     prior : Cloud or Gaussian, optional
-        What is known of x(s), in the place of `initial`: draws and filters start at s. A normal
+        The distribution of x(s), in the place of `initial`: draws and filters start at s. A normal
         distribution is for the engine "kalman" alone.
 
     Raises
@@ -104,13 +104,14 @@ class Problem:
         return self if self.believed == self.model else replace(self, filter_model=None)
 
     @property
-    def _engine(self) -> Engine:
+    def computed_by(self) -> Engine:
+        """The engine that computes."""
         return ENGINES.get(self.engine, COMPILED)
 
     @property
     def exact(self) -> bool:
         """Whether the engine knows the expected MSE without draws; see `expected_mse`."""
-        return self._engine.exact
+        return self.computed_by.exact
 
     def expected_mse(
         self, sets: Sequence[Times], ends: Sequence[int] | None = None
@@ -147,7 +148,7 @@ class Problem:
         """
         draws = self.draws(range(*work.draws), work.draws_stream)
         stream, *_ = work.filter_streams
-        sums: NDArray[np.float64] = self._engine.sum_errors(
+        sums: NDArray[np.float64] = self.computed_by.sum_errors(
             self.believed,
             draws,
             work.measurement_times,
@@ -221,7 +222,7 @@ class Problem:
     @property
     def seconds_a_step(self) -> float:
         """Rough guess of the seconds of a particle-step; models differ."""
-        return self._engine.seconds_a_step
+        return self.computed_by.seconds_a_step
 
     def __call__(self, work: Work) -> Result:
         """Per-draw MSE of every set of times in a work, after a check of its settings and times.
@@ -246,7 +247,9 @@ class Problem:
         ModelError
             A formula failed.
         """
-        draws: Draws = self._engine.simulate(self.model, self.horizon, index, stream, self.prior)
+        draws: Draws = self.computed_by.simulate(
+            self.model, self.horizon, index, stream, self.prior
+        )
         return draws
 
     def mse_of_sets(
@@ -270,7 +273,7 @@ class Problem:
             A formula failed.
         """
         settings = self._settings(estimation)
-        mse: NDArray[np.float64] = self._engine.filter_checked_sets(
+        mse: NDArray[np.float64] = self.computed_by.filter_checked_sets(
             self.believed, draws, sets, ends, stream, settings
         )
         return mse
@@ -283,7 +286,7 @@ class Problem:
         ModelError
             A formula failed.
         """
-        return [(self.truth if work.knows_truth else self).filtered(work) for work in works]
+        return [work.result(self.truth if work.knows_truth else self) for work in works]
 
     def pieces(self, work: Work, seconds: float) -> list[Work]:
         """Cut a work between its draws into works of about as many seconds each.
@@ -300,7 +303,7 @@ class Problem:
         """Per-draw MSE as `__call__` gives it, for a work that the caller has checked."""
         if work.summed:
             return Result(np.empty(0), sums=self.sum_errors(work))
-        engine, settings = self._engine, self._settings(work.estimation)
+        engine, settings = self.computed_by, self._settings(work.estimation)
         draws = self.draws(range(*work.draws), work.draws_stream)
         if work.trajectories:
             filtered = [

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,6 +12,9 @@ from pfdist.filters.particle_filter import filter_streams
 from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.kernels.prefixes import plan
 from pfdist.times.measurement_times import Times
+
+if TYPE_CHECKING:
+    from pfdist.evaluation.problem import Problem
 
 
 @dataclass(frozen=True)
@@ -76,6 +80,16 @@ class Work:
     summed: bool = False
     knows_truth: bool = False
 
+    def result(self, problem: "Problem") -> "Result":
+        """The result for a problem, with arguments that the caller has checked.
+
+        Raises
+        ------
+        ModelError
+            A formula failed.
+        """
+        return problem.filtered(self)
+
     def by_id(self, result: "Result") -> dict[str, NDArray[np.float64]]:
         """Per-draw MSE of each set, (D,), by the id of its evaluation."""
         return dict(zip(self.ids, result.mse.T, strict=True))
@@ -127,6 +141,8 @@ class Result:
     sums : array of float64, (S, T+1)
         Sums of the errors over the draws, if they are wanted; then everything else is empty. None
         is finite if a draw is degenerate or infinite with any set.
+    measurement_times : tuple of tuples of int, (D,)
+        The times of each draw, where each draw has times of its own.
     """
 
     mse: NDArray[np.float64]
@@ -134,6 +150,7 @@ class Result:
     y: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
     estimates: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
     sums: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    measurement_times: tuple[Times, ...] = ()
 
 
 def cut(draws: ArrayLike, block: int) -> list[tuple[int, int]]:

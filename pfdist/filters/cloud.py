@@ -1,7 +1,8 @@
-"""What is known of the state at an instant: draws and filters start from it, not from `initial`."""
+"""Distributions of x(s) from which draws and filters start at s, in the place of `initial`."""
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -151,6 +152,15 @@ class Cloud:
         truths : array of int64, (D,), optional
             The particle that each draw starts as.
         """
+        known = particles, draws, stream, None if truths is None else truths.tobytes()
+        if known not in self._chosen:  # a search asks for the same particles again and again
+            self._chosen.clear()
+            self._chosen[known] = self._choose_for_filters(particles, draws, stream, truths)
+        return self._chosen[known]
+
+    def _choose_for_filters(
+        self, particles: int, draws: range, stream: int, truths: Indices | None
+    ) -> Indices:
         offset = variates("uniform", 1, stream, np.array(draws), self.t, FILTER_INITIAL, 0)
         points = (np.arange(particles) + offset) / particles  # in (0, 1)
         if truths is None:
@@ -166,6 +176,11 @@ class Cloud:
         return order[
             np.where(points < below, np.minimum(place, first - 1), np.maximum(place, after))
         ]
+
+    @cached_property
+    def _chosen(self) -> dict[Any, Indices]:
+        """The last result of `chosen_for_filters`, by its arguments."""
+        return {}
 
     @cached_property
     def _ends(self) -> Array:

@@ -25,17 +25,32 @@ from pfdist.job.sections import (
     Model,
 )
 from pfdist.search.methods import DEFAULT_METHOD, METHODS, any_section
-from pfdist.search.section import SearchSection
+from pfdist.search.section import CommonNoiseSettings, SearchSection
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import REGULAR, validated
 
 RESERVED: Final = (REGULAR, GIVEN, "comparison")  # names that no search may have
 MOST_SEARCHES: Final = 100  # a figure of more searches could not be read
 _NOTHING: Mapping[str, Any] = {}
+PLANNING: Final = METHODS["corridor"].section(
+    rounds=1, reach=2.0, evaluation=CommonNoiseSettings(draws=64, particles=64)
+)
+"""The search that plans the measurements that are left, unless a job names another: a quick one."""
 if TYPE_CHECKING:
     Search = SearchSection
 else:
     Search = any_section()
+
+
+class Online(Section):
+    """Times that are chosen one after another, each when the last measurement has been seen.
+
+    The keys of ``online.search`` are those of a [[search]]. Its name and ``polish`` do nothing.
+    """
+
+    draws: Annotated[int, Field(ge=2, le=10_000_000)] = 1000
+    judging_draws: Annotated[int, Field(ge=2, le=1_000_000)] = 256
+    search: Search = PLANNING
 
 
 class Origin(NamedTuple):
@@ -87,6 +102,7 @@ class Job(Section):
     )
     comparison: Comparison = Comparison()
     budget: Budget | None = None
+    online: Online | None = None
     execution: Execution = Execution()
     _origin: Origin = PrivateAttr()
 
@@ -135,6 +151,24 @@ class Job(Section):
                 self.feasible(number)
             except MeasurementTimesError as error:
                 raise ValueError(f"budget of {number} measurements: {error}") from error
+        return self
+
+    @model_validator(mode="after")
+    def _has_draws_to_compare(self) -> Self:
+        if self.online is None:
+            return self
+        if self.budget is not None:
+            raise ValueError("online needs a job with one measurement budget, got a budget section")
+        if self.online.draws > self.comparison.draws:
+            raise ValueError(
+                f"online.draws must be at most comparison.draws = {self.comparison.draws}, got "
+                f"{self.online.draws}: the same draws are compared"
+            )
+        if self.comparison.until.half_width:
+            raise ValueError(
+                "online needs comparison.until.half_width = 0, got "
+                f"{self.comparison.until.half_width:g}: the comparison must not end early"
+            )
         return self
 
     @model_validator(mode="after")

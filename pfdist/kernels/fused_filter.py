@@ -199,6 +199,7 @@ def _filter_draw(
         weights = request.weights
         by_error = weights.squared_error != 0.0
         by_error_alone = weights[1:] == (0.0, 0.0) and results.estimate.size == 0
+        goes_on = slots[s, ends[s]] >= 0 or results.cloud.size > 0  # behind its last instant
         here, stop = np.int64(0), begins[s]
         source = sources[s] if stop > 0 else np.int64(-1)
         error = begin(cloud, noise, particles, p, stream, draw, saved, source, request.prior, d)
@@ -231,7 +232,7 @@ def _filter_draw(
                 error += weights.squared_error * squared
                 if not error < np.inf:
                     return _end(saved.errors, slots, s, t, np.inf)
-                if measured[s, t]:
+                if measured[s, t] and (goes_on or t + 1 < ends[s]):
                     here = resample_cloud(scratch, here, particles, stream, draw, instant)
             _save(cloud, here, saved, slots[s, stop], error)  # inside the loop over t it costs 3 %
         _keep(cloud, here, results.cloud, d)

@@ -172,7 +172,9 @@ def build(job: Job, choose: Choose | None = None) -> Built:
     )
     cheapest, study = source.make().cheapest_estimator, study_of(job)
     searches = tuple(named_search(study, job, section, cheapest) for section in job.search)
-    wanted = (settings.estimation for search in searches for settings in search.all_settings)
+    wanted = [settings.estimation for search in searches for settings in search.all_settings]
+    if job.online is not None:
+        wanted.append(Settings.from_job(job, job.online.search.evaluation, cheapest).estimation)
     source = replace(source, estimations=tuple(dict.fromkeys([*source.estimations, *wanted])))
     draws = _checked_formulas(source)
     source = replace(source, engine=_compiled_or_numpy(source))

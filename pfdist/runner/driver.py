@@ -7,6 +7,7 @@ import pyarrow as pa
 
 from pfdist.errors import SearchError
 from pfdist.runner.comparison_phase import COMPARISON, comparison_steps, run_comparison
+from pfdist.runner.online_phase import CHOOSING, online_steps, run_online
 from pfdist.runner.search_phase import run_search, search_steps
 from pfdist.runner.search_tables import unpublished
 from pfdist.runner.session import Session
@@ -39,7 +40,7 @@ def drive(session: Session) -> None:
         session.reporter,
     )
     searched = sum(search_steps(built, search) for search in built.searches)
-    reporter.foresee(searched + comparison_steps(built))
+    reporter.foresee(searched + comparison_steps(built) + online_steps(built))
     try:
         lost = store.lost()  # they are computed again
         has = store.has("compared") and not store.has_parts("compared")
@@ -49,12 +50,14 @@ def drive(session: Session) -> None:
             sets = store.compared_sets()
             reporter.note(done=searched)
         run_comparison(built, sets, collector, reporter)
+        if built.job.online is not None:
+            run_online(built, sets, collector, reporter)
         collector.flush()
         store.publish("draws", FORKED, [])
         store.manifest.forget_lost()
     finally:
         collector.flush()
-        for phase in (*built.phases, COMPARISON):
+        for phase in (*built.phases, COMPARISON, CHOOSING):
             store.settle("timings", phase)
 
 

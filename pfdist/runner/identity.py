@@ -229,6 +229,8 @@ def _may_change(key: str, was: Any, is_now: Any, committed: int) -> bool:
         return False
     if key == "job.comparison.until.half_width":
         return bool(is_now < was)
+    if key == "job.online.draws":
+        return bool(is_now >= was)
     return bool(key == "job.comparison.draws" and is_now >= committed)
 
 

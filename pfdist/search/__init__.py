@@ -6,6 +6,7 @@ hands it a generator. This room imports NumPy, but neither Numba nor Ray.
 
 from pfdist.search.annealing import Annealing
 from pfdist.search.base import Candidate, Optimiser, SearchOptimiser
+from pfdist.search.corridor import Corridor
 from pfdist.search.cross_entropy import CrossEntropy
 from pfdist.search.every_budget import EveryBudget
 from pfdist.search.exchange import Exchange
@@ -20,6 +21,7 @@ from pfdist.search.survivors import Survivors
 __all__ = [
     "Annealing",
     "Candidate",
+    "Corridor",
     "CrossEntropy",
     "EveryBudget",
     "Exchange",

@@ -13,6 +13,7 @@ from pfdist.common.registry import Registry
 from pfdist.search.base import SearchOptimiser
 from pfdist.search.section import CommonNoiseSettings, EvaluationSettings, Name, SearchSection
 from pfdist.times.feasible import Feasible
+from pfdist.times.measurement_times import Times
 
 DEFAULT_METHOD: Final = "survivors"
 C = TypeVar("C", bound=type[Any])
@@ -45,7 +46,13 @@ class Method:
         """The method in one line."""
         return (self.optimiser.__doc__ or "").partition("\n")[0]
 
-    def make(self, feasible: Feasible, draws: int, settings: dict[str, Any]) -> SearchOptimiser:
+    def make(
+        self,
+        feasible: Feasible,
+        draws: int,
+        settings: dict[str, Any],
+        start: Times | None = None,
+    ) -> SearchOptimiser:
         """Make the optimiser.
 
         Parameters
@@ -55,6 +62,8 @@ class Method:
             Number of simulated systems on which a set is evaluated.
         settings : dict
             Settings of the method, as in the section.
+        start : tuple of int, optional
+            A feasible set that is good already. Methods that search around a set start from it.
 
         Raises
         ------
@@ -63,6 +72,8 @@ class Method:
         """
         if "draws" in self.optimiser.__annotations__:
             settings = {"draws": draws, **settings}
+        if "start" in self.optimiser.__annotations__:
+            settings = {"start": start, **settings}
         return self.optimiser(feasible, **settings)
 
 
@@ -80,9 +91,9 @@ def method(
     The optimiser is a frozen dataclass. Fields that are annotated with a type of
     `pfdist.search.section`, such as ``Count``, are the settings of the method, with their
     defaults. The first field, ``feasible``, receives the object that knows all feasible sets. A
-    field ``draws``, if there is one, receives the number of draws of an evaluation. The first line
-    of the docstring is the description of the method, and the section Parameters describes the
-    settings.
+    field ``draws``, if there is one, receives the number of draws of an evaluation. A field
+    ``start``, if there is one, receives a set to start from, or None. The first line of the
+    docstring is the description of the method, and the section Parameters describes the settings.
 
     Parameters
     ----------

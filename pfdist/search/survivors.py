@@ -58,6 +58,10 @@ class SurvivorState:
     whole : tuple of SearchEvaluation
         Evaluated whole sets, the best first.
     done : bool
+    middle : tuple of int
+        The set around which measurements are tried; empty: around their proportional positions.
+    round : int
+        Number of sets around which measurements were tried before.
     """
 
     largest_gap: int
@@ -67,6 +71,8 @@ class SurvivorState:
     ended: tuple[Times, ...] = ()
     whole: tuple[SearchEvaluation, ...] = ()
     done: bool = False
+    middle: Times = ()
+    round: int = 0
 
 
 @method("survivors", polish=True, curve="best so far")

@@ -20,6 +20,7 @@ KEYS: dict[str, list[str]] = {
     "compared": ["position"],
     "comparison": ["draw"],
     "repeated": ["draw"],
+    "online": ["draw"],
     "trajectories": ["draw", "t"],
     "timings": ["phase", "task", "session", "seconds"],
     "bound": ["window", "particles", "draws", "position"],
@@ -84,6 +85,11 @@ _SCHEMAS = {
     "repeated": [
         _column("draw", pa.int64(), "", "index of the draw, as in comparison"),
         _column("mse", pa.float64(), _MSE, "of the reference under other noise; null: degenerate"),
+    ],
+    "online": [
+        _column("draw", pa.int64(), "", "index of the draw, as in comparison"),
+        _column("mse", pa.float64(), _MSE, "with these times; null: degenerate"),
+        _TIMES,
     ],
     "timings": [
         _column("phase", pa.string(), "", "a search's name, or comparison"),

@@ -22,18 +22,20 @@ def test_it_equals_the_batch_filter_draw_for_draw(ungm: StateSpaceModel, engine:
     whole = ENGINES[engine].filter_checked_draws(
         model, draws, TIMES, 9, settings, trajectories=True
     )
+    # A matrix product of four draws may round otherwise than that of one.
+    same = np.testing.assert_allclose if engine == "kalman" else np.testing.assert_array_equal
     for d in range(4):
         one = begin(model, settings, 9, d, engine)
         for t in TIMES:
             one, estimate, variance = one.at(t, draws.y[d, t])
-            np.testing.assert_array_equal(estimate[-1], whole.estimate[d, t])
-            np.testing.assert_array_equal(variance[-1], whole.variance[d, t])
+            same(estimate[-1], whole.estimate[d, t])
+            same(variance[-1], whole.variance[d, t])
             assert (one.t, one.measured) == (t, True)
         one, estimate, _ = one.at(HORIZON)
-        np.testing.assert_array_equal(estimate[1:], whole.estimate[d, TIMES[-1] + 1 :])
+        same(estimate[1:], whole.estimate[d, TIMES[-1] + 1 :])
         assert not one.measured
 
 
 def test_a_measurement_that_no_particle_explains_is_named(ungm: StateSpaceModel) -> None:
-    with pytest.raises(MeasurementsError, match="no particle of 10 explains .* at t = 3"):
+    with pytest.raises(MeasurementsError, match=r"no particle of 10 explains .* at t = 3"):
         begin(ungm, FilterSettings(10), 1).at(3, np.array([np.nan]))

@@ -1,0 +1,88 @@
+"""A unit of work: draws whose measurement times are chosen one after another."""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from pfdist.evaluation.problem import Problem
+from pfdist.evaluation.work import Result, Work
+from pfdist.filters.settings import FilterSettings
+from pfdist.online.one_filter import begin
+from pfdist.online.planning import Planning, Replanner
+from pfdist.times.feasible import Feasible
+from pfdist.times.measurement_times import Times
+
+
+@dataclass(frozen=True, kw_only=True)
+class OnlineWork(Work):
+    """Draws that are measured at the next planned time and planned anew, to the end of the budget.
+
+    The other parameters are those of `Work`, with one set: the plan before anything is measured.
+
+    Parameters
+    ----------
+    feasible : Feasible
+        The feasible sets.
+    planning : Planning
+    planning_stream : int
+        Key of the noise of the planning.
+    """
+
+    feasible: Feasible
+    planning: Planning
+    planning_stream: int
+
+    def result(self, problem: Problem) -> Result:
+        """Per-draw MSE, (D, 1), and the times that were chosen for each draw."""
+        results = [self._of_draw(problem, draw) for draw in range(*self.draws)]
+        chosen = tuple(result.measurement_times[0] for result in results)
+        return Result(np.concatenate([result.mse for result in results]), measurement_times=chosen)
+
+    @property
+    def steps_a_draw(self) -> int:
+        """About how many particle-steps a draw takes: nearly all of them plan."""
+        return _steps(self.feasible, self.planning) + super().steps_a_draw
+
+    def _of_draw(self, problem: Problem, draw: int) -> Result:
+        times = self.chosen(problem, draw)
+        filtered = Work(
+            measurement_times=(times,),
+            ends=self.ends,
+            filter_streams=self.filter_streams,
+            draws_stream=self.draws_stream,
+            draws=(draw, draw + 1),
+            estimation=self.estimation,
+        )
+        return replace(problem.filtered(filtered), measurement_times=(times,))
+
+    def chosen(self, problem: Problem, draw: int) -> Times:
+        """Choose the times of one draw."""
+        replanner = Replanner(problem, self.feasible, self.planning, self.planning_stream)
+        y = problem.draws(range(draw, draw + 1), self.draws_stream).y[0]
+        estimation, (plan,) = self.estimation, self.measurement_times
+        settings = FilterSettings(estimation.particles, estimation.resampling, problem.dtype)
+        one = begin(
+            problem.believed, settings, self.filter_streams[0], draw, problem.computed_by.name
+        )
+        taken = Times()
+        while plan:
+            time = plan[0]
+            taken = (*taken, time)
+            if plan[1:] or not self.feasible.counted:  # else nothing is left to plan
+                one, *_ = one.at(time, y[time])
+                plan = replanner.plan(one, taken, plan[1:], draw)
+            else:
+                plan = ()
+        return taken
+
+
+@lru_cache(maxsize=4)
+def _steps(feasible: Feasible, planning: Planning) -> int:
+    """About how many particle-steps the plans of one draw take.
+
+    The plans get shorter, so on average a plan takes half of the work of the first plan.
+    """
+    sets = planning.optimiser(feasible).evaluations * planning.draws + 2 * planning.judging_draws
+    a_set = (feasible.horizon + 1) * planning.estimation.steps_an_instant
+    return round(feasible.measurements * sets * a_set / 4)

@@ -1,0 +1,108 @@
+"""The corridor method: the survivor dynamic programme in a narrow corridor around a set of times.
+
+A set of times is good already. The dynamic programme moves each of its times by a few instants. If
+it finds a better set, the corridor is laid around that set, and so on. A corridor is narrow, so
+each round is quick. Times may drift far in several rounds.
+
+References
+----------
+Sniedovich, Voss, "The corridor method: a dynamic programming inspired metaheuristic", Control and
+Cybernetics 35, 2006.
+"""
+
+from bisect import bisect_left
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import accumulate
+
+import numpy as np
+
+from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.search.base import Candidate, best_of
+from pfdist.search.methods import method
+from pfdist.search.section import Count, Positive
+from pfdist.search.survivors import Survivors, SurvivorState
+from pfdist.times.measurement_times import Times
+
+
+@method("corridor", curve="best so far")
+@dataclass(frozen=True)
+class Corridor(Survivors):
+    """Corridor method: dynamic programme that moves each time a little, again while this helps.
+
+    Parameters
+    ----------
+    feasible : Feasible
+    survivors : int
+        Number of prefixes that survive in each state.
+    by_previous : bool
+        Whether a state is the last two measurement times. Otherwise it is the last alone.
+    start : tuple of int, optional
+        First set. By default regular times.
+    reach : float
+        Largest move of a time in a round, in units of the mean gap between measurements.
+    rounds : int
+        Largest number of rounds.
+    """
+
+    survivors: Count = 1
+    start: Times | None = None
+    reach: Positive = 1.5
+    rounds: Count = 20
+
+    @property
+    def generations(self) -> int:
+        """Approximate number of generations, if half of the rounds help."""
+        return (self.feasible.total + 1) * max(1, self.rounds // 2)
+
+    @property
+    def evaluations(self) -> float:
+        """Approximate work, in evaluations of whole sets."""
+        width, instants = 2 * self._moved + 1, len(self.feasible.allowed)
+        extended = self.survivors * width * (width + instants / self.feasible.total)
+        return extended * self.generations / instants
+
+    def init(self) -> SurvivorState:
+        """Give the state before the first generation, with a corridor around the first set."""
+        return self._around(self.feasible.regular() if self.start is None else self.start)
+
+    def ask(self, state: SurvivorState, rng: np.random.Generator) -> list[Candidate]:
+        """Give extensions in the corridor; at the end whole sets, with the corridor's middle."""
+        asked = super().ask(state, rng)
+        middle = Candidate(state.middle)
+        return asked if state.front or middle in asked else [*asked, middle]
+
+    def _around(
+        self, middle: Times, number: int = 0, whole: tuple[SearchEvaluation, ...] = ()
+    ) -> SurvivorState:
+        """Give the state at the beginning of a round, with a corridor around a set."""
+        limits = len(self.feasible.allowed), float(self._moved)
+        return SurvivorState(*limits, whole=whole, middle=middle, round=number)
+
+    def _next(self, state: SurvivorState, times: Times) -> Iterator[int]:
+        """Give the times in the corridor that may follow a prefix."""
+        feasible = self.feasible
+        spent_in_middle = accumulate((feasible.price[time] for time in state.middle), initial=0)
+        number = bisect_left(list(spent_in_middle), feasible.spent(times))
+        middle = feasible.index[state.middle[min(number, len(state.middle) - 1)]]
+        for time in feasible.extensions(times):
+            if abs(feasible.index[time] - middle) <= self._moved:
+                yield time
+
+    def _whole(
+        self, state: SurvivorState, evaluations: Sequence[SearchEvaluation]
+    ) -> SurvivorState:
+        """End the search, or lay the corridor around the best set."""
+        whole, number = best_of((*state.whole, *evaluations)), state.round + 1
+        best = whole[0].measurement_times
+        if best == state.middle or number == self.rounds:
+            return replace(state, whole=whole, done=True)
+        return self._around(best, number, whole)
+
+    @cached_property
+    def _moved(self) -> int:
+        """Largest move of a time, in allowed times."""
+        feasible = self.feasible
+        mean_gap = feasible.spent(feasible.allowed) / feasible.total
+        return max(1, round(self.reach * mean_gap))

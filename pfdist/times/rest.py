@@ -1,0 +1,57 @@
+"""The feasible sets of the measurements that are left, over what is left of the horizon."""
+
+from functools import partial
+
+from pfdist.times.feasible import Feasible
+from pfdist.times.measurement_times import Times
+
+
+def rest_of(feasible: Feasible, taken: Times, first: int) -> Feasible | None:
+    """Give the feasible completions of the measurements that were taken.
+
+    Parameters
+    ----------
+    feasible : Feasible
+        The feasible sets of the whole horizon.
+    taken : tuple of int
+        The times that were measured, sorted. They need not be the start of a feasible set.
+    first : int
+        The first instant that may still be measured.
+
+    Returns
+    -------
+    Feasible or None
+        Sets of times that count from `first`. If fewer measurements fit than are left, the sets
+        have as many as fit. A required time that can no longer be measured is left out. None if no
+        measurement is left or fits.
+
+    Examples
+    --------
+    >>> rest = rest_of(Feasible(horizon=9, measurement_budget=3, minimum_spacing=3), (4,), 5)
+    >>> rest.allowed, rest.total  # 7, 8 and 9 may be measured, and no two of them
+    ((2, 3, 4), 1)
+    """
+    if first > feasible.horizon:
+        return None
+    left = range(first, feasible.horizon + 1)
+    near = {t for time in taken for t in left if abs(t - time) < feasible.minimum_spacing}
+    barred = near.union(feasible.forbidden)
+    required = [time for time in feasible.required if time in left and time not in barred]
+    make = partial(
+        Feasible,
+        horizon=feasible.horizon - first,
+        forbidden=tuple(time - first for time in left if time in barred),
+        minimum_spacing=feasible.minimum_spacing,
+    )
+    if feasible.cost is not None and feasible.total_cost is not None:
+        money, cost = feasible.total_cost - feasible.cost_of(taken), feasible.cost[first:]
+        required = required if feasible.cost_of(required) <= money else []
+        least = min((feasible.cost[time] for time in left if time not in barred), default=None)
+        if least is None or least > money:
+            return None
+        return make(required=tuple(time - first for time in required), cost=cost, total_cost=money)
+    number = max(0, feasible.total - len(taken))
+    times = tuple(time - first for time in required[:number])
+    capacity = make(required=times, measurement_budget=len(times)).capacity(())
+    number = min(number, capacity)
+    return make(required=times, measurement_budget=number) if number else None
