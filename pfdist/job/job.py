@@ -32,8 +32,9 @@ from pfdist.times.measurement_times import REGULAR, validated
 RESERVED: Final = (REGULAR, GIVEN, "comparison")  # names that no search may have
 MOST_SEARCHES: Final = 100  # a figure of more searches could not be read
 _NOTHING: Mapping[str, Any] = {}
+_QUICK: Mapping[str, Any] = {"rounds": 1, "reach": 2.0}
 PLANNING: Final = METHODS["corridor"].section(
-    rounds=1, reach=2.0, evaluation=CommonNoiseSettings(draws=64, particles=64)
+    evaluation=CommonNoiseSettings(draws=64, particles=64), **_QUICK
 )
 """The search that plans the measurements that are left, unless a job names another: a quick one."""
 if TYPE_CHECKING:

@@ -27,17 +27,28 @@ class OnlineWork(Work):
     planning : Planning
     planning_stream : int
         Key of the noise of the planning.
+    shown : int
+        Number of first draws whose estimates are wanted.
     """
 
     feasible: Feasible
     planning: Planning
     planning_stream: int
+    shown: int = 0
 
     def result(self, problem: Problem) -> Result:
-        """Per-draw MSE, (D, 1), and the times that were chosen for each draw."""
+        """Per-draw MSE, (D, 1), and the times that were chosen for each draw.
+
+        The estimates are (E, T+1, q), for the draws whose estimates are wanted.
+        """
         results = [self._of_draw(problem, draw) for draw in range(*self.draws)]
         chosen = tuple(result.measurement_times[0] for result in results)
-        return Result(np.concatenate([result.mse for result in results]), measurement_times=chosen)
+        estimates = [result.estimates[0] for result in results if result.estimates.size]
+        return Result(
+            np.concatenate([result.mse for result in results]),
+            estimates=np.array(estimates),
+            measurement_times=chosen,
+        )
 
     @property
     def steps_a_draw(self) -> int:
@@ -53,6 +64,7 @@ class OnlineWork(Work):
             draws_stream=self.draws_stream,
             draws=(draw, draw + 1),
             estimation=self.estimation,
+            trajectories=draw < self.shown,
         )
         return replace(problem.filtered(filtered), measurement_times=(times,))
 

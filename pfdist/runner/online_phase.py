@@ -13,6 +13,7 @@ from pfdist.online.planning import Planning
 from pfdist.online.work import OnlineWork
 from pfdist.runner.build import Built
 from pfdist.runner.collect import Collector
+from pfdist.runner.first_draws import TRAJECTORIES
 from pfdist.runner.progress import Reporter
 from pfdist.runner.searches import Settings
 from pfdist.store import schema
@@ -94,13 +95,17 @@ def online_work(built: Built, plan: Times) -> OnlineWork:
         feasible=job.problem.feasible,
         planning=planning_of(job, online, built.problem.cheapest_estimator),
         planning_stream=purpose.stream(job.seed, "planning"),
+        shown=TRAJECTORIES,
     )
 
 
 def _rows(piece: Work, result: Result) -> pa.Table:
+    estimates = [estimate.ravel() for estimate in result.estimates]
+    later = len(result.mse) - len(estimates)
     columns = [
         pa.array(np.arange(*piece.draws)),
         pa.array(result.mse[:, 0], from_pandas=True),
         pa.array(result.measurement_times, pa.list_(pa.int16())),
+        pa.array([*estimates, *[None] * later], pa.list_(pa.float64())),
     ]
     return pa.Table.from_arrays(columns, schema=schema("online"))

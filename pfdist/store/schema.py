@@ -90,6 +90,7 @@ _SCHEMAS = {
         _column("draw", pa.int64(), "", "index of the draw, as in comparison"),
         _column("mse", pa.float64(), _MSE, "with these times; null: degenerate"),
         _TIMES,
+        _column("estimate", pa.list_(pa.float64()), "z", "at t = 0, 1, ...; null: after draw 99"),
     ],
     "timings": [
         _column("phase", pa.string(), "", "a search's name, or comparison"),
