@@ -53,6 +53,9 @@ class Evaluation:
         """Mean of the per-draw MSE; the policy says how degenerate draws count."""
         if self.exact is not None:
             return self.exact
+        mean = float(np.mean(self.mse)) if self.draws else math.nan
+        if not math.isnan(mean):  # no draw is degenerate
+            return mean
         usable = self._usable
         return float(np.mean(usable)) if usable.size else math.inf
 

@@ -138,17 +138,20 @@ def _shared(
     begins, givers = np.zeros(len(ends), np.int64), [-1] * len(ends)
     differ = measured[1:] != measured[:-1]
     alike = np.where(differ.any(axis=1), differ.argmax(axis=1), measured.shape[1]).tolist()
-    # For each length of a prefix of the present set, the last set before that reaches so far.
-    latest = np.full(measured.shape[1] + 1, -1)
-    latest[: ends[0] + 1] = 0
+    # For each length of a prefix of the present set, the last set before that reaches so far; and
+    # the longest such prefix. Lists are faster than arrays here.
+    latest, longest = [0] * (measured.shape[1] + 1), int(ends[0])
+    starts = [0]
     for index, (shared, end) in enumerate(zip(alike, ends[1:].tolist(), strict=True), start=1):
-        latest[shared + 1 :] = -1
-        begin = int(np.flatnonzero(latest[: end + 1] >= 0)[-1])
-        giver, begins[index] = int(latest[begin]), begin
-        while begins[giver] > begin:  # it resumed behind this instant, so its giver is asked
+        begin = min(longest, shared, end)
+        giver = latest[begin]
+        while starts[giver] > begin:  # it resumed behind this instant, so its giver is asked
             giver = givers[giver]
         givers[index] = giver
-        latest[: end + 1] = index
+        starts.append(begin)
+        latest[: end + 1] = [index] * (end + 1)
+        longest = max(min(longest, shared), end)
+    begins[:] = starts
     return begins, givers
 
 
@@ -162,16 +165,20 @@ def _kept(
     for index, (giver, begin) in enumerate(zip(givers, begins.tolist(), strict=True)):
         as_its_giver = begin > 0 and begins[giver] == begin
         origins.append(origins[giver] if as_its_giver else (giver, begin))
-        if begin > 0:
+        if begin:
             last_use[origins[index]] = index
             begins_of_takers[origins[index][0]].add(origins[index][1])
     stops = np.repeat(ends[:, None], instants + 1, axis=1)
     slots, sources = np.full_like(stops, -1), np.zeros_like(ends)
     held: dict[tuple[int, int], int] = {}
-    for index in range(len(ends)):
-        if begins[index] > 0:
+    freed = set(last_use.values())
+    for index, begins_later in enumerate(begins.tolist()):
+        if begins_later:
             sources[index] = held[origins[index]]
-        held = {what: slot for what, slot in held.items() if last_use[what] > index}
+        if index in freed:
+            held = {what: slot for what, slot in held.items() if last_use[what] > index}
+        if index not in begins_of_takers:
+            continue
         for begin in sorted(begins_of_takers[index], reverse=True):
             held[index, begin] = min(set(range(len(held) + 1)) - set(held.values()))
             stops[index, :begin] = begin

@@ -8,16 +8,17 @@ replaced only by a better one, but for chance.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from pfdist.common.streams import stream_key
-from pfdist.evaluation.estimate import Purpose, SearchEvaluation
+from pfdist.evaluation.estimate import Purpose, ReportEvaluation, SearchEvaluation
 from pfdist.evaluation.problem import Problem
 from pfdist.evaluation.work import Estimation
+from pfdist.filters.cloud import Prior
 from pfdist.filters.draws import Draws
 from pfdist.kernels.noise import generator
-from pfdist.online.one_filter import OneFilter
 from pfdist.search.base import Candidate, SearchOptimiser
 from pfdist.search.methods import METHODS
 from pfdist.search.paired import difference
@@ -65,6 +66,31 @@ class Planning:
         return method.make(rest, self.draws, self.search.settings, start)
 
 
+class Now(NamedTuple):
+    """A filter's knowledge of one system, from which a plan is made.
+
+    Parameters
+    ----------
+    prior : Cloud or Gaussian, optional
+        Distribution of x(t); None before anything is measured, when `initial` gives x(0).
+    measured : bool
+        Whether t was measured, or can no longer be.
+    """
+
+    prior: Prior | None = None
+    measured: bool = False
+
+    @property
+    def t(self) -> int:
+        """The instant."""
+        return 0 if self.prior is None else self.prior.t
+
+    @property
+    def first(self) -> int:
+        """The first instant that may still be measured."""
+        return self.t + self.measured
+
+
 @dataclass(frozen=True)
 class Replanner:
     """Plans the measurements that are left, for a problem and its constraints.
@@ -85,13 +111,12 @@ class Replanner:
     planning: Planning
     stream: int
 
-    def plan(self, one: OneFilter, taken: Times, plan: Times, draw: int = 0) -> Times:
+    def plan(self, now: Now, taken: Times, plan: Times, draw: int = 0) -> Times:
         """Give the plan for what is left: the plan at hand, or a better one.
 
         Parameters
         ----------
-        one : OneFilter
-            The filter now.
+        now : Now
         taken : tuple of int
             Times that were measured so far.
         plan : tuple of int
@@ -104,16 +129,57 @@ class Replanner:
         ModelError
             A formula failed.
         """
-        first = one.t + one.measured
+        first, t = now.first, now.t
         rest = rest_of(self.feasible, taken, first)
         if rest is None:
             return ()
         plan = tuple(time - first for time in plan)
         at_hand = [plan] if rest.accepts(plan) else []
-        outlook = _Outlook(self, one, first, stream_key(self.stream, draw, one.t))
+        outlook = _Outlook(self, now, stream_key(self.stream, draw, t))
         found = outlook.search(rest, plan if at_hand else None)
         chosen = outlook.better([*at_hand, *found] or [rest.regular()])
         return tuple(first + time for time in chosen)
+
+    def expected(
+        self,
+        now: Now,
+        plans: Sequence[Times],
+        draws: int,
+        estimation: Estimation,
+        draw: int = 0,
+    ) -> list[ReportEvaluation]:
+        """Estimate the expected MSE from now on with each plan, on draws that chose none of them.
+
+        Parameters
+        ----------
+        now : Now
+        plans : sequence of tuples of int
+        draws : int
+            Number of simulated systems.
+        estimation : Estimation
+        draw : int
+            Index of the system.
+
+        Raises
+        ------
+        ModelError
+            A formula failed.
+        """
+        problem = replace(self.problem, prior=now.prior)
+        ends = [problem.horizon] * len(plans)
+        if problem.exact:
+            costs = problem.expected_mse(plans).tolist()
+            return [
+                ReportEvaluation(plan, np.empty(0), _POLICY, cost)
+                for plan, cost in zip(plans, costs, strict=True)
+            ]
+        stream = stream_key(self.stream, draw, now.t, "expected")
+        simulated = problem.draws(range(draws), stream)
+        mse = problem.mse_of_sets(simulated, plans, ends, stream_key(stream, "filter"), estimation)
+        return [
+            ReportEvaluation(plan, column, _POLICY)
+            for plan, column in zip(plans, np.ascontiguousarray(mse.T), strict=True)
+        ]
 
 
 @dataclass(frozen=True)
@@ -121,8 +187,7 @@ class _Outlook:
     """Simulated futures of one system. Times count from the first instant still to be measured."""
 
     replanner: Replanner
-    one: OneFilter
-    first: int
+    now: Now
     stream: int
 
     def search(self, rest: Feasible, start: Times | None) -> list[Times]:
@@ -157,8 +222,9 @@ class _Outlook:
     ) -> list[SearchEvaluation]:
         """Evaluate candidates on common draws with common noise."""
         problem, last = self.problem, self.problem.horizon
-        sets = [tuple(self.first + time for time in each.measurement_times) for each in candidates]
-        ends = [last if each.end is None else self.first + each.end for each in candidates]
+        first = self.now.first
+        sets = [tuple(first + time for time in each.measurement_times) for each in candidates]
+        ends = [last if each.end is None else first + each.end for each in candidates]
         if draws is None:
             costs = problem.expected_mse(sets, ends)
             return [
@@ -170,12 +236,13 @@ class _Outlook:
         noise = stream_key(self.stream, "filter")
         draws = draws[: max(each.draws or len(draws.index) for each in candidates)]
         mse = problem.mse_of_sets(draws, sets, ends, noise, self.replanner.planning.estimation)
+        columns = np.ascontiguousarray(mse.T)
         return [
             SearchEvaluation(each.measurement_times, column[: each.draws], _POLICY, None, each.end)
-            for each, column in zip(candidates, mse.T, strict=True)
+            for each, column in zip(candidates, columns, strict=True)
         ]
 
     @property
     def problem(self) -> Problem:
         """The problem from now on."""
-        return replace(self.replanner.problem, prior=self.one.settings.prior)
+        return replace(self.replanner.problem, prior=self.now.prior)

@@ -9,7 +9,7 @@ from pfdist.evaluation.problem import Problem
 from pfdist.evaluation.work import Result, Work
 from pfdist.filters.settings import FilterSettings
 from pfdist.online.one_filter import begin
-from pfdist.online.planning import Planning, Replanner
+from pfdist.online.planning import Now, Planning, Replanner
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
@@ -83,7 +83,8 @@ class OnlineWork(Work):
             taken = (*taken, time)
             if plan[1:] or not self.feasible.counted:  # else nothing is left to plan
                 one, *_ = one.at(time, y[time])
-                plan = replanner.plan(one, taken, plan[1:], draw)
+                now = Now(one.settings.prior, measured=True)
+                plan = replanner.plan(now, taken, plan[1:], draw)
             else:
                 plan = ()
         return taken

@@ -1,0 +1,146 @@
+"""Plans for the measurements that are left, made from what a filter knows of one system."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import oracles.kalman
+from pfdist import StateSpaceModel
+from pfdist.evaluation.problem import Problem
+from pfdist.evaluation.work import Estimation
+from pfdist.filters.cloud import Cloud
+from pfdist.filters.draws import simulate
+from pfdist.filters.settings import FilterSettings
+from pfdist.job.job import PLANNING
+from pfdist.online.one_filter import begin
+from pfdist.online.planning import Now, Planning, Replanner
+from pfdist.search.methods import METHODS
+from pfdist.times.feasible import Feasible
+
+QUICK = Planning(PLANNING, 32, 64, Estimation(32, "systematic", "filter_variance"))
+SEARCHED = replace(QUICK, search=METHODS["exhaustive"].section())
+EXACT = {
+    "scalar": oracles.kalman.SCALAR,
+    "tracking": oracles.kalman.TRACKING,
+    "three": oracles.kalman.THREE,
+}
+
+
+def walk(static: bool = False) -> StateSpaceModel:
+    """A scalar state with noisy measurements, whose state moves or stands still."""
+
+    def transition(x, t, w, p):
+        return (x[0] + p.step * w[0],)
+
+    return StateSpaceModel(
+        name="walk",
+        initial=lambda w, p: (3 * w[0],),
+        transition=transition,
+        measurement=lambda x, t, v, p: (x[0] + v[0],),
+        log_likelihood=lambda y, x, t, p: -0.5 * (y[0] - x[0]) ** 2,
+        quantity_of_interest=lambda x, t, p: (x[0],),
+        initial_noise=("normal",),
+        process_noise=("normal",),
+        measurement_noise=("normal",),
+        parameters={"step": 0.0 if static else 1.0},
+    )
+
+
+@pytest.mark.parametrize("name", EXACT)
+def test_where_measurements_say_nothing_about_times_the_plan_never_changes(name: str) -> None:
+    """Covariances of a linear-Gaussian model do not depend on what is measured."""
+    model, feasible = EXACT[name].as_model(), Feasible(12, 4)
+    problem = Problem(model, 12, engine="kalman")
+    costs = problem.expected_mse(every := list(feasible.every()))
+    best = every[int(np.argmin(costs))]
+    replanner = Replanner(problem, feasible, SEARCHED, 5)
+    draws = simulate(model, 12, range(3), 7)
+    for d in range(3):
+        one, taken, plan = begin(model, FilterSettings(1), 3, d, "kalman"), (), best
+        while plan:
+            one, *_ = one.at(plan[0], draws.y[d, plan[0]])
+            taken = (*taken, plan[0])
+            plan = replanner.plan(Now(one.settings.prior, measured=True), taken, plan[1:], d)
+        assert taken == best
+
+
+def test_without_a_plan_at_hand_the_exact_search_finds_the_best(  # ties: the first in order
+) -> None:
+    model, feasible = EXACT["scalar"].as_model(), Feasible(12, 4)
+    problem = Problem(model, 12, engine="kalman")
+    found = Replanner(problem, feasible, SEARCHED, 5).plan(Now(), (), ())
+    costs = problem.expected_mse(every := list(feasible.every()))
+    assert costs[every.index(found)] == pytest.approx(costs.min(), rel=1e-12)
+
+
+def test_a_plan_depends_on_its_key_alone(ungm: StateSpaceModel) -> None:
+    cloud = Cloud(6, np.random.default_rng(1).normal(0, 8, (1, 200)))
+    replanner = Replanner(Problem(ungm, 20), Feasible(20, 7), QUICK, 5)
+    plans = {
+        replanner.plan(Now(cloud, measured=True), (0, 3, 6), (9, 12, 15, 18), draw)
+        for draw in (0, 1, 2, 3, 0, 1, 2, 3)
+    }
+    assert 1 < len(plans) <= 4  # systems of other numbers have other noise
+    assert all(len(plan) == 4 and plan[0] > 6 for plan in plans)
+
+
+def test_an_infeasible_plan_at_hand_is_replaced(ungm: StateSpaceModel) -> None:
+    cloud = Cloud(6, np.random.default_rng(1).normal(0, 8, (1, 200)))
+    feasible = Feasible(20, 5, minimum_spacing=3, forbidden=(9,))
+    plan = Replanner(Problem(ungm, 20), feasible, QUICK, 5).plan(
+        Now(cloud, measured=True), (0, 6), (9, 12, 15)
+    )
+    assert feasible.accepts((0, 6, *plan))
+
+
+def test_a_plan_is_replaced_only_where_the_new_plan_is_better_on_fresh_draws(
+    ungm: StateSpaceModel,
+) -> None:
+    """Over many clouds the new plans are better than the old, by far more draws."""
+    rng, old = np.random.default_rng(3), (9, 12, 15, 18)
+    problem, feasible = Problem(ungm, 20), Feasible(20, 7)
+    replanner = Replanner(problem, feasible, QUICK, 5)
+    gains = []
+    for k in range(12):
+        now = Now(Cloud(6, rng.normal(rng.normal(0, 8), 3, (1, 200))), measured=True)
+        new = replanner.plan(now, (0, 3, 6), old, k)
+        if new != old:
+            kept, better = replanner.expected(now, [old, new], 2000, QUICK.estimation, k)
+            gains.append(kept.expected_mse - better.expected_mse)
+    assert len(gains) > 3
+    assert np.mean(gains) > 2 * np.std(gains, ddof=1) / np.sqrt(len(gains))
+
+
+def test_the_expected_error_is_the_realised_error_for_a_static_state() -> None:
+    """A planned filter must not contain the truth: it would then find it, as no real filter does.
+
+    The state never moves, so after three measurements a few particles are left. The truth of a
+    planned system is one of them. The error that is planned with the truth left out of the filter
+    is that of real filters; with the truth among the particles it is far too small.
+    """
+    model, times, systems = walk(static=True), (3, 4, 5, 6, 7, 8), 300
+    settings = FilterSettings(20, "systematic")
+    draws, problem = simulate(model, 8, range(systems), 7), Problem(model, 8)
+    replanner = Replanner(problem, Feasible(8, 9), QUICK, 5)
+    planned, with_truth, realised = np.empty((3, systems))
+    estimation = Estimation(20, "systematic")
+    for d in range(systems):
+        one = begin(model, settings, 3, d)
+        for t in range(3):
+            one, *_ = one.at(t, draws.y[d, t])
+        now = Now(one.settings.prior, measured=True)
+        (expected,) = replanner.expected(now, [times], 200, estimation, d)
+        planned[d] = expected.expected_mse
+        ended, squared = one, []
+        for t in times:
+            ended, estimate, _ = ended.at(t, draws.y[d, t])
+            squared.append((estimate[-1, 0] - draws.z[d, t, 0]) ** 2)
+        after = one.at(2)[1][-1, 0]
+        realised[d] = np.mean([(after - draws.z[d, 2, 0]) ** 2, *squared])
+        naive = replace(problem, prior=one.settings.prior)
+        simulated = replace(naive.draws(range(200), 9), origin=None)
+        with_truth[d] = naive.mse_of_sets(simulated, [times], [8], 11, estimation).mean()
+    error = np.hypot(planned.std(), realised.std()) / np.sqrt(systems)
+    assert abs(planned.mean() - realised.mean()) < 3 * error
+    assert with_truth.mean() < realised.mean() - 3 * error
