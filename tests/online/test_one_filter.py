@@ -35,5 +35,5 @@ def test_it_equals_the_batch_filter_draw_for_draw(ungm: StateSpaceModel, engine:
 
 
 def test_a_measurement_that_no_particle_explains_is_named(ungm: StateSpaceModel) -> None:
-    with pytest.raises(MeasurementsError, match="no particle of 10 explains .* at t = 3"):
+    with pytest.raises(MeasurementsError, match=r"no particle of 10 explains .* at t = 3"):
         begin(ungm, FilterSettings(10), 1).at(3, np.array([np.nan]))
