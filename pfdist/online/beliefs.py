@@ -39,24 +39,24 @@ class Particles:
     Parameters
     ----------
     z : array of float64, (q, P)
-    share : array of float64, (P,)
-        Weights with a sum of 1.
+    weight : array of float64, (P,)
+        In any unit.
     """
 
     z: Array
-    share: Array
+    weight: Array
 
     def effective_sample_size(self) -> float:
-        """One over the sum of the squared weights."""
-        return float(1 / np.sum(self.share**2))
+        """The squared sum of the weights over the sum of their squares."""
+        return float(self.weight.sum() ** 2 / np.sum(self.weight**2))
 
     def quantiles(self, levels: Array) -> Array:
         """The smallest values of z at which the cumulative weight reaches the levels, (L, q)."""
-        z, share = self.z[:, self.share > 0], self.share[self.share > 0]
+        z, weight = self.z[:, self.weight > 0], self.weight[self.weight > 0]
         found = np.empty((levels.size, len(z)))
         for component, values in enumerate(z):
             order = np.argsort(values, kind="stable")
-            reached = np.cumsum(share[order])
+            reached = np.cumsum(weight[order])
             places = np.searchsorted(reached, levels * reached[-1])
             found[:, component] = values[order][np.minimum(places, order.size - 1)]
         return found

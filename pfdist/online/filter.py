@@ -304,7 +304,7 @@ class Filter:
     def _belief(self, at: OneFilter, mean: Array, variance: Array) -> Belief:
         prior = _prior(at)
         if isinstance(prior, Cloud):
-            return Particles(quantity(self.model, prior), prior.share)
+            return Particles(quantity(self.model, prior), np.ones(prior.particles))
         return Normal(mean, np.sqrt(variance))
 
     def _explained(

@@ -66,7 +66,10 @@ def _read_csv(path: Path) -> dict[str, Array]:
             raise ValueError("a table must have a line that names the columns, got none") from error
         except (pd.errors.ParserError, OverflowError) as error:
             reason = str(error).strip().partition("\n")[0].rpartition("error: ")[2]
-            raise ValueError(f"a CSV table must have lines of equal length: {reason}") from error
+            raise ValueError(
+                f"a CSV table must have as many values in each line, with commas between them and "
+                f"points in decimals: {reason}"
+            ) from error
     text = text.fillna("")
     header = [str(name).strip() for name in text.iloc[0]]
     _check_size(header, len(text) - 1)
