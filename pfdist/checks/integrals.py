@@ -16,6 +16,7 @@ _KNOTS = {1: 257, 2: 17}  # of an axis, by the number of components
 _ORDER = 16  # of the Gauss-Legendre rule between two knots
 _MOST_SUMMED = 200_000  # points of a grid with whole numbers
 _TIES = 0.01  # share of equal measurements above which there is no density
+_DEPENDENT = 1e-9  # smallest eigenvalue of a correlation matrix of components with a density
 _NARROWER = 0.7  # deviation of the test density, over that of the measurements
 
 
@@ -126,10 +127,12 @@ def _moments(y: Array) -> tuple[Array, Array]:
     """Mean, and a triangular root of the covariance, without the outermost measurements."""
     low, high = np.quantile(y, _INSIDE, axis=1)
     central = np.clip(y, low[:, None], high[:, None])
-    try:
-        return central.mean(axis=1), np.linalg.cholesky(np.atleast_2d(np.cov(central)))
-    except np.linalg.LinAlgError as error:
-        raise NoIntegralError("a component of y follows from the others") from error
+    covariance = np.atleast_2d(np.cov(central)).astype(np.float64)
+    deviation = np.sqrt(np.diag(covariance))
+    correlation = covariance / deviation / deviation[:, None]
+    if np.linalg.eigvalsh(correlation)[0] < _DEPENDENT:
+        raise NoIntegralError("a component of y follows from the others")
+    return central.mean(axis=1), np.linalg.cholesky(covariance)
 
 
 def _summed(values: Array) -> _Axis:

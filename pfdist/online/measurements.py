@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -58,8 +59,7 @@ def read_measurements(
     """
     wanted = ["t", *(f"y{component}" for component in range(model.components[1]))]
     try:
-        columns = read_user_table(path)
-        _check_header(list(columns), wanted)
+        columns = read_user_table(path, partial(_check_header, wanted))
         times = [checked_instant(t, start, horizon) for t in columns["t"].tolist()]
         for t, following in pairwise(sorted(times)):
             if t == following:
@@ -137,7 +137,7 @@ def checked_measurement(
     return values
 
 
-def _check_header(header: list[str], wanted: list[str]) -> None:
+def _check_header(wanted: list[str], header: list[str]) -> None:
     if sorted(header) == sorted(wanted):
         return
     allowed = ", ".join(wanted)

@@ -1,5 +1,6 @@
 """A prior that a user brings, as an array or as a table of particles."""
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -52,20 +53,23 @@ def read_prior(path: Path, model: StateSpaceModel) -> Cloud:
     """
     states = [f"x{component}" for component in range(model.components[0])]
     try:
-        columns = read_user_table(path)
-        lacking = [name for name in states if name not in columns]
-        unknown = [name for name in columns if name not in (*states, "weight", "t")]
-        if lacking or unknown:
-            raise PriorError(
-                f"the columns must be {', '.join(states)}, and may be weight and t, "
-                f"got {shown(', '.join(columns))}"
-            )
+        columns = read_user_table(path, partial(_check_header, states))
         x = np.stack([columns[name] for name in states])
         return Cloud(_instant(columns.get("t")), x, columns.get("weight"))
     except (PriorError, ValueError) as error:
         raise PriorError(f"{path}: {error}") from error
     except OSError as error:
         raise PriorError(f"cannot read {path}: {error.strerror or error}") from error
+
+
+def _check_header(states: list[str], header: list[str]) -> None:
+    lacking = [name for name in states if name not in header]
+    unknown = [name for name in header if name not in (*states, "weight", "t")]
+    if lacking or unknown:
+        raise PriorError(
+            f"the columns must be {', '.join(states)}, and may be weight and t, "
+            f"got {shown(', '.join(header))}"
+        )
 
 
 def _instant(column: Array | None) -> int:

@@ -2,6 +2,7 @@
 
 import os
 import stat
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from pfdist.store.arrow_files import read_schema, write_table
 from pfdist.store.files import write_file
 
 Array = NDArray[np.float64]
+CheckHeader = Callable[[list[str]], None]
 
 MOST_BYTES = 200_000_000  # of a file: a million particles of ten components take 90 million
 MOST_NUMBERS = 50_000_000  # of a table, which a small Parquet file may hold many times over
@@ -22,7 +24,7 @@ MOST_COLUMNS = 1000
 _MISSING = ("", "nan", "na", "null")  # texts of a number that is missing, in lower case
 
 
-def read_user_table(path: Path) -> dict[str, Array]:
+def read_user_table(path: Path, check_header: CheckHeader) -> dict[str, Array]:
     """Read a table of numbers; a number that is missing is NaN.
 
     Parameters
@@ -30,6 +32,9 @@ def read_user_table(path: Path) -> dict[str, Array]:
     path : Path
         A Parquet file if its name ends in ``.parquet``; else a CSV file, whose first line names the
         columns.
+    check_header : callable
+        Takes the names of the columns, and raises an error if they are wrong. It is called before
+        any number is read.
 
     Returns
     -------
@@ -48,7 +53,7 @@ def read_user_table(path: Path) -> dict[str, Array]:
         raise ValueError("a table must be a file, got something else")
     if about.st_size > MOST_BYTES:
         raise ValueError(f"a table of at most {MOST_BYTES:,} bytes is read, got {about.st_size:,}")
-    return _read_parquet(path) if is_parquet(path) else _read_csv(path)
+    return (_read_parquet if is_parquet(path) else _read_csv)(path, check_header)
 
 
 def is_parquet(path: Path) -> bool:
@@ -56,7 +61,7 @@ def is_parquet(path: Path) -> bool:
     return path.suffix.lower() == ".parquet"
 
 
-def _read_csv(path: Path) -> dict[str, Array]:
+def _read_csv(path: Path, check_header: CheckHeader) -> dict[str, Array]:
     with path.open(encoding="utf-8-sig", newline="") as file:
         try:
             text = pd.read_csv(file, header=None, dtype=str, keep_default_na=False, low_memory=True)
@@ -73,6 +78,7 @@ def _read_csv(path: Path) -> dict[str, Array]:
     text = text.fillna("")
     header = [str(name).strip() for name in text.iloc[0]]
     _check_size(header, len(text) - 1)
+    check_header(header)
     values = text.iloc[1:]
     return {
         name: _numbers(name, values.iloc[:, column].str.strip())
@@ -94,11 +100,12 @@ def _numbers(name: str, text: "pd.Series[str]") -> Array:
     return found
 
 
-def _read_parquet(path: Path) -> dict[str, Array]:
+def _read_parquet(path: Path, check_header: CheckHeader) -> dict[str, Array]:
     try:
         with path.open("rb") as file, pq.ParquetFile(file) as table:
             header = list(map(str, table.schema_arrow.names))
             _check_size(header, int(table.metadata.num_rows))
+            check_header(header)
             columns = table.read()
     except (pa.ArrowException, pa.ArrowInvalid) as error:
         reason = str(error).partition("\n")[0]
