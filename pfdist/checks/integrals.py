@@ -132,7 +132,7 @@ def _moments(y: Array) -> tuple[Array, Array]:
     correlation = covariance / deviation / deviation[:, None]
     if np.linalg.eigvalsh(correlation)[0] < _DEPENDENT:
         raise NoIntegralError("a component of y follows from the others")
-    return central.mean(axis=1), np.linalg.cholesky(covariance)
+    return central.mean(axis=1), np.asarray(np.linalg.cholesky(covariance), np.float64)
 
 
 def _summed(values: Array) -> _Axis:
