@@ -41,7 +41,7 @@ class FilteredMeasurements:
     table : DataFrame
         A row for each instant, with the columns of `pfdist.store.filtered_schema`.
     log_evidence : float or None
-        Of all measurements, by the filter's model.
+        The log evidence of all measurements, by the filter's model.
     why_no_evidence : str
         Why there is no log evidence; empty if there is.
     files : tuple of Path

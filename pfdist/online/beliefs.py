@@ -1,4 +1,4 @@
-"""What a filter believes of z(t), and of a measurement before it is made."""
+"""A filter's belief of z(t), and of a measurement before it is made."""
 
 import math
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ _ROUNDING = 1e-12  # of an eigenvalue, relative to the largest
 
 
 class Belief(Protocol):
-    """What a filter believes of z(t)."""
+    """A filter's belief of z(t)."""
 
     def effective_sample_size(self) -> float | None:
         """Number of equal particles that are worth as much; None where there are no particles."""

@@ -46,7 +46,7 @@ _LARGEST_DRAW = 2**32 - 1
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """What a filter believes of z at an instant.
+    """A filter's belief of z at an instant.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ class Filter:
     dtype : {"float64", "float32"}
         The dtype of the particles' states.
     prior : Cloud, Gaussian or array, optional
-        What is known of x(s), in the place of the model's `initial`; the filter then starts at s.
+        The knowledge of x(s), in the place of the model's `initial`; the filter then starts at s.
         An array (n, M) holds M particles of x(0). A filter's `cloud` may go here.
     draw : int
         Index of the filter in the stream of its noise.
@@ -164,7 +164,7 @@ class Filter:
 
     @property
     def now(self) -> Estimate:
-        """What the filter believes of z at the instant of the last measurement."""
+        """The filter's belief of z at the instant of the last update."""
         return self._now
 
     @property

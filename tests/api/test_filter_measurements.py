@@ -14,7 +14,7 @@ import pytest
 
 import pfdist
 from oracles.bytes_of import hashes
-from pfdist import Filter, Job
+from pfdist import Filter, Job, Run
 from pfdist.api.filter_measurements import IMPROBABLE, FilteredMeasurements
 from pfdist.cli.main import main
 from pfdist.errors import JobError, MeasurementsError, PfdistError, PriorError, StoreError
@@ -26,7 +26,7 @@ QUANTILES = {5: 0.05, 25: 0.25, 50: 0.5, 75: 0.75, 95: 0.95}
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> pfdist.analysis.Run:  # type: ignore[name-defined]
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     folder = tmp_path_factory.mktemp("filtered")
     (folder / "small.toml").write_text((Path(__file__).parents[1] / "small.toml").read_text())
     job = pfdist.load_job(folder / "small.toml").with_changes(
@@ -48,17 +48,17 @@ def _written(path: Path, times: Any, y: Any) -> Path:
 
 
 def test_the_table_is_the_filter_of_the_run_at_every_instant(
-    run: Any, y: Any, tmp_path: Path
+    run: Run, y: Any, tmp_path: Path
 ) -> None:
     times = (1, 4, 8)
     found = pfdist.filter_measurements(run.path, _written(tmp_path / "mine.csv", times, y))
     believed = pfdist.load_model("ungm").with_parameters({"process_sd": 1.5})
-    one = Filter(believed, 40, 1, resampling="multinomial", dtype="float32")
+    filtering = Filter(believed, 40, 1, resampling="multinomial", dtype="float32")
     rows = pd.read_csv(tmp_path / "mine.filtered.csv").to_dict("records")
     assert list(found.table.columns) == filtered_schema(1).names
     assert [row["t"] for row in rows] == list(range(HORIZON + 1))
     for t, row in enumerate(rows):
-        estimate = one.update(t, y[t]) if t in times else one.predict(t)
+        estimate = filtering.update(t, y[t]) if t in times else filtering.predict(t)
         assert row["measured"] is (t in times)
         assert row["mean_0"] == estimate.mean[0]
         assert row["sd_0"] == estimate.standard_deviation[0]
@@ -70,7 +70,7 @@ def test_the_table_is_the_filter_of_the_run_at_every_instant(
 
 
 def test_the_same_measurements_give_the_same_bytes_and_the_run_is_not_touched(
-    run: Any, y: Any, tmp_path: Path
+    run: Run, y: Any, tmp_path: Path
 ) -> None:
     before = hashes(run.path)
     path = _written(tmp_path / "mine.csv", (0, 3, 8), y)
@@ -87,7 +87,7 @@ def test_the_same_measurements_give_the_same_bytes_and_the_run_is_not_touched(
     assert image.shape[:2] == (825, 1050)
 
 
-def test_parquet_gives_parquet_in_another_folder(run: Any, y: Any, tmp_path: Path) -> None:
+def test_parquet_gives_parquet_in_another_folder(run: Run, y: Any, tmp_path: Path) -> None:
     path = _written(tmp_path / "mine.parquet", (8, 0, 3), y)
     found = pfdist.filter_measurements(run.path, path, out=tmp_path / "new" / "folder")
     table, _ = found.files
@@ -100,7 +100,7 @@ def test_parquet_gives_parquet_in_another_folder(run: Any, y: Any, tmp_path: Pat
 
 
 def test_planned_times_that_are_missing_and_extra_times_are_named(
-    run: Any, y: Any, tmp_path: Path
+    run: Run, y: Any, tmp_path: Path
 ) -> None:
     path = _written(tmp_path / "mine.csv", (0, 5, 8), y)
     found = pfdist.filter_measurements(run.path, path, times="regular")  # 0, 4, 8, 12
@@ -118,7 +118,7 @@ def test_planned_times_that_are_missing_and_extra_times_are_named(
     assert (nothing.most_surprising, nothing.is_improbable) == (None, False)
 
 
-def test_a_prior_is_where_the_filter_starts(run: Any, y: Any, tmp_path: Path) -> None:
+def test_a_prior_is_where_the_filter_starts(run: Run, y: Any, tmp_path: Path) -> None:
     path = _written(tmp_path / "mine.csv", (5, 8), y)
     pd.DataFrame({"x0": [6.5, 7.5], "t": [4, 4]}).to_parquet(tmp_path / "prior.parquet")
     found = pfdist.filter_measurements(
@@ -137,7 +137,7 @@ def test_a_prior_is_where_the_filter_starts(run: Any, y: Any, tmp_path: Path) ->
 
 
 def test_the_command_prints_what_is_missing_and_how_surprising_it_is(
-    run: Any, y: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    run: Run, y: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["filter", str(run.path), str(_written(tmp_path / "mine.csv", (0, 5, 8), y))]
     assert main([*words, "--times", "regular"]) == 0
@@ -170,7 +170,7 @@ def test_the_command_prints_what_is_missing_and_how_surprising_it_is(
 
 
 def test_a_right_model_is_seldom_suspected_and_a_wrong_model_often(
-    run: Any, tmp_path: Path
+    run: Run, tmp_path: Path
 ) -> None:
     """Bonferroni's bound: the number of wrong suspicions is at most binomial with 1 %."""
     model, systems = pfdist.load_model("ungm").with_parameters({"process_sd": 1.5}), 40
@@ -185,8 +185,8 @@ def test_a_right_model_is_seldom_suspected_and_a_wrong_model_often(
 
 
 def _suspected(model: Any, y: Any, times: Any, draw: int) -> bool:
-    one = Filter(model, 400, draw=draw)
-    surprises = [one.update(t, y[t]).surprise for t in times]
+    filtering = Filter(model, 400, draw=draw)
+    surprises = [filtering.update(t, y[t]).surprise for t in times]
     table = pd.DataFrame({"t": list(times), "surprise": surprises})
     found = FilteredMeasurements(
         Path(), "", tuple(times), (), (), (), table, None, "", (Path(), Path())
@@ -214,7 +214,7 @@ def test_the_exact_filter_gives_its_evidence(
     assert f"  log evidence          {exact.log_evidence:.4f}\n" in capsys.readouterr().out
 
 
-def test_no_file_of_others_is_overwritten(run: Any, y: Any, tmp_path: Path) -> None:
+def test_no_file_of_others_is_overwritten(run: Run, y: Any, tmp_path: Path) -> None:
     path = _written(tmp_path / "mine.csv", (0, 3), y)
     for name in ("mine.filtered.csv", "mine.filtered.png"):
         other = tmp_path / name
@@ -247,7 +247,7 @@ def test_no_file_of_others_is_overwritten(run: Any, y: Any, tmp_path: Path) -> N
     ],
 )
 def test_what_is_impossible_is_said(
-    run: Any, y: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    run: Run, y: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     arguments: dict[str, Any], error: type[PfdistError], words: str,
 ) -> None:  # fmt: skip
     monkeypatch.chdir(tmp_path)
@@ -258,7 +258,7 @@ def test_what_is_impossible_is_said(
 
 
 def test_the_command_names_its_option(
-    run: Any, y: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    run: Run, y: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = _written(tmp_path / "mine.csv", (0, 3), y)
     assert main(["filter", str(run.path), str(path), "--times", "none"]) == 1

@@ -1,4 +1,4 @@
-"""What a model declares for real measurements is checked: a density, and missing components."""
+"""Declarations for real measurements are checked: a density, and missing components."""
 
 import math
 import re

@@ -95,11 +95,11 @@ def _model_of(engine: str, ungm: StateSpaceModel) -> StateSpaceModel:
 
 
 def _check_equal(
-    one: Filter, draws: Draws, batch: tuple[Any, Any, Any], draw: int, instants: range
+    filtering: Filter, draws: Draws, batch: tuple[Any, Any, Any], draw: int, instants: range
 ) -> None:
     """Filter a draw from one instant to the next, and compare every estimate bit for bit."""
     for t in instants:
-        estimate = one.update(t, draws.y[draw, t]) if t in TIMES else one.predict(t)
+        estimate = filtering.update(t, draws.y[draw, t]) if t in TIMES else filtering.predict(t)
         assert (estimate.t, estimate.measured) == (t, t in TIMES)
         np.testing.assert_array_equal(estimate.mean, batch[0][t])
         np.testing.assert_array_equal(estimate.standard_deviation, np.sqrt(batch[1][t]))
@@ -121,8 +121,8 @@ def test_it_equals_the_batch_filter_draw_for_draw(
     stream = Filter(model, seed=5, engine=engine).stream
     batch = _batch(engine, model, draws, stream, FilterSettings(100, resampling))
     for d in range(3):
-        one = Filter(model, 100, 5, resampling=resampling, engine=engine, draw=d)
-        _check_equal(one, draws, batch[d], d, range(HORIZON + 1))
+        filtering = Filter(model, 100, 5, resampling=resampling, engine=engine, draw=d)
+        _check_equal(filtering, draws, batch[d], d, range(HORIZON + 1))
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -138,8 +138,8 @@ def test_to_start_from_the_batch_filters_cloud_and_go_on_is_never_to_have_stoppe
         for d in range(3):
             last = stopped[d][2]
             prior = last if isinstance(last, Gaussian) else Cloud(s, last)
-            one = Filter(model, 100, 5, engine=engine, prior=prior, draw=d)
-            _check_equal(one, draws, whole[d], d, range(s + 1, HORIZON + 1))
+            filtering = Filter(model, 100, 5, engine=engine, prior=prior, draw=d)
+            _check_equal(filtering, draws, whole[d], d, range(s + 1, HORIZON + 1))
             first = Filter(model, 100, 5, engine=engine, draw=d)
             for t in [t for t in TIMES if t <= s]:
                 first.update(t, draws.y[d, t])
@@ -158,6 +158,11 @@ def _within(found: Any, exact: Any) -> None:
     assert (error > 0).all()
 
 
+def _evidence(filtering: Filter) -> float:
+    assert filtering.log_evidence is not None
+    return filtering.log_evidence
+
+
 def test_it_is_the_exact_filter_within_monte_carlo_error() -> None:
     draws = simulate(SENSORS, HORIZON, range(1), 3)
     exact = Filter(SENSORS, engine="kalman")
@@ -166,12 +171,12 @@ def test_it_is_the_exact_filter_within_monte_carlo_error() -> None:
     filters = [Filter(SENSORS, particles, seed) for seed in range(seeds)]
     for t in TIMES:
         known = exact.update(t, draws.y[0, t])
-        estimates = [one.update(t, draws.y[0, t]) for one in filters]
+        estimates = [filtering.update(t, draws.y[0, t]) for filtering in filters]
         _within([estimate.mean for estimate in estimates], known.mean)
         _within([estimate.standard_deviation for estimate in estimates], known.standard_deviation)
         _within([estimate.quantiles(LEVELS) for estimate in estimates], known.quantiles(LEVELS))
         # This ratio is an unbiased estimate of 1.
-        ratios = [math.exp(float(one.log_evidence) - float(exact.log_evidence)) for one in filters]  # type: ignore[arg-type]
+        ratios = [math.exp(_evidence(filtering) - _evidence(exact)) for filtering in filters]
         _within(ratios, 1.0)
         sizes = [estimate.effective_sample_size for estimate in estimates]
         assert all(size is not None and 1 < size < particles for size in sizes)
@@ -190,10 +195,10 @@ def test_the_exact_evidence_is_the_density_of_all_measurements_together() -> Non
 
 
 def test_a_model_without_a_normalised_likelihood_has_no_evidence_and_says_why() -> None:
-    one = Filter(load_model("random_walk"), 50)
-    one.update(0, 1.0)
-    assert one.log_evidence is None
-    assert "random_walk does not declare normalised=True" in one.why_no_evidence
+    filtering = Filter(load_model("random_walk"), 50)
+    filtering.update(0, 1.0)
+    assert filtering.log_evidence is None
+    assert "random_walk does not declare normalised=True" in filtering.why_no_evidence
     assert Filter(SENSORS, 50).why_no_evidence == ""
     assert Filter(SENSORS, 50).log_evidence == 0.0
     assert Filter("random_walk", engine="kalman").log_evidence == 0.0
@@ -240,8 +245,8 @@ def test_a_time_without_any_component_is_not_measured(ungm: StateSpaceModel) -> 
             estimate = skipping.update(t, np.nan)
             assert (estimate.measured, estimate.surprise) == (False, None)
             continue
-        one, other = whole.update(t, y[t]), skipping.update(t, [y[t]])
-        np.testing.assert_array_equal(one.mean, other.mean)
+        filtering, other = whole.update(t, y[t]), skipping.update(t, [y[t]])
+        np.testing.assert_array_equal(filtering.mean, other.mean)
     assert skipping.now.t == HORIZON
     assert skipping.update(HORIZON, 0.5).measured  # it was not measured yet
 
@@ -253,8 +258,8 @@ def _surprises(believed: StateSpaceModel, truth: StateSpaceModel, engine: str) -
     draws = simulate(truth, HORIZON, range(40), 11)
     found = []
     for d in range(40):
-        one = Filter(believed, 400, engine=engine, draw=d)
-        found += [one.update(t, draws.y[d, t]).surprise for t in TIMES]
+        filtering = Filter(believed, 400, engine=engine, draw=d)
+        found += [filtering.update(t, draws.y[d, t]).surprise for t in TIMES]
     return np.array(found)
 
 
@@ -280,8 +285,8 @@ def test_a_wrong_model_surprises(ungm: StateSpaceModel) -> None:
     quieter = ungm.with_parameters({"measurement_sd": 0.3})
     found = _surprises(quieter, ungm, "compiled")
     assert stats.kstest(found, "uniform").pvalue < 1e-9
-    one = Filter(ungm, 50)
-    beyond_all = one.update(0, 1e4).surprise
+    filtering = Filter(ungm, 50)
+    beyond_all = filtering.update(0, 1e4).surprise
     assert beyond_all is not None
     assert 0 < beyond_all < 2 / PREDICTIVE
 
@@ -332,14 +337,14 @@ def test_the_kalman_filter_takes_the_moments_of_a_prior() -> None:
 def test_a_wrong_measurement_is_named_and_the_filter_stays(
     ungm: StateSpaceModel, t: Any, y: Any, words: str
 ) -> None:
-    one = Filter(ungm, 20, horizon=30)
-    before = one.update(4, 1.0)
+    filtering = Filter(ungm, 20, horizon=30)
+    before = filtering.update(4, 1.0)
     with pytest.raises(MeasurementsError, match=words):
-        one.update(t, y)
-    assert one.now is before
+        filtering.update(t, y)
+    assert filtering.now is before
     if y == 0.0 and t not in (3, 4):
         with pytest.raises(MeasurementsError, match=words):
-            one.predict(t)
+            filtering.predict(t)
 
 
 def test_a_missing_component_needs_the_models_word() -> None:
@@ -356,12 +361,12 @@ def test_a_measurement_that_nothing_explains_leaves_the_filter_where_it_was() ->
         FIRST_SENSOR,
         log_likelihood=lambda y, x, t, p: np.where(np.abs(y[0] - x[0]) < 1, 0.0, -np.inf),
     )
-    one = Filter(bounded, 20)
-    before = one.update(2, 0.0)
+    filtering = Filter(bounded, 20)
+    before = filtering.update(2, 0.0)
     with pytest.raises(MeasurementsError, match=r"no particle of 20 explains .* at t = 3"):
-        one.update(3, 1e6)
-    assert one.now is before
-    assert one.update(4, 0.0).t == 4
+        filtering.update(3, 1e6)
+    assert filtering.now is before
+    assert filtering.update(4, 0.0).t == 4
 
 
 @pytest.mark.parametrize(
