@@ -178,15 +178,15 @@ def filter_checked_draws(
         if t in measurement_times:
             seen, measurement = _seen(draws.y[:, k], matrices.measurement[k])
             gain, observation_matrix = _gain(covariance, measurement)
-            innovation = seen - measurement.offset - mean @ observation_matrix.T
-            mean = mean + innovation @ gain.T
+            innovation = seen - measurement.offset - _times(observation_matrix, mean)
+            mean = mean + _times(gain, innovation)
             covariance = covariance - gain @ observation_matrix @ covariance
         quantity = matrices.quantity_of_interest[k]
-        estimate[:, k] = quantity.offset + mean @ quantity.matrix.T
+        estimate[:, k] = quantity.offset + _times(quantity.matrix, mean)
         variance[:, k] = np.diag(quantity.matrix @ covariance @ quantity.matrix.T)
         if t < instants[-1]:
             step = matrices.transition[k]
-            mean = step.offset + mean @ step.matrix[:, : mean.shape[1]].T
+            mean = step.offset + _times(step.matrix[:, : mean.shape[1]], mean)
             covariance = _propagated(covariance, step)
     mse = np.mean(np.sum((draws.z - estimate) ** 2, axis=2), axis=1)
     if not trajectories:
@@ -208,6 +208,16 @@ def predicted_measurement(model: StateSpaceModel, state: Gaussian) -> Gaussian:
     matrix, noise = measurement.matrix[:, :states], measurement.matrix[:, states:]
     mean = measurement.offset + matrix @ state.mean
     return Gaussian(state.t, mean, matrix @ state.covariance @ matrix.T + _square(noise))
+
+
+def _times(matrix: Array, vectors: Array) -> Array:
+    """Multiply each vector (D, c) by a matrix, one after another.
+
+    BLAS rounds the product of many rows otherwise than that of few, and a draw must have the same
+    bits with whatever other draws it is filtered.
+    """
+    product: Array = (matrix @ vectors[:, :, None])[:, :, 0]
+    return product
 
 
 def _seen(y: Array, measurement: Affine) -> tuple[Array, Affine]:

@@ -70,24 +70,15 @@ COIN = replace(
 def _batch(
     engine: str, model: StateSpaceModel, draws: Draws, stream: int, settings: FilterSettings
 ) -> list[tuple[Any, Any, Any]]:
-    """Filter all draws at once: estimate, variance and last particles of each.
-
-    The Kalman filter multiplies all draws by a matrix at once, and BLAS rounds the product of many
-    rows otherwise than that of a single row. So it filters each draw alone.
-    """
-    count = len(draws.index)
-    blocks = [draws[d : d + 1] for d in range(count)] if engine == "kalman" else [draws]
+    """Filter all draws at once: estimate, variance and last particles of each."""
     times = tuple(t for t in TIMES if t in draws.instants)
-    found: list[tuple[Any, Any, Any]] = []
-    for block in blocks:
-        filtered: Filtered = ENGINES[engine].filter_checked_draws(
-            model, block, times, stream, settings, trajectories=True
-        )
-        assert filtered.estimate is not None
-        assert filtered.variance is not None
-        assert filtered.last is not None
-        found += zip(filtered.estimate, filtered.variance, filtered.last, strict=True)
-    return found
+    filtered: Filtered = ENGINES[engine].filter_checked_draws(
+        model, draws, times, stream, settings, trajectories=True
+    )
+    assert filtered.estimate is not None
+    assert filtered.variance is not None
+    assert filtered.last is not None
+    return list(zip(filtered.estimate, filtered.variance, filtered.last, strict=True))
 
 
 def _model_of(engine: str, ungm: StateSpaceModel) -> StateSpaceModel:
