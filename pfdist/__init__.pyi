@@ -3,17 +3,20 @@ from .analysis import open_run as open_run
 from .api.bound import bound as bound
 from .api.budget import budget as budget
 from .api.evaluate import evaluate as evaluate
+from .api.filter_measurements import filter_measurements as filter_measurements
 from .api.plan import plan as plan
 from .api.run import run as run
 from .elementwise import clip as clip
 from .elementwise import where as where
 from .errors import PfdistError as PfdistError
 from .evaluation.estimate import Evaluation as Evaluation
+from .filters.cloud import Cloud as Cloud
 from .job.job import Job as Job
 from .job.job import load_job as load_job
 from .models import StateSpaceModel as StateSpaceModel
 from .models import load_model as load_model
 from .models.linear_gaussian import linear_gaussian as linear_gaussian
+from .online.filter import Filter as Filter
 from .runner.bound_settings import BoundSettings as BoundSettings
 
 __all__: list[str]

@@ -20,7 +20,7 @@ from pfdist.models import StateSpaceModel
 
 Array = NDArray[np.float64]
 
-_MEASUREMENTS = 20_000  # simulated at one state, to compare with the log-likelihood
+MEASUREMENTS = 20_000  # simulated at one state, to compare with the log-likelihood
 _PAIRS = 8  # of states, at each of a few instants
 _LARGEST_Z = 5.0  # standard errors; 1 in 10^6 of right models is blamed for each comparison
 
@@ -48,7 +48,7 @@ def _calls(model: StateSpaceModel, draws: Draws, t: int) -> dict[str, tuple[Any,
     }
 
 
-def _instants(draws: Draws) -> list[int]:
+def instants_of(draws: Draws) -> list[int]:
     """A few instants, of which each has a following one."""
     last = draws.x.shape[1] - 2
     return sorted({0, last // 3, last})
@@ -56,11 +56,11 @@ def _instants(draws: Draws) -> list[int]:
 
 def _calls_of(model: StateSpaceModel, draws: Draws) -> Iterator[tuple[str, tuple[Any, ...]]]:
     """Each formula's name and arguments, at a few instants."""
-    for t in _instants(draws):
+    for t in instants_of(draws):
         yield from _calls(model, draws, t).items()
 
 
-def _values(model: StateSpaceModel, name: str, arguments: tuple[Any, ...], size: int) -> Array:
+def values_of(model: StateSpaceModel, name: str, arguments: tuple[Any, ...], size: int) -> Array:
     """The values of a formula, (components, size)."""
     with np.errstate(all="ignore"):
         value = getattr(model, name)(*arguments)
@@ -72,8 +72,8 @@ def pure(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
     """Call each formula twice: it must give the same, and change nothing."""
     for name, arguments in _calls_of(model, draws):
         before = [np.array(part) for group in arguments[:-1] for part in np.atleast_1d(group)]
-        first = _values(model, name, arguments, len(draws.index))
-        again = _values(model, name, arguments, len(draws.index))
+        first = values_of(model, name, arguments, len(draws.index))
+        again = values_of(model, name, arguments, len(draws.index))
         after = [np.array(part) for group in arguments[:-1] for part in np.atleast_1d(group)]
         if not np.array_equal(first, again, equal_nan=True):
             reason = "; take randomness from the noise it is given"
@@ -95,9 +95,9 @@ def elementwise(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
     """Call each formula on arrays and on their entries: it must do the same to each."""
     some = np.linspace(0, len(draws.index) - 1, 10).astype(int)
     for name, arguments in _calls_of(model, draws):
-        together = _values(model, name, arguments, len(draws.index))[:, some]
+        together = values_of(model, name, arguments, len(draws.index))[:, some]
         alone = [
-            _values(model, name, tuple(_entry(part, i) for part in arguments), 1)[:, 0]
+            values_of(model, name, tuple(_entry(part, i) for part in arguments), 1)[:, 0]
             for i in some
         ]
         if not np.allclose(together, np.array(alone).T, rtol=1e-9, atol=1e-12, equal_nan=True):
@@ -146,16 +146,16 @@ def likelihood(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
     alone cancels. b lies so near to a that the ratio has a small variance.
     """
     rng, compared, apart = np.random.default_rng(0), 0, 0
-    for t in _instants(draws):
+    for t in instants_of(draws):
         for pair in range(_PAIRS):
             a, other = rng.choice(draws.x[:, t], size=2, replace=False)
-            y = _measured(model, a, t, pair)
+            y = measured(model, a, t, pair)
             log_likelihood = partial(_log_likelihood, model, y, t)
             impossible = 1 - np.mean(np.isfinite(log_likelihood(a)))
             if impossible:
                 return "wrong", (
                     f"log_likelihood must be finite for y measured at x, got NaN or infinity for "
-                    f"{impossible:.2%} of y measured at x = {_told(a)}, t = {t}"
+                    f"{impossible:.2%} of y measured at x = {told(a)}, t = {t}"
                 )
             b = _near(log_likelihood, a, other)
             if b is None:
@@ -165,9 +165,9 @@ def likelihood(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
                 apart += 1
                 continue
             compared += 1
-            error = float(np.std(ratio, ddof=1)) / math.sqrt(_MEASUREMENTS)
+            error = float(np.std(ratio, ddof=1)) / math.sqrt(MEASUREMENTS)
             if not abs(np.mean(ratio) - 1) < _LARGEST_Z * error:
-                states = f"x = {_told(a)} and x = {_told(b)} at t = {t}"
+                states = f"x = {told(a)} and x = {told(b)} at t = {t}"
                 found = with_error(float(np.mean(ratio)), error)
                 return "wrong", (
                     "log_likelihood must be the log-density of measurement, up to a term that does "
@@ -182,17 +182,18 @@ def likelihood(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
     return "ok", f"it agrees with measurement at {compared} pairs of states"
 
 
-def _measured(model: StateSpaceModel, x: Array, t: int, draw: int) -> tuple[Array, ...]:
+def measured(model: StateSpaceModel, x: Array, t: int, draw: int) -> tuple[Array, ...]:
+    """Simulate measurements at one state; another draw has other noise."""
     v = tuple(
-        variates(kind, _MEASUREMENTS, 2, draw, t, TRUTH_MEASUREMENT, component)
+        variates(kind, MEASUREMENTS, 2, draw, t, TRUTH_MEASUREMENT, component)
         for component, kind in enumerate(model.measurement_noise)
     )
-    y = _values(model, "measurement", (tuple(x.tolist()), t, v, model.p), _MEASUREMENTS)
+    y = values_of(model, "measurement", (tuple(x.tolist()), t, v, model.p), MEASUREMENTS)
     return tuple(y)
 
 
 def _log_likelihood(model: StateSpaceModel, y: tuple[Array, ...], t: int, x: Array) -> Array:
-    values = _values(model, "log_likelihood", (y, tuple(x.tolist()), t, model.p), _MEASUREMENTS)
+    values = values_of(model, "log_likelihood", (y, tuple(x.tolist()), t, model.p), MEASUREMENTS)
     log_likelihood: Array = values[0]
     return log_likelihood
 
@@ -212,5 +213,6 @@ def _near(log_likelihood: Callable[[Array], Array], a: Array, other: Array) -> A
     return None
 
 
-def _told(x: Array) -> str:
+def told(x: Array) -> str:
+    """Give a state as messages show it."""
     return f"({', '.join(f'{value:.4g}' for value in x)})"

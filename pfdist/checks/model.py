@@ -12,6 +12,7 @@ import numpy as np
 from pfdist.analysis import Moments
 from pfdist.checks.contract import Look, few_draws, look_at_formulas, looked
 from pfdist.checks.formulas import compiled_as_in_numpy, likelihood
+from pfdist.checks.measured import missing_components, normalised
 from pfdist.checks.speed import speed
 from pfdist.common.rounding import rounded, with_error
 from pfdist.errors import CompileError, ModelError
@@ -134,6 +135,10 @@ def _computed(model: StateSpaceModel, horizon: int, estimation: Estimation) -> I
     looks = dict(_LOOKS)
     if model.linear_gaussian:
         looks["linear_gaussian"] = _linear_gaussian
+    if model.normalised:
+        looks["normalised"] = normalised
+    if model.missing_components:
+        looks["missing components"] = missing_components
     if engine == "numpy":
         looks = {look: looks[look] for look in looks if look not in _COMPILED}
     looks["every instant"] = partial(_every_instant, engine)

@@ -166,7 +166,8 @@ def filter_checked_draws(
 ) -> Filtered:
     """Filter draws exactly, with the arguments of the function in `particle_filter`.
 
-    The filter has no particles, so of the settings and the stream nothing is used.
+    The filter has no particles, so of the settings and the stream nothing is used. A component of y
+    that is NaN in every draw was not measured.
     """
     instants = draws.instants
     matrices = linear_gaussian(model, instants[-1], draws.start)
@@ -175,23 +176,56 @@ def filter_checked_draws(
     estimate, variance = np.empty_like(draws.z), np.empty_like(draws.z)
     for k, t in enumerate(instants):
         if t in measurement_times:
-            gain, observation_matrix = _gain(covariance, matrices.measurement[k])
-            offset = matrices.measurement[k].offset
-            innovation = draws.y[:, k] - offset - mean @ observation_matrix.T
-            mean = mean + innovation @ gain.T
+            seen, measurement = _seen(draws.y[:, k], matrices.measurement[k])
+            gain, observation_matrix = _gain(covariance, measurement)
+            innovation = seen - measurement.offset - _times(observation_matrix, mean)
+            mean = mean + _times(gain, innovation)
             covariance = covariance - gain @ observation_matrix @ covariance
         quantity = matrices.quantity_of_interest[k]
-        estimate[:, k] = quantity.offset + mean @ quantity.matrix.T
+        estimate[:, k] = quantity.offset + _times(quantity.matrix, mean)
         variance[:, k] = np.diag(quantity.matrix @ covariance @ quantity.matrix.T)
         if t < instants[-1]:
             step = matrices.transition[k]
-            mean = step.offset + mean @ step.matrix[:, : mean.shape[1]].T
+            mean = step.offset + _times(step.matrix[:, : mean.shape[1]], mean)
             covariance = _propagated(covariance, step)
     mse = np.mean(np.sum((draws.z - estimate) ** 2, axis=2), axis=1)
     if not trajectories:
         return Filtered(mse)
     last = tuple(Gaussian(instants[-1], row, covariance) for row in mean)
     return Filtered(mse, estimate, variance, last)
+
+
+def predicted_measurement(model: StateSpaceModel, state: Gaussian) -> Gaussian:
+    """Give the normal distribution of y(t), where that of x(t) is given.
+
+    Raises
+    ------
+    ModelError
+        The model is not linear-Gaussian.
+    """
+    (measurement,) = linear_gaussian(model, state.t, state.t).measurement
+    states = state.components
+    matrix, noise = measurement.matrix[:, :states], measurement.matrix[:, states:]
+    mean = measurement.offset + matrix @ state.mean
+    return Gaussian(state.t, mean, matrix @ state.covariance @ matrix.T + _square(noise))
+
+
+def _times(matrix: Array, vectors: Array) -> Array:
+    """Multiply each vector (D, c) by a matrix, one after another.
+
+    BLAS rounds the product of many rows otherwise than that of few, and a draw must have the same
+    bits with whatever other draws it is filtered.
+    """
+    product: Array = (matrix @ vectors[:, :, None])[:, :, 0]
+    return product
+
+
+def _seen(y: Array, measurement: Affine) -> tuple[Array, Affine]:
+    """Give the measurements y (D, m) without the components that are NaN in every draw."""
+    missing = np.isnan(y).all(axis=0)
+    if not missing.any():
+        return y, measurement
+    return y[:, ~missing], Affine(measurement.offset[~missing], measurement.matrix[~missing])
 
 
 def _begin(matrices: LinearGaussian, prior: Prior | None) -> tuple[Array, Array]:

@@ -28,7 +28,9 @@ from pfdist.kernels.melting import inlined, melted
 from pfdist.kernels.threefry import threefry4x32
 
 # The roles of noise. A stream is used by the simulation or by a filter, never by both; separate
-# roles cost nothing. They are NumPy integers, because Numba compiles anew for each Python constant.
+# roles cost nothing. A filter of real measurements also simulates measurements of its particles,
+# in the role of the truth's. They are NumPy integers, because Numba compiles anew for each Python
+# constant.
 TRUTH_INITIAL, TRUTH_PROCESS, TRUTH_MEASUREMENT = np.arange(3)
 FILTER_INITIAL, FILTER_PROCESS, RESAMPLING = np.arange(3, 6)
 

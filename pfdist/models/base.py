@@ -17,6 +17,7 @@ from pfdist.mistakes.places import place_of_function
 from pfdist.models.trial_calls import ARGUMENTS, count_components
 
 NOISE_KINDS = ("normal", "uniform")
+_LATER = ("normalised", "missing_components")  # fields that older runs do not know
 
 
 def squared_error(z: Any, estimate: Any, t: Any, p: Any) -> Any:
@@ -68,6 +69,12 @@ class StateSpaceModel:
         relative paths: ``("rates.csv",)`` for
         ``np.loadtxt(Path(__file__).with_name("rates.csv"))``. They travel to the workers, and their
         content is part of the identity of a run.
+    normalised : bool
+        Whether `log_likelihood` is the logarithm of a density or probability of y, with all
+        constants. A filter of real measurements then gives their log evidence.
+    missing_components : bool
+        Whether `log_likelihood` takes NaN for a component of y that was not measured, and then
+        gives the log-likelihood of the other components.
 
     Raises
     ------
@@ -90,6 +97,8 @@ class StateSpaceModel:
     error: Callable[..., Any] = squared_error
     linear_gaussian: bool = False
     data_files: tuple[str, ...] = ()
+    normalised: bool = False
+    missing_components: bool = False
 
     def __post_init__(self) -> None:
         for name, arguments in ARGUMENTS.items():
@@ -108,6 +117,15 @@ class StateSpaceModel:
         for function in self.formulas.values():
             guard_what_it_calls(function)
         self.components  # noqa: B018  evaluated here, because it finds wrong formulas
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Give the attributes as they were before the fields of `_LATER`, where these are unset.
+
+        A formula may reach a model. Then the meaning of the run's model has these attributes, and
+        it stays what it was.
+        """
+        unset = {name for name in _LATER if not getattr(self, name)}
+        return {name: value for name, value in self.__dict__.items() if name not in unset}
 
     @cached_property
     def p(self) -> Any:

@@ -78,11 +78,35 @@ def save_plots(run: Run, plots: Iterable[tuple[str, Plot]]) -> list[Path]:
     files = []
     with styled():
         for name, plot in plots:
-            canvas = Canvas(figsize=(COLUMN_INCHES, plot.height), layout="constrained")
-            panels = canvas.subplots(plot.panels, squeeze=False, sharex=plot.share_x)
-            plot.draw(panels[:, 0].tolist())
-            files += _saved(run, name, canvas)
+            files += _saved(run, name, _drawn(plot))
     return files
+
+
+def save_plot(path: Path, plot: Plot, title: str) -> None:
+    """Draw a plot and save it as a PNG file anywhere.
+
+    Parameters
+    ----------
+    path : Path
+    plot : Plot
+    title : str
+        In ASCII. The file holds it unseen near its start.
+
+    Raises
+    ------
+    StoreError
+        The file cannot be written.
+    """
+    with styled():
+        canvas = _drawn(plot)
+        write_file(path, partial(canvas.savefig, format="png", metadata={"Title": title}))
+
+
+def _drawn(plot: Plot) -> Canvas:
+    canvas = Canvas(figsize=(COLUMN_INCHES, plot.height), layout="constrained")
+    panels = canvas.subplots(plot.panels, squeeze=False, sharex=plot.share_x)
+    plot.draw(panels[:, 0].tolist())
+    return canvas
 
 
 def _saved(run: Run, name: str, canvas: Canvas) -> list[Path]:

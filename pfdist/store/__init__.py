@@ -20,8 +20,10 @@ from pfdist.store.manifest import Damage, Manifest
 from pfdist.store.parquet import ROWS_IN_A_FILE, Store
 from pfdist.store.schema import (
     BOUND_PHASE,
+    FILTERED_PERCENTS,
     SCHEMA_VERSION,
     comparison_schema,
+    filtered_schema,
     schema,
     trajectories_schema,
 )
@@ -31,6 +33,7 @@ from pfdist.store.verify import lacking_evaluations, verify
 __all__ = [
     "ABOUT",
     "BOUND_PHASE",
+    "FILTERED_PERCENTS",
     "ROWS_IN_A_FILE",
     "SCHEMA_VERSION",
     "Damage",
@@ -41,6 +44,7 @@ __all__ = [
     "check_not_held",
     "comparison_schema",
     "confirm",
+    "filtered_schema",
     "has_key",
     "held",
     "holds_run",

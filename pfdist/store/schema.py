@@ -12,6 +12,9 @@ SCHEMA_VERSION = 3
 RUN_KEY = b"pfdist_run"
 """Under this name a file's metadata holds the key of the run that wrote it (schema 3 and later)."""
 
+FILTERED_PERCENTS = (5, 25, 50, 75, 95)
+"""Quantiles, in per cent, in the table of a user's filtered measurements."""
+
 _MSE = "square of z's unit"
 
 KEYS: dict[str, list[str]] = {
@@ -165,3 +168,25 @@ def trajectories_schema(names: Sequence[str], quantities: int, measurements: int
         for k in range(quantities)
     ]
     return _schema("trajectories", columns)
+
+
+def filtered_schema(quantities: int) -> pa.Schema:
+    """Schema of a user's measurements that were filtered: a row an instant."""
+    columns = [
+        _column("t", pa.int32(), "t", "instant"),
+        _column("measured", pa.bool_(), "", "whether t was measured"),
+    ]
+    for k in range(quantities):
+        columns += [
+            _column(f"mean_{k}", pa.float64(), "z", "mean, by the measurements up to t"),
+            _column(f"sd_{k}", pa.float64(), "z", "standard deviation"),
+        ]
+        columns += [
+            _column(f"q{percent:02d}_{k}", pa.float64(), "z", f"quantile of {percent} %")
+            for percent in FILTERED_PERCENTS
+        ]
+    columns += [
+        _column("effective_sample_size", pa.float64(), "", "of the particles; null: exact"),
+        _column("surprise", pa.float64(), "", "p-value of the measurement; null: not measured"),
+    ]
+    return _schema("filtered", columns)

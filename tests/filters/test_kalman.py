@@ -15,6 +15,7 @@ from pfdist import Job, StateSpaceModel, linear_gaussian, load_model
 from pfdist.errors import ModelError
 from pfdist.evaluation.problem import Problem
 from pfdist.filters import kalman
+from pfdist.filters.cloud import Gaussian
 from pfdist.filters.draws import simulate
 from pfdist.models import installed_models
 
@@ -162,3 +163,30 @@ def test_figures_in_numpy_agree_to_12_digits_under_the_names_of_other_processors
         assert other.keys() == first.keys()
         for name, figures in first.items():
             np.testing.assert_allclose(other[name], figures, rtol=1e-12, err_msg=name)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_a_draw_has_the_same_bits_alone_as_among_others(name: str) -> None:
+    model, times = MODELS[name], (0, 2, 3, 6)
+    draws = simulate(model, HORIZON, range(37), 1)
+    together = kalman.filter_draws(model, draws, times, 1, 0, trajectories=True)
+    for d in range(37):
+        alone = kalman.filter_draws(model, draws[d : d + 1], times, 1, 0, trajectories=True)
+        for values in ("mse", "estimate", "variance"):
+            np.testing.assert_array_equal(
+                getattr(together, values)[d], getattr(alone, values)[0], err_msg=values
+            )
+
+
+def test_the_predicted_measurement_has_the_moments_of_simulated_measurements() -> None:
+    state = Gaussian(3, np.array([1.0, -2.0]), np.array([[2.0, 0.5], [0.5, 1.0]]))
+    found = kalman.predicted_measurement(VARYING, state)
+    rng, number = np.random.default_rng(0), 200_000
+    x = rng.multivariate_normal(state.mean, state.covariance, number).T
+    y = np.stack(VARYING.measurement(tuple(x), 3, tuple(rng.normal(size=(2, number))), VARYING.p))
+    error = np.sqrt(np.diag(found.covariance) / number)
+    np.testing.assert_array_less(np.abs(y.mean(axis=1) - found.mean), 4 * error)
+    # The variance of a product of normal deviations is at most twice that of the squares.
+    scale = np.sqrt(np.outer(np.diag(found.covariance), np.diag(found.covariance)))
+    apart = np.abs(np.cov(y) - found.covariance)
+    np.testing.assert_array_less(apart, 4 * scale * math.sqrt(2 / number))

@@ -427,3 +427,17 @@ def test_what_differs_between_two_loads_is_said(here: Meaning, there: Meaning, s
     with pytest.raises(ModelError, match=says) as caught:
         check_is_constant(here, there, "x/my.py", "in each process")
     assert "\n" not in str(caught.value)
+
+
+def test_fields_that_came_later_leave_the_meaning_of_older_models(means: Means) -> None:
+    """Also where a formula reaches a model: an older model's attributes lack these fields."""
+    base = "from pfdist.models import ungm\nbase = dataclasses.replace(ungm.model{})\n"
+    formula = "base.transition(x, t, w, base.p)[0]"
+    fields = ("normalised", "missing_components")
+    older = base.format("") + "".join(f"del vars(base)['{field}']\n" for field in fields)
+    meaning = means(older, formula)
+    assert meaning == means(base.format(""), formula)
+    assert not meaning.keys() & set(fields)
+    for field in fields:
+        changed = means(base.format(f", {field}=True"), formula)
+        assert differences(meaning, changed) == ["mine.base"]

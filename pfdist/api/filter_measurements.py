@@ -1,0 +1,260 @@
+"""Real measurements of one system, filtered as a run filters its draws."""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+
+from pfdist.analysis import Run, finite
+from pfdist.api.finished_run import built_again, finished_run
+from pfdist.errors import JobError, shown
+from pfdist.online.filter import Estimate, Filter
+from pfdist.online.measurements import Measurements, read_measurements
+from pfdist.online.user_prior import read_prior
+from pfdist.plots import check_figure_replaceable, draw_filtered
+from pfdist.runner.build import Built
+from pfdist.store import FILTERED_PERCENTS, filtered_schema
+from pfdist.store.user_tables import check_replaceable, is_parquet, write_user_table
+from pfdist.times.measurement_times import Times
+
+IMPROBABLE = 0.01  # for the most surprising of all measurements: the model may be wrong
+
+
+@dataclass(frozen=True)
+class FilteredMeasurements:
+    """Result of `filter_measurements`.
+
+    Parameters
+    ----------
+    run : Path
+    name : str
+        Name of the compared set whose times were planned.
+    measured : tuple of int
+        Times with a measurement.
+    missing, extra, to_come : tuple of int
+        Planned times up to the last measurement that were not measured, measured times that were
+        not planned, and planned times after the last measurement.
+    table : DataFrame
+        A row for each instant, with the columns of `pfdist.store.filtered_schema`.
+    log_evidence : float or None
+        The log evidence of all measurements, by the filter's model.
+    why_no_evidence : str
+        Why there is no log evidence; empty if there is.
+    files : tuple of Path
+        The table and the figure.
+    """
+
+    run: Path
+    name: str
+    measured: Times
+    missing: Times
+    extra: Times
+    to_come: Times
+    table: pd.DataFrame
+    log_evidence: float | None
+    why_no_evidence: str
+    files: tuple[Path, Path]
+
+    @property
+    def most_surprising(self) -> tuple[int, float] | None:
+        """Time and p-value of the most surprising measurement, if there is a measurement."""
+        if not self.measured:
+            return None
+        row = int(np.nanargmin(self.table["surprise"]))
+        return int(self.table["t"][row]), float(self.table["surprise"][row])
+
+    @property
+    def surprise_of_all(self) -> float | None:
+        """Its p-value among all measurements (Bonferroni), if there is a measurement."""
+        most = self.most_surprising
+        return None if most is None else min(1.0, len(self.measured) * most[1])
+
+    @property
+    def is_improbable(self) -> bool:
+        """Whether a right model has such measurements in less than 1 % of systems."""
+        among_all = self.surprise_of_all
+        return among_all is not None and among_all < IMPROBABLE
+
+    def as_json(self) -> dict[str, Any]:
+        """The result as JSON values, with the table as the path of its file."""
+        most = self.most_surprising
+        table, figure = map(str, self.files)
+        answer = {
+            "run": str(self.run),
+            "times": self.name,
+            "measured": self.measured,
+            "missing": self.missing,
+            "extra": self.extra,
+            "to_come": self.to_come,
+            "most_surprising": most and {"t": most[0], "surprise": most[1]},
+            "surprise_of_all": self.surprise_of_all,
+            "is_improbable": self.is_improbable,
+            "log_evidence": self.log_evidence,
+            "why_no_evidence": self.why_no_evidence,
+            "table": table,
+            "figure": figure,
+        }
+        found: dict[str, Any] = finite(answer)
+        return found
+
+
+def filter_measurements(
+    run: str | Path,
+    measurements: str | Path,
+    *,
+    times: str = "",
+    prior: str | Path = "",
+    out: str | Path = "",
+    model: str = "",
+    filter_model: str = "",
+    say: Callable[[str], Any] = lambda line: None,
+) -> FilteredMeasurements:
+    """Filter real measurements of one system with the filter of a finished run.
+
+    The function writes a table, ``<stem>.filtered.csv`` or ``.parquet`` as the measurements are,
+    and a figure, ``<stem>.filtered.png``. They replace those of an earlier call, and no other file.
+
+    Parameters
+    ----------
+    run : str or Path
+        Folder of a finished run. Its job gives the filter's model, its settings and the seed.
+    measurements : str or Path
+        Table with the columns t, y0, y1, ..., in CSV or Parquet.
+    times : str, optional
+        Name of the compared set whose times were planned; by default the found set with the lowest
+        expected MSE.
+    prior : str or Path, optional
+        Table of particles from which the filter starts, with the columns x0, x1, ..., and on
+        request weight and t; see `pfdist.online.user_prior.read_prior`.
+    out : str or Path, optional
+        Folder of the table and the figure; by default the folder of the measurements.
+    model, filter_model : str, optional
+        ``path/file.py:object``: replaces the file that the run names for the model or for the
+        filter's model. It is run without question, and must mean the same as the run's model.
+    say : callable, optional
+        Receives a line for each model file before the file is run.
+
+    Returns
+    -------
+    FilteredMeasurements
+
+    Raises
+    ------
+    StoreError
+        The folder holds no finished run, or the model has changed since, or the run names a model
+        file that is not run without the user's word, or a file cannot be written.
+    JobError
+        The run has no set of this name.
+    MeasurementsError, PriorError
+        A table does not fit, or a value in it is wrong.
+    ModelError
+        The model cannot be loaded, or a formula failed.
+    """
+    opened, path = finished_run(run), Path(measurements)
+    planned = _planned(opened, times)
+    built = built_again(opened, {"model": model, "filter_model": filter_model}, say)
+    believed = built.problem.believed
+    files = _files(path, Path(out) if out else path.parent)
+    schema = filtered_schema(believed.components[2])
+    check_replaceable(files[0], schema)
+    check_figure_replaceable(files[1])
+    filtering = _filter(built, prior)
+    rows = read_measurements(path, believed, filtering.horizon, filtering.now.t)
+    wanted = [t for t in planned[1] if t >= filtering.now.t]
+    table = _table(_estimates(filtering, rows), schema)
+    last = rows.t[-1] if rows.t else -1
+    found = FilteredMeasurements(
+        opened.path,
+        planned[0],
+        rows.t,
+        tuple(t for t in wanted if t <= last and t not in rows.t),
+        tuple(t for t in rows.t if t not in wanted),
+        tuple(t for t in wanted if t > last),
+        table.to_pandas(),
+        filtering.log_evidence,
+        filtering.why_no_evidence,
+        files,
+    )
+    write_user_table(files[0], table)
+    draw_filtered(files[1], found.table, found.missing, found.extra, found.to_come)
+    return found
+
+
+def _planned(run: Run, name: str) -> tuple[str, Times]:
+    """Give the name and the times of the set that was planned."""
+    sets = run.sets()
+    if name in sets:
+        return name, sets[name]
+    if name:
+        raise JobError(
+            f"times must be a compared set of {run.path}, {', '.join(sets)}, got {shown(name)}",
+            argument="times",
+        )
+    if run.has_budget:
+        raise JobError(
+            f"{run.path} has times of several numbers of measurements: times must say which were "
+            f"planned, for instance {list(sets)[-1]}",
+            argument="times",
+        )
+    results = run.summary()["results"]
+    best = min(run.names[1:], key=lambda found: _cost(results[found]))
+    return best, sets[best]
+
+
+def _cost(result: Mapping[str, Any]) -> float:
+    mse = result["expected_mse"]
+    return np.inf if mse is None else float(mse)
+
+
+def _files(measurements: Path, folder: Path) -> tuple[Path, Path]:
+    suffix = "parquet" if is_parquet(measurements) else "csv"
+    table, figure = (
+        folder / f"{measurements.stem}.filtered.{ending}" for ending in (suffix, "png")
+    )
+    return table, figure
+
+
+def _filter(built: Built, prior: str | Path) -> Filter:
+    """Give the filter of a run for one system."""
+    job, believed = built.job, built.problem.believed
+    return Filter(
+        believed,
+        job.filter.particles,
+        job.seed,
+        resampling=job.filter.resampling,
+        engine=built.source.engine,
+        dtype=job.filter.dtype,
+        prior=read_prior(Path(prior), believed) if prior else None,
+        horizon=job.problem.horizon,
+    )
+
+
+def _estimates(filtering: Filter, rows: Measurements) -> Iterable[Estimate]:
+    """Give what the filter believes at each instant, by the measurements up to it."""
+    measured = dict(zip(rows.t, rows.y, strict=True))
+    for t in range(filtering.now.t, filtering.horizon + 1):
+        yield filtering.update(t, measured[t]) if t in measured else filtering.predict(t)
+
+
+def _table(estimates: Iterable[Estimate], schema: pa.Schema) -> pa.Table:
+    levels = [percent / 100 for percent in FILTERED_PERCENTS]
+    rows = []
+    for estimate in estimates:
+        row: dict[str, Any] = {"t": estimate.t, "measured": estimate.measured}
+        quantiles = estimate.quantiles(levels)
+        for k, (mean, sd) in enumerate(
+            zip(estimate.mean, estimate.standard_deviation, strict=True)
+        ):
+            row |= {f"mean_{k}": float(mean), f"sd_{k}": float(sd)}
+            for percent, values in zip(FILTERED_PERCENTS, quantiles, strict=True):
+                row[f"q{percent:02d}_{k}"] = float(values[k])
+        row |= {
+            "effective_sample_size": estimate.effective_sample_size,
+            "surprise": estimate.surprise,
+        }
+        rows.append(row)
+    return pa.Table.from_pylist(rows, schema=schema)

@@ -1,0 +1,93 @@
+"""The command ``pfdist filter``."""
+
+from argparse import ArgumentParser, Namespace
+from collections.abc import Sequence
+from typing import Any
+
+from pfdist.cli.answers import print_json
+from pfdist.cli.arguments import add_json, add_models, add_run
+from pfdist.cli.command import command
+from pfdist.cli.layout import line, wrapped_lines
+from pfdist.common.rounding import rounded
+from pfdist.errors import one_line
+
+_DIGITS = 2  # of a p-value
+
+
+def _add_measurements(parser: ArgumentParser) -> None:
+    parser.add_argument(
+        "measurements",
+        metavar="MEASUREMENTS",
+        help="table with the columns t, y0, y1, ..., in CSV or Parquet, for instance patient.csv; "
+        "an empty cell is a component that is missing",
+    )
+    parser.add_argument(
+        "--times",
+        default="",
+        metavar="NAME",
+        help="compared set whose times were planned, for instance regular (default: the found set "
+        "with the lowest expected MSE)",
+    )
+    parser.add_argument(
+        "--prior",
+        default="",
+        metavar="FILE",
+        help="particles from which the filter starts, in Parquet or CSV, for instance "
+        "prior.parquet: columns x0, x1, ..., if wanted weight, and t, their instant (default: 0)",
+    )
+    parser.add_argument(
+        "--out",
+        default="",
+        metavar="DIR",
+        help="folder of the table and the figure (default: the folder of MEASUREMENTS)",
+    )
+
+
+@command("filter", add_run, _add_measurements, add_models, add_json)
+def filter_command(options: Namespace) -> None:
+    """Filter real measurements of one system, with the filter of a finished run."""
+    from pfdist.api.filter_measurements import filter_measurements
+    from pfdist.cli.progress import Display
+
+    with Display() as display:
+        answer = filter_measurements(
+            options.run,
+            options.measurements,
+            times=options.times,
+            prior=options.prior,
+            out=options.out,
+            model=options.model,
+            filter_model=options.filter_model,
+            say=display.say,
+        ).as_json()
+    if options.json:
+        print_json(answer, options)
+        return
+    print("\n".join(_lines(answer)))
+
+
+def _lines(answer: dict[str, Any]) -> list[str]:
+    """Give the text that says which measurements there are, and how well they fit the model."""
+    number = len(answer["measured"])
+    lines = [
+        f"{number} measurement{'s' * (number != 1)}; planned: {answer['times']}",
+        *wrapped_lines("planned, missing", _times(answer["missing"])),
+        *wrapped_lines("planned, to come", _times(answer["to_come"])),
+        *wrapped_lines("measured, not planned", _times(answer["extra"])),
+    ]
+    most = answer["most_surprising"]
+    if most:
+        text = f"t = {most['t']}, p = {rounded(most['surprise'], _DIGITS)}"
+        among = rounded(answer["surprise_of_all"], _DIGITS)
+        lines.append(line("most surprising", f"{text} ({among} among all measurements)"))
+    if answer["is_improbable"]:
+        text = "it may be wrong about this system: it rarely gives measurements as surprising"
+        lines += wrapped_lines("the model", text)
+    evidence = answer["log_evidence"]
+    text = rounded(evidence) if evidence is not None else f"none: {answer['why_no_evidence']}"
+    lines += wrapped_lines("log evidence", text)
+    return [*lines, "", *(one_line(answer[file]) for file in ("table", "figure"))]
+
+
+def _times(times: Sequence[int]) -> str:
+    return f"t = {', '.join(map(str, times))}" if times else "none"

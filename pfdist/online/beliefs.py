@@ -1,0 +1,198 @@
+"""A filter's belief of z(t), and of a measurement before it is made."""
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp, ndtr, ndtri
+
+from pfdist.filters import kalman
+from pfdist.filters.cloud import Cloud, Gaussian
+from pfdist.kernels.formulas import formulas_of
+from pfdist.kernels.noise import TRUTH_MEASUREMENT, variates
+from pfdist.models import StateSpaceModel
+
+Array = NDArray[np.float64]
+
+PREDICTIVE = 20_000
+"""Predictive measurements that are simulated, at least. The surprise of a measurement beyond all of
+them is below 2 over their number, small enough among the measurements of a horizon."""
+_ROUNDING = 1e-12  # of an eigenvalue, relative to the largest
+
+
+class Belief(Protocol):
+    """A filter's belief of z(t)."""
+
+    def effective_sample_size(self) -> float | None:
+        """Number of equal particles that are worth as much; None where there are no particles."""
+
+    def quantiles(self, levels: Array) -> Array:
+        """Quantiles of each component of z, (L, q)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Particles:
+    """Weighted values of z(t).
+
+    Parameters
+    ----------
+    z : array of float64, (q, P)
+    weight : array of float64, (P,)
+        In any unit.
+    """
+
+    z: Array
+    weight: Array
+
+    def effective_sample_size(self) -> float:
+        """The squared sum of the weights over the sum of their squares."""
+        return float(self.weight.sum() ** 2 / np.sum(self.weight**2))
+
+    def quantiles(self, levels: Array) -> Array:
+        """The smallest values of z at which the cumulative weight reaches the levels, (L, q)."""
+        z, weight = self.z[:, self.weight > 0], self.weight[self.weight > 0]
+        found = np.empty((levels.size, len(z)))
+        for component, values in enumerate(z):
+            order = np.argsort(values, kind="stable")
+            reached = np.cumsum(weight[order])
+            places = np.searchsorted(reached, levels * reached[-1])
+            found[:, component] = values[order][np.minimum(places, order.size - 1)]
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Normal:
+    """Normal distributions of the components of z(t).
+
+    Parameters
+    ----------
+    mean, standard_deviation : array of float64, (q,)
+    """
+
+    mean: Array
+    standard_deviation: Array
+
+    def effective_sample_size(self) -> None:
+        """None: there are no particles."""
+
+    def quantiles(self, levels: Array) -> Array:
+        """Quantiles of the normal distributions, (L, q)."""
+        quantiles: Array = self.mean + self.standard_deviation * ndtri(levels)[:, None]
+        return quantiles
+
+
+# --- particles ----------------------------------------------------------------------------------
+
+
+def weighed(model: StateSpaceModel, cloud: Cloud, y: Array) -> tuple[Array, float]:
+    """Weigh predicted particles of equal weight by a measurement.
+
+    Returns
+    -------
+    share : array of float64, (P,)
+        The weights, with a sum of 1.
+    log_mean : float
+        Logarithm of the mean of the unnormalised weights: of p(y(t) | earlier measurements), if the
+        model's log-likelihood is normalised.
+    """
+    with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
+        found = model.log_likelihood(_components(y, cloud), tuple(cloud.x), cloud.t, model.p)
+    log_weight = np.broadcast_to(np.asarray(found, np.float64), (cloud.particles,))
+    log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf)
+    log_sum = float(logsumexp(log_weight))
+    share: Array = np.exp(log_weight - log_sum)
+    return share, log_sum - math.log(cloud.particles)
+
+
+def quantity(model: StateSpaceModel, cloud: Cloud) -> Array:
+    """Give z of each particle, (q, P)."""
+    with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
+        z = model.quantity_of_interest(tuple(cloud.x), cloud.t, model.p)
+    return np.stack([np.broadcast_to(np.asarray(part, np.float64), cloud.particles) for part in z])
+
+
+def surprise_of_particles(
+    model: StateSpaceModel, cloud: Cloud, y: Array, stream: int, draw: int
+) -> float:
+    """Give the p-value of a measurement among simulated measurements of predicted particles.
+
+    A component's rank is uniform if the model is right. Ranks are two-sided, ties are broken by
+    chance, and the smallest of m measured components counts m times (Bonferroni).
+
+    Parameters
+    ----------
+    model : StateSpaceModel
+    cloud : Cloud
+        Particles of equal weight, predicted for the instant of the measurement.
+    y : array of float64, (m,)
+        NaN marks a missing component.
+    stream, draw : int
+        Key of the filter's noise. A filter has no other noise of this role.
+    """
+    copies = -(-PREDICTIVE // cloud.particles)
+    number, kinds = copies * cloud.particles, model.measurement_noise
+    v = tuple(
+        variates(kind, number, stream, draw, cloud.t, TRUTH_MEASUREMENT, component)
+        for component, kind in enumerate(kinds)
+    )
+    x = tuple(np.tile(cloud.x, copies))
+    with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
+        simulated = model.measurement(x, cloud.t, v, model.p)
+    measured = np.flatnonzero(~np.isnan(y))
+    smallest = 1.0
+    for component in measured:
+        values = np.broadcast_to(np.asarray(simulated[component], np.float64), (number,))
+        values = values[np.isfinite(values)]
+        key = stream, draw, cloud.t, TRUTH_MEASUREMENT, len(kinds) + int(component)
+        (tie,) = variates("uniform", 1, *key)
+        below, equal = np.sum(values < y[component]), np.sum(values == y[component])
+        rank = float((below + tie * (equal + 1)) / (values.size + 1))
+        smallest = min(smallest, two_sided(rank))
+    return min(1.0, measured.size * smallest)
+
+
+def two_sided(rank: float) -> float:
+    """Give the two-sided p-value of a rank in 0..1."""
+    return 2 * min(rank, 1 - rank)
+
+
+def _components(y: Array, cloud: Cloud) -> tuple[Array, ...]:
+    return tuple(np.full(cloud.particles, value) for value in y)
+
+
+# --- normal distributions -----------------------------------------------------------------------
+
+
+def explained_by_normal(model: StateSpaceModel, state: Gaussian, y: Array) -> tuple[float, float]:
+    """Give the log-density of a measurement, and its p-value, where x(t) has a normal distribution.
+
+    Parameters
+    ----------
+    model : StateSpaceModel
+        A linear-Gaussian model.
+    state : Gaussian
+        The distribution of x(t) before the measurement.
+    y : array of float64, (m,)
+        NaN marks a missing component.
+    """
+    measured = ~np.isnan(y)
+    expected = kalman.predicted_measurement(model, state)
+    innovation = y[measured] - expected.mean[measured]
+    covariance = expected.covariance[np.ix_(measured, measured)]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance = np.abs(innovation) / np.sqrt(np.diag(covariance))
+    # Without any noise, a measurement is as expected or impossible.
+    distance = np.where(np.isnan(distance), 0.0, distance)
+    smallest = float(np.min(2 * ndtr(-distance)))
+    return _log_density(innovation, covariance), min(1.0, innovation.size * smallest)
+
+
+def _log_density(innovation: Array, covariance: Array) -> float:
+    """Log-density of a normal vector, in the space that its covariance spans."""
+    values, vectors = np.linalg.eigh(covariance)
+    spanned = values > _ROUNDING * max(float(values.max()), 0.0)
+    values, along = values[spanned], (innovation @ vectors)[spanned]
+    total = np.sum(np.log(2 * np.pi * values) + along**2 / values)
+    return float(-total / 2)

@@ -1,0 +1,355 @@
+"""A filter of real measurements, one after another."""
+
+import math
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pfdist.errors import (
+    CompileError,
+    EngineWarning,
+    MeasurementsError,
+    ModelError,
+    PriorError,
+    shown,
+)
+from pfdist.evaluation.engines import AUTO, COMPILED, ENGINES, NUMPY, NUMPY_TIMES_SLOWER
+from pfdist.evaluation.estimate import Purpose, ReportEvaluation
+from pfdist.filters import kalman
+from pfdist.filters.cloud import Cloud, Gaussian, Prior
+from pfdist.filters.draws import check_prior
+from pfdist.filters.settings import FilterSettings, check_filter
+from pfdist.models import StateSpaceModel, load_model
+from pfdist.online.beliefs import (
+    Belief,
+    Normal,
+    Particles,
+    explained_by_normal,
+    quantity,
+    surprise_of_particles,
+    weighed,
+)
+from pfdist.online.measurements import checked_instant, checked_measurement
+from pfdist.online.one_filter import OneFilter, begin
+from pfdist.online.user_prior import as_prior
+
+Array = NDArray[np.float64]
+
+FILTER = Purpose("filter", ReportEvaluation)
+LAST = 32_000  # the largest horizon of a job
+_LARGEST_DRAW = 2**32 - 1
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """A filter's belief of z at an instant.
+
+    Parameters
+    ----------
+    t : int
+    measured : bool
+        Whether the measurement at t is among those that the filter knows.
+    mean, standard_deviation : array of float64, (q,)
+    effective_sample_size : float or None
+        Number of particles of equal weight that are worth as much as the weighted particles; None
+        for the engine "kalman", which has no particles.
+    surprise : float or None
+        The probability of a measurement at least as far out as that at t, if the model is right;
+        None if t was not measured. See `pfdist.online.beliefs.surprise_of_particles`.
+    """
+
+    t: int
+    measured: bool
+    mean: Array
+    standard_deviation: Array
+    effective_sample_size: float | None
+    surprise: float | None
+    _belief: Belief = field(repr=False)
+
+    def quantiles(self, levels: float | Sequence[float]) -> Array:
+        """Quantiles of each component of z, (levels, q).
+
+        Parameters
+        ----------
+        levels : float or sequence of float
+            In 0..1, without the ends.
+        """
+        wanted = np.atleast_1d(np.array(levels, np.float64))
+        if wanted.ndim != 1 or not ((wanted > 0) & (wanted < 1)).all():
+            raise ValueError(f"levels must lie between 0 and 1, got {shown(levels)}")
+        return self._belief.quantiles(wanted)
+
+
+class Filter:
+    """A particle filter of one real system, to which measurements are given in the order of time.
+
+    It gives the bits of the filter that a run uses, for the same key of the noise.
+
+    Parameters
+    ----------
+    model : StateSpaceModel or str
+        The model, or a name that `pfdist.load_model` takes.
+    particles : int
+        The engine "kalman" has none.
+    seed : int
+        Seed of the filter's noise.
+    resampling : {"multinomial", "stratified", "systematic", "residual", "sorted_systematic"}
+    engine : {"auto", "compiled", "numpy", "kalman"}
+        "auto" is the compiled engine, or NumPy for a model that Numba cannot compile. "kalman" is
+        exact, for models that declare themselves linear-Gaussian.
+    dtype : {"float64", "float32"}
+        The dtype of the particles' states.
+    prior : Cloud, Gaussian or array, optional
+        The knowledge of x(s), in the place of the model's `initial`; the filter then starts at s.
+        An array (n, M) holds M particles of x(0). A filter's `cloud` may go here.
+    draw : int
+        Index of the filter in the stream of its noise.
+    horizon : int
+        The last instant T that is allowed.
+
+    Raises
+    ------
+    ModelError
+        The model cannot be loaded, does not fit a setting, or a formula failed.
+    PriorError
+        The prior does not fit the model.
+    ValueError
+        A setting has a value that is not allowed.
+
+    Examples
+    --------
+    >>> import pfdist
+    >>> walk = pfdist.Filter("random_walk", engine="kalman")
+    >>> walk.update(0, 3.0).mean.round(2).tolist()
+    [2.88]
+    >>> walk.predict(4).quantiles([0.25, 0.75]).round(2).tolist()
+    [[1.38], [4.39]]
+    >>> walk.now.t, round(walk.log_evidence, 3)
+    (0, -2.721)
+    """
+
+    def __init__(
+        self,
+        model: StateSpaceModel | str,
+        particles: int = 500,
+        seed: int = 0,
+        *,
+        resampling: str = "systematic",
+        engine: str = AUTO,
+        dtype: str = "float64",
+        prior: Prior | ArrayLike | None = None,
+        draw: int = 0,
+        horizon: int = LAST,
+    ) -> None:
+        self.model = _loaded(model)
+        _check_integers(seed=seed, draw=draw, horizon=horizon)
+        if engine not in (AUTO, *ENGINES):
+            allowed = ", ".join(map(repr, (AUTO, *ENGINES)))
+            raise ValueError(f"engine must be one of {allowed}, got {shown(engine)}")
+        self.horizon = horizon
+        self.stream = FILTER.stream(int(seed))
+        """Key of the filter's noise, 64 bits."""
+        check_filter(self.model, self.model, particles, resampling, dtype)
+        known = None if prior is None else as_prior(prior)
+        self._check_prior(known, engine)
+        settings = FilterSettings(particles, resampling, dtype, prior=known)
+        self._filter, mean, variance = self._begun(settings, engine, draw)
+        self._ahead = self._filter
+        self._evidence = 0.0
+        self._now = self._estimate(mean[-1], variance[-1])
+
+    @property
+    def now(self) -> Estimate:
+        """The filter's belief of z at the instant of the last update."""
+        return self._now
+
+    @property
+    def cloud(self) -> Prior:
+        """The particles at the instant of `now`, from which another filter may go on.
+
+        They know the measurement at this instant. The engine "kalman" has a normal distribution in
+        their place.
+        """
+        return _prior(self._filter)
+
+    @property
+    def log_evidence(self) -> float | None:
+        """Logarithm of the density or probability of all measurements so far, by this model.
+
+        None if the model does not declare its log-likelihood normalised; see `why_no_evidence`.
+        """
+        return None if self.why_no_evidence else self._evidence
+
+    @property
+    def why_no_evidence(self) -> str:
+        """Why there is no log evidence; empty if there is."""
+        if self.model.normalised or ENGINES[self._filter.engine].exact:
+            return ""
+        return (
+            f"the model {self.model.name} does not declare normalised=True, so its log_likelihood "
+            "may lack a constant"
+        )
+
+    def update(self, t: int, y: float | Sequence[float] | Array) -> Estimate:
+        """Move the filter to t and give it the measurement there.
+
+        Parameters
+        ----------
+        t : int
+            After the last measurement.
+        y : float or sequence of float, (m,)
+            The measurement. NaN marks a component that is missing, which a model must declare that
+            it takes. If all components are missing, t was not measured.
+
+        Returns
+        -------
+        Estimate
+
+        Raises
+        ------
+        MeasurementsError
+            The instant or the measurement is wrong, or no particle explains the measurement. The
+            filter stays where it was.
+        """
+        t = checked_instant(t, 0, self.horizon)
+        if t < self._filter.t or (t == self._filter.t and self._filter.measured):
+            after = "after" if self._filter.measured else "not before"
+            raise MeasurementsError(
+                f"measurements must be given in the order of time, each instant once: t must be "
+                f"{after} {self._filter.t}, got {t}"
+            )
+        measurement = checked_measurement(y, self.model, t)
+        predicted, mean, variance = self._moved(t)
+        if measurement is None:
+            self._filter = self._ahead = predicted
+            self._now = self._estimate(mean[-1], variance[-1])
+            return self._now
+        moved, mean, variance = predicted.at(t, measurement)
+        belief, log_density, surprise = self._explained(predicted, measurement, mean, variance)
+        self._filter = self._ahead = moved
+        self._evidence += log_density
+        self._now = _estimate(t, mean[-1], variance[-1], belief, surprise)
+        return self._now
+
+    def predict(self, t: int) -> Estimate:
+        """Give what the filter believes of z(t), without moving the filter.
+
+        Parameters
+        ----------
+        t : int
+            Not before the last measurement.
+
+        Returns
+        -------
+        Estimate
+
+        Raises
+        ------
+        MeasurementsError
+            The instant is wrong.
+        """
+        t = checked_instant(t, 0, self.horizon)
+        if t < self._filter.t:
+            raise MeasurementsError(f"t must not be before {self._filter.t}, got {t}")
+        if t == self._now.t:
+            return self._now
+        self._ahead, mean, variance = self._moved(t)
+        return self._estimate(mean[-1], variance[-1], self._ahead)
+
+    def _moved(self, t: int) -> tuple[OneFilter, Array, Array]:
+        """Predict up to t, from the last prediction if this lies on the way."""
+        start = self._ahead if self._ahead.t <= t else self._filter
+        return start.at(t)
+
+    def _check_prior(self, prior: Prior | None, engine: str) -> None:
+        if prior is not None:
+            check_prior(prior, self.model, self.horizon)
+        if isinstance(prior, Gaussian) and engine != "kalman":
+            raise PriorError(
+                "particles must start from particles, got a normal distribution; it is for the "
+                "engine 'kalman'"
+            )
+
+    def _begun(
+        self, settings: FilterSettings, engine: str, draw: int
+    ) -> tuple[OneFilter, Array, Array]:
+        """Give the filter at its first instant, and compile it."""
+        name = COMPILED.name if engine == AUTO else engine
+        if name == "kalman":
+            kalman.linear_gaussian(self.model, 0)
+        first = begin(self.model, settings, self.stream, draw, name)
+        try:
+            return first.at(first.t)
+        except CompileError as error:
+            if engine != AUTO:
+                raise
+            warnings.warn(
+                f"{error}: computing in NumPy instead, about {NUMPY_TIMES_SLOWER} times slower "
+                f"(engine={NUMPY.name!r} says that you know)",
+                EngineWarning,
+                stacklevel=3,
+            )
+        first = begin(self.model, settings, self.stream, draw, NUMPY.name)
+        return first.at(first.t)
+
+    def _estimate(self, mean: Array, variance: Array, at: OneFilter | None = None) -> Estimate:
+        """Give the estimate of an instant that is not measured."""
+        here = self._filter if at is None else at
+        return _estimate(here.t, mean, variance, self._belief(here, mean, variance))
+
+    def _belief(self, at: OneFilter, mean: Array, variance: Array) -> Belief:
+        prior = _prior(at)
+        if isinstance(prior, Cloud):
+            return Particles(quantity(self.model, prior), np.ones(prior.particles))
+        return Normal(mean, np.sqrt(variance))
+
+    def _explained(
+        self, predicted: OneFilter, y: Array, mean: Array, variance: Array
+    ) -> tuple[Belief, float, float]:
+        """Give the belief after a measurement, the measurement's log-density and its surprise."""
+        prior = _prior(predicted)
+        if isinstance(prior, Gaussian):
+            log_density, surprise = explained_by_normal(self.model, prior, y)
+            return Normal(mean[-1], np.sqrt(variance[-1])), log_density, surprise
+        share, log_density = weighed(self.model, prior, y)
+        surprise = surprise_of_particles(self.model, prior, y, self.stream, predicted.draw)
+        return Particles(quantity(self.model, prior), share), log_density, surprise
+
+
+def _estimate(
+    t: int, mean: Array, variance: Array, belief: Belief, surprise: float | None = None
+) -> Estimate:
+    return Estimate(
+        t,
+        surprise is not None,
+        mean,
+        np.sqrt(variance),
+        belief.effective_sample_size(),
+        surprise,
+        belief,
+    )
+
+
+def _loaded(model: StateSpaceModel | str) -> StateSpaceModel:
+    if isinstance(model, StateSpaceModel):
+        return model
+    if isinstance(model, str):
+        return load_model(model)
+    raise ModelError(f"a model must be a StateSpaceModel or a name, got {shown(model)}")
+
+
+def _prior(at: OneFilter) -> Prior:
+    return cast(Prior, at.settings.prior)  # every filter has one after its first instant
+
+
+def _check_integers(**values: Any) -> None:
+    for name, value in values.items():
+        whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+        most = math.inf if name == "seed" else LAST if name == "horizon" else _LARGEST_DRAW
+        if not whole or not (name == "seed" or 0 <= value <= most):
+            bounds = "" if name == "seed" else f" in 0..{most}"
+            raise ValueError(f"{name} must be an integer{bounds}, got {shown(value)}")

@@ -1,0 +1,187 @@
+"""Tables of numbers that a user brings, in CSV or Parquet, and tables that the user gets."""
+
+import os
+import stat
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from pfdist.errors import StoreError, shown
+from pfdist.store.arrow_files import read_schema, write_table
+from pfdist.store.files import write_file
+
+Array = NDArray[np.float64]
+CheckHeader = Callable[[list[str]], None]
+
+MOST_BYTES = 200_000_000  # of a file: a million particles of ten components take 90 million
+MOST_NUMBERS = 50_000_000  # of a table, which a small Parquet file may hold many times over
+MOST_COLUMNS = 1000
+_MISSING = ("", "nan", "na", "null")  # texts of a number that is missing, in lower case
+
+
+def read_user_table(path: Path, check_header: CheckHeader) -> dict[str, Array]:
+    """Read a table of numbers; a number that is missing is NaN.
+
+    Parameters
+    ----------
+    path : Path
+        A Parquet file if its name ends in ``.parquet``; else a CSV file, whose first line names the
+        columns.
+    check_header : callable
+        Takes the names of the columns, and raises an error if they are wrong. It is called before
+        any number is read.
+
+    Returns
+    -------
+    dict of str to array of float64
+        The columns by their names.
+
+    Raises
+    ------
+    ValueError
+        The file is too large, is no such table, or holds other things than numbers.
+    OSError
+        The file cannot be read.
+    """
+    about = path.stat()
+    if not stat.S_ISREG(about.st_mode):  # a pipe might never end
+        raise ValueError("a table must be a file, got something else")
+    if about.st_size > MOST_BYTES:
+        raise ValueError(f"a table of at most {MOST_BYTES:,} bytes is read, got {about.st_size:,}")
+    return (_read_parquet if is_parquet(path) else _read_csv)(path, check_header)
+
+
+def is_parquet(path: Path) -> bool:
+    """Whether a file's name is that of a Parquet file."""
+    return path.suffix.lower() == ".parquet"
+
+
+def _read_csv(path: Path, check_header: CheckHeader) -> dict[str, Array]:
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        try:
+            text = pd.read_csv(file, header=None, dtype=str, keep_default_na=False, low_memory=True)
+        except UnicodeDecodeError as error:
+            raise ValueError("a CSV table must be UTF-8 text, got other bytes") from error
+        except pd.errors.EmptyDataError as error:
+            raise ValueError("a table must have a line that names the columns, got none") from error
+        except (pd.errors.ParserError, OverflowError) as error:
+            reason = str(error).strip().partition("\n")[0].rpartition("error: ")[2]
+            raise ValueError(
+                f"a CSV table must have as many values in each line, with commas between them and "
+                f"points in decimals: {reason}"
+            ) from error
+    text = text.fillna("")
+    header = [str(name).strip() for name in text.iloc[0]]
+    _check_size(header, len(text) - 1)
+    check_header(header)
+    values = text.iloc[1:]
+    return {
+        name: _numbers(name, values.iloc[:, column].str.strip())
+        for column, name in enumerate(header)
+    }
+
+
+def _numbers(name: str, text: "pd.Series[str]") -> Array:
+    """Give a column of a CSV file as numbers."""
+    missing = text.str.lower().isin(_MISSING).to_numpy(dtype=bool)
+    found: Array = pd.to_numeric(text, errors="coerce").to_numpy(np.float64, copy=True)
+    wrong = np.flatnonzero(np.isnan(found) & ~missing)
+    if wrong.size:
+        row = int(wrong[0])
+        raise ValueError(
+            f"column {shown(name)} must hold numbers, got {shown(text.iloc[row])} in row {row + 1}"
+        )
+    found[missing] = np.nan
+    return found
+
+
+def _read_parquet(path: Path, check_header: CheckHeader) -> dict[str, Array]:
+    try:
+        with path.open("rb") as file, pq.ParquetFile(file) as table:
+            header = list(map(str, table.schema_arrow.names))
+            _check_size(header, int(table.metadata.num_rows))
+            check_header(header)
+            columns = table.read()
+    except (pa.ArrowException, pa.ArrowInvalid) as error:
+        reason = str(error).partition("\n")[0]
+        raise ValueError(f"a Parquet table was expected, got {shown(reason)}") from error
+    return {name: _values(name, columns.column(k)) for k, name in enumerate(header)}
+
+
+def _values(name: str, column: pa.ChunkedArray) -> Array:
+    """Give a column of a Parquet file as numbers."""
+    kind = column.type
+    if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_null(kind)):
+        raise ValueError(f"column {shown(name)} must hold numbers, got {shown(str(kind))}")
+    return np.array(column.cast(pa.float64(), safe=False).to_numpy(), np.float64)
+
+
+def _check_size(header: list[str], rows: int) -> None:
+    if len(header) > MOST_COLUMNS:
+        raise ValueError(f"a table must have at most {MOST_COLUMNS:,} columns, got {len(header):,}")
+    if rows * len(header) > MOST_NUMBERS:
+        raise ValueError(
+            f"a table must have at most {MOST_NUMBERS:,} numbers, got {rows:,} rows of "
+            f"{len(header)} columns"
+        )
+    for column, name in enumerate(header):
+        if name in header[:column]:
+            raise ValueError(f"the columns must have different names, got {shown(name)} twice")
+
+
+def write_user_table(path: Path, table: pa.Table) -> None:
+    """Write a table for a user atomically: Parquet if the name ends in ``.parquet``, else CSV.
+
+    It replaces an earlier table of the same kind, and no other file.
+
+    Parameters
+    ----------
+    path : Path
+    table : pyarrow Table
+        With a schema of `pfdist.store.schema`, which says what kind of table it is.
+
+    Raises
+    ------
+    StoreError
+        The file cannot be written, or another file has this name.
+    """
+    check_replaceable(path, table.schema)
+
+    def write(temporary: Path) -> None:
+        if is_parquet(path):
+            write_table(table, temporary)
+        else:
+            with temporary.open("w", encoding="utf-8", newline="") as file:
+                table.to_pandas().to_csv(file, index=False, lineterminator="\n")
+
+    write_file(path, write)
+
+
+def check_replaceable(path: Path, schema: pa.Schema) -> None:
+    """Raise an error unless a file is missing, or is an earlier table with these columns.
+
+    Raises
+    ------
+    StoreError
+    """
+    if os.path.lexists(path) and not _is_earlier(path, schema):
+        raise StoreError(f"{path} exists and is no earlier result: move it out of the way")
+
+
+def _is_earlier(path: Path, schema: pa.Schema) -> bool:
+    if path.is_symlink() or not path.is_file():
+        return False
+    try:
+        if is_parquet(path):
+            known = read_schema(path).metadata or {}
+            return bool(known.get(b"table") == schema.metadata[b"table"])
+        line = ",".join(schema.names).encode() + b"\n"
+        with path.open("rb") as file:
+            return file.read(len(line)) == line
+    except (OSError, pa.ArrowException):
+        return False  # nobody knows what it is

@@ -1,0 +1,305 @@
+"""Measurements of a user, filtered from the command line: the table, the figure and the words."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import matplotlib.image
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+
+import pfdist
+from oracles.bytes_of import hashes
+from pfdist import Filter, Job, Run
+from pfdist.api.filter_measurements import IMPROBABLE, FilteredMeasurements
+from pfdist.cli.main import main
+from pfdist.errors import JobError, MeasurementsError, PfdistError, PriorError, StoreError
+from pfdist.filters.draws import simulate
+from pfdist.store import filtered_schema
+
+HORIZON = 12
+QUANTILES = {5: 0.05, 25: 0.25, 50: 0.5, 75: 0.75, 95: 0.95}
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    folder = tmp_path_factory.mktemp("filtered")
+    (folder / "small.toml").write_text((Path(__file__).parents[1] / "small.toml").read_text())
+    job = pfdist.load_job(folder / "small.toml").with_changes(
+        ["search.random.evaluations=3", "search.genetic.generations=1", "comparison.draws=20",
+         "filter.dtype=float32", "model.filter.parameters.process_sd=1.5"]
+    )  # fmt: skip
+    return pfdist.run(job, folder / "run", figures=False)
+
+
+@pytest.fixture
+def y() -> Any:
+    return simulate(pfdist.load_model("ungm"), HORIZON, range(1), 99).y[0, :, 0]
+
+
+def _written(path: Path, times: Any, y: Any) -> Path:
+    frame = pd.DataFrame({"t": list(times), "y0": [float(y[t]) for t in times]})
+    frame.to_parquet(path) if path.suffix == ".parquet" else frame.to_csv(path, index=False)
+    return path
+
+
+def test_the_table_is_the_filter_of_the_run_at_every_instant(
+    run: Run, y: Any, tmp_path: Path
+) -> None:
+    times = (1, 4, 8)
+    found = pfdist.filter_measurements(run.path, _written(tmp_path / "mine.csv", times, y))
+    believed = pfdist.load_model("ungm").with_parameters({"process_sd": 1.5})
+    filtering = Filter(believed, 40, 1, resampling="multinomial", dtype="float32")
+    rows = pd.read_csv(tmp_path / "mine.filtered.csv").to_dict("records")
+    assert list(found.table.columns) == filtered_schema(1).names
+    assert [row["t"] for row in rows] == list(range(HORIZON + 1))
+    for t, row in enumerate(rows):
+        estimate = filtering.update(t, y[t]) if t in times else filtering.predict(t)
+        assert row["measured"] is (t in times)
+        assert row["mean_0"] == estimate.mean[0]
+        assert row["sd_0"] == estimate.standard_deviation[0]
+        for percent, level in QUANTILES.items():
+            assert row[f"q{percent:02d}_0"] == estimate.quantiles(level)[0, 0]
+        assert row["effective_sample_size"] == estimate.effective_sample_size
+        surprise = None if math.isnan(row["surprise"]) else row["surprise"]
+        assert surprise == estimate.surprise
+
+
+def test_the_same_measurements_give_the_same_bytes_and_the_run_is_not_touched(
+    run: Run, y: Any, tmp_path: Path
+) -> None:
+    before = hashes(run.path)
+    path = _written(tmp_path / "mine.csv", (0, 3, 8), y)
+    found = pfdist.filter_measurements(run.path, path)
+    assert [file.name for file in found.files] == ["mine.filtered.csv", "mine.filtered.png"]
+    once = [file.read_bytes() for file in found.files]
+    again = pfdist.filter_measurements(run.path, path)
+    assert [file.read_bytes() for file in again.files] == once
+    assert hashes(run.path) == before
+    assert sorted(file.name for file in tmp_path.iterdir()) == sorted(
+        [path.name, *(file.name for file in found.files)]
+    )
+    image = matplotlib.image.imread(found.files[1])
+    assert image.shape[:2] == (825, 1050)
+
+
+def test_parquet_gives_parquet_in_another_folder(run: Run, y: Any, tmp_path: Path) -> None:
+    path = _written(tmp_path / "mine.parquet", (8, 0, 3), y)
+    found = pfdist.filter_measurements(run.path, path, out=tmp_path / "new" / "folder")
+    table, _ = found.files
+    assert table == tmp_path / "new" / "folder" / "mine.filtered.parquet"
+    schema = pq.read_schema(table)
+    assert schema.names == filtered_schema(1).names
+    assert all(schema.field(name).metadata[b"description"] for name in schema.names)
+    pd.testing.assert_frame_equal(pd.read_parquet(table), found.table)
+    assert found.table["surprise"].notna().tolist() == found.table["measured"].tolist()
+
+
+def test_planned_times_that_are_missing_and_extra_times_are_named(
+    run: Run, y: Any, tmp_path: Path
+) -> None:
+    path = _written(tmp_path / "mine.csv", (0, 5, 8), y)
+    found = pfdist.filter_measurements(run.path, path, times="regular")  # 0, 4, 8, 12
+    assert (found.name, found.measured) == ("regular", (0, 5, 8))
+    assert (found.missing, found.extra, found.to_come) == ((4,), (5,), (12,))
+    best = pfdist.filter_measurements(run.path, path)
+    results = run.summary()["results"]
+    assert best.name in run.names[1:]
+    assert all(
+        results[best.name]["expected_mse"] <= results[name]["expected_mse"]
+        for name in run.names[1:]
+    )
+    nothing = pfdist.filter_measurements(run.path, _written(path, (), y), times="regular")
+    assert (nothing.missing, nothing.to_come) == ((), (0, 4, 8, 12))
+    assert (nothing.most_surprising, nothing.is_improbable) == (None, False)
+
+
+def test_a_prior_is_where_the_filter_starts(run: Run, y: Any, tmp_path: Path) -> None:
+    path = _written(tmp_path / "mine.csv", (5, 8), y)
+    pd.DataFrame({"x0": [6.5, 7.5], "t": [4, 4]}).to_parquet(tmp_path / "prior.parquet")
+    found = pfdist.filter_measurements(
+        run.path, path, times="regular", prior=tmp_path / "prior.parquet"
+    )
+    assert found.table["t"].tolist() == list(range(4, HORIZON + 1))
+    assert found.table["mean_0"][0] == 7.0
+    assert found.table["sd_0"][0] == 0.5
+    assert (found.missing, found.extra, found.to_come) == ((4,), (5,), (12,))
+    _written(path, (3, 8), y)
+    with pytest.raises(MeasurementsError, match=r"mine\.csv: t must lie in 4\.\.12, got 3"):
+        pfdist.filter_measurements(run.path, path, prior=tmp_path / "prior.parquet")
+    pd.DataFrame({"x0": [6.5], "t": [13]}).to_parquet(tmp_path / "prior.parquet")
+    with pytest.raises(PriorError, match=r"0\.\.12, got 13"):
+        pfdist.filter_measurements(run.path, path, prior=tmp_path / "prior.parquet")
+
+
+def test_the_command_prints_what_is_missing_and_how_surprising_it_is(
+    run: Run, y: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["filter", str(run.path), str(_written(tmp_path / "mine.csv", (0, 5, 8), y))]
+    assert main([*words, "--times", "regular"]) == 0
+    text = capsys.readouterr().out
+    assert text.startswith("3 measurements; planned: regular\n")
+    for line in (
+        "  planned, missing      t = 4\n",
+        "  planned, to come      t = 12\n",
+        "  measured, not planned t = 5\n",
+        "  log evidence          none: the model ungm does not declare normalised=True,\n",
+        f"\n{tmp_path / 'mine.filtered.csv'}\n{tmp_path / 'mine.filtered.png'}\n",
+    ):
+        assert line in text
+    assert "  most surprising       t = " in text
+    assert "may be wrong" not in text
+    assert main([*words, "--times", "regular", "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert {key: answer[key] for key in ("measured", "missing", "extra", "to_come")} == {
+        "measured": [0, 5, 8], "missing": [4], "extra": [5], "to_come": [12],
+    }  # fmt: skip
+    assert answer["log_evidence"] is None
+    assert answer["is_improbable"] is False
+    assert answer["most_surprising"]["t"] in (0, 5, 8)
+    y[5] = 1e3
+    _written(tmp_path / "mine.csv", (0, 5, 8), y)
+    assert main(words) == 0
+    text = capsys.readouterr().out
+    assert "most surprising       t = 5, p = " in text
+    assert "the model             it may be wrong about this system" in text
+
+
+def test_a_right_model_is_seldom_suspected_and_a_wrong_model_often(
+    run: Run, tmp_path: Path
+) -> None:
+    """Bonferroni's bound: the number of wrong suspicions is at most binomial with 1 %."""
+    model, systems = pfdist.load_model("ungm").with_parameters({"process_sd": 1.5}), 40
+    noisier = model.with_parameters({"measurement_sd": 6.0})
+    suspected = {}
+    for name, truth in (("right", model), ("wrong", noisier)):
+        draws = simulate(truth, HORIZON, range(systems), 5).y[:, :, 0]
+        found = [_suspected(model, draws[d], range(0, HORIZON + 1, 2), d) for d in range(systems)]
+        suspected[name] = sum(found)
+    assert suspected["right"] <= 3  # 1 in 1,000 of binomials with 40 draws of 1 %
+    assert suspected["wrong"] > systems / 2
+
+
+def _suspected(model: Any, y: Any, times: Any, draw: int) -> bool:
+    filtering = Filter(model, 400, draw=draw)
+    surprises = [filtering.update(t, y[t]).surprise for t in times]
+    table = pd.DataFrame({"t": list(times), "surprise": surprises})
+    found = FilteredMeasurements(
+        Path(), "", tuple(times), (), (), (), table, None, "", (Path(), Path())
+    )
+    assert found.is_improbable is (min(surprises) * len(surprises) < IMPROBABLE)
+    return found.is_improbable
+
+
+def test_the_exact_filter_gives_its_evidence(
+    small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    job = small_job.with_changes(
+        ["model.name=random_walk", "filter.engine=kalman", "comparison.draws=20"]
+    )
+    walk = pfdist.run(job, tmp_path / "walk", figures=False)
+    (tmp_path / "mine.csv").write_text("t,y0\n0,3.0\n4,1.0\n")
+    found = pfdist.filter_measurements(walk.path, tmp_path / "mine.csv")
+    exact = Filter("random_walk", engine="kalman")
+    exact.update(0, 3.0)
+    exact.update(4, 1.0)
+    assert found.log_evidence == exact.log_evidence
+    assert found.table["effective_sample_size"].isna().all()
+    np.testing.assert_array_equal(found.table["mean_0"][4:], exact.now.mean[0])
+    assert main(["filter", str(walk.path), str(tmp_path / "mine.csv")]) == 0
+    assert f"  log evidence          {exact.log_evidence:.4f}\n" in capsys.readouterr().out
+
+
+def test_no_file_of_others_is_overwritten(run: Run, y: Any, tmp_path: Path) -> None:
+    path = _written(tmp_path / "mine.csv", (0, 3), y)
+    for name in ("mine.filtered.csv", "mine.filtered.png"):
+        other = tmp_path / name
+        for content in (b"", b"t,measured\n", b"\x89PNG" + b"x" * 9000):
+            other.write_bytes(content)
+            with pytest.raises(StoreError, match=rf"{name} exists and is no earlier result"):
+                pfdist.filter_measurements(run.path, path)
+            assert other.read_bytes() == content
+        other.unlink()
+        other.symlink_to(tmp_path / "elsewhere")
+        with pytest.raises(StoreError, match=rf"{name} exists and is no earlier result"):
+            pfdist.filter_measurements(run.path, path)
+        other.unlink()
+    pfdist.filter_measurements(run.path, path)
+    pfdist.filter_measurements(run.path, path)  # now they are earlier results
+    parquet = _written(tmp_path / "mine.parquet", (0, 3), y)
+    _written(tmp_path / "mine.filtered.parquet", (0, 3), y)
+    with pytest.raises(StoreError, match=r"mine\.filtered\.parquet exists and is no"):
+        pfdist.filter_measurements(run.path, parquet)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "words"),
+    [
+        ({"times": "nearest"}, JobError, "a compared set of .*, regular, genetic, random, got 'ne"),
+        ({"run": ""}, StoreError, "holds no run"),
+        ({"measurements": "none.csv"}, MeasurementsError, r"cannot read .*none\.csv: No such file"),
+        ({"prior": "none.csv"}, PriorError, r"cannot read .*none\.csv: No such file"),
+        ({"out": "mine.csv"}, StoreError, "cannot .* mine"),
+    ],
+)
+def test_what_is_impossible_is_said(
+    run: Run, y: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    arguments: dict[str, Any], error: type[PfdistError], words: str,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    _written(Path("mine.csv"), (0, 3), y)
+    with pytest.raises(error, match=words):
+        pfdist.filter_measurements(**{"run": run.path, "measurements": "mine.csv"} | arguments)
+    assert [file.name for file in tmp_path.iterdir()] == ["mine.csv"]
+
+
+def test_the_command_names_its_option(
+    run: Run, y: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = _written(tmp_path / "mine.csv", (0, 3), y)
+    assert main(["filter", str(run.path), str(path), "--times", "none"]) == 1
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert error.endswith("got 'none' (--times)\n")
+
+
+def test_a_run_of_several_budgets_must_be_told_which_times_were_planned(
+    small_job: Job, y: Any, tmp_path: Path
+) -> None:
+    few = ["filter.particles=20", "evaluation.draws=10"]
+    curve = pfdist.budget(
+        small_job, (3, 4), tmp_path / "budget", draws=20, changes=few, figures=False
+    )
+    path = _written(tmp_path / "mine.csv", (0, 3), y)
+    with pytest.raises(JobError, match="several numbers of measurements: times must say which"):
+        pfdist.filter_measurements(curve.path, path)
+    name = curve.names[-1]
+    assert pfdist.filter_measurements(curve.path, path, times=name).name == name
+
+
+def test_a_panel_is_drawn_for_each_component_up_to_six(tmp_path: Path) -> None:
+    from pfdist.plots import draw_filtered
+
+    for number, height in ((1, 825), (3, 1695), (8, 3000)):
+        names = filtered_schema(number).names
+        table = pd.DataFrame({name: np.zeros(5) for name in names})
+        table["t"], table["measured"] = range(5), [True, False, True, False, False]
+        path = tmp_path / f"{number}.png"
+        draw_filtered(path, table, missing=(1,), extra=(2,), to_come=(4,))
+        assert matplotlib.image.imread(path).shape[0] == height
+
+
+def test_missing_components_reach_the_filter(tmp_path: Path, small_job: Job) -> None:
+    model = pfdist.load_model("constant_velocity")
+    assert replace(model, missing_components=True).components == (4, 2, 2)
+    job = small_job.with_changes(["model.name=constant_velocity", "comparison.draws=20"])
+    ship = pfdist.run(job, tmp_path / "ship", figures=False)
+    (tmp_path / "mine.csv").write_text("t,y0,y1\n0,10,\n")
+    with pytest.raises(MeasurementsError, match=r"y\[1\] missing at t = 0: the model constant_v"):
+        pfdist.filter_measurements(ship.path, tmp_path / "mine.csv")
+    (tmp_path / "mine.csv").write_text("t,y0,y1\n0,10,-1.3\n4,,\n")
+    assert pfdist.filter_measurements(ship.path, tmp_path / "mine.csv").measured == (0,)
