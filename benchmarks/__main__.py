@@ -9,7 +9,7 @@ from pathlib import Path
 
 import matplotlib as mpl
 
-from benchmarks import estimators, genetic, kernel, peers, prefixes, scaling, search
+from benchmarks import estimators, genetic, kernel, online, peers, prefixes, scaling, search
 from benchmarks.machine import provenance
 from benchmarks.peers import PeerDisagreesError
 from benchmarks.results import Benchmark, save, write_readme
@@ -22,6 +22,7 @@ BENCHMARKS: dict[str, Benchmark] = {
     "scaling": scaling,
     "search": search,
     "genetic": genetic,
+    "online": online,
     "peers": peers,
 }
 FOLDER = Path(__file__).parent / "results"

@@ -4,7 +4,9 @@ from .api.bound import bound as bound
 from .api.budget import budget as budget
 from .api.evaluate import evaluate as evaluate
 from .api.filter_measurements import filter_measurements as filter_measurements
+from .api.next_time import next_time as next_time
 from .api.plan import plan as plan
+from .api.planner import Planner as Planner
 from .api.run import run as run
 from .elementwise import clip as clip
 from .elementwise import where as where

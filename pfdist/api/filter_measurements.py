@@ -1,6 +1,6 @@
 """Real measurements of one system, filtered as a run filters its draws."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,14 +9,14 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from pfdist.analysis import Run, finite
+from pfdist.analysis import finite
+from pfdist.api.filter_of import filter_of
 from pfdist.api.finished_run import built_again, finished_run
-from pfdist.errors import JobError, shown
+from pfdist.api.planned_set import planned_set
 from pfdist.online.filter import Estimate, Filter
 from pfdist.online.measurements import Measurements, read_measurements
 from pfdist.online.user_prior import read_prior
 from pfdist.plots import check_figure_replaceable, draw_filtered
-from pfdist.runner.build import Built
 from pfdist.store import FILTERED_PERCENTS, filtered_schema
 from pfdist.store.user_tables import check_replaceable, is_parquet, write_user_table
 from pfdist.times.measurement_times import Times
@@ -155,14 +155,14 @@ def filter_measurements(
         The model cannot be loaded, or a formula failed.
     """
     opened, path = finished_run(run), Path(measurements)
-    planned = _planned(opened, times)
+    planned = planned_set(opened, times)
     built = built_again(opened, {"model": model, "filter_model": filter_model}, say)
     believed = built.problem.believed
     files = _files(path, Path(out) if out else path.parent)
     schema = filtered_schema(believed.components[2])
     check_replaceable(files[0], schema)
     check_figure_replaceable(files[1])
-    filtering = _filter(built, prior)
+    filtering = filter_of(built, read_prior(Path(prior), believed) if prior else None)
     rows = read_measurements(path, believed, filtering.horizon, filtering.now.t)
     wanted = [t for t in planned[1] if t >= filtering.now.t]
     table = _table(_estimates(filtering, rows), schema)
@@ -184,53 +184,12 @@ def filter_measurements(
     return found
 
 
-def _planned(run: Run, name: str) -> tuple[str, Times]:
-    """Give the name and the times of the set that was planned."""
-    sets = run.sets()
-    if name in sets:
-        return name, sets[name]
-    if name:
-        raise JobError(
-            f"times must be a compared set of {run.path}, {', '.join(sets)}, got {shown(name)}",
-            argument="times",
-        )
-    if run.has_budget:
-        raise JobError(
-            f"{run.path} has times of several numbers of measurements: times must say which were "
-            f"planned, for instance {list(sets)[-1]}",
-            argument="times",
-        )
-    results = run.summary()["results"]
-    best = min(run.names[1:], key=lambda found: _cost(results[found]))
-    return best, sets[best]
-
-
-def _cost(result: Mapping[str, Any]) -> float:
-    mse = result["expected_mse"]
-    return np.inf if mse is None else float(mse)
-
-
 def _files(measurements: Path, folder: Path) -> tuple[Path, Path]:
     suffix = "parquet" if is_parquet(measurements) else "csv"
     table, figure = (
         folder / f"{measurements.stem}.filtered.{ending}" for ending in (suffix, "png")
     )
     return table, figure
-
-
-def _filter(built: Built, prior: str | Path) -> Filter:
-    """Give the filter of a run for one system."""
-    job, believed = built.job, built.problem.believed
-    return Filter(
-        believed,
-        job.filter.particles,
-        job.seed,
-        resampling=job.filter.resampling,
-        engine=built.source.engine,
-        dtype=job.filter.dtype,
-        prior=read_prior(Path(prior), believed) if prior else None,
-        horizon=job.problem.horizon,
-    )
 
 
 def _estimates(filtering: Filter, rows: Measurements) -> Iterable[Estimate]:

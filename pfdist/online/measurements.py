@@ -29,10 +29,13 @@ class Measurements:
         The instants that were measured.
     y : array of float64, (K, m)
         The measurements; NaN marks a component that is missing.
+    missed : tuple of int
+        The instants that have a row without any component: they were not measured.
     """
 
     t: tuple[int, ...]
     y: Array
+    missed: tuple[int, ...] = ()
 
 
 def read_measurements(
@@ -40,7 +43,7 @@ def read_measurements(
 ) -> Measurements:
     """Read a table with the columns t, y0, y1, ..., in CSV or Parquet, with rows in any order.
 
-    A row without any component is a time that was not measured, and is left out.
+    A row without any component is a time that was not measured.
 
     Parameters
     ----------
@@ -75,7 +78,9 @@ def read_measurements(
         raise MeasurementsError(f"cannot read {path}: {error.strerror or error}") from error
     measured = {t: y for t, y in rows if y is not None}
     return Measurements(
-        tuple(measured), np.array(list(measured.values())).reshape(-1, len(wanted) - 1)
+        tuple(measured),
+        np.array(list(measured.values())).reshape(-1, len(wanted) - 1),
+        tuple(t for t, y in rows if y is None),
     )
 
 

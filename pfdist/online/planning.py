@@ -28,7 +28,7 @@ from pfdist.times.measurement_times import Times
 from pfdist.times.rest import rest_of
 
 ONLINE = Purpose("online", SearchEvaluation)
-_BETTER = 1.0  # standard errors by which a new plan must be better
+_BETTER = 1.0  # standard errors by which a new plan must be better than the plan at hand
 _ROUNDING = 1e-9  # relative difference of exact costs that counts as none
 _POLICY = "leave_out"  # for degenerate draws: one of many must not decide about a plan
 
@@ -120,7 +120,8 @@ class Replanner:
         taken : tuple of int
             Times that were measured so far.
         plan : tuple of int
-            The plan at hand; empty if there is none. It is kept only if it is feasible.
+            The plan at hand; empty if there is none. If it is no longer feasible, another takes its
+            place that has as many of its times as can be.
         draw : int
             Index of the system, which keys the noise.
 
@@ -133,11 +134,11 @@ class Replanner:
         rest = rest_of(self.feasible, taken, first)
         if rest is None:
             return ()
-        plan = tuple(time - first for time in plan)
-        at_hand = [plan] if rest.accepts(plan) else []
-        outlook = _Outlook(self, now, stream_key(self.stream, draw, t))
-        found = outlook.search(rest, plan if at_hand else None)
-        chosen = outlook.better([*at_hand, *found] or [rest.regular()])
+        stream = stream_key(self.stream, draw, t)
+        at_hand = tuple(time - first for time in plan)
+        start = rest.repair(at_hand, generator(stream, "repair")) if plan else rest.regular()
+        outlook = _Outlook(self, now, stream)
+        chosen = outlook.better([start, *outlook.search(rest, start)], keep=start == at_hand)
         return tuple(first + time for time in chosen)
 
     def expected(
@@ -190,8 +191,8 @@ class _Outlook:
     now: Now
     stream: int
 
-    def search(self, rest: Feasible, start: Times | None) -> list[Times]:
-        """Search for a plan, from a start; empty if every plan has a degenerate draw."""
+    def search(self, rest: Feasible, start: Times) -> list[Times]:
+        """Search for a plan, from a start; empty if every plan has degenerate draws alone."""
         planning = self.replanner.planning
         optimiser, draws = planning.optimiser(rest, start), self._draws(range(planning.draws))
         state, generation = optimiser.init(), 0
@@ -202,8 +203,11 @@ class _Outlook:
         found = [each for each in optimiser.finalists(state)[:1] if math.isfinite(each.cost)]
         return [each.measurement_times for each in found]
 
-    def better(self, plans: Sequence[Times]) -> Times:
-        """Give the first of one or two plans, unless the second is better on fresh draws."""
+    def better(self, plans: Sequence[Times], *, keep: bool) -> Times:
+        """Give the better of one or two plans on fresh draws.
+
+        If the first is to be kept, the second must be better by a paired test.
+        """
         plans = list(dict.fromkeys(plans))
         if len(plans) == 1:
             return plans[0]
@@ -212,7 +216,7 @@ class _Outlook:
         kept, new = self._evaluated(self._draws(fresh), [Candidate(times) for times in plans])
         gain = difference(new, kept)
         real = gain.mean < -_ROUNDING * kept.cost
-        return plans[1] if real and gain.is_better(_BETTER) else plans[0]
+        return plans[1] if real and gain.is_better(_BETTER if keep else 0.0) else plans[0]
 
     def _draws(self, index: range) -> Draws | None:
         return None if self.problem.exact else self.problem.draws(index, self.stream)

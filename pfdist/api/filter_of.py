@@ -1,0 +1,35 @@
+"""The filter of a job, for one real system."""
+
+from pfdist.filters.cloud import Prior
+from pfdist.online.filter import Filter
+from pfdist.runner.build import Built
+
+
+def filter_of(built: Built, prior: Prior | None = None, draw: int = 0) -> Filter:
+    """Give the filter of a job for one system, with the job's [model.filter], [filter] and seed.
+
+    Parameters
+    ----------
+    built : Built
+    prior : Cloud or Gaussian, optional
+        The knowledge of x(s), in the place of the model's `initial`.
+    draw : int
+        Number of the system, which keys the noise.
+
+    Raises
+    ------
+    PriorError
+        The prior does not fit the model.
+    """
+    job = built.job
+    return Filter(
+        built.problem.believed,
+        job.filter.particles,
+        job.seed,
+        resampling=job.filter.resampling,
+        engine=built.source.engine,
+        dtype=job.filter.dtype,
+        prior=prior,
+        draw=draw,
+        horizon=job.problem.horizon,
+    )

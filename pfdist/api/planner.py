@@ -1,0 +1,204 @@
+"""Choose when to measure one real system next, from all that was measured so far."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from pfdist.api.filter_of import filter_of
+from pfdist.errors import MeasurementsError, shown
+from pfdist.evaluation.estimate import ReportEvaluation
+from pfdist.job.job import Job, Online, as_job
+from pfdist.online.filter import Estimate
+from pfdist.online.planning import ONLINE, Now, Replanner
+from pfdist.runner.build import Built, build
+from pfdist.runner.online_phase import planning_of
+from pfdist.search.methods import DEFAULT_METHOD, METHODS
+from pfdist.times.measurement_times import Times, validated
+
+EXPECTED_DRAWS = 2000
+"""Simulated systems on which an expected MSE is estimated."""
+_FIRST_DRAWS = 300  # simulated systems for the plan before anything is measured
+
+
+class Planner:
+    """Chooses the next measurement time of one system, again after each measurement.
+
+    The same job, times and measurements give the same plans. So a program that was killed makes a
+    new planner, tells it all measurements, and goes on.
+
+    Parameters
+    ----------
+    job : Job, str or Path
+        A job, or the path of a job file. Its section [online] says how plans are made.
+    times : iterable of int, optional
+        The plan before anything is measured, such as the times that `pfdist.plan` found. By default
+        a short search finds some.
+    draw : int
+        Number of the system, which keys the noise: give each system a number of its own.
+
+    Raises
+    ------
+    JobError, ModelError, MeasurementTimesError
+        The job, the model or the times are not possible.
+
+    Examples
+    --------
+    >>> import pfdist
+    >>> planner = pfdist.Planner("jobs/quick.toml", times=[0, 4, 9, 14, 19])  # doctest: +SKIP
+    >>> planner.next_time()  # doctest: +SKIP
+    0
+    >>> planner.update(1.3)  # doctest: +SKIP
+    """
+
+    _taken: Times
+    _plan: Times
+
+    def __init__(
+        self, job: Job | str | Path, times: Iterable[int] | None = None, *, draw: int = 0
+    ) -> None:
+        self._begin(build(as_job(job)), times, draw)
+
+    @classmethod
+    def of_built(cls, built: Built, times: Iterable[int], draw: int = 0) -> "Planner":
+        """Make a planner from a job that is built already; parameters as above."""
+        planner = cls.__new__(cls)
+        planner._begin(built, times, draw)
+        return planner
+
+    def next_time(self) -> int | None:
+        """Give the time to measure next; None if no measurement is left."""
+        return self._plan[0] if self._plan else None
+
+    def plan(self) -> Times:
+        """Give all planned times that are left, the next first."""
+        return self._plan
+
+    @property
+    def measured(self) -> Times:
+        """The times that were measured."""
+        return self._taken
+
+    def update(self, y: float | Sequence[float] | NDArray[Any], t: int | None = None) -> Estimate:
+        """Tell a measurement, and plan what is left anew.
+
+        Parameters
+        ----------
+        y : float or sequence of float, (m,)
+            The measurement. NaN marks a component that is missing, which a model must declare that
+            it takes.
+        t : int, optional
+            The time, if it is not the next planned time. Planned times before it count as missed.
+
+        Returns
+        -------
+        Estimate
+            The estimate of z(t).
+
+        Raises
+        ------
+        MeasurementsError
+            The time or the measurement is wrong, or no particle explains the measurement. The
+            planner stays as it was.
+        """
+        time = self._time(t)
+        estimate = self._filter.update(time, y)
+        if estimate.measured:
+            self._taken = (*self._taken, time)
+        self._plan_anew(time)
+        return estimate
+
+    def missed(self, t: int | None = None) -> None:
+        """Tell that nothing was measured up to t, and plan what is left anew.
+
+        The measurement is not lost: it may be made later.
+
+        Parameters
+        ----------
+        t : int, optional
+            By default the next planned time.
+
+        Raises
+        ------
+        MeasurementsError
+            The time is wrong.
+        """
+        time = self._time(t)
+        self._filter.update(time, [float("nan")] * self._filter.model.components[1])
+        self._plan_anew(time)
+
+    def estimate(self, t: int | None = None) -> Estimate:
+        """Estimate z(t) from all measurements so far.
+
+        Parameters
+        ----------
+        t : int, optional
+            Not before the last measurement; by default its time.
+
+        Raises
+        ------
+        MeasurementsError
+            The time is wrong.
+        """
+        return self._filter.now if t is None else self._filter.predict(t)
+
+    def expected(
+        self, *plans: Iterable[int], draws: int = EXPECTED_DRAWS
+    ) -> list[ReportEvaluation]:
+        """Estimate the expected MSE from now to T with plans, on the same fresh simulated systems.
+
+        Parameters
+        ----------
+        *plans : iterables of int
+            Times that are left to be measured; by default those of `plan`.
+        draws : int
+            Number of simulated systems.
+
+        Raises
+        ------
+        MeasurementTimesError
+            A time does not lie after the last measurement and up to T.
+        """
+        feasible, first = self._replanner.feasible, self._now.first
+        wanted = [validated(plan, feasible.horizon) for plan in plans or (self._plan,)]
+        for plan in wanted:
+            if plan and plan[0] < first:
+                raise MeasurementsError(
+                    f"times that are left must be at least {first}, got {plan[0]}"
+                )
+        estimation = self._built.comparing
+        return self._replanner.expected(self._now, wanted, draws, estimation, self._draw)
+
+    def _begin(self, built: Built, times: Iterable[int] | None, draw: int) -> None:
+        job, feasible = built.job, built.job.problem.feasible
+        planning = planning_of(job, job.online or Online(), built.problem.cheapest_estimator)
+        stream = ONLINE.stream(job.seed, "planner")
+        self._built, self._draw = built, draw
+        self._replanner = Replanner(built.problem, feasible, planning, stream)
+        self._filter = filter_of(built, draw=draw)
+        self._now, self._taken = Now(), ()
+        if times is None:
+            default = METHODS[DEFAULT_METHOD].section()
+            first = replace(planning, search=default, draws=_FIRST_DRAWS)
+            self._plan = replace(self._replanner, planning=first).plan(self._now, (), (), draw)
+        else:
+            self._plan = validated(times, job.problem.horizon, "times")
+
+    def _time(self, t: int | None) -> int:
+        """The time that is meant: a given one, or the next planned."""
+        if t is not None:
+            return t
+        if not self._plan:
+            raise MeasurementsError(
+                f"no measurement is left of the plan, got one without t (measured: "
+                f"{shown(self._taken)})"
+            )
+        return self._plan[0]
+
+    def _plan_anew(self, time: int) -> None:
+        """Plan what is left after a time, from what the filter knows."""
+        self._now = Now(self._filter.cloud, measured=True)
+        left = tuple(planned for planned in self._plan if planned > time)
+        self._plan = self._replanner.plan(self._now, self._taken, left, self._draw)

@@ -1,0 +1,82 @@
+"""The command ``pfdist next``."""
+
+from argparse import ArgumentParser, Namespace
+from typing import Any
+
+from pfdist.cli.answers import print_json
+from pfdist.cli.arguments import add_json, add_models, add_run
+from pfdist.cli.command import command
+from pfdist.cli.layout import line, wrapped_lines
+from pfdist.cli.numbers import cost
+from pfdist.common.rounding import with_error
+
+_SHOWN = 4  # planned times that are named
+
+
+def _add_measurements(parser: ArgumentParser) -> None:
+    parser.add_argument(
+        "measurements",
+        metavar="MEASUREMENTS",
+        help="table with the columns t, y0, y1, ..., in CSV or Parquet, for instance patient.csv; "
+        "a row without any value is a time that was missed",
+    )
+    parser.add_argument(
+        "--now",
+        type=int,
+        metavar="T",
+        help="the last instant that has passed, if nothing was measured then, for instance 17",
+    )
+    parser.add_argument(
+        "--times",
+        default="",
+        metavar="NAME",
+        help="compared set whose times were planned (default: the found set with the lowest "
+        "expected MSE)",
+    )
+
+
+@command("next", add_run, _add_measurements, add_models, add_json)
+def next_command(options: Namespace) -> None:
+    """Choose when to measure one system next, from a finished run and the measurements so far."""
+    from pfdist.api.next_time import next_time
+    from pfdist.cli.progress import Display
+
+    with Display() as display:
+        answer = next_time(
+            options.run,
+            options.measurements,
+            now=options.now,
+            times=options.times,
+            model=options.model,
+            filter_model=options.filter_model,
+            say=display.say,
+        ).as_json()
+    if options.json:
+        print_json(answer, options)
+        return
+    print("\n".join(_lines(answer)))
+
+
+def _lines(answer: dict[str, Any]) -> list[str]:
+    """Give the text that says when to measure next, and the error that follows."""
+    number = len(answer["measured"])
+    told = f"{number} measurement{'s' * (number != 1)} so far"
+    if not answer["plan"]:
+        return [f"{told}: no measurement is left", *_expected(answer, "")]
+    following, *later = answer["plan"]
+    text = f"measure next at t = {following}"
+    if later:
+        named = ", ".join(map(str, later[:_SHOWN]))
+        text += f"; then about {named}{', ...' if len(later) > _SHOWN else ''}"
+    lines = [text, line("known", told), *_expected(answer, "")]
+    if answer["planned_before"] != answer["plan"]:
+        named = ", ".join(map(str, answer["planned_before"])) or "no times"
+        lines += wrapped_lines(f"planned by {answer['times']}", f"t = {named}")
+        lines += _expected(answer, "_before")
+    return lines
+
+
+def _expected(answer: dict[str, Any], plan: str) -> list[str]:
+    mse, error = answer[f"expected_mse{plan}"], answer[f"standard_error{plan}"]
+    told = with_error(cost(mse), error)
+    return [line("expected MSE", f"{told} from t = {answer['now']} on")]
