@@ -16,6 +16,7 @@ from pfdist.checks.measured import missing_components, normalised
 from pfdist.checks.speed import speed
 from pfdist.common.rounding import rounded, with_error
 from pfdist.errors import CompileError, ModelError
+from pfdist.evaluation.compiling import compile_problem, libm_functions
 from pfdist.evaluation.engines import ENGINES, NUMPY_TIMES_SLOWER
 from pfdist.evaluation.problem import Problem
 from pfdist.evaluation.work import Estimation, Work
@@ -34,7 +35,7 @@ _SECONDS = 4.0  # for an evaluation of fewer draws, where a thousand take longer
 
 def _same_bytes(model: StateSpaceModel, _: Draws) -> tuple[str, str]:
     """Whether the compiled formulas give the same bytes on another processor."""
-    called = Problem(model, 1).libm_functions(Estimation(1))
+    called = libm_functions(Problem(model, 1), Estimation(1))
     if not called:
         return "ok", "the compiled formulas give the same bytes on all processors"
     return "note", (
@@ -116,7 +117,7 @@ def _computed(model: StateSpaceModel, horizon: int, estimation: Estimation) -> I
     """Look at a model whose formulas are right in NumPy, as an engine computes it."""
     engine = "compiled"
     try:
-        Problem(model, horizon).compile(estimation)
+        compile_problem(Problem(model, horizon), estimation)
         yield Check("compile", "ok", "Numba compiles every formula")
     except CompileError as error:
         engine = "numpy"

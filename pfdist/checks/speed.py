@@ -6,6 +6,7 @@ import types
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from pfdist.evaluation.compiling import makes_arrays
 from pfdist.evaluation.problem import Problem
 from pfdist.evaluation.work import Estimation
 from pfdist.filters.draws import Draws
@@ -26,7 +27,7 @@ _SLOW = {
 
 def speed(model: StateSpaceModel, _: Draws) -> tuple[str, str]:
     """Look for arrays in what the formulas were compiled to, and for the lines that make them."""
-    if not Problem(model, 1).makes_arrays(Estimation(1)):
+    if not makes_arrays(Problem(model, 1), Estimation(1)):
         return "ok", "no formula makes an array for a particle"
     found = [
         f"{what} in {name} ({place}): {cure}"

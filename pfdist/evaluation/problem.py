@@ -16,15 +16,8 @@ from pfdist.evaluation.engines import COMPILED, ENGINES, KALMAN, Engine
 from pfdist.evaluation.work import Estimation, Result, Work, columns, cut
 from pfdist.filters import kalman
 from pfdist.filters.cloud import Gaussian, Prior
-from pfdist.filters.draws import (
-    Draws,
-    check_prior,
-    libm_of_simulation,
-    simulate,
-    simulation_makes_arrays,
-)
+from pfdist.filters.draws import Draws, check_prior
 from pfdist.filters.interface import validated_from
-from pfdist.filters.particle_filter import filter_draws, filter_makes_arrays, libm_of_filter
 from pfdist.filters.settings import FilterSettings, check_filter, check_fits
 from pfdist.kernels.estimators import FILTER_VARIANCE
 from pfdist.models import StateSpaceModel
@@ -187,37 +180,6 @@ class Problem:
                 self.dtype,
                 estimation.estimator,
             )
-
-    def compile(self, estimation: Estimation) -> None:
-        """Compile the simulation and the filter, by a draw of two instants and one particle.
-
-        Raises
-        ------
-        ModelError
-            A formula cannot be compiled, or failed.
-        """
-        draws = simulate(self.model, 1, range(1), 0)
-        if not self.exact:
-            filter_draws(self.believed, draws, (0,), 1, 0, estimation.resampling, dtype=self.dtype)
-
-    def libm_functions(self, estimation: Estimation) -> tuple[str, ...]:
-        """Functions of the C library that the compiled formulas call; call `compile` first.
-
-        The last digits of these functions may differ between processors. All other compiled code
-        gives the same bytes on every processor.
-        """
-        found = set(libm_of_simulation(self.model))
-        if not self.exact:
-            found |= set(
-                libm_of_filter(self.believed, self.model, estimation.resampling, self.dtype)
-            )
-        return tuple(sorted(found))
-
-    def makes_arrays(self, estimation: Estimation) -> bool:
-        """Whether compiled formulas make arrays for each particle; call `compile` first."""
-        return simulation_makes_arrays(self.model) or filter_makes_arrays(
-            self.believed, self.model, estimation.resampling, self.dtype
-        )
 
     @property
     def seconds_a_step(self) -> float:

@@ -9,6 +9,7 @@ from typing import Any
 from pfdist.checks.contract import check_compiled, check_formulas, few_draws
 from pfdist.common.streams import stream_key
 from pfdist.errors import CompileError, EngineWarning, JobError, ModelError
+from pfdist.evaluation.compiling import compile_problem, libm_functions
 from pfdist.evaluation.engines import AUTO, COMPILED, NUMPY, NUMPY_TIMES_SLOWER
 from pfdist.evaluation.problem import Problem
 from pfdist.evaluation.work import Estimation
@@ -72,7 +73,7 @@ class ProblemSource:
         problem = self.make()
         if self.engine != NUMPY.name:
             for estimation in self.estimations:
-                problem.compile(estimation)
+                compile_problem(problem, estimation)
         return problem
 
     def libm_functions(self) -> tuple[str, ...]:
@@ -80,7 +81,7 @@ class ProblemSource:
         if self.engine == NUMPY.name:
             return ()
         problem = self.compiled()
-        found = (problem.libm_functions(estimation) for estimation in self.estimations)
+        found = (libm_functions(problem, estimation) for estimation in self.estimations)
         return tuple(sorted(set().union(*found)))
 
     def evaluation_id(self, times: Times, end: int, stream: int, estimation: Estimation) -> str:

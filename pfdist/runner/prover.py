@@ -14,6 +14,7 @@ from pfdist.bounds.guard import Falls, guarded
 from pfdist.bounds.proof import CONFIDENCE, falls, prove
 from pfdist.bounds.relaxation import relaxation_for
 from pfdist.errors import JobError, ModelError
+from pfdist.evaluation.compiling import compile_problem
 from pfdist.evaluation.engines import ENGINES
 from pfdist.evaluation.work import Estimation
 from pfdist.kernels.estimators import FILTER_VARIANCE
@@ -90,7 +91,7 @@ class Prover:
         truth = built.problem.truth
         truth.check(self._estimation)
         if ENGINES[built.source.engine].compiled:  # before the first task, whose time is limited
-            truth.compile(self._estimation)
+            compile_problem(truth, self._estimation)
         self.particles = 0 if built.problem.exact else count
         self._blocks = _doubled(math.ceil(settings.most_draws / BLOCK)) if self.particles else [0]
         self._within = settings.within

@@ -10,6 +10,7 @@ import pytest
 import pfdist
 from pfdist import load_job, load_model
 from pfdist.checks.model import check_model
+from pfdist.evaluation.compiling import compile_problem, libm_functions
 from pfdist.evaluation.problem import Problem
 from pfdist.evaluation.work import Estimation
 from pfdist.filters import plain
@@ -62,8 +63,8 @@ def test_no_function_of_the_c_library_is_called(name: str) -> None:
     # a remainder do not.
     estimation = Estimation(1)
     problem = Problem(load_model(name), 1)
-    problem.compile(estimation)
-    assert problem.libm_functions(estimation) == ()
+    compile_problem(problem, estimation)
+    assert libm_functions(problem, estimation) == ()
 
 
 @pytest.mark.parametrize("name", SHIPPED)
