@@ -52,7 +52,7 @@ class Problem:
     engine : {"auto", "compiled", "numpy", "kalman"}
         Here "auto" means the compiled engine.
     prior : Cloud or Gaussian, optional
-        What is known of x(s), in the place of `initial`: draws and filters start at s. A normal
+        The knowledge of x(s), in the place of `initial`: draws and filters start at s. A normal
         distribution is for the engine "kalman" alone.
 
     Raises

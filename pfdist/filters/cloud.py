@@ -1,4 +1,4 @@
-"""What is known of the state at an instant: draws and filters start from it, not from `initial`."""
+"""Knowledge of the state at an instant: draws and filters start from it, not from `initial`."""
 
 from dataclasses import dataclass
 from functools import cached_property

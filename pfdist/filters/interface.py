@@ -29,7 +29,7 @@ class Filtered:
         from the measurement at which a draw became degenerate, and after the instant at which it
         became infinite.
     last : sequence of arrays of float64 or Gaussian, (D,), or None
-        What each draw's filter knows at the last instant, if trajectories were asked for: its
+        Knowledge of each draw's filter at the last instant, if trajectories were asked for: its
         particles (n, P), resampled if it measured then, or its normal distribution. The particles
         are NaN if the draw is degenerate or infinite.
     """
@@ -80,7 +80,7 @@ def checking(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., Fil
         dtype : {"float64", "float32"}
             The dtype of the particles' states; formulas compute in float64.
         prior : Cloud or Gaussian, optional
-            What the filter knows at the first instant of the draws, in the place of `initial`. If
+            The filter's knowledge at the first instant of the draws, in the place of `initial`. If
             the draws started from this cloud, no filter starts with the state of its draw's truth.
             A normal distribution is for the Kalman filter alone.
 

@@ -27,7 +27,7 @@ class FilterSettings:
     estimator : {"squared_error", "filter_variance", "two_filters"}
         How the error of an instant is estimated; see `pfdist.filters.one_by_one`.
     prior : Cloud or Gaussian, optional
-        What the filter knows at the first instant of the draws, in the place of `initial`.
+        The filter's knowledge at the first instant of the draws, in the place of `initial`.
     """
 
     particles: int

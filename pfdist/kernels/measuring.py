@@ -1,4 +1,4 @@
-"""What a measurement does to a cloud of particles: it is weighted, and later resampled."""
+"""The effect of a measurement on a cloud of particles: it is weighted, and later resampled."""
 
 from collections.abc import Callable
 from typing import Any
