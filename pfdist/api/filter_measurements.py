@@ -12,7 +12,8 @@ import pyarrow as pa
 from pfdist.analysis import Run, finite
 from pfdist.api.finished_run import built_again, finished_run
 from pfdist.errors import JobError, shown
-from pfdist.online.filter import Estimate, Filter
+from pfdist.online.estimate import Estimate
+from pfdist.online.filter import Filter
 from pfdist.online.measurements import Measurements, read_measurements
 from pfdist.online.user_prior import read_prior
 from pfdist.plots import check_figure_replaceable, draw_filtered
