@@ -13,7 +13,8 @@ from pfdist.analysis import finite
 from pfdist.api.filter_of import filter_of
 from pfdist.api.finished_run import built_again, finished_run
 from pfdist.api.planned_set import planned_set
-from pfdist.online.filter import Estimate, Filter
+from pfdist.online.estimate import Estimate
+from pfdist.online.filter import Filter
 from pfdist.online.measurements import Measurements, read_measurements
 from pfdist.online.user_prior import read_prior
 from pfdist.plots import check_figure_replaceable, draw_filtered

@@ -11,7 +11,7 @@ from pfdist.api.filter_of import filter_of
 from pfdist.errors import MeasurementsError, shown
 from pfdist.evaluation.estimate import ReportEvaluation
 from pfdist.job.job import Job, Online, as_job
-from pfdist.online.filter import Estimate
+from pfdist.online.estimate import Estimate
 from pfdist.online.planning import ONLINE, Now, Replanner
 from pfdist.runner.build import Built, build
 from pfdist.runner.online_phase import planning_of

@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 
 from pfdist.common.streams import stream_key
 from pfdist.errors import PriorError
-from pfdist.filters import cloud
 from pfdist.filters.cloud import Gaussian
 from pfdist.filters.draws import Draws
 from pfdist.filters.interface import Filtered, checking, validated_from
-from pfdist.filters.settings import FilterSettings, check_filter, check_start
+from pfdist.filters.settings import FilterSettings, check_filter
 from pfdist.kernels.cloud import FROM_INITIAL, Prior
 from pfdist.kernels.estimators import ESTIMATORS, SQUARED_ERROR
 from pfdist.kernels.formulas import formulas_of
@@ -95,7 +94,6 @@ def filter_sets(
     dtype: str = "float64",
     ends: Sequence[int] | None = None,
     estimator: str = SQUARED_ERROR.name,
-    prior: cloud.Prior | None = None,
 ) -> NDArray[np.float64]:
     """Filter draws with several sets of measurement times, all under the same noise.
 
@@ -117,10 +115,10 @@ def filter_sets(
         of `filter_draws` if the end is T.
     """
     check_filter(model, draws.model, particles, resampling, dtype, estimator)
-    check_start(model, draws, prior)
+    check_start(model, draws, None)
     last = [draws.instants[-1]] * len(sets) if ends is None else list(ends)
     valid = [validated_from(draws.start, times, end) for times, end in zip(sets, last, strict=True)]
-    settings = FilterSettings(particles, resampling, dtype, estimator, prior)
+    settings = FilterSettings(particles, resampling, dtype, estimator)
     return filter_checked_sets(model, draws, valid, last, stream, settings)
 
 

@@ -57,8 +57,8 @@ def cloud_steps(
     Returns
     -------
     begin : callable
-        ``begin(cloud, noise, particles, p, stream, draw, saved, source, prior, d)`` fills the first
-        half with the saved cloud number `source`. If `source` is -1, it fills it with the particles
+        ``begin(scratch, request, p, stream, draw, source, d)`` fills the first half with the saved
+        cloud number `source`. If `source` is -1, it fills it with the particles
         of the prior for the draw in row d; without a prior, with x(0). It returns the sum of the
         errors so far.
     propagate : callable
@@ -73,7 +73,9 @@ def cloud_steps(
     read_x, write_x = reader(states, "half, c, i"), writer(states, "half, c, i")
 
     @melted
-    def begin(cloud, noise, particles, p, stream, draw, saved, source, prior, d):
+    def begin(scratch, request, p, stream, draw, source, d):
+        cloud, noise, saved = scratch.cloud, scratch.noise, scratch.saved
+        prior, particles = request.prior, request.particles
         if source >= 0:
             copy_cloud(saved.clouds, source, cloud, 0)
             return saved.errors[source]

@@ -3,7 +3,6 @@
 import math
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import Any, cast
 
 import numpy as np
@@ -33,6 +32,7 @@ from pfdist.online.beliefs import (
     surprise_of_particles,
     weighed,
 )
+from pfdist.online.estimate import Estimate, estimate_of
 from pfdist.online.measurements import checked_instant, checked_measurement
 from pfdist.online.one_filter import OneFilter, begin
 from pfdist.online.user_prior import as_prior
@@ -42,46 +42,6 @@ Array = NDArray[np.float64]
 FILTER = Purpose("filter", ReportEvaluation)
 LAST = 32_000  # the largest horizon of a job
 _LARGEST_DRAW = 2**32 - 1
-
-
-@dataclass(frozen=True, eq=False)
-class Estimate:
-    """A filter's belief of z at an instant.
-
-    Parameters
-    ----------
-    t : int
-    measured : bool
-        Whether the measurement at t is among those that the filter knows.
-    mean, standard_deviation : array of float64, (q,)
-    effective_sample_size : float or None
-        Number of particles of equal weight that are worth as much as the weighted particles; None
-        for the engine "kalman", which has no particles.
-    surprise : float or None
-        The probability of a measurement at least as far out as that at t, if the model is right;
-        None if t was not measured. See `pfdist.online.beliefs.surprise_of_particles`.
-    """
-
-    t: int
-    measured: bool
-    mean: Array
-    standard_deviation: Array
-    effective_sample_size: float | None
-    surprise: float | None
-    _belief: Belief = field(repr=False)
-
-    def quantiles(self, levels: float | Sequence[float]) -> Array:
-        """Quantiles of each component of z, (levels, q).
-
-        Parameters
-        ----------
-        levels : float or sequence of float
-            In 0..1, without the ends.
-        """
-        wanted = np.atleast_1d(np.array(levels, np.float64))
-        if wanted.ndim != 1 or not ((wanted > 0) & (wanted < 1)).all():
-            raise ValueError(f"levels must lie between 0 and 1, got {shown(levels)}")
-        return self._belief.quantiles(wanted)
 
 
 class Filter:
@@ -232,7 +192,7 @@ class Filter:
         belief, log_density, surprise = self._explained(predicted, measurement, mean, variance)
         self._filter = self._ahead = moved
         self._evidence += log_density
-        self._now = _estimate(t, mean[-1], variance[-1], belief, surprise)
+        self._now = estimate_of(t, mean[-1], variance[-1], belief, surprise)
         return self._now
 
     def predict(self, t: int) -> Estimate:
@@ -262,8 +222,7 @@ class Filter:
 
     def _moved(self, t: int) -> tuple[OneFilter, Array, Array]:
         """Predict up to t, from the last prediction if this lies on the way."""
-        start = self._ahead if self._ahead.t <= t else self._filter
-        return start.at(t)
+        return (self._ahead if self._ahead.t <= t else self._filter).at(t)
 
     def _check_prior(self, prior: Prior | None, engine: str) -> None:
         if prior is not None:
@@ -298,14 +257,11 @@ class Filter:
 
     def _estimate(self, mean: Array, variance: Array, at: OneFilter | None = None) -> Estimate:
         """Give the estimate of an instant that is not measured."""
-        here = self._filter if at is None else at
-        return _estimate(here.t, mean, variance, self._belief(here, mean, variance))
-
-    def _belief(self, at: OneFilter, mean: Array, variance: Array) -> Belief:
-        prior = _prior(at)
+        prior = _prior(self._filter if at is None else at)
+        belief: Belief = Normal(mean, np.sqrt(variance))
         if isinstance(prior, Cloud):
-            return Particles(quantity(self.model, prior), np.ones(prior.particles))
-        return Normal(mean, np.sqrt(variance))
+            belief = Particles(quantity(self.model, prior), np.ones(prior.particles))
+        return estimate_of(prior.t, mean, variance, belief)
 
     def _explained(
         self, predicted: OneFilter, y: Array, mean: Array, variance: Array
@@ -318,20 +274,6 @@ class Filter:
         share, log_density = weighed(self.model, prior, y)
         surprise = surprise_of_particles(self.model, prior, y, self.stream, predicted.draw)
         return Particles(quantity(self.model, prior), share), log_density, surprise
-
-
-def _estimate(
-    t: int, mean: Array, variance: Array, belief: Belief, surprise: float | None = None
-) -> Estimate:
-    return Estimate(
-        t,
-        surprise is not None,
-        mean,
-        np.sqrt(variance),
-        belief.effective_sample_size(),
-        surprise,
-        belief,
-    )
 
 
 def _loaded(model: StateSpaceModel | str) -> StateSpaceModel:

@@ -1,0 +1,67 @@
+"""The estimate of an instant: moments, quantiles and the surprise of a measurement."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pfdist.errors import shown
+from pfdist.online.beliefs import Belief
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """A filter's belief of z at an instant.
+
+    Parameters
+    ----------
+    t : int
+    measured : bool
+        Whether the measurement at t is among those that the filter knows.
+    mean, standard_deviation : array of float64, (q,)
+    effective_sample_size : float or None
+        Number of particles of equal weight that are worth as much as the weighted particles; None
+        for the engine "kalman", which has no particles.
+    surprise : float or None
+        The probability of a measurement at least as far out as that at t, if the model is right;
+        None if t was not measured. See `pfdist.online.beliefs.surprise_of_particles`.
+    """
+
+    t: int
+    measured: bool
+    mean: Array
+    standard_deviation: Array
+    effective_sample_size: float | None
+    surprise: float | None
+    _belief: Belief = field(repr=False)
+
+    def quantiles(self, levels: float | Sequence[float]) -> Array:
+        """Quantiles of each component of z, (levels, q).
+
+        Parameters
+        ----------
+        levels : float or sequence of float
+            In 0..1, without the ends.
+        """
+        wanted = np.atleast_1d(np.array(levels, np.float64))
+        if wanted.ndim != 1 or not ((wanted > 0) & (wanted < 1)).all():
+            raise ValueError(f"levels must lie between 0 and 1, got {shown(levels)}")
+        return self._belief.quantiles(wanted)
+
+
+def estimate_of(
+    t: int, mean: Array, variance: Array, belief: Belief, surprise: float | None = None
+) -> Estimate:
+    """Give the estimate at t by its moments; it is of a measured instant if it has a surprise."""
+    return Estimate(
+        t,
+        surprise is not None,
+        mean,
+        np.sqrt(variance),
+        belief.effective_sample_size(),
+        surprise,
+        belief,
+    )
