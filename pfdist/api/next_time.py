@@ -13,6 +13,7 @@ from pfdist.api.planner import Planner
 from pfdist.errors import MeasurementsError
 from pfdist.evaluation.estimate import ReportEvaluation
 from pfdist.online.measurements import Measurements, read_measurements
+from pfdist.online.user_prior import read_prior
 from pfdist.times.measurement_times import Times
 
 
@@ -77,6 +78,7 @@ def next_time(
     *,
     now: int | None = None,
     times: str = "",
+    prior: str | Path = "",
     model: str = "",
     filter_model: str = "",
     say: Callable[[str], Any] = lambda line: None,
@@ -95,6 +97,8 @@ def next_time(
     times : str, optional
         Name of the compared set that was planned; by default the found set with the lowest expected
         MSE.
+    prior : str or Path, optional
+        Table of particles from which the filter starts; see `pfdist.filter_measurements`.
     model, filter_model : str, optional
         ``path/file.py:object``: replaces the file that the run names for the model or for the
         filter's model. It is run without question, and must mean the same as the run's model.
@@ -112,33 +116,32 @@ def next_time(
         file that is not run without the user's word.
     JobError
         The run has no set of this name.
-    MeasurementsError
-        The table does not fit, or a value in it is wrong.
+    MeasurementsError, PriorError
+        A table does not fit, or a value in it is wrong.
     ModelError
         The model cannot be loaded, or a formula failed.
     """
     opened = finished_run(run)
     name, planned = planned_set(opened, times)
     built = built_again(opened, {"model": model, "filter_model": filter_model}, say)
-    horizon = built.job.problem.horizon
-    rows = read_measurements(Path(measurements), built.problem.believed, horizon)
-    planner = Planner.of_built(built, planned)
-    last = _tell(planner, rows)
+    believed, feasible = built.problem.believed, built.job.problem.feasible
+    known = read_prior(Path(prior), believed) if prior else None
+    planner = Planner.of_built(built, planned, known)
+    start = planner.estimate().t
+    last = _tell(planner, read_measurements(Path(measurements), believed, feasible.horizon, start))
     if now is not None:
-        _check_now(now, last, horizon)
+        _check_now(now, max(last, start), feasible.horizon)
         if planner.plan() and planner.plan()[0] <= now:
             planner.missed(now)
         last = now
-    spent = planner.measured
-    left = built.job.problem.feasible.total - len(spent)
     before = tuple(time for time in planned if time > last)
-    if built.job.problem.feasible.counted:
-        before = before[: max(0, left)]
+    if feasible.counted:
+        before = before[: max(0, feasible.total - len(planner.measured))]
     expected, expected_before = planner.expected(planner.plan(), before)
     return NextTime(
         opened.path,
         name,
-        spent,
+        planner.measured,
         planner.estimate().t,
         planner.plan(),
         before,
@@ -163,7 +166,5 @@ def _t(row: tuple[int, Any]) -> int:
 
 
 def _check_now(now: int, last: int, horizon: int) -> None:
-    if not max(last, 0) <= now <= horizon:
-        raise MeasurementsError(
-            f"now must lie in {max(last, 0)}..{horizon}, got {now}", argument="now"
-        )
+    if not last <= now <= horizon:
+        raise MeasurementsError(f"now must lie in {last}..{horizon}, got {now}", argument="now")

@@ -5,14 +5,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pfdist.api.filter_of import filter_of
 from pfdist.errors import MeasurementsError, shown
 from pfdist.evaluation.estimate import ReportEvaluation
+from pfdist.filters.cloud import Prior
 from pfdist.job.job import Job, Online, as_job
 from pfdist.online.estimate import Estimate
 from pfdist.online.planning import ONLINE, Now, Replanner
+from pfdist.online.user_prior import as_prior
 from pfdist.runner.build import Built, build
 from pfdist.runner.online_phase import planning_of
 from pfdist.search.methods import DEFAULT_METHOD, METHODS
@@ -36,13 +38,16 @@ class Planner:
     times : iterable of int, optional
         The plan before anything is measured, such as the times that `pfdist.plan` found. By default
         a short search finds some.
+    prior : Cloud, Gaussian or array, optional
+        The knowledge of x(s), in the place of the model's `initial`; the system then starts at s.
+        An array (n, M) holds M particles of x(0).
     draw : int
         Number of the system, which keys the noise: give each system a number of its own.
 
     Raises
     ------
-    JobError, ModelError, MeasurementTimesError
-        The job, the model or the times are not possible.
+    JobError, ModelError, MeasurementTimesError, PriorError
+        The job, the model, the times or the prior are not possible.
 
     Examples
     --------
@@ -57,15 +62,22 @@ class Planner:
     _plan: Times
 
     def __init__(
-        self, job: Job | str | Path, times: Iterable[int] | None = None, *, draw: int = 0
+        self,
+        job: Job | str | Path,
+        times: Iterable[int] | None = None,
+        *,
+        prior: Prior | ArrayLike | None = None,
+        draw: int = 0,
     ) -> None:
-        self._begin(build(as_job(job)), times, draw)
+        self._begin(build(as_job(job)), times, None if prior is None else as_prior(prior), draw)
 
     @classmethod
-    def of_built(cls, built: Built, times: Iterable[int], draw: int = 0) -> "Planner":
+    def of_built(
+        cls, built: Built, times: Iterable[int], prior: Prior | None = None, draw: int = 0
+    ) -> "Planner":
         """Make a planner from a job that is built already; parameters as above."""
         planner = cls.__new__(cls)
-        planner._begin(built, times, draw)
+        planner._begin(built, times, prior, draw)
         return planner
 
     def next_time(self) -> int | None:
@@ -171,20 +183,23 @@ class Planner:
         estimation = self._built.comparing
         return self._replanner.expected(self._now, wanted, draws, estimation, self._draw)
 
-    def _begin(self, built: Built, times: Iterable[int] | None, draw: int) -> None:
+    def _begin(
+        self, built: Built, times: Iterable[int] | None, prior: Prior | None, draw: int
+    ) -> None:
         job, feasible = built.job, built.job.problem.feasible
         planning = planning_of(job, job.online or Online(), built.problem.cheapest_estimator)
         stream = ONLINE.stream(job.seed, "planner")
         self._built, self._draw = built, draw
         self._replanner = Replanner(built.problem, feasible, planning, stream)
-        self._filter = filter_of(built, draw=draw)
-        self._now, self._taken = Now(), ()
+        self._filter = filter_of(built, prior, draw)
+        self._now, self._taken = Now(prior), ()
         if times is None:
             default = METHODS[DEFAULT_METHOD].section()
             first = replace(planning, search=default, draws=_FIRST_DRAWS)
             self._plan = replace(self._replanner, planning=first).plan(self._now, (), (), draw)
         else:
-            self._plan = validated(times, job.problem.horizon, "times")
+            planned = validated(times, job.problem.horizon, "times")
+            self._plan = tuple(time for time in planned if time >= self._now.first)
 
     def _time(self, t: int | None) -> int:
         """The time that is meant: a given one, or the next planned."""

@@ -20,7 +20,7 @@ from pfdist.errors import PriorError
 from pfdist.filters.cloud import Gaussian
 from pfdist.filters.draws import Draws
 from pfdist.filters.interface import Filtered, checking, validated_from
-from pfdist.filters.settings import FilterSettings, check_filter
+from pfdist.filters.settings import FilterSettings, check_filter, check_start
 from pfdist.kernels.cloud import FROM_INITIAL, Prior
 from pfdist.kernels.estimators import ESTIMATORS, SQUARED_ERROR
 from pfdist.kernels.formulas import formulas_of

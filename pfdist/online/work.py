@@ -74,7 +74,7 @@ class OnlineWork(Work):
         y = problem.draws(range(draw, draw + 1), self.draws_stream).y[0]
         estimation, (plan,) = self.estimation, self.measurement_times
         settings = FilterSettings(estimation.particles, estimation.resampling, problem.dtype)
-        one = begin(
+        filtering = begin(
             problem.believed, settings, self.filter_streams[0], draw, problem.computed_by.name
         )
         taken = Times()
@@ -82,8 +82,8 @@ class OnlineWork(Work):
             time = plan[0]
             taken = (*taken, time)
             if plan[1:] or not self.feasible.counted:  # else nothing is left to plan
-                one, *_ = one.at(time, y[time])
-                now = Now(one.settings.prior, measured=True)
+                filtering, *_ = filtering.at(time, y[time])
+                now = Now(filtering.settings.prior, measured=True)
                 plan = replanner.plan(now, taken, plan[1:], draw)
             else:
                 plan = ()

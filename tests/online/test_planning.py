@@ -57,11 +57,11 @@ def test_where_measurements_say_nothing_about_times_the_plan_never_changes(name:
     replanner = Replanner(problem, feasible, SEARCHED, 5)
     draws = simulate(model, 12, range(3), 7)
     for d in range(3):
-        one, taken, plan = begin(model, FilterSettings(1), 3, d, "kalman"), (), best
+        filtering, taken, plan = begin(model, FilterSettings(1), 3, d, "kalman"), (), best
         while plan:
-            one, *_ = one.at(plan[0], draws.y[d, plan[0]])
+            filtering, *_ = filtering.at(plan[0], draws.y[d, plan[0]])
             taken = (*taken, plan[0])
-            plan = replanner.plan(Now(one.settings.prior, measured=True), taken, plan[1:], d)
+            plan = replanner.plan(Now(filtering.settings.prior, measured=True), taken, plan[1:], d)
         assert taken == best
 
 
@@ -126,19 +126,19 @@ def test_the_expected_error_is_the_realised_error_for_a_static_state() -> None:
     planned, with_truth, realised = np.empty((3, systems))
     estimation = Estimation(20, "systematic")
     for d in range(systems):
-        one = begin(model, settings, 3, d)
+        filtering = begin(model, settings, 3, d)
         for t in range(3):
-            one, *_ = one.at(t, draws.y[d, t])
-        now = Now(one.settings.prior, measured=True)
+            filtering, *_ = filtering.at(t, draws.y[d, t])
+        now = Now(filtering.settings.prior, measured=True)
         (expected,) = replanner.expected(now, [times], 200, estimation, d)
         planned[d] = expected.expected_mse
-        ended, squared = one, []
+        ended, squared = filtering, []
         for t in times:
             ended, estimate, _ = ended.at(t, draws.y[d, t])
             squared.append((estimate[-1, 0] - draws.z[d, t, 0]) ** 2)
-        after = one.at(2)[1][-1, 0]
+        after = filtering.at(2)[1][-1, 0]
         realised[d] = np.mean([(after - draws.z[d, 2, 0]) ** 2, *squared])
-        naive = replace(problem, prior=one.settings.prior)
+        naive = replace(problem, prior=filtering.settings.prior)
         simulated = replace(naive.draws(range(200), 9), origin=None)
         with_truth[d] = naive.mse_of_sets(simulated, [times], [8], 11, estimation).mean()
     error = np.hypot(planned.std(), realised.std()) / np.sqrt(systems)

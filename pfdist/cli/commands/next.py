@@ -33,11 +33,17 @@ def _add_measurements(parser: ArgumentParser) -> None:
         help="compared set whose times were planned (default: the found set with the lowest "
         "expected MSE)",
     )
+    parser.add_argument(
+        "--prior",
+        default="",
+        metavar="FILE",
+        help="particles from which the filter starts, as for pfdist filter",
+    )
 
 
 @command("next", add_run, _add_measurements, add_models, add_json)
 def next_command(options: Namespace) -> None:
-    """Choose when to measure one system next, from a finished run and the measurements so far."""
+    """Choose when to measure a system next, from the measurements so far."""
     from pfdist.api.next_time import next_time
     from pfdist.cli.progress import Display
 
@@ -47,6 +53,7 @@ def next_command(options: Namespace) -> None:
             options.measurements,
             now=options.now,
             times=options.times,
+            prior=options.prior,
             model=options.model,
             filter_model=options.filter_model,
             say=display.say,
