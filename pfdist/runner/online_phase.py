@@ -9,8 +9,8 @@ import pyarrow as pa
 
 from pfdist.evaluation.work import Result, Work, cut
 from pfdist.job.job import Job, Online
-from pfdist.online.planning import Planning
-from pfdist.online.work import OnlineWork
+from pfdist.replanning.planning import Planning
+from pfdist.replanning.work import OnlineWork
 from pfdist.runner.build import Built
 from pfdist.runner.collect import Collector
 from pfdist.runner.first_draws import TRAJECTORIES

@@ -8,8 +8,8 @@ import numpy as np
 from pfdist.evaluation.problem import Problem
 from pfdist.evaluation.work import Result, Work
 from pfdist.filters.settings import FilterSettings
-from pfdist.online.one_filter import begin
-from pfdist.online.planning import Planning, Replanner
+from pfdist.replanning.one_filter import begin
+from pfdist.replanning.planning import Planning, Replanner
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 

@@ -17,7 +17,7 @@ from pfdist.evaluation.problem import Problem
 from pfdist.evaluation.work import Estimation
 from pfdist.filters.draws import Draws
 from pfdist.kernels.noise import generator
-from pfdist.online.one_filter import OneFilter
+from pfdist.replanning.one_filter import OneFilter
 from pfdist.search.base import Candidate, SearchOptimiser
 from pfdist.search.methods import METHODS
 from pfdist.search.paired import difference
