@@ -3,6 +3,7 @@ from .analysis import open_run as open_run
 from .api.bound import bound as bound
 from .api.budget import budget as budget
 from .api.evaluate import evaluate as evaluate
+from .api.online import online as online
 from .api.plan import plan as plan
 from .api.run import run as run
 from .elementwise import clip as clip

@@ -12,6 +12,11 @@ from pfdist.replanning.one_filter import begin
 from pfdist.replanning.planning import Planning, Replanner
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
+from pfdist.times.rest import rest_of
+
+# A step of a plan takes longer than a step of the comparison: stretches between two measurements
+# are short, particles are few, and the search itself takes time.
+_SLOWER = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,10 +96,18 @@ class OnlineWork(Work):
 
 @lru_cache(maxsize=4)
 def _steps(feasible: Feasible, planning: Planning) -> int:
-    """About how many particle-steps the plans of one draw take.
+    """About how many particle-steps the plans of one draw take, if it is measured at regular times.
 
-    The plans get shorter, so on average a plan takes half of the work of the first plan.
+    Raises
+    ------
+    JobError
+        The method of the planning cannot search this problem.
     """
-    sets = planning.optimiser(feasible).evaluations * planning.draws + 2 * planning.judging_draws
-    a_set = (feasible.horizon + 1) * planning.estimation.steps_an_instant
-    return round(feasible.measurements * sets * a_set / 4)
+    planning.optimiser(feasible)  # no rest has more sets
+    times, steps = feasible.regular(), 0.0
+    for number in range(1, len(times)):
+        rest = rest_of(feasible, times[:number], times[number - 1] + 1)
+        if rest is not None:
+            sets = planning.optimiser(rest).evaluations * planning.draws
+            steps += (rest.horizon + 1) * (sets + 2 * planning.judging_draws)
+    return round(_SLOWER * steps * planning.estimation.steps_an_instant)
