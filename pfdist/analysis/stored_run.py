@@ -17,7 +17,7 @@ from pfdist.analysis.gains import BLOCK, ComparisonStatistics, relative_gain
 from pfdist.analysis.online import online_draws
 from pfdist.analysis.recorded import read_recorded
 from pfdist.analysis.results import results_of
-from pfdist.store import BOUND_PHASE, Store, check_entries
+from pfdist.store import BOUND_PHASE, Store, check_entries, schema
 from pfdist.times.measurement_times import Times
 
 
@@ -69,6 +69,8 @@ class Run:
 
         Without such times the table is empty.
         """
+        if not self.has("online"):
+            return pd.DataFrame(columns=schema("online").names)
         return self._store.read("online")
 
     def trajectories(self) -> pd.DataFrame:

@@ -5,6 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from pfdist.errors import MeasurementsError
 from pfdist.evaluation.problem import Problem
 from pfdist.evaluation.work import Result, Work
 from pfdist.filters.settings import FilterSettings
@@ -74,7 +75,7 @@ class OnlineWork(Work):
         return replace(problem.filtered(filtered), measurement_times=(times,))
 
     def chosen(self, problem: Problem, draw: int) -> Times:
-        """Choose the times of one draw."""
+        """Choose the times of one draw; if it is degenerate, the last plan stays."""
         replanner = Replanner(problem, self.feasible, self.planning, self.planning_stream)
         y = problem.draws(range(draw, draw + 1), self.draws_stream).y[0]
         estimation, (plan,) = self.estimation, self.measurement_times
@@ -86,11 +87,13 @@ class OnlineWork(Work):
         while plan:
             time = plan[0]
             taken = (*taken, time)
-            if plan[1:] or not self.feasible.counted:  # else nothing is left to plan
-                one, *_ = one.at(time, y[time])
-                plan = replanner.plan(one, taken, plan[1:], draw)
-            else:
-                plan = ()
+            plan = plan[1:]
+            if plan or not self.feasible.counted:  # else nothing is left to plan
+                try:
+                    one, *_ = one.at(time, y[time])
+                except MeasurementsError:  # the draw is degenerate, whatever follows
+                    return (*taken, *plan)
+                plan = replanner.plan(one, taken, plan, draw)
         return taken
 
 
