@@ -17,11 +17,11 @@ from pfdist.evaluation.problem import Problem
 from pfdist.evaluation.work import Estimation
 from pfdist.filters.draws import Draws
 from pfdist.kernels.noise import generator
-from pfdist.replanning.one_filter import OneFilter
 from pfdist.search.base import Candidate, SearchOptimiser
 from pfdist.search.methods import METHODS
 from pfdist.search.paired import difference
 from pfdist.search.section import SearchSection
+from pfdist.sequential.one_filter import OneFilter
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 from pfdist.times.rest import rest_of

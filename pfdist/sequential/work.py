@@ -9,8 +9,8 @@ from pfdist.errors import MeasurementsError
 from pfdist.evaluation.problem import Problem
 from pfdist.evaluation.work import Result, Work
 from pfdist.filters.settings import FilterSettings
-from pfdist.replanning.one_filter import begin
-from pfdist.replanning.planning import Planning, Replanner
+from pfdist.sequential.one_filter import begin
+from pfdist.sequential.planning import Planning, Replanner
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 from pfdist.times.rest import rest_of
