@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class OneFilter:
-    """What a filter knows of one system at an instant. Use `begin` to make the first.
+    """A filter's knowledge of one system at an instant. Use `begin` to make the first.
 
     Parameters
     ----------

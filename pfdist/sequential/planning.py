@@ -85,12 +85,12 @@ class Replanner:
     planning: Planning
     stream: int
 
-    def plan(self, one: OneFilter, taken: Times, plan: Times, draw: int = 0) -> Times:
+    def plan(self, filtering: OneFilter, taken: Times, plan: Times, draw: int = 0) -> Times:
         """Give the plan for what is left: the plan at hand, or a better one.
 
         Parameters
         ----------
-        one : OneFilter
+        filtering : OneFilter
             The filter now.
         taken : tuple of int
             Times that were measured so far.
@@ -104,13 +104,13 @@ class Replanner:
         ModelError
             A formula failed.
         """
-        first = one.t + one.measured
+        first = filtering.t + filtering.measured
         rest = rest_of(self.feasible, taken, first)
         if rest is None:
             return ()
         plan = tuple(time - first for time in plan)
         at_hand = [plan] if rest.accepts(plan) else []
-        outlook = _Outlook(self, one, first, stream_key(self.stream, draw, one.t))
+        outlook = _Outlook(self, filtering, first, stream_key(self.stream, draw, filtering.t))
         found = outlook.search(rest, plan if at_hand else None)
         chosen = outlook.better([*at_hand, *found] or [rest.regular()])
         return tuple(first + time for time in chosen)
@@ -121,7 +121,7 @@ class _Outlook:
     """Simulated futures of one system. Times count from the first instant still to be measured."""
 
     replanner: Replanner
-    one: OneFilter
+    filtering: OneFilter
     first: int
     stream: int
 
@@ -178,4 +178,4 @@ class _Outlook:
     @property
     def problem(self) -> Problem:
         """The problem from now on."""
-        return replace(self.replanner.problem, prior=self.one.settings.prior)
+        return replace(self.replanner.problem, prior=self.filtering.settings.prior)

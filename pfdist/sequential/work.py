@@ -80,7 +80,7 @@ class OnlineWork(Work):
         y = problem.draws(range(draw, draw + 1), self.draws_stream).y[0]
         estimation, (plan,) = self.estimation, self.measurement_times
         settings = FilterSettings(estimation.particles, estimation.resampling, problem.dtype)
-        one = begin(
+        filtering = begin(
             problem.believed, settings, self.filter_streams[0], draw, problem.computed_by.name
         )
         taken = Times()
@@ -90,10 +90,10 @@ class OnlineWork(Work):
             plan = plan[1:]
             if plan or not self.feasible.counted:  # else nothing is left to plan
                 try:
-                    one, *_ = one.at(time, y[time])
+                    filtering, *_ = filtering.at(time, y[time])
                 except MeasurementsError:  # the draw is degenerate, whatever follows
                     return (*taken, *plan)
-                plan = replanner.plan(one, taken, plan, draw)
+                plan = replanner.plan(filtering, taken, plan, draw)
         return taken
 
 

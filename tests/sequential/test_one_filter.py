@@ -25,15 +25,15 @@ def test_it_equals_the_batch_filter_draw_for_draw(ungm: StateSpaceModel, engine:
     # A matrix product of four draws may round otherwise than that of one.
     same = np.testing.assert_allclose if engine == "kalman" else np.testing.assert_array_equal
     for d in range(4):
-        one = begin(model, settings, 9, d, engine)
+        filtering = begin(model, settings, 9, d, engine)
         for t in TIMES:
-            one, estimate, variance = one.at(t, draws.y[d, t])
+            filtering, estimate, variance = filtering.at(t, draws.y[d, t])
             same(estimate[-1], whole.estimate[d, t])
             same(variance[-1], whole.variance[d, t])
-            assert (one.t, one.measured) == (t, True)
-        one, estimate, _ = one.at(HORIZON)
+            assert (filtering.t, filtering.measured) == (t, True)
+        filtering, estimate, _ = filtering.at(HORIZON)
         same(estimate[1:], whole.estimate[d, TIMES[-1] + 1 :])
-        assert not one.measured
+        assert not filtering.measured
 
 
 def test_a_measurement_that_no_particle_explains_is_named(ungm: StateSpaceModel) -> None:
