@@ -5,6 +5,7 @@ from .api.budget import budget as budget
 from .api.evaluate import evaluate as evaluate
 from .api.filter_measurements import filter_measurements as filter_measurements
 from .api.next_time import next_time as next_time
+from .api.online import online as online
 from .api.plan import plan as plan
 from .api.planner import Planner as Planner
 from .api.run import run as run
@@ -18,7 +19,7 @@ from .job.job import load_job as load_job
 from .models import StateSpaceModel as StateSpaceModel
 from .models import load_model as load_model
 from .models.linear_gaussian import linear_gaussian as linear_gaussian
-from .online.filter import Filter as Filter
+from .sequential.filter import Filter as Filter
 from .runner.bound_settings import BoundSettings as BoundSettings
 
 __all__: list[str]

@@ -9,7 +9,8 @@ Wilson, "Probable inference, the law of succession, and statistical inference", 
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,6 +75,12 @@ class GainSummary:
     mean_log10_ratio: float
     mean_log10_ratio_interval: Interval
     quantiles: dict[float, float]
+
+    def columns(self) -> dict[str, Any]:
+        """All fields, and ``gains_disagree``, as a summary gives them."""
+        gain = asdict(self) | {"gains_disagree": self.disagree}
+        gain["quantiles"] = {str(key): value for key, value in gain["quantiles"].items()}
+        return {"gain_draws": gain.pop("draws"), **gain}
 
     @property
     def disagree(self) -> bool:

@@ -5,7 +5,6 @@ belongs to.
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, Protocol
 
 import pandas as pd
@@ -75,10 +74,7 @@ class TimesResults:
                 result |= described(run.job, name, times) | _gain_over_itself(run)
             else:
                 result |= belief_of(run, name, result)
-                summary = statistics.gains[name].summary()
-                gain = asdict(summary) | {"gains_disagree": summary.disagree}
-                gain["quantiles"] = {str(key): value for key, value in gain["quantiles"].items()}
-                result |= {"gain_draws": gain.pop("draws"), **gain}
+                result |= statistics.gains[name].summary().columns()
             results[name] = result
         return results
 

@@ -14,9 +14,10 @@ from pfdist.analysis.bounds import last_bounds
 from pfdist.analysis.budget_curve import reaching
 from pfdist.analysis.finite import finite
 from pfdist.analysis.gains import BLOCK, ComparisonStatistics, relative_gain
+from pfdist.analysis.online import online_draws
 from pfdist.analysis.recorded import read_recorded
 from pfdist.analysis.results import results_of
-from pfdist.store import BOUND_PHASE, Store, check_entries
+from pfdist.store import BOUND_PHASE, Store, check_entries, schema
 from pfdist.times.measurement_times import Times
 
 
@@ -68,6 +69,8 @@ class Run:
 
         Without such times the table is empty.
         """
+        if not self.has("online"):
+            return pd.DataFrame(columns=schema("online").names)
         return self._store.read("online")
 
     def trajectories(self) -> pd.DataFrame:
@@ -205,9 +208,9 @@ class Run:
         Returns
         -------
         dict
-            ``state``, ``run``, ``evaluations`` (copies counted), ``draws_compared`` and
-            ``results`` by name. Fractions are not in per cent; an infinite or unknown value is
-            None. Each result has:
+            ``state``, ``run``, ``evaluations`` (copies counted), ``draws_compared``, ``results`` by
+            name, and ``online`` if there is such a table. Fractions are not in per cent; an
+            infinite or unknown value is None. Each result has:
 
             - measurement_times, expected_mse, standard_error, degenerate_draws, search_cost and
               search_standard_error.
@@ -226,6 +229,15 @@ class Run:
             If the run has several numbers of measurements, the results are the rows of `budget`,
             with the four search_ fields for found times. Before the comparison has begun, a result
             has only measurement_times, search_cost and search_standard_error.
+
+            If times were chosen one after another, there is a key ``online``: draws (without the
+            degenerate_draws, which are degenerate with the online times, the plan or the
+            reference), expected_mse and standard_error of the online times, and differs_from_plan
+            (share of draws whose times are not those of the plan). The plan is the set of the
+            first search. Under ``plan`` and ``reference`` stand name, expected_mse and
+            standard_error on these draws, difference (expected MSE of the online times, less that
+            of the set) with difference_interval (95 %, Student's t, of the paired differences),
+            and the fields of `GainSummary` for the gain of the online times over the set.
         """
         results: dict[str, Any] = {}
         if self.has("compared"):
@@ -235,12 +247,15 @@ class Run:
             for name, columns in proved.items():
                 results[name]["lower_bound"] = columns
         evaluations = int(self.evaluations()["copies"].sum()) if self.has("evaluations") else 0
+        has_online = self.has("online") and self.has("comparison")
+        online = {"online": finite(online_draws(self).summary())} if has_online else {}
         return {
             "state": self.state,
             "run": str(self.path),
             "evaluations": evaluations,
             "draws_compared": self.draws_compared,
             "results": finite(results),
+            **online,
         }
 
     def _before_the_comparison(self) -> dict[str, Any]:

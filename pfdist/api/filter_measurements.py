@@ -13,11 +13,11 @@ from pfdist.analysis import finite
 from pfdist.api.filter_of import filter_of
 from pfdist.api.finished_run import built_again, finished_run
 from pfdist.api.planned_set import planned_set
-from pfdist.online.estimate import Estimate
-from pfdist.online.filter import Filter
-from pfdist.online.measurements import Measurements, read_measurements
-from pfdist.online.user_prior import read_prior
 from pfdist.plots import check_figure_replaceable, draw_filtered
+from pfdist.sequential.estimate import Estimate
+from pfdist.sequential.filter import Filter
+from pfdist.sequential.measurements import Measurements, read_measurements
+from pfdist.sequential.user_prior import read_prior
 from pfdist.store import FILTERED_PERCENTS, filtered_schema
 from pfdist.store.user_tables import check_replaceable, is_parquet, write_user_table
 from pfdist.times.measurement_times import Times
@@ -130,7 +130,7 @@ def filter_measurements(
         expected MSE.
     prior : str or Path, optional
         Table of particles from which the filter starts, with the columns x0, x1, ..., and on
-        request weight and t; see `pfdist.online.user_prior.read_prior`.
+        request weight and t; see `pfdist.sequential.user_prior.read_prior`.
     out : str or Path, optional
         Folder of the table and the figure; by default the folder of the measurements.
     model, filter_model : str, optional

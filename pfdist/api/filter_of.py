@@ -1,8 +1,8 @@
 """The filter of a job, for one real system."""
 
 from pfdist.filters.cloud import Prior
-from pfdist.online.filter import Filter
 from pfdist.runner.build import Built
+from pfdist.sequential.filter import Filter
 
 
 def filter_of(built: Built, prior: Prior | None = None, draw: int = 0) -> Filter:

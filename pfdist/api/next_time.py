@@ -12,8 +12,8 @@ from pfdist.api.planned_set import planned_set
 from pfdist.api.planner import Planner
 from pfdist.errors import MeasurementsError
 from pfdist.evaluation.estimate import ReportEvaluation
-from pfdist.online.measurements import Measurements, read_measurements
-from pfdist.online.user_prior import read_prior
+from pfdist.sequential.measurements import Measurements, read_measurements
+from pfdist.sequential.user_prior import read_prior
 from pfdist.times.measurement_times import Times
 
 

@@ -12,12 +12,12 @@ from pfdist.errors import MeasurementsError, shown
 from pfdist.evaluation.estimate import ReportEvaluation
 from pfdist.filters.cloud import Prior
 from pfdist.job.job import Job, Online, as_job
-from pfdist.online.estimate import Estimate
-from pfdist.online.planning import ONLINE, Now, Replanner
-from pfdist.online.user_prior import as_prior
 from pfdist.runner.build import Built, build
 from pfdist.runner.online_phase import planning_of
 from pfdist.search.methods import DEFAULT_METHOD, METHODS
+from pfdist.sequential.estimate import Estimate
+from pfdist.sequential.planning import ONLINE, Now, Replanner
+from pfdist.sequential.user_prior import as_prior
 from pfdist.times.measurement_times import Times, validated
 
 EXPECTED_DRAWS = 2000

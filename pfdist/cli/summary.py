@@ -6,8 +6,15 @@ from typing import Any
 from pfdist.cli.belief import belief_line
 from pfdist.cli.bound_lines import proof_lines
 from pfdist.cli.budget_summary import budget_lines, is_for_several_numbers
-from pfdist.cli.layout import line, paragraph, wrapped_lines
-from pfdist.cli.numbers import cost, percent, percent_with_interval, range_of, times_100
+from pfdist.cli.gain_lines import (
+    gain_of_means_line,
+    mean_relative_gain_line,
+    positive_gains_line,
+    why_gains_disagree,
+)
+from pfdist.cli.layout import line, wrapped_lines
+from pfdist.cli.numbers import cost, percent, percent_with_interval, range_of
+from pfdist.cli.online_lines import online_lines
 from pfdist.common.rounding import with_error, with_interval
 from pfdist.errors import one_line
 
@@ -27,6 +34,7 @@ def print_summary(summary: dict[str, Any], files: str) -> None:
         f"{one_line(summary['run'])}: {summary['state']}, {summary['evaluations']:,} evaluations, "
         f"{summary['draws_compared']:,} draws compared",
         *(budget_lines(summary) if several else _lines_of_sets(summary["results"])),
+        *_lines_of_online(summary),
         *(["", files] if files else []),
     ]
     print("\n".join(lines), file=sys.stdout)
@@ -44,6 +52,14 @@ def _lines_of_sets(results: dict[str, Any]) -> list[str]:
         elif result["search_cost"] is not None:  # the comparison has not begun
             lines.append(belief_line(result))
     return lines
+
+
+def _lines_of_online(summary: dict[str, Any]) -> list[str]:
+    """Give the lines about times that are chosen one after another, if the run has some."""
+    if "online" not in summary:
+        return []
+    online, results = summary["online"], summary["results"]
+    return ["", *online_lines(online, results[online["reference"]["name"]].get("gain_over_itself"))]
 
 
 def _compared_lines(name: str, results: dict[str, Any], reference: str) -> list[str]:
@@ -79,45 +95,13 @@ def _reference_lines(result: dict[str, Any]) -> list[str]:
 
 def _gain_lines(result: dict[str, Any], reference: str, noise: float | None) -> list[str]:
     """Give the gain of means, which a search of small costs raises, then the paper's figures."""
-    relative = percent_with_interval(
-        result["mean_relative_gain"], result["mean_relative_gain_interval"]
-    )
-    positive = percent_with_interval(
-        result["positive_fraction"], result["positive_fraction_interval"], " of draws"
-    )
     quartiles = [result["quantiles"].get(share) for share in ("0.25", "0.5", "0.75")]
     log10, *ends = with_interval(result["mean_log10_ratio"], *result["mean_log10_ratio_interval"])
     lines = [
-        line(f"against {reference}", _gain_of_means(result)),
-        line("mean relative gain", relative),
-        line("positive gains", positive),
+        gain_of_means_line(result, reference),
+        mean_relative_gain_line(result),
+        positive_gains_line(result),
         line("quartiles", ", ".join(percent(quartile, 1) for quartile in quartiles)),
         line("mean log10 of ratio", f"{log10}  (95 %: {range_of(*ends)})"),
     ]
-    return lines + (_why_gains_disagree(noise) if result["gains_disagree"] else [])
-
-
-def _gain_of_means(result: dict[str, Any]) -> str:
-    gain, interval = result["gain_of_means"], result["gain_of_means_interval"]
-    side = "lower"
-    if gain is not None and gain < 0:
-        side, gain = "higher", -gain
-        interval = [None if end is None else -end for end in reversed(interval)]
-    value, low, high = with_interval(*(times_100(part) for part in (gain, *interval)))
-    return f"{value} % {side}  (95 %: {range_of(low, high)}; gain of means)"
-
-
-def _why_gains_disagree(noise: float | None) -> list[str]:
-    """Say why the mean relative gain differs from the gain of means.
-
-    Parameters
-    ----------
-    noise : float or None
-        The gain of the reference over itself, if it is known.
-    """
-    reason = "a relative gain weighs a draw with a small error as much as a draw with a large error"
-    if noise is None:
-        reason += ", and the noise of the filters biases its mean low"
-    elif noise:
-        reason += f", and the noise of the filters alone gives it a mean of {percent(noise)}"
-    return paragraph(f"The two gains differ: {reason}.")
+    return lines + (why_gains_disagree(noise) if result["gains_disagree"] else [])

@@ -30,6 +30,8 @@ from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import REGULAR, validated
 
 RESERVED: Final = (REGULAR, GIVEN, "comparison")  # names that no search may have
+ONLINE: Final = "online"
+"""Name of the times that are chosen one after another, beside the names of the searches."""
 MOST_SEARCHES: Final = 100  # a figure of more searches could not be read
 _NOTHING: Mapping[str, Any] = {}
 _QUICK: Mapping[str, Any] = {"rounds": 1, "reach": 2.0}
@@ -63,10 +65,13 @@ class Origin(NamedTuple):
         The job file. Paths of models are relative to its folder, and a run has its name.
     names_searches : bool
         Whether the job file has a [[search]]. Otherwise the job has the default search.
+    names_online : bool
+        Whether the job file has a section [online].
     """
 
     path: Path = Path("job.toml")
     names_searches: bool = False
+    names_online: bool = False
 
 
 _NO_FILE = Origin()
@@ -160,6 +165,8 @@ class Job(Section):
             return self
         if self.budget is not None:
             raise ValueError("online needs a job with one measurement budget, got a budget section")
+        if any(search.name == ONLINE for search in self.search):
+            raise ValueError(f"online needs searches of other names, got a search {ONLINE!r}")
         if self.online.draws > self.comparison.draws:
             raise ValueError(
                 f"online.draws must be at most comparison.draws = {self.comparison.draws}, got "
@@ -206,6 +213,11 @@ class Job(Section):
         """Whether the job file has a [[search]]. Otherwise the job has the default search."""
         return self._origin.names_searches
 
+    @property
+    def names_online(self) -> bool:
+        """Whether the job file has a section [online]."""
+        return self._origin.names_online
+
     def identity(self) -> dict[str, Any]:
         """Give all that identifies a run of this job: everything but [execution]."""
         return self.model_dump(mode="json", exclude={"execution"}, exclude_none=True)
@@ -248,7 +260,7 @@ def load_job(
         raise JobError(f"cannot read the job file {path}: {error.strerror}") from error
     except ValueError as error:
         raise JobError(f"the job file must be TOML, got an error: {error} ({path})") from error
-    origin = Origin(path, "search" in data)
+    origin = Origin(path, "search" in data, "online" in data)
     return _validated(data | dict(sections), origin, overrides, settings)
 
 

@@ -8,6 +8,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from pfdist.analysis import ComparisonStatistics, Run
+from pfdist.analysis.online import OnlineDraws, online_draws
 from pfdist.common.registry import Registry
 
 Applies = Callable[[Run], bool]
@@ -61,6 +62,11 @@ class Tables:
         """Relative gains of the draws that have trajectories, by draw."""
         draws = int(self.trajectories["draw"].max()) + 1
         return self.run.gains(draws=draws).set_index("draw")
+
+    @cached_property
+    def online(self) -> OnlineDraws:
+        """The draws whose times were chosen one after another."""
+        return online_draws(self.run)
 
 
 @dataclass(frozen=True)
@@ -121,6 +127,11 @@ def one_number(run: Run) -> bool:
 def several_numbers(run: Run) -> bool:
     """Whether a run has found sets of several numbers of measurements."""
     return run.has_budget
+
+
+def has_online(run: Run) -> bool:
+    """Whether a run has times that were chosen one after another."""
+    return run.has("online")
 
 
 def figure(

@@ -1,15 +1,18 @@
 """Histogram of the relative gain over all draws (the paper's figure 4)."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from numpy.typing import NDArray
 
-from pfdist.analysis import BIN, EDGES, Gain
+from pfdist.analysis import BIN, EDGES, Gain, GainSummary
 from pfdist.analysis.reference import label
 from pfdist.plots.figure import Plot, Tables, figure, one_number, write_instead
 from pfdist.plots.style import BLUE, GREY, RED
 
+Array = NDArray[np.float64]
 _FENCE = 3.0  # interquartile ranges from a quartile to the end of the axis: Tukey's outer fences
 
 
@@ -27,7 +30,9 @@ def gain_figure(tables: Tables, name: str) -> Plot:
     return Plot(2.3, draw)
 
 
-def plot_gain_histogram(axes: Axes, gain: Gain, name: str, reference: str) -> None:
+def plot_gain_histogram(
+    axes: Axes, gain: Gain, name: str, reference: str, beside: tuple[str, Gain] | None = None
+) -> None:
     """Draw the histogram of the relative gain; the legend counts draws beyond the axis.
 
     Parameters
@@ -39,6 +44,8 @@ def plot_gain_histogram(axes: Axes, gain: Gain, name: str, reference: str) -> No
         Name of the set.
     reference : str
         Label of the reference.
+    beside : (str, Gain), optional
+        Name and gain of another set over the same reference, drawn as an outline.
 
     References
     ----------
@@ -47,16 +54,18 @@ def plot_gain_histogram(axes: Axes, gain: Gain, name: str, reference: str) -> No
     summary, (first, last) = gain.summary(), _shown_bins(gain)
     count = int(np.clip(2 * np.cbrt(summary.draws), 10, 100))  # Rice's rule
     merged = max(1, -(-(last - first) // count))  # number of counted bins in a bar
-    starts = np.arange(first, last, merged)
-    heights = np.add.reduceat(gain.counts[:last], starts)
-    width = 100 * BIN * merged
-    density = heights / summary.draws / width
-    axes.bar(100 * EDGES[starts], density, width, align="edge", color=BLUE, alpha=0.75, lw=0)
-    axes.axvline(0.0, color=RED, lw=1.0, label="no gain")
-    told = (
-        f"mean {100 * summary.mean_relative_gain:.1f} %\n"
-        f"$P(g > 0)$ = {100 * summary.positive_fraction:.1f} %\n{summary.draws:,} draws"
-    )
+    starts, width = np.arange(first, last, merged), 100 * BIN * merged
+    density = _density(gain, starts, last, width)
+    bars = axes.bar(100 * EDGES[starts], density, width, align="edge", color=BLUE, alpha=0.75, lw=0)
+    handles: list[Any] = [axes.axvline(0.0, color=RED, lw=1.0, label="no gain")]
+    told = f"{_mean_and_share(summary)}\n{summary.draws:,} draws"
+    if beside is not None:
+        other, gain_of_other = beside
+        ends = np.append(100 * EDGES[starts], 100 * EDGES[starts[-1]] + width)
+        outline = _density(gain_of_other, starts, last, width)
+        told_of_other = f"{other}, on the same draws:\n{_mean_and_share(gain_of_other.summary())}"
+        handles.append(axes.stairs(outline, ends, color="black", lw=0.9, label=told_of_other))
+        told = f"{name}:\n{told}"
     low, high = 100 * EDGES[first], 100 * EDGES[last]
     below = gain.below + int(gain.counts[:first].sum())
     above = gain.above + int(gain.counts[last:].sum())
@@ -64,11 +73,26 @@ def plot_gain_histogram(axes: Axes, gain: Gain, name: str, reference: str) -> No
         if draws:  # an arrow shows on which side these draws lie
             told += f"\n{draws:,} of them {where} {at:.0f} %"
             axes.plot(at, 0.0, arrow, color=GREY, ms=4, clip_on=False, zorder=5)
-    axes.plot([], [], " ", label=told)
+    handle = axes.plot([], [], " ")[0] if beside is None else bars
+    handle.set_label(told)
+    handles.insert(1, handle)
     axes.set_xlim(low, high)
     axes.set_xlabel(f"relative gain $g$ of {name} over {reference} [%]")
     axes.set_ylabel("density [1/%]")
-    axes.legend(loc="upper left")
+    axes.legend(handles=handles, loc="upper left")
+
+
+def _density(gain: Gain, starts: NDArray[np.intp], last: int, width: float) -> Array:
+    """Share of all draws in each bar, over the width of a bar."""
+    heights: Array = np.add.reduceat(gain.counts[:last], starts) / gain.relative.count / width
+    return heights
+
+
+def _mean_and_share(summary: GainSummary) -> str:
+    return (
+        f"mean {100 * summary.mean_relative_gain:.1f} %\n"
+        f"$P(g > 0)$ = {100 * summary.positive_fraction:.1f} %"
+    )
 
 
 def _shown_bins(gain: Gain) -> tuple[int, int]:

@@ -11,7 +11,7 @@ from pfdist.analysis import Run
 from pfdist.plots.figure import Plot, Tables, figure, one_number, write_instead
 from pfdist.plots.style import BLUE, RED
 
-_MOST_COMPONENTS = 6  # components of z that are shown, each in a panel
+MOST_COMPONENTS = 6  # components of z that are shown, each in a panel
 
 
 @figure("draw", applies=one_number, each_set=True)
@@ -22,7 +22,7 @@ def draw_figure(tables: Tables, name: str) -> Plot:
         told = "no draw with a trajectory has a gain"
         return Plot(2.6, lambda panels: write_instead(panels[0], told))
     draw = partial(_draw, tables.run, tables.trajectories, gains, name)
-    panels = min(components(tables.trajectories), _MOST_COMPONENTS)
+    panels = min(components(tables.trajectories), MOST_COMPONENTS)
     return Plot(1.2 + 1.4 * panels, draw, panels)
 
 
@@ -61,6 +61,7 @@ def plot_one_draw(
     trajectory: pd.DataFrame,
     times: Mapping[str, Sequence[int]],
     gain: float,
+    over: str = "",
 ) -> None:
     """Draw each component of z with two estimates, each component in a panel.
 
@@ -74,6 +75,8 @@ def plot_one_draw(
         Measurement times of two sets by their names, the reference first.
     gain : float
         Relative gain of the draw.
+    over : str
+        Says over which set, if that is not plain.
     """
     number = components(trajectory)
     for component, axes in enumerate(panels):
@@ -84,7 +87,8 @@ def plot_one_draw(
     for axes in panels[:-1]:
         axes.tick_params(labelbottom=False)
     below.set_xlabel("$t$")
-    above.set_title(f"relative gain of this draw, the median: {100 * gain:.1f} %{left_out}", pad=30)
+    told = f"relative gain{over} of this draw, the median: {100 * gain:.1f} %{left_out}"
+    above.set_title(told, pad=30)
     above.legend(ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), columnspacing=1.2)
 
 

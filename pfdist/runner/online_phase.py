@@ -9,13 +9,13 @@ import pyarrow as pa
 
 from pfdist.evaluation.work import Result, Work, cut
 from pfdist.job.job import Job, Online
-from pfdist.online.planning import Planning
-from pfdist.online.work import OnlineWork
 from pfdist.runner.build import Built
 from pfdist.runner.collect import Collector
 from pfdist.runner.first_draws import TRAJECTORIES
 from pfdist.runner.progress import Reporter
 from pfdist.runner.searches import Settings
+from pfdist.sequential.planning import Planning
+from pfdist.sequential.work import OnlineWork
 from pfdist.store import schema
 from pfdist.times.measurement_times import Times
 

@@ -193,11 +193,21 @@ def _evaluate(
             request.mse = np.empty(0)
             yield request.candidate, phase.evaluation(request, float(cost))
         return
+    same = defaultdict[str, list[_Request]](list)  # a prefix up to T is a whole set, too
+    for request in requests:
+        same[request.id].append(request)
+    longest = [max(alike, key=lambda request: request.mse.size) for alike in same.values()]
+    for known in _known(phase, longest, collector):
+        for request in same[known.id]:
+            request.mse = known.mse[: request.mse.size]
+            yield request.candidate, phase.evaluation(request)
+
+
+def _known(phase: Phase[E], requests: list[_Request], collector: Collector) -> Iterator[_Request]:
+    """Yield each request as soon as all its draws are known."""
     _recall(phase, requests, collector)
     wanted = {request.id: request for request in requests if request.missing.any()}
-    for request in requests:
-        if request.id not in wanted:
-            yield request.candidate, phase.evaluation(request)
+    yield from (request for request in requests if request.id not in wanted)
     works = _works(list(wanted.values()))
     run = collector.run(phase.name, "draws", works, draw_rows, more_follows=True)
     with closing(run) as pieces:
@@ -206,7 +216,7 @@ def _evaluate(
                 request = wanted[id_]
                 request.learn(slice(*work.draws), mse)
                 if not request.missing.any():
-                    yield request.candidate, phase.evaluation(request)
+                    yield request
 
 
 def _recall(phase: Phase[E], requests: list[_Request], collector: Collector) -> None:

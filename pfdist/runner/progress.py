@@ -37,13 +37,13 @@ class Progress:
     Parameters
     ----------
     phase : str
-        Name of a search, ``comparison``, or a part of the proof of a lower bound.
+        Name of a search, ``comparison``, ``online``, or a part of the proof of a lower bound.
     done, total : float
         Particle-steps over all phases and sets of times; the total is a forecast.
     evaluations : int
-        Evaluations finished in this phase, copies counted; in the comparison, draws.
+        Evaluations finished in this phase, copies counted; in ``comparison`` and ``online``, draws.
     generation, generations : int
-        Current and expected last generation of the search; 0 in the comparison.
+        Current and expected last generation of the search; 0 in other phases.
     best : float or None
         Cost of the set that the search would return now.
     mean : float or None

@@ -22,6 +22,7 @@ ABOUT = ("job.toml", "run.json")
 SIGNED_SINCE = 3
 """The first version of the schema whose files carry a key."""
 _KEY = f"{FOLDER}/run"
+_GROWS = {"comparison": ("draws", "until"), "online": ("draws",)}  # keys that may change
 
 
 def key_of(identity: Mapping[str, Any], job: Mapping[str, Any]) -> str:
@@ -34,8 +35,12 @@ def key_of(identity: Mapping[str, Any], job: Mapping[str, Any]) -> str:
     job : mapping
         The content of job.toml.
     """
-    comparison = {k: v for k, v in job["comparison"].items() if k not in ("draws", "until")}
-    return f"{stream_key(identity, {**job, 'comparison': comparison}):016x}"
+    kept = {
+        name: {key: value for key, value in job[name].items() if key not in grown}
+        for name, grown in _GROWS.items()
+        if name in job
+    }
+    return f"{stream_key(identity, {**job, **kept}):016x}"
 
 
 def kept_keys(path: Path) -> list[str]:

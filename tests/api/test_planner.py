@@ -11,7 +11,7 @@ from pfdist import Job, Planner
 from pfdist.cli.main import main
 from pfdist.errors import JobError, MeasurementsError, MeasurementTimesError
 from pfdist.filters.draws import simulate
-from pfdist.online.filter import FILTER
+from pfdist.sequential.filter import FILTER
 
 JOB = """
 seed = 3

@@ -27,12 +27,13 @@ def _one_format() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Run]:
-    """A run for one number of measurements, one with a lower bound, and a run for several."""
+    """A run for one number of measurements, one with a bound and online times, one for several."""
     folder = tmp_path_factory.mktemp("figures")
     shutil.copytree(ROOT / "assets" / "schema-2", folder / "run")
     job = pfdist.load_job(ROOT / "small.toml", [*EXACT, "problem.horizon=6"])
     several = pfdist.budget(job, (2, 3), folder / "budget", draws=20, figures=False)
     changes = [*EXACT, "search.random.evaluations=3", "search.genetic.generations=1"]
+    changes.append("online.draws=20")
     proved = pfdist.run(ROOT / "small.toml", folder / "proved", changes=changes, figures=False)
     pfdist.bound(proved.path, pool="serial", figures=False)
     return [pfdist.open_run(folder / "run"), proved, several]

@@ -12,7 +12,7 @@ import pfdist
 from oracles.bytes_of import hashes
 from oracles.counted import A_DRAW, committed_draws, count_draws
 from oracles.file_layer import Ended, FileLayer
-from pfdist import Job
+from pfdist import Job, load_job
 from pfdist.errors import StoreError
 from pfdist.runner import collect, first_draws, sets_alone
 from pfdist.runner.bound_settings import LEAST_DRAWS, BoundSettings
@@ -28,6 +28,14 @@ CHANGES = [
     "evaluation.draws=30",
     "comparison.draws=80",
 ]
+ONLINE = """
+[online]
+judging_draws = 20
+search.method = "corridor"
+search.rounds = 1
+search.evaluation.draws = 10
+search.evaluation.particles = 10
+"""
 FAULTS = {"ended": Ended, "ENOSPC": StoreError, "EIO": StoreError}
 SAYS = r"cannot (write|remove|move|lock) [^\n]*: (No space left on device|Input/output error); what"
 SAYS += r" was committed is kept, run the same command again once this is mended$"
@@ -137,6 +145,41 @@ def test_a_bound_that_goes_wrong_at_any_file_operation_ends_with_the_same_bytes(
         where = f"{fault} at operation {at} of {count}"
         assert pfdist.open_run(path).state == "finished", where
         prove(path)
+        assert hashes(path) == whole, where
+        assert not list(path.glob("parts/**/*.parquet")), where
+        assert not list(verify_run(path)), where
+        shutil.rmtree(path)
+    record_property("faults", f"{PROMISE}: {len(range(0, count, step))}")
+
+
+@pytest.mark.parametrize("step", [97, pytest.param(1, marks=pytest.mark.crash)])
+@pytest.mark.parametrize("fault", FAULTS)
+def test_online_draws_that_go_wrong_at_any_file_operation_end_with_the_same_bytes(
+    fault: str,
+    step: int,
+    small_job: Job,
+    tmp_path: Path,
+    layer: FileLayer,
+    monkeypatch: pytest.MonkeyPatch,
+    record_property: Callable[[str, object], None],
+) -> None:
+    """Four draws whose times are chosen one after another, which grow to eight."""
+    monkeypatch.setattr(Pace, "size", lambda pace, remaining: 1)  # a task for each draw
+    text = small_job.path.read_text()
+    small_job.path.write_text(f"{text}\n{ONLINE}")
+    few, many = (load_job(small_job.path, [*CHANGES, f"online.draws={draws}"]) for draws in (4, 8))
+    begun = pfdist.run(few, tmp_path / "begun", figures=False).path
+    untouched = shutil.copytree(begun, tmp_path / "whole")
+    count = layer.run(partial(pfdist.run, many, untouched, figures=False))
+    whole = hashes(untouched)
+    assert count > 50
+    for at in range(0, count, step):
+        path = shutil.copytree(begun, tmp_path / f"{at}")
+        with pytest.raises(FAULTS[fault], match=None if fault == "ended" else SAYS):
+            layer.run(partial(pfdist.run, many, path, figures=False), fault, at)
+        where = f"{fault} at operation {at} of {count}"
+        pfdist.open_run(path).summary()  # whoever asks how far it is gets an answer
+        pfdist.run(many, path, figures=False)
         assert hashes(path) == whole, where
         assert not list(path.glob("parts/**/*.parquet")), where
         assert not list(verify_run(path)), where

@@ -43,6 +43,15 @@ evaluations = 40
 [comparison]
 draws = 60_000
 """
+ONLINE = """
+[online]
+draws = {draws}
+judging_draws = 20
+search.method = "corridor"
+search.rounds = 1
+search.evaluation.draws = 20
+search.evaluation.particles = 20
+"""
 KILLED = "a run killed at any instant and started again ends with the same bytes"
 ONCE = "nothing committed is computed again; a crash loses at most 5 s of work"
 ASKED = "Ctrl-C"
@@ -93,6 +102,26 @@ def test_a_run_killed_in_a_phase_ends_with_the_same_bytes(
     assert finish(job, run, "--pool", "serial") == never_killed
     assert not list(run.rglob(".*.tmp"))
     record_property("faults", f"{KILLED}: {len(phases)}")
+
+
+@pytest.mark.crash
+@pytest.mark.parametrize("pool", ["serial", "ray"])
+def test_a_run_killed_while_it_chooses_times_one_after_another_ends_with_the_same_bytes(
+    pool: str, tmp_path: Path, record_property: Record
+) -> None:
+    job, run = tmp_path / "online.toml", tmp_path / "run"
+    few = JOB.replace("60_000", "1000").replace("4000", "400")
+    job.write_text(few + ONLINE.format(draws=200))
+    whole = finish(job, tmp_path / "never killed", "--pool", "serial")
+    assert "tables/online/online.times-00000.parquet" in whole
+    for _ in range(2):
+        with running(job, run, "--pool", pool) as driver:
+            before = driver.parts("online")
+            driver.wait_for(lambda: driver.parts("online") > before)  # noqa: B023
+            driver.kill()
+        assert not (run / "tables" / "online").exists()
+    assert finish(job, run, "--pool", "serial") == whole
+    record_property("faults", f"{KILLED}: 2")
 
 
 @pytest.mark.crash
@@ -184,7 +213,7 @@ def _committed(run: Path) -> int:
     counts = []
     for table, key in (
         ("draws", ["evaluation", "draw"]), ("comparison", ["draw"]), ("trajectories", ["draw"]),
-        ("repeated", ["draw"]),
+        ("repeated", ["draw"]), ("online", ["draw"]),
     ):  # fmt: skip
         files = list(run.glob(f"*/{table}/[!.]*.parquet"))
         rows = [pd.read_parquet(file) for file in files]
@@ -198,9 +227,11 @@ def _tables(run: Path) -> dict[str, str]:
     return {name: hash_ for name, hash_ in hashes(run).items() if not name.startswith("figures")}
 
 
+@pytest.mark.parametrize("online", ["", ONLINE.format(draws=40)], ids=["", "online"])
 @pytest.mark.parametrize("kills", [5, pytest.param(200, marks=pytest.mark.crash)])
 def test_a_run_killed_at_any_instant_ends_with_the_same_bytes_and_computes_nothing_again(
     kills: int,
+    online: str,
     small_job: Job,
     tmp_path: Path,
     make_forks: Callable[[Path], Forks],
@@ -208,7 +239,7 @@ def test_a_run_killed_at_any_instant_ends_with_the_same_bytes_and_computes_nothi
 ) -> None:
     job = small_job.path
     one_search, _, rest = job.read_text().partition('[[search]]\nmethod = "random"')
-    job.write_text(one_search + rest[rest.index("[comparison]") :])
+    job.write_text(one_search + rest[rest.index("[comparison]") :] + online)
     rng, forks, killed = random.Random(0), make_forks(job), 0
     assert forks.run(tmp_path / "first", "first.log") == 0
     start = time.monotonic()

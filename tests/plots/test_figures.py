@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.figure import Figure
+from matplotlib.patches import StepPatch
 
 import pfdist
 from pfdist import Job
@@ -25,6 +26,8 @@ from pfdist.plots.cost import (
 from pfdist.plots.gain_histogram import plot_gain_histogram
 from pfdist.plots.library import styled
 from pfdist.plots.one_draw import components, plot_one_draw, typical_draw
+from pfdist.plots.online_draw import with_online
+from pfdist.plots.online_times import measured_at, plot_raster, plot_shares
 from pfdist.plots.style import COLUMN_INCHES
 from pfdist.plots.why import plot_profile, plot_removals, plot_shifts
 
@@ -202,6 +205,46 @@ def test_a_long_tail_is_counted_and_leaves_the_bulk_its_room() -> None:
     assert any(line.get_marker() == "<" for line in axes.get_lines())
     area = sum(patch.get_width() * patch.get_height() for patch in axes.patches)
     assert area == pytest.approx(1 - below / relative.size)  # density of all draws
+
+
+def test_another_set_is_an_outline_over_the_same_bars() -> None:
+    rng = np.random.default_rng(3)
+    relative = [rng.normal(mean, 0.2, 3000).clip(max=1) for mean in (0.4, 0.2)]
+    gains = [Gain(), Gain()]
+    for gain, values in zip(gains, relative, strict=True):
+        gain.add(1 - values, np.ones(values.size))
+    axes = _axes()
+    plot_gain_histogram(axes, gains[0], "online", "regular times", ("plan", gains[1]))
+    (outline,) = [patch for patch in axes.patches if isinstance(patch, StepPatch)]
+    heights, edges, _ = outline.get_data()
+    counts, _ = np.histogram(100 * relative[1], edges)
+    np.testing.assert_allclose(heights, counts / 3000 / np.diff(edges), atol=1e-9)
+    text = _legend(axes)
+    assert f"online:\nmean {100 * relative[0].mean():.1f} %" in text
+    assert f"plan, on the same draws:\nmean {100 * relative[1].mean():.1f} %" in text
+
+
+def test_the_raster_has_a_dark_cell_for_each_time_and_like_rows_are_neighbours() -> None:
+    times = [(0, 3), (1, 2), (0, 3), (0, 2)]
+    measured = measured_at(times, 4)
+    assert [tuple(np.flatnonzero(row)) for row in measured] == times
+    axes = _axes()
+    plot_raster(axes, measured, (0, 3))
+    (image,) = axes.get_images()
+    rows = [tuple(np.flatnonzero(row).tolist()) for row in np.asarray(image.get_array())]
+    assert rows == [(0, 2), (0, 3), (0, 3), (1, 2)]
+    axes = _axes()
+    plot_shares(axes, measured, (0, 3), "survivors")
+    assert [bar.get_height() for bar in axes.patches] == [75, 25, 50, 50, 0]
+    planned = _lines(axes)["the plan, survivors"][0]
+    assert planned == [0, 3]
+
+
+def test_the_estimate_of_online_times_has_a_column_for_each_component() -> None:
+    trajectory = pd.DataFrame({"t": [0, 1, 2], "z_0": [1.0, 2.0, 3.0], "z_1": [4.0, 5.0, 6.0]})
+    both = with_online(trajectory, np.array([0.0, 10.0, 1.0, 11.0, 2.0, 12.0]))
+    assert both["estimate_online_0"].tolist() == [0.0, 1.0, 2.0]
+    assert both["estimate_online_1"].tolist() == [10.0, 11.0, 12.0]
 
 
 def test_a_profile_shows_the_error_its_band_and_the_instants_measured() -> None:

@@ -98,7 +98,7 @@ def test_what_the_build_has_checked_no_task_checks_again(
     """The number of checks depends on the sets alone, not on draws, tasks and filters."""
     calls: list[str] = []
     for place in ("evaluation.problem", "filters.particle_filter"):
-        for name in ("check_filter", "validated"):
+        for name in ("check_filter", "validated_from"):
             counted = partial(_counted, calls, resolve_name(f"pfdist.{place}:{name}"))
             monkeypatch.setattr(f"pfdist.{place}.{name}", counted)
     counts, tasks = [], []
@@ -172,3 +172,38 @@ def test_a_set_that_is_asked_for_twice_is_computed_once(
     collector.flush()
     run_phase(phase, collector, _reporter())  # all are in the store
     assert len(handed) == 10
+
+
+class Twice(Outside):
+    """A search that asks for a set as a prefix up to T, as a whole set, and on fewer draws."""
+
+    asked = (Candidate((0, 12), 12), Candidate((0, 12)), Candidate((0, 12), 12, 10))
+
+    def ask(self, state: bool, rng: np.random.Generator) -> list[Candidate]:
+        return list(self.asked)
+
+    def tell(self, state: bool, evaluations: Sequence[SearchEvaluation]) -> bool:
+        self.told = list(evaluations)
+        return True
+
+
+def test_a_prefix_up_to_the_end_and_the_whole_set_have_one_result(
+    built: Built, collector: Collector
+) -> None:
+    search = Twice()
+    for _ in range(2):  # the second time from the store
+        run_phase(_phase(built, search), collector, _reporter())
+        collector.flush()
+        assert [told.end for told in search.told] == [12, None, 12]
+        prefix, whole, short = search.told
+        np.testing.assert_array_equal(prefix.mse, whole.mse)
+        np.testing.assert_array_equal(short.mse, whole.mse[:10])
+
+
+def test_a_search_may_end_where_the_last_instant_is_required(
+    small_job: Job, tmp_path: Path
+) -> None:
+    """Then the probe meets the same set as a prefix and as a whole set."""
+    changes = ["problem.required=[0, 12]", "search.survivors.evaluation.draws=40"]
+    run = pfdist.plan(small_job, tmp_path / "run", changes=changes, bound_draws=0, figures=False)
+    assert {0, 12} < set(run.sets()["survivors"])

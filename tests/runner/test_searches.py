@@ -25,6 +25,7 @@ draws = 2
 """
 METHODS = {
     "annealing": "steps = 30",
+    "corridor": "",
     "cross_entropy": "",
     "exchange": "",
     "exhaustive": "",

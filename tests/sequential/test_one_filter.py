@@ -9,7 +9,7 @@ from pfdist.errors import MeasurementsError
 from pfdist.evaluation.engines import ENGINES
 from pfdist.filters.draws import simulate
 from pfdist.filters.settings import FilterSettings
-from pfdist.online.one_filter import begin
+from pfdist.sequential.one_filter import begin
 
 HORIZON, TIMES = 20, (0, 3, 6, 9, 12, 15, 18)
 

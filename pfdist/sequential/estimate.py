@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.errors import shown
-from pfdist.online.beliefs import Belief
+from pfdist.sequential.beliefs import Belief
 
 Array = NDArray[np.float64]
 
@@ -27,7 +27,7 @@ class Estimate:
         for the engine "kalman", which has no particles.
     surprise : float or None
         The probability of a measurement at least as far out as that at t, if the model is right;
-        None if t was not measured. See `pfdist.online.beliefs.surprise_of_particles`.
+        None if t was not measured. See `pfdist.sequential.beliefs.surprise_of_particles`.
     """
 
     t: int

@@ -11,8 +11,8 @@ import pytest
 
 from pfdist import StateSpaceModel, load_model
 from pfdist.errors import MeasurementsError, PriorError
-from pfdist.online.measurements import read_measurements
-from pfdist.online.user_prior import read_prior
+from pfdist.sequential.measurements import read_measurements
+from pfdist.sequential.user_prior import read_prior
 from pfdist.store import user_tables
 
 NAN = float("nan")

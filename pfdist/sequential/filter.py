@@ -23,7 +23,7 @@ from pfdist.filters.cloud import Cloud, Gaussian, Prior
 from pfdist.filters.draws import check_prior
 from pfdist.filters.settings import FilterSettings, check_filter
 from pfdist.models import StateSpaceModel, load_model
-from pfdist.online.beliefs import (
+from pfdist.sequential.beliefs import (
     Belief,
     Normal,
     Particles,
@@ -32,10 +32,10 @@ from pfdist.online.beliefs import (
     surprise_of_particles,
     weighed,
 )
-from pfdist.online.estimate import Estimate, estimate_of
-from pfdist.online.measurements import checked_instant, checked_measurement
-from pfdist.online.one_filter import OneFilter, begin
-from pfdist.online.user_prior import as_prior
+from pfdist.sequential.estimate import Estimate, estimate_of
+from pfdist.sequential.measurements import checked_instant, checked_measurement
+from pfdist.sequential.one_filter import OneFilter, begin
+from pfdist.sequential.user_prior import as_prior
 
 Array = NDArray[np.float64]
 

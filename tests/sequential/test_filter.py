@@ -23,8 +23,8 @@ from pfdist.filters.cloud import Gaussian
 from pfdist.filters.draws import Draws, simulate
 from pfdist.filters.interface import Filtered
 from pfdist.filters.settings import FilterSettings
-from pfdist.online.beliefs import PREDICTIVE
-from pfdist.online.filter import LAST
+from pfdist.sequential.beliefs import PREDICTIVE
+from pfdist.sequential.filter import LAST
 
 HORIZON, TIMES = 20, (0, 3, 4, 9, 12, 18)
 LEVELS = (0.05, 0.5, 0.9)

@@ -5,13 +5,19 @@ from functools import lru_cache
 
 import numpy as np
 
+from pfdist.errors import MeasurementsError
 from pfdist.evaluation.problem import Problem
 from pfdist.evaluation.work import Result, Work
 from pfdist.filters.settings import FilterSettings
-from pfdist.online.one_filter import begin
-from pfdist.online.planning import Now, Planning, Replanner
+from pfdist.sequential.one_filter import begin
+from pfdist.sequential.planning import Now, Planning, Replanner
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
+from pfdist.times.rest import rest_of
+
+# A step of a plan takes longer than a step of the comparison: stretches between two measurements
+# are short, particles are few, and the search itself takes time.
+_SLOWER = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +75,7 @@ class OnlineWork(Work):
         return replace(problem.filtered(filtered), measurement_times=(times,))
 
     def chosen(self, problem: Problem, draw: int) -> Times:
-        """Choose the times of one draw."""
+        """Choose the times of one draw; if it is degenerate, the last plan stays."""
         replanner = Replanner(problem, self.feasible, self.planning, self.planning_stream)
         y = problem.draws(range(draw, draw + 1), self.draws_stream).y[0]
         estimation, (plan,) = self.estimation, self.measurement_times
@@ -81,21 +87,31 @@ class OnlineWork(Work):
         while plan:
             time = plan[0]
             taken = (*taken, time)
-            if plan[1:] or not self.feasible.counted:  # else nothing is left to plan
-                filtering, *_ = filtering.at(time, y[time])
+            plan = plan[1:]
+            if plan or not self.feasible.counted:  # else nothing is left to plan
+                try:
+                    filtering, *_ = filtering.at(time, y[time])
+                except MeasurementsError:  # the draw is degenerate, whatever follows
+                    return (*taken, *plan)
                 now = Now(filtering.settings.prior, measured=True)
-                plan = replanner.plan(now, taken, plan[1:], draw)
-            else:
-                plan = ()
+                plan = replanner.plan(now, taken, plan, draw)
         return taken
 
 
 @lru_cache(maxsize=4)
 def _steps(feasible: Feasible, planning: Planning) -> int:
-    """About how many particle-steps the plans of one draw take.
+    """About how many particle-steps the plans of one draw take, if it is measured at regular times.
 
-    The plans get shorter, so on average a plan takes half of the work of the first plan.
+    Raises
+    ------
+    JobError
+        The method of the planning cannot search this problem.
     """
-    sets = planning.optimiser(feasible).evaluations * planning.draws + 2 * planning.judging_draws
-    a_set = (feasible.horizon + 1) * planning.estimation.steps_an_instant
-    return round(feasible.measurements * sets * a_set / 4)
+    planning.optimiser(feasible)  # no rest has more sets
+    times, steps = feasible.regular(), 0.0
+    for number in range(1, len(times)):
+        rest = rest_of(feasible, times[:number], times[number - 1] + 1)
+        if rest is not None:
+            sets = planning.optimiser(rest).evaluations * planning.draws
+            steps += (rest.horizon + 1) * (sets + 2 * planning.judging_draws)
+    return round(_SLOWER * steps * planning.estimation.steps_an_instant)

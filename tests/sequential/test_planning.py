@@ -13,9 +13,9 @@ from pfdist.filters.cloud import Cloud
 from pfdist.filters.draws import simulate
 from pfdist.filters.settings import FilterSettings
 from pfdist.job.job import PLANNING
-from pfdist.online.one_filter import begin
-from pfdist.online.planning import Now, Planning, Replanner
 from pfdist.search.methods import METHODS
+from pfdist.sequential.one_filter import begin
+from pfdist.sequential.planning import Now, Planning, Replanner
 from pfdist.times.feasible import Feasible
 
 QUICK = Planning(PLANNING, 32, 64, Estimation(32, "systematic", "filter_variance"))

@@ -1,0 +1,106 @@
+"""Times that are chosen one after another, against times that were found in advance.
+
+All of them filter the same fresh draws, so the errors are compared draw by draw.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from pfdist.analysis.gains import Gain
+from pfdist.analysis.streaming_moments import Array, Moments
+from pfdist.times.measurement_times import Times
+
+if TYPE_CHECKING:
+    from pfdist.analysis.stored_run import Run
+
+
+@dataclass(frozen=True)
+class OnlineDraws:
+    """The draws whose times were chosen one after another, and their errors with three sets.
+
+    Parameters
+    ----------
+    reference, plan : str
+        Names of the reference, and of the set that the first search found.
+    planned_times : tuple of int
+        The times of that set.
+    rows : DataFrame
+        A row for each draw: draw, measurement_times, estimate, mse_online, and mse_<name> for the
+        reference and the plan.
+    """
+
+    reference: str
+    plan: str
+    planned_times: Times
+    rows: pd.DataFrame
+
+    def mse(self, name: str) -> Array:
+        """Per-draw MSE on the draws that are degenerate with none of the three."""
+        return self.rows[f"mse_{name}"].to_numpy()[self._usable]
+
+    def gain(self, name: str, reference: str) -> Gain:
+        """Gain over a reference, on the draws that are degenerate with none of the three."""
+        gain = Gain()
+        gain.add(self.mse(name), self.mse(reference))
+        return gain
+
+    @property
+    def differ(self) -> NDArray[np.bool_]:
+        """Whether the times of each draw differ from those of the plan, (D,)."""
+        times = self.rows["measurement_times"]
+        return np.array([tuple(chosen) != self.planned_times for chosen in times], np.bool_)
+
+    def summary(self) -> dict[str, Any]:
+        """Costs, differences and gains; see `pfdist.analysis.Run.summary`."""
+        usable = int(self._usable.sum())
+        return {
+            "draws": usable,
+            "degenerate_draws": len(self.rows) - usable,
+            **self._cost("online"),
+            "differs_from_plan": float(np.mean(self.differ)) if len(self.rows) else np.nan,
+            "plan": self._against(self.plan),
+            "reference": self._against(self.reference),
+        }
+
+    def _cost(self, name: str) -> dict[str, Any]:
+        mse = Moments()
+        mse.add(self.mse(name))
+        return {"expected_mse": mse.mean, "standard_error": mse.standard_error}
+
+    def _against(self, name: str) -> dict[str, Any]:
+        difference = Moments()
+        with np.errstate(invalid="ignore"):  # two infinite errors
+            difference.add(self.mse("online") - self.mse(name))
+        return {
+            "name": name,
+            **self._cost(name),
+            "difference": difference.mean,
+            "difference_interval": difference.interval,
+            **self.gain("online", name).summary().columns(),
+        }
+
+    @cached_property
+    def _usable(self) -> NDArray[np.bool_]:
+        names = ("online", self.plan, self.reference)
+        return self.rows[[f"mse_{name}" for name in names]].notna().all(axis=1).to_numpy()
+
+
+def online_draws(run: "Run") -> OnlineDraws:
+    """Read the draws that have both online times and errors in the comparison.
+
+    Parameters
+    ----------
+    run : Run
+        It has rows of the tables ``online`` and ``comparison``.
+    """
+    reference, plan, *_ = run.names
+    chosen = run.online().rename(columns={"mse": "mse_online"})
+    compared = run.comparison(int(chosen["draw"].max()) + 1)
+    columns = ["draw", f"mse_{reference}", f"mse_{plan}"]
+    rows = chosen.merge(compared[columns], on="draw")
+    return OnlineDraws(reference, plan, run.sets()[plan], rows)

@@ -1,0 +1,54 @@
+"""Choose measurement times one after another, and compare them with times chosen in advance."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from pfdist.analysis import Run
+from pfdist.api.run import run
+from pfdist.job.job import Job, as_job
+
+
+def online(
+    job: Job | str | Path,
+    results: str | Path | None = None,
+    draws: int | None = None,
+    changes: Iterable[str] = (),
+    **options: Any,
+) -> Run:
+    """Run a job, then choose the times of its first draws one after another.
+
+    After each measurement, the measurements that are left are planned anew from the particles of
+    the filter. The times chosen in this way, the times that the job's searches found in advance and
+    the regular times all filter the same fresh draws. See the page ``docs/online.md``.
+
+    Parameters
+    ----------
+    job : Job, str or Path
+        A job, or the path of a job file. Without a section [online] it gets the defaults.
+    results : str or Path, optional
+        The run's own folder; by default ``results/<the job file's stem>`` if the job file has a
+        section [online], as its run has, and otherwise ``results/<stem>-online``.
+    draws : int, optional
+        Replaces the job's online.draws. A larger number resumes a run with more draws.
+    changes : iterable of str, optional
+        Changes ``key=value``, as `pfdist.load_job` takes them.
+    options : object
+        Further arguments of `pfdist.run`, by name.
+
+    Returns
+    -------
+    Run
+        `Run.online` has a row for each draw, and `Run.summary` the key ``online``.
+
+    Raises
+    ------
+    PfdistError
+        As `pfdist.run` raises. The job has fewer draws in its comparison, or a section [budget].
+    """
+    settings = {"online": {} if draws is None else {"draws": draws}}
+    job = as_job(job, changes, settings=settings)
+    if results is None:
+        suffix = "" if job.names_online else "-online"
+        results = Path("results") / f"{job.path.stem}{suffix}"
+    return run(job, results, **options)

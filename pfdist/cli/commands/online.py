@@ -1,0 +1,33 @@
+"""The command ``pfdist online``."""
+
+from argparse import ArgumentParser, Namespace
+
+from pfdist.cli.answers import print_run
+from pfdist.cli.arguments import RESULTS, add_job, add_json, computing, whole
+from pfdist.cli.command import command
+
+_RESULTS = f"{RESULTS}, with -online after it unless the job has a section [online]"
+
+
+def _add_draws(parser: ArgumentParser) -> None:
+    parser.add_argument(
+        "--draws",
+        type=whole,
+        metavar="K",
+        help="number of draws whose times are chosen one after another, for instance 200; they are "
+        "the first draws of the comparison (default: online.draws of the job)",
+    )
+
+
+@command("online", add_job, _add_draws, computing(_RESULTS), add_json, goes_on=True)
+def online_command(options: Namespace) -> None:
+    """Choose times one after another, and compare them with times found in advance."""
+    from pfdist.api.online import online
+    from pfdist.cli.computing import settings
+    from pfdist.cli.progress import Display
+
+    with Display() as display:
+        finished = online(
+            options.job, draws=options.draws, changes=options.set, **settings(options, display)
+        )
+    print_run(finished.summary(), options)

@@ -1,0 +1,357 @@
+"""Times that are chosen one after another: their table, their draws, and what they are worth."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import stats
+
+import oracles.kalman
+import pfdist
+from oracles.bytes_of import hashes
+from pfdist import Job, load_job
+from pfdist.analysis import Run
+from pfdist.analysis.online import online_draws
+from pfdist.cli.main import main
+from pfdist.errors import JobError, RunMismatchError
+from pfdist.evaluation.estimate import REPORT
+from pfdist.evaluation.work import Estimation, Work
+from pfdist.pools.base import Outcome, SerialPool
+from pfdist.runner.build import build
+from pfdist.runner.pace import Pace
+from pfdist.runner.progress import Progress
+
+ASSETS = Path(__file__).parents[1] / "assets"
+HORIZON, PARTICLES = 12, 50
+JOB = f"""
+seed = 1
+[problem]
+horizon = {HORIZON}
+measurement_budget = 4
+[filter]
+particles = {PARTICLES}
+[[search]]
+method = "survivors"
+evaluation.draws = 40
+[comparison]
+draws = 30
+[online]
+draws = 6
+judging_draws = 40
+search.method = "corridor"
+search.rounds = 1
+search.evaluation.draws = 20
+search.evaluation.particles = 20
+[execution]
+pool = "serial"
+"""
+CONSTRAINTS = {
+    "spacing": ["problem.minimum_spacing=2"],
+    "forbidden": ["problem.forbidden=[3, 7]"],
+    "required": ["problem.required=[0, 12]"],
+}
+
+
+@pytest.fixture(scope="module")
+def job(tmp_path_factory: pytest.TempPathFactory) -> Job:
+    path = tmp_path_factory.mktemp("job") / "online.toml"
+    path.write_text(JOB)
+    return load_job(path)
+
+
+@pytest.fixture(scope="module")
+def run(job: Job, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    return pfdist.run(job, tmp_path_factory.mktemp("run") / "run", figures=False)
+
+
+@pytest.fixture
+def draw_by_draw(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A task for each draw."""
+    monkeypatch.setattr(Pace, "size", lambda pace, remaining: 1)
+
+
+def _work(times: tuple[int, ...], draw: int) -> Work:
+    """The work of the filter with some times, spelt out."""
+    return Work(
+        measurement_times=(times,),
+        ends=(HORIZON,),
+        filter_streams=(REPORT.stream(1, "filter", "online"),),
+        draws_stream=REPORT.stream(1, "draws"),
+        draws=(draw, draw + 1),
+        estimation=Estimation(PARTICLES),
+    )
+
+
+def test_a_row_has_the_error_of_the_filter_with_these_times_and_keys(job: Job, run: Run) -> None:
+    problem, rows = build(job).problem, run.online()
+    assert rows.columns.tolist() == ["draw", "mse", "measurement_times", "estimate"]
+    assert rows["draw"].tolist() == list(range(6))
+    trajectories = run.trajectories().set_index("draw")
+    for row in rows.to_dict("records"):
+        times = tuple(row["measurement_times"])
+        assert problem(_work(times, row["draw"])).mse.item() == row["mse"]
+        z = trajectories.loc[row["draw"], "z_0"].to_numpy()
+        assert np.mean((z - row["estimate"]) ** 2) == pytest.approx(row["mse"], rel=1e-12)
+
+
+def test_times_depend_on_the_draw_and_the_first_is_that_of_the_plan(run: Run) -> None:
+    chosen = [tuple(times) for times in run.online()["measurement_times"]]
+    plan = run.sets()["survivors"]
+    assert {times[0] for times in chosen} == {plan[0]}
+    assert len(set(chosen)) > 1
+
+
+@pytest.mark.parametrize("constraint", CONSTRAINTS)
+def test_the_times_of_each_draw_keep_to_the_constraints(
+    constraint: str, job: Job, tmp_path: Path
+) -> None:
+    constrained = job.with_changes([*CONSTRAINTS[constraint], "online.draws=3"])
+    rows = pfdist.run(constrained, tmp_path / "run", figures=False).online()
+    feasible = constrained.problem.feasible
+    for times in rows["measurement_times"]:
+        assert feasible.accepts(tuple(times))
+
+
+def test_with_costs_as_much_is_spent_as_may_be(job: Job, tmp_path: Path) -> None:
+    path = tmp_path / "costs.toml"
+    path.write_text(JOB.replace("measurement_budget = 4", f"total_cost = 7\ncost = {[1, 2] * 7}"))
+    path.write_text(path.read_text().replace("1, 2]\n", "1]\n"))  # T + 1 prices
+    priced = load_job(path, ["online.draws=3"])
+    feasible = priced.problem.feasible
+    rows = pfdist.run(priced, tmp_path / "run", figures=False).online()
+    for times in rows["measurement_times"]:
+        assert feasible.cost_of(tuple(times)) <= 7
+        assert feasible.accepts(tuple(times))
+
+
+def test_two_workers_of_ray_give_the_same_bytes(
+    job: Job, run: Run, tmp_path: Path, ray_cluster: None
+) -> None:
+    other = pfdist.run(job, tmp_path / "run", "ray", 2, figures=False)
+    assert hashes(other.path) == hashes(run.path)
+
+
+@pytest.mark.usefixtures("draw_by_draw")
+def test_a_run_that_is_stopped_goes_on_with_the_draws_that_it_lacks(
+    job: Job, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stop(progress: Progress) -> None:
+        if progress.phase == "online" and progress.evaluations == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        pfdist.run(job, tmp_path / "run", report=stop, figures=False)
+    stopped = pfdist.open_run(tmp_path / "run")
+    assert (stopped.state, len(stopped.online())) == ("comparing", 2)
+    assert stopped.summary()["online"]["draws"] == 2
+    computed, do = list[tuple[int, int]](), SerialPool.run
+
+    def counting(self: SerialPool, tasks: Any) -> Iterator[Outcome]:
+        for outcome in do(self, tasks):
+            computed.extend(work.draws for work in outcome.task.work if work.ids == ("online",))
+            yield outcome
+
+    monkeypatch.setattr(SerialPool, "run", counting)
+    assert pfdist.run(job, tmp_path / "run", figures=False).state == "finished"
+    assert computed == [(2, 3), (3, 4), (4, 5), (5, 6)]
+    assert hashes(tmp_path / "run") == hashes(run.path)
+
+
+def test_more_draws_leave_the_first_rows_and_give_the_same_bytes_as_at_once(
+    job: Job, tmp_path: Path
+) -> None:
+    few, many = (job.with_changes([f"online.draws={draws}"]) for draws in (4, 8))
+    first = pfdist.run(few, tmp_path / "run", figures=False).online()
+    assert pfdist.open_run(tmp_path / "run").state == "finished"
+    grown = pfdist.run(many, tmp_path / "run", figures=False)
+    pd.testing.assert_frame_equal(grown.online()[:4], first)
+    at_once = pfdist.run(many, tmp_path / "at once", figures=False)
+    assert hashes(grown.path) == hashes(at_once.path)
+    assert main(["verify", str(grown.path)]) == 0
+    with pytest.raises(RunMismatchError, match=r"online\.draws: 8 -> 4"):
+        pfdist.run(few, tmp_path / "run", figures=False)
+
+
+def test_a_table_that_is_lost_is_made_again(job: Job, run: Run, tmp_path: Path) -> None:
+    again = pfdist.run(job, tmp_path / "run", figures=False)
+    (file,) = again.path.glob("tables/online/*.parquet")
+    file.unlink()
+    assert pfdist.open_run(again.path).state == "comparing"
+    assert "online" not in pfdist.open_run(again.path).summary()
+    pfdist.run(job, again.path, figures=False)
+    assert hashes(again.path) == hashes(run.path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        (["online.draws=31"], r"online\.draws must be at most comparison\.draws = 30, got 31"),
+        (["budget.least=2", "budget.most=4", "search.survivors.polish=false"], "a budget section"),
+        (["comparison.until.half_width=0.1"], r"needs comparison\.until\.half_width = 0, got 0\.1"),
+        (["search.survivors.name=online"], "online needs searches of other names, got .* 'online'"),
+        (["online.draws=1"], r"online\.draws must be at least 2, got 1"),
+        (["online.search.rounds=0"], r"online\.search.*rounds must be at least 1, got 0"),
+    ],
+)
+def test_a_mistake_in_the_section_is_one_line(changes: list[str], words: str, job: Job) -> None:
+    with pytest.raises(JobError, match=words) as error:
+        load_job(job.path, changes)
+    assert "\n" not in str(error.value)
+
+
+RARE = """
+from dataclasses import replace
+import numpy as np
+from pfdist import load_model, where
+ungm = load_model("ungm")
+model = replace(ungm, log_likelihood=lambda y, x, t, p:
+    where(y[0] > 12.0, -np.inf, -0.5 * (y[0] - x[0] ** 2 / 20) ** 2))
+"""
+
+
+def test_degenerate_draws_are_left_out_and_counted(job: Job, tmp_path: Path) -> None:
+    (tmp_path / "rare.py").write_text(RARE)
+    path = tmp_path / "rare.toml"
+    path.write_text(JOB)
+    changes = ["model.name=rare.py:model", "evaluation.degenerate_draws=leave_out"]
+    job = load_job(path, [*changes, "online.draws=30"])
+    run = pfdist.run(job, tmp_path / "run", figures=False)
+    rows, compared = run.online(), run.comparison()
+    assert rows["mse"].isna().any()
+    assert rows["mse"].notna().any()
+    assert all(len(times) == 4 for times in rows["measurement_times"])
+    sets = [compared["mse_regular"], compared["mse_survivors"], rows["mse"]]
+    usable = np.all([column.notna() for column in sets], axis=0)
+    online = run.summary()["online"]
+    assert (online["draws"], online["degenerate_draws"]) == (usable.sum(), 30 - usable.sum())
+    assert online["expected_mse"] == pytest.approx(rows["mse"][usable].mean())
+    assert online["plan"]["expected_mse"] == pytest.approx(sets[1][usable].mean())
+
+
+def test_the_summary_gives_costs_differences_and_gains_on_the_same_draws(run: Run) -> None:
+    online = run.summary()["online"]
+    mse = run.online()["mse"].to_numpy()
+    for key, name in (("plan", "survivors"), ("reference", "regular")):
+        told, other = online[key], run.comparison()[f"mse_{name}"][:6].to_numpy()
+        assert told["name"] == name
+        assert told["expected_mse"] == pytest.approx(other.mean())
+        assert told["difference"] == pytest.approx(np.mean(mse - other))
+        half = stats.sem(mse - other) * stats.t.ppf(0.975, 5)
+        low, high = told["difference_interval"]
+        assert (high - low) / 2 == pytest.approx(half)
+        assert told["gain_of_means"] == pytest.approx(1 - mse.mean() / other.mean())
+        assert told["mean_relative_gain"] == pytest.approx(np.mean(1 - mse / other))
+        assert told["positive_fraction"] == pytest.approx(np.mean(mse < other))
+    assert online["standard_error"] == pytest.approx(stats.sem(mse))
+    plan = run.sets()["survivors"]
+    differ = [tuple(times) != plan for times in run.online()["measurement_times"]]
+    assert online["differs_from_plan"] == np.mean(differ)
+
+
+def test_old_runs_and_runs_without_the_section_have_none() -> None:
+    for version in ("schema-1", "schema-2", "schema-3"):
+        old = pfdist.open_run(ASSETS / version)
+        assert old.online().empty
+        assert "online" not in old.summary()
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_the_command_prints_a_block_and_takes_draws(
+    job: Job, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["online", str(job.path), "--results", str(tmp_path / "run"), "--draws", "6"]
+    assert main(command) == 0
+    printed = capsys.readouterr().out
+    assert main([*command, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["online"] == run.summary()["online"]
+    assert hashes(tmp_path / "run") == hashes(run.path)
+    block = printed[printed.index("\nonline: ") :].splitlines()[1:]
+    assert block[0] == "online: times chosen one after another, 6 draws"
+    assert [line[:24].strip() for line in block[1:10]] == [
+        "expected MSE", "on the same draws", "not as survivors", "against survivors",
+        "mean difference", "positive gains", "against regular", "mean relative gain",
+        "positive gains",
+    ]  # fmt: skip
+    assert all(len(line) <= 100 for line in block)
+    assert main([*command[:-1], "31"]) == 1
+    error = capsys.readouterr().err
+    assert "online.draws must be at most comparison.draws = 30, got 31" in error
+    assert len(error.splitlines()) == 1
+
+
+def test_a_job_without_the_section_gets_its_defaults_and_a_folder_of_its_own(
+    job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "plain.toml"
+    head, _, rest = JOB.partition("[online]")
+    path.write_text(head + rest[rest.index("[execution]") :])
+    run = pfdist.online(path, draws=2, figures=False)
+    assert run.path == Path("results/plain-online")
+    assert len(run.online()) == 2
+    assert run.job["online"]["search"]["method"] == "corridor"
+    with pytest.raises(JobError, match=r"comparison\.draws = 30, got 1000"):
+        pfdist.online(path, figures=False)
+    changes = ["online.draws=2"]
+    assert pfdist.online(job, changes=changes, figures=False).path == Path("results/online")
+    given = pfdist.online(load_job(path), changes=changes, figures=False)
+    assert given.path == Path("results/plain-online")
+
+
+def test_it_is_not_worse_than_the_plan_by_more_than_noise(job: Job, tmp_path: Path) -> None:
+    run = pfdist.run(
+        job.with_changes(["comparison.draws=200", "online.draws=200"]), tmp_path / "run"
+    )
+    draws = online_draws(run)
+    difference = draws.mse("online") - draws.mse("survivors")
+    assert difference.mean() < 2 * stats.sem(difference)
+    assert draws.differ.mean() > 0.5  # it did not just keep the plan
+    names = {file.stem for file in (run.path / "figures").glob("online_*.png")}
+    assert names == {"online_gain", "online_draw", "online_times"}
+
+
+EXACT = """
+seed = 1
+[model]
+name = "exact.py:model"
+[problem]
+horizon = 12
+measurement_budget = 4
+[filter]
+engine = "kalman"
+[[search]]
+method = "exhaustive"
+[comparison]
+draws = 4
+[online]
+draws = 4
+search.method = "exhaustive"
+[execution]
+pool = "serial"
+"""
+
+
+@pytest.mark.parametrize("name", ["SCALAR", "TRACKING", "THREE"])
+def test_where_measurements_say_nothing_about_times_the_plan_is_kept(
+    name: str, tmp_path: Path
+) -> None:
+    """The variance of a Kalman filter does not depend on what was measured."""
+    system = vars(getattr(oracles.kalman, name))
+    matrices = {key: matrix.tolist() for key, matrix in system.items()}
+    (tmp_path / "exact.py").write_text(
+        "from pfdist import linear_gaussian\n"
+        f"m = {matrices}\n"
+        "model = linear_gaussian('exact', initial_noise=m['b0'], transition=m['a'],\n"
+        "    process_noise=m['b'], measurement=m['c'], measurement_noise=m['d'],\n"
+        "    quantity_of_interest=m['h'])\n"
+    )
+    path = tmp_path / "exact.toml"
+    path.write_text(EXACT)
+    run = pfdist.run(path, tmp_path / "run", figures=False)
+    plan = run.sets()["exhaustive"]
+    assert [tuple(times) for times in run.online()["measurement_times"]] == [plan] * 4
+    assert run.summary()["online"]["differs_from_plan"] == 0.0
