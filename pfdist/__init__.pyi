@@ -19,8 +19,8 @@ from .job.job import load_job as load_job
 from .models import StateSpaceModel as StateSpaceModel
 from .models import load_model as load_model
 from .models.linear_gaussian import linear_gaussian as linear_gaussian
-from .sequential.filter import Filter as Filter
 from .runner.bound_settings import BoundSettings as BoundSettings
+from .sequential.filter import Filter as Filter
 
 __all__: list[str]
 __version__: str

@@ -144,3 +144,21 @@ def test_the_expected_error_is_the_realised_error_for_a_static_state() -> None:
     error = np.hypot(planned.std(), realised.std()) / np.sqrt(systems)
     assert abs(planned.mean() - realised.mean()) < 3 * error
     assert with_truth.mean() < realised.mean() - 3 * error
+
+
+@pytest.mark.parametrize("name", EXACT)
+def test_exact_costs_never_rise_with_a_heuristic_search(name: str) -> None:
+    """The plan at hand is replaced only by one of lower cost, so online is as good or better."""
+    model, feasible = EXACT[name].as_model(), Feasible(20, 6)
+    problem = Problem(model, 20, engine="kalman")
+    replanner, first = Replanner(problem, feasible, QUICK, 5), feasible.regular()
+    filtering, taken, plan = begin(model, FilterSettings(1), 3, 0, "kalman"), (), first
+    y = simulate(model, 20, range(1), 7).y[0]
+    costs = [problem.expected_mse([first])[0]]
+    while plan:
+        filtering, *_ = filtering.at(plan[0], y[plan[0]])
+        taken = (*taken, plan[0])
+        plan = replanner.plan(Now(filtering.settings.prior, measured=True), taken, plan[1:])
+        costs.append(problem.expected_mse([(*taken, *plan)])[0])
+    assert np.diff(costs).max() <= 1e-9 * costs[0]
+    assert feasible.accepts(taken)

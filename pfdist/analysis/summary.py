@@ -1,0 +1,86 @@
+"""The summary of a run, as `pfdist status --json` prints it."""
+
+from typing import TYPE_CHECKING, Any
+
+from pfdist.analysis.bounds import last_bounds
+from pfdist.analysis.finite import finite
+from pfdist.analysis.online import online_draws
+from pfdist.analysis.results import Results
+
+if TYPE_CHECKING:
+    from pfdist.analysis.stored_run import Run
+
+
+def summary_of(run: "Run", kind: Results) -> dict[str, Any]:
+    """How far a run is, and what it has found.
+
+    Parameters
+    ----------
+    run : Run
+    kind : Results
+        The results of the run's study.
+
+    Returns
+    -------
+    dict
+        ``state``, ``run``, ``evaluations`` (copies counted), ``draws_compared``, ``results`` by
+        name, and ``online`` if there is such a table. Fractions are not in per cent; an
+        infinite or unknown value is None. Each result has:
+
+        - measurement_times, expected_mse, standard_error, degenerate_draws, search_cost and
+          search_standard_error.
+        - For the reference: description, broken_constraints (see
+          `pfdist.job.problem_section.ProblemSection.broken`), and gain_over_itself (see
+          `pfdist.analysis.gains.gain_over_itself`) with interval and draws.
+        - For the others: search_excess (search_cost over expected_mse, less 1),
+          search_estimation (how the search estimated otherwise than the comparison),
+          search_cause (why search_cost is not expected_mse), search_distrust (why the search
+          was run again by the squared error, or None), the fields of `GainSummary`, and
+          gains_disagree (`GainSummary.disagree`).
+
+        - For all, if a lower bound was proved: lower_bound, with the columns of `bounds` for
+          the proof of most compared draws, then of most particle-steps.
+
+        If the run has several numbers of measurements, the results are the rows of `budget`,
+        with the four search_ fields for found times. Before the comparison has begun, a result
+        has only measurement_times, search_cost and search_standard_error.
+
+        If times were chosen one after another, there is a key ``online``: draws (without the
+        degenerate_draws, which are degenerate with the online times, the plan or the
+        reference), expected_mse and standard_error of the online times, and differs_from_plan
+        (share of draws whose times are not those of the plan). The plan is the set of the
+        first search. Under ``plan`` and ``reference`` stand name, expected_mse and
+        standard_error on these draws, difference (expected MSE of the online times, less that
+        of the set) with difference_interval (95 %, Student's t, of the paired differences),
+        and the fields of `GainSummary` for the gain of the online times over the set.
+    """
+    results: dict[str, Any] = {}
+    if run.has("compared"):
+        compared = run.has("comparison")
+        results = kind.summary(run) if compared else _before_the_comparison(run)
+        proved = last_bounds(run.bounds()) if run.has("bound") else {}
+        for name, columns in proved.items():
+            results[name]["lower_bound"] = columns
+    evaluations = int(run.evaluations()["copies"].sum()) if run.has("evaluations") else 0
+    has_online = run.has("online") and run.has("comparison")
+    online = {"online": finite(online_draws(run).summary())} if has_online else {}
+    return {
+        "state": run.state,
+        "run": str(run.path),
+        "evaluations": evaluations,
+        "draws_compared": run.draws_compared,
+        "results": finite(results),
+        **online,
+    }
+
+
+def _before_the_comparison(run: "Run") -> dict[str, Any]:
+    """Times of each set, and the cost that its search believed."""
+    return {
+        str(entry["name"]): {
+            "measurement_times": [int(time) for time in entry["measurement_times"]],
+            "search_cost": float(entry["search_cost"]),
+            "search_standard_error": float(entry["search_standard_error"]),
+        }
+        for entry in run.compared().to_dict("records")
+    }
