@@ -52,7 +52,7 @@ class Online(Section):
     """
 
     draws: Annotated[int, Field(ge=2, le=10_000_000)] = 1000
-    judging_draws: Annotated[int, Field(ge=2, le=1_000_000)] = 256
+    judging_draws: Annotated[int, Field(ge=2, le=1_000_000)] = 1024
     search: Search = PLANNING
 
 

@@ -18,6 +18,7 @@ from pfdist.evaluation.problem import Problem
 from pfdist.evaluation.work import Estimation
 from pfdist.filters.cloud import Prior
 from pfdist.filters.draws import Draws
+from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.kernels.noise import generator
 from pfdist.search.base import Candidate, SearchOptimiser
 from pfdist.search.methods import METHODS
@@ -53,6 +54,15 @@ class Planning:
     draws: int
     judging_draws: int
     estimation: Estimation
+
+    @property
+    def judging(self) -> Estimation:
+        """The estimation that judges plans: by the squared error, whatever the search estimates by.
+
+        The variance of a few particles is smaller than the error of a filter that has lost its
+        system, as filters do whose particles are all near each other.
+        """
+        return replace(self.estimation, estimator=SQUARED_ERROR.name)
 
     def optimiser(self, rest: Feasible, start: Times | None = None) -> SearchOptimiser:
         """Make the optimiser of the measurements that are left; see `pfdist.search.methods`.
@@ -198,7 +208,7 @@ class _Outlook:
         state, generation = optimiser.init(), 0
         while not optimiser.done(state):
             asked = optimiser.ask(state, generator(self.stream, "search", generation))
-            state = optimiser.tell(state, self._evaluated(draws, asked))
+            state = optimiser.tell(state, self._evaluated(draws, asked, planning.estimation))
             generation += 1
         found = [each for each in optimiser.finalists(state)[:1] if math.isfinite(each.cost)]
         return [each.measurement_times for each in found]
@@ -213,7 +223,8 @@ class _Outlook:
             return plans[0]
         planning = self.replanner.planning
         fresh = range(planning.draws, planning.draws + planning.judging_draws)
-        kept, new = self._evaluated(self._draws(fresh), [Candidate(times) for times in plans])
+        candidates = [Candidate(times) for times in plans]
+        kept, new = self._evaluated(self._draws(fresh), candidates, planning.judging)
         gain = difference(new, kept)
         real = gain.mean < -_ROUNDING * kept.cost
         return plans[1] if real and gain.is_better(_BETTER if keep else 0.0) else plans[0]
@@ -222,7 +233,7 @@ class _Outlook:
         return None if self.problem.exact else self.problem.draws(index, self.stream)
 
     def _evaluated(
-        self, draws: Draws | None, candidates: Sequence[Candidate]
+        self, draws: Draws | None, candidates: Sequence[Candidate], estimation: Estimation
     ) -> list[SearchEvaluation]:
         """Evaluate candidates on common draws with common noise."""
         problem, last = self.problem, self.problem.horizon
@@ -239,7 +250,7 @@ class _Outlook:
             ]
         noise = stream_key(self.stream, "filter")
         draws = draws[: max(each.draws or len(draws.index) for each in candidates)]
-        mse = problem.mse_of_sets(draws, sets, ends, noise, self.replanner.planning.estimation)
+        mse = problem.mse_of_sets(draws, sets, ends, noise, estimation)
         columns = np.ascontiguousarray(mse.T)
         return [
             SearchEvaluation(each.measurement_times, column[: each.draws], _POLICY, None, each.end)
