@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from pfdist.common.streams import stream_key
 from pfdist.errors import PriorError
-from pfdist.filters import cloud
 from pfdist.filters.cloud import Gaussian
 from pfdist.filters.draws import Draws
 from pfdist.filters.interface import Filtered, checking, validated_from
@@ -95,12 +94,12 @@ def filter_sets(
     dtype: str = "float64",
     ends: Sequence[int] | None = None,
     estimator: str = SQUARED_ERROR.name,
-    prior: cloud.Prior | None = None,
 ) -> NDArray[np.float64]:
     """Filter draws with several sets of measurement times, all under the same noise.
 
     A prefix that two sets share is filtered once. This is faster than filtering the sets one by
-    one, and gives the same bits. Other parameters and errors are those of `filter_draws`.
+    one, and gives the same bits. The draws must start at t = 0. Other parameters and errors are
+    those of `filter_draws`.
 
     Parameters
     ----------
@@ -117,10 +116,10 @@ def filter_sets(
         of `filter_draws` if the end is T.
     """
     check_filter(model, draws.model, particles, resampling, dtype, estimator)
-    check_start(model, draws, prior)
+    check_start(model, draws, None)
     last = [draws.instants[-1]] * len(sets) if ends is None else list(ends)
     valid = [validated_from(draws.start, times, end) for times, end in zip(sets, last, strict=True)]
-    settings = FilterSettings(particles, resampling, dtype, estimator, prior)
+    settings = FilterSettings(particles, resampling, dtype, estimator)
     return filter_checked_sets(model, draws, valid, last, stream, settings)
 
 
