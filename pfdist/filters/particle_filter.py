@@ -98,7 +98,8 @@ def filter_sets(
     """Filter draws with several sets of measurement times, all under the same noise.
 
     A prefix that two sets share is filtered once. This is faster than filtering the sets one by
-    one, and gives the same bits. Other parameters and errors are those of `filter_draws`.
+    one, and gives the same bits. The draws must start at t = 0. Other parameters and errors are
+    those of `filter_draws`.
 
     Parameters
     ----------

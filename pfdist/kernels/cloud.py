@@ -57,10 +57,9 @@ def cloud_steps(
     Returns
     -------
     begin : callable
-        ``begin(scratch, request, p, stream, draw, source, d)`` fills the first half with the saved
-        cloud number `source`. If `source` is -1, it fills it with the particles
-        of the prior for the draw in row d; without a prior, with x(0). It returns the sum of the
-        errors so far.
+        ``begin(at, request, p, scratch, source)`` fills the first half with the saved cloud number
+        `source`. If `source` is -1, it fills it with the particles of the request's prior for the
+        draw ``at.d``; without a prior, with x(0). It returns the sum of the errors so far.
     propagate : callable
         ``propagate(cloud, here, noise, particles, p, stream, draw, t)`` computes x(t+1) from x(t).
     fill_log_weights : callable
@@ -73,16 +72,15 @@ def cloud_steps(
     read_x, write_x = reader(states, "half, c, i"), writer(states, "half, c, i")
 
     @melted
-    def begin(scratch, request, p, stream, draw, source, d):
-        cloud, noise, saved = scratch.cloud, scratch.noise, scratch.saved
-        prior, particles = request.prior, request.particles
+    def begin(at, request, p, scratch, source):
+        cloud, noise, particles = scratch.cloud, scratch.noise, request.particles
         if source >= 0:
-            copy_cloud(saved.clouds, source, cloud, 0)
-            return saved.errors[source]
-        if prior.particle.size > 0:
-            _copy_prior(prior, d, particles, cloud)
+            copy_cloud(scratch.saved.clouds, source, cloud, 0)
+            return scratch.saved.errors[source]
+        if request.prior.particle.size > 0:
+            _copy_prior(request.prior, at.d, particles, cloud)
             return 0.0
-        fill_w0(noise, particles, stream, draw, np.int64(0), FILTER_INITIAL)
+        fill_w0(noise, particles, at.stream, at.draw, np.int64(0), FILTER_INITIAL)
         _repeat_first(noise, particles, cloud.shape[2])
         for i in range(cloud.shape[2]):
             write_x(cloud, 0, i, initial(read_w0(noise, i), p))

@@ -202,7 +202,7 @@ def _filter_draw(
         goes_on = slots[s, ends[s]] >= 0 or results.cloud.size > 0  # behind its last instant
         here, stop = np.int64(0), begins[s]
         source = sources[s] if stop > 0 else np.int64(-1)
-        error = begin(scratch, request, p, stream, draw, source, d)
+        error = begin(at, request, p, scratch, source)
         while stop < ends[s] and error < np.inf:
             first, stop = stop, stops[s, stop]
             for t in range(first, stop):

@@ -51,7 +51,9 @@ def plot_gain_histogram(
     ----------
     Tukey, "Exploratory data analysis", 1977: the fences.
     """
-    summary, (first, last) = gain.summary(), _shown_bins(gain)
+    summary, shown = gain.summary(), [gain, *([beside[1]] if beside else [])]
+    starts_shown, ends_shown = zip(*map(_shown_bins, shown), strict=True)
+    first, last = min(starts_shown), max(ends_shown)
     count = int(np.clip(2 * np.cbrt(summary.draws), 10, 100))  # Rice's rule
     merged = max(1, -(-(last - first) // count))  # number of counted bins in a bar
     starts, width = np.arange(first, last, merged), 100 * BIN * merged
@@ -63,7 +65,7 @@ def plot_gain_histogram(
         other, gain_of_other = beside
         ends = np.append(100 * EDGES[starts], 100 * EDGES[starts[-1]] + width)
         outline = _density(gain_of_other, starts, last, width)
-        told_of_other = f"{other}, on the same draws:\n{_mean_and_share(gain_of_other.summary())}"
+        told_of_other = f"{other}:\n{_mean_and_share(gain_of_other.summary())}"
         handles.append(axes.stairs(outline, ends, color="black", lw=0.9, label=told_of_other))
         told = f"{name}:\n{told}"
     low, high = 100 * EDGES[first], 100 * EDGES[last]
@@ -79,7 +81,11 @@ def plot_gain_histogram(
     axes.set_xlim(low, high)
     axes.set_xlabel(f"relative gain $g$ of {name} over {reference} [%]")
     axes.set_ylabel("density [1/%]")
-    axes.legend(handles=handles, loc="upper left")
+    if beside is None:
+        axes.legend(handles=handles, loc="upper left")
+    else:  # two shapes leave no corner free
+        at = {"loc": "lower center", "bbox_to_anchor": (0.45, 1.0)}
+        axes.legend(handles=handles[1:], ncols=2, **at)
 
 
 def _density(gain: Gain, starts: NDArray[np.intp], last: int, width: float) -> Array:

@@ -22,4 +22,4 @@ def online_gain_figure(tables: Tables) -> Plot:
         else:
             write_instead(panels[0], "no draw has a finite gain")
 
-    return Plot(2.6, draw)
+    return Plot(2.9, draw)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.errors import MeasurementsError, ModelError
+from pfdist.errors import MeasurementsError
 from pfdist.evaluation.engines import COMPILED, ENGINES
 from pfdist.filters.cloud import Cloud, Gaussian
 from pfdist.filters.draws import Draws
@@ -69,9 +69,9 @@ class OneFilter:
         Raises
         ------
         MeasurementsError
-            No particle explains the measurement.
+            No particle explains the measurement, or a state is not finite.
         ModelError
-            A formula failed, or a state is not finite.
+            A formula failed.
         """
         measurements, quantities = self.model.components[1:]
         measured_y = np.zeros((1, t + 1 - self.t, measurements))
@@ -95,7 +95,10 @@ class OneFilter:
                 "more particles help, or the model is wrong about this system"
             )
         if np.isinf(filtered.mse[0]):
-            raise ModelError(f"model {self.model.name}: the filter's states must stay finite")
+            raise MeasurementsError(
+                f"the states of the filter's particles must stay finite, got an infinite estimate up "
+                f"to t = {t} (model {self.model.name})"
+            )
         (last,) = filtered.last
         prior = last if isinstance(last, Gaussian) else Cloud(t, last)
         measured = y is not None or (self.measured and t == self.t)

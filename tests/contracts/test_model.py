@@ -78,7 +78,10 @@ def test_a_job_is_evaluated_and_runs(
 ) -> None:
     monkeypatch.setattr(figures, "FORMATS", ("svg",))  # the other takes as long again
     small = {"population": 4, "generations": 2, "evaluations": 4}
-    job = load_job(path, ["comparison.draws=50", "evaluation.draws=20", "filter.particles=50"])
+    changes = ["comparison.draws=50", "evaluation.draws=20", "filter.particles=50"]
+    if load_job(path).online is not None:
+        changes.append("online.draws=2")
+    job = load_job(path, changes)
     job = job.with_changes(
         f"search.{search.name}.{key}={small[key]}"
         for search in job.search

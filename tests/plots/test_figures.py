@@ -221,7 +221,7 @@ def test_another_set_is_an_outline_over_the_same_bars() -> None:
     np.testing.assert_allclose(heights, counts / 3000 / np.diff(edges), atol=1e-9)
     text = _legend(axes)
     assert f"online:\nmean {100 * relative[0].mean():.1f} %" in text
-    assert f"plan, on the same draws:\nmean {100 * relative[1].mean():.1f} %" in text
+    assert f"plan:\nmean {100 * relative[1].mean():.1f} %" in text
 
 
 def test_the_raster_has_a_dark_cell_for_each_time_and_like_rows_are_neighbours() -> None:
