@@ -3,6 +3,7 @@
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from pfdist.errors import shown
@@ -80,7 +81,9 @@ def _sentence(error: ErrorDetails, model: type[BaseModel]) -> str:
     if kind in ("union_tag_invalid", "union_tag_not_found"):
         name = error["ctx"]["discriminator"].strip("'")
         value = got.get(name) if isinstance(got, dict) else got
-        allowed = ", ".join(map(repr, _tagged(model.model_fields[key].annotation)))
+        section, _, field = key.rpartition(".")
+        kinds = _kinds(_section(section, model).model_fields[field])
+        allowed = ", ".join(map(repr, kinds))
         return f"{key}.{name} must be one of {allowed}, got {shown(value)}"
     if key == "search":
         return f"search must be one or more [[search]] sections, got {shown(got)}"
@@ -97,23 +100,33 @@ def _rule(error: ErrorDetails) -> str:
 
 
 def _allowed_keys(section: str, model: type[BaseModel]) -> list[str]:
-    """Keys of a section, by its dotted name. A tag follows the name of a section that has kinds."""
+    """Keys of a section, by its dotted name; none if the name is not that of a section."""
+    kind = _section(section, model)
+    is_section = isinstance(kind, type) and issubclass(kind, BaseModel)
+    return list(kind.model_fields) if is_section else []
+
+
+def _section(section: str, model: type[BaseModel]) -> Any:
+    """The type of a section, by its dotted name. A tag follows the name of one that has kinds."""
     kind: Any = model
     parts = iter(section.split(".") if section else [])
     for part in parts:
-        annotation = kind.model_fields[part].annotation
-        if tagged := _tagged(annotation):
-            kind = tagged[next(parts)]
-        else:
-            kind = next(iter(get_args(annotation)), annotation)  # an optional section, or one
         if not (isinstance(kind, type) and issubclass(kind, BaseModel)):
-            return []
-    return list(kind.model_fields)
+            return kind
+        field = kind.model_fields[part]
+        if kinds := _kinds(field):
+            kind = kinds[next(parts)]
+        else:  # an optional section, or one
+            kind = next(iter(get_args(field.annotation)), field.annotation)
+    return kind
 
 
-def _tagged(annotation: Any) -> dict[str, type[BaseModel]]:
+def _kinds(field: FieldInfo) -> dict[str, type[BaseModel]]:
     """The kinds of a section by their tags; empty where a section has one kind."""
-    for argument in (annotation, *get_args(annotation)):
+    if isinstance(field.discriminator, str):
+        kinds = get_args(field.annotation)
+        return {kind.model_fields[field.discriminator].default: kind for kind in kinds}
+    for argument in (field.annotation, *get_args(field.annotation)):
         for metadata in getattr(argument, "__metadata__", ()):
             if tag := getattr(metadata, "discriminator", None):
                 kinds = get_args(get_args(argument)[0])

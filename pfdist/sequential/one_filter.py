@@ -96,7 +96,7 @@ class OneFilter:
             )
         if np.isinf(filtered.mse[0]):
             raise MeasurementsError(
-                f"the states of the filter's particles must stay finite, got an infinite estimate up "
+                f"the states of the filter's particles must stay finite, got an infinite one up "
                 f"to t = {t} (model {self.model.name})"
             )
         (last,) = filtered.last

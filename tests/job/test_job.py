@@ -334,3 +334,24 @@ def test_a_wrong_setting_is_one_line_with_the_setting(write, settings, message):
     with pytest.raises(JobError, match=message) as error:
         load_job(write(), settings=settings)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("section", "message"),
+    [
+        ("drws = 3", "unknown key 'drws' in [online], allowed: draws, judging_draws, search"),
+        ("draws = 1", "online.draws must be at least 2, got 1"),
+        ("draws = 200_000", "online.draws must be at most comparison.draws = 100000, got 200000"),
+        ("search = 3", "online.search must be a section, got 3"),
+        ("search = { rounds = 2 }", "online.search.method must be one of 'annealing', "),
+        ("search = { method = 'nothing' }", "'survivors', got 'nothing'"),
+        (
+            "search = { method = 'corridor', rnds = 2 }",
+            "unknown key 'rnds' in [online.search.corridor], allowed: name, evaluation, ",
+        ),
+    ],
+)
+def test_mistakes_in_the_section_online_are_named(write, section, message):
+    path = write("[execution]", f"[online]\n{section}\n[execution]")
+    with pytest.raises(JobError, match=re.escape(message)):
+        load_job(path)
