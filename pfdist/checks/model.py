@@ -20,8 +20,8 @@ from pfdist.evaluation.compiling import compile_problem, libm_functions
 from pfdist.evaluation.engines import ENGINES, NUMPY_TIMES_SLOWER
 from pfdist.evaluation.problem import Problem
 from pfdist.evaluation.work import Estimation, Work
-from pfdist.filters import kalman
 from pfdist.filters.draws import Draws
+from pfdist.filters.matrices import matrices_of
 from pfdist.meaning import Meaning, check_is_constant
 from pfdist.meaning.chosen import loaded_twice
 from pfdist.models import StateSpaceModel
@@ -171,7 +171,7 @@ def _every_instant(engine: str, model: StateSpaceModel, draws: Draws) -> tuple[s
 
 def _linear_gaussian(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
     try:
-        kalman.linear_gaussian(model, draws.x.shape[1] - 1)
+        matrices_of(model, draws.x.shape[1] - 1)
     except ModelError as error:
         return "wrong", str(error)
     return "ok", "as it declares: filter.engine = 'kalman' computes it exactly"

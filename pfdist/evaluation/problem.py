@@ -18,6 +18,7 @@ from pfdist.filters import kalman
 from pfdist.filters.cloud import Gaussian, Prior
 from pfdist.filters.draws import Draws, check_prior
 from pfdist.filters.interface import validated_from
+from pfdist.filters.matrices import known_matrices
 from pfdist.filters.settings import FilterSettings, check_filter, check_fits
 from pfdist.kernels.estimators import FILTER_VARIANCE
 from pfdist.models import StateSpaceModel
@@ -74,7 +75,7 @@ class Problem:
                 raise ModelError(
                     f"filter.engine = {KALMAN.name!r} needs a filter that knows the truth"
                 )
-            kalman.linear_gaussian(self.model, self.horizon, self.start)
+            known_matrices(self.model, self.horizon)
         elif isinstance(self.prior, Gaussian):
             raise PriorError(
                 "particles must start from particles, got a normal distribution; it is for the "

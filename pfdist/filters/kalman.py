@@ -1,6 +1,5 @@
 """The exact filter of a model that declares itself linear and Gaussian, and the exact expected MSE.
 
-Its matrices are found by calling its formulas on the unit vectors, so they are written down once.
 The covariances do not depend on what is measured, so the expected MSE needs no draws.
 
 References
@@ -10,95 +9,21 @@ Kalman, "A new approach to linear filtering and prediction problems", Journal of
 Automatic Control 49, 2004.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.errors import ModelError
 from pfdist.filters.cloud import Gaussian, Prior
 from pfdist.filters.draws import Draws
 from pfdist.filters.interface import Filtered, checking, validated_from
+from pfdist.filters.matrices import Affine, LinearGaussian, known_matrices, matrices_of
 from pfdist.filters.one_by_one import one_by_one
 from pfdist.filters.settings import FilterSettings
-from pfdist.kernels.formulas import formulas_of
-from pfdist.models import StateSpaceModel, squared_error
+from pfdist.models import StateSpaceModel
 from pfdist.times.measurement_times import Times
 
 Array = NDArray[np.float64]
-
-_TOLERANCE = 1e-9  # relative, for the rounding errors of a linear formula
-
-
-@dataclass(frozen=True)
-class Affine:
-    """``offset + matrix @ u``.
-
-    Parameters
-    ----------
-    offset : array of float64, (r,)
-    matrix : array of float64, (r, c)
-    """
-
-    offset: Array
-    matrix: Array
-
-
-@dataclass(frozen=True)
-class LinearGaussian:
-    """Matrices of a model's formulas, for t = s..T.
-
-    Parameters
-    ----------
-    initial : Affine
-        From w to x(0).
-    transition, measurement : tuple of Affine, (T-s,) and (T-s+1,)
-        From (x(t), w) to x(t+1), and from (x(t), v) to y(t).
-    quantity_of_interest : tuple of Affine, (T-s+1,)
-        From x(t) to z(t).
-    """
-
-    initial: Affine
-    transition: tuple[Affine, ...]
-    measurement: tuple[Affine, ...]
-    quantity_of_interest: tuple[Affine, ...]
-
-
-def linear_gaussian(model: StateSpaceModel, horizon: int, start: int = 0) -> LinearGaussian:
-    """Find the matrices of a model, for t = start..horizon.
-
-    Raises
-    ------
-    ModelError
-        The model does not declare itself linear-Gaussian, or it is not linear-Gaussian: a noise is
-        not normal, the error is not the squared Euclidean norm, or a formula is not linear.
-    """
-    _check_declared(model)
-    p, states = model.p, model.components[0]
-
-    def affine(name: str, t: int, split: int, inputs: int) -> Affine:
-        formula = getattr(model, name)
-
-        def at(u: Array) -> tuple[Any, ...]:
-            x, noise = tuple(u[:split]), tuple(u[split:])
-            given = {"initial": (noise,), "quantity_of_interest": (x, t)}.get(name, (x, t, noise))
-            value: tuple[Any, ...] = formula(*given, p)
-            return value
-
-        return _probed(at, inputs, f"model {model.name}: {name} at t = {t}")
-
-    instants = range(start, horizon + 1)
-    process_inputs = states + len(model.process_noise)
-    measurement_inputs = states + len(model.measurement_noise)
-    with formulas_of(model.name, model.formulas):
-        return LinearGaussian(
-            affine("initial", 0, 0, len(model.initial_noise)),
-            tuple(affine("transition", t, states, process_inputs) for t in instants[:-1]),
-            tuple(affine("measurement", t, states, measurement_inputs) for t in instants),
-            tuple(affine("quantity_of_interest", t, states, states) for t in instants),
-        )
 
 
 def expected_mse(
@@ -138,7 +63,8 @@ def expected_errors(
         As `expected_mse`.
     """
     start = 0 if prior is None else prior.t
-    matrices, instants = linear_gaussian(model, horizon, start), horizon + 1 - start
+    matrices = known_matrices(model, horizon).since(start)
+    instants = horizon + 1 - start
     measured = np.zeros((len(sets), instants), np.bool_)
     for row, times in zip(measured, sets, strict=True):
         row[[time - start for time in validated_from(start, times, horizon)]] = True
@@ -170,7 +96,7 @@ def filter_checked_draws(
     that is NaN in every draw was not measured.
     """
     instants = draws.instants
-    matrices = linear_gaussian(model, instants[-1], draws.start)
+    matrices = matrices_of(model, instants[-1], draws.start)
     begin, covariance = _begin(matrices, settings.prior)
     mean = np.repeat(begin[None], len(draws.index), axis=0)
     estimate, variance = np.empty_like(draws.z), np.empty_like(draws.z)
@@ -203,7 +129,7 @@ def predicted_measurement(model: StateSpaceModel, state: Gaussian) -> Gaussian:
     ModelError
         The model is not linear-Gaussian.
     """
-    (measurement,) = linear_gaussian(model, state.t, state.t).measurement
+    (measurement,) = matrices_of(model, state.t, state.t).measurement
     states = state.components
     matrix, noise = measurement.matrix[:, :states], measurement.matrix[:, states:]
     mean = measurement.offset + matrix @ state.mean
@@ -253,42 +179,6 @@ def _propagated(covariance: Array, transition: Affine) -> Array:
 
 def _square(matrix: Array) -> Array:
     return matrix @ matrix.T
-
-
-def _probed(at: Callable[[Array], tuple[Any, ...]], inputs: int, what: str) -> Affine:
-    """Offset and matrix of a linear function, found from its values at 0 and at unit vectors."""
-    elsewhere = np.random.default_rng(0).normal(size=(inputs, 4)) * [0.1, 1, 10, 100]
-    points = np.concatenate([np.zeros((inputs, 1)), np.eye(inputs), elsewhere], axis=1)
-    values = np.stack([np.broadcast_to(value, points.shape[1]) for value in at(points)])
-    offset = values[:, 0]
-    matrix = values[:, 1 : inputs + 1] - offset[:, None]
-    predicted = offset[:, None] + matrix @ elsewhere
-    size = np.abs(offset)[:, None] + np.abs(matrix) @ np.abs(elsewhere) + 1e-300
-    wrong = ~(np.abs(values[:, inputs + 1 :] - predicted) <= _TOLERANCE * size)
-    if wrong.any():
-        component = int(np.argwhere(wrong)[0, 0])
-        raise ModelError(f"{what} must be linear, but component {component} is not")
-    return Affine(offset, matrix)
-
-
-def _check_declared(model: StateSpaceModel) -> None:
-    if not model.linear_gaussian:
-        raise ModelError(
-            f"the Kalman filter needs a model that declares itself linear_gaussian, "
-            f"got {model.name}"
-        )
-    for name in ("initial_noise", "process_noise", "measurement_noise"):
-        kinds = set(getattr(model, name)) - {"normal"}
-        if kinds:
-            raise ModelError(
-                f"model {model.name}: {name} of a linear-Gaussian model must be normal, "
-                f"got {kinds.pop()!r}"
-            )
-    if model.error is not squared_error:
-        raise ModelError(
-            f"model {model.name}: error of a linear-Gaussian model must be the squared Euclidean "
-            "norm, got its own error"
-        )
 
 
 filter_draws = checking(filter_checked_draws)

@@ -18,9 +18,9 @@ from pfdist.errors import (
 )
 from pfdist.evaluation.engines import AUTO, COMPILED, ENGINES, NUMPY, NUMPY_TIMES_SLOWER
 from pfdist.evaluation.estimate import Purpose, ReportEvaluation
-from pfdist.filters import kalman
 from pfdist.filters.cloud import Cloud, Gaussian, Prior
 from pfdist.filters.draws import check_prior
+from pfdist.filters.matrices import matrices_of
 from pfdist.filters.settings import FilterSettings, check_filter
 from pfdist.models import StateSpaceModel, load_model
 from pfdist.sequential.beliefs import (
@@ -239,7 +239,7 @@ class Filter:
         """Give the filter at its first instant, and compile it."""
         name = COMPILED.name if engine == AUTO else engine
         if name == "kalman":
-            kalman.linear_gaussian(self.model, 0)
+            matrices_of(self.model, 0)
         first = begin(self.model, settings, self.stream, draw, name)
         try:
             return first.at(first.t)

@@ -1,0 +1,164 @@
+"""The matrices of a model that declares itself linear and Gaussian.
+
+They are found by calling its formulas on the unit vectors, so they are written down once.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pfdist.errors import ModelError
+from pfdist.kernels.formulas import formulas_of
+from pfdist.models import StateSpaceModel, squared_error
+
+Array = NDArray[np.float64]
+
+_TOLERANCE = 1e-9  # relative, for the rounding errors of a linear formula
+
+
+@dataclass(frozen=True)
+class Affine:
+    """``offset + matrix @ u``.
+
+    Parameters
+    ----------
+    offset : array of float64, (r,)
+    matrix : array of float64, (r, c)
+    """
+
+    offset: Array
+    matrix: Array
+
+
+@dataclass(frozen=True)
+class LinearGaussian:
+    """Matrices of a model's formulas, for t = s..T.
+
+    Parameters
+    ----------
+    initial : Affine
+        From w to x(0).
+    transition, measurement : tuple of Affine, (T-s,) and (T-s+1,)
+        From (x(t), w) to x(t+1), and from (x(t), v) to y(t).
+    quantity_of_interest : tuple of Affine, (T-s+1,)
+        From x(t) to z(t).
+    """
+
+    initial: Affine
+    transition: tuple[Affine, ...]
+    measurement: tuple[Affine, ...]
+    quantity_of_interest: tuple[Affine, ...]
+
+    def since(self, start: int) -> "LinearGaussian":
+        """The matrices without those of the first instants."""
+        return LinearGaussian(
+            self.initial,
+            self.transition[start:],
+            self.measurement[start:],
+            self.quantity_of_interest[start:],
+        )
+
+
+class _SameModel:
+    """A model as a key of a cache: only the very same object is the same key."""
+
+    def __init__(self, model: StateSpaceModel) -> None:
+        self.model = model
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _SameModel) and other.model is self.model
+
+    def __hash__(self) -> int:
+        return id(self.model)
+
+
+@lru_cache(maxsize=8)
+def _known(key: _SameModel, horizon: int) -> LinearGaussian:
+    """The matrices for t = 0..horizon, which a search asks for again and again."""
+    return matrices_of(key.model, horizon)
+
+
+def matrices_of(model: StateSpaceModel, horizon: int, start: int = 0) -> LinearGaussian:
+    """Find the matrices of a model, for t = start..horizon.
+
+    Raises
+    ------
+    ModelError
+        The model does not declare itself linear-Gaussian, or it is not linear-Gaussian: a noise is
+        not normal, the error is not the squared Euclidean norm, or a formula is not linear.
+    """
+    _check_declared(model)
+    p, states = model.p, model.components[0]
+
+    def affine(name: str, t: int, split: int, inputs: int) -> Affine:
+        formula = getattr(model, name)
+
+        def at(u: Array) -> tuple[Any, ...]:
+            x, noise = tuple(u[:split]), tuple(u[split:])
+            given = {"initial": (noise,), "quantity_of_interest": (x, t)}.get(name, (x, t, noise))
+            value: tuple[Any, ...] = formula(*given, p)
+            return value
+
+        return _probed(at, inputs, f"model {model.name}: {name} at t = {t}")
+
+    instants = range(start, horizon + 1)
+    process_inputs = states + len(model.process_noise)
+    measurement_inputs = states + len(model.measurement_noise)
+    with formulas_of(model.name, model.formulas):
+        return LinearGaussian(
+            affine("initial", 0, 0, len(model.initial_noise)),
+            tuple(affine("transition", t, states, process_inputs) for t in instants[:-1]),
+            tuple(affine("measurement", t, states, measurement_inputs) for t in instants),
+            tuple(affine("quantity_of_interest", t, states, states) for t in instants),
+        )
+
+
+def _probed(at: Callable[[Array], tuple[Any, ...]], inputs: int, what: str) -> Affine:
+    """Offset and matrix of a linear function, found from its values at 0 and at unit vectors."""
+    elsewhere = np.random.default_rng(0).normal(size=(inputs, 4)) * [0.1, 1, 10, 100]
+    points = np.concatenate([np.zeros((inputs, 1)), np.eye(inputs), elsewhere], axis=1)
+    values = np.stack([np.broadcast_to(value, points.shape[1]) for value in at(points)])
+    offset = values[:, 0]
+    matrix = values[:, 1 : inputs + 1] - offset[:, None]
+    predicted = offset[:, None] + matrix @ elsewhere
+    size = np.abs(offset)[:, None] + np.abs(matrix) @ np.abs(elsewhere) + 1e-300
+    wrong = ~(np.abs(values[:, inputs + 1 :] - predicted) <= _TOLERANCE * size)
+    if wrong.any():
+        component = int(np.argwhere(wrong)[0, 0])
+        raise ModelError(f"{what} must be linear, but component {component} is not")
+    return Affine(offset, matrix)
+
+
+def _check_declared(model: StateSpaceModel) -> None:
+    if not model.linear_gaussian:
+        raise ModelError(
+            f"the Kalman filter needs a model that declares itself linear_gaussian, "
+            f"got {model.name}"
+        )
+    for name in ("initial_noise", "process_noise", "measurement_noise"):
+        kinds = set(getattr(model, name)) - {"normal"}
+        if kinds:
+            raise ModelError(
+                f"model {model.name}: {name} of a linear-Gaussian model must be normal, "
+                f"got {kinds.pop()!r}"
+            )
+    if model.error is not squared_error:
+        raise ModelError(
+            f"model {model.name}: error of a linear-Gaussian model must be the squared Euclidean "
+            "norm, got its own error"
+        )
+
+
+def known_matrices(model: StateSpaceModel, horizon: int) -> LinearGaussian:
+    """Give the matrices for t = 0..horizon, which are found once for each model.
+
+    Raises
+    ------
+    ModelError
+        As `matrices_of`.
+    """
+    return _known(_SameModel(model), horizon)
