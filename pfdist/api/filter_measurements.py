@@ -70,7 +70,7 @@ class FilteredMeasurements:
 
     @property
     def surprise_of_all(self) -> float | None:
-        """Its p-value among all measurements (Bonferroni), if there is a measurement."""
+        """P-value of the most surprising among all measurements (Bonferroni), if there is one."""
         most = self.most_surprising
         return None if most is None else min(1.0, len(self.measured) * most[1])
 
@@ -167,7 +167,7 @@ def filter_measurements(
     rows = read_measurements(path, believed, filtering.horizon, filtering.now.t)
     wanted = [t for t in planned[1] if t >= filtering.now.t]
     table = _table(_estimates(filtering, rows), schema)
-    last = rows.t[-1] if rows.t else -1
+    last = max((*rows.t, *rows.missed), default=-1)
     found = FilteredMeasurements(
         opened.path,
         planned[0],

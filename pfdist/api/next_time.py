@@ -124,17 +124,17 @@ def next_time(
     opened = finished_run(run)
     name, planned = planned_set(opened, times)
     built = built_again(opened, {"model": model, "filter_model": filter_model}, say)
-    believed, feasible = built.problem.believed, built.job.problem.feasible
+    believed = built.problem.believed
     known = read_prior(Path(prior), believed) if prior else None
     planner = Planner.of_built(built, planned, known)
-    start = planner.estimate().t
+    feasible, start = planner.feasible, planner.estimate().t
     last = _tell(planner, read_measurements(Path(measurements), believed, feasible.horizon, start))
     if now is not None:
         _check_now(now, max(last, start), feasible.horizon)
-        if planner.plan() and planner.plan()[0] <= now:
+        if now > last:
             planner.missed(now)
         last = now
-    before = tuple(time for time in planned if time > last)
+    before = tuple(time for time in planned if time > last and time >= start)
     if feasible.counted:
         before = before[: max(0, feasible.total - len(planner.measured))]
     expected, expected_before = planner.expected(planner.plan(), before)

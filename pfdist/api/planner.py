@@ -8,16 +8,17 @@ from typing import Any
 from numpy.typing import ArrayLike, NDArray
 
 from pfdist.api.filter_of import filter_of
-from pfdist.errors import MeasurementsError, shown
+from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.evaluation.estimate import ReportEvaluation
 from pfdist.filters.cloud import Prior
-from pfdist.job.job import Job, Online, as_job
+from pfdist.job.job import Job, as_job
 from pfdist.runner.build import Built, build
-from pfdist.runner.online_phase import planning_of
+from pfdist.runner.online_planning import planning_of
 from pfdist.search.methods import DEFAULT_METHOD, METHODS
 from pfdist.sequential.estimate import Estimate
 from pfdist.sequential.planning import ONLINE, Now, Replanner
 from pfdist.sequential.user_prior import as_prior
+from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times, validated
 
 EXPECTED_DRAWS = 2000
@@ -36,11 +37,11 @@ class Planner:
     job : Job, str or Path
         A job, or the path of a job file. Its section [online] says how plans are made.
     times : iterable of int, optional
-        The plan before anything is measured, such as the times that `pfdist.plan` found. By default
-        a short search finds some.
+        The plan before anything is measured, such as the times that `pfdist.plan` found; a feasible
+        set of the job, or of one of its measurement budgets. By default a short search finds some.
     prior : Cloud, Gaussian or array, optional
         The knowledge of x(s), in the place of the model's `initial`; the system then starts at s.
-        An array (n, M) holds M particles of x(0).
+        An array (n, M) holds M particles of x(0). Planned times before s count as measured.
     draw : int
         Number of the system, which keys the noise: give each system a number of its own.
 
@@ -89,6 +90,11 @@ class Planner:
         return self._plan
 
     @property
+    def feasible(self) -> Feasible:
+        """The feasible sets of the whole horizon."""
+        return self._replanner.feasible
+
+    @property
     def measured(self) -> Times:
         """The times that were measured."""
         return self._taken
@@ -114,12 +120,13 @@ class Planner:
         MeasurementsError
             The time or the measurement is wrong, or no particle explains the measurement. The
             planner stays as it was.
+        ModelError
+            A formula failed in a simulated system. Make a new planner to go on.
         """
-        time = self._time(t)
-        estimate = self._filter.update(time, y)
+        estimate = self._filter.update(self._time(t), y)
         if estimate.measured:
-            self._taken = (*self._taken, time)
-        self._plan_anew(time)
+            self._taken = (*self._taken, estimate.t)
+        self._plan_anew(estimate.t)
         return estimate
 
     def missed(self, t: int | None = None) -> None:
@@ -137,9 +144,8 @@ class Planner:
         MeasurementsError
             The time is wrong.
         """
-        time = self._time(t)
-        self._filter.update(time, [float("nan")] * self._filter.model.components[1])
-        self._plan_anew(time)
+        nothing = [float("nan")] * self._filter.model.components[1]
+        self._plan_anew(self._filter.update(self._time(t), nothing).t)
 
     def estimate(self, t: int | None = None) -> Estimate:
         """Estimate z(t) from all measurements so far.
@@ -173,11 +179,11 @@ class Planner:
         MeasurementTimesError
             A time does not lie after the last measurement and up to T.
         """
-        feasible, first = self._replanner.feasible, self._now.first
-        wanted = [validated(plan, feasible.horizon) for plan in plans or (self._plan,)]
+        first = self._now.first
+        wanted = [validated(plan, self.feasible.horizon) for plan in plans or (self._plan,)]
         for plan in wanted:
             if plan and plan[0] < first:
-                raise MeasurementsError(
+                raise MeasurementTimesError(
                     f"times that are left must be at least {first}, got {plan[0]}"
                 )
         estimation = self._built.comparing
@@ -186,20 +192,20 @@ class Planner:
     def _begin(
         self, built: Built, times: Iterable[int] | None, prior: Prior | None, draw: int
     ) -> None:
-        job, feasible = built.job, built.job.problem.feasible
-        planning = planning_of(job, job.online or Online(), built.problem.cheapest_estimator)
-        stream = ONLINE.stream(job.seed, "planner")
-        self._built, self._draw = built, draw
+        planning = planning_of(built.job, built.problem.cheapest_estimator)
+        stream = ONLINE.stream(built.job.seed, "planner")
+        planned = None if times is None else validated(times, built.problem.horizon, "times")
+        feasible = _feasible(built.job, planned)
         self._replanner = Replanner(built.problem, feasible, planning, stream)
         self._filter = filter_of(built, prior, draw)
+        self._built, self._draw = built, int(draw)
         self._now, self._taken = Now(prior), ()
-        if times is None:
+        if planned is None:
             default = METHODS[DEFAULT_METHOD].section()
             first = replace(planning, search=default, draws=_FIRST_DRAWS)
-            self._plan = replace(self._replanner, planning=first).plan(self._now, (), (), draw)
-        else:
-            planned = validated(times, job.problem.horizon, "times")
-            self._plan = tuple(time for time in planned if time >= self._now.first)
+            planned = replace(self._replanner, planning=first).plan(self._now, (), (), self._draw)
+        self._plan = tuple(time for time in planned if time >= self._now.first)
+        self._before = tuple(time for time in planned if time < self._now.first)
 
     def _time(self, t: int | None) -> int:
         """The time that is meant: a given one, or the next planned."""
@@ -216,4 +222,27 @@ class Planner:
         """Plan what is left after a time, from what the filter knows."""
         self._now = Now(self._filter.cloud, measured=True)
         left = tuple(planned for planned in self._plan if planned > time)
-        self._plan = self._replanner.plan(self._now, self._taken, left, self._draw)
+        taken = (*self._before, *self._taken)
+        self._plan = self._replanner.plan(self._now, taken, left, self._draw)
+
+
+def _feasible(job: Job, planned: Times | None) -> Feasible:
+    """Give the feasible sets, of as many measurements as were planned if the job has a range.
+
+    Raises
+    ------
+    MeasurementTimesError
+        The planned times are not feasible.
+    """
+    feasible = job.problem.feasible
+    if planned is None:
+        return feasible
+    if job.budget is not None and planned:
+        feasible = job.feasible(len(planned))
+    if broken := feasible.broken(planned):
+        raise MeasurementTimesError(
+            f"times must satisfy the constraints of the job, got {shown(planned)}: "
+            f"{'; '.join(f'problem.{sentence}' for sentence in broken)}",
+            argument="times",
+        )
+    return feasible

@@ -12,6 +12,7 @@ from pfdist.kernels.noise import FILTER_INITIAL, TRUTH_INITIAL, variates
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+_KEPT = 2  # results: an estimator has two filters at most
 _ROUNDING = 1e-12  # of a sum of weights
 
 
@@ -139,7 +140,8 @@ class Cloud:
 
         Systematic resampling. A cloud of P particles of the same weight is taken as it is. If the
         truths are particles of this cloud, no filter starts with the state of its own draw's truth:
-        a filter that contained the truth would look too good.
+        a filter that contained the truth would look too good. If nearly all the weight lies on one
+        state, the filters look worse than they are.
 
         Parameters
         ----------
@@ -154,7 +156,8 @@ class Cloud:
         """
         known = particles, draws, stream, None if truths is None else truths.tobytes()
         if known not in self._chosen:  # a search asks for the same particles again and again
-            self._chosen.clear()
+            if len(self._chosen) == _KEPT:
+                self._chosen.clear()
             self._chosen[known] = self._choose_for_filters(particles, draws, stream, truths)
         return self._chosen[known]
 
@@ -179,7 +182,7 @@ class Cloud:
 
     @cached_property
     def _chosen(self) -> dict[Any, Indices]:
-        """The last result of `chosen_for_filters`, by its arguments."""
+        """The last results of `chosen_for_filters`, by their arguments."""
         return {}
 
     @cached_property

@@ -109,7 +109,7 @@ def filter_checked_draws(
             covariance = covariance - gain @ observation_matrix @ covariance
         quantity = matrices.quantity_of_interest[k]
         estimate[:, k] = quantity.offset + _times(quantity.matrix, mean)
-        variance[:, k] = np.diag(quantity.matrix @ covariance @ quantity.matrix.T)
+        variance[:, k] = np.maximum(np.diag(quantity.matrix @ covariance @ quantity.matrix.T), 0.0)
         if t < instants[-1]:
             step = matrices.transition[k]
             mean = step.offset + _times(step.matrix[:, : mean.shape[1]], mean)

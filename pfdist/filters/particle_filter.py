@@ -229,10 +229,12 @@ def _prior(draws: Draws, stream: int, settings: FilterSettings) -> Prior:
         return FROM_INITIAL
     if isinstance(settings.prior, Gaussian):
         raise PriorError("a particle filter must start from particles, got a normal distribution")
-    particle = settings.prior.chosen_for_filters(
-        settings.particles, draws.index, stream, draws.origin
-    )
-    return Prior(np.ascontiguousarray(settings.prior.x), particle)
+    prior, particles = settings.prior, settings.particles
+    chosen = [
+        prior.chosen_for_filters(particles, draws.index, key, draws.origin)
+        for key in filter_streams(stream, settings.estimator)
+    ]
+    return Prior(np.ascontiguousarray(prior.x), np.stack(chosen))
 
 
 def libm_of_filter(

@@ -26,16 +26,16 @@ class Prior(NamedTuple):
     ----------
     x : array of float64, (n, M)
         States of all particles.
-    particle : array of int64, (D, P)
-        The particle of x that each particle of each draw's filter starts as; empty if the filters
-        start from `initial`.
+    particle : array of int64, (F, D, P)
+        The particle of x that each particle of each of F filters of each draw starts as; empty if
+        the filters start from `initial`.
     """
 
     x: NDArray[np.float64]
     particle: NDArray[np.int64]
 
 
-FROM_INITIAL = Prior(np.empty((0, 0)), np.empty((0, 0), np.int64))
+FROM_INITIAL = Prior(np.empty((0, 0)), np.empty((0, 0, 0), np.int64))
 
 
 def cloud_steps(
@@ -78,7 +78,7 @@ def cloud_steps(
             copy_cloud(scratch.saved.clouds, source, cloud, 0)
             return scratch.saved.errors[source]
         if request.prior.particle.size > 0:
-            _copy_prior(request.prior, at.d, particles, cloud)
+            _copy_prior(request.prior, at, particles, cloud)
             return 0.0
         fill_w0(noise, particles, at.stream, at.draw, np.int64(0), FILTER_INITIAL)
         _repeat_first(noise, particles, cloud.shape[2])
@@ -106,10 +106,10 @@ def cloud_steps(
 
 
 @melted
-def _copy_prior(prior, d, particles, cloud):
+def _copy_prior(prior, at, particles, cloud):
     """Copy a filter's first particles to the first half; behind the last, repeat the first."""
     for i in range(cloud.shape[2]):
-        chosen = prior.particle[d, i if i < particles else 0]
+        chosen = prior.particle[at.filter_number, at.d, i if i < particles else 0]
         for component in range(cloud.shape[1]):
             cloud[0, component, i] = prior.x[component, chosen]
 

@@ -21,8 +21,10 @@ from pfdist.meaning import chosen
 from pfdist.meaning.chosen import Choose, ChosenModel
 from pfdist.pools.base import Pool
 from pfdist.pools.kinds import POOLS
+from pfdist.runner.online_planning import planning_of
 from pfdist.runner.searches import NamedSearch, Settings, named_search
 from pfdist.runner.study import Study, study_of
+from pfdist.sequential.planning import check_plannable
 from pfdist.times.measurement_times import Times
 
 
@@ -175,7 +177,8 @@ def build(job: Job, choose: Choose | None = None) -> Built:
     searches = tuple(named_search(study, job, section, cheapest) for section in job.search)
     wanted = [settings.estimation for search in searches for settings in search.all_settings]
     if job.online is not None:
-        wanted.append(Settings.from_job(job, job.online.search.evaluation, cheapest).estimation)
+        check_plannable(source.make())
+        wanted.append(planning_of(job, cheapest).estimation)
     source = replace(source, estimations=tuple(dict.fromkeys([*source.estimations, *wanted])))
     draws = _checked_formulas(source)
     source = replace(source, engine=_compiled_or_numpy(source))

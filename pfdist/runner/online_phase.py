@@ -8,13 +8,12 @@ import numpy as np
 import pyarrow as pa
 
 from pfdist.evaluation.work import Result, Work, cut
-from pfdist.job.job import Job, Online
+from pfdist.job.job import Online
 from pfdist.runner.build import Built
 from pfdist.runner.collect import Collector
 from pfdist.runner.first_draws import TRAJECTORIES
+from pfdist.runner.online_planning import planning_of
 from pfdist.runner.progress import Reporter
-from pfdist.runner.searches import Settings
-from pfdist.sequential.planning import Planning
 from pfdist.sequential.work import OnlineWork
 from pfdist.store import schema
 from pfdist.times.measurement_times import Times
@@ -22,20 +21,6 @@ from pfdist.times.measurement_times import Times
 CHOOSING = "online.times"
 """Name of the phase; no search is named so."""
 _BLOCK = 200  # draws, whose rows are published together
-
-
-def planning_of(job: Job, online: Online, cheapest: str) -> Planning:
-    """How the measurements that are left are planned.
-
-    Parameters
-    ----------
-    job : Job
-    online : Online
-    cheapest : str
-        The estimator that "auto" stands for.
-    """
-    settings = Settings.from_job(job, online.search.evaluation, cheapest)
-    return Planning(online.search, settings.draws, online.judging_draws, settings.estimation)
 
 
 def run_online(
@@ -93,7 +78,7 @@ def online_work(built: Built, plan: Times) -> OnlineWork:
         estimation=built.comparing,
         ids=("online",),
         feasible=job.problem.feasible,
-        planning=planning_of(job, online, built.problem.cheapest_estimator),
+        planning=planning_of(job, built.problem.cheapest_estimator),
         planning_stream=purpose.stream(job.seed, "planning"),
         shown=TRAJECTORIES,
     )

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pfdist.common.streams import stream_key
+from pfdist.errors import ModelError
 from pfdist.evaluation.estimate import Purpose, ReportEvaluation, SearchEvaluation
 from pfdist.evaluation.problem import Problem
 from pfdist.evaluation.work import Estimation
@@ -114,12 +115,20 @@ class Replanner:
     planning : Planning
     stream : int
         Key of all noise of the planning, 64 bits.
+
+    Raises
+    ------
+    ModelError
+        The filter's model has states of another size than the true model.
     """
 
     problem: Problem
     feasible: Feasible
     planning: Planning
     stream: int
+
+    def __post_init__(self) -> None:
+        check_plannable(self.problem)
 
     def plan(self, now: Now, taken: Times, plan: Times, draw: int = 0) -> Times:
         """Give the plan for what is left: the plan at hand, or a better one.
@@ -140,15 +149,17 @@ class Replanner:
         ModelError
             A formula failed.
         """
-        first, t = now.first, now.t
+        first = now.first
         rest = rest_of(self.feasible, taken, first)
         if rest is None:
             return ()
-        stream = stream_key(self.stream, draw, t)
-        at_hand = tuple(time - first for time in plan)
-        start = rest.repair(at_hand, generator(stream, "repair")) if plan else rest.regular()
-        outlook = _Outlook(self, now, stream)
-        chosen = outlook.better([start, *outlook.search(rest, start)], keep=start == at_hand)
+        stream = stream_key(self.stream, draw, first, len(taken))
+        at_hand, outlook = tuple(time - first for time in plan), _Outlook(self, now, stream)
+        start, keep = at_hand, rest.accepts(at_hand)
+        if not keep:  # as much of it as can be, or regular times
+            repaired = rest.repair(at_hand, generator(stream, "repair"))
+            start = outlook.better([repaired, rest.regular()], keep=False)
+        chosen = outlook.better([start, *outlook.search(rest, start)], keep=keep)
         return tuple(first + time for time in chosen)
 
     def expected(
@@ -184,13 +195,30 @@ class Replanner:
                 ReportEvaluation(plan, np.empty(0), _POLICY, cost)
                 for plan, cost in zip(plans, costs, strict=True)
             ]
-        stream = stream_key(self.stream, draw, now.t, "expected")
+        stream = stream_key(self.stream, draw, now.first, "expected")
         simulated = problem.draws(range(draws), stream)
         mse = problem.mse_of_sets(simulated, plans, ends, stream_key(stream, "filter"), estimation)
         return [
             ReportEvaluation(plan, column, _POLICY)
             for plan, column in zip(plans, np.ascontiguousarray(mse.T), strict=True)
         ]
+
+
+def check_plannable(problem: Problem) -> None:
+    """Raise an error unless systems can be simulated from the particles of the filter.
+
+    Raises
+    ------
+    ModelError
+        The filter's model has states of another size than the true model.
+    """
+    true, believed = problem.model.components[0], problem.believed.components[0]
+    if true != believed:
+        raise ModelError(
+            "times can be chosen one after another only if the filter's model has as many "
+            f"components of x as the model {problem.model.name}, {true}, got {believed}: systems "
+            "are simulated from the filter's particles"
+        )
 
 
 @dataclass(frozen=True)
@@ -226,8 +254,10 @@ class _Outlook:
         candidates = [Candidate(times) for times in plans]
         kept, new = self._evaluated(self._draws(fresh), candidates, planning.judging)
         gain = difference(new, kept)
-        real = gain.mean < -_ROUNDING * kept.cost
-        return plans[1] if real and gain.is_better(_BETTER if keep else 0.0) else plans[0]
+        rounding = _ROUNDING * kept.cost if math.isfinite(kept.cost) else 0.0
+        lower = gain.mean < -rounding and gain.is_better(_BETTER if keep else 0.0)
+        # The difference knows only the draws that both plans survive.
+        return plans[1] if lower and new.degenerate_draws <= kept.degenerate_draws else plans[0]
 
     def _draws(self, index: range) -> Draws | None:
         return None if self.problem.exact else self.problem.draws(index, self.stream)

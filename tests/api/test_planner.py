@@ -165,10 +165,12 @@ def test_wrong_times_are_named(job: Job) -> None:
     planner.update(Y[0, 3], 3)
     with pytest.raises(MeasurementsError, match=r"t must be after 3, got 3"):
         planner.update(1.0, 3)
-    with pytest.raises(MeasurementsError, match=r"must be at least 4, got 2"):
+    with pytest.raises(MeasurementTimesError, match=r"must be at least 4, got 2"):
         planner.expected((2, 9))
     with pytest.raises(MeasurementTimesError, match=r"times\)|0..14"):
         Planner(job, (3, 15))
+    with pytest.raises(MeasurementTimesError, match=r"problem.measurement_budget is 5, got 2"):
+        Planner(job, (3, 9))
     planner = Planner(job, PLAN)
     measured(planner)
     with pytest.raises(MeasurementsError, match="no measurement is left"):

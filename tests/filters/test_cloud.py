@@ -75,6 +75,19 @@ def test_several_sets_share_prefixes_as_without_a_prior(ungm: StateSpaceModel) -
         np.testing.assert_array_equal(column, alone)
 
 
+def test_the_two_filters_of_an_estimator_start_from_particles_of_their_own(
+    ungm: StateSpaceModel,
+) -> None:
+    """Their distance is to show how much the particles vary, so it must not be that of twins."""
+    prior = Cloud(8, np.random.default_rng(1).normal(0, 10, (1, 200)))
+    estimation, found = Estimation(40, "systematic", "two_filters"), []
+    for engine in ENGINES:
+        problem = Problem(ungm, HORIZON, engine=engine, prior=prior)
+        draws = problem.draws(range(20), 3)
+        found.append(problem.mse_of_sets(draws, [(11,)], [HORIZON], 5, estimation))
+    np.testing.assert_allclose(*found, rtol=1e-9)
+
+
 def test_a_draw_starts_as_a_particle_with_the_probability_of_its_weight() -> None:
     weight, count = np.array([1.0, 0.0, 2.0, 5.0]), 8000
     chosen = Cloud(3, np.arange(4.0)[None], weight).chosen_for(range(count), 1)

@@ -7,6 +7,8 @@ import pytest
 
 import oracles.kalman
 from pfdist import StateSpaceModel
+from pfdist.errors import ModelError
+from pfdist.evaluation.estimate import SearchEvaluation
 from pfdist.evaluation.problem import Problem
 from pfdist.evaluation.work import Estimation
 from pfdist.filters.cloud import Cloud
@@ -15,7 +17,7 @@ from pfdist.filters.settings import FilterSettings
 from pfdist.job.job import PLANNING
 from pfdist.search.methods import METHODS
 from pfdist.sequential.one_filter import begin
-from pfdist.sequential.planning import Now, Planning, Replanner
+from pfdist.sequential.planning import Now, Planning, Replanner, _Outlook
 from pfdist.times.feasible import Feasible
 
 QUICK = Planning(PLANNING, 32, 64, Estimation(32, "systematic", "filter_variance"))
@@ -162,3 +164,33 @@ def test_exact_costs_never_rise_with_a_heuristic_search(name: str) -> None:
         costs.append(problem.expected_mse([(*taken, *plan)])[0])
     assert np.diff(costs).max() <= 1e-9 * costs[0]
     assert feasible.accepts(taken)
+
+
+def test_a_plan_that_loses_more_draws_never_takes_the_place_of_another(
+    ungm: StateSpaceModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A paired difference knows only the draws that both survive, so lost draws would look good."""
+    kept, new, whole = (5, 9), (6, 9), np.arange(64.0)
+    costs = {kept: whole, new: np.where(whole < 20, whole - 1, np.nan)}
+    outlook = _Outlook(Replanner(Problem(ungm, 12), Feasible(12, 2), QUICK, 5), Now(), 3)
+
+    def evaluated(outlook, draws, candidates, estimation):
+        return [
+            SearchEvaluation(each.measurement_times, costs[each.measurement_times], "leave_out")
+            for each in candidates
+        ]
+
+    monkeypatch.setattr(_Outlook, "_evaluated", evaluated)
+    assert outlook.better([kept, new], keep=True) == kept
+    costs[kept], costs[new] = np.where(whole < 20, whole, np.nan), whole - 1
+    assert outlook.better([kept, new], keep=True) == new
+    costs[kept] = np.where(whole == 3, np.inf, whole)
+    assert outlook.better([kept, new], keep=True) == new
+
+
+def test_a_filter_with_other_states_cannot_be_planned_for(ungm: StateSpaceModel) -> None:
+    filter_model = oracles.kalman.LinearGaussian(
+        *(np.eye(2),) * 2, np.array([[1.0, 0.0]]), np.eye(1), np.array([[1.0, 0.0]]), np.eye(2)
+    ).as_model()
+    with pytest.raises(ModelError, match="as many components of x as the model ungm, 1, got 2"):
+        Replanner(Problem(ungm, 12, filter_model), Feasible(12, 2), QUICK, 5)
