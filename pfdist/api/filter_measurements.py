@@ -19,7 +19,7 @@ from pfdist.sequential.filter import Filter
 from pfdist.sequential.measurements import Measurements, read_measurements
 from pfdist.sequential.user_prior import read_prior
 from pfdist.store import FILTERED_PERCENTS, filtered_schema
-from pfdist.store.user_tables import check_replaceable, is_parquet, write_user_table
+from pfdist.store.user_tables import check_table_replaceable, is_parquet, write_user_table
 from pfdist.times.measurement_times import Times
 
 IMPROBABLE = 0.01  # for the most surprising of all measurements: the model may be wrong
@@ -161,7 +161,7 @@ def filter_measurements(
     believed = built.problem.believed
     files = _files(path, Path(out) if out else path.parent)
     schema = filtered_schema(believed.components[2])
-    check_replaceable(files[0], schema)
+    check_table_replaceable(files[0], schema)
     check_figure_replaceable(files[1])
     filtering = filter_of(built, read_prior(Path(prior), believed) if prior else None)
     rows = read_measurements(path, believed, filtering.horizon, filtering.now.t)

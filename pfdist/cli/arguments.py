@@ -152,3 +152,27 @@ def finite(text: str) -> float:
     if not math.isfinite(number):
         raise ArgumentTypeError(f"must be a finite number, got {shown(text)}")
     return number
+
+
+def add_measurements(parser: ArgumentParser) -> None:
+    """Add the table of measurements, the planned set, and the particles to start from."""
+    parser.add_argument(
+        "measurements",
+        metavar="MEASUREMENTS",
+        help="table with the columns t, y0, y1, ..., in CSV or Parquet, for instance patient.csv; "
+        "an empty cell is a component that is missing, a row without any value a missed time",
+    )
+    parser.add_argument(
+        "--times",
+        default="",
+        metavar="NAME",
+        help="compared set whose times were planned, for instance regular (default: the found set "
+        "with the lowest expected MSE)",
+    )
+    parser.add_argument(
+        "--prior",
+        default="",
+        metavar="FILE",
+        help="particles from which the filter starts, in Parquet or CSV, for instance "
+        "prior.parquet: columns x0, x1, ..., if wanted weight, and t, their instant (default: 0)",
+    )

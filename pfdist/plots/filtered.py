@@ -1,6 +1,5 @@
 """A filter's belief of z over time, by real measurements, with 50 and 90 % bands."""
 
-import os
 from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
@@ -10,10 +9,10 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-from pfdist.errors import StoreError
 from pfdist.plots.figure import Plot
 from pfdist.plots.figures import save_plot
 from pfdist.plots.style import BLUE, GREY, ORANGE, RED
+from pfdist.store.replaceable import check_replaceable
 
 MOST_COMPONENTS = 6  # components of z that are shown, each in a panel
 _TITLE = "pfdist: filtered measurements"
@@ -59,18 +58,12 @@ def check_figure_replaceable(path: Path) -> None:
     ------
     StoreError
     """
-    if os.path.lexists(path) and not _is_earlier(path):
-        raise StoreError(f"{path} exists and is no earlier result: move it out of the way")
+    check_replaceable(path, _is_earlier)
 
 
 def _is_earlier(path: Path) -> bool:
-    if path.is_symlink() or not path.is_file():
-        return False
-    try:
-        with path.open("rb") as file:
-            return _TITLE.encode() in file.read(_START)
-    except OSError:
-        return False  # nobody knows what it is
+    with path.open("rb") as file:
+        return _TITLE.encode() in file.read(_START)
 
 
 def _draw(

@@ -49,7 +49,7 @@ class OnlineWork(Work):
         """
         results = [self._of_draw(problem, draw) for draw in range(*self.draws)]
         chosen = tuple(result.measurement_times[0] for result in results)
-        estimates = [result.estimates[0] for result in results if result.estimates.size]
+        estimates = [result.estimates[0, 0] for result in results if result.estimates.size]
         return Result(
             np.concatenate([result.mse for result in results]),
             estimates=np.array(estimates),
@@ -107,7 +107,7 @@ def _steps(feasible: Feasible, planning: Planning) -> int:
     JobError
         The method of the planning cannot search this problem.
     """
-    planning.optimiser(feasible)  # no rest has more sets
+    planning.optimiser(feasible)  # checks that the method can search; any rest has fewer sets
     times, steps = feasible.regular(), 0.0
     for number in range(1, len(times)):
         rest = rest_of(feasible, times[:number], times[number - 1] + 1)

@@ -96,7 +96,7 @@ _SCHEMAS = {
         _column("estimate", pa.list_(pa.float64()), "z", "at t = 0, 1, ...; null: after draw 99"),
     ],
     "timings": [
-        _column("phase", pa.string(), "", "a search's name, or comparison"),
+        _column("phase", pa.string(), "", "a search's name, comparison or online.times"),
         _column("task", pa.string(), "", "key of the task"),
         _column("session", pa.string(), "", "which start of the program"),
         _column("seconds", pa.float64(), "s", "in the worker"),

@@ -1,8 +1,8 @@
 """Tables of numbers that a user brings, in CSV or Parquet, and tables that the user gets."""
 
-import os
 import stat
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +11,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from pfdist.errors import StoreError, shown
+from pfdist.errors import shown
 from pfdist.store.arrow_files import read_schema, write_table
 from pfdist.store.files import write_file
+from pfdist.store.replaceable import check_replaceable
 
 Array = NDArray[np.float64]
 CheckHeader = Callable[[list[str]], None]
@@ -150,7 +151,7 @@ def write_user_table(path: Path, table: pa.Table) -> None:
     StoreError
         The file cannot be written, or another file has this name.
     """
-    check_replaceable(path, table.schema)
+    check_table_replaceable(path, table.schema)
 
     def write(temporary: Path) -> None:
         if is_parquet(path):
@@ -162,26 +163,24 @@ def write_user_table(path: Path, table: pa.Table) -> None:
     write_file(path, write)
 
 
-def check_replaceable(path: Path, schema: pa.Schema) -> None:
+def check_table_replaceable(path: Path, schema: pa.Schema) -> None:
     """Raise an error unless a file is missing, or is an earlier table with these columns.
 
     Raises
     ------
     StoreError
+        Another file has this name.
     """
-    if os.path.lexists(path) and not _is_earlier(path, schema):
-        raise StoreError(f"{path} exists and is no earlier result: move it out of the way")
+    check_replaceable(path, partial(_is_earlier, schema))
 
 
-def _is_earlier(path: Path, schema: pa.Schema) -> bool:
-    if path.is_symlink() or not path.is_file():
-        return False
-    try:
-        if is_parquet(path):
+def _is_earlier(schema: pa.Schema, path: Path) -> bool:
+    if is_parquet(path):
+        try:
             known = read_schema(path).metadata or {}
-            return bool(known.get(b"table") == schema.metadata[b"table"])
-        line = ",".join(schema.names).encode() + b"\n"
-        with path.open("rb") as file:
-            return file.read(len(line)) == line
-    except (OSError, pa.ArrowException):
-        return False  # nobody knows what it is
+        except pa.ArrowException:
+            return False
+        return bool(known.get(b"table") == schema.metadata[b"table"])
+    line = ",".join(schema.names).encode() + b"\n"
+    with path.open("rb") as file:
+        return file.read(len(line)) == line

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from pfdist.cli.answers import print_json
-from pfdist.cli.arguments import add_json, add_models, add_run
+from pfdist.cli.arguments import add_json, add_measurements, add_models, add_run
 from pfdist.cli.command import command
 from pfdist.cli.layout import line, wrapped_lines
 from pfdist.common.rounding import rounded
@@ -14,27 +14,7 @@ from pfdist.errors import one_line
 _DIGITS = 2  # of a p-value
 
 
-def _add_measurements(parser: ArgumentParser) -> None:
-    parser.add_argument(
-        "measurements",
-        metavar="MEASUREMENTS",
-        help="table with the columns t, y0, y1, ..., in CSV or Parquet, for instance patient.csv; "
-        "an empty cell is a component that is missing",
-    )
-    parser.add_argument(
-        "--times",
-        default="",
-        metavar="NAME",
-        help="compared set whose times were planned, for instance regular (default: the found set "
-        "with the lowest expected MSE)",
-    )
-    parser.add_argument(
-        "--prior",
-        default="",
-        metavar="FILE",
-        help="particles from which the filter starts, in Parquet or CSV, for instance "
-        "prior.parquet: columns x0, x1, ..., if wanted weight, and t, their instant (default: 0)",
-    )
+def _add_out(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--out",
         default="",
@@ -43,7 +23,7 @@ def _add_measurements(parser: ArgumentParser) -> None:
     )
 
 
-@command("filter", add_run, _add_measurements, add_models, add_json)
+@command("filter", add_run, add_measurements, _add_out, add_models, add_json)
 def filter_command(options: Namespace) -> None:
     """Filter real measurements of one system, with the filter of a finished run."""
     from pfdist.api.filter_measurements import filter_measurements

@@ -4,7 +4,7 @@ from argparse import ArgumentParser, Namespace
 from typing import Any
 
 from pfdist.cli.answers import print_json
-from pfdist.cli.arguments import add_json, add_models, add_run
+from pfdist.cli.arguments import add_json, add_measurements, add_models, add_run, whole
 from pfdist.cli.command import command
 from pfdist.cli.layout import line, wrapped_lines
 from pfdist.cli.numbers import cost
@@ -13,35 +13,16 @@ from pfdist.common.rounding import with_error
 _SHOWN = 4  # planned times that are named
 
 
-def _add_measurements(parser: ArgumentParser) -> None:
-    parser.add_argument(
-        "measurements",
-        metavar="MEASUREMENTS",
-        help="table with the columns t, y0, y1, ..., in CSV or Parquet, for instance patient.csv; "
-        "a row without any value is a time that was missed",
-    )
+def _add_now(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--now",
-        type=int,
+        type=whole,
         metavar="T",
         help="the last instant that has passed, if nothing was measured then, for instance 17",
     )
-    parser.add_argument(
-        "--times",
-        default="",
-        metavar="NAME",
-        help="compared set whose times were planned (default: the found set with the lowest "
-        "expected MSE)",
-    )
-    parser.add_argument(
-        "--prior",
-        default="",
-        metavar="FILE",
-        help="particles from which the filter starts, as for pfdist filter",
-    )
 
 
-@command("next", add_run, _add_measurements, add_models, add_json)
+@command("next", add_run, add_measurements, _add_now, add_models, add_json)
 def next_command(options: Namespace) -> None:
     """Choose when to measure a system next, from the measurements so far."""
     from pfdist.api.next_time import next_time
