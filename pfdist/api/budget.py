@@ -62,7 +62,7 @@ def budget(
     least, most = measurements
     asked = {"budget": {"least": least, "most": most}, "comparison": {"draws": draws}}
     search = [{"method": DEFAULT_METHOD, "polish": False}]
-    job = as_job(job, changes, sections={"search": search, **asked})
+    job = as_job(job, changes, sections={"search": search, "online": None, **asked})
     if job.with_changes(sections=asked) != job:
         raise JobError(
             "changes of a budget must leave [budget] and [comparison] as measurements and draws "

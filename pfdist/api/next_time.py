@@ -2,11 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import chain
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
 
 from pfdist.analysis import finite
+from pfdist.api.filter_measurements import IMPROBABLE
 from pfdist.api.finished_run import built_again, finished_run
 from pfdist.api.planned_set import planned_set
 from pfdist.api.planner import Planner
@@ -14,6 +15,7 @@ from pfdist.errors import MeasurementsError
 from pfdist.evaluation.estimate import ReportEvaluation
 from pfdist.sequential.measurements import Measurements, read_measurements
 from pfdist.sequential.user_prior import read_prior
+from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
 
@@ -32,10 +34,15 @@ class NextTime:
         The instant from which on errors are expected: the last that has passed.
     plan : tuple of int
         Times that are left to be measured, the next first; empty if the budget is spent.
+    left : int or None
+        Number of measurements that are left of the budget; None if they have costs.
     planned_before : tuple of int
         Times of the first plan that are left.
     expected, expected_before : ReportEvaluation
-        Expected MSE from `now` to T with both plans, on the same fresh simulated systems.
+        Expected MSE from `now` to T with both plans, on the same fresh simulated systems. An exact
+        engine needs none. `expected_before` is None if the first plan is no longer possible.
+    surprise : float or None
+        P-value of the most surprising among all measurements (Bonferroni), if there is one.
     """
 
     run: Path
@@ -43,17 +50,25 @@ class NextTime:
     measured: Times
     now: int
     plan: Times
+    left: int | None
     planned_before: Times
     expected: ReportEvaluation
-    expected_before: ReportEvaluation
+    expected_before: ReportEvaluation | None
+    surprise: float | None
 
     @property
     def next(self) -> int | None:
         """The time to measure next; None if the budget is spent."""
         return self.plan[0] if self.plan else None
 
+    @property
+    def is_improbable(self) -> bool:
+        """Whether a right model has such measurements in less than 1 % of systems."""
+        return self.surprise is not None and self.surprise < IMPROBABLE
+
     def as_json(self) -> dict[str, Any]:
         """The result as JSON values."""
+        before = self.expected_before
         answer = {
             "run": str(self.run),
             "times": self.name,
@@ -61,12 +76,15 @@ class NextTime:
             "now": self.now,
             "next": self.next,
             "plan": self.plan,
+            "left": self.left,
             "expected_mse": self.expected.expected_mse,
             "standard_error": self.expected.standard_error,
             "planned_before": self.planned_before,
-            "expected_mse_before": self.expected_before.expected_mse,
-            "standard_error_before": self.expected_before.standard_error,
+            "expected_mse_before": before and before.expected_mse,
+            "standard_error_before": before and before.standard_error,
             "draws": self.expected.draws,
+            "surprise_of_all": self.surprise,
+            "is_improbable": self.is_improbable,
         }
         found: dict[str, Any] = finite(answer)
         return found
@@ -128,37 +146,60 @@ def next_time(
     known = read_prior(Path(prior), believed) if prior else None
     planner = Planner.of_built(built, planned, known)
     feasible, start = planner.feasible, planner.estimate().t
-    last = _tell(planner, read_measurements(Path(measurements), believed, feasible.horizon, start))
+    rows = read_measurements(Path(measurements), believed, feasible.horizon, start)
+    last, surprise = _tell(planner, rows)
     if now is not None:
         _check_now(now, max(last, start), feasible.horizon)
         if now > last:
             planner.missed(now)
         last = now
-    before = tuple(time for time in planned if time > last and time >= start)
-    if feasible.counted:
-        before = before[: max(0, feasible.total - len(planner.measured))]
-    expected, expected_before = planner.expected(planner.plan(), before)
+    left = max(0, feasible.total - len(planner.measured)) if feasible.counted else None
+    before = tuple(time for time in planned if time > last and time >= start)[:left]
+    expected, *expected_before = planner.expected(
+        planner.plan(), *([before] if _is_possible(feasible, planner.measured, before) else [])
+    )
     return NextTime(
         opened.path,
         name,
         planner.measured,
         planner.estimate().t,
         planner.plan(),
+        left,
         before,
         expected,
-        expected_before,
+        expected_before[0] if expected_before else None,
+        surprise,
     )
 
 
-def _tell(planner: Planner, rows: Measurements) -> int:
-    """Tell a planner all measurements in the order of time, and give the last instant."""
+def _is_possible(feasible: Feasible, measured: Times, left: Times) -> bool:
+    """Whether times may still be measured: at a distance from each other, and not too dear."""
+    times, spacing = (*measured[-1:], *left), feasible.minimum_spacing
+    apart = all(later - time >= spacing for time, later in pairwise(times))
+    money = feasible.total_cost
+    return apart and (money is None or feasible.cost_of((*measured, *left)) <= money)
+
+
+def _tell(planner: Planner, rows: Measurements) -> tuple[int, float | None]:
+    """Tell a planner all measurements in the order of time.
+
+    Returns
+    -------
+    int
+        The last instant, or -1.
+    float or None
+        The p-value of the most surprising among all measurements.
+    """
+    surprises = list[float]()
     told = sorted(chain(zip(rows.t, rows.y, strict=True), ((t, None) for t in rows.missed)), key=_t)
     for t, y in told:
         if y is None:
             planner.missed(t)
         else:
-            planner.update(y, t)
-    return told[-1][0] if told else -1
+            estimate = planner.update(y, t)
+            surprises += [] if estimate.surprise is None else [estimate.surprise]
+    surprise = min(1.0, len(surprises) * min(surprises)) if surprises else None
+    return told[-1][0] if told else -1, surprise
 
 
 def _t(row: tuple[int, Any]) -> int:

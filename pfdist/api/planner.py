@@ -16,6 +16,7 @@ from pfdist.runner.build import Built, build
 from pfdist.runner.online_planning import planning_of
 from pfdist.search.methods import DEFAULT_METHOD, METHODS
 from pfdist.sequential.estimate import Estimate
+from pfdist.sequential.measurements import checked_instant
 from pfdist.sequential.planning import ONLINE, Now, Replanner
 from pfdist.sequential.user_prior import as_prior
 from pfdist.times.feasible import Feasible
@@ -178,7 +179,11 @@ class Planner:
         ------
         MeasurementTimesError
             A time does not lie after the last measurement and up to T.
+        ValueError
+            The number of draws is below 2.
         """
+        if isinstance(draws, bool) or not isinstance(draws, int) or draws < 2:
+            raise ValueError(f"draws must be an integer of at least 2, got {shown(draws)}")
         first = self._now.first
         wanted = [validated(plan, self.feasible.horizon) for plan in plans or (self._plan,)]
         for plan in wanted:
@@ -210,7 +215,13 @@ class Planner:
     def _time(self, t: int | None) -> int:
         """The time that is meant: a given one, or the next planned."""
         if t is not None:
-            return t
+            time = checked_instant(t, 0, self.feasible.horizon)
+            if time < self._now.first:
+                raise MeasurementsError(
+                    f"t must be at least {self._now.first}, the first instant that has not "
+                    f"passed, got {time}"
+                )
+            return time
         if not self._plan:
             raise MeasurementsError(
                 f"no measurement is left of the plan, got one without t (measured: "

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, Self
 
 import tomli_w
-from pydantic import Field, PrivateAttr, ValidationError, model_validator
+from pydantic import Field, PrivateAttr, ValidationError, field_validator, model_validator
 
 from pfdist.common.explained import explained
 from pfdist.common.parsing import parse_toml, read_text
@@ -48,12 +48,24 @@ else:
 class Online(Section):
     """Times that are chosen one after another, each when the last measurement has been seen.
 
-    The keys of ``online.search`` are those of a [[search]]. Its name and ``polish`` do nothing.
+    The keys of ``online.search`` are those of a [[search]]. Its name and ``polish`` do nothing. It
+    is a quick corridor search in all keys that are not given, unless it names another method.
     """
 
     draws: Annotated[int, Field(ge=2, le=10_000_000)] = 1000
     judging_draws: Annotated[int, Field(ge=2, le=1_000_000)] = 1024
     search: Search = PLANNING
+
+    @field_validator("search", mode="before")
+    @classmethod
+    def _quick_unless_given(cls, value: Any) -> Any:
+        if not isinstance(value, dict) or value.get("method", PLANNING.method) != PLANNING.method:
+            return value
+        quick = PLANNING.model_dump()
+        evaluation = value.get("evaluation", {})
+        if isinstance(evaluation, dict):
+            value = {**value, "evaluation": {**quick["evaluation"], **evaluation}}
+        return {**quick, **value}
 
 
 class Origin(NamedTuple):

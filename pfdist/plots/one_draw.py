@@ -6,6 +6,7 @@ from functools import partial
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 
 from pfdist.analysis import Run
 from pfdist.plots.figure import Plot, Tables, figure, one_number, write_instead
@@ -87,6 +88,7 @@ def plot_one_draw(
     for axes in panels[:-1]:
         axes.tick_params(labelbottom=False)
     below.set_xlabel("$t$")
+    below.xaxis.set_major_locator(MaxNLocator(integer=True))
     told = f"relative gain{over} of this draw, the median: {100 * gain:.1f} %{left_out}"
     above.set_title(told, pad=30)
     above.legend(ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), columnspacing=1.2)

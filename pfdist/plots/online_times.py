@@ -6,6 +6,7 @@ from functools import partial
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from pfdist.analysis.online import OnlineDraws
@@ -29,6 +30,7 @@ def _draw(draws: OnlineDraws, horizon: int, panels: Sequence[Axes]) -> None:
     plot_shares(above, measured, draws.planned_times, draws.plan)
     plot_raster(below, measured[:MOST_ROWS], draws.planned_times)
     below.set_xlabel("$t$")
+    below.xaxis.set_major_locator(MaxNLocator(integer=True))
     below.set_xlim(-0.75, horizon + 0.75)
 
 

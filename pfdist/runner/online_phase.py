@@ -69,10 +69,11 @@ def online_steps(built: Built) -> int:
 def online_work(built: Built, plan: Times) -> OnlineWork:
     """The work for all draws of a job with a section [online]."""
     job, purpose, online = built.job, built.study.purpose, built.job.online or Online()
+    planner = built.searches[0].name  # with its noise, draws that keep the plan keep its error
     return OnlineWork(
         measurement_times=(plan,),
         ends=(job.problem.horizon,),
-        filter_streams=(purpose.stream(job.seed, "filter", "online"),),
+        filter_streams=(purpose.stream(job.seed, "filter", planner),),
         draws_stream=purpose.stream(job.seed, "draws"),
         draws=(0, online.draws),
         estimation=built.comparing,

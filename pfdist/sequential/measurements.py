@@ -112,6 +112,8 @@ def checked_measurement(
         a component is missing, and the model does not declare that it takes such measurements.
     """
     components = model.components[1]
+    if y is None:
+        raise MeasurementsError(f"a measurement must be a number, got None at t = {t}")
     try:
         values = np.atleast_1d(np.array(y, np.float64))
     except (TypeError, ValueError, OverflowError) as error:

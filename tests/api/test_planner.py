@@ -163,10 +163,19 @@ def test_the_expected_error_is_that_of_the_comparison_before_anything_is_measure
 def test_wrong_times_are_named(job: Job) -> None:
     planner = Planner(job, PLAN)
     planner.update(Y[0, 3], 3)
-    with pytest.raises(MeasurementsError, match=r"t must be after 3, got 3"):
+    with pytest.raises(MeasurementsError, match=r"t must be at least 4, .* got 3"):
         planner.update(1.0, 3)
+    with pytest.raises(MeasurementsError, match=r"t must lie in 0..14, got 15"):
+        planner.update(1.0, 15)
+    with pytest.raises(MeasurementsError, match="must be a number, got None"):
+        planner.update(None)
+    with pytest.raises(ValueError, match="at least 2, got 0"):
+        planner.expected(draws=0)
     with pytest.raises(MeasurementTimesError, match=r"must be at least 4, got 2"):
         planner.expected((2, 9))
+    planner.missed(6)
+    with pytest.raises(MeasurementsError, match=r"t must be at least 7, .* got 6"):
+        planner.update(1.0, 6)
     with pytest.raises(MeasurementTimesError, match=r"times\)|0..14"):
         Planner(job, (3, 15))
     with pytest.raises(MeasurementTimesError, match=r"problem.measurement_budget is 5, got 2"):
@@ -237,3 +246,41 @@ def test_the_command_says_when(
     assert "from t = " in told
     assert main(["next", str(run.path), str(table), "--now", "99"]) == 1
     assert "now must lie in 3..14, got 99 (--now)" in capsys.readouterr().err
+
+
+def test_a_first_plan_that_is_no_longer_possible_is_not_compared(
+    run: pfdist.Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It would cost less than any plan that can be made, because it breaks a constraint."""
+    job = tmp_path / "job.toml"
+    job.write_text(JOB.replace("horizon = 14", "horizon = 14\nminimum_spacing = 3"))
+    changes = ['search=[{method="survivors", evaluation={draws=20}}]']
+    spaced = pfdist.run(job, tmp_path / "run", changes=changes, figures=False)
+    second = spaced.sets()["survivors"][1]
+    table = write(tmp_path / "y.csv", (second - 1,))
+    found = pfdist.next_time(spaced.path, table)
+    assert found.planned_before[0] == second
+    assert found.expected_before is None
+    assert found.as_json()["expected_mse_before"] is None
+    assert main(["next", str(spaced.path), str(table)]) == 0
+    assert "no longer possible" in capsys.readouterr().out
+
+
+def test_measurements_that_contradict_the_model_are_told(
+    run: pfdist.Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = tmp_path / "y.csv"
+    table.write_text("t,y0\n0,3000.0\n")
+    found = pfdist.next_time(run.path, table)
+    assert found.is_improbable
+    assert main(["next", str(run.path), str(table)]) == 0
+    assert "it may be wrong about this system" in capsys.readouterr().out
+
+
+def test_why_no_measurement_is_left(
+    run: pfdist.Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for times, why in (((0, 3, 7, 10, 13), "the budget is spent"), ((14,), "no further")):
+        table = write(tmp_path / "y.csv", times)
+        assert main(["next", str(run.path), str(table)]) == 0
+        assert why in capsys.readouterr().out

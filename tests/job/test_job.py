@@ -10,6 +10,7 @@ from pfdist.errors import JobError
 from pfdist.evaluation.estimate import DEGENERATE_POLICIES
 from pfdist.job.job import job_toml, load_job
 from pfdist.job.sections import EvaluationSection
+from pfdist.search.methods import METHODS
 from pfdist.times.feasible import Feasible
 
 JOBS = Path(__file__).parents[2] / "jobs"
@@ -343,7 +344,7 @@ def test_a_wrong_setting_is_one_line_with_the_setting(write, settings, message):
         ("draws = 1", "online.draws must be at least 2, got 1"),
         ("draws = 200_000", "online.draws must be at most comparison.draws = 100000, got 200000"),
         ("search = 3", "online.search must be a section, got 3"),
-        ("search = { rounds = 2 }", "online.search.method must be one of 'annealing', "),
+        ("search = { rounds = 0 }", "online.search.corridor.rounds must be at least 1, got 0"),
         ("search = { method = 'nothing' }", "'survivors', got 'nothing'"),
         (
             "search = { method = 'corridor', rnds = 2 }",
@@ -355,3 +356,18 @@ def test_mistakes_in_the_section_online_are_named(write, section, message):
     path = write("[execution]", f"[online]\n{section}\n[execution]")
     with pytest.raises(JobError, match=re.escape(message)):
         load_job(path)
+
+
+def test_online_search_keeps_the_defaults_of_keys_that_are_not_given(write):
+    """Otherwise a job that changes one key would plan with far more work than it says."""
+    given = "search = { rounds = 2, evaluation = { draws = 32 } }"
+    changed = load_job(write("[execution]", f"[online]\n{given}\n[execution]")).online
+    default = load_job(write("[execution]", "[online]\n[execution]")).online
+    assert changed.search.model_dump() == {
+        **default.search.model_dump(),
+        "rounds": 2,
+        "evaluation": {**default.search.evaluation.model_dump(), "draws": 32},
+    }
+    other = "search = { method = 'survivors' }"
+    survivors = load_job(write("[execution]", f"[online]\n{other}\n[execution]")).online
+    assert survivors.search == METHODS["survivors"].section()

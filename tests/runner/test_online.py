@@ -79,7 +79,7 @@ def _work(times: tuple[int, ...], draw: int) -> Work:
     return Work(
         measurement_times=(times,),
         ends=(HORIZON,),
-        filter_streams=(REPORT.stream(1, "filter", "online"),),
+        filter_streams=(REPORT.stream(1, "filter", "survivors"),),
         draws_stream=REPORT.stream(1, "draws"),
         draws=(draw, draw + 1),
         estimation=Estimation(PARTICLES),

@@ -18,7 +18,8 @@ def _add_now(parser: ArgumentParser) -> None:
         "--now",
         type=whole,
         metavar="T",
-        help="the last instant that has passed, if nothing was measured then, for instance 17",
+        help="the last instant that has passed, if nothing was measured then, for instance 17; "
+        "times planned up to it are planned again for later",
     )
 
 
@@ -50,7 +51,8 @@ def _lines(answer: dict[str, Any]) -> list[str]:
     number = len(answer["measured"])
     told = f"{number} measurement{'s' * (number != 1)} so far"
     if not answer["plan"]:
-        return [f"{told}: no measurement is left", *_expected(answer, "")]
+        why = "the budget is spent" if answer["left"] == 0 else "no further measurement is possible"
+        return [f"{told}: {why}", *_expected(answer, ""), *_warning(answer)]
     following, *later = answer["plan"]
     text = f"measure next at t = {following}"
     if later:
@@ -59,9 +61,19 @@ def _lines(answer: dict[str, Any]) -> list[str]:
     lines = [text, line("known", told), *_expected(answer, "")]
     if answer["planned_before"] != answer["plan"]:
         named = ", ".join(map(str, answer["planned_before"])) or "no times"
-        lines += wrapped_lines(f"planned by {answer['times']}", f"t = {named}")
-        lines += _expected(answer, "_before")
-    return lines
+        possible = answer["expected_mse_before"] is not None
+        ending = "" if possible else ", no longer possible"
+        lines += wrapped_lines(f"planned by {answer['times']}", f"t = {named}{ending}")
+        lines += _expected(answer, "_before") if possible else []
+    return lines + _warning(answer)
+
+
+def _warning(answer: dict[str, Any]) -> list[str]:
+    """Warn if the measurements are too surprising for the model, as `pfdist filter` does."""
+    if not answer["is_improbable"]:
+        return []
+    text = "it may be wrong about this system: look at the surprise that pfdist filter shows"
+    return wrapped_lines("the model", text)
 
 
 def _expected(answer: dict[str, Any], plan: str) -> list[str]:
