@@ -31,7 +31,7 @@ TITLE = "Online planning"
 TABLES: tuple[str, ...] = ("online",)
 
 HERE = Path(__file__).parent
-SYSTEMS = 200
+SYSTEMS = 80
 PURPOSE = Purpose("benchmark", ReportEvaluation)
 PROBLEMS = {"paper": "online", "tumour": "tumour-online"}
 """Jobs by the name of the problem in ``best_known.csv``."""
