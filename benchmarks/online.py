@@ -31,7 +31,7 @@ TITLE = "Online planning"
 TABLES: tuple[str, ...] = ("online",)
 
 HERE = Path(__file__).parent
-SYSTEMS = 80
+SYSTEMS = 200
 PURPOSE = Purpose("benchmark", ReportEvaluation)
 PROBLEMS = {"paper": "online", "tumour": "tumour-online"}
 """Jobs by the name of the problem in ``best_known.csv``."""
@@ -46,8 +46,8 @@ SETTINGS: dict[str, list[str]] = {
     "4 rounds": ["online.search.rounds=4"],
     "2 survivors": ["online.search.survivors=2"],
     "128 particles": [f"{_PARTICLES}=128"],
-    "64 judging draws": ["online.judging_draws=64"],
-    "1,024 judging draws": ["online.judging_draws=1024"],
+    "128 judging draws": ["online.judging_draws=128"],
+    "4,096 judging draws": ["online.judging_draws=4096"],
 }
 SMALL = ["problem.horizon=14", "problem.measurement_budget=4", "filter.particles=50"]
 
