@@ -11,13 +11,11 @@ import pyarrow as pa
 
 from pfdist.analysis import finite
 from pfdist.api.filter_of import filter_of
-from pfdist.api.finished_run import built_again, finished_run
-from pfdist.api.planned_set import planned_set
+from pfdist.api.planned_run import planned_run
 from pfdist.plots import check_figure_replaceable, draw_filtered
 from pfdist.sequential.estimate import Estimate
 from pfdist.sequential.filter import Filter
 from pfdist.sequential.measurements import Measurements, read_measurements
-from pfdist.sequential.user_prior import read_prior
 from pfdist.store import FILTERED_PERCENTS, filtered_schema
 from pfdist.store.user_tables import check_table_replaceable, is_parquet, write_user_table
 from pfdist.times.measurement_times import Times
@@ -155,22 +153,21 @@ def filter_measurements(
     ModelError
         The model cannot be loaded, or a formula failed.
     """
-    opened, path = finished_run(run), Path(measurements)
-    planned = planned_set(opened, times)
-    built = built_again(opened, {"model": model, "filter_model": filter_model}, say)
-    believed = built.problem.believed
+    instead = {"model": model, "filter_model": filter_model}
+    planned, path = planned_run(run, times, prior, instead, say), Path(measurements)
+    believed = planned.built.problem.believed
     files = _files(path, Path(out) if out else path.parent)
     schema = filtered_schema(believed.components[2])
     check_table_replaceable(files[0], schema)
     check_figure_replaceable(files[1])
-    filtering = filter_of(built, read_prior(Path(prior), believed) if prior else None)
+    filtering = filter_of(planned.built, planned.prior)
     rows = read_measurements(path, believed, filtering.horizon, filtering.now.t)
-    wanted = [t for t in planned[1] if t >= filtering.now.t]
+    wanted = [t for t in planned.times if t >= filtering.now.t]
     table = _table(_estimates(filtering, rows), schema)
     last = max((*rows.t, *rows.missed), default=-1)
     found = FilteredMeasurements(
-        opened.path,
-        planned[0],
+        planned.run.path,
+        planned.name,
         rows.t,
         tuple(t for t in wanted if t <= last and t not in rows.t),
         tuple(t for t in rows.t if t not in wanted),

@@ -8,13 +8,11 @@ from typing import Any
 
 from pfdist.analysis import finite
 from pfdist.api.filter_measurements import IMPROBABLE
-from pfdist.api.finished_run import built_again, finished_run
-from pfdist.api.planned_set import planned_set
+from pfdist.api.planned_run import planned_run
 from pfdist.api.planner import Planner
 from pfdist.errors import MeasurementsError
 from pfdist.evaluation.estimate import ReportEvaluation
 from pfdist.sequential.measurements import Measurements, read_measurements
-from pfdist.sequential.user_prior import read_prior
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
@@ -139,12 +137,10 @@ def next_time(
     ModelError
         The model cannot be loaded, or a formula failed.
     """
-    opened = finished_run(run)
-    name, planned = planned_set(opened, times)
-    built = built_again(opened, {"model": model, "filter_model": filter_model}, say)
-    believed = built.problem.believed
-    known = read_prior(Path(prior), believed) if prior else None
-    planner = Planner.of_built(built, planned, known)
+    instead = {"model": model, "filter_model": filter_model}
+    planned = planned_run(run, times, prior, instead, say)
+    believed = planned.built.problem.believed
+    planner = Planner.of_built(planned.built, planned.times, planned.prior)
     feasible, start = planner.feasible, planner.estimate().t
     rows = read_measurements(Path(measurements), believed, feasible.horizon, start)
     last, surprise = _tell(planner, rows)
@@ -154,13 +150,13 @@ def next_time(
             planner.missed(now)
         last = now
     left = max(0, feasible.total - len(planner.measured)) if feasible.counted else None
-    before = tuple(time for time in planned if time > last and time >= start)[:left]
+    before = tuple(time for time in planned.times if time > last and time >= start)[:left]
     expected, *expected_before = planner.expected(
         planner.plan(), *([before] if _is_possible(feasible, planner.measured, before) else [])
     )
     return NextTime(
-        opened.path,
-        name,
+        planned.run.path,
+        planned.name,
         planner.measured,
         planner.estimate().t,
         planner.plan(),

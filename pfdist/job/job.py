@@ -4,15 +4,16 @@ from collections.abc import Iterable, Mapping
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, Self
+from typing import Annotated, Any, Final, NamedTuple, Self
 
 import tomli_w
-from pydantic import Field, PrivateAttr, ValidationError, field_validator, model_validator
+from pydantic import Field, PrivateAttr, ValidationError, model_validator
 
 from pfdist.common.explained import explained
 from pfdist.common.parsing import parse_toml, read_text
 from pfdist.common.section import Section
 from pfdist.errors import JobError, MeasurementTimesError, shown_text
+from pfdist.job.online_section import Online, Search
 from pfdist.job.overrides import override, set_values
 from pfdist.job.problem_section import ProblemSection
 from pfdist.job.sections import (
@@ -24,8 +25,7 @@ from pfdist.job.sections import (
     Filter,
     Model,
 )
-from pfdist.search.methods import DEFAULT_METHOD, METHODS, any_section
-from pfdist.search.section import CommonNoiseSettings, SearchSection
+from pfdist.search.methods import DEFAULT_METHOD, METHODS
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import REGULAR, validated
 
@@ -34,38 +34,6 @@ ONLINE: Final = "online"
 """Name of the times that are chosen one after another, beside the names of the searches."""
 MOST_SEARCHES: Final = 100  # a figure of more searches could not be read
 _NOTHING: Mapping[str, Any] = {}
-_QUICK: Mapping[str, Any] = {"rounds": 1, "reach": 2.0}
-PLANNING: Final = METHODS["corridor"].section(
-    evaluation=CommonNoiseSettings(draws=64, particles=64), **_QUICK
-)
-"""The search that plans the measurements that are left, unless a job names another: a quick one."""
-if TYPE_CHECKING:
-    Search = SearchSection
-else:
-    Search = any_section()
-
-
-class Online(Section):
-    """Times that are chosen one after another, each when the last measurement has been seen.
-
-    The keys of ``online.search`` are those of a [[search]]. Its name and ``polish`` do nothing. It
-    is a quick corridor search in all keys that are not given, unless it names another method.
-    """
-
-    draws: Annotated[int, Field(ge=2, le=10_000_000)] = 1000
-    judging_draws: Annotated[int, Field(ge=2, le=1_000_000)] = 1024
-    search: Search = PLANNING
-
-    @field_validator("search", mode="before")
-    @classmethod
-    def _quick_unless_given(cls, value: Any) -> Any:
-        if not isinstance(value, dict) or value.get("method", PLANNING.method) != PLANNING.method:
-            return value
-        quick = PLANNING.model_dump()
-        evaluation = value.get("evaluation", {})
-        if isinstance(evaluation, dict):
-            value = {**value, "evaluation": {**quick["evaluation"], **evaluation}}
-        return {**quick, **value}
 
 
 class Origin(NamedTuple):

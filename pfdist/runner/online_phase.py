@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 
 from pfdist.evaluation.work import Result, Work, cut
-from pfdist.job.job import Online
+from pfdist.job.online_section import Online
 from pfdist.runner.build import Built
 from pfdist.runner.collect import Collector
 from pfdist.runner.first_draws import TRAJECTORIES

@@ -1,6 +1,7 @@
 """From the section [online] of a job to the settings of the planning."""
 
-from pfdist.job.job import Job, Online
+from pfdist.job.job import Job
+from pfdist.job.online_section import Online
 from pfdist.runner.searches import Settings
 from pfdist.sequential.planning import Planning
 

@@ -14,7 +14,7 @@ from pfdist.evaluation.work import Estimation
 from pfdist.filters.cloud import Cloud
 from pfdist.filters.draws import simulate
 from pfdist.filters.settings import FilterSettings
-from pfdist.job.job import PLANNING
+from pfdist.job.online_section import PLANNING
 from pfdist.search.methods import METHODS
 from pfdist.sequential.one_filter import begin
 from pfdist.sequential.planning import Now, Planning, Replanner, _Outlook

@@ -1,0 +1,108 @@
+"""A finished run whose times a user has planned to measure."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pfdist.analysis import Run
+from pfdist.api.finished_run import built_again, finished_run
+from pfdist.errors import JobError, shown
+from pfdist.filters.cloud import Cloud
+from pfdist.runner.build import Built
+from pfdist.sequential.user_prior import read_prior
+from pfdist.times.measurement_times import Times
+
+
+class PlannedRun(NamedTuple):
+    """A finished run, the set that was planned, and what filters need.
+
+    Parameters
+    ----------
+    run : Run
+    name : str
+        Name of the compared set whose times were planned.
+    times : tuple of int
+    built : Built
+        The run's job, built again.
+    prior : Cloud or None
+        Particles from which the filter starts, if the user gives some.
+    """
+
+    run: Run
+    name: str
+    times: Times
+    built: Built
+    prior: Cloud | None
+
+
+def planned_run(
+    run: str | Path,
+    times: str,
+    prior: str | Path,
+    instead: Mapping[str, str],
+    say: Callable[[str], Any],
+) -> PlannedRun:
+    """Open a finished run whose times were planned.
+
+    Parameters
+    ----------
+    run : str or Path
+    times : str
+        Name of the compared set that was planned; empty: see `planned_set`.
+    prior : str or Path
+        Table of particles from which the filter starts; empty for none.
+    instead : mapping of str to str
+        As for `pfdist.api.finished_run.built_again`.
+    say : callable
+        Receives a line for each model file before the file is run.
+
+    Raises
+    ------
+    StoreError, JobError, ModelError, PriorError
+        As `finished_run`, `planned_set`, `built_again` and `read_prior` raise.
+    """
+    opened = finished_run(run)
+    name, planned = planned_set(opened, times)
+    built = built_again(opened, instead, say)
+    known = read_prior(Path(prior), built.problem.believed) if prior else None
+    return PlannedRun(opened, name, planned, built, known)
+
+
+def planned_set(run: Run, name: str = "") -> tuple[str, Times]:
+    """Give the name and the times of the set that was planned.
+
+    Parameters
+    ----------
+    run : Run
+    name : str, optional
+        Name of a compared set; by default the found set with the lowest expected MSE.
+
+    Raises
+    ------
+    JobError
+        The run has no set of this name, or sets of several numbers of measurements and no name.
+    """
+    sets = run.sets()
+    if name in sets:
+        return name, sets[name]
+    if name:
+        raise JobError(
+            f"times must be a compared set of {run.path}, {', '.join(sets)}, got {shown(name)}",
+            argument="times",
+        )
+    if run.has_budget:
+        raise JobError(
+            f"{run.path} has times of several numbers of measurements: times must say which were "
+            f"planned, for instance {list(sets)[-1]}",
+            argument="times",
+        )
+    results = run.summary()["results"]
+    best = min(run.names[1:], key=lambda found: _cost(results[found]))
+    return best, sets[best]
+
+
+def _cost(result: Mapping[str, Any]) -> float:
+    mse = result["expected_mse"]
+    return np.inf if mse is None else float(mse)

@@ -1,0 +1,43 @@
+"""The section [online] of a job file: times that are chosen one after another."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any, Final
+
+from pydantic import Field, field_validator
+
+from pfdist.common.section import Section
+from pfdist.search.methods import METHODS, any_section
+from pfdist.search.section import CommonNoiseSettings, SearchSection
+
+_QUICK: Mapping[str, Any] = {"rounds": 1, "reach": 2.0}
+PLANNING: Final = METHODS["corridor"].section(
+    evaluation=CommonNoiseSettings(draws=64, particles=64), **_QUICK
+)
+"""The search that plans the measurements that are left, unless a job names another: a quick one."""
+if TYPE_CHECKING:
+    Search = SearchSection
+else:
+    Search = any_section()
+
+
+class Online(Section):
+    """Times that are chosen one after another, each when the last measurement has been seen.
+
+    The keys of ``online.search`` are those of a [[search]]. Its name and ``polish`` do nothing. It
+    is a quick corridor search in all keys that are not given, unless it names another method.
+    """
+
+    draws: Annotated[int, Field(ge=2, le=10_000_000)] = 1000
+    judging_draws: Annotated[int, Field(ge=2, le=1_000_000)] = 1024
+    search: Search = PLANNING
+
+    @field_validator("search", mode="before")
+    @classmethod
+    def _quick_unless_given(cls, value: Any) -> Any:
+        if not isinstance(value, dict) or value.get("method", PLANNING.method) != PLANNING.method:
+            return value
+        quick = PLANNING.model_dump()
+        evaluation = value.get("evaluation", {})
+        if isinstance(evaluation, dict):
+            value = {**value, "evaluation": {**quick["evaluation"], **evaluation}}
+        return {**quick, **value}
