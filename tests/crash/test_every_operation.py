@@ -113,6 +113,37 @@ def test_a_run_that_goes_wrong_at_any_file_operation_ends_with_the_same_bytes(
     record_property("faults", f"{PROMISE}: {len(range(0, count, step))}")
 
 
+def go_wrong(
+    compute: Callable[[Path], object],
+    begun: Path,
+    layer: FileLayer,
+    step: int,
+    fault: str,
+    look: Callable[[Path], None],
+    says: str | None = None,
+) -> int:
+    """Let a fault end a computation at each so many file operations, and go on: the same bytes.
+
+    The caller looks at each run before it goes on. Returns the number of faults.
+    """
+    untouched = shutil.copytree(begun, begun.with_name("whole"))
+    count = layer.run(partial(compute, untouched))
+    whole, chosen = hashes(untouched), range(0, count, step)
+    assert count > 50
+    for at in chosen:
+        path, where = begun.with_name(f"{at}"), f"{fault} at operation {at} of {count}"
+        shutil.copytree(begun, path)
+        with pytest.raises(FAULTS[fault], match=says):
+            layer.run(partial(compute, path), fault, at)
+        look(path)
+        compute(path)
+        assert hashes(path) == whole, where
+        assert not list(path.glob("parts/**/*.parquet")), where
+        assert not list(verify_run(path)), where
+        shutil.rmtree(path)
+    return len(chosen)
+
+
 @pytest.mark.parametrize("step", [97, pytest.param(1, marks=pytest.mark.crash)])
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_bound_that_goes_wrong_at_any_file_operation_ends_with_the_same_bytes(
@@ -134,22 +165,12 @@ def test_a_bound_that_goes_wrong_at_any_file_operation_ends_with_the_same_bytes(
     prove = partial(
         pfdist.bound, settings=BoundSettings(2 * LEAST_DRAWS), pool="serial", figures=False
     )
-    untouched = shutil.copytree(begun, tmp_path / "whole")
-    count = layer.run(partial(prove, untouched))
-    whole = hashes(untouched)
-    assert count > 50
-    for at in range(0, count, step):
-        path = shutil.copytree(begun, tmp_path / f"{at}")
-        with pytest.raises(FAULTS[fault]):
-            layer.run(partial(prove, path), fault, at)
-        where = f"{fault} at operation {at} of {count}"
-        assert pfdist.open_run(path).state == "finished", where
-        prove(path)
-        assert hashes(path) == whole, where
-        assert not list(path.glob("parts/**/*.parquet")), where
-        assert not list(verify_run(path)), where
-        shutil.rmtree(path)
-    record_property("faults", f"{PROMISE}: {len(range(0, count, step))}")
+
+    def look(path: Path) -> None:
+        assert pfdist.open_run(path).state == "finished"
+
+    faults = go_wrong(prove, begun, layer, step, fault, look)
+    record_property("faults", f"{PROMISE}: {faults}")
 
 
 @pytest.mark.parametrize("step", [97, pytest.param(1, marks=pytest.mark.crash)])
@@ -169,22 +190,13 @@ def test_online_draws_that_go_wrong_at_any_file_operation_end_with_the_same_byte
     small_job.path.write_text(f"{text}\n{ONLINE}")
     few, many = (load_job(small_job.path, [*CHANGES, f"online.draws={draws}"]) for draws in (4, 8))
     begun = pfdist.run(few, tmp_path / "begun", figures=False).path
-    untouched = shutil.copytree(begun, tmp_path / "whole")
-    count = layer.run(partial(pfdist.run, many, untouched, figures=False))
-    whole = hashes(untouched)
-    assert count > 50
-    for at in range(0, count, step):
-        path = shutil.copytree(begun, tmp_path / f"{at}")
-        with pytest.raises(FAULTS[fault], match=None if fault == "ended" else SAYS):
-            layer.run(partial(pfdist.run, many, path, figures=False), fault, at)
-        where = f"{fault} at operation {at} of {count}"
+    again, says = partial(pfdist.run, many, figures=False), None if fault == "ended" else SAYS
+
+    def look(path: Path) -> None:
         pfdist.open_run(path).summary()  # whoever asks how far it is gets an answer
-        pfdist.run(many, path, figures=False)
-        assert hashes(path) == whole, where
-        assert not list(path.glob("parts/**/*.parquet")), where
-        assert not list(verify_run(path)), where
-        shutil.rmtree(path)
-    record_property("faults", f"{PROMISE}: {len(range(0, count, step))}")
+
+    faults = go_wrong(again, begun, layer, step, fault, look, says)
+    record_property("faults", f"{PROMISE}: {faults}")
 
 
 @pytest.mark.parametrize("step", [7, pytest.param(1, marks=pytest.mark.crash)])
