@@ -9,7 +9,17 @@ from pathlib import Path
 
 import matplotlib as mpl
 
-from benchmarks import estimators, genetic, kernel, online, peers, prefixes, scaling, search
+from benchmarks import (
+    estimators,
+    genetic,
+    growth,
+    kernel,
+    online,
+    peers,
+    prefixes,
+    scaling,
+    search,
+)
 from benchmarks.machine import provenance
 from benchmarks.peers import PeerDisagreesError
 from benchmarks.results import Benchmark, save, write_readme
@@ -18,6 +28,7 @@ from benchmarks.results import Benchmark, save, write_readme
 BENCHMARKS: dict[str, Benchmark] = {
     "kernel": kernel,
     "prefixes": prefixes,
+    "growth": growth,
     "estimators": estimators,
     "scaling": scaling,
     "search": search,

@@ -35,7 +35,7 @@ TABLES: tuple[str, ...] = ("search", "search_sets")
 
 HERE = Path(__file__).parent
 KEPT = HERE / "results" / "search.csv"
-SEEDS, SEEDS_OF_SURVIVORS = 5, 10
+SEEDS, MORE_SEEDS = 5, 10
 ROUNDS = 40  # largest number of rounds of fresh draws, until standard errors are small
 
 PROBLEMS: dict[str, list[str]] = {
@@ -60,6 +60,10 @@ def _common(method: str, *draws: int, **settings: Any) -> list[dict[str, Any]]:
 
 
 SEARCHES: dict[str, list[dict[str, Any]]] = {
+    "relaxation": [
+        {"method": "relaxation"},
+        *({"method": "relaxation", "evaluation": {"draws": draws}} for draws in (240, 1920)),
+    ],
     "survivors": [
         *({"method": "survivors", "survivors": m} for m in (1, 2, 4)),
         {"method": "survivors", "survivors": 3, "by_previous": True},
@@ -80,10 +84,12 @@ SEARCHES: dict[str, list[dict[str, Any]]] = {
 }
 """For each search, settings with different amounts of work, so that searches can be compared at
 equal work."""
+OF_TEN_SEEDS = ("relaxation", "survivors")
 BY_CHANCE = ("annealing", "cross-entropy", "random trials", "genetic, as in the paper")
 """Searches that depend on the seed even if costs are exact."""
 
 LOOKS = {
+    "relaxation": ("black", "o"),
     "survivors": (RED, "o"),
     "greedy forward": (BLUE, "^"),
     "greedy backward": (BLUE, "v"),
@@ -145,9 +151,9 @@ def _jobs(problem: str, quick: bool) -> list[tuple[dict[str, Any], Job]]:
     # The default number of searches with common noise; the paper's searches have another default.
     particles = CommonNoiseSettings().particles_of(load_job(file).filter.particles)
     jobs = []
-    for seed in range(1, 2 if quick else SEEDS_OF_SURVIVORS + 1):
+    for seed in range(1, 2 if quick else MORE_SEEDS + 1):
         for name in SEARCHES:
-            if seed > SEEDS and name != "survivors":
+            if seed > SEEDS and name not in OF_TEN_SEEDS:
                 continue
             if seed > 1 and problem in EXACT and name not in BY_CHANCE:
                 continue

@@ -27,6 +27,7 @@ from pfdist.times.measurement_times import Times
 STANDARD_ERROR = 0.12  # wanted standard error of an excess, in per cent
 ROUND = 5000  # draws of a round
 RACE_DRAWS = 1000  # draws of the first round of a race
+_TABLES = "draws:", "error_sums:"  # the keys of a search's tasks begin so
 STEPS_A_TASK = 200_000_000
 
 Array = NDArray[np.float64]
@@ -54,7 +55,7 @@ class Counting:
     def run(self, tasks: Iterable[Task]) -> Iterator[Outcome]:
         """Give the outcomes as they come."""
         for outcome in self._pool.run(tasks):
-            if outcome.task.key.startswith("draws:"):  # the comparison's keys begin otherwise
+            if outcome.task.key.startswith(_TABLES):
                 self.steps += sum(work.steps for work in outcome.task.work)
             yield outcome
 

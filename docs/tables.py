@@ -15,7 +15,7 @@ from pydantic.fields import FieldInfo
 
 from pfdist.cli.command import COMMANDS, Command
 from pfdist.evaluation.engines import AUTO, ENGINES
-from pfdist.kernels.estimators import ESTIMATORS
+from pfdist.kernels.estimators import ESTIMATORS, Estimator
 from pfdist.kernels.schemes import SCHEMES
 from pfdist.plots.figure import FIGURES
 from pfdist.pools.kinds import POOLS
@@ -71,13 +71,19 @@ def estimators() -> str:
             f"`{estimator.name}`",
             _sentence(estimator.description),
             str(estimator.filters),
-            "any filter and any error"
-            if estimator.for_any_filter
-            else "filters that know the truth, with the squared norm as error",
+            _valid_for(estimator),
         ]
         for estimator in ESTIMATORS.values()
     ]
     return _table(["estimator", "what it computes at each instant", "filters", "valid for"], rows)
+
+
+def _valid_for(estimator: Estimator) -> str:
+    if estimator.for_any_filter:
+        return "any filter and any error"
+    if estimator.needs_truth:
+        return "filters that know the truth, with the squared norm as error"
+    return "the guide of a search, for any filter, with the squared norm as error"
 
 
 def schemes() -> str:

@@ -8,6 +8,7 @@ import pytest
 
 from pfdist.cli.main import main
 from pfdist.cli.parser import make_parser
+from pfdist.search.methods import DEFAULT_METHOD
 
 ROOT = Path(__file__).parents[1]
 PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), ROOT / "results" / "README.md"]
@@ -53,11 +54,12 @@ def test_the_model_and_the_job_of_the_readme_are_planned(
     model, job = (_block(language) for language in ("python", "toml"))
     (tmp_path / "mine.py").write_text(model)
     (tmp_path / "mine.toml").write_text(job)
-    few = ["filter.particles=50", "comparison.draws=40", "search.survivors.evaluation.draws=20"]
+    draws = f"search.{DEFAULT_METHOD}.evaluation.draws=20"
+    few = ["filter.particles=50", "comparison.draws=40", draws]
     results = ["--pool", "serial", "--results", str(tmp_path / "run")]
     assert main(["plan", str(tmp_path / "mine.toml"), *results, "--set", *few]) == 0
     printed = capsys.readouterr().out
-    times = re.search(r"survivors: measure at t = ([\d, ]+)", printed)
+    times = re.search(rf"{DEFAULT_METHOD}: measure at t = ([\d, ]+)", printed)
     assert times is not None, printed
     found = [int(time) for time in times[1].split(",")]
     assert len(found) == 10

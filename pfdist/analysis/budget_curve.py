@@ -2,7 +2,7 @@
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,9 @@ from pfdist.analysis.gains import ComparisonStatistics
 from pfdist.analysis.streaming_moments import CONFIDENCE, Moments
 
 REGULAR, FOUND = "regular", "found"
+
+BOUND_DEGREES = 19
+"""Degrees of freedom of the error of a lower bound: a jackknife over 20 groups of draws."""
 
 
 def budget_table(
@@ -62,6 +65,60 @@ def budget_table(
     return table
 
 
+def with_bounds(table: pd.DataFrame, proofs: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
+    """Add the columns bound, bound_error and bound_low to a budget curve.
+
+    Parameters
+    ----------
+    table : DataFrame
+        As of `budget_table`.
+    proofs : mapping of str to mapping
+        As of `pfdist.analysis.bounds.last_bounds`: the lower bound of each found set, by name.
+
+    Returns
+    -------
+    DataFrame
+        See `pfdist.analysis.Run.budget`. The columns are NaN for sets that have no bound.
+    """
+    numbers = int((table["kind"] == FOUND).sum())
+    columns = []
+    for name in table["name"]:
+        proof = proofs.get(name)
+        if proof is None or proof["reason"]:
+            columns.append((math.nan,) * 3)
+        else:
+            columns.append((proof["bound"], proof["bound_error"], _limit(proof, numbers)))
+    bound, error, low = np.array(columns, dtype=float).T
+    return table.assign(bound=bound, bound_error=error, bound_low=low)
+
+
+def _limit(proof: Mapping[str, Any], numbers: int) -> float:
+    """Give the one-sided lower limit of a bound.
+
+    The limits of all numbers of measurements hold together (Bonferroni).
+    """
+    if not proof["particles"]:  # the engine is exact
+        return float(proof["bound"])
+    quantile = stats.t.isf((1 - proof["confidence"]) / numbers, BOUND_DEGREES)
+    return float(proof["bound"] * (1 - _fall(proof)) - quantile * proof["bound_error"])
+
+
+def _fall(proof: Mapping[str, Any]) -> float:
+    """Give the relative fall of a bound with more particles that the guard has seen, or more.
+
+    The column gap_at_most is the limit of the gap by Student's t, plus this fall. The error of the
+    sum of the parts estimate and filter_model is not stored. The error is at least the difference
+    of the errors of both parts. With this difference, the limit is not too large, and the fall not
+    too small. The fall is exact where the filter's model is the true model.
+    """
+    parts = proof["estimate_error"] - proof["filter_model_error"]
+    error = math.hypot(proof["relaxation_error"], parts)
+    gap = proof["relaxation"] + proof["estimate"] + proof["filter_model"]
+    limit = gap + stats.t.ppf(proof["confidence"], BOUND_DEGREES) * error
+    scale = 1 / proof["expected_mse"] if proof["expected_mse"] > 0 else 0.0
+    return float(max(0.0, proof["gap_at_most"] - max(0.0, limit * scale)))
+
+
 def _worse(table: pd.DataFrame, blocks: Iterable[Any]) -> dict[str, int]:
     """Give the sets that have a higher MSE than the best set with fewer measurements.
 
@@ -94,7 +151,7 @@ def reaching(table: pd.DataFrame, target: float) -> dict[str, dict[str, Any]]:
     Parameters
     ----------
     table : DataFrame
-        A table as `budget_table` returns it.
+        A table as `with_bounds` returns it.
     target : float
 
     Returns
@@ -109,14 +166,19 @@ def reaching(table: pd.DataFrame, target: float) -> dict[str, dict[str, Any]]:
         quantile = stats.t.isf((1 - CONFIDENCE) / 2 / len(rows), rows["draws"] - 1)
         half = quantile * rows["standard_error"]
         low, high = rows["expected_mse"] - half, rows["expected_mse"] + half
-        least = _least(rows["expected_mse"], target)
+        # A proof outranks an estimate that reaches the target by chance.
+        proved = rows["bound_low"] > target
+        least = _least(rows["expected_mse"][~proved], target)
         above = rows.index[(low > target) & (rows.index > (least or np.inf))]
         answer[kind] = {
             "measurements": least,
-            "interval": [_least(low, target), _least(high, target)],
+            "interval": [_least(low[~proved], target), _least(high[~proved], target)],
             "measurement_times": None if least is None else rows.loc[least, "measurement_times"],
             "larger_that_do_not": [int(number) for number in above],
         }
+        if kind == FOUND:
+            impossible = rows.index[proved]
+            answer[kind]["impossible"] = int(impossible.max()) if len(impossible) else None
     return answer
 
 

@@ -10,7 +10,8 @@ import pandas as pd
 import pyarrow as pa
 
 from pfdist.analysis.belief import own_estimation
-from pfdist.analysis.budget_curve import reaching
+from pfdist.analysis.bounds import last_bounds
+from pfdist.analysis.budget_curve import reaching, with_bounds
 from pfdist.analysis.gains import BLOCK, ComparisonStatistics, relative_gain
 from pfdist.analysis.recorded import read_recorded
 from pfdist.analysis.results import results_of
@@ -167,12 +168,19 @@ class Run:
         and worse_than. The last is the best smaller number of measurements of the same kind, if it
         is better on common draws. The intervals of all such differences hold together with 95 %.
 
+        For found times, three columns more say what any feasible times of this number can reach:
+        bound (lower bound of the expected MSE), bound_error (standard error), and bound_low
+        (one-sided limit of the bound). The limits of all numbers hold together with 95 %, and
+        allow for the fall of the bound with more particles that the guard has seen. Exact engines
+        have no error. The three are NaN where there is no bound, and for regular times.
+
         Raises
         ------
         StoreError
             The run has times of one number of measurements alone.
         """
-        return self._results.budget_table(self)
+        proofs = last_bounds(self.bounds()) if self.has("bound") else {}
+        return with_bounds(self._results.budget_table(self), proofs)
 
     def reaching(self, target: float) -> dict[str, dict[str, Any]]:
         """Give the least number of measurements whose expected MSE is at most a target.
@@ -192,6 +200,12 @@ class Run:
             - measurement_times.
             - larger_that_do_not: larger numbers whose interval lies above the target. More regular
               times are not always better.
+            - impossible, for found times alone: the largest number of measurements with which no
+              feasible times and no filter reach the target (bound_low of `budget` lies above the
+              target); None if no number is proved. Without a minimum spacing, all smaller numbers
+              are impossible too: more measurements never harm the exact filter of the true model.
+
+            The least numbers above leave out each number that is proved impossible.
         """
         return reaching(self.budget(), target)
 

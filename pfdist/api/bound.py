@@ -32,8 +32,8 @@ class Bound:
     Parameters
     ----------
     run : Path
-    window, longest_gap : int
-        Settings of the relaxation.
+    window, longest_gap, windows : int
+        Windows of the relaxation at first, and how many it knows in the end.
     particles, draws : int
         Settings of the bound's filter; 0 where the engine is exact.
     confidence : float
@@ -47,6 +47,7 @@ class Bound:
     run: Path
     window: int
     longest_gap: int
+    windows: int
     particles: int
     draws: int
     confidence: float
@@ -79,7 +80,7 @@ def bound(
     """Prove how much lower the expected MSE of any other feasible times can be.
 
     The function runs the model, on draws that neither chose the times nor compared them, and
-    writes the tables ``bound`` and ``bound_sums`` of the run. The same call goes on where it was
+    writes the tables ``bound`` and ``error_sums`` of the run. The same call goes on where it was
     stopped. It runs a model file that the run's folder names only if the file is unchanged since
     the run, and if the user has run the file on this machine before.
 
@@ -134,6 +135,7 @@ def bound(
         proved.path,
         settings.window,
         prover.relaxation.longest_gap,
+        len(prover.relaxation.windows),
         prover.particles,
         look.draws,
         prover.confidence,

@@ -9,6 +9,7 @@ from pfdist.api.run import run
 from pfdist.errors import JobError
 from pfdist.job.job import Job, as_job
 from pfdist.plots import draw_target
+from pfdist.runner.bound_settings import LEAST_DRAWS
 from pfdist.search.methods import DEFAULT_METHOD
 
 DRAWS = 4000
@@ -20,13 +21,15 @@ def budget(
     results: str | Path | None = None,
     draws: int = DRAWS,
     target: float | None = None,
+    bound_draws: int = LEAST_DRAWS,
     changes: Sequence[str] = (),
     **options: Any,
 ) -> Run:
     """Find times for every number of measurements, and compare them with regular times.
 
-    One survivor programme finds the times for all numbers. The found times and the regular times
-    of each number then filter the same fresh draws.
+    One dynamic programme finds the times for all numbers. The found times and the regular times
+    of each number then filter the same fresh draws. Another programme proves for each number how
+    much lower the error of any other times can be.
 
     Parameters
     ----------
@@ -40,8 +43,12 @@ def budget(
     draws : int
         Draws of the comparison. A larger number resumes a run with more draws.
     target : float, optional
-        An expected MSE. A second figure, ``budget-target-<target>``, shows the target and the
-        least number of measurements that reaches it, as `Run.reaching` gives it.
+        An expected MSE. A second figure, ``budget-target-<target>``, shows the target, the least
+        number of measurements that reaches it, and the largest number that is proved not to reach
+        it, as `Run.reaching` gives them.
+    bound_draws : int
+        Number of draws of the lower bound for each number of measurements; 0 for no bound. See
+        `pfdist.bound`.
     changes : sequence of str, optional
         Changes ``key=value``, as `pfdist.load_job` takes them.
     options : object
@@ -50,7 +57,8 @@ def budget(
     Returns
     -------
     Run
-        `Run.budget` has a row for each number of measurements and each kind of times.
+        `Run.budget` has a row for each number of measurements and each kind of times, with the
+        lower bound beside the found times.
 
     Raises
     ------
@@ -72,7 +80,7 @@ def budget(
     # The run must not depend on the measurement budget that the job file names.
     job = job.with_changes(settings={"problem": {"measurement_budget": most}})
     results = Path("results") / f"{job.path.stem}-budget" if results is None else results
-    finished = run(job, results, **options)
+    finished = run(job, results, bound_draws=bound_draws, **options)
     if target is not None and options.get("figures", True):
         draw_target(finished, target)
     return finished

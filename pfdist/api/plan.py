@@ -32,7 +32,7 @@ def plan(
         Method of the search, with its default settings.
     changes : iterable of str, optional
         Changes ``key=value``, as `pfdist.load_job` takes them. The name of the search is its
-        method, as in ``search.survivors.survivors=4``.
+        method, as in ``search.relaxation.paths=16``.
     bound_draws : int
         Number of draws of the lower bound that is proved for the found times, by default 480; 0
         for no bound. A range of measurement budgets gets a bound only if a number is given.

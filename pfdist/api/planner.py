@@ -14,7 +14,7 @@ from pfdist.filters.cloud import Prior
 from pfdist.job.job import Job, as_job
 from pfdist.runner.build import Built, build
 from pfdist.runner.online_planning import planning_of
-from pfdist.search.methods import DEFAULT_METHOD, METHODS
+from pfdist.search.methods import METHODS
 from pfdist.sequential.estimate import Estimate
 from pfdist.sequential.measurements import checked_instant
 from pfdist.sequential.planning import ONLINE, Now, Replanner
@@ -24,6 +24,7 @@ from pfdist.times.measurement_times import Times, validated
 
 EXPECTED_DRAWS = 2000
 """Simulated systems on which an expected MSE is estimated."""
+_FIRST_SEARCH = METHODS["survivors"].section()
 _FIRST_DRAWS = 300  # simulated systems for the plan before anything is measured
 
 
@@ -206,8 +207,7 @@ class Planner:
         self._built, self._draw = built, int(draw)
         self._now, self._taken = Now(prior), ()
         if planned is None:
-            default = METHODS[DEFAULT_METHOD].section()
-            first = replace(planning, search=default, draws=_FIRST_DRAWS)
+            first = replace(planning, search=_FIRST_SEARCH, draws=_FIRST_DRAWS)
             planned = replace(self._replanner, planning=first).plan(self._now, (), (), self._draw)
         self._plan = tuple(time for time in planned if time >= self._now.first)
         self._before = tuple(time for time in planned if time < self._now.first)

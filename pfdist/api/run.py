@@ -78,6 +78,7 @@ def run(
     """
     execution = {"pool": pool, "workers": workers, "address": address}
     given = {key: value for key, value in execution.items() if value is not None}
+    settings = _bound_settings(bound_draws)
     job = as_job(job, changes, settings={"execution": given} if given else {})
     check_pool(job.execution)
     path = Path("results") / job.path.stem if results is None else Path(results)
@@ -88,7 +89,7 @@ def run(
         say(f"runs the model file {file}, which your job names")
     built = build(job)
     with opened(path, built, say) as store:
-        prover, unfinished = _prover(built, bound_draws, say), open_run(path).state != "finished"
+        prover, unfinished = _prover(built, settings, say), open_run(path).state != "finished"
         if prover is not None and not unfinished and prover.has_proved(open_run(path)):
             prover = None
         if unfinished:
@@ -109,14 +110,20 @@ def run(
     return finished
 
 
-def _prover(built: Built, draws: int, say: Callable[[str], Any]) -> Prover | None:
-    """A prover of the run's lower bound; None if no bound is wanted or known."""
-    if not draws:
-        return None
+def _bound_settings(draws: int) -> BoundSettings | None:
+    """Settings of the run's lower bound; None if no bound is wanted."""
     try:
-        settings = BoundSettings(draws)
+        return BoundSettings(draws) if draws else None
     except JobError as error:
         raise JobError(f"bound_{error}", argument="bound_draws") from error
+
+
+def _prover(
+    built: Built, settings: BoundSettings | None, say: Callable[[str], Any]
+) -> Prover | None:
+    """A prover of the run's lower bound; None if no bound is wanted or known."""
+    if settings is None:
+        return None
     try:
         prover = Prover(built, settings)
     except (JobError, ModelError) as error:

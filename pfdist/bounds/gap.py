@@ -7,6 +7,7 @@ from typing import Any
 from pfdist.bounds.proof import Estimate, Proof
 from pfdist.times.measurement_times import Times
 
+_ROUNDING = 1e-12
 UNKNOWN, NOTHING = Estimate(math.nan, math.nan), Estimate(0.0)
 
 
@@ -44,8 +45,10 @@ class Gap:
         With the job's own filter, on draws that neither chose the set nor gave the bound.
     reason : str
         Why there is no bound; then everything below is NaN. Empty if the bound holds.
+    budget : int
+        The bound holds for all feasible sets of so many times, or for so much money in units.
     bound : Estimate
-        Lower bound of the expected MSE of every feasible set of so many times, by any filter.
+        Lower bound of the expected MSE of every such set, by any filter.
     path : tuple of int
         The times that reach the bound in the relaxation.
     gap : float
@@ -62,6 +65,7 @@ class Gap:
     measurement_times: Times
     expected_mse: Estimate
     reason: str = ""
+    budget: int = 0
     bound: Estimate = UNKNOWN
     path: Times = ()
     gap: float = math.nan
@@ -82,7 +86,7 @@ class Gap:
 
 
 def gap_of(
-    name: str, times: Times, alone: SetAlone, proof: Proof, slack: Estimate, confidence: float
+    name: str, times: Times, alone: SetAlone, proof: Proof, place: int, confidence: float
 ) -> Gap:
     """Give the gap of a feasible set, before the guard has looked at it.
 
@@ -92,24 +96,27 @@ def gap_of(
     times : tuple of int
     alone : SetAlone
     proof : Proof
-    slack : Estimate
-        The slack of this set in the proof.
+    place : int
+        The place of this set among the known sets of the proof.
     confidence : float
         Confidence of the limit of the gap.
     """
     mse = alone.expected_mse
     if not math.isfinite(mse.value):
         return Gap(name, times, mse, "a draw is degenerate or infinite with the set itself")
+    slack, budget = proof.slack[place], proof.budgets[place]
     total = slack.plus(alone.both)
     at_most = total.at_most(max(1, proof.groups - 1), confidence)
     scale = 1 / mse.value if mse.value > 0 else 0.0
+    is_below = total.is_negative and -total.value * scale > _ROUNDING  # of exact values
     return Gap(
         name,
         times,
         mse,
-        "the set costs less than the bound" if total.is_negative else "",
-        proof.bounds[len(times)],
-        proof.paths[len(times)],
+        "the set costs less than the bound" if is_below else "",
+        budget,
+        proof.bounds[budget],
+        proof.paths[budget],
         max(0.0, total.value * scale),
         max(0.0, at_most * scale),
         slack,

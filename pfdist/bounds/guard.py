@@ -45,7 +45,7 @@ def guarded(gaps: Mapping[str, Gap], falls: Falls) -> dict[str, Gap]:
     everywhere = _reason_for_all(gaps, falls)
     checked = {}
     for name, gap in gaps.items():
-        fall = falls.of_bounds[len(gap.measurement_times)]
+        fall = falls.of_bounds[gap.budget]
         reason = gap.reason or everywhere or _reason(gap, gaps, fall, falls.particles)
         if reason:
             checked[name] = Gap(name, gap.measurement_times, gap.expected_mse, reason)
@@ -70,7 +70,7 @@ def _reason(gap: Gap, gaps: Mapping[str, Gap], fall: Estimate, particles: str) -
     for other in gaps.values():
         error = math.hypot(other.expected_mse.standard_error, gap.bound.standard_error)
         difference = Estimate(gap.bound.value - other.expected_mse.value, error)
-        alike = len(other.measurement_times) == len(gap.measurement_times)
+        alike = other.budget == gap.budget
         if alike and difference.is_positive:
             return f"the set {other.name} costs less than the bound"
     return ""

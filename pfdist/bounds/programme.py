@@ -1,23 +1,34 @@
-"""The dynamic programme over numbers of measurements and states of the relaxed filter."""
+"""The dynamic programme over known windows and what was spent: the least relaxed expected MSE.
 
+A set spends its number of measurements, or their costs in units. All sums up to the largest come
+out of one programme.
+
+References
+----------
+Bellman, "Dynamic programming", 1957. Christofides, Mingozzi, Toth, "State-space relaxation
+procedures for the computation of bounds to routing problems", Networks 11, 1981.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.bounds.relaxation import START, Relaxation
+from pfdist.bounds.relaxation import START, Indices, Relaxation
 from pfdist.times.measurement_times import Times
 
 Array = NDArray[np.float64]
 
 
 class Least(NamedTuple):
-    """The least relaxed expected MSE of each number of measurements.
+    """The least relaxed expected MSE of each sum that may be spent.
 
     Parameters
     ----------
     mse : array of float64, (..., most+1)
-        For 0 to most measurements; inf where no set has so many.
+        For 0 to most units; inf where no set costs so much.
     paths : list of tuples of int
         Measurement times that reach it, for the first of the leading axes; empty where none does.
     """
@@ -27,77 +38,162 @@ class Least(NamedTuple):
 
 
 def least(relaxation: Relaxation, errors: Array, most: int) -> Least:
-    """Find the least relaxed expected MSE for each number of measurements.
+    """Find the least relaxed expected MSE for each sum that may be spent.
 
     Parameters
     ----------
     relaxation : Relaxation
-    errors : array of float64, (..., S, T+1)
-        Expected error of each state at each instant up to its end; others are not read. Leading
-        axes, such as resamples of the draws, have programmes of their own.
+    errors : array of float64, (..., E)
+        Expected errors of all windows at all instants at which they count, window by window; see
+        `Relaxation.offsets`. Leading axes, such as resamples of the draws, have programmes of
+        their own.
     most : int
-        The largest number of measurements.
+        The largest sum: of measurements, or of their prices in units.
     """
-    states, instants = relaxation.states, relaxation.horizon + 1
-    between = _Between(relaxation, errors)
-    cost = np.full((len(states), *errors.shape[:-2], most + 1), np.inf)
-    cost[relaxation.index[START], ..., 0] = 0.0
-    origin = np.full((len(states), most + 1), -1)
-    whole, last = np.full((1, *cost.shape[1:]), np.inf), np.full((1, most + 1), -1)
-    end = np.array([instants])
-    for number, (state, steps) in enumerate(zip(states, relaxation.steps, strict=True)):
-        if not np.isfinite(cost[number]).any():
-            continue
-        if steps.times.size:  # a step leads to a later state
-            reached = between(number, steps.times) + cost[number, ..., :-1]
-            least_cost, better = _lesser(cost[steps.after, ..., 1:], reached)
-            cost[steps.after, ..., 1:] = least_cost
-            origin[steps.after, 1:] = np.where(better, number, origin[steps.after, 1:])
-        if not relaxation.required_after(state):
-            whole, better = _lesser(whole, between(number, end) + cost[number])
-            last = np.where(better, number, last)
-    paths = [_path(relaxation, origin, int(end), count) for count, end in enumerate(last[0])]
-    return Least(whole[0] / instants, paths)
+    programmes = [Programme(relaxation, row, most) for row in errors.reshape(-1, errors.shape[-1])]
+    mse = np.array([programme.mse for programme in programmes])
+    paths = [programmes[0].path(spent) for spent in range(most + 1)]
+    return Least(mse.reshape(*errors.shape[:-1], most + 1), paths)
 
 
-class _Between:
-    """The sum of the errors from the last measurement of a state to the next."""
+@dataclass(frozen=True)
+class Programme:
+    """The programme for the errors of one group of draws.
 
-    def __init__(self, relaxation: Relaxation, errors: Array) -> None:
-        self._relaxation = relaxation
-        self._before = np.zeros((*errors.shape[:-1], relaxation.horizon + 2))
-        for number, end in enumerate(relaxation.ends):  # behind the end there may be anything
-            summed = np.cumsum(errors[..., number, : end + 1], axis=-1)
-            self._before[..., number, 1 : end + 2] = summed
-
-    def __call__(self, number: int, until: NDArray[np.int64]) -> Array:
-        """Sums up to the instant before each of `until`, (len(until), ..., 1)."""
-        relaxation, before = self._relaxation, self._before
-        state = relaxation.states[number]
-        fallback = relaxation.index[relaxation.fallback(state)]
-        own = np.minimum(until, relaxation.reach(state))
-        total = before[..., number, own] - before[..., number, [max(state.last, 0)]]
-        total += before[..., fallback, until] - before[..., fallback, own]
-        return np.moveaxis(total, -1, 0)[..., None]
-
-
-def _lesser(cost: Array, new: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """The lesser costs, (n, ..., N), and where the new are less for the first leading axes, (n, N).
+    If measurements are counted, a set makes exactly as many as a sum says. Money may be left over.
 
     Parameters
     ----------
-    cost, new : array of float64, (n, ..., N)
+    relaxation : Relaxation
+    errors : array of float64, (E,)
+        As for `least`.
+    most : int
+        The largest sum.
     """
-    better = new < cost
-    return np.where(better, new, cost), better.reshape(len(cost), -1, cost.shape[-1])[:, 0]
 
+    relaxation: Relaxation
+    errors: Array
+    most: int
 
-def _path(
-    relaxation: Relaxation, origin: NDArray[np.int64], state: int, measurements: int
-) -> Times:
-    """Follow the programme back from a last state."""
-    times: list[int] = []
-    while state >= 0 and measurements > 0:
-        times.append(relaxation.states[state].last)
-        state, measurements = int(origin[state, measurements]), measurements - 1
-    return tuple(reversed(times))
+    @property
+    def mse(self) -> Array:
+        """The least relaxed expected MSE of each sum, (most+1,)."""
+        start: Array = self._from[self.relaxation.index[START]]
+        return start / (self.relaxation.horizon + 1)
+
+    def path(self, spent: int) -> Times:
+        """Give the times that reach the least error for a sum; empty if no set costs so much."""
+        start = self.relaxation.index[START]
+        return self._path_from(start, spent) if np.isfinite(self._from[start, spent]) else ()
+
+    def through(self, spent: int) -> Array:
+        """The least relaxed expected MSE of all sets of a sum that pass each window, (W,)."""
+        sums: Array = (self._to[:, : spent + 1] + self._from[:, spent::-1]).min(axis=1)
+        return sums / (self.relaxation.horizon + 1)
+
+    def path_through(self, window: int, spent: int) -> Times:
+        """Give the times that reach the least error among the sets of a sum that pass a window."""
+        before = int(np.argmin(self._to[window, : spent + 1] + self._from[window, spent::-1]))
+        return (*self._path_to(window, before), *self._path_from(window, spent - before))
+
+    @cached_property
+    def _to(self) -> Array:
+        """The least sum of errors before the last measurement of each window, (W, most+1)."""
+        cost = np.full((len(self.relaxation.windows), self.most + 1), np.inf)
+        cost[self.relaxation.index[START], 0] = 0.0
+        for moves in self.relaxation.moves:
+            price = self._prices[moves.time]
+            if price <= self.most:
+                between = self._between(moves.before, moves.time)
+                reached = between[:, None] + cost[moves.before, : self.most + 1 - price]
+                cost[moves.after, price:] = np.minimum.reduceat(reached, moves.starts, axis=0)
+        return cost
+
+    @cached_property
+    def _from(self) -> Array:
+        """The least sum of errors from the last measurement of each window on, (W, most+1)."""
+        relaxation = self.relaxation
+        cost = np.full((len(relaxation.windows), self.most + 1), np.inf)
+        left_over = 0 if relaxation.constraints.counted else self.most
+        cost[:, : left_over + 1] = self._at_the_end[:, None]
+        for moves in reversed(relaxation.moves):
+            price = self._prices[moves.time]
+            if price <= self.most:
+                after = relaxation.after[moves.before, moves.time]
+                between = self._between(moves.before, moves.time)
+                onward = between[:, None] + cost[after, : self.most + 1 - price]
+                cost[moves.before, price:] = np.minimum(cost[moves.before, price:], onward)
+        return cost
+
+    @cached_property
+    def _at_the_end(self) -> Array:
+        """The sum of errors from the last measurement of each window to T, (W,)."""
+        every = np.arange(len(self.relaxation.windows))
+        rest = self._between(every, self.relaxation.horizon + 1)
+        return np.where(self.relaxation.may_end, rest, np.inf)
+
+    def _between(self, windows: Indices, until: int) -> Array:
+        """Sum the errors from the last measurement of each window to the instant before another."""
+        relaxation = self.relaxation
+        own = np.minimum(until, relaxation.ends[windows] + 1)
+        total, beyond = self._before(windows, own), own < until
+        alone = relaxation.alone[windows]
+        known = beyond & relaxation.passable[alone]
+        total[known] += self._before(alone[known], until) - self._before(alone[known], own[known])
+        total[beyond & ~known] = np.inf
+        return total
+
+    def _before(self, windows: Indices, until: Indices | int) -> Array:
+        """Sum the errors of each window from its last measurement to the instant before another."""
+        begin = self.relaxation.offsets[windows] + windows - self.relaxation.first[windows]
+        sums: Array = self._summed[begin + until]
+        return sums
+
+    @cached_property
+    def _summed(self) -> Array:
+        """Sums of the errors of each window before each instant at which they count, and after."""
+        offsets = self.relaxation.offsets
+        sizes = np.diff(offsets)
+        summed = np.zeros(self.errors.size + sizes.size)
+        for size in np.unique(sizes).tolist():  # a sum over all windows would round too much
+            windows = np.flatnonzero(sizes == size)[:, None]
+            places = offsets[windows] + np.arange(size)
+            summed[places + windows + 1] = np.cumsum(self.errors[places], axis=1)
+        return summed
+
+    @property
+    def _prices(self) -> tuple[int, ...]:
+        return self.relaxation.prices
+
+    def _path_to(self, window: int, spent: int) -> Times:
+        """Follow the programme back from a window."""
+        relaxation, times = self.relaxation, list[int]()
+        moves_by = {moves.time: moves for moves in relaxation.moves}
+        while window != relaxation.index[START]:
+            time = int(relaxation.last[window])
+            spent -= self._prices[time]
+            before = moves_by[time].leading_to(window)
+            window = int(before[np.argmin(self._between(before, time) + self._to[before, spent])])
+            times.append(time)
+        return tuple(reversed(times))
+
+    def _path_from(self, window: int, spent: int) -> Times:
+        """Follow the programme from a window to the end of the horizon."""
+        relaxation, times = self.relaxation, list[int]()
+        while True:
+            here, after = np.array([window]), relaxation.after[window]
+            affordable = (
+                (time, int(after[time]), spent - price)
+                for time, price in enumerate(self._prices)
+                if after[time] >= 0 and price <= spent
+            )
+            onward = [
+                (float(self._between(here, time)[0] + self._from[next_, left]), time, next_, left)
+                for time, next_, left in affordable
+            ]
+            may_end = spent == 0 or not relaxation.constraints.counted
+            ended = self._at_the_end[window] if may_end else np.inf
+            if not onward or ended <= min(onward)[0]:
+                return tuple(times)
+            _, time, window, spent = min(onward)
+            times.append(time)

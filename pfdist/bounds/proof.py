@@ -13,6 +13,7 @@ introduction to the bootstrap", 1993, chapter 11 (the jackknife).
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +64,41 @@ class Estimate:
         return -self.value > _CLEARLY * self.standard_error
 
 
+class Sums(NamedTuple):
+    """Sums of errors over groups of draws. One group of one draw holds exact errors.
+
+    Parameters
+    ----------
+    relaxed : array of float64, (G, E)
+        Errors of all windows of a relaxation, as `pfdist.bounds.programme.least` takes them.
+    own : array of float64, (G, C, T+1)
+        Errors of each known set.
+    draws : array of float64, (G,)
+        Number of draws of each group.
+    """
+
+    relaxed: Array
+    own: Array
+    draws: Array
+
+    def first(self, groups: int) -> "Sums":
+        """Give the sums of the first groups alone."""
+        return Sums(*(part[:groups] for part in self))
+
+    def means(self) -> tuple[Array, Array]:
+        """Give the means over all groups, and over all groups but each, (1+G, ...).
+
+        Returns
+        -------
+        array of float64, (1+G, E)
+            Mean errors of the windows. With one group, there is nothing but the first row.
+        array of float64, (1+G, C)
+            Expected MSE of each known set.
+        """
+        relaxed, own = (_resampled(part, self.draws) for part in (self.relaxed, self.own))
+        return relaxed, own.mean(axis=2)
+
+
 @dataclass(frozen=True)
 class Proof:
     """The lower bounds of all numbers of measurements, and the slack of known sets.
@@ -73,6 +109,8 @@ class Proof:
         Lower bound of the expected MSE for 0, 1, 2, ... measurements.
     paths : list of tuples of int
         The times that reach each bound in the relaxation; they need not reach it themselves.
+    budgets : list of int
+        For each known set, the sum whose bound holds for it.
     slack : list of Estimate
         For each known set, how much its own expected error, by the same estimate on the same draws,
         lies above the bound of its number of measurements.
@@ -82,53 +120,48 @@ class Proof:
 
     bounds: list[Estimate]
     paths: list[Times]
+    budgets: list[int]
     slack: list[Estimate]
     groups: int
 
 
-def prove(
-    relaxation: Relaxation, sums: Array, draws: Array, sets: Sequence[Times], most: int
-) -> Proof:
+def prove(relaxation: Relaxation, sums: Sums, sets: Sequence[Times], most: int) -> Proof:
     """Compute the lower bounds from errors of the relaxed filter.
 
     Parameters
     ----------
     relaxation : Relaxation
-    sums : array of float64, (G, S+C, T+1)
-        For each group of draws, the sums of the errors of each state of the relaxation and then of
-        each known set. One group of one draw holds exact errors.
-    draws : array of float64, (G,)
-        Number of draws of each group. The jackknife leaves one group out.
+    sums : Sums
+        The jackknife leaves one group of draws out.
     sets : sequence of tuples of int, (C,)
         The known sets.
     most : int
-        The largest number of measurements.
+        The largest sum to spend: of measurements, or of their prices.
     """
-    mse = _resampled(sums, draws)
-    states = len(relaxation.states)
-    found = least(relaxation, mse[:, :states], most)
-    own = mse[:, states:].mean(axis=2)
-    numbers = [len(times) for times in sets]
+    relaxed, own = sums.means()
+    found = least(relaxation, relaxed, most)
+    budgets = [relaxation.spent(times) for times in sets]
     return Proof(
         [_jackknifed(bound) for bound in found.mse.T],
         found.paths,
-        [_jackknifed(own[:, i] - found.mse[:, number]) for i, number in enumerate(numbers)],
-        len(draws) if len(draws) > 1 else 0,
+        budgets,
+        [_jackknifed(own[:, i] - found.mse[:, budget]) for i, budget in enumerate(budgets)],
+        len(sums.draws) if len(sums.draws) > 1 else 0,
     )
 
 
 def falls(
-    relaxation: Relaxation, coarse: Array, fine: Array, draws: Array, most: int
+    relaxation: Relaxation, coarse: Sums, fine: Sums, most: int
 ) -> tuple[list[Estimate], list[Estimate]]:
     """Give how far bounds and own errors fall with more particles, on the same draws.
 
     Parameters
     ----------
     relaxation : Relaxation
-    coarse, fine : array of float64, (G, S+C, T+1)
-        Sums as in `prove`, with few and with many particles.
-    draws : array of float64, (G,)
+    coarse, fine : Sums
+        With few and with many particles.
     most : int
+        As for `prove`.
 
     Returns
     -------
@@ -137,10 +170,9 @@ def falls(
     list of Estimate, (C,)
         Relative fall of each known set's own expected error.
     """
-    states = len(relaxation.states)
-    both = [_resampled(sums, draws) for sums in (coarse, fine)]
-    bounds = [least(relaxation, mse[:, :states], most).mse for mse in both]
-    own = [mse[:, states:].mean(axis=2) for mse in both]
+    both = [sums.means() for sums in (coarse, fine)]
+    bounds = [least(relaxation, relaxed, most).mse for relaxed, _ in both]
+    own = [own for _, own in both]
     return tuple(_relative_falls(*pair) for pair in (bounds, own))  # type: ignore[return-value]
 
 
@@ -155,7 +187,8 @@ def _resampled(sums: Array, draws: Array) -> Array:
     whole: Array = (sums.sum(axis=0) / draws.sum())[None]
     if len(draws) == 1:
         return whole
-    without = (sums.sum(axis=0) - sums) / (draws.sum() - draws)[:, None, None]
+    left = (draws.sum() - draws).reshape(-1, *(1,) * (sums.ndim - 1))
+    without = (sums.sum(axis=0) - sums) / left
     return np.concatenate([whole, without])
 
 

@@ -1,102 +1,113 @@
 """The relaxation behind the lower bound: a filter that may measure more than the set contains.
 
 To the exact filter of the true model, further measurements do no harm. So its error at t with a
-set M is at least its error with M and all allowed instants up to the k-th last measurement before
-t. The relaxed error between two measurements depends on the last k measurement times alone; k is
-the window. After a gap that is longer than the longest gap, the filter has measured every allowed
-instant up to the last measurement. So the relaxation holds for every feasible set.
+set M is at least its error with M and all allowed instants up to one of the measurements. A
+*window* is such a filter: the last measurement times of a set, and everything allowed up to the
+first of them. The longer a window, the less it adds, and the nearer is its error to the set's own.
+
+A relaxation knows some windows. A filter with a set is, at each instant, in the longest known
+window that its measurements end with. Every beginning of a known window is known. So the next
+window follows from the last one and the next time, whatever was measured before, and a dynamic
+programme finds the set with the least relaxed error. All windows of two measurements are a good
+start, and `pfdist.bounds.growth` adds longer ones where they matter.
 
 References
 ----------
-Vitus, Zhang, Abate, Hu, Tomlin, "On efficient sensor scheduling for linear dynamical systems",
-Automatica 48, 2012 (monotone covariances). Brown, Smith, Sun, "Information relaxations and duality
-in stochastic dynamic programs", Operations Research 58, 2010.
+Aho, Corasick, "Efficient string matching: an aid to bibliographic search", Communications of the
+ACM 18, 1975 (the longest known end, and how it changes with the next symbol). Vitus, Zhang, Abate,
+Hu, Tomlin, "On efficient sensor scheduling for linear dynamical systems", Automatica 48, 2012
+(monotone covariances). Brown, Smith, Sun, "Information relaxations and duality in stochastic
+dynamic programs", Operations Research 58, 2010.
 """
 
-import math
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.errors import JobError, MeasurementTimesError
+from pfdist.errors import MeasurementTimesError
 from pfdist.times.constraints import Constraints
 from pfdist.times.measurement_times import Times
 
 NOTHING = -1
-MOST_CELLS = 3_000_000
-"""Largest number of states of a relaxation times instants: the memory grows with it."""
+"""First entry of a window before which nothing is measured: the window is a whole beginning."""
+
+Window = tuple[int, ...]
+"""Measurement times, sorted. Every allowed instant up to the first is measured."""
+
+START: Window = (NOTHING,)
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 
-class State(NamedTuple):
-    """The measurements that the relaxed filter has made.
-
-    Parameters
-    ----------
-    filled_up_to : int
-        The filter has measured at every allowed instant up to this one, or at none if it is -1.
-    later : tuple of int
-        Its measurement times after that.
-    """
-
-    filled_up_to: int
-    later: Times
-
-    @property
-    def last(self) -> int:
-        """The last measurement time; -1 if there is none."""
-        return self.later[-1] if self.later else self.filled_up_to
-
-
-class Steps(NamedTuple):
-    """The steps from a state to others, each by one measurement.
+class Moves(NamedTuple):
+    """All moves from one window to the next by a measurement at one time.
 
     Parameters
     ----------
-    times : array of int64, (n,)
-        The time of each measurement.
-    after : array of int64, (n,)
-        Index of the state to which it leads.
+    time : int
+    before : array of int64, (n,)
+        Index of the window before the measurement, sorted by the window after it.
+    after : array of int64, (m,)
+        Indices of the windows after it; all differ.
+    starts : array of int64, (m,)
+        For each of them, its first place in `before`.
     """
 
-    times: NDArray[np.int64]
-    after: NDArray[np.int64]
+    time: int
+    before: Indices
+    after: Indices
+    starts: Indices
 
-
-START = State(NOTHING, ())
+    def leading_to(self, window: int) -> Indices:
+        """Give the windows from which the measurement leads to a window."""
+        place = int(np.searchsorted(self.after, window))
+        stops = (*self.starts[1:], self.before.size)
+        return self.before[self.starts[place] : stops[place]]
 
 
 @dataclass(frozen=True)
 class Relaxation:
-    """The states of the relaxed filter, and the steps from one to the next.
+    """The known windows of a relaxed filter, and how a measurement leads from one to the next.
 
     Parameters
     ----------
     constraints : Constraints
         Forbidden and required times and the spacing bind every path. Their number of measurements
         is not used: a path may have any number.
-    window : int
-        k, the number of last measurements behind which every allowed instant is measured.
+    windows : tuple of tuples of int, (W,)
+        Sorted by the last time. They include `START`, each allowed time alone, and all beginnings.
     longest_gap : int
-        After a longer gap between two measurements, every allowed instant up to the second is
-        measured.
+        An error of a window counts for fewer instants than this. If nothing is measured for longer,
+        the error of the window's last time alone counts.
+    far : frozenset of tuples of int
+        Windows whose errors count up to T.
+    only : frozenset of tuples of int, optional
+        Windows that paths may pass; errors of others are not known. By default all windows.
+    unit : int
+        The prices of measurements are rounded down to whole units. With prices that are too low, a
+        path may measure more, so the bound remains one.
 
     Raises
     ------
     MeasurementTimesError
-        The window or the longest gap is less than 1.
+        The longest gap is less than 1.
     """
 
     constraints: Constraints
-    window: int = 2
-    longest_gap: int = 12
+    windows: tuple[Window, ...]
+    longest_gap: int
+    far: frozenset[Window] = frozenset()
+    only: frozenset[Window] | None = None
+    unit: int = 1
 
     def __post_init__(self) -> None:
-        for name in ("window", "longest_gap"):
-            if getattr(self, name) < 1:
-                raise MeasurementTimesError(f"{name} must be at least 1, got {getattr(self, name)}")
+        if self.longest_gap < 1:
+            raise MeasurementTimesError(f"longest_gap must be at least 1, got {self.longest_gap}")
 
     @property
     def horizon(self) -> int:
@@ -104,120 +115,186 @@ class Relaxation:
         return self.constraints.horizon
 
     @cached_property
-    def _reached(self) -> set[State]:
-        """All states that a path can reach."""
-        found, new = {START}, [START]
-        while new:
-            state = new.pop()
-            reached = {self.after(state, time) for time in self.followers(state)} - found
-            new += reached
-            found |= reached
-        return found
+    def prices(self) -> tuple[int, ...]:
+        """Price of a measurement at each time, in units, (T+1,); 1 if measurements are counted."""
+        return tuple(price // self.unit for price in self.constraints.price)
+
+    @property
+    def total(self) -> int:
+        """The sum to spend, in units: N, or money."""
+        return self.constraints.total // self.unit
 
     @cached_property
-    def states(self) -> tuple[State, ...]:
-        """All states that a path can reach, with their fallbacks, by their last time."""
-        found = self._reached | {self.fallback(state) for state in self._reached}
-        return tuple(sorted(found, key=lambda state: (state.last, state)))
+    def index(self) -> dict[Window, int]:
+        """Index of each window in `windows`."""
+        return {window: index for index, window in enumerate(self.windows)}
 
     @cached_property
-    def index(self) -> dict[State, int]:
-        """Index of each state in `states`."""
-        return {state: index for index, state in enumerate(self.states)}
+    def last(self) -> Indices:
+        """The last measurement time of each window, (W,); -1 if there is none."""
+        return np.array([window[-1] for window in self.windows])
 
     @cached_property
-    def steps(self) -> list["Steps"]:
-        """The steps from each state in `states`; none from a state that no path reaches."""
-        found = []
-        for state in self.states:
-            times = self.followers(state) if state in self._reached else []
-            after = [self.index[self.after(state, time)] for time in times]
-            found.append(Steps(np.array(times, np.int64), np.array(after, np.int64)))
-        return found
+    def first(self) -> Indices:
+        """The first instant at which the error of each window counts, (W,)."""
+        return np.maximum(self.last, 0)
+
+    @cached_property
+    def ends(self) -> Indices:
+        """The last instant at which the error of each window counts, (W,)."""
+        far = [len(window) == 1 or window in self.far for window in self.windows]
+        near = np.minimum(self.last + self.longest_gap, self.horizon + 1) - 1
+        return np.where(self.passable, np.where(far, self.horizon, near), self.first - 1)
+
+    @cached_property
+    def passable(self) -> NDArray[np.bool_]:
+        """Whether paths may pass each window, (W,)."""
+        if self.only is None:
+            return np.ones(len(self.windows), np.bool_)
+        return np.array([window in self.only for window in self.windows])
+
+    @cached_property
+    def offsets(self) -> Indices:
+        """Where the errors of each window begin in an array of all errors that count, (W+1,)."""
+        return np.cumsum(np.concatenate([[0], self.ends - self.first + 1]))
 
     @property
     def sets(self) -> list[Times]:
-        """The measurement times of the relaxed filter in each state."""
-        allowed = self.constraints.allowed
-        return [
-            (*(time for time in allowed if time <= state.filled_up_to), *state.later)
-            for state in self.states
-        ]
+        """The measurement times of the filter of each window."""
+        return [self.filtered(window) for window in self.windows]
 
-    @property
-    def ends(self) -> list[int]:
-        """The last instant at which the error of each state counts."""
-        return [min(self.reach(state), self.horizon + 1) - 1 for state in self.states]
+    def filtered(self, window: Window) -> Times:
+        """Give the measurement times of the filter of a window."""
+        filled = (time for time in self.constraints.allowed if time <= window[0])
+        return (*filled, *window[1:])
 
-    def states_of(self, times: Times) -> list[State]:
-        """Give the state whose error counts at each instant, (T+1), for a set of times."""
-        state, found = START, list[State]()
-        for following in (*times, self.horizon + 1):
-            for t in range(max(0, state.last), following):
-                found.append(state if t < self.reach(state) else self.fallback(state))
-            if following <= self.horizon:
-                state = self.after(state, following)
+    @cached_property
+    def alone(self) -> Indices:
+        """Index of the window that is the last time of each window alone, (W,)."""
+        return np.array([self.index[window[-1:]] for window in self.windows])
+
+    @cached_property
+    def after(self) -> NDArray[np.int32]:
+        """Index of the window after a measurement at each time, (W, T+1); -1 if it is forbidden."""
+        after = np.full((len(self.windows), self.horizon + 1), -1, np.int32)
+        following = dict[int, list[int]]()
+        for number, window in enumerate(self.windows):
+            if len(window) > 1:
+                following.setdefault(self.index[window[:-1]], []).append(number)
+        alone = [self.index.get((time,), -1) for time in range(self.horizon + 1)]
+        for number in sorted(range(len(after)), key=lambda number: len(self.windows[number])):
+            window = self.windows[number]
+            after[number] = alone if len(window) == 1 else after[self._suffix(window)]
+            for longer in following.get(number, ()):
+                after[number, self.windows[longer][-1]] = longer
+        return np.where(self._follows[self.last + 1] & self.passable[after], after, -1)
+
+    @cached_property
+    def moves(self) -> list[Moves]:
+        """The moves by each time that any window allows, sorted by the time."""
+        found = []
+        for time in self.constraints.allowed:
+            before = np.flatnonzero(self.after[:, time] >= 0)
+            order = np.argsort(self.after[before, time], kind="stable")
+            before = before[order]
+            after, starts = np.unique(self.after[before, time], return_index=True)
+            if before.size:
+                found.append(Moves(time, before, after.astype(np.int64), starts))
         return found
 
-    def followers(self, state: State) -> list[int]:
-        """Give the times that may be measured next: none behind a required time."""
-        constraints, last = self.constraints, state.last
-        first = 0 if last == NOTHING else last + constraints.minimum_spacing
-        until = min(self.required_after(state), default=self.horizon)
-        return [time for time in constraints.allowed if first <= time <= until]
+    @cached_property
+    def may_end(self) -> NDArray[np.bool_]:
+        """Whether each window, (W,), may be the last of a path: every required time is measured."""
+        return self.last >= max(self.constraints.required, default=NOTHING)
 
-    def required_after(self, state: State) -> list[int]:
-        """Give the required times that are not measured yet."""
-        return [time for time in self.constraints.required if time > state.last]
+    def spent(self, times: Times) -> int:
+        """Give the sum, in units, whose bound holds for a set: its size, or all of the money."""
+        return len(times) if self.constraints.counted else self.total
 
-    def after(self, state: State, time: int) -> State:
-        """Give the state after a further measurement."""
-        if state.last != NOTHING and time - state.last > self.longest_gap:
-            return State(time, ())
-        later = (*state.later, time)
-        # With fewer than `window` measurements so far, nothing is added to them.
-        if len(later) < self.window:
-            return State(state.filled_up_to, later)
-        return State(later[0], later[1:])
+    def windows_of(self, times: Times) -> list[int]:
+        """Give the index of the window after each measurement of a set, from no measurement on."""
+        number = self.index[START]
+        found = [number]
+        for time in times:
+            number = int(self.after[number, time])
+            found.append(number)
+        return found
 
-    def reach(self, state: State) -> int:
-        """Give the first instant at which the state's error no longer counts, if nothing follows.
+    def grown(self, windows: Iterable[Window], far: Iterable[Window] = ()) -> "Relaxation":
+        """Give the relaxation that also knows these windows and their beginnings.
 
-        From then on the fallback's error counts.
+        A new window is far if the longest known window that it ends with is far. Otherwise errors
+        of a set could be lower than before.
+
+        Parameters
+        ----------
+        windows : iterable of tuples of int
+            Ends of feasible sets.
+        far : iterable of tuples of int
+            Known windows whose errors are to count up to T.
         """
-        if state == self.fallback(state):
-            return self.horizon + 1
-        return state.last + self.longest_gap
-
-    def fallback(self, state: State) -> State:
-        """Give the state in which every allowed instant up to the last measurement is measured."""
-        return state if state == START else State(state.last, ())
-
-
-def relaxation_for(constraints: Constraints, window: int, fewest: int) -> Relaxation:
-    """Give the relaxation for sets of at least so many times.
-
-    Its longest gap is three mean gaps, or fewer if they are too many for the memory, but at least
-    two.
-
-    Raises
-    ------
-    JobError
-        It has more states than fit into memory.
-    """
-    instants = constraints.horizon + 1
-    two, three = (min(math.ceil(gaps * instants / (fewest + 1)), instants) for gaps in (2, 3))
-
-    def states(longest_gap: int) -> int:
-        return int(instants * longest_gap ** (window - 1))
-
-    longest_gap = three
-    while longest_gap > two and states(longest_gap) * instants > MOST_CELLS:
-        longest_gap -= 1
-    if states(longest_gap) * instants > MOST_CELLS:
-        raise JobError(
-            f"window = {window} needs about {states(longest_gap):,} states of {instants} "
-            f"instants, allowed: {MOST_CELLS:,} instants in all; try pfdist bound --window 1",
-            argument="window",
+        beginnings = {window[:size] for window in windows for size in range(1, len(window) + 1)}
+        known_far = self.far | {*far}
+        new = beginnings - self.index.keys()
+        new_far = {window for window in new if self.windows[self._suffix(window)] in known_far}
+        return replace(
+            self,
+            windows=in_order({*self.windows, *beginnings}),
+            far=known_far | new_far,
+            only=None if self.only is None else self.only | beginnings,
         )
-    return Relaxation(constraints, window, longest_gap)
+
+    def restricted(self, paths: Iterable[Times]) -> "Relaxation":
+        """Give the relaxation whose paths pass no other windows than some sets do."""
+        sets = list(paths)
+        passed = {self.windows[number] for times in sets for number in self.windows_of(times)}
+        far = {window for times in sets for window in self.overreached(times)}
+        return replace(self, only=frozenset(passed), far=self.far | far)
+
+    def overreached(self, times: Times) -> list[Window]:
+        """Give the windows of a set whose errors do not count up to the next measurement."""
+        numbers = self.windows_of(times)
+        following = (*times, self.horizon + 1)
+        return [
+            self.windows[number]
+            for number, until in zip(numbers, following, strict=True)
+            if self.ends[number] + 1 < until
+        ]
+
+    def without(self, windows: Collection[Window]) -> "Relaxation":
+        """Give the relaxation that does not know these windows, nor those that begin with them."""
+        if not windows:
+            return self
+        kept = (
+            window
+            for window in self.windows
+            if len(window) == 1
+            or not any(window[:size] in windows for size in range(2, len(window) + 1))
+        )
+        return replace(self, windows=tuple(kept))
+
+    @cached_property
+    def _follows(self) -> NDArray[np.bool_]:
+        """Whether a time may follow the last time, or none, (T+2, T+1): by last time + 1."""
+        constraints, instants = self.constraints, self.horizon + 1
+        follows = np.zeros((instants + 1, instants), np.bool_)
+        for last in (NOTHING, *range(instants)):
+            follows[last + 1, list(followers(constraints, last))] = True
+        return follows
+
+    def _suffix(self, window: Window) -> int:
+        """Index of the longest known end of a window that is not the window itself."""
+        known = (self.index.get(window[begin:]) for begin in range(1, len(window)))
+        return next(number for number in known if number is not None)
+
+
+def followers(constraints: Constraints, last: int) -> Iterator[int]:
+    """Give the times that may be measured after a last time; none lies behind a required time."""
+    first = 0 if last == NOTHING else last + constraints.minimum_spacing
+    until = min((t for t in constraints.required if t > last), default=constraints.horizon)
+    return (time for time in constraints.allowed if first <= time <= until)
+
+
+def in_order(windows: Iterable[Window]) -> tuple[Window, ...]:
+    """Sort windows by their last time."""
+    return tuple(sorted(windows, key=lambda window: (window[-1], window)))

@@ -1,13 +1,17 @@
 """The summary of a run for several numbers of measurements."""
 
+from collections import defaultdict
+from decimal import ROUND_FLOOR, Decimal
 from statistics import mode
 from typing import Any
 
 from pfdist.cli.belief import distance
+from pfdist.cli.layout import COLUMNS
 from pfdist.cli.numbers import cost
-from pfdist.common.rounding import with_interval
+from pfdist.common.rounding import rounded, with_interval
 
 _KINDS = ("regular", "found")
+_BOUND = "lower bound"
 
 
 def is_for_several_numbers(summary: dict[str, Any]) -> bool:
@@ -27,6 +31,7 @@ def budget_lines(summary: dict[str, Any]) -> list[str]:
     results = list(summary["results"].values())
     found = [result for result in results if result["kind"] == "found"]
     lines = [*_table(results), *_worse_lines(results), *_belief_lines(found)]
+    lines += _unproved_lines(found)
     for kind, reached in summary.get("reached", {}).items():
         lines += ["", _reached_line(kind, reached, summary["target"])]
         if reached["measurement_times"] is not None and kind == "found":
@@ -36,24 +41,47 @@ def budget_lines(summary: dict[str, Any]) -> list[str]:
 
 
 def _table(results: list[dict[str, Any]]) -> list[str]:
-    """Give a row for each number of measurements."""
-    lines = [
-        "",
-        "expected MSE on fresh draws (95 %)",
-        f"{'N':>5}  {'regular times':>31}  {'found times':>31}",
+    """Give a row for each number of measurements; a bound if there is one and it has room."""
+    cells = defaultdict[int, dict[str, str]](dict)
+    for result in results:
+        row = cells[result["measurements"]]
+        row[f"{result['kind']} times"] = _cell(result)
+        if result["bound"] is not None:
+            row[_BOUND] = _bound_cell(result)
+    columns = [f"{kind} times" for kind in _KINDS]
+    if any(_BOUND in row for row in cells.values()):
+        columns.append(_BOUND)
+    lines = _aligned(cells, columns)
+    if max(map(len, lines)) > COLUMNS and columns[-1] == _BOUND:
+        lines = _aligned(cells, columns[:-1])
+    return ["", "expected MSE on fresh draws (95 %)", *lines]
+
+
+def _aligned(cells: dict[int, dict[str, str]], columns: list[str]) -> list[str]:
+    rows = [dict(zip(columns, columns, strict=True)), *(cells[number] for number in sorted(cells))]
+    widths = {column: max(len(row.get(column, "")) for row in rows) for column in columns}
+    heads = ["N", *map(str, sorted(cells))]
+    return [
+        "  ".join(
+            [f"{head:>5}", *(f"{row.get(name, ''):>{widths[name]}}" for name in columns)]
+        ).rstrip()
+        for head, row in zip(heads, rows, strict=True)
     ]
-    for number in sorted({result["measurements"] for result in results}):
-        cells = {
-            result["kind"]: _cell(result) for result in results if result["measurements"] == number
-        }
-        row = "  ".join(f"{cells[kind]:>31}" for kind in _KINDS if kind in cells)
-        lines.append(f"{number:>5}  {row}".rstrip())
-    return lines
 
 
 def _cell(result: dict[str, Any]) -> str:
     mse, low, high = with_interval(cost(result["expected_mse"]), result["low"], result["high"])
     return f"{mse} ({low} to {high})"
+
+
+def _bound_cell(result: dict[str, Any]) -> str:
+    """Give the bound and its lower limit, which is rounded down: it must hold as it is printed."""
+    bound, limit = result["bound"], result["bound_low"]
+    if not result["bound_error"]:
+        return rounded(bound)
+    text, low, _ = with_interval(bound, limit, 2 * bound - limit)
+    floor = Decimal(limit).quantize(Decimal(low), ROUND_FLOOR)
+    return f"{text} (from {floor})".lower()  # Decimal writes E for e
 
 
 def _worse_lines(results: list[dict[str, Any]]) -> list[str]:
@@ -87,11 +115,26 @@ def _belief_lines(found: list[dict[str, Any]]) -> list[str]:
     ]
 
 
+def _unproved_lines(found: list[dict[str, Any]]) -> list[str]:
+    """Say why there is no lower bound, if a proof has failed."""
+    numbers = defaultdict[str, list[str]](list)
+    for result in found:
+        reason = result.get("lower_bound", {}).get("reason")
+        if reason:
+            numbers[reason].append(str(result["measurements"]))
+    return [f"no lower bound for N = {', '.join(every)}: {why}" for why, every in numbers.items()]
+
+
 def _reached_line(kind: str, reached: dict[str, Any], target: float) -> str:
     number = reached["measurements"]
-    if number is None:
-        return f"{kind} times reach {target:g} with none of these numbers of measurements"
     low, high = ("more" if bound is None else str(bound) for bound in reached["interval"])
-    told = f"{kind} times reach {target:g} with N = {number} (95 %: {low} to {high})"
-    others = ", ".join(map(str, reached["larger_that_do_not"]))
-    return told + (f", but not with N = {others}" if others else "")
+    told = f"target {target:g}: "
+    if number is None:
+        told += f"none of these numbers of {kind} times reaches it"
+    else:
+        told += f"{number} {kind} times reach it (95 %: {low} to {high})"
+    others = reached["larger_that_do_not"]
+    if others:
+        told += f", but not {', '.join(map(str, others))}"
+    impossible = reached.get("impossible")
+    return told if impossible is None else f"{told}; no {impossible} times can (95 %)"

@@ -60,7 +60,8 @@ def _run(options: Namespace, *, ends: bool) -> int:
         if options.debug:
             raise
         hint = " (--debug shows the traceback)" if isinstance(error, TaskError) else ""
-        return _failed(str(error), f" (--{error.argument})" if error.argument else hint)
+        option = error.argument.replace("_", "-")
+        return _failed(str(error), f" (--{option})" if option else hint)
     except KeyboardInterrupt:
         cause = "asked to end" if signals.preempted() else "interrupted"
         goes_on = f"; {_GOES_ON}" if options.called.goes_on else ""

@@ -30,6 +30,8 @@ class Evaluation:
         The expected MSE, where the engine knows it without draws.
     end : int, optional
         Last instant whose error counts, if it is not T.
+    errors : array of float64, (T+1,), optional
+        Expected error of each instant that a search has asked for; 0 at others.
     """
 
     measurement_times: Times
@@ -37,6 +39,7 @@ class Evaluation:
     degenerate_policy: str = "kill"
     exact: float | None = None
     end: int | None = None
+    errors: NDArray[np.float64] | None = None
 
     @property
     def draws(self) -> int:
@@ -68,6 +71,13 @@ class Evaluation:
         if usable.size < 2 or not np.isfinite(usable).all():
             return math.inf
         return float(np.std(usable, ddof=1) / math.sqrt(usable.size))
+
+    @property
+    def known_errors(self) -> NDArray[np.float64]:
+        """`errors`, of an evaluation that has them."""
+        if self.errors is None:
+            raise ValueError("the errors of each instant were not asked for")
+        return self.errors
 
     @property
     def cost(self) -> float:

@@ -4,6 +4,7 @@ The work is a pure function of its arguments. It may be cut between any two draw
 draw stays the same, and so does every figure that is computed from the draws in their order.
 """
 
+import contextlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -20,7 +21,7 @@ from pfdist.filters.draws import Draws, check_prior
 from pfdist.filters.interface import validated_from
 from pfdist.filters.matrices import known_matrices
 from pfdist.filters.settings import FilterSettings, check_filter, check_fits
-from pfdist.kernels.estimators import FILTER_VARIANCE
+from pfdist.kernels.estimators import FILTER_VARIANCE, OWN_VARIANCE, SQUARED_ERROR
 from pfdist.models import StateSpaceModel
 from pfdist.times.measurement_times import Times
 
@@ -132,8 +133,8 @@ class Problem:
     def sum_errors(self, work: Work) -> NDArray[np.float64]:
         """Sum the errors of each instant over the draws of a work, (S, T+1).
 
-        All sets of the work have the same filter noise. Values after a set's end mean nothing, and
-        none is finite if a draw is degenerate or infinite with any set.
+        All sets of the work have the same filter noise. Values after a set's end mean nothing. A
+        set has NaN if a draw is degenerate or infinite with it.
 
         Raises
         ------
@@ -155,12 +156,23 @@ class Problem:
     @property
     def cheapest_estimator(self) -> str:
         """The estimator with the least variance that this problem allows."""
-        estimation = replace(_ANY, estimator=FILTER_VARIANCE.name)
-        try:
-            self.check(estimation)
-        except ModelError:
-            return _ANY.estimator
-        return estimation.estimator
+        return self._first_allowed(FILTER_VARIANCE.name)
+
+    @property
+    def guiding_estimator(self) -> str:
+        """The estimator with the least variance that can guide a search.
+
+        It may be wrong about the error itself, if the filter does not know the truth.
+        """
+        return self._first_allowed(FILTER_VARIANCE.name, OWN_VARIANCE.name)
+
+    def _first_allowed(self, *estimators: str) -> str:
+        """The first of some estimators that this problem allows; else the squared error."""
+        for estimator in estimators:
+            with contextlib.suppress(ModelError):
+                self.check(replace(_ANY, estimator=estimator))
+                return estimator
+        return SQUARED_ERROR.name
 
     def check(self, estimation: Estimation) -> None:
         """Raise an error if this problem does not allow an estimation.
@@ -265,7 +277,9 @@ class Problem:
     def filtered(self, work: Work) -> Result:
         """Per-draw MSE as `__call__` gives it, for a work that the caller has checked."""
         if work.summed:
-            return Result(np.empty(0), sums=self.sum_errors(work))
+            first, ends = np.array([work.since, work.ends])[:, :, None]
+            t = np.arange(self.start, self.horizon + 1)
+            return Result(np.empty(0), sums=self.sum_errors(work)[(first <= t) & (t <= ends)])
         engine, settings = self.computed_by, self._settings(work.estimation)
         draws = self.draws(range(*work.draws), work.draws_stream)
         if work.trajectories:

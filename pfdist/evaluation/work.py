@@ -62,9 +62,9 @@ class Work:
     ids : tuple of str, optional
         The id of each set's evaluation, (S,); its results come back under this id. Sums have one
         id for all sets.
-    summed : bool
-        Whether the errors of each instant are wanted as sums over the draws. Such a work is not
-        cut: the rounding of a sum depends on its draws.
+    since : tuple of int, (S,), optional
+        If given, the errors of each set at the instants from this one to its end are wanted, as
+        sums over the draws. Such a work is not cut: the rounding of a sum depends on its draws.
     knows_truth : bool
         Whether the filter uses the true model, whatever the problem's filter model is.
     """
@@ -77,7 +77,7 @@ class Work:
     estimation: Estimation
     trajectories: bool = False
     ids: tuple[str, ...] = ()
-    summed: bool = False
+    since: tuple[int, ...] = ()
     knows_truth: bool = False
 
     def result(self, problem: "Problem") -> "Result":
@@ -93,6 +93,11 @@ class Work:
     def by_id(self, result: "Result") -> dict[str, NDArray[np.float64]]:
         """Per-draw MSE of each set, (D,), by the id of its evaluation."""
         return dict(zip(self.ids, result.mse.T, strict=True))
+
+    @property
+    def summed(self) -> bool:
+        """Whether sums over the draws are wanted."""
+        return bool(self.since)
 
     @property
     def steps_a_draw(self) -> int:
@@ -138,9 +143,9 @@ class Result:
     z, y : array of float64, (D, T+1, q) and (D, T+1, m)
     estimates : array of float64, (S, D, T+1, q)
         z, y and estimates are empty unless trajectories are wanted.
-    sums : array of float64, (S, T+1)
-        Sums of the errors over the draws, if they are wanted; then everything else is empty. None
-        is finite if a draw is degenerate or infinite with any set.
+    sums : array of float64, (E,)
+        Sums of the errors over the draws, set by set, if they are wanted; then everything else is
+        empty. NaN for each set with which a draw is degenerate or infinite.
     measurement_times : tuple of tuples of int, (D,)
         The times of each draw, where each draw has times of its own.
     """

@@ -95,15 +95,17 @@ def summed_one_by_one(filter_checked_draws: Callable[..., Filtered]) -> Callable
         stream: int,
         settings: FilterSettings,
     ) -> Array:
-        keys, weights = filter_streams(stream, settings.estimator), ESTIMATORS[settings.estimator]
-        sums, total = np.zeros((len(sets), draws.z.shape[1])), 0.0
+        keys, estimator = filter_streams(stream, settings.estimator), ESTIMATORS[settings.estimator]
+        sums = np.zeros((len(sets), draws.z.shape[1]))
         for row, times, end in zip(sums, sets, ends, strict=True):
-            filters = _filters(filter_checked_draws, model, draws.upto(end), times, keys, settings)
+            some = draws.upto(end)
+            filters = _filters(filter_checked_draws, model, some, times, keys, settings)
             with np.errstate(all="ignore"):
-                errors = errors_by_variance(*_moments(filters), weights.weights)
-                row[: end + 1 - draws.start] = errors.sum(axis=0)
-                total += float(row.sum())
-        return sums if np.isfinite(total) else np.full_like(sums, total)
+                errors = _errors(filters, some, estimator).sum(axis=0)
+            row[: errors.size] = errors
+            if not np.isfinite(errors).all():
+                row[:] = np.nan
+        return sums
 
     return sum_errors
 
@@ -140,6 +142,21 @@ def errors_by_variance(estimates: Array, variances: Array, weights: ErrorWeights
     if weights.distance:
         errors += weights.distance * np.sum((estimates[0] - estimates[1]) ** 2, axis=2)
     return errors
+
+
+def _errors(filters: Sequence[Filtered], draws: Draws, estimator: Estimator) -> Array:
+    """Estimate the error of each draw at each instant, (D, T+1)."""
+    if not estimator.for_any_filter:
+        return errors_by_variance(*_moments(filters), estimator.weights)
+    (estimate,), _ = _moments(filters)
+    model = draws.model
+    errors = [
+        model.error(tuple(draws.z[:, k].T), tuple(estimate[:, k].T), t, model.p)
+        for k, t in enumerate(draws.instants)
+    ]
+    shape = len(draws.index), 1
+    columns = [np.broadcast_to(np.reshape(error, (-1, 1)), shape) for error in errors]
+    return estimator.weights.squared_error * np.concatenate(columns, axis=1)
 
 
 def _mse(filters: Sequence[Filtered], estimator: Estimator) -> Array:

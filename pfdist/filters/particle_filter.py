@@ -162,21 +162,21 @@ def sum_errors(
 ) -> NDArray[np.float64]:
     """Sum the errors of each instant over draws, with arguments as for `filter_checked_sets`.
 
-    The memory does not grow with the draws. The estimator must be one by the filter's variance.
+    The memory does not grow with the draws.
 
     Returns
     -------
     array of float64, (S, T+1)
-        NaN or infinite up to the end of every set if a draw is degenerate or infinite with any set.
-        Values after the end of a set mean nothing.
+        NaN for each set with which a draw is degenerate or infinite. Values after the end of a set
+        mean nothing.
     """
     instants = draws.z.shape[1]
     planned, columns, rows = _planned(draws, sets, ends)
     errors = np.zeros((len(planned.measured), instants))
     mse = _filter(model, draws, planned, stream, settings, _Wanted(errors=errors))
-    if not np.isfinite(mse).all():
-        return np.full((len(columns), instants), mse.sum())
-    return errors[rows[columns], np.arange(instants)]
+    sums = errors[rows[columns], np.arange(instants)]
+    sums[~np.isfinite(mse[:, columns]).all(axis=0)] = np.nan
+    return sums
 
 
 def filter_streams(stream: int, estimator: str) -> list[int]:

@@ -108,9 +108,9 @@ def check_filter(
 
 
 def _check_estimator(model: StateSpaceModel, truth: StateSpaceModel, estimator: str) -> None:
-    """Raise an error unless the particles' variance is the expected squared error of their mean."""
+    """Raise an error unless the model and the error allow an estimator by the variance."""
     allowed = SQUARED_ERROR.name
-    if model != truth:
+    if model != truth and ESTIMATORS[estimator].needs_truth:
         raise ModelError(
             f"the estimator {estimator!r} needs a filter that knows the truth, got a filter with "
             f"another model or other parameters; allowed: {allowed!r}"

@@ -127,7 +127,7 @@ class Job(Section):
             raise ValueError(f"budget.least must be at most budget.most = {most}, got {least}")
         if not self.problem.feasible.counted:
             raise ValueError("budget needs problem.measurement_budget, got problem.total_cost")
-        if any(search.method != DEFAULT_METHOD for search in self.search) or len(self.search) > 1:
+        if len(self.search) > 1:
             methods = ", ".join(search.method for search in self.search)
             raise ValueError(f"budget needs one search of method {DEFAULT_METHOD!r}, got {methods}")
         if self.search[0].polish:

@@ -41,3 +41,11 @@ class Online(Section):
         if isinstance(evaluation, dict):
             value = {**value, "evaluation": {**quick["evaluation"], **evaluation}}
         return {**quick, **value}
+
+    @field_validator("search")
+    @classmethod
+    def _able(cls, search: SearchSection) -> SearchSection:
+        if not METHODS[search.method].online:
+            able = ", ".join(repr(name) for name, method in METHODS.items() if method.online)
+            raise ValueError(f"online.search.method must be one of {able}, got {search.method!r}")
+        return search

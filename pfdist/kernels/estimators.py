@@ -33,11 +33,14 @@ class Estimator:
     weights : ErrorWeights
     description : str
         The estimator in one line.
+    needs_truth : bool
+        Whether the filter must know the truth.
     """
 
     name: str
     weights: ErrorWeights
     description: str
+    needs_truth: bool = False
 
     @property
     def filters(self) -> int:
@@ -60,13 +63,21 @@ FILTER_VARIANCE = Estimator(
     "filter_variance",
     ErrorWeights(variance=1.0),
     "The variance of z over the particles, summed over the components of z.",
+    needs_truth=True,
+)
+OWN_VARIANCE = Estimator(
+    "own_variance",
+    ErrorWeights(variance=1.0),
+    "The variance of z over the particles, as a filter of any model believes it to be.",
 )
 TWO_FILTERS = Estimator(
     "two_filters",
     ErrorWeights(variance=0.5, distance=1.0),
     "The mean of the variances of two filters, plus the squared distance of their estimates.",
+    needs_truth=True,
 )
 
 ESTIMATORS = {
-    estimator.name: estimator for estimator in (SQUARED_ERROR, FILTER_VARIANCE, TWO_FILTERS)
+    estimator.name: estimator
+    for estimator in (SQUARED_ERROR, FILTER_VARIANCE, TWO_FILTERS, OWN_VARIANCE)
 }

@@ -230,6 +230,7 @@ def _filter_draw(
                 z = read_z(request.z, d, t)
                 squared = error_of(z, mean, instant, truth) if by_error else 0.0
                 error += weights.squared_error * squared
+                _add(results.errors, s, t, weights.squared_error * squared)
                 if not error < np.inf:
                     return _end(saved.errors, slots, s, t, np.inf)
                 if measured[s, t] and (goes_on or t + 1 < ends[s]):

@@ -24,7 +24,8 @@ def bound_figure(tables: Tables) -> Plot:
     run = tables.run
     rows = run.bounds().sort_values(["compared_draws", "steps"], kind="stable")
     last = rows.iloc[-1]
-    rows = rows[(rows["window"] == last["window"]) & (rows["particles"] == last["particles"])]
+    for key in ("window", "work", "memory", "particles"):
+        rows = rows[rows[key] == last[key]]
     return Plot(2.6, lambda panels: plot_bound(panels[0], rows, run.names))
 
 
@@ -35,7 +36,7 @@ def plot_bound(axes: Axes, rows: pd.DataFrame, names: list[str]) -> None:
     ----------
     axes : matplotlib Axes
     rows : DataFrame
-        As of `pfdist.analysis.Run.bounds`, of one window and one number of particles.
+        As of `pfdist.analysis.Run.bounds`, of one relaxation and one number of particles.
     names : list of str
         Names of the compared sets, the reference first.
     """

@@ -1,4 +1,4 @@
-"""Expected MSE against the number of measurements, of regular and of found times."""
+"""Expected MSE against the number of measurements, of regular and of found times, and its bound."""
 
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ from matplotlib.ticker import MaxNLocator
 from pfdist.analysis import Run, reaching
 from pfdist.plots.figure import Plot, Tables, figure, several_numbers
 from pfdist.plots.figures import save_plots
-from pfdist.plots.style import BLUE, GREY, RED
+from pfdist.plots.style import BLUE, GREEN, GREY, RED
 
 _STYLES: dict[str, dict[str, Any]] = {
     "regular": {"color": BLUE, "ls": (0, (4, 1.5)), "marker": "o", "mfc": "white"},
@@ -26,7 +26,7 @@ def budget_figure(tables: Tables) -> Plot:
 
 
 def draw_target(run: Run, target: float) -> list[Path]:
-    """Draw the least numbers of measurements that reach a target, beside the other figures.
+    """Draw which numbers of measurements reach a target, and which cannot, in a figure of its own.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def _plot(run: Run, target: float | None = None) -> Plot:
 
 
 def plot_budget(axes: Axes, table: pd.DataFrame, target: float | None = None) -> None:
-    """Draw the expected MSE against N with its 95 % intervals.
+    """Draw the expected MSE against N with its 95 % intervals, and the lower bound if there is one.
 
     Parameters
     ----------
@@ -57,7 +57,8 @@ def plot_budget(axes: Axes, table: pd.DataFrame, target: float | None = None) ->
     table : DataFrame
         As of `pfdist.analysis.Run.budget`.
     target : float, optional
-        An expected MSE, drawn as a line; the least N that reaches it is marked.
+        An expected MSE, drawn as a line; the least N that reaches it is marked, and the largest N
+        that is proved not to reach it.
     """
     for kind, style in _STYLES.items():
         rows = table[table["kind"] == kind]
@@ -67,22 +68,48 @@ def plot_budget(axes: Axes, table: pd.DataFrame, target: float | None = None) ->
             rows["measurements"], mean, errors, lw=0.8, ms=2.4, mew=0.6, elinewidth=0.6,
             label=f"{kind} times", **style,
         )  # fmt: skip
+    _draw_bound(axes, table[table["kind"] == "found"])
     axes.set_xlabel("number of measurements $N$")
     axes.set_ylabel("expected MSE")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     if target is not None:
         _mark(axes, table, target)
-    axes.legend(loc="upper right")
+    handles, labels = axes.get_legend_handles_labels()
+    curves = dict(zip(labels, handles, strict=True))
+    first = sorted(curves, key=lambda label: not label.endswith("times"))  # the sort is stable
+    axes.legend([curves[label] for label in first], first, loc="upper right", fontsize=8)
+
+
+def _draw_bound(axes: Axes, found: pd.DataFrame) -> None:
+    """Draw the lower bound of all times, shaded down to its one-sided limit."""
+    if found["bound"].isna().all():
+        return
+    numbers = found["measurements"]
+    axes.plot(numbers, found["bound"], color=GREEN, lw=0.9, label="lower bound (95 %)")
+    axes.fill_between(
+        numbers, found["bound_low"], found["bound"], color=GREEN, alpha=0.3, linewidth=0
+    )
 
 
 def _mark(axes: Axes, table: pd.DataFrame, target: float) -> None:
-    """Draw a target, and mark the least number of measurements that reaches it."""
+    """Draw a target, the least numbers that reach it, and the largest number that cannot."""
     axes.axhline(target, color=GREY, lw=0.8, ls=":", label=f"target {target:g}")
+    axes.set_ylim(bottom=axes.get_ylim()[0])  # the lines below end at the target
     for kind, reached in reaching(table, target).items():
-        least = reached["measurements"]
+        least, impossible = reached["measurements"], reached.get("impossible")
         if least is not None:
-            axes.axvline(least, color=_STYLES[kind]["color"], lw=0.7, ls=":")
-            axes.annotate(
-                f"{least}", (least, 0.0), (1.5, 2.0), xycoords=("data", "axes fraction"),
-                textcoords="offset points", color=_STYLES[kind]["color"], fontsize=7,
-            )  # fmt: skip
+            _mark_number(axes, least, target, f"{least}", "left", _STYLES[kind]["color"])
+        if impossible is not None:
+            _mark_number(axes, impossible, target, f"no {impossible}", "right", GREEN)
+
+
+def _mark_number(axes: Axes, number: int, top: float, text: str, side: str, colour: str) -> None:
+    """Draw a line at a number of measurements up to a height, and write a text beside the line.
+
+    The argument `side` is the side of the text that touches the line.
+    """
+    axes.vlines(number, axes.get_ylim()[0], top, color=colour, lw=0.7, ls=":")
+    axes.annotate(
+        text, (number, 0.0), (1.5 if side == "left" else -1.5, 2.0), ha=side,
+        xycoords=("data", "axes fraction"), textcoords="offset points", color=colour, fontsize=8,
+    )  # fmt: skip

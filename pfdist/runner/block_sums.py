@@ -1,46 +1,68 @@
-"""Sums of the errors of a relaxed filter over blocks of draws.
+"""Sums of the errors of sets over blocks of draws.
 
-There are too many states to store the errors of each draw. A task adds up the errors of one block
+There are too many windows to store the errors of each draw. A task adds up the errors of one block
 of draws, and the driver adds the blocks in their order. So any number of workers gives the same
 bytes, and a later start goes on with the blocks that are committed.
 """
 
-from collections.abc import Sequence
+from collections.abc import Generator, Iterator
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from pfdist.bounds.relaxation import Relaxation
-from pfdist.errors import ModelError
-from pfdist.evaluation.estimate import BOUND
 from pfdist.evaluation.work import Estimation, Result, Work
 from pfdist.runner.build import Built
-from pfdist.runner.session import Session
-from pfdist.store import BOUND_PHASE, schema
+from pfdist.runner.collect import Collector
+from pfdist.store import BOUND_PHASE, Store, schema
 from pfdist.times.measurement_times import Times
 
 BLOCK = 24
 """Draws of a block. One task adds up a whole block, so results do not depend on the workers."""
 GROUPS = 20
 """Groups of blocks; the jackknife leaves one group out. Block b belongs to group b modulo 20."""
-_TABLE = "bound_sums"
+_TABLE = "error_sums"
 
 Array = NDArray[np.float64]
 
 
+@dataclass(frozen=True)
+class Counted:
+    """Sets of times, and the instants at which the errors of each count.
+
+    Parameters
+    ----------
+    sets : tuple of tuples of int, (S,)
+    first, ends : array of int, (S,)
+        First and last instant of each set.
+    """
+
+    sets: tuple[Times, ...]
+    first: NDArray[np.int64]
+    ends: NDArray[np.int64]
+
+    def at(self, horizon: int) -> NDArray[np.bool_]:
+        """Give whether the error of each set counts at each instant, (S, T+1)."""
+        t = np.arange(horizon + 1)
+        return (self.first[:, None] <= t) & (t <= self.ends[:, None])
+
+
 class BlockSums:
-    """The sums of the errors of all states of a relaxation, and of some sets, by the true model.
+    """The sums of the errors of sets over blocks of draws, at the instants that count.
 
     Parameters
     ----------
     built : Built
-    relaxation : Relaxation
-    sets : sequence of tuples of int, (C,)
-        Known sets, filtered on the same draws.
+    counted : Counted
+    streams : (int, int)
+        Keys of the filters' noise and of the draws.
     estimation : Estimation
+    knows_truth : bool
+        Whether the filter uses the true model.
+    phase : str
+        Phase of the sums in the store; by default one of a bound.
     groups : int
         Only the draws of the first groups are filtered.
     """
@@ -48,109 +70,119 @@ class BlockSums:
     def __init__(
         self,
         built: Built,
-        relaxation: Relaxation,
-        sets: Sequence[Times],
+        counted: Counted,
+        streams: tuple[int, int],
         estimation: Estimation,
+        *,
+        knows_truth: bool = True,
+        phase: str = "",
         groups: int = GROUPS,
     ) -> None:
-        self._groups, self._reported = groups, 0
-        horizon, seed = built.problem.horizon, built.job.seed
-        states = relaxation.states
-        # Before the last measurement of a state, and after its end, no error of it counts.
-        first = np.array([max(0, state.last) for state in states] + [0] * len(sets))
-        last = np.array([*relaxation.ends, *(horizon,) * len(sets)])
-        instants = np.arange(horizon + 1)
-        self._counts = (first[:, None] <= instants) & (instants <= last[:, None])
-        every, streams = (*relaxation.sets, *sets), ("filter", "draws")
-        noise, draws = (BOUND.stream(seed, role) for role in streams)
+        self._groups, sets, ends = groups, counted.sets, tuple(counted.ends.tolist())
+        noise, draws = streams
+        source = built.source.truth if knows_truth else built.source
+        self._id = source.sums_id(sets, ends, noise, estimation)
+        self._phase = phase or f"{BOUND_PHASE}.{self._id}"
+        self._mask = counted.at(built.problem.horizon)
         self._work = Work(
-            measurement_times=every,
-            ends=tuple(last.tolist()),
-            filter_streams=(noise,) * len(every),
+            measurement_times=sets,
+            ends=ends,
+            filter_streams=(noise,) * len(sets),
             draws_stream=draws,
             draws=(0, 0),
             estimation=estimation,
-            ids=(built.source.truth.sums_id(every, last.tolist(), noise, estimation),),
-            summed=True,
-            knows_truth=True,
+            ids=(self._id,),
+            since=tuple(counted.first.tolist()),
+            knows_truth=knows_truth,
         )
 
     @property
-    def phase(self) -> str:
-        """Phase of the sums in the store."""
-        (id_,) = self._work.ids
-        return f"{BOUND_PHASE}.{id_}"
+    def particles(self) -> int:
+        """Particles of each filter."""
+        return self._work.estimation.particles
 
     def steps(self, blocks: int) -> int:
         """Particle-steps of the first blocks."""
-        return len(self._wanted(blocks)) * BLOCK * self._work.steps_a_draw
+        return len(self.wanted(blocks)) * BLOCK * self._work.steps_a_draw
 
-    def fill(self, blocks: int, session: Session, title: str) -> None:
-        """Filter those of the first blocks of draws that the store lacks.
+    def known(self, blocks: int, store: Store) -> Iterator[tuple[int, Array]]:
+        """Yield those of the first blocks that the store has, with their sums, in their order.
 
-        Parameters
-        ----------
-        blocks : int
-            At least as many as at the last call.
-        session : Session
-        title : str
-            Name of the work in the progress.
+        Raises
+        ------
+        StoreError
+            A file cannot be read.
+        """
+        rows, wanted = store.sums(self._id, blocks), self.wanted(blocks)
+        for block, sums in zip(rows["block"].to_pylist(), rows["sums"], strict=True):
+            # A guard has the id of a bound of as many particles, which has blocks of all groups.
+            if block in wanted:
+                yield block, sums.values.to_numpy()
+
+    def fill(
+        self, blocks: int, collector: Collector, known: set[int], *, more_follows: bool = False
+    ) -> Generator[tuple[int, Array]]:
+        """Filter those of the first blocks of draws that are not known, and yield their sums.
 
         Raises
         ------
         TaskError, PoolError, StoreError
             A task failed, no worker answers, or a file cannot be read or written.
         """
-        wanted, reporter = self._wanted(blocks), session.reporter
-        known = set(self._stored(blocks, session)["block"].to_pylist())
-        a_block, done = BLOCK * self._work.steps_a_draw, len(known)
-        start = reporter.progress.done - self._reported * a_block
-        reporter.note(done=start + done * a_block)
-        reporter.begin(title, evaluations=done * BLOCK)
-        works = (self._block(block) for block in wanted if block not in known)
-        with closing(session.collector.run(self.phase, _TABLE, works, self._rows)) as pieces:
-            for _ in pieces:
-                done += 1
-                reporter.reach(start + done * a_block, evaluations=done * BLOCK)
-        self._reported = done
+        works = (
+            replace(self._work, draws=(block * BLOCK, (block + 1) * BLOCK))
+            for block in self.wanted(blocks)
+            if block not in known
+        )
+        run = collector.run(self._phase, _TABLE, works, self._rows, more_follows=more_follows)
+        with closing(run) as pieces:
+            for work, result in pieces:
+                yield work.draws[0] // BLOCK, result.sums
 
-    def by_group(self, blocks: int, session: Session) -> tuple[Array, Array]:
-        """Sums and numbers of draws of each group, (G, S+C, T+1) and (G,), of the first blocks.
+    def by_group(self, blocks: int, store: Store) -> tuple[Array, Array]:
+        """Sums and numbers of draws of each group, (G, E) and (G,), of the first blocks.
 
         Raises
         ------
-        ModelError
-            A draw is degenerate or infinite.
         StoreError
             A file cannot be read.
         """
-        rows = self._stored(blocks, session)
-        sums = np.zeros((self._groups, *self._counts.shape))
+        sums = np.zeros((self._groups, int(self._mask.sum())))
         draws = np.zeros(self._groups)
-        for block, values in zip(rows["block"].to_pylist(), rows["sums"], strict=True):
-            if not np.isfinite(errors := values.values.to_numpy()).all():
-                raise ModelError(
-                    f"a draw is degenerate or infinite with {self._work.estimation.particles} "
-                    "particles of the true model; more particles may help"
-                )
-            sums[block % GROUPS, self._counts] += errors
+        for block, errors in self.known(blocks, store):
+            sums[block % GROUPS] += errors
             draws[block % GROUPS] += BLOCK
         return sums, draws
 
-    def _wanted(self, blocks: int) -> list[int]:
+    def means(self, blocks: int, collector: Collector) -> Array:
+        """Mean errors of each set at each instant, (S, T+1), over the first blocks.
+
+        They are 0 where no error counts. The blocks in which a set has a degenerate draw are left
+        out. A set has NaN if all blocks are.
+
+        Raises
+        ------
+        TaskError, PoolError, StoreError
+            A task failed, no worker answers, or a file cannot be read or written.
+        """
+        found = dict(self.known(blocks, collector.store)) if collector.resumed else {}
+        found.update(self.fill(blocks, collector, set(found), more_follows=True))
+        sums, usable = np.zeros(self._mask.shape), np.zeros(len(self._mask))
+        for _, errors in sorted(found.items()):
+            spread = np.zeros(self._mask.shape)
+            spread[self._mask] = errors
+            finite = np.isfinite(spread).all(axis=1)
+            sums[finite] += spread[finite]
+            usable += finite
+        with np.errstate(invalid="ignore"):
+            means: Array = np.where(usable > 0, sums.T / (BLOCK * usable), np.nan).T
+        return means
+
+    def wanted(self, blocks: int) -> list[int]:
+        """Give those of the first blocks that belong to the groups."""
         return [block for block in range(blocks) if block % GROUPS < self._groups]
 
-    def _stored(self, blocks: int, session: Session) -> pa.Table:
-        """Rows of the store for the blocks that are wanted, in their order."""
-        (id_,) = self._work.ids
-        rows = session.store.sums(id_, blocks)
-        # A guard has the id of a bound of as many particles, which may hold blocks of all groups.
-        return rows.filter(pa.array(np.isin(rows["block"].to_numpy(), self._wanted(blocks))))
-
-    def _block(self, block: int) -> Work:
-        return replace(self._work, draws=(block * BLOCK, (block + 1) * BLOCK))
-
     def _rows(self, work: Work, result: Result) -> pa.Table:
-        (id_,), (first, _) = work.ids, work.draws
-        row = {"evaluation": id_, "block": first // BLOCK, "sums": result.sums[self._counts]}
+        block = work.draws[0] // BLOCK
+        row = {"evaluation": self._id, "block": block, "sums": result.sums}
         return pa.Table.from_pylist([row], schema=schema(_TABLE))

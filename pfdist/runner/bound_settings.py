@@ -9,6 +9,9 @@ LEAST_DRAWS, MOST_DRAWS, DRAWS = GROUPS * BLOCK, 100_000, 1920
 WITHIN_DRAWS = 30_720
 """Largest number of draws, if a gap is demanded and no number of draws."""
 WINDOW, MOST_WINDOW, MOST_PARTICLES = 2, 6, 32_000
+MEMORY, MOST_MEMORY = 1024, 1_000_000  # MiB
+MOST_WORK = 10**15  # particle-steps
+_BYTES = 400  # of an error, with all groups of draws
 
 
 @dataclass(frozen=True)
@@ -27,8 +30,13 @@ class BoundSettings:
     particles : int, optional
         Number of particles of the bound's filter; by default that of the job's filter.
     window : int
-        Number of last measurements that the relaxation keeps. A larger window gives a higher
-        bound, and takes several times as long.
+        Number of measurements of the windows that the relaxation knows at first.
+    work : float, optional
+        Particle-steps after which no window grows; 0 for windows of one length. By default twice
+        those that the first windows take. Windows also stop growing when the relaxation explains
+        less than 0.1 % of the expected MSE, on the draws that choose them.
+    memory : int
+        Memory that the relaxation may take, in MiB. A window that needs more is not known.
 
     Raises
     ------
@@ -40,12 +48,16 @@ class BoundSettings:
     within: float | None = None
     particles: int | None = None
     window: int = WINDOW
+    work: float | None = None
+    memory: int = MEMORY
 
     def __post_init__(self) -> None:
         for name, value, least, most in (
             ("draws", self.draws, LEAST_DRAWS, MOST_DRAWS),
             ("particles", self.particles, 1, MOST_PARTICLES),
             ("window", self.window, 1, MOST_WINDOW),
+            ("memory", self.memory, 1, MOST_MEMORY),
+            ("work", self.work, 0, MOST_WORK),
         ):
             if value is not None and not least <= value <= most:
                 raise JobError(
@@ -61,3 +73,8 @@ class BoundSettings:
     def most_draws(self) -> int:
         """The number of draws after which the proof ends at the latest."""
         return self.draws or (DRAWS if self.within is None else WITHIN_DRAWS)
+
+    @property
+    def most_cells(self) -> int:
+        """The largest number of errors that count in the relaxation."""
+        return self.memory * 2**20 // _BYTES

@@ -173,12 +173,13 @@ def build(job: Job, choose: Choose | None = None) -> Built:
         engine=job.filter.engine,
         estimations=(_comparing(job), Settings.from_job(job).estimation),
     )
-    cheapest, study = source.make().cheapest_estimator, study_of(job)
-    searches = tuple(named_search(study, job, section, cheapest) for section in job.search)
+    problem, study = source.make(), study_of(job)
+    guide = problem.guiding_estimator
+    searches = tuple(named_search(study, job, section, guide) for section in job.search)
     wanted = [settings.estimation for search in searches for settings in search.all_settings]
     if job.online is not None:
-        check_plannable(source.make())
-        wanted.append(planning_of(job, cheapest).estimation)
+        check_plannable(problem)
+        wanted.append(planning_of(job, problem.cheapest_estimator).estimation)
     source = replace(source, estimations=tuple(dict.fromkeys([*source.estimations, *wanted])))
     draws = _checked_formulas(source)
     source = replace(source, engine=_compiled_or_numpy(source))

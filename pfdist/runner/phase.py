@@ -1,28 +1,29 @@
 """An optimiser at work: ask, evaluate what the store lacks, commit, tell, until it is done."""
 
+import math
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
-from types import SimpleNamespace
 from typing import Any, Generic, TypeVar
 
 import numpy as np
-import pyarrow as pa
 from numpy.typing import NDArray
 
 from pfdist.evaluation.estimate import Evaluation, Purpose
-from pfdist.evaluation.work import Estimation, Result, Work, cut
+from pfdist.evaluation.work import Estimation, Work, cut
 from pfdist.kernels.noise import generator
+from pfdist.runner.block_sums import BLOCK, BlockSums, Counted
 from pfdist.runner.build import Built
 from pfdist.runner.collect import Collector
+from pfdist.runner.evaluation_rows import draw_rows, evaluation_rows
 from pfdist.runner.progress import Reporter
 from pfdist.runner.search_tables import commit_generation, committed_generations, publish_search
 from pfdist.runner.searches import Settings
+from pfdist.runner.window_errors import errors_of
 from pfdist.search import Candidate, Optimiser
 from pfdist.search.probe import new_leaders
-from pfdist.store import schema
 from pfdist.times.measurement_times import validated
 
 E = TypeVar("E", bound=Evaluation)
@@ -41,6 +42,8 @@ class Phase(Generic[E]):
     built : Built
     keep_leaders : bool
         Whether the leaders are kept, for probes of the estimator.
+    knows_truth : bool
+        Whether the filter uses the true model.
 
     Attributes
     ----------
@@ -59,9 +62,11 @@ class Phase(Generic[E]):
         built: Built,
         *,
         keep_leaders: bool = False,
+        knows_truth: bool = False,
     ) -> None:
         self.name, self.optimiser, self.purpose = name, optimiser, purpose
         self.settings, self.built, self.keep_leaders = settings, built, keep_leaders
+        self.knows_truth = knows_truth
         self.evaluated: dict[str, NDArray[np.float64]] = {}
         self.leaders: list[E] = []
 
@@ -79,16 +84,33 @@ class Phase(Generic[E]):
         MeasurementTimesError
             The optimiser asked for times that do not lie in 0..T.
         """
-        times, end, draws, individual, squared = candidate
+        times, end, draws, individual, squared, _ = candidate
         last = self.built.job.problem.horizon if end is None else end
         validated(times, last, f"search {self.name}")
         fresh = [generation, times if individual is None else individual]
         keyed_by = [] if self.settings.common_noise else fresh
-        stream = self.purpose.stream(self.built.job.seed, self.name, *keyed_by)
+        stream = self.stream(*keyed_by)
         estimation = self.built.comparing if squared else self.settings.estimation
-        id_ = self.built.source.evaluation_id(times, last, stream, estimation)
+        source = self.built.source.truth if self.knows_truth else self.built.source
+        id_ = source.evaluation_id(times, last, stream, estimation)
         mse = np.full(draws or self.settings.draws, np.nan)
         return _Request(id_, candidate, last, stream, estimation, mse, np.isnan(mse))
+
+    def stream(self, *keyed_by: Any) -> int:
+        """Key of the draws and of the filters' noise."""
+        return self.purpose.stream(self.built.job.seed, self.name, *keyed_by)
+
+    def sums(self, counted: Counted) -> BlockSums:
+        """Sums of errors over blocks of draws, for candidates whose errors are wanted."""
+        stream, estimation = self.stream(), self.settings.estimation
+        return BlockSums(
+            self.built,
+            counted,
+            (stream, stream),
+            estimation,
+            knows_truth=self.knows_truth,
+            phase=self.name,
+        )
 
     def evaluation(self, request: "_Request", exact: float | None = None) -> E:
         """The evaluation that was requested."""
@@ -142,10 +164,11 @@ def run_phase(phase: Phase[E], collector: Collector, reporter: Reporter) -> Sequ
         if copies_are_alike:
             asked = [candidate._replace(individual=None) for candidate in asked]
         copies = Counter(asked)
-        requests = [phase.request(candidate, generation) for candidate in copies]
+        requests = [phase.request(each, generation) for each in copies if each.since is None]
+        windows = [each for each in copies if each.since is not None]
         found = optimiser.finalists(state)
         evaluations: dict[Candidate, E] = {}
-        for candidate, evaluation in _evaluate(phase, requests, collector):
+        for candidate, evaluation in _evaluate(phase, requests, windows, collector):
             evaluations[candidate] = evaluation
             if not found:  # nothing better to show yet
                 costs = _whole_costs(evaluations.values())
@@ -157,12 +180,12 @@ def run_phase(phase: Phase[E], collector: Collector, reporter: Reporter) -> Sequ
                 generation=generation + 1,
                 generations=max(generation + 1, optimiser.generations),
             )
-        if generation not in committed:
-            rows = partial(_evaluation_rows, name, generation, asked, requests, evaluations)
+        if requests and generation not in committed:
+            rows = partial(evaluation_rows, name, generation, asked, requests, evaluations)
             collector.later(partial(commit_generation, store, name, generation, rows))
         told = [evaluations[candidate] for candidate in asked]
         if phase.keep_leaders:
-            phase.leaders.extend(new_leaders(told, phase.leaders))
+            phase.leaders.extend(new_leaders(_whole_or_prefixes(told), phase.leaders))
         state, generation = optimiser.tell(state, told), generation + 1
         costs, finalists = _whole_costs(told), _whole_costs(optimiser.finalists(state))
         mean = float(np.mean(costs)) if costs else None
@@ -170,6 +193,11 @@ def run_phase(phase: Phase[E], collector: Collector, reporter: Reporter) -> Sequ
     reporter.note(done=start + phase.steps())
     collector.later(partial(publish_search, store, name))
     return optimiser.finalists(state)
+
+
+def _whole_or_prefixes(evaluations: Iterable[E]) -> list[E]:
+    """Evaluations of sets and their prefixes, whose costs are those of one filter."""
+    return [evaluation for evaluation in evaluations if evaluation.errors is None]
 
 
 def _whole_costs(evaluations: Iterable[Evaluation]) -> list[float]:
@@ -182,10 +210,15 @@ def _whole_costs(evaluations: Iterable[Evaluation]) -> list[float]:
 
 
 def _evaluate(
-    phase: Phase[E], requests: list[_Request], collector: Collector
+    phase: Phase[E], requests: list[_Request], windows: list[Candidate], collector: Collector
 ) -> Iterator[tuple[Candidate, E]]:
-    """Yield the evaluation of each request; known draws come from the store and this session."""
+    """Yield the evaluation of each request; known draws come from the store and this session.
+
+    Candidates whose errors of each instant are wanted are evaluated first, all together.
+    """
     problem = phase.built.problem
+    if windows:
+        yield from _errors(phase, windows, collector)
     if problem.exact:  # it takes no time, so neither pool nor store is needed
         sets = [request.candidate.measurement_times for request in requests]
         costs = problem.expected_mse(sets, [request.end for request in requests])
@@ -203,12 +236,26 @@ def _evaluate(
             yield request.candidate, phase.evaluation(request)
 
 
+def _errors(
+    phase: Phase[E], windows: list[Candidate], collector: Collector
+) -> Iterator[tuple[Candidate, E]]:
+    """Yield an evaluation with the errors of each instant for each candidate."""
+    blocks = math.ceil((windows[0].draws or phase.settings.draws) / BLOCK)
+    errors, _ = errors_of(windows, phase.built, phase.sums, blocks, collector)
+    for candidate, row in zip(windows, errors, strict=True):
+        cost, times = float(np.sum(row)) / row.size, candidate.measurement_times
+        yield (
+            candidate,
+            phase.purpose.evaluation(times, np.empty(0), exact=cost, end=candidate.end, errors=row),
+        )
+
+
 def _known(phase: Phase[E], requests: list[_Request], collector: Collector) -> Iterator[_Request]:
     """Yield each request as soon as all its draws are known."""
     _recall(phase, requests, collector)
     wanted = {request.id: request for request in requests if request.missing.any()}
     yield from (request for request in requests if request.id not in wanted)
-    works = _works(list(wanted.values()))
+    works = _works(list(wanted.values()), phase.knows_truth)
     run = collector.run(phase.name, "draws", works, draw_rows, more_follows=True)
     with closing(run) as pieces:
         for work, result in pieces:
@@ -237,7 +284,7 @@ def _recall(phase: Phase[E], requests: list[_Request], collector: Collector) -> 
                 phase.evaluated[id_] = request.mse
 
 
-def _works(requests: list[_Request]) -> Iterator[Work]:
+def _works(requests: list[_Request], knows_truth: bool) -> Iterator[Work]:
     """Works for the missing draws; sets that lack the same draws of a stream go together."""
     together: dict[Any, list[_Request]] = defaultdict(list)
     for request in requests:
@@ -253,46 +300,5 @@ def _works(requests: list[_Request]) -> Iterator[Work]:
                 draws=draws,
                 estimation=estimation,
                 ids=tuple(request.id for request in group),
+                knows_truth=knows_truth,
             )
-
-
-def draw_rows(work: Work, result: Result) -> pa.Table:
-    """Rows of the table ``draws``: evaluation after evaluation."""
-    evaluation = np.repeat(np.arange(len(work.ids)), len(result.mse))
-    columns = [
-        pa.array(work.ids, pa.string()).take(evaluation),
-        pa.array(np.tile(np.arange(*work.draws), len(work.ids))),
-        pa.array(result.mse.T.ravel(), from_pandas=True),
-    ]
-    return pa.Table.from_arrays(columns, schema=schema("draws"))
-
-
-def _evaluation_rows(
-    phase: str,
-    generation: int,
-    asked: list[Candidate],
-    requests: list[_Request],
-    evaluations: dict[Candidate, Any],
-) -> pa.Table:
-    """Rows of the table ``evaluations``: a row for each request of a generation.
-
-    A column holds the value of that name from the first record of the row that has the name.
-    """
-    table, copies, rows = schema("evaluations"), Counter(asked), []
-    for request in requests:
-        candidate = request.candidate
-        place = SimpleNamespace(
-            evaluation=request.id,
-            phase=phase,
-            generation=generation,
-            individual=asked.index(candidate),
-            copies=copies[candidate],
-            end=request.end,
-        )
-        records = (place, evaluations[candidate], request.estimation)
-        rows.append({name: _value(name, records) for name in table.names})
-    return pa.Table.from_pylist(rows, schema=table)
-
-
-def _value(name: str, records: Sequence[Any]) -> Any:
-    return next(getattr(record, name) for record in records if hasattr(record, name))

@@ -1,36 +1,41 @@
 """The proof of a run's sets: the filters of the relaxation, of its guard, and of the sets alone."""
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
-import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from pfdist.analysis import Run
+from pfdist.bounds.first_windows import relaxation_for
 from pfdist.bounds.gap import Gap, SetAlone, gap_of
 from pfdist.bounds.guard import Falls, guarded
-from pfdist.bounds.proof import CONFIDENCE, falls, prove
-from pfdist.bounds.relaxation import relaxation_for
-from pfdist.errors import JobError, ModelError
+from pfdist.bounds.proof import CONFIDENCE, Proof, falls, prove
+from pfdist.bounds.relaxation import Relaxation
+from pfdist.errors import ModelError
 from pfdist.evaluation.compiling import compile_problem
 from pfdist.evaluation.engines import ENGINES
 from pfdist.evaluation.work import Estimation
 from pfdist.kernels.estimators import FILTER_VARIANCE
-from pfdist.runner.block_sums import BLOCK, GROUPS, BlockSums
+from pfdist.runner.block_sums import BLOCK, GROUPS
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built
+from pfdist.runner.proof_sums import FINER, GUARDED, ProofSums
 from pfdist.runner.session import Session
 from pfdist.runner.sets_alone import sets_alone, steps_of_sets
+from pfdist.runner.window_growth import grown
+from pfdist.search.state_space_relaxation import StateSpaceRelaxation
 from pfdist.store import BOUND_PHASE, schema
 from pfdist.times.constraints import Constraints
 from pfdist.times.measurement_times import Times
 
-_FINER = 4  # times the particles, for the guard
-_GUARDED = 10  # groups of draws that the guard filters again
-
-Array = NDArray[np.float64]
+_ROUNDS = 1000  # of growing windows, at most
+_PATHS = 16  # whose windows grow in a round
+# Windows grow until the relaxed costs lie below those of the sets by so small a share:
+_GROWN, _GROWN_EXACTLY = 1e-3, 1e-11
+MOST_UNITS = 300  # of money, in the programme
 
 
 @dataclass(frozen=True)
@@ -41,14 +46,14 @@ class Look:
     ----------
     draws : int
         0 where the engine is exact.
-    steps : int
-        Particle-steps of the bound and its guard so far.
+    steps : float
+        Particle-steps of the windows, the bound and its guard so far.
     gaps : list of Gap
-        One for each compared set.
+        One for each proved set.
     """
 
     draws: int
-    steps: int
+    steps: float
     gaps: list[Gap]
 
     def is_within(self, limit: float, without: Collection[str]) -> bool:
@@ -68,6 +73,7 @@ class Prover:
     Attributes
     ----------
     relaxation : Relaxation
+        The relaxation of the proof; before a proof, that from which its windows grow.
     particles : int
         Particles of the bound's filter; 0 where the engine is exact.
     confidence : float
@@ -81,10 +87,7 @@ class Prover:
     """
 
     def __init__(self, built: Built, settings: BoundSettings) -> None:
-        self._built, self._constraints = built, built.job.problem.feasible
-        if not self._constraints.counted:
-            raise JobError("measurements have costs, and no lower bound is known for them yet")
-        self.relaxation = relaxation_for(self._constraints, settings.window, built.study.fewest)
+        self._built, self._settings = built, settings
         # The relaxation filters with the truth's model: a bound for the filter of any model.
         count = settings.particles or built.job.filter.particles
         self._estimation = Estimation(count, "systematic", FILTER_VARIANCE.name)
@@ -94,15 +97,17 @@ class Prover:
             compile_problem(truth, self._estimation)
         self.particles = 0 if built.problem.exact else count
         self._blocks = _doubled(math.ceil(settings.most_draws / BLOCK)) if self.particles else [0]
-        self._within = settings.within
-        looks = 1 if self._within is None else len(self._blocks)
+        looks = 1 if settings.within is None else len(self._blocks)
         self.confidence = 1 - (1 - CONFIDENCE) / looks
+        feasible, cells = built.study.widest, settings.most_cells
+        relaxation = relaxation_for(feasible, settings.window, built.study.usual, cells)
+        self.relaxation = replace(relaxation, unit=math.ceil(feasible.total / MOST_UNITS))
 
     @property
-    def steps(self) -> int:
-        """About how many particle-steps the proof takes, before the sets are known."""
+    def steps(self) -> float:
+        """About how many particle-steps the proof takes, before the windows have grown."""
         sets = steps_of_sets(self._built, len(self._built.names), self._estimation)
-        return sets + _steps(self._sums(()), self._blocks[-1])
+        return sets + self._sums(()).steps(self._blocks[-1])
 
     def prove(self, session: Session, run: Run) -> Look:
         """Prove the sets of a run, and write the table ``bound``.
@@ -118,16 +123,15 @@ class Prover:
         TaskError, PoolError, StoreError
             A task failed, no worker answers, or a file cannot be read or written.
         """
-        looks = list[Look]()
+        looks, within = list[Look](), self._settings.within
         try:
             for look in self._looks(session, run):
                 looks.append(look)
-                references = self._built.study.references
-                if self._within is not None and look.is_within(self._within, references):
+                if within is not None and look.is_within(within, self._built.study.references):
                     break
         finally:
             session.collector.flush()
-            for table in ("bound_sums", "draws", "timings"):
+            for table in ("error_sums", "draws", "timings"):
                 for phase in session.store.phases_of(table, BOUND_PHASE):
                     session.store.settle(table, phase)
         session.store.renew("bound", BOUND_PHASE, self._rows(looks, run.draws_compared))
@@ -139,17 +143,23 @@ class Prover:
         if not run.has("bound"):
             return False
         rows = run.bounds()
-        own = (rows["window"] == self.relaxation.window) & (rows["particles"] == self.particles)
         enough = rows["draws"] >= self._blocks[-1] * BLOCK
-        return bool((own & enough & (rows["compared_draws"] == run.draws_compared)).any())
+        for key, value in self._columns(run.draws_compared).items():
+            enough &= rows[key] == value
+        return bool(enough.any())
 
     def _looks(self, session: Session, run: Run) -> Iterator[Look]:
         """Yield the gaps after more and more draws."""
-        sets, constraints = run.sets(), self._constraints
+        constraints = self._built.study.widest
+        sets = self._built.study.proved(run.sets())
         alone = sets_alone(session, run, sets, self._estimation)
         feasible = {name: times for name, times in sets.items() if _satisfies(constraints, times)}
-        sums, most = self._sums(tuple(feasible.values())), self._blocks[-1]
-        session.reporter.foresee(_steps(sums, most) - _steps(self._sums(()), most))
+        known = tuple(feasible.values())
+        foreseen, growth = self._sums(()).steps(self._blocks[-1]), 0.0
+        if feasible and self._most_steps > 0:
+            self.relaxation, growth = self._grown(session, known)
+        sums = self._sums(known)
+        session.reporter.foresee(sums.steps(self._blocks[-1]) - foreseen)
         for blocks in self._blocks:
             reason = ""
             try:
@@ -160,9 +170,32 @@ class Prover:
                 why = reason if name in feasible else "the set is not feasible"
                 gaps[name] = Gap(name, sets[name], alone[name].expected_mse, why)
             found = [gaps[name] for name in sets]
-            yield Look(blocks * BLOCK, _steps(sums, blocks), found)
+            yield Look(blocks * BLOCK, growth + sums.steps(blocks), found)
             if reason:  # more draws do not help
                 return
+
+    def _grown(self, session: Session, known: tuple[Times, ...]) -> tuple[Relaxation, float]:
+        """The relaxation with longer windows where they matter for the sets, and its steps."""
+        spent = {self.relaxation.spent(times) for times in known}
+        optimiser = StateSpaceRelaxation(
+            self._built.study.widest,
+            paths=_PATHS,
+            rounds=_ROUNDS,
+            sought=tuple(sorted(spent)),
+            known=known,
+            gap=_GROWN if self.particles else _GROWN_EXACTLY,
+            start=self.relaxation,
+        )
+        return grown(
+            session, optimiser, self._estimation, self._most_steps, self._settings.most_cells
+        )
+
+    @cached_property
+    def _most_steps(self) -> float:
+        """Particle-steps after which no window grows; by default twice those of the first."""
+        if self._settings.work is not None:
+            return self._settings.work
+        return 2.0 * self._sums(()).steps_without_guard(GROUPS)
 
     def _gaps(
         self,
@@ -170,7 +203,7 @@ class Prover:
         blocks: int,
         sets: Mapping[str, Times],
         alone: Mapping[str, SetAlone],
-        block_sums: Sequence[BlockSums],
+        sums: ProofSums,
     ) -> dict[str, Gap]:
         """Give the gaps of feasible sets after so many blocks of draws.
 
@@ -179,59 +212,52 @@ class Prover:
         ModelError
             A draw is degenerate.
         """
-        known, most = tuple(sets.values()), max(map(len, sets.values()))
-        if block_sums:
-            coarse, fine = block_sums
-            coarse.fill(blocks, session, "lower bound")
-            fine.fill(blocks, session, "guard of the bound")
-            sums, draws = coarse.by_group(blocks, session)
-        else:
-            every = (*self.relaxation.sets, *known)
-            sums, draws = self._built.problem.expected_errors(every)[None], np.ones(1)
-        proof = prove(self.relaxation, sums, draws, known, most)
-        gaps = {
-            name: gap_of(name, times, alone[name], proof, slack, self.confidence)
-            for (name, times), slack in zip(sets.items(), proof.slack, strict=True)
-        }
-        if not block_sums:
-            return gaps
-        finer, counts = fine.by_group(blocks, session)
-        pair = falls(self.relaxation, sums[:_GUARDED], finer, counts, most)
-        particles = f"{_FINER * self.particles} particles in the place of {self.particles}"
+        known, relaxation = tuple(sets.values()), self.relaxation
+        most = max(map(relaxation.spent, known))
+        if not self.particles:
+            return self._proved(sets, alone, prove(relaxation, sums.exact(), known, most))
+        coarse, fine = sums.estimated(blocks, session)
+        gaps = self._proved(sets, alone, prove(relaxation, coarse, known, most))
+        pair = falls(relaxation, coarse.first(GUARDED), fine, most)
+        particles = f"{FINER * self.particles} particles in the place of {self.particles}"
         return guarded(gaps, Falls(*pair, particles))
 
-    def _sums(self, known: tuple[Times, ...]) -> list[BlockSums]:
-        """The sums of the bound, and those of the guard; none where the engine is exact."""
-        if not self.particles:
-            return []
-        finer = replace(self._estimation, particles=_FINER * self._estimation.particles)
-        return [
-            BlockSums(self._built, self.relaxation, known, self._estimation),
-            BlockSums(self._built, self.relaxation, known, finer, _GUARDED),
-        ]
+    def _proved(
+        self, sets: Mapping[str, Times], alone: Mapping[str, SetAlone], proof: Proof
+    ) -> dict[str, Gap]:
+        """Give the gaps of a proof, before the guard has looked at them."""
+        return {
+            name: gap_of(name, times, alone[name], proof, place, self.confidence)
+            for place, (name, times) in enumerate(sets.items())
+        }
 
-    def _rows(self, looks: list[Look], compared_draws: int) -> pa.Table:
-        """Rows of the table ``bound``."""
-        settings = {
-            "window": self.relaxation.window,
-            "longest_gap": self.relaxation.longest_gap,
+    def _sums(self, known: tuple[Times, ...]) -> ProofSums:
+        return ProofSums(self._built, self.relaxation, known, self._estimation)
+
+    def _columns(self, compared_draws: int) -> dict[str, Any]:
+        """The columns that all rows of one proof share."""
+        return {
+            "window": self._settings.window,
+            "work": self._most_steps,
+            "memory": self._settings.memory,
             "particles": self.particles,
             "confidence": self.confidence,
             "compared_draws": compared_draws,
         }
+
+    def _rows(self, looks: list[Look], compared_draws: int) -> pa.Table:
+        """Rows of the table ``bound``."""
+        relaxation = self.relaxation
+        grown = {"windows": len(relaxation.windows), "longest_gap": relaxation.longest_gap}
         rows = [
             {"position": position, "draws": look.draws, "steps": look.steps}
-            | settings
+            | self._columns(compared_draws)
+            | grown
             | gap.columns()
             for look in looks
             for position, gap in enumerate(look.gaps)
         ]
         return pa.Table.from_pylist(rows, schema=schema("bound"))
-
-
-def _steps(sums: Iterable[BlockSums], blocks: int) -> int:
-    """Particle-steps of the first blocks of draws."""
-    return sum(block_sums.steps(blocks) for block_sums in sums)
 
 
 def _doubled(blocks: int) -> list[int]:
@@ -244,4 +270,5 @@ def _doubled(blocks: int) -> list[int]:
 
 def _satisfies(constraints: Constraints, times: Times) -> bool:
     """Whether times satisfy all constraints but that on their number."""
-    return constraints.compatible(times) and set(constraints.required).issubset(times)
+    paid = constraints.counted or constraints.spent(times) <= constraints.total
+    return paid and constraints.compatible(times) and {*constraints.required}.issubset(times)

@@ -27,7 +27,7 @@ from pfdist.runner.phase import Phase, run_phase
 from pfdist.runner.progress import Reporter
 from pfdist.runner.searches import NamedSearch
 from pfdist.search import Candidate, Exchange, Probe, Race
-from pfdist.search.base import FINALISTS
+from pfdist.search.paired import difference
 from pfdist.search.probe import PROBE_DRAWS
 from pfdist.search.trust import (
     failed_probe,
@@ -38,7 +38,8 @@ from pfdist.search.trust import (
 )
 from pfdist.times.measurement_times import Times
 
-_UNPOLISHED = 2  # so many of the search's own sets race with the polished ones
+_POLISHED, _UNPOLISHED = 3, 1  # so many polished sets race with so many of the search's own
+_CONTRADICTED = 2.0  # standard errors
 _REACH = 2.5  # mean gaps: an exchange that polishes moves a time at most so far
 
 E = TypeVar("E", bound=Evaluation)
@@ -78,10 +79,11 @@ class SearchEnd:
 
 @dataclass(frozen=True)
 class _Attempt:
-    """Sets that a search has found with its estimator, the best first, and its leaders."""
+    """Sets that a search has found, the best first, its leaders, and whether it was polished."""
 
     found: list[SearchEvaluation]
     leaders: list[SearchEvaluation]
+    polished: bool
 
     @property
     def believed(self) -> dict[Times, SearchEvaluation]:
@@ -135,8 +137,8 @@ class _Runner:
         if found and search.polishing:
             polished = self._finalists(_polishing(self._built, search, found[0].measurement_times))
             leaders = [*leaders, *polished[:1]]
-            found = [*polished[: FINALISTS - _UNPOLISHED], *found[:_UNPOLISHED]]
-        return _Attempt(found, leaders)
+            found = [*polished[:_POLISHED], *found[:_UNPOLISHED]]
+        return _Attempt(found, leaders, search.polishing is not None)
 
     def distrust(self, search: NamedSearch, attempt: _Attempt) -> str | None:
         """Say on which probe the estimator of a search failed, if it failed."""
@@ -166,7 +168,8 @@ class _Runner:
         believed = attempt.believed
         ranked = list(believed)
         if raced is not None:
-            ranked = [evaluation.measurement_times for evaluation in raced]
+            order = _uncontradicted(ranked, raced) if attempt.polished else raced
+            ranked = [evaluation.measurement_times for evaluation in order]
         winners = self._study.winners(name, ranked)
         return {key: Winner(times, believed[times]) for key, times in winners.items()}
 
@@ -174,6 +177,23 @@ class _Runner:
         """Finalists of a phase, without sets that degenerate draws have killed."""
         found = run_phase(phase, self._collector, self._reporter)
         return [evaluation for evaluation in found if np.isfinite(evaluation.cost)]
+
+
+def _uncontradicted(
+    ranked: Sequence[Times], raced: Sequence[ShortlistEvaluation]
+) -> list[ShortlistEvaluation]:
+    """The sets that raced, the winner first.
+
+    Exchanges have seen the best set of the search on many draws. So this set wins, unless the race
+    finds it clearly worse than its own winner.
+    """
+    if not raced:
+        return []
+    order, own = list(raced), {evaluation.measurement_times: evaluation for evaluation in raced}
+    best = next((own[times] for times in ranked if times in own), order[0])
+    if difference(best, order[0]).is_worse(_CONTRADICTED):
+        return order
+    return [best, *(evaluation for evaluation in order if evaluation is not best)]
 
 
 def run_search(
@@ -219,7 +239,7 @@ def search_steps(built: Built, search: NamedSearch) -> float:
     phases: list[Phase[Any]] = [_searching(built, search)]
     if search.polishing:
         phases.append(_polishing(built, search, start))
-        phases.append(_racing(built, search, (start,) * FINALISTS))
+        phases.append(_racing(built, search, (start,) * (_POLISHED + _UNPOLISHED)))
     if search.again:
         phases.append(_probing(built, search, ()))
     return sum(phase.steps() for phase in phases)

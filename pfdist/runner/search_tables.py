@@ -7,7 +7,7 @@ import pyarrow as pa
 from pfdist.errors import StoreError
 from pfdist.store import Store, schema
 
-_TABLES = ("evaluations", "draws")
+_TABLES = ("evaluations", "draws", "error_sums")
 _EVALUATIONS_AT_ONCE = 200  # evaluations that are read together when a phase is published
 
 
@@ -35,6 +35,7 @@ def publish_search(store: Store, phase: str) -> None:
     """Turn the parts of a search into tables; a repeated call gives the same tables."""
     if not unpublished(store, [phase]):
         return
+    store.settle("error_sums", phase)
     rows = store.read("evaluations")
     rows = rows[rows["phase"] == phase]
     most = rows.groupby("evaluation", sort=False)["draws"].max()

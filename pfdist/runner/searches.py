@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pfdist.evaluation.engines import KALMAN
 from pfdist.evaluation.work import Estimation
 from pfdist.job.job import Job
-from pfdist.kernels.estimators import SQUARED_ERROR
+from pfdist.kernels.estimators import OWN_VARIANCE, SQUARED_ERROR
 from pfdist.runner.memory import check_memory
 from pfdist.runner.study import Study
 from pfdist.search import SearchOptimiser
@@ -37,7 +37,7 @@ class Settings:
 
     @classmethod
     def from_job(
-        cls, job: Job, own: EvaluationSettings = _NOTHING_OWN, cheapest: str = AUTO
+        cls, job: Job, own: EvaluationSettings = _NOTHING_OWN, guide: str = AUTO
     ) -> "Settings":
         """Settings of the job, replaced where a search has its own.
 
@@ -46,7 +46,7 @@ class Settings:
         job : Job
         own : EvaluationSettings
             The settings of the search.
-        cheapest : str
+        guide : str
             The estimator that "auto" stands for.
         """
         estimator = own.estimator or job.evaluation.estimator
@@ -57,7 +57,7 @@ class Settings:
             Estimation(
                 own.particles_of(job.filter.particles),
                 own.resampling or job.filter.resampling,
-                cheapest if estimator == AUTO else estimator,
+                guide if estimator == AUTO else estimator,
             ),
         )
 
@@ -114,11 +114,11 @@ class NamedSearch:
     @property
     def all_settings(self) -> tuple[Settings, ...]:
         """Settings of all phases."""
-        own = self.settings, self.racing  # exchanges estimate as the search does
+        own = (self.settings, self.racing, *((self.polishing,) if self.polishing else ()))
         return own if self.again is None else (*own, *self.again.all_settings)
 
 
-def named_search(study: Study, job: Job, section: SearchSection, cheapest: str) -> NamedSearch:
+def named_search(study: Study, job: Job, section: SearchSection, guide: str) -> NamedSearch:
     """Make the optimiser of a section [[search]], with the settings of its evaluations.
 
     Parameters
@@ -127,7 +127,7 @@ def named_search(study: Study, job: Job, section: SearchSection, cheapest: str) 
         The study of the job.
     job : Job
     section : SearchSection
-    cheapest : str
+    guide : str
         The estimator that "auto" stands for.
 
     Raises
@@ -135,7 +135,7 @@ def named_search(study: Study, job: Job, section: SearchSection, cheapest: str) 
     JobError
         The optimiser cannot search this problem.
     """
-    settings = Settings.from_job(job, section.evaluation, cheapest)
+    settings = Settings.from_job(job, section.evaluation, guide)
     check_memory(job, section, settings.draws)
     optimiser = study.optimiser(section, settings.draws)
     search = _with_settings(job, section, section.name, optimiser, settings)
@@ -155,5 +155,8 @@ def _with_settings(
 ) -> NamedSearch:
     own = Estimation(job.filter.particles, job.filter.resampling)
     polishing = replace(settings, draws=_POLISH_DRAWS, common_noise=True)
+    if settings.estimation.estimator == OWN_VARIANCE.name:  # it guides, and decides nothing
+        believed = replace(settings.estimation, estimator=SQUARED_ERROR.name)
+        polishing = replace(polishing, estimation=believed)
     racing = replace(settings, draws=_RACE_DRAWS, common_noise=True, estimation=own)
     return NamedSearch(name, optimiser, settings, polishing if section.polish else None, racing)

@@ -19,7 +19,7 @@ from pfdist.common.streams import stream_key
 from pfdist.evaluation.estimate import BOUND
 from pfdist.evaluation.work import Estimation, Work, cut
 from pfdist.runner.build import Built
-from pfdist.runner.phase import draw_rows
+from pfdist.runner.evaluation_rows import draw_rows
 from pfdist.runner.session import Session
 from pfdist.store import BOUND_PHASE
 from pfdist.times.measurement_times import Times
@@ -28,7 +28,6 @@ SET_DRAWS = 20_000
 """Draws on which a set alone is filtered for the variance of its particles."""
 
 Array = NDArray[np.float64]
-
 
 _DEGENERATE = SetAlone(UNKNOWN, UNKNOWN, UNKNOWN, UNKNOWN)
 
@@ -41,12 +40,18 @@ class _Kind:
     knows_truth: bool
 
 
+def _draws(built: Built, compared: int) -> int:
+    """Number of draws of a set alone; with many references, all are those of the comparison."""
+    return min(SET_DRAWS, compared) if len(built.study.references) > 1 else SET_DRAWS
+
+
 def steps_of_sets(built: Built, sets: int, estimation: Estimation) -> int:
     """About how many particle-steps it takes to filter so many sets alone."""
     if built.problem.exact:
         return 0
-    kinds = _kinds(built, estimation, built.job.comparison.draws).values()
-    instants = SET_DRAWS * sets * (built.problem.horizon + 1)
+    compared = built.job.comparison.draws
+    kinds = _kinds(built, estimation, compared).values()
+    instants = _draws(built, compared) * sets * (built.problem.horizon + 1)
     return sum(instants * kind.estimation.steps_an_instant for kind in kinds)
 
 
@@ -74,6 +79,7 @@ def sets_alone(
     if built.problem.exact:
         costs = built.problem.expected_mse(list(sets.values())).tolist()
         return {name: SetAlone(Estimate(cost)) for name, cost in zip(sets, costs, strict=True)}
+    draws = _draws(built, run.draws_compared)
     kinds = _kinds(built, estimation, run.draws_compared)
     purpose, seed = built.study.purpose, built.job.seed
     if "squared" in kinds:
@@ -81,10 +87,12 @@ def sets_alone(
     else:
         draws_stream = purpose.stream(seed, "draws")
     session.reporter.begin("sets alone")
-    found = {name: _per_draw(session, sets, kind, draws_stream) for name, kind in kinds.items()}
+    found = {
+        name: _per_draw(session, sets, kind, draws_stream, draws) for name, kind in kinds.items()
+    }
     squared, whole = found.get("squared"), dict[str, Moments]()
     if squared is None:
-        rows, statistics = run.comparison(SET_DRAWS), run.statistics()
+        rows, statistics = run.comparison(draws), run.statistics()
         squared = {name: rows[f"mse_{name}"].to_numpy(np.float64) for name in sets}
         whole = {
             name: statistics.mse[name]
@@ -109,15 +117,15 @@ def _kinds(built: Built, estimation: Estimation, compared: int) -> dict[str, _Ki
     kinds = {"variance": _Kind(estimation, knows_truth=True)}
     if built.problem.truth is not built.problem:
         kinds["by_truth"] = _Kind(built.comparing, knows_truth=True)
-    if compared < SET_DRAWS:
+    if compared < _draws(built, compared):
         kinds["squared"] = _Kind(built.comparing, knows_truth=False)
     return kinds
 
 
 def _per_draw(
-    session: Session, sets: Mapping[str, Times], kind: _Kind, draws_stream: int
+    session: Session, sets: Mapping[str, Times], kind: _Kind, draws_stream: int, draws: int
 ) -> dict[str, Array]:
-    """Errors of each draw, (20,000,), by the name of the set."""
+    """Errors of so many draws, (draws,), by the name of the set."""
     built, reporter = session.built, session.reporter
     horizon, noise = built.problem.horizon, BOUND.stream(built.job.seed, "filter of a set")
     source = built.source.truth if kind.knows_truth else built.source
@@ -131,34 +139,37 @@ def _per_draw(
         ends=(horizon,) * len(sets),
         filter_streams=(noise,) * len(sets),
         draws_stream=draws_stream,
-        draws=(0, SET_DRAWS),
+        draws=(0, draws),
         estimation=kind.estimation,
         ids=tuple(ids.values()),
         knows_truth=kind.knows_truth,
     )
-    known, start = _known(session, ids), reporter.progress.done
+    known, start = _known(session, ids, draws), reporter.progress.done
     lacking = np.flatnonzero(~np.all([present for present, _ in known.values()], axis=0))
-    done = SET_DRAWS - lacking.size
+    done = draws - lacking.size
     reporter.reach(start + done * work.steps_a_draw, evaluations=done)
-    works = (replace(work, draws=draws) for draws in cut(lacking, SET_DRAWS))
+    works = (replace(work, draws=piece) for piece in cut(lacking, draws))
     phase = f"{BOUND_PHASE}.{stream_key(work.ids):016x}"
     with closing(session.collector.run(phase, "draws", works, draw_rows)) as pieces:
         for piece, _ in pieces:
             done += piece.draws[1] - piece.draws[0]
             reporter.reach(start + done * work.steps_a_draw, evaluations=done)
     if lacking.size:
-        known = _known(session, ids)
+        known = _known(session, ids, draws)
     return {name: mse for name, (_, mse) in known.items()}
 
 
-def _known(session: Session, ids: Mapping[str, str]) -> dict[str, tuple[NDArray[np.bool_], Array]]:
+def _known(
+    session: Session, ids: Mapping[str, str], draws: int
+) -> dict[str, tuple[NDArray[np.bool_], Array]]:
     """Whether each draw of each set is in the store, and its error, by the name of the set."""
     found = {}
     for name, id_ in ids.items():
         rows = session.store.per_draw([id_])
-        present, mse = np.zeros(SET_DRAWS, np.bool_), np.full(SET_DRAWS, math.nan)
-        draws = rows["draw"].to_numpy()
-        present[draws], mse[draws] = True, rows["mse"].to_numpy()
+        present, mse = np.zeros(draws, np.bool_), np.full(draws, math.nan)
+        index = rows["draw"].to_numpy()
+        wanted = index < draws
+        present[index[wanted]], mse[index[wanted]] = True, rows["mse"].to_numpy()[wanted]
         found[name] = present, mse
     return found
 

@@ -4,11 +4,13 @@ This module holds everything that differs between the two. Only `study_of` asks 
 wants.
 """
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar, Protocol
 
+from pfdist.bounds.first_windows import relaxation_for
 from pfdist.errors import JobError
 from pfdist.evaluation.estimate import (
     BUDGET,
@@ -19,9 +21,11 @@ from pfdist.evaluation.estimate import (
 )
 from pfdist.job.job import Job
 from pfdist.runner.progress import Found
-from pfdist.search import EveryBudget, SearchOptimiser
-from pfdist.search.methods import METHODS
+from pfdist.search import SearchOptimiser, StateSpaceRelaxation
+from pfdist.search.methods import DEFAULT_METHOD, METHODS
 from pfdist.search.section import SearchSection
+from pfdist.search.state_space_relaxation import MOST_CELLS
+from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
 
@@ -41,8 +45,15 @@ class Study(Protocol):
         """Measurement times with which the found times are compared, by name."""
 
     @property
-    def fewest(self) -> int:
-        """The least number of measurements that is sought."""
+    def widest(self) -> Feasible:
+        """The feasible sets of the largest number of measurements that is sought."""
+
+    @property
+    def usual(self) -> int:
+        """A number of measurements in the middle of those that are sought."""
+
+    def proved(self, sets: dict[str, Times]) -> dict[str, Times]:
+        """Those of the compared sets whose gaps are proved."""
 
     def names(self, search: str) -> list[str]:
         """Names of the sets that a search finds."""
@@ -101,9 +112,18 @@ class TimesStudy:
         return {comparison.reference_name: comparison.reference}
 
     @property
-    def fewest(self) -> int:
+    def widest(self) -> Feasible:
+        """The feasible sets of the problem."""
+        return self.job.problem.feasible
+
+    @property
+    def usual(self) -> int:
         """N; with costs, the number of measurements of regular times."""
-        return len(self.job.problem.feasible.regular())
+        return self.widest.measurements
+
+    def proved(self, sets: dict[str, Times]) -> dict[str, Times]:
+        """All compared sets."""
+        return sets
 
     def names(self, search: str) -> list[str]:
         """The name of the search."""
@@ -161,18 +181,35 @@ class BudgetStudy:
         }
 
     @property
-    def fewest(self) -> int:
-        """The least budget."""
-        return self.budgets[0]
+    def widest(self) -> Feasible:
+        """The feasible sets of the largest budget."""
+        return self.job.feasible(self.budgets[-1])
+
+    @property
+    def usual(self) -> int:
+        """The geometric mean of the least and the largest budget."""
+        return round(math.sqrt(self.budgets[0] * self.budgets[-1]))
+
+    def proved(self, sets: dict[str, Times]) -> dict[str, Times]:
+        """The found sets."""
+        return {name: times for name, times in sets.items() if name not in self.references}
 
     def names(self, search: str) -> list[str]:
         """The search's name with each measurement budget."""
         return [self._name(search, budget) for budget in self.budgets]
 
     def optimiser(self, section: SearchSection, draws: int) -> SearchOptimiser:
-        """Survivor programme for all measurement budgets at once."""
-        largest = self.job.feasible(self.budgets[-1])
-        return EveryBudget(largest, self.budgets[0], **section.settings)
+        """State-space relaxation for all measurement budgets at once."""
+        if section.method != DEFAULT_METHOD:
+            raise JobError(
+                f"budget needs a search of method {DEFAULT_METHOD!r}, got {section.method!r} "
+                f"({self.job.path})"
+            )
+        start = relaxation_for(self.widest, 2, self.usual, MOST_CELLS)
+        sought = tuple(self.budgets)
+        return StateSpaceRelaxation(
+            self.widest, draws, sought=sought, start=start, **section.settings
+        )
 
     def probed(
         self, leaders: Sequence[SearchEvaluation], found: Sequence[SearchEvaluation]

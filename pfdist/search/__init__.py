@@ -8,7 +8,6 @@ from pfdist.search.annealing import Annealing
 from pfdist.search.base import Candidate, Optimiser, SearchOptimiser
 from pfdist.search.corridor import Corridor
 from pfdist.search.cross_entropy import CrossEntropy
-from pfdist.search.every_budget import EveryBudget
 from pfdist.search.exchange import Exchange
 from pfdist.search.exhaustive import Exhaustive
 from pfdist.search.genetic import GeneticAlgorithm
@@ -16,6 +15,7 @@ from pfdist.search.greedy import GreedyBackward, GreedyForward
 from pfdist.search.probe import Probe
 from pfdist.search.race import Race
 from pfdist.search.random_trials import RandomTrials
+from pfdist.search.state_space_relaxation import StateSpaceRelaxation
 from pfdist.search.survivors import Survivors
 
 __all__ = [
@@ -23,7 +23,6 @@ __all__ = [
     "Candidate",
     "Corridor",
     "CrossEntropy",
-    "EveryBudget",
     "Exchange",
     "Exhaustive",
     "GeneticAlgorithm",
@@ -34,5 +33,6 @@ __all__ = [
     "Race",
     "RandomTrials",
     "SearchOptimiser",
+    "StateSpaceRelaxation",
     "Survivors",
 ]

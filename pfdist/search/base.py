@@ -26,6 +26,9 @@ class Candidate(NamedTuple):
     squared : bool
         Whether the squared error of the job's own filter is wanted. Otherwise the search's own
         estimator is used.
+    since : int, optional
+        If given, the expected errors of the instants from this one on are wanted, and not the cost
+        of each draw.
     """
 
     measurement_times: Times
@@ -33,6 +36,7 @@ class Candidate(NamedTuple):
     draws: int | None = None
     individual: int | None = None
     squared: bool = False
+    since: int | None = None
 
 
 FINALISTS = 8

@@ -27,7 +27,7 @@ from pfdist.times.measurement_times import Times
 
 _FEWEST = 32  # draws of the first evaluation; enough to know a standard error
 # Differences in standard errors:
-_WORSE = 1.5  # from here on a neighbour is worse than the best neighbour, and dropped
+_WORSE = 2.0  # from here on a neighbour is worse than the best neighbour, and dropped
 _BETTER = 3.0  # from here on a neighbour is better than the best set
 _BETTER_AT_LAST = 1.5  # likewise, on all draws
 
@@ -136,4 +136,5 @@ class Exchange:
         return min(_FEWEST, self.draws)
 
     def _around(self, times: Times) -> ExchangeState:
-        return ExchangeState(times, tuple(self.feasible.exchanges(times, self.reach)), self._fewest)
+        neighbours = [*self.feasible.exchanges(times, self.reach), *self.feasible.shifts(times)]
+        return ExchangeState(times, tuple(dict.fromkeys(neighbours)), self._fewest)

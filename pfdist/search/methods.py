@@ -15,7 +15,7 @@ from pfdist.search.section import CommonNoiseSettings, EvaluationSettings, Name,
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
-DEFAULT_METHOD: Final = "survivors"
+DEFAULT_METHOD: Final = "relaxation"
 C = TypeVar("C", bound=type[Any])
 Curve = Literal["generations", "trials", "best so far", "best of a step"]
 
@@ -34,12 +34,15 @@ class Method:
         The section [[search]] of a job file, with the settings of the method.
     curve : str
         The curve of the search in the figure ``cost``, which shows expected MSE by evaluation.
+    online : bool
+        Whether the method can plan the measurements that are left.
     """
 
     name: str
     optimiser: Callable[..., SearchOptimiser]
     section: type[SearchSection]
     curve: Curve
+    online: bool
 
     @property
     def description(self) -> str:
@@ -85,6 +88,7 @@ def method(
     evaluation: EvaluationSettings = CommonNoiseSettings(),  # noqa: B008  it is frozen
     polish: bool = False,
     curve: Curve = "generations",
+    online: bool = True,
 ) -> Callable[[C], C]:
     """Declare an optimiser as a search method.
 
@@ -105,6 +109,9 @@ def method(
         Default of ``polish``: whether an exchange search then improves the best set.
     curve : str
         The curve of the search in the figure ``cost``, which shows expected MSE by evaluation.
+    online : bool
+        Whether the method can plan the measurements that are left. A method that asks for the
+        errors of each instant cannot.
     """
 
     def declare(optimiser: C) -> C:
@@ -125,7 +132,7 @@ def method(
             __doc__=optimiser.__doc__,
             **definitions,
         )
-        METHODS.declare(name, Method(name, optimiser, section, curve))
+        METHODS.declare(name, Method(name, optimiser, section, curve, online))
         return optimiser
 
     return declare

@@ -21,7 +21,7 @@ from pfdist.store.reader import Reader
 from pfdist.store.schema import BOUND_PHASE, KEYS, schema
 from pfdist.store.tables import cut_rows, signed, unique
 
-ROWS_IN_A_FILE = {"draws": 1_000_000, "comparison": 50_000, "bound_sums": 200}
+ROWS_IN_A_FILE = {"draws": 1_000_000, "comparison": 50_000, "error_sums": 200}
 _MANY = 1_000_000_000  # rows of the other tables: one file a phase
 
 

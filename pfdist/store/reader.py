@@ -166,8 +166,8 @@ class Reader:
     def sums(self, evaluation: str, blocks: int) -> pa.Table:
         """Rows of the table of sums of one evaluation, for its first blocks of draws, in order."""
         wanted = (pc.field("evaluation") == evaluation) & (pc.field("block") < blocks)
-        pieces = [schema("bound_sums").empty_table(), *self._load("bound_sums", filters=wanted)]
-        return unique(pieces, KEYS["bound_sums"])
+        pieces = [schema("error_sums").empty_table(), *self._load("error_sums", filters=wanted)]
+        return unique(pieces, KEYS["error_sums"])
 
     def _parts(self, table: str, phase: str) -> list[Path]:
         return sorted((self.path / "parts").glob(f"{table}/{phase}-*.parquet"))

@@ -26,8 +26,8 @@ KEYS: dict[str, list[str]] = {
     "online": ["draw"],
     "trajectories": ["draw", "t"],
     "timings": ["phase", "task", "session", "seconds"],
-    "bound": ["window", "particles", "draws", "position"],
-    "bound_sums": ["evaluation", "block"],
+    "bound": ["window", "work", "memory", "particles", "draws", "position"],
+    "error_sums": ["evaluation", "block"],
 }
 """What identifies a row of each table."""
 
@@ -109,11 +109,15 @@ _SCHEMAS = {
         _column("position", pa.int32(), "", "order of the set, as in compared"),
         _column("name", pa.string(), "", "the set's name, as in compared"),
         _TIMES,
-        _column("window", pa.int32(), "", "last measurements that the relaxation keeps"),
+        _column("budget", pa.int32(), "", "the bound is for so many times, or for so much money"),
+        _column("window", pa.int32(), "", "measurements of a window before windows grow"),
+        _column("windows", pa.int32(), "", "windows that the relaxation knows"),
+        _column("work", pa.float64(), "", "particle-steps after which no window grows"),
+        _column("memory", pa.int32(), "MiB", "that the relaxation may take"),
         _column("longest_gap", pa.int32(), "t", "after a longer gap everything is measured"),
         _column("particles", pa.int32(), "", "of the bound's filter; 0: exact"),
         _column("draws", pa.int32(), "", "of the bound; 0: exact"),
-        _column("steps", pa.float64(), "", "particle-steps of the bound and its guard"),
+        _column("steps", pa.float64(), "", "particle-steps of windows, bound and guard"),
         _column("confidence", pa.float64(), "", "of gap_at_most"),
         _column("compared_draws", pa.int64(), "", "draws of the comparison when it was proved"),
         _column("reason", pa.string(), "", "why there is no bound; empty: there is one"),
@@ -126,7 +130,7 @@ _SCHEMAS = {
         *_estimate("estimate", "part of the gap: particles and estimate"),
         *_estimate("filter_model", "part of the gap: wrong filter model"),
     ],
-    "bound_sums": [
+    "error_sums": [
         _column("evaluation", pa.string(), "", "id: hash of all that the sums depend on"),
         _column("block", pa.int64(), "", "index of the block of draws"),
         _column("sums", pa.list_(pa.float64()), _MSE, "errors of all states at their instants"),

@@ -147,6 +147,37 @@ class Feasible(Constraints):
             return found
         return [neighbour for neighbour in dict.fromkeys(found) if neighbour != times]
 
+    def shifts(self, times: Times) -> list[Times]:
+        """Give the feasible sets in which a run of successive times lies one allowed time off.
+
+        Parameters
+        ----------
+        times : tuple of int
+        """
+        allowed, places = self.allowed, [self.index[time] for time in times]
+        shifted = dict[Times, None]()
+        for first, stop in combinations(range(len(times) + 1), 2):
+            for step in (-1, 1):
+                moved = [place + step for place in places[first:stop]]
+                if moved[0] >= 0 and moved[-1] < len(allowed):
+                    run = (allowed[place] for place in moved)
+                    shifted[(*times[:first], *run, *times[stop:])] = None
+        return [new for new in shifted if len({*new}) == len(new) and self.accepts(new)]
+
+    def filled(self, times: Iterable[int]) -> Times:
+        """Give a set with all times that the money left over buys, each as far off as can be.
+
+        Parameters
+        ----------
+        times : iterable of int
+            Times that can be paid for together with the required times.
+        """
+        filled = self.with_required(times)
+        while more := self.affordable(filled):
+            farthest = max(more, key=lambda time: self.distance(time, filled))
+            filled = self.with_required({*filled, farthest})
+        return filled
+
     def repair(self, times: Iterable[int], rng: np.random.Generator) -> Times:
         """Give a feasible set that keeps times of a given set until no more can be kept.
 
@@ -273,15 +304,7 @@ class Feasible(Constraints):
         leaving = sorted(others - {*self.required}, key=lambda time: (-abs(time - new), time))
         while leaving and not self.allows({*others, new}):
             others = others - {leaving.pop()}
-        return self._filled({*others, new}) if self.allows({*others, new}) else None
-
-    def _filled(self, times: Iterable[int]) -> Times:
-        """Add times while the money lasts, each as far from the others as can be."""
-        filled = self.with_required(times)
-        while more := self.affordable(filled):
-            farthest = max(more, key=lambda time: self.distance(time, filled))
-            filled = self.with_required({*filled, farthest})
-        return filled
+        return self.filled({*others, new}) if self.allows({*others, new}) else None
 
 
 def _below(bound: int, rng: np.random.Generator) -> int:

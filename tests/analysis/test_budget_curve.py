@@ -1,11 +1,19 @@
-"""Which number of measurements reaches a target, and which is worse than fewer, by hand."""
+"""Which number of measurements reaches a target, which cannot, and which is worse, by hand."""
+
+import math
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import stats
 
 from pfdist.analysis import ComparisonStatistics, reaching
-from pfdist.analysis.budget_curve import budget_table
+from pfdist.analysis.budget_curve import BOUND_DEGREES, budget_table, with_bounds
+from pfdist.bounds.gap import Gap, SetAlone, gap_of
+from pfdist.bounds.guard import Falls, guarded
+from pfdist.bounds.proof import CONFIDENCE, Estimate, Proof
+from pfdist.runner.block_sums import GROUPS
 
 NOISE = np.tile([-1.0, 1.0], 200)  # of the draws, common to all sets; the mean's error is 0.05
 COSTS = {
@@ -13,10 +21,10 @@ COSTS = {
     "regular_3": 7.0,
     "regular_4": 7.15,  # worse by 0.15, of which the draws that both share are sure
     "regular_5": 5.0,
-    "survivors_2": 7.02,
-    "survivors_3": 6.0,
-    "survivors_4": 5.0,
-    "survivors_5": 4.0,
+    "relaxation_2": 7.02,
+    "relaxation_3": 6.0,
+    "relaxation_4": 5.0,
+    "relaxation_5": 4.0,
 }
 
 
@@ -40,7 +48,7 @@ def _table(mse: dict[str, np.ndarray]) -> pd.DataFrame:
 
 @pytest.fixture
 def table() -> pd.DataFrame:
-    return _table({name: cost + NOISE for name, cost in COSTS.items()})
+    return with_bounds(_table({name: cost + NOISE for name, cost in COSTS.items()}), {})
 
 
 def test_a_row_a_set_with_its_interval(table: pd.DataFrame) -> None:
@@ -82,3 +90,73 @@ def test_the_least_number_that_reaches_a_target(table: pd.DataFrame) -> None:
     none = reaching(table, 3.0)["found"]
     assert (none["measurements"], none["interval"]) == (None, [None, None])
     assert none["larger_that_do_not"] == []
+    assert none["impossible"] is None  # nothing is proved
+
+
+def _proof(bound: float, cost: float, fall: float, errors: tuple[float, float, float]) -> Gap:
+    """The gap of a set whose bound falls with more particles, with the errors of its parts."""
+    relaxation, estimate, wrong = (Estimate((cost - bound) / 3, error) for error in errors)
+    both = Estimate(2 * (cost - bound) / 3, math.hypot(errors[1], errors[2]))
+    alone = SetAlone(Estimate(cost, 0.05), estimate, wrong, both)
+    proof = Proof([Estimate(bound, 0.04)], [(0,)], [0], [relaxation], GROUPS)
+    gap = gap_of("relaxation_2", (0,), alone, proof, 0, CONFIDENCE)
+    falls = Falls([Estimate(fall, 0.002)], [Estimate(0.0, 0.002)], "more particles")
+    return guarded({"relaxation_2": gap}, falls)["relaxation_2"]
+
+
+def _columns(gap: Gap) -> dict[str, Any]:
+    return gap.columns() | {"particles": 100, "confidence": CONFIDENCE}
+
+
+@pytest.mark.parametrize("fall", [-0.002, 0.0, 0.003])
+def test_the_limit_of_a_bound_holds_for_all_numbers_and_with_more_particles(
+    table: pd.DataFrame, fall: float
+) -> None:
+    proofs = {"relaxation_2": _columns(_proof(6.9, 7.02, fall, (0.03, 0.02, 0.0)))}
+    rows = with_bounds(table, proofs).set_index("name")
+    quantile = stats.t.isf(0.05 / 4, 19)  # 4 numbers of measurements, 20 groups of draws
+    assert BOUND_DEGREES == GROUPS - 1 == 19
+    row = rows.loc["relaxation_2"]
+    assert (row["bound"], row["bound_error"]) == (6.9, 0.04)
+    expected = 6.9 - 6.9 * max(0.0, fall) - quantile * 0.04
+    assert row["bound_low"] == pytest.approx(expected, abs=1e-12)
+    others = rows.drop("relaxation_2")
+    assert others[["bound", "bound_error", "bound_low"]].isna().all(axis=None)
+
+
+def test_a_wrong_filter_model_makes_the_limit_lower_and_never_higher(table: pd.DataFrame) -> None:
+    proofs = {"relaxation_2": _columns(_proof(6.9, 7.02, 0.003, (0.03, 0.02, 0.02)))}
+    limit = with_bounds(table, proofs).set_index("name").loc["relaxation_2", "bound_low"]
+    assert 6.5 < limit <= 6.9 - 6.9 * 0.003 - stats.t.isf(0.05 / 4, 19) * 0.04
+
+
+def test_an_exact_bound_is_a_limit_and_a_withdrawn_bound_is_none(table: pd.DataFrame) -> None:
+    exact = {"bound": 5.9, "bound_error": 0.0, "particles": 0, "reason": ""}
+    withdrawn = exact | {"reason": "the set costs less than the bound"}
+    rows = with_bounds(table, {"relaxation_3": exact, "relaxation_4": withdrawn}).set_index("name")
+    assert rows.loc["relaxation_3", ["bound", "bound_error", "bound_low"]].tolist() == [5.9, 0, 5.9]
+    assert np.isnan(rows.loc["relaxation_4", "bound_low"])
+
+
+@pytest.mark.parametrize(
+    ("target", "least", "impossible"),
+    [
+        (7.0, 3, None),
+        (6.1, 3, 2),
+        (5.95, 4, 2),  # nobody knows whether other 3 times can
+        (5.01, 5, 4),  # 4 times seem to reach it, but the proof says that they do not
+        (0.5, None, 5),
+    ],
+)
+def test_the_largest_number_that_cannot_reach_a_target_is_proved(
+    table: pd.DataFrame, target: float, least: int | None, impossible: int | None
+) -> None:
+    bounds = {"relaxation_2": 6.9, "relaxation_3": 5.9, "relaxation_4": 5.02, "relaxation_5": 3.9}
+    proofs = {
+        name: {"bound": bound, "bound_error": 0.0, "particles": 0, "reason": ""}
+        for name, bound in bounds.items()
+    }
+    reached = reaching(with_bounds(table, proofs), target)
+    assert "impossible" not in reached["regular"]
+    assert reached["found"]["measurements"] == least
+    assert reached["found"]["impossible"] == impossible

@@ -5,6 +5,7 @@ import re
 import shlex
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 import pfdist
@@ -13,7 +14,9 @@ from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.errors import JobError, StoreError
 from pfdist.filters.kalman import expected_mse
+from pfdist.runner.bound_settings import LEAST_DRAWS
 from pfdist.runner.progress import Progress
+from pfdist.search.methods import DEFAULT_METHOD
 from pfdist.times.feasible import Feasible
 
 EXACT = ["model.name=random_walk", "filter.engine=kalman"]
@@ -31,7 +34,7 @@ def test_times_of_every_number_are_those_of_brute_force_and_beside_them_the_regu
     run = pfdist.budget(exact_job, (2, 5), tmp_path / "run", draws=300, target=3.0)
     table = run.budget()
     assert table["name"].tolist() == [
-        f"{name}_{number:02}" for name in ("regular", "survivors") for number in range(2, 6)
+        f"{name}_{number:02}" for name in ("regular", DEFAULT_METHOD) for number in range(2, 6)
     ]
     model = pfdist.load_model("random_walk")
     for row in table.to_dict("records"):
@@ -52,12 +55,72 @@ def test_times_of_every_number_are_those_of_brute_force_and_beside_them_the_regu
     }
 
 
+@pytest.fixture(scope="module")
+def proved(tmp_path_factory: pytest.TempPathFactory) -> pfdist.Run:
+    """Found times and a lower bound for 3 to 6 measurements, all exact."""
+    job = pfdist.load_job(Path(__file__).parents[1] / "small.toml", EXACT)
+    folder = tmp_path_factory.mktemp("proved") / "run"
+    return pfdist.budget(job, (3, 6), folder, draws=300, figures=False)
+
+
+@pytest.fixture(scope="module")
+def optima() -> "pd.Series[float]":
+    """The least expected MSE of all sets of 3 to 6 times, by brute force."""
+    model, numbers = pfdist.load_model("random_walk"), range(3, 7)
+    sets = [list(Feasible(12, number).every()) for number in numbers]
+    return pd.Series([expected_mse(model, 12, times).min() for times in sets], index=numbers)
+
+
+def test_no_set_costs_less_than_the_bound_and_a_set_that_costs_as_much_is_optimal(
+    proved: pfdist.Run, optima: "pd.Series[float]"
+) -> None:
+    table = proved.budget()
+    found = table[table["kind"] == "found"].set_index("measurements")
+    assert found.index.tolist() == optima.index.tolist()
+    assert (found["bound"] <= optima * (1 + 1e-12)).all()
+    assert (found["bound_error"] == 0).all()
+    assert (found["bound_low"] == found["bound"]).all()
+    optimal = found["bound"] >= found["search_cost"] * (1 - 1e-11)
+    assert optimal.all()  # windows have grown until the gap is 0
+    assert found["search_cost"].tolist() == pytest.approx(optima.tolist(), rel=1e-9)
+    regular = table[table["kind"] == "regular"]
+    assert regular[["bound", "bound_error", "bound_low"]].isna().all(axis=None)
+
+
+def test_a_number_is_impossible_if_no_set_of_so_many_times_reaches_the_target(
+    proved: pfdist.Run, optima: "pd.Series[float]"
+) -> None:
+    for target in (1.0, 1.5, 1.8, 2.2, 2.6):
+        cannot = optima.index[optima > target]
+        reached = proved.reaching(target)["found"]
+        assert reached["impossible"] == (max(cannot) if len(cannot) else None)
+        assert reached["measurements"] is None or reached["measurements"] not in cannot
+
+
+def test_with_particles_the_limit_lies_below_the_optimum(small_job: Job, tmp_path: Path) -> None:
+    job = small_job.with_changes(["model.name=random_walk", "filter.particles=100"])
+    table = pfdist.budget(job, (3, 5), tmp_path / "run", draws=60, figures=False).budget()
+    model = pfdist.load_model("random_walk")
+    for row in table[table["kind"] == "found"].to_dict("records"):
+        optimum = expected_mse(model, 12, list(Feasible(12, row["measurements"]).every())).min()
+        assert row["bound_error"] > 0
+        assert 0.9 * optimum < row["bound_low"] < optimum
+        assert row["bound_low"] < row["bound"] < optimum + 4 * row["bound_error"]
+
+
+def test_without_draws_there_is_no_bound(exact_job: Job, tmp_path: Path) -> None:
+    run = pfdist.budget(exact_job, (3, 4), tmp_path / "run", draws=20, bound_draws=0, figures=False)
+    assert not run.has("bound")
+    assert run.budget()["bound_low"].isna().all()
+    assert run.reaching(0.1)["found"]["impossible"] is None
+
+
 def test_however_it_is_cut_it_ends_with_the_same_bytes_and_grows(
     small_job: Job, tmp_path: Path
 ) -> None:
     few = small_job.with_changes(["problem.horizon=8", "filter.particles=10"])
     whole = pfdist.budget(few, (2, 4), tmp_path / "whole", draws=60, figures=False)
-    for phase in ("survivors", "comparison"):
+    for phase in (DEFAULT_METHOD, "comparison", "lower bound", "guard of the bound"):
 
         def stop(progress: Progress, phase: str = phase) -> None:
             if progress.phase == phase and progress.evaluations > 20:
@@ -65,19 +128,25 @@ def test_however_it_is_cut_it_ends_with_the_same_bytes_and_grows(
 
         with pytest.raises(KeyboardInterrupt):
             pfdist.budget(few, (2, 4), tmp_path / phase, draws=40, report=stop, figures=False)
-        assert pfdist.open_run(tmp_path / phase).state != "finished"
+        stopped = pfdist.open_run(tmp_path / phase)
+        assert (stopped.state == "finished") is ("bound" in phase)
+        assert not stopped.has("bound")
         other = few.with_changes(["problem.measurement_budget=3"])  # is left aside
         pfdist.budget(other, (2, 4), tmp_path / phase, draws=60, figures=False)
         assert hashes(tmp_path / phase) == hashes(tmp_path / "whole")
     assert whole.state == "finished"
     assert whole.names[0] == "regular_2"
+    assert whole.bounds()["draws"].tolist() == [LEAST_DRAWS] * 3
+    found = whole.budget().tail(3)
+    assert (found["bound_low"] < found["bound"]).all()
 
 
 def test_the_command_says_how_many_are_enough(
     exact_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     table = pfdist.budget(exact_job, (2, 5), tmp_path / "run", draws=300, figures=False).budget()
-    costs = table[table["kind"] == "found"].set_index("measurements")["expected_mse"]
+    found = table[table["kind"] == "found"].set_index("measurements")
+    costs, bounds = found["expected_mse"], found["bound"]
     target = (costs[3] + costs[4]) / 2
     command = (
         f"budget {shlex.quote(str(exact_job.path))} --measurements 2:5 --draws 300 "
@@ -85,15 +154,27 @@ def test_the_command_says_how_many_are_enough(
     )
     assert main([*shlex.split(command), "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
-    assert answer["results"]["survivors_05"]["expected_mse"] == costs[5]
+    assert answer["results"][f"{DEFAULT_METHOD}_05"]["expected_mse"] == costs[5]
     assert answer["target"] == target
     assert answer["reached"]["found"]["measurements"] == 4
+    assert answer["reached"]["found"]["impossible"] == 3
+    row = answer["results"][f"{DEFAULT_METHOD}_03"]
+    assert row["bound"] == row["bound_low"] == row["search_cost"] > target
+    assert answer["results"]["regular_03"]["bound"] is None
     assert main(shlex.split(command)) == 0
     text = capsys.readouterr().out
-    assert f"found times reach {target:g} with N = 4 (95 %: " in text
-    assert re.search(rf"^    5  .*\(.* to .*\) +{costs[5]:.3f} \(.* to .*\)$", text, re.MULTILINE)
+    (told,) = [line for line in text.splitlines() if line.startswith(f"target {target:g}: 4 found")]
+    assert " found times reach it (95 %: " in told
+    assert told.endswith("; no 3 times can (95 %)")
+    row = rf"^    5  .*\(.* to .*\) +{costs[5]:.3f} \(.* to .*\) +{bounds[5]:.4f}$"
+    assert re.search(row, text, re.MULTILINE)
     assert main(["status", str(tmp_path / "run")]) == 0
     assert "\n    2  " in capsys.readouterr().out
+    without = shlex.split(command.replace(str(tmp_path / "run"), str(tmp_path / "without")))
+    assert main([*without, "--bound-draws", "0"]) == 0
+    text = capsys.readouterr().out
+    assert "bound" not in text
+    assert "times can" not in text
     with pytest.raises(StoreError, match="several numbers of measurements"):
         main(["why", str(tmp_path / "run"), "--debug"])
 
@@ -106,10 +187,14 @@ def test_the_command_says_how_many_are_enough(
         ("--measurements 1:5", "got '1:5'"),
         ("--measurements 2:x", "got '2:x'"),
         ("--measurements 2:14", "budget of 14 measurements: .* at most horizon . 1 = 13, got 14"),
-        ("--measurements 2:3 --set search.survivors.survivors=0", "survivors .* got 0"),
+        ("--measurements 2:3 --set search.relaxation.rounds=-1", "rounds .* got -1"),
         ("--measurements 2:3 --set comparison.draws=9", "as measurements and draws say, got c"),
-        ("--measurements 2:3 --set search.survivors.polish=true", "polish = false, got true"),
+        (
+            "--measurements 2:3 --set search.relaxation.polish=true",
+            "polish = false, got true",
+        ),
         ("--measurements 2:3 --draws 1", r"draws must be at least 2, got 1 \(--draws\)"),
+        ("--measurements 2:3 --bound-draws 9", r"bound_draws must be 480 .* \(--bound-draws\)"),
         ("--measurements 2:3 --set problem.required=[1,2,3]", "budget of 2 .* at least 3"),
     ],
 )
@@ -121,6 +206,7 @@ def test_a_mistake_is_one_line(
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert re.search(words, error)
+    assert not Path("nowhere").exists()
 
 
 def test_money_and_other_searches_are_refused(small_job: Job) -> None:
@@ -130,7 +216,9 @@ def test_money_and_other_searches_are_refused(small_job: Job) -> None:
     with pytest.raises(JobError, match=r"needs problem.measurement_budget, got problem.total_cost"):
         pfdist.budget(small_job.path, (2, 3))
     small_job.path.write_text(f"{text}\n[budget]\nleast = 2\nmost = 3\n")
-    with pytest.raises(JobError, match="one search of method 'survivors', got genetic, random"):
+    with pytest.raises(
+        JobError, match=f"one search of method '{DEFAULT_METHOD}', got genetic, random"
+    ):
         pfdist.load_job(small_job.path)
     with pytest.raises(JobError, match=r"unknown key 'lest' in \[budget\], allowed: least, most"):
         pfdist.load_job(small_job.path, ["budget.lest=2"])

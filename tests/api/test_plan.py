@@ -70,13 +70,13 @@ def test_the_command_takes_what_run_takes_and_answers_in_the_same_json(
     job, folder, fork = (
         shlex.quote(str(path)) for path in (small_job.path, tmp_path / "a", tmp_path / "b")
     )
-    changes = f"{' '.join(EXACT)} comparison.draws=3 search.survivors.survivors=3"
+    changes = f"{' '.join(EXACT)} comparison.draws=3 search.relaxation.paths=3"
     command = f"plan {job} --results {folder} --pool serial --json --set {changes}"
     assert main(shlex.split(command)) == 0
     answer = json.loads(capsys.readouterr().out)
     assert main(["status", str(tmp_path / "a"), "--json"]) == 0
     assert answer == json.loads(capsys.readouterr().out)
-    assert pfdist.open_run(tmp_path / "a").job["search"][0]["survivors"] == 3
+    assert pfdist.open_run(tmp_path / "a").job["search"][0]["paths"] == 3
     assert main(shlex.split(f"{command} comparison.draws=4 --fork {fork}")) == 0
     assert json.loads(capsys.readouterr().out)["draws_compared"] == 4
 
@@ -88,7 +88,7 @@ def test_the_command_takes_what_run_takes_and_answers_in_the_same_json(
             "--search genetic --set search.random.evaluations=3",
             "no search 'random', allowed: genetic",
         ),
-        ("--set search.survivors.survivors=0", "survivors must be .* got 0"),
+        ("--set search.relaxation.paths=0", "paths must be .* got 0"),
         ("--search exhaustive --set search.exhaustive.limit=3", r"limit = 3 sets .* got 715"),
     ],
 )
@@ -112,9 +112,12 @@ def test_where_the_race_ends_with_degenerate_draws_alone_that_is_said(
         "    where(y[0] > 27.0, -np.inf, -0.5 * (y[0] - x[0] ** 2 / 20) ** 2))\n"
     )
     job = pfdist.load_job(unnamed, ["model.name=rare.py:model"])
-    changes = ["search.survivors.evaluation.draws=20", "search.survivors.polish=false"]
+    changes = [
+        "search.survivors.evaluation.draws=20",
+        "search.survivors.polish=false",
+    ]
     with pytest.raises(SearchError, match="every set of times that it ended with had a degenerate"):
-        pfdist.plan(job, tmp_path / "run", changes=changes, figures=False)
+        pfdist.plan(job, tmp_path / "run", "survivors", changes, figures=False)
     rows = pfdist.open_run(tmp_path / "run").evaluations()
     of_search, of_race = (
         rows[rows["phase"] == name] for name in ("survivors", "survivors.shortlist")

@@ -8,20 +8,21 @@ every set. `pytest -m statistics` repeats the proof 1,000 times.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from oracles.grid import grid_filter
+from oracles.windows import counted
 from pfdist import StateSpaceModel, linear_gaussian, load_model
 from pfdist.analysis import Moments
+from pfdist.bounds.first_windows import relaxation_with
 from pfdist.bounds.gap import gap_of
 from pfdist.bounds.guard import Falls, guarded
 from pfdist.bounds.programme import least
-from pfdist.bounds.proof import falls, prove
-from pfdist.bounds.relaxation import Relaxation
+from pfdist.bounds.proof import Sums, falls, prove
+from pfdist.bounds.relaxation import NOTHING, Relaxation, Window
 from pfdist.evaluation.problem import Problem
 from pfdist.evaluation.work import Estimation, Work
 from pfdist.filters.draws import Draws, simulate
@@ -97,19 +98,21 @@ def _alone(case: Case, times: Times, draws: tuple[int, int], estimator: str) -> 
 
 def _sums(
     case: Case, relaxation: Relaxation, known: Times, number: int, particles: int, groups: int
-) -> Array:
+) -> Sums:
     """Sums of groups of draws; each repetition has draws of its own."""
     first, sets = number * GROUPS * IN_GROUP, (*relaxation.sets, known)
     work = Work(
         measurement_times=sets,
-        ends=(*relaxation.ends, case.horizon),
+        ends=(*relaxation.ends.tolist(), case.horizon),
         filter_streams=(1,) * len(sets),
         draws_stream=2,
         draws=(0, 0),
         estimation=Estimation(particles, "systematic", "filter_variance"),
     )
     blocks = [(first + group * IN_GROUP, first + (group + 1) * IN_GROUP) for group in range(groups)]
-    return np.stack([case.problem.sum_errors(replace(work, draws=draws)) for draws in blocks])
+    sums = np.stack([case.problem.sum_errors(replace(work, draws=draws)) for draws in blocks])
+    relaxed, own = counted(relaxation, sums[:, :-1]), sums[:, -1:]
+    return Sums(relaxed, own, np.full(groups, float(IN_GROUP)))
 
 
 @dataclass(frozen=True)
@@ -146,7 +149,7 @@ def _repeated(
     """
     sets = list(case.feasible.every())
     m = case.set_draws // 25 if same_draws else case.set_draws  # few draws are easily fooled
-    fixed, counts = case.candidate, np.full(GROUPS, float(IN_GROUP))
+    fixed = case.candidate
     costs = {times: _true_cost(case, times) for times in (sets if same_draws else [fixed])}
     optimum = case.optimum(case)
     rows = []
@@ -162,13 +165,13 @@ def _repeated(
             _sums(case, relaxation, known, number, times * case.particles, groups)
             for times, groups in ((1, GROUPS), (4, GUARDED))
         )
-        proof = prove(relaxation, coarse, counts, [known], BUDGET)
+        proof = prove(relaxation, coarse, [known], BUDGET)
         alone = parts_of(whole, squared, squared, variance)
-        gap = gap_of("set", known, alone, proof, proof.slack[0], 0.95)
-        pair = falls(relaxation, coarse[:GUARDED], fine, counts[:GUARDED], BUDGET)
+        gap = gap_of("set", known, alone, proof, 0, 0.95)
+        pair = falls(relaxation, coarse.first(GUARDED), fine, BUDGET)
         gap = guarded({"set": gap}, Falls(*pair, ""))["set"]
-        of_batches = least(relaxation, coarse[:, :-1] / IN_GROUP, BUDGET).mse[:, BUDGET]
-        own = coarse[:, -1].mean(axis=1) / IN_GROUP
+        of_batches = least(relaxation, coarse.relaxed / IN_GROUP, BUDGET).mse[:, BUDGET]
+        own = coarse.own[:, 0].mean(axis=1) / IN_GROUP
         total, scale = proof.slack[0].plus(alone.both), gap.expected_mse.value
         batch_gap = float(np.mean(own - of_batches)) + alone.both.value
         limit, truth = gap.gap_at_most * scale, costs[known] - optimum
@@ -193,7 +196,7 @@ def _true_cost(case: Case, times: Times) -> float:
 
 
 def _exact(case: Case) -> Relaxation:
-    return Relaxation(case.feasible, BUDGET + 1, case.horizon + 1)
+    return relaxation_with(case.feasible, BUDGET + 1, case.horizon + 1)
 
 
 @pytest.fixture(scope="module", params=CASES)
@@ -252,17 +255,16 @@ def test_batches_find_a_larger_gap_on_average(outcome: Outcome) -> None:
 class _TooLittle(Relaxation):
     """A relaxation that forgets to measure what the window no longer holds."""
 
-    @property
-    def sets(self) -> list[Times]:
-        return [state.later or ((state.last,) if state.last >= 0 else ()) for state in self.states]
+    def filtered(self, window: Window) -> Times:
+        return tuple(time for time in window[-1:] if time != NOTHING)
 
 
 @pytest.mark.statistics
 def test_a_bound_that_measures_too_little_does_not_cover(
     case: Case, record_property: Record
 ) -> None:
-    relaxation: Any = _TooLittle(case.feasible, 1, case.horizon + 1)
-    outcome = _repeated(case, relaxation)
+    alone = relaxation_with(case.feasible, 1, case.horizon + 1)
+    outcome = _repeated(case, _TooLittle(alone.constraints, alone.windows, alone.longest_gap))
     record_property("coverage", outcome.coverage)
     assert outcome.coverage < 0.9
 

@@ -13,6 +13,7 @@ GAP = Gap(
     "found",
     TIMES,
     Estimate(10.0, 0.1),
+    budget=2,
     bound=Estimate(9.8, 0.05),
     gap=0.02,
     gap_at_most=0.03,
@@ -65,26 +66,44 @@ def test_a_known_set_that_costs_less_than_the_bound_withdraws_it() -> None:
     assert not _guarded(GAP, near)["found"].reason
     for times in ((1,), (1, 4, 5)):  # of another number of measurements: that contradicts nothing
         falls = Falls([STEADY] * 4, [STEADY] * 2, "")
-        other = replace(cheap, measurement_times=times)
+        other = replace(cheap, measurement_times=times, budget=len(times))
         assert not guarded({"found": GAP, "cheap": other}, falls)["found"].reason
+
+
+def _proof(*bounds: Estimate, slack: Estimate, budget: int = 2) -> Proof:
+    paths = [(), (3,), (0, 3)][: len(bounds)]
+    return Proof(list(bounds), paths, [0, budget], [Estimate(77.0), slack], 20)
 
 
 def test_a_gap_is_the_sum_of_its_parts_with_an_error_of_its_own() -> None:
     alone = SetAlone(Estimate(10.0, 0.1), Estimate(0.3), Estimate(0.1), Estimate(0.4, 0.3))
-    proof = Proof([Estimate(99.0), Estimate(99.0), Estimate(9.2, 0.2)], [(), (), (0, 3)], [], 20)
-    gap = gap_of("found", TIMES, alone, proof, Estimate(0.5, 0.4), 0.95)
+    slack = Estimate(0.5, 0.4)
+    proof = _proof(Estimate(99.0), Estimate(99.0), Estimate(9.2, 0.2), slack=slack)
+    gap = gap_of("found", TIMES, alone, proof, 1, 0.95)
     assert gap.gap == pytest.approx(0.09)
     assert gap.gap_at_most == pytest.approx(Estimate(0.9, 0.5).at_most(19) / 10)
-    assert (gap.bound, gap.path) == (proof.bounds[2], (0, 3))
+    assert (gap.bound, gap.path, gap.budget) == (proof.bounds[2], (0, 3), 2)
     assert (gap.relaxation, gap.estimate, gap.filter_model) == (
-        Estimate(0.5, 0.4), alone.estimate, alone.filter_model,
+        slack, alone.estimate, alone.filter_model,
     )  # fmt: skip
 
 
+def test_a_set_bought_with_money_has_the_bound_of_all_of_the_money() -> None:
+    """Whatever the number of its times: the place in the proof says which sum it may spend."""
+    alone = SetAlone(Estimate(10.0))
+    proof = _proof(Estimate(9.0), Estimate(8.0), slack=Estimate(2.0), budget=1)
+    gap = gap_of("found", TIMES, alone, proof, 1, 0.95)
+    assert (gap.bound, gap.path, gap.budget) == (Estimate(8.0), (3,), 1)
+    assert gap.gap == pytest.approx(0.2)
+
+
 def test_a_set_clearly_below_the_bound_has_no_bound_and_a_chance_excess_is_no_gap() -> None:
-    proof = Proof([Estimate(0.0)] * 3, [()] * 3, [], 20)
     alone = SetAlone(Estimate(10.0, 0.1), both=Estimate(-0.1, 0.1))
-    assert gap_of("found", TIMES, alone, proof, Estimate(0.0, 0.1), 0.95).gap == 0.0
-    assert not gap_of("found", TIMES, alone, proof, Estimate(-0.4, 0.1), 0.95).reason
-    below = gap_of("found", TIMES, alone, proof, Estimate(-1.0, 0.1), 0.95)
-    assert below.reason == "the set costs less than the bound"
+
+    def gap(slack: float) -> Gap:
+        proof = _proof(*[Estimate(0.0)] * 3, slack=Estimate(slack, 0.1))
+        return gap_of("found", TIMES, alone, proof, 1, 0.95)
+
+    assert gap(0.0).gap == 0.0
+    assert not gap(-0.4).reason
+    assert gap(-1.0).reason == "the set costs less than the bound"

@@ -6,83 +6,87 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pfdist.bounds.proof import Estimate, falls, prove
-from pfdist.bounds.relaxation import Relaxation
+from oracles.windows import counted, relaxed_errors
+from pfdist.bounds.first_windows import relaxation_with
+from pfdist.bounds.proof import Estimate, Sums, falls, prove
+from pfdist.bounds.relaxation import START
 from pfdist.times.constraints import Constraints
 
-# One measurement in 0..2, window 2: nothing is added to it, so each state is a set.
-RELAXATION = Relaxation(Constraints(2, 1), 2, 3)
+# One measurement in 0..2, window 2: nothing is added to it, so each window is a set.
+RELAXATION = relaxation_with(Constraints(2, 1), 2, 3)
 SETS = [(0,), (1,), (2,)]
 GROUPS, DRAWS = 20, 50
 
 
-def _sums(rng: np.random.Generator, scale: float = 1.0) -> np.ndarray:
-    """Sums of groups of errors; those of each known set are those of its states."""
-    states = len(RELAXATION.states)
-    errors = rng.gamma(4.0, scale / 4, size=(GROUPS, DRAWS, states, 3)).sum(axis=1)
-    places = [[RELAXATION.index[state] for state in RELAXATION.states_of(times)] for times in SETS]
-    own = np.stack([errors[:, place, range(3)] for place in places], axis=1)
-    return np.concatenate([errors, own], axis=1)
+def _sums(rng: np.random.Generator, scale: float = 1.0) -> Sums:
+    """Sums of groups of errors; those of each known set are those of its windows."""
+    windows = len(RELAXATION.windows)
+    errors = rng.gamma(4.0, scale / 4, size=(GROUPS, DRAWS, windows, 3)).sum(axis=1)
+    relaxed = counted(RELAXATION, errors)
+    own = np.stack([relaxed_errors(RELAXATION, relaxed, times) for times in SETS], axis=1)
+    return Sums(relaxed, own, np.full(GROUPS, float(DRAWS)))
 
 
-def _counts() -> np.ndarray:
-    return np.full(GROUPS, float(DRAWS))
+def _scaled(sums: Sums, factor: float) -> Sums:
+    return sums._replace(relaxed=factor * sums.relaxed, own=factor * sums.own)
 
 
 @pytest.fixture
-def sums() -> np.ndarray:
+def sums() -> Sums:
     return _sums(np.random.default_rng(3))
 
 
-def test_the_bound_of_one_measurement_is_the_least_mean_of_its_sets(sums: np.ndarray) -> None:
-    proof = prove(RELAXATION, sums, _counts(), SETS, 1)
-    own = sums[:, -3:].mean(axis=2).sum(axis=0) / (GROUPS * DRAWS)
+def test_the_bound_of_one_measurement_is_the_least_mean_of_its_sets(sums: Sums) -> None:
+    proof = prove(RELAXATION, sums, SETS, 1)
+    own = sums.own.mean(axis=2).sum(axis=0) / (GROUPS * DRAWS)
     assert proof.bounds[1].value == pytest.approx(own.min(), rel=1e-12)
     assert proof.paths[1] == SETS[int(own.argmin())]
     assert [slack.value for slack in proof.slack] == pytest.approx(list(own - own.min()), abs=1e-12)
     assert proof.groups == GROUPS
 
 
-def test_the_jackknife_of_a_mean_is_its_textbook_error(sums: np.ndarray) -> None:
-    proof = prove(RELAXATION, sums, _counts(), SETS, 1)
-    means = sums.mean(axis=2) / DRAWS
-    nothing = means[:, RELAXATION.index[RELAXATION.states[0]]]  # no measurement: one state alone
+def test_the_jackknife_of_a_mean_is_its_textbook_error(sums: Sums) -> None:
+    proof = prove(RELAXATION, sums, SETS, 1)
+    means = sums.own.mean(axis=2) / DRAWS
+    first = RELAXATION.offsets[RELAXATION.index[START]]
+    nothing = sums.relaxed[:, first : first + 3].mean(axis=1) / DRAWS  # no measurement
     assert proof.bounds[0].standard_error == pytest.approx(stats.sem(nothing), rel=1e-9)
-    best = int(means[:, -3:].mean(axis=0).argmin())
-    for slack, column in zip(proof.slack, means[:, -3:].T, strict=True):
-        expected = stats.sem(column - means[:, -3 + best])
+    best = int(means.mean(axis=0).argmin())
+    for slack, column in zip(proof.slack, means.T, strict=True):
+        expected = stats.sem(column - means[:, best])
         if expected:  # else the least itself, whose slack is 0 but for groups that change the least
             assert slack.standard_error == pytest.approx(expected, rel=0.3)
 
 
-def test_groups_of_several_sizes_count_by_their_draws(sums: np.ndarray) -> None:
-    whole = prove(RELAXATION, sums, _counts(), SETS, 1)
-    counts = _counts()
-    counts[0], sums[0] = 2 * DRAWS, 2 * sums[0]  # twice the draws, with the same mean
-    weighted = prove(RELAXATION, sums, counts, SETS, 1)
-    means = sums[:, -3:].mean(axis=2).sum(axis=0) / counts.sum()
+def test_groups_of_several_sizes_count_by_their_draws(sums: Sums) -> None:
+    whole = prove(RELAXATION, sums, SETS, 1)
+    for part in sums:  # twice the draws in the first group, with the same mean
+        part[0] *= 2
+    weighted = prove(RELAXATION, sums, SETS, 1)
+    means = sums.own.mean(axis=2).sum(axis=0) / sums.draws.sum()
     assert weighted.bounds[1].value == pytest.approx(means.min(), rel=1e-12)
     assert weighted.bounds[1].value != whole.bounds[1].value
 
 
-def test_one_group_holds_exact_errors(sums: np.ndarray) -> None:
-    proof = prove(RELAXATION, sums[:1], _counts()[:1], SETS, 1)
+def test_one_group_holds_exact_errors(sums: Sums) -> None:
+    proof = prove(RELAXATION, sums.first(1), SETS, 1)
     assert proof.groups == 0
     assert all(estimate.standard_error == 0.0 for estimate in (*proof.bounds, *proof.slack))
 
 
-def test_a_fall_is_the_relative_difference_on_the_same_draws(sums: np.ndarray) -> None:
-    of_bounds, of_sets = falls(RELAXATION, sums, 0.9 * sums, _counts(), 1)
+def test_a_fall_is_the_relative_difference_on_the_same_draws(sums: Sums) -> None:
+    of_bounds, of_sets = falls(RELAXATION, sums, _scaled(sums, 0.9), 1)
     for fall in (*of_bounds, *of_sets):
         assert fall.value == pytest.approx(0.1, rel=1e-9)
         assert fall.standard_error == pytest.approx(0.0, abs=1e-9)
         assert fall.is_positive
-    of_bounds, of_sets = falls(RELAXATION, sums, sums, _counts(), 1)
+    of_bounds, of_sets = falls(RELAXATION, sums, sums, 1)
     assert not any(fall.is_positive or fall.is_negative for fall in (*of_bounds, *of_sets))
 
 
-def test_an_estimate_of_zero_does_not_fall(sums: np.ndarray) -> None:
-    of_bounds, of_sets = falls(RELAXATION, 0 * sums, 0 * sums, _counts(), 1)
+def test_an_estimate_of_zero_does_not_fall(sums: Sums) -> None:
+    nothing = _scaled(sums, 0.0)
+    of_bounds, of_sets = falls(RELAXATION, nothing, nothing, 1)
     assert [fall.value for fall in (*of_bounds, *of_sets)] == [0.0] * 5
 
 
@@ -111,5 +115,5 @@ def test_clearly_is_more_than_four_standard_errors() -> None:
 def test_the_estimated_bound_is_too_low_on_average() -> None:
     """E min <= min E: here by chance alone, because all sets cost the same."""
     rng = np.random.default_rng(11)
-    bounds = [prove(RELAXATION, _sums(rng), _counts(), SETS, 1).bounds[1].value for _ in range(200)]
+    bounds = [prove(RELAXATION, _sums(rng), SETS, 1).bounds[1].value for _ in range(200)]
     assert np.mean(bounds) < 1.0 - 4 * stats.sem(bounds)

@@ -6,11 +6,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from oracles.kalman import SCALAR, THREE, TRACKING
-from pfdist import StateSpaceModel, linear_gaussian, load_model
+from oracles.systems import SYSTEMS
+from oracles.windows import counted_errors, relaxed_errors
+from pfdist import StateSpaceModel
+from pfdist.bounds.first_windows import relaxation_for, relaxation_with
 from pfdist.bounds.programme import least
-from pfdist.bounds.relaxation import START, Relaxation
-from pfdist.errors import MeasurementTimesError
+from pfdist.bounds.relaxation import Window
+from pfdist.errors import JobError, MeasurementTimesError
 from pfdist.filters.kalman import expected_errors, expected_mse
 from pfdist.times.constraints import Constraints
 from pfdist.times.feasible import Feasible
@@ -20,56 +22,6 @@ HORIZON, BUDGET = 9, 4
 ROUNDING = 1e-12
 
 
-def _scalar(name: str, factor: float, push: float, noise: float) -> StateSpaceModel:
-    return linear_gaussian(
-        name,
-        initial_noise=[[2.0]],
-        transition=[[factor]],
-        process_noise=[[push]],
-        measurement=[[1.0]],
-        measurement_noise=[[noise]],
-        quantity_of_interest=[[1.0]],
-    )
-
-
-SYSTEMS = {
-    "stable": _scalar("stable", 0.7, 1.0, 0.5),
-    "random walk": _scalar("walk", 1.0, 1.0, 1.0),
-    "static": _scalar("static", 1.0, 0.0, 1.0),
-    "unstable": _scalar("unstable", 1.05, 0.5, 0.3),
-    "forgetful": SCALAR.as_model(),
-    "tracking": TRACKING.as_model(),
-    "three states": THREE.as_model(),
-    "constant velocity": linear_gaussian(
-        "constant velocity",
-        initial_noise=[[1.0, 0.0], [0.0, 1.0]],
-        transition=[[1.0, 1.0], [0.0, 1.0]],
-        process_noise=[[0.1], [0.2]],
-        measurement=[[1.0, 0.0]],
-        measurement_noise=[[0.5]],
-        quantity_of_interest=[[1.0, 0.0]],
-    ),
-    "sharp now and then": linear_gaussian(
-        "sharp",
-        initial_noise=[[3.0]],
-        transition=[[1.0]],
-        process_noise=[[0.5]],
-        measurement=[[1.0]],
-        measurement_noise=lambda t: ((0.05 if t % 3 == 0 else 1.5,),),
-        quantity_of_interest=[[1.0]],
-    ),
-    "wanted late": linear_gaussian(
-        "late",
-        initial_noise=[[1.0]],
-        transition=[[1.0]],
-        process_noise=[[0.4]],
-        measurement=[[1.0]],
-        measurement_noise=[[0.4]],
-        quantity_of_interest=lambda t: ((0.1 + t / 4,),),
-    ),
-    "oscillator": load_model("linear_gaussian"),
-    "walk that ships": load_model("random_walk"),
-}
 CONSTRAINTS = {
     "free": {},
     "forbidden": {"forbidden": (2, 5, 6)},
@@ -77,6 +29,7 @@ CONSTRAINTS = {
     "spaced": {"minimum_spacing": 2},
     "all": {"forbidden": (3,), "required": (7,), "minimum_spacing": 2},
 }
+systems = pytest.mark.parametrize("model", SYSTEMS.values(), ids=list(SYSTEMS))
 systems = pytest.mark.parametrize("model", SYSTEMS.values(), ids=list(SYSTEMS))
 
 
@@ -87,9 +40,8 @@ def _feasible(name: str) -> Feasible:
 def _bound(
     model: StateSpaceModel, constraints: Constraints, window: int, gap: int, most: int = BUDGET
 ) -> tuple[list[float], list[Times]]:
-    relaxation = Relaxation(constraints, window, gap)
-    errors = expected_errors(model, constraints.horizon, relaxation.sets)
-    found = least(relaxation, errors, most)
+    relaxation = relaxation_with(constraints, window, gap)
+    found = least(relaxation, counted_errors(model, relaxation), most)
     return found.mse.tolist(), found.paths
 
 
@@ -119,24 +71,17 @@ def test_one_programme_gives_every_number_of_measurements(model: StateSpaceModel
     assert mse[-1] == pytest.approx(expected_mse(model, HORIZON, [paths[-1]])[0], rel=ROUNDING)
 
 
-def _relaxed_errors(relaxation: Relaxation, errors: np.ndarray, times: Times) -> np.ndarray:
-    """The relaxed error at each instant of a set: what the programme adds up for it."""
-    places = [relaxation.index[state] for state in relaxation.states_of(times)]
-    found: np.ndarray = errors[places, range(relaxation.horizon + 1)]
-    return found
-
-
 @systems
 @pytest.mark.parametrize(("window", "gap"), [(1, 4), (2, 3), (3, 10)])
 def test_the_relaxed_error_is_at_most_the_sets_own_at_every_instant(
     model: StateSpaceModel, window: int, gap: int
 ) -> None:
     feasible = _feasible("free")
-    relaxation = Relaxation(feasible, window, gap)
-    errors = expected_errors(model, HORIZON, relaxation.sets)
+    relaxation = relaxation_with(feasible, window, gap)
+    errors = counted_errors(model, relaxation)
     sets = list(feasible.every())
     own = expected_errors(model, HORIZON, sets)
-    relaxed = np.array([_relaxed_errors(relaxation, errors, times) for times in sets])
+    relaxed = np.array([relaxed_errors(relaxation, errors, times) for times in sets])
     assert (relaxed <= own * (1 + ROUNDING)).all()
     # The programme finds the least of these sums, and a set that has it.
     found = least(relaxation, errors, BUDGET)
@@ -146,8 +91,8 @@ def test_the_relaxed_error_is_at_most_the_sets_own_at_every_instant(
 
 
 def test_each_resample_of_the_draws_has_a_programme_of_its_own() -> None:
-    relaxation = Relaxation(_feasible("required"), 2, 4)
-    shape = (3, 2, len(relaxation.states), HORIZON + 1)
+    relaxation = relaxation_with(_feasible("required"), 2, 4)
+    shape = (3, 2, int(relaxation.offsets[-1]))
     errors = np.random.default_rng(1).exponential(size=shape)
     together = least(relaxation, errors, BUDGET).mse
     for place in np.ndindex(shape[:2]):
@@ -155,24 +100,45 @@ def test_each_resample_of_the_draws_has_a_programme_of_its_own() -> None:
 
 
 @pytest.mark.parametrize(
-    ("times", "states"),
+    ("times", "windows"),
     [
-        ((2,), [(-1, (2,))]),  # nothing is added as long as there are fewer than 3
-        ((2, 4, 5), [(-1, (2,)), (-1, (2, 4)), (2, (4, 5))]),
-        ((2, 4, 5, 6), [(-1, (2,)), (-1, (2, 4)), (2, (4, 5)), (4, (5, 6))]),
-        ((2, 7, 8), [(-1, (2,)), (7, ()), (7, (8,))]),  # a gap longer than 3
+        ((2,), [(-1,), (-1, 2)]),  # nothing is added as long as there are fewer than 3
+        ((2, 4, 5), [(-1,), (-1, 2), (-1, 2, 4), (2, 4, 5)]),
+        ((2, 4, 5, 6), [(-1,), (-1, 2), (-1, 2, 4), (2, 4, 5), (4, 5, 6)]),
+        ((2, 7, 8), [(-1,), (-1, 2), (7,), (7, 8)]),  # a gap longer than 3
     ],
 )
-def test_the_states_of_a_set(times: Times, states: Sequence[tuple[int, Times]]) -> None:
-    relaxation, state, found = Relaxation(Constraints(9, 4), window=3, longest_gap=3), START, []
-    for time in times:
-        state = relaxation.after(state, time)
-        found.append(tuple(state))
-    assert found == states
-    assert set(found) <= set(map(tuple, relaxation.states))
+def test_the_windows_of_a_set(times: Times, windows: Sequence[Window]) -> None:
+    relaxation = relaxation_with(Constraints(9, 4), window=3, longest_gap=3)
+    assert [relaxation.windows[number] for number in relaxation.windows_of(times)] == windows
 
 
 @pytest.mark.parametrize("name", ["window", "longest_gap"])
 def test_a_relaxation_needs_a_window_and_a_gap(name: str) -> None:
     with pytest.raises(MeasurementTimesError, match=f"{name} must be at least 1, got 0"):
-        Relaxation(Constraints(9, 4), **{name: 0})
+        relaxation_with(Constraints(9, 4), **{"window": 2, "longest_gap": 3, name: 0})
+
+
+@pytest.mark.parametrize(("horizon", "number"), [(20, 4), (60, 21), (200, 30)])
+@pytest.mark.parametrize("window", [1, 2, 3])
+def test_a_relaxation_has_no_more_errors_than_it_may(
+    horizon: int, number: int, window: int
+) -> None:
+    constraints = Constraints(horizon, number)
+    instants = horizon + 1
+    mean_gap = instants / (number + 1)
+    for most in (10**5, 10**6, 10**7):
+        try:
+            relaxation = relaxation_for(constraints, window, number, most)
+        except JobError:
+            assert instants * (2 * mean_gap) ** window + instants**2 > most
+        else:
+            assert relaxation.offsets[-1] <= most
+            assert 2 * mean_gap <= relaxation.longest_gap <= 3 * mean_gap + 1
+
+
+def test_a_relaxation_that_needs_more_memory_is_refused() -> None:
+    message = "^window = 3 needs about .* numbers for each group of draws, allowed: 1,000; try pf"
+    with pytest.raises(JobError, match=message) as refused:
+        relaxation_for(Constraints(60, 21), 3, 21, 1000)
+    assert refused.value.argument == "window"

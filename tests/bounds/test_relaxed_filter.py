@@ -11,7 +11,9 @@ import pytest
 from numpy.typing import NDArray
 
 import pfdist
+from oracles.windows import counted, relaxed_errors
 from pfdist import load_job, load_model
+from pfdist.bounds.first_windows import relaxation_with
 from pfdist.bounds.relaxation import Relaxation
 from pfdist.evaluation.problem import Problem
 from pfdist.evaluation.work import Estimation, Work
@@ -77,7 +79,7 @@ def _sums(sets: list[Times], ends: list[int], chance: int) -> Array:
             estimation = Estimation(500, "systematic", "filter_variance")
             draws = (first, first + DRAWS)
             streams = (7,) * len(some)
-            work = Work(tuple(some), tuple(until), streams, 8, draws, estimation, summed=True)
+            work = Work(tuple(some), tuple(until), streams, 8, draws, estimation)
             pieces.append(problem.sum_errors(work))
         found.append(np.concatenate(pieces))
     return np.stack(found)
@@ -85,12 +87,11 @@ def _sums(sets: list[Times], ends: list[int], chance: int) -> Array:
 
 def _exceeds(relaxation: Relaxation, sets: list[Times], chance: int) -> NDArray[np.bool_]:
     """Whether the relaxed error exceeds the set's own by more than 4 paired errors, (S, T+1)."""
-    relaxed = _sums(relaxation.sets, relaxation.ends, chance)
+    relaxed = counted(relaxation, _sums(relaxation.sets, relaxation.ends.tolist(), chance))
     own = _sums(sets, [HORIZON] * len(sets), chance)
     exceeds = np.zeros((len(sets), HORIZON + 1), np.bool_)
     for row, times in enumerate(sets):
-        places = [relaxation.index[state] for state in relaxation.states_of(times)]
-        difference = relaxed[:, places, range(HORIZON + 1)] - own[:, row]
+        difference = relaxed_errors(relaxation, relaxed, times) - own[:, row]
         error = difference.std(axis=0, ddof=1) / np.sqrt(GROUPS)
         exceeds[row] = difference.mean(axis=0) > 4 * error
     return exceeds
@@ -103,7 +104,7 @@ def test_the_relaxed_error_of_the_best_sets_and_their_neighbours_is_at_most_thei
     neighbours = (other for times in best_sets for other in feasible.exchanges(times))
     sets = list(dict.fromkeys([*best_sets, *neighbours]))
     assert len(best_sets) == BEST
-    relaxation = Relaxation(feasible, 2, 9)  # three mean gaps
+    relaxation = relaxation_with(feasible, 2, 9)  # three mean gaps
     exceeds = _exceeds(relaxation, sets, 0)
     above = [int(exceeds.sum())]
     for chance in range(1, CHANCES):

@@ -34,7 +34,11 @@ SMALL = {
     "evaluations": 60, "population": 20, "generations": 12, "mutation_probability": 0.1,
     "steps": 40,
 }  # fmt: skip
-EXACT = {"survivors", "exhaustive"}  # here, that is: what a search finds is the best there is
+EXACT = {
+    "relaxation",
+    "survivors",
+    "exhaustive",
+}  # here, that is: what a search finds is the best there is
 ON_THE_WAY = {"greedy_forward", "greedy_backward"}  # they ask for smaller sets too, or for larger
 
 MODEL = TRACKING.as_model()
@@ -53,6 +57,17 @@ def _costs(asked: list[Candidate]) -> list[float]:
     return costs
 
 
+def _evaluation(candidate: Candidate, cost: float) -> SearchEvaluation:
+    times, end, since = candidate.measurement_times, candidate.end, candidate.since
+    if since is None:
+        return SearchEvaluation(times, np.empty(0), exact=cost, end=end)
+    errors = kalman.expected_errors(MODEL, HORIZON, [times])[0]
+    errors[:since] = 0.0
+    errors[(HORIZON if end is None else end) + 1 :] = 0.0
+    cost = float(np.mean(errors))
+    return SearchEvaluation(times, np.empty(0), exact=cost, end=end, errors=errors)
+
+
 @cache
 def _searched(method: str, constraint: str) -> tuple[list[Candidate], list[SearchEvaluation]]:
     optimiser = _optimiser(method, CONSTRAINTS[constraint])
@@ -63,15 +78,7 @@ def _searched(method: str, constraint: str) -> tuple[list[Candidate], list[Searc
         rng = np.random.Generator(np.random.Philox([1, len(asked)]))
         now = list(optimiser.ask(state, rng))
         asked += now
-        state = optimiser.tell(
-            state,
-            [
-                SearchEvaluation(
-                    candidate.measurement_times, np.empty(0), exact=cost, end=candidate.end
-                )
-                for candidate, cost in zip(now, _costs(now), strict=True)
-            ],
-        )
+        state = optimiser.tell(state, list(map(_evaluation, now, _costs(now))))
     return asked, list(optimiser.finalists(state))
 
 
@@ -95,7 +102,12 @@ both = pytest.mark.parametrize(
 def test_whole_sets_that_it_asks_for_are_feasible(method: str, constraint: str) -> None:
     asked, _ = _searched(method, constraint)
     every = _every(constraint)
-    for times in {candidate.measurement_times for candidate in asked if candidate.end is None}:
+    whole = {
+        candidate.measurement_times
+        for candidate in asked
+        if candidate.end is None and candidate.since is None
+    }
+    for times in whole:
         if method in ON_THE_WAY:
             assert any(_nested(times, whole) for whole in every)
         else:
@@ -107,8 +119,27 @@ def test_a_feasible_set_begins_with_what_it_asks_for_up_to_an_end(
     method: str, constraint: str
 ) -> None:
     asked, _ = _searched(method, constraint)
-    begun = {candidate.measurement_times for candidate in asked if candidate.end is not None}
+    begun = {
+        candidate.measurement_times
+        for candidate in asked
+        if candidate.end is not None and candidate.since is None
+    }
     assert begun <= {whole[: k + 1] for whole in _every(constraint) for k in range(len(whole))}
+
+
+@both
+def test_where_errors_are_asked_for_some_feasible_set_has_the_last_of_the_measurements(
+    method: str, constraint: str
+) -> None:
+    """Windows end as a beginning of a feasible set does; before them all allowed times may be."""
+    feasible, asked = CONSTRAINTS[constraint], _searched(method, constraint)[0]
+    windows = [candidate for candidate in asked if candidate.since is not None]
+    assert bool(windows) != METHODS[method].online
+    for times, end, _, _, _, since in windows:
+        assert set(feasible.required) & set(range(max(times, default=0))) <= set(times)
+        assert not set(times) & set(feasible.forbidden)
+        assert since == max(times, default=0)
+        assert end is not None
 
 
 @both

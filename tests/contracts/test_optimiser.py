@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from pfdist.evaluation.estimate import SearchEvaluation
-from pfdist.search import Candidate, EveryBudget
+from pfdist.search import Candidate
 from pfdist.search.base import FINALISTS, SearchOptimiser
 from pfdist.search.methods import METHODS
 from pfdist.times.feasible import Feasible
@@ -17,43 +18,59 @@ from pfdist.times.measurement_times import Times
 FEASIBLE = Feasible(horizon=15, measurement_budget=4)
 DRAWS = 20
 
-# Every method that a job can name, with its default settings, and the programme for several N.
+# Every method that a job can name, with its default settings.
 OPTIMISERS: dict[str, SearchOptimiser] = {
     name: method.make(FEASIBLE, DRAWS, method.section().settings)
     for name, method in METHODS.items()
-} | {"every_budget": EveryBudget(FEASIBLE, least=4)}
+}
 # How much they ask for does not depend on what they are told.
 FORESEEN = ("exhaustive", "genetic", "greedy_backward", "greedy_forward", "random")
 AT_RANDOM = ("annealing", "cross_entropy", "genetic", "random")
 FINDS_THE_BEST = (
-    "every_budget",
     "cross_entropy",
     "exchange",
     "exhaustive",
     "greedy_backward",
+    "relaxation",
     "survivors",
 )
+BEST = (2, 4, 6, 8)
 
 every = pytest.mark.parametrize("name", OPTIMISERS)
 
 
-def _cost(times: Times, end: int | None = None) -> float:
-    """Least for the even times 2, 4, 6, 8; what comes after the end has no share in it."""
-    here = [time for time in times if end is None or time <= end]
-    return float(sum(abs(time - 2 * (k + 1)) for k, time in enumerate(here)))
+def _errors(times: Times) -> NDArray[np.float64]:
+    """Errors of all instants, (T+1,): a measurement's distance to the nearest of the best times.
+
+    The error depends on the last measurement alone, so every window has the error of a set.
+    """
+    errors = np.zeros(FEASIBLE.horizon + 1)
+    for time in times:
+        errors[time] = min(abs(time - best) for best in BEST)
+    return errors
+
+
+def _cost(times: Times) -> float:
+    """Least for the best times."""
+    return float(np.sum(_errors(times)))
 
 
 def _told(asked: list[Candidate]) -> list[SearchEvaluation]:
-    """Costs under common noise: the same in all sets."""
-    noise = np.random.default_rng(0).normal(size=DRAWS)
-    return [
-        SearchEvaluation(
-            candidate.measurement_times,
-            (_cost(candidate.measurement_times, candidate.end) + noise)[: candidate.draws],
-            end=candidate.end,
-        )
-        for candidate in asked
-    ]
+    """Evaluations under common noise: the same in all sets, at all instants."""
+    return [_evaluation(candidate) for candidate in asked]
+
+
+def _evaluation(candidate: Candidate) -> SearchEvaluation:
+    times, end = candidate.measurement_times, candidate.end
+    counted = np.arange(FEASIBLE.horizon + 1) <= (FEASIBLE.horizon if end is None else end)
+    noise = np.random.default_rng(0).exponential(size=DRAWS)[: candidate.draws]
+    errors = np.where(counted, _errors(times) + noise[:, None], 0.0)
+    if candidate.since is None:
+        return SearchEvaluation(times, np.mean(errors, axis=1), end=end)
+    errors[:, : candidate.since] = 0.0
+    asked_for = np.mean(errors, axis=0)
+    cost = float(np.mean(asked_for))
+    return SearchEvaluation(times, np.empty(0), exact=cost, end=end, errors=asked_for)
 
 
 def _search(
@@ -70,13 +87,14 @@ def _search(
 @every
 def test_it_asks_for_sorted_sets_of_distinct_times_within_the_horizon(name: str) -> None:
     asked, found = _search(OPTIMISERS[name], 1)
-    for times, end, draws, _, squared in (
-        candidate for generation in asked for candidate in generation
-    ):
+    for times, end, draws, _, squared, since in itertools.chain(*asked):
+        last = FEASIBLE.horizon if end is None else end
         assert not squared  # a search estimates in one way
         assert all(a < b for a, b in itertools.pairwise(times))
-        assert all(0 <= time <= (FEASIBLE.horizon if end is None else end) for time in times)
-        assert draws is None or 2 <= draws <= DRAWS
+        assert all(0 <= time <= last for time in times)
+        fewest = 2 if since is None else 1  # the mean of one draw is an expected error
+        assert draws is None or fewest <= draws <= DRAWS
+        assert since is None or 0 <= since <= last
     assert all(FEASIBLE.accepts(evaluation.measurement_times) for evaluation in found)
 
 
@@ -105,7 +123,7 @@ def test_it_returns_whole_sets_it_asked_for_with_what_it_was_told(name: str) -> 
         candidate.measurement_times
         for generation in asked
         for candidate in generation
-        if candidate.end is None
+        if candidate.end is None and candidate.since is None
     }
     assert {evaluation.measurement_times for evaluation in found} <= whole
     assert 1 <= len(found) <= FINALISTS
@@ -113,7 +131,7 @@ def test_it_returns_whole_sets_it_asked_for_with_what_it_was_told(name: str) -> 
         evaluation.cost for evaluation in found
     )
     for evaluation in found:
-        (told,) = _told([Candidate(evaluation.measurement_times, draws=evaluation.draws)])
+        told = _evaluation(Candidate(evaluation.measurement_times, draws=evaluation.draws))
         assert evaluation.cost == told.cost
 
 
@@ -128,6 +146,14 @@ def test_what_it_finds_is_of_the_best_twentieth_of_all_sets(name: str) -> None:
     _, found = _search(OPTIMISERS[name], 1)
     costs = [_cost(times) for times in FEASIBLE.every()]
     assert _cost(found[0].measurement_times) <= np.quantile(costs, 0.05)
+
+
+def test_only_a_search_that_may_not_plan_online_asks_for_errors() -> None:
+    """Online planning gives the cost of each draw, and no errors."""
+    for name, optimiser in OPTIMISERS.items():
+        asked, _ = _search(optimiser, 1)
+        asks = any(candidate.since is not None for candidate in itertools.chain(*asked))
+        assert asks != METHODS[name].online
 
 
 def _content(value: Any) -> Any:

@@ -158,7 +158,7 @@ def test_a_bound_that_goes_wrong_at_any_file_operation_ends_with_the_same_bytes(
     """A bound of 480 draws that grows to 960, in files of 8 blocks."""
     monkeypatch.setattr(sets_alone, "SET_DRAWS", 60)
     monkeypatch.setattr(Pace, "size", lambda pace, remaining: 10**9)  # a task for each work
-    monkeypatch.setitem(parquet.ROWS_IN_A_FILE, "bound_sums", 8)
+    monkeypatch.setitem(parquet.ROWS_IN_A_FILE, "error_sums", 8)
     job = small_job.with_changes([*CHANGES, "model.name=random_walk", "problem.horizon=6"])
     begun = pfdist.run(job, tmp_path / "begun", figures=False).path
     pfdist.bound(begun, BoundSettings(LEAST_DRAWS), pool="serial", figures=False)

@@ -67,7 +67,7 @@ def test_the_variance_of_one_filter_is_too_small_by_a_known_bias() -> None:
 
 # The mean of P independent particles has the variance V / P, and their variance has the mean
 # V - V / P: so the estimates of V, without a measurement, have the mean V (1 + c / P).
-BLIND = {"squared_error": 1.0, "filter_variance": -1.0, "two_filters": 1.0}
+BLIND = {"squared_error": 1.0, "filter_variance": -1.0, "own_variance": -1.0, "two_filters": 1.0}
 
 
 @pytest.mark.parametrize("estimator", ESTIMATORS)
@@ -159,28 +159,39 @@ def test_in_line_by_state_the_difference_of_two_sets_has_less_variance() -> None
 # --- what is refused, and what it costs ---
 
 
+WRONG = UNGM.with_parameters({"process_sd": 0.5})
 NORM = replace(UNGM, error=lambda z, estimate, t, p: abs(z[0] - estimate[0]))
-REFUSED: list[tuple[Problem, dict[str, Any], str]] = [
-    (
-        Problem(UNGM, 5, UNGM.with_parameters({"process_sd": 2.0}), engine=engine),
-        {"estimator": estimator},
-        f"^the estimator '{estimator}' needs a filter that knows the truth, .*'squared_er",
-    )
-    for estimator in list(ESTIMATORS)[1:]
-    for engine in ("compiled", "numpy")
-] + [
-    (
-        Problem(NORM, 5),
-        {"estimator": "two_filters"},
-        "needs an error that is the squared Euclidean",
-    ),
-    (Problem(UNGM, 5), {"estimator": "best"}, "estimator must be one of squared_error, .* 'best'"),
-    (
-        Problem(load_model("bearings_only"), 5),
-        {"resampling": "sorted_systematic"},
-        "'sorted_systematic' needs a model with a scalar state, got bearings_only with 4",
-    ),
-]
+REFUSED: list[tuple[Problem, dict[str, Any], str]] = (
+    [
+        (
+            Problem(UNGM, 5, UNGM.with_parameters({"process_sd": 2.0}), engine=engine),
+            {"estimator": estimator},
+            f"^the estimator '{estimator}' needs a filter that knows the truth, .*'squared_er",
+        )
+        for estimator in ("filter_variance", "two_filters")
+        for engine in ("compiled", "numpy")
+    ]
+    + [
+        (
+            Problem(NORM, 5),
+            {"estimator": estimator},
+            "needs an error that is the squared Euclidean",
+        )
+        for estimator in list(ESTIMATORS)[1:]
+    ]
+    + [
+        (
+            Problem(UNGM, 5),
+            {"estimator": "best"},
+            "estimator must be one of squared_error, .* 'best'",
+        ),
+        (
+            Problem(load_model("bearings_only"), 5),
+            {"resampling": "sorted_systematic"},
+            "'sorted_systematic' needs a model with a scalar state, got bearings_only with 4",
+        ),
+    ]
+)
 
 
 @pytest.mark.parametrize(("problem", "changes", "message"), REFUSED)
@@ -193,6 +204,51 @@ def test_what_does_not_fit_is_refused(
     work = Work(((1,),), (5,), (1,), 1, (0, 2), Estimation(10, **changes))
     with pytest.raises((ModelError, ValueError), match=message):
         problem(work)
+
+
+# --- the filter's own variance ---
+
+
+@pytest.mark.parametrize("engine", ["compiled", "numpy"])
+def test_of_a_filter_that_knows_the_truth_the_own_variance_is_the_filters_variance(
+    engine: str,
+) -> None:
+    problem = Problem(UNGM, HORIZON, engine=engine)
+    work = Work(tuple(SETS), tuple(ENDS), (9,) * len(SETS), 3, (0, 6), Estimation(50))
+    own, variance = (
+        problem(replace(work, estimation=Estimation(50, estimator=estimator))).mse
+        for estimator in ("own_variance", "filter_variance")
+    )
+    np.testing.assert_array_equal(own, variance)
+
+
+@pytest.mark.parametrize("engine", ["compiled", "numpy"])
+def test_the_own_variance_is_what_a_wrong_filter_believes(engine: str) -> None:
+    """The variance of its particles, however wrong it is about the error."""
+    problem = Problem(UNGM, HORIZON, WRONG, engine=engine)
+    estimation = Estimation(70, estimator="own_variance")
+    own = problem(Work(tuple(SETS), tuple(ENDS), (9,) * len(SETS), 3, (0, 6), estimation)).mse
+    draws = simulate(UNGM, HORIZON, range(6), 3)
+    believed = [
+        by_hand(replace(draws, model=WRONG), times, end, "own_variance")
+        for times, end in zip(SETS, ENDS, strict=True)
+    ]
+    np.testing.assert_allclose(own, np.stack(believed, axis=1), rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("problem", "cheapest", "guiding"),
+    [
+        (Problem(UNGM, 5), "filter_variance", "filter_variance"),
+        (Problem(UNGM, 5, WRONG), "squared_error", "own_variance"),
+        (Problem(NORM, 5), "squared_error", "squared_error"),
+    ],
+    ids=["the truth is known", "wrong filter", "own error"],
+)
+def test_the_estimators_that_a_problem_suggests(
+    problem: Problem, cheapest: str, guiding: str
+) -> None:
+    assert (problem.cheapest_estimator, problem.guiding_estimator) == (cheapest, guiding)
 
 
 @pytest.mark.parametrize("engine", ["compiled", "numpy"])

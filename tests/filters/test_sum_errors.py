@@ -1,4 +1,7 @@
-"""Sums of errors over draws: those of the filter of each set, alone and up to each instant."""
+"""Sums of errors over draws: those of the filter of each set, alone and up to each instant.
+
+Each estimate of the errors is summed: by the variance of the particles, and by the squared error.
+"""
 
 import math
 from dataclasses import replace
@@ -9,8 +12,9 @@ import pytest
 from pfdist import load_model, where
 from pfdist.filters import particle_filter, plain
 from pfdist.filters.draws import simulate
-from pfdist.filters.particle_filter import filter_sets, sum_errors
+from pfdist.filters.particle_filter import filter_draws, filter_sets, sum_errors
 from pfdist.filters.settings import FilterSettings
+from pfdist.kernels.estimators import ESTIMATORS
 
 HORIZON, PARTICLES, STREAM = 12, 60, 5
 SETS = [(0, 3, 7), (0, 3), (), (0, 3, 7, 11), (0, 4), (3,), (0, 3, 7)]
@@ -18,9 +22,13 @@ ENDS = [9, 6, 12, 12, 4, 8, 12]
 UNGM, VELOCITY = load_model("ungm"), load_model("constant_velocity")
 
 
-@pytest.mark.parametrize("engine", [particle_filter, plain], ids=["compiled", "plain"])
+engines = pytest.mark.parametrize("engine", [particle_filter, plain], ids=["compiled", "plain"])
+estimators = pytest.mark.parametrize("estimator", ESTIMATORS)
+
+
+@engines
 @pytest.mark.parametrize("model", [UNGM, VELOCITY], ids=["ungm", "constant_velocity"])
-@pytest.mark.parametrize("estimator", ["filter_variance", "two_filters"])
+@estimators
 def test_they_are_the_growth_of_the_errors_up_to_each_instant(engine, model, estimator):
     draws = simulate(model, HORIZON, range(3, 10), 1)
     settings = FilterSettings(PARTICLES, estimator=estimator)
@@ -34,10 +42,36 @@ def test_they_are_the_growth_of_the_errors_up_to_each_instant(engine, model, est
         np.testing.assert_allclose(row[: end + 1], expected, rtol=1e-9, atol=1e-9)
 
 
-def test_draws_may_be_added_in_blocks():
+@pytest.mark.parametrize("model", [UNGM, VELOCITY], ids=["ungm", "constant_velocity"])
+@estimators
+def test_the_compiled_sums_are_the_plain_ones(model, estimator):
+    draws, settings = simulate(model, HORIZON, range(9), 2), FilterSettings(70, estimator=estimator)
+    compiled, plainly = (
+        engine.sum_errors(model, draws, SETS, ENDS, STREAM, settings)
+        for engine in (particle_filter, plain)
+    )
+    for row, expected, end in zip(compiled, plainly, ENDS, strict=True):
+        np.testing.assert_allclose(row[: end + 1], expected[: end + 1], rtol=1e-9)
+
+
+@engines
+def test_the_error_of_the_model_itself_is_summed(engine):
+    """The squared error stands for whatever the model calls the error."""
+    model = replace(UNGM, error=lambda z, estimate, t, p: (1 + t) * abs(z[0] - estimate[0]))
+    draws = simulate(UNGM, HORIZON, range(5), 1)
+    settings, times = FilterSettings(PARTICLES), (0, 3, 7)
+    estimate = filter_draws(UNGM, draws, times, PARTICLES, STREAM, trajectories=True).estimate
+    expected = (1 + np.arange(HORIZON + 1)) * np.abs(draws.z - estimate)[:, :, 0].sum(axis=0)
+    with_error = replace(draws, model=model)
+    (found,) = engine.sum_errors(model, with_error, [times], [HORIZON], STREAM, settings)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+@estimators
+def test_draws_may_be_added_in_blocks(estimator):
     draws, settings = (
         simulate(UNGM, HORIZON, range(8), 1),
-        FilterSettings(PARTICLES, estimator="filter_variance"),
+        FilterSettings(PARTICLES, estimator=estimator),
     )
     parts = [sum_errors(UNGM, draws[i : i + 2], SETS, ENDS, STREAM, settings) for i in (0, 2, 4, 6)]
     whole = sum_errors(UNGM, draws, SETS, ENDS, STREAM, settings)
@@ -45,12 +79,38 @@ def test_draws_may_be_added_in_blocks():
         np.testing.assert_allclose(added[: end + 1], row[: end + 1], rtol=1e-12)
 
 
-@pytest.mark.parametrize("engine", [particle_filter, plain], ids=["compiled", "plain"])
-def test_a_degenerate_draw_leaves_no_sum(engine):
-    likelihood = lambda y, x, t, p: where(y[0] > 3.0, -math.inf, -0.5 * (y[0] - x[0]) ** 2)  # noqa: E731
-    model = replace(UNGM, log_likelihood=likelihood)
-    draws = simulate(model, HORIZON, range(40), 1)
-    settings = FilterSettings(PARTICLES, estimator="filter_variance")
+DEGENERATE = {  # some draws alone, and at one instant alone
+    "log_likelihood": lambda y, x, t, p: where(
+        y[0] > where(t == 7, 3.0, math.inf), -math.inf, -0.5 * (y[0] - x[0]) ** 2
+    )
+}
+INFINITE = {"quantity_of_interest": lambda x, t, p: (where(t == 8, math.inf, x[0]),)}
+
+
+@engines
+@estimators
+@pytest.mark.parametrize(
+    ("changes", "wrong"),
+    [
+        (DEGENERATE, [7 in times for times in SETS]),
+        (INFINITE, [end >= 8 for end in ENDS]),
+    ],
+    ids=["degenerate", "infinite"],
+)
+def test_a_set_with_a_degenerate_or_infinite_draw_has_no_sum_and_others_are_as_alone(
+    engine, estimator, changes, wrong
+):
+    model = replace(UNGM, **changes)
+    draws = simulate(UNGM, HORIZON, range(20), 1)
+    settings = FilterSettings(PARTICLES, estimator=estimator)
     with np.errstate(invalid="ignore"):
         found = engine.sum_errors(model, draws, SETS, ENDS, STREAM, settings)
-    assert np.isnan(found).all()
+    assert any(wrong)
+    assert not all(wrong)
+    for row, times, end, is_wrong in zip(found, SETS, ENDS, wrong, strict=True):
+        if is_wrong:
+            assert np.isnan(row).all()
+        else:
+            (alone,) = engine.sum_errors(model, draws, [times], [end], STREAM, settings)
+            assert np.isfinite(alone[: end + 1]).all()
+            np.testing.assert_allclose(row[: end + 1], alone[: end + 1], rtol=1e-12)

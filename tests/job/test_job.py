@@ -31,6 +31,9 @@ method = "random"
 """
 
 
+ONLINE = ", ".join(repr(name) for name in METHODS if name != "relaxation")
+
+
 @pytest.fixture
 def write(tmp_path):
     """Write a job file: JOB with a piece of it replaced."""
@@ -48,8 +51,8 @@ def write(tmp_path):
     ("name", "searches"),
     [
         ("paper", ["genetic", "random"]),
-        ("quick", ["survivors", "genetic"]),
-        ("plan", ["survivors"]),
+        ("quick", ["relaxation", "genetic"]),
+        ("plan", ["relaxation"]),
     ],
 )
 def test_the_jobs_that_ship_are_valid(name, searches):
@@ -138,7 +141,11 @@ MISTAKES = [
     ),
     ("[evaluation]", "[evaluation]\nnoise = 'new'", r"\.noise .* 'fresh' or 'common', got 'new' "),
     ("[evaluation]", "[evaluation]\ndegenerate_draws = 1", r"'kill' or 'leave_out', got 1 "),
-    ("[evaluation]", "[evaluation]\nestimator = 'x'", r"\.estimator .* or 'two_filters', got 'x' "),
+    (
+        "[evaluation]",
+        "[evaluation]\nestimator = 'x'",
+        r"\.estimator .* or 'own_variance', got 'x' ",
+    ),
     ("[comparison]", "[comparison]\ndraws = 1", r"comparison\.draws must .* 2, got 1 "),
     (
         "[execution]",
@@ -165,7 +172,7 @@ MISTAKES = [
 
 
 def test_what_a_search_is_given_of_its_evaluation_leaves_its_other_defaults(write):
-    for method in ("annealing", "exchange", "survivors"):
+    for method in ("annealing", "exchange", "relaxation", "survivors"):
         (search,) = load_job(
             write(), [f"search=[{{method='{method}', evaluation={{draws=50}}}}]"]
         ).search
@@ -347,6 +354,10 @@ def test_a_wrong_setting_is_one_line_with_the_setting(write, settings, message):
         ("search = { rounds = 0 }", "online.search.corridor.rounds must be at least 1, got 0"),
         ("search = { method = 'nothing' }", "'survivors', got 'nothing'"),
         (
+            "search = { method = 'relaxation' }",
+            f"online.search.method must be one of {ONLINE}, got 'relaxation'",
+        ),
+        (
             "search = { method = 'corridor', rnds = 2 }",
             "unknown key 'rnds' in [online.search.corridor], allowed: name, evaluation, ",
         ),
@@ -354,8 +365,9 @@ def test_a_wrong_setting_is_one_line_with_the_setting(write, settings, message):
 )
 def test_mistakes_in_the_section_online_are_named(write, section, message):
     path = write("[execution]", f"[online]\n{section}\n[execution]")
-    with pytest.raises(JobError, match=re.escape(message)):
+    with pytest.raises(JobError, match=re.escape(message)) as error:
         load_job(path)
+    assert "\n" not in str(error.value)
 
 
 def test_online_search_keeps_the_defaults_of_keys_that_are_not_given(write):

@@ -1,12 +1,14 @@
 """Searches run to their ends where the cost is a function of the times, and an odd problem."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
+from pfdist import StateSpaceModel
 from pfdist.evaluation.estimate import SearchEvaluation
-from pfdist.search import SearchOptimiser
+from pfdist.filters.kalman import expected_errors
+from pfdist.search import Candidate, SearchOptimiser
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
@@ -32,6 +34,27 @@ def last(optimiser: SearchOptimiser, cost: Callable[[Times], float], seed: int =
     """Give the last state."""
     *_, state = states(optimiser, cost, seed)
     return state
+
+
+def exactly(
+    model: StateSpaceModel, horizon: int, asked: Sequence[Candidate]
+) -> list[SearchEvaluation]:
+    """Evaluate candidates by the Kalman filter: whole sets, prefixes, and errors of instants."""
+    sets, t, told = [candidate.measurement_times for candidate in asked], np.arange(horizon + 1), []
+    for candidate, row in zip(asked, expected_errors(model, horizon, sets), strict=True):
+        times, end, _, _, _, since = candidate
+        counts = (t >= (since or 0)) & (t <= (horizon if end is None else end))
+        errors = np.where(counts, row, 0.0)
+        told.append(
+            SearchEvaluation(
+                times,
+                np.empty(0),
+                exact=float(errors.mean()),
+                end=end,
+                errors=None if since is None else errors,
+            )
+        )
+    return told
 
 
 class EvenTimes(Feasible):

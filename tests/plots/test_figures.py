@@ -15,6 +15,7 @@ from matplotlib.patches import StepPatch
 import pfdist
 from pfdist import Job
 from pfdist.analysis import Gain, Run
+from pfdist.plots.budget import plot_budget
 from pfdist.plots.cost import (
     best_of_each_step,
     best_so_far,
@@ -292,6 +293,66 @@ def test_a_measurements_worth_is_a_stem_and_its_shifts_are_triangles_with_interv
     plot_shifts(axes, measurements, ("regular", "found"))
     shown = {(line.get_marker(), *np.asarray(line.get_ydata())) for line in axes.get_lines()}
     assert {("<", 0.5, 0.25), (">", -1.0), (">", 0.75)} <= shown
+
+
+@pytest.fixture
+def budget() -> pd.DataFrame:
+    """A budget curve with a lower bound for 3 numbers of measurements, of which 4 lacks one."""
+    costs = {"regular": [9.0, 7.0, 8.0, 6.0], "found": [8.0, 6.0, 5.0, 4.0]}
+    table = pd.DataFrame(
+        [
+            {"kind": kind, "measurements": number, "measurement_times": [*range(number)]}
+            | {"expected_mse": mse, "low": mse - 0.2, "high": mse + 0.2, "draws": 100}
+            | {"standard_error": 0.1, "bound": np.nan, "bound_low": np.nan}
+            for kind, column in costs.items()
+            for number, mse in enumerate(column, start=2)
+        ]
+    )
+    table.loc[table["kind"] == "found", "bound"] = [7.8, 5.8, np.nan, 3.8]
+    table.loc[table["kind"] == "found", "bound_low"] = [7.5, 5.5, np.nan, 3.5]
+    return table
+
+
+def test_the_budget_has_a_curve_each_for_regular_and_found_times_and_the_bound(
+    budget: pd.DataFrame,
+) -> None:
+    axes = _axes()
+    plot_budget(axes, budget)
+    labels = [entry.get_text() for entry in axes.get_legend().get_texts()]
+    assert labels == ["regular times", "found times", "lower bound (95 %)"]
+    numbers, bound = _lines(axes)["lower bound (95 %)"]
+    assert numbers == [2, 3, 4, 5]
+    np.testing.assert_array_equal(bound, [7.8, 5.8, np.nan, 3.8])
+    shade = np.concatenate([path.vertices for path in axes.collections[-1].get_paths()])
+    assert (shade[:, 1].min(), shade[:, 1].max()) == (3.5, 7.8)
+    curves = [container[0].get_ydata().tolist() for container in axes.containers]
+    assert curves == [[9.0, 7.0, 8.0, 6.0], [8.0, 6.0, 5.0, 4.0]]
+
+
+def test_without_a_bound_the_budget_has_two_curves(budget: pd.DataFrame) -> None:
+    axes = _axes()
+    plot_budget(axes, budget.assign(bound=np.nan, bound_low=np.nan))
+    labels = [entry.get_text() for entry in axes.get_legend().get_texts()]
+    assert labels == ["regular times", "found times"]
+
+
+@pytest.mark.parametrize(
+    ("target", "marked"),
+    [
+        (7.2, {"3": 3, "no 2": 2}),  # 3 regular times reach it, too
+        (5.2, {"4": 4, "no 3": 3}),
+        (3.0, {"no 5": 5}),
+        (9.5, {"2": 2}),
+    ],
+)
+def test_the_least_numbers_that_reach_a_target_are_marked_and_the_largest_that_cannot(
+    target: float, marked: dict[str, int], budget: pd.DataFrame
+) -> None:
+    axes = _axes()
+    plot_budget(axes, budget, target)
+    assert {text.get_text(): text.xy[0] for text in axes.texts} == marked
+    assert _lines(axes)[f"target {target:g}"][1] == [target, target]
+    assert f"target {target:g}" in _legend(axes)
 
 
 @pytest.mark.parametrize("name", ["random_{}", "a_search_with_quite_a_long_name_{}"])

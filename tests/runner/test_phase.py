@@ -205,5 +205,7 @@ def test_a_search_may_end_where_the_last_instant_is_required(
 ) -> None:
     """Then the probe meets the same set as a prefix and as a whole set."""
     changes = ["problem.required=[0, 12]", "search.survivors.evaluation.draws=40"]
-    run = pfdist.plan(small_job, tmp_path / "run", changes=changes, bound_draws=0, figures=False)
+    run = pfdist.plan(
+        small_job, tmp_path / "run", "survivors", changes=changes, bound_draws=0, figures=False
+    )
     assert {0, 12} < set(run.sets()["survivors"])

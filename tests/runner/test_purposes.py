@@ -11,10 +11,15 @@ import pytest
 import pfdist
 from pfdist import Job
 from pfdist.api.why import why
+from pfdist.evaluation.estimate import BUDGET
 from pfdist.evaluation.work import Work
 from pfdist.runner.collect import Collector
+from pfdist.search.methods import DEFAULT_METHOD
 
-SMALL = ["search.survivors.evaluation.draws=20", "search.survivors.evaluation.particles=10"]
+SMALL = [
+    f"search.{DEFAULT_METHOD}.evaluation.draws=20",
+    f"search.{DEFAULT_METHOD}.evaluation.particles=10",
+]
 
 
 @pytest.fixture
@@ -42,6 +47,10 @@ def _asked_by(streams: dict[str, set[int]], compute: Callable[[], object]) -> di
     return {phase: set(keys) for phase, keys in streams.items()}
 
 
+def _phases(*ends: str) -> set[str]:
+    return {f"{DEFAULT_METHOD}{end}" for end in ends}
+
+
 def test_no_two_phases_share_a_draw(
     small_job: Job, tmp_path: Path, streams: dict[str, set[int]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -53,16 +62,20 @@ def test_no_two_phases_share_a_draw(
             small_job, tmp_path / "plan", changes=[*SMALL, "seed=1"], figures=False
         ),
     )
-    first = {"survivors", "survivors.polish", "survivors.probe"}  # 10 particles fool themselves
-    again = {"survivors.again", "survivors.again.polish", "survivors.again.shortlist"}
-    assert plan.keys() == first | again | {"comparison", "bound"}
+    first = {"", ".polish", ".probe"}  # 10 particles fool themselves
+    again = {".again", ".again.polish", ".again.shortlist"}
+    assert plan.keys() == _phases(*first, *again) | {"comparison", "bound"}
     budget = _asked_by(
         streams,
         lambda: pfdist.budget(
             small_job, (2, 3), tmp_path / "budget", 30, changes=SMALL, figures=False
         ),
     )
-    assert budget.keys() == {"survivors", "survivors.probe", "survivors.again", "comparison"}
+    assert budget.keys() == _phases("", ".probe", ".again") | {"comparison", "bound"}
+    # The bound filters the compared sets on the draws of the comparison, with noise of its own:
+    draws = BUDGET.stream(small_job.seed, "draws")
+    assert budget["comparison"] & budget["bound"] == {draws}
+    budget["bound"].remove(draws)
     for phases in (paper, plan, budget):
         for keys, other_keys in combinations(phases.values(), 2):
             assert keys

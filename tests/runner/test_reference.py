@@ -111,6 +111,9 @@ def test_with_costs_it_spends_all_and_says_so(
 
 
 def test_of_many_numbers_regular_times_are_the_only_reference(small_job: Job) -> None:
-    changes = ["search=[{method='survivors', polish=false}]", "comparison.reference=[0, 3]"]
+    changes = [
+        "search=[{method='relaxation', polish=false}]",
+        "comparison.reference=[0, 3]",
+    ]
     with pytest.raises(JobError, match=r"budget needs comparison\.reference = 'regular'"):
         small_job.with_changes([*changes, "budget={least=2, most=3}"])

@@ -33,9 +33,10 @@ METHODS = {
     "greedy_backward": "",
     "greedy_forward": "",
     "random": "evaluations = 20",
+    "relaxation": "",
     "survivors": "",
 }
-DO_NOT_GUESS = ("exchange", "exhaustive", "survivors")
+DO_NOT_GUESS = ("exchange", "exhaustive", "relaxation", "survivors")
 
 
 @pytest.fixture(scope="module")

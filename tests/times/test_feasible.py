@@ -159,6 +159,37 @@ def test_exchanges_hold_every_set_in_which_one_time_is_another_that_is_near(
 
 @quick
 @given(possible())
+def test_shifts_are_the_sets_in_which_a_run_of_times_lies_one_allowed_time_off(case: Any) -> None:
+    feasible, every = case
+
+    def is_shifted(times: Times, other: Times) -> bool:
+        """Whether the indices of both differ by the same step, 1 or -1, in one run alone."""
+        pairs = zip(times, other, strict=True)
+        steps = [feasible.index[new] - feasible.index[old] for old, new in pairs]
+        moved = [place for place, step in enumerate(steps) if step]
+        in_a_row = bool(moved) and moved == list(range(moved[0], moved[-1] + 1))
+        return in_a_row and {steps[place] for place in moved} in ({1}, {-1})
+
+    for times in every:
+        found = feasible.shifts(times)
+        assert len(found) == len({*found})
+        alike = (other for other in every if len(other) == len(times))
+        assert {*found} == {other for other in alike if is_shifted(times, other)}
+
+
+@quick
+@given(possible())
+def test_what_money_is_left_over_fills_a_set_to_a_feasible_one(case: Any) -> None:
+    feasible, every = case
+    assume(not feasible.counted)
+    for times in filter(feasible.allows, subsets(feasible.horizon)):
+        filled = feasible.filled(times)
+        assert filled in every
+        assert {*times} <= {*filled}
+
+
+@quick
+@given(possible())
 def test_regular_times_are_the_nearest_set_to_the_papers(case: Any) -> None:
     feasible, every = case
     times = feasible.regular()

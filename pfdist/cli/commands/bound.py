@@ -1,6 +1,7 @@
 """The command ``pfdist bound``."""
 
 from argparse import ArgumentParser, Namespace
+from dataclasses import fields
 from typing import Any
 
 from pfdist.cli.answers import print_json
@@ -18,7 +19,7 @@ _PARTS = {
 
 
 def _add_settings(parser: ArgumentParser) -> None:
-    from pfdist.runner.bound_settings import DRAWS, WINDOW, WITHIN_DRAWS
+    from pfdist.runner.bound_settings import DRAWS, MEMORY, WINDOW, WITHIN_DRAWS
 
     parser.add_argument(
         "--within",
@@ -45,8 +46,21 @@ def _add_settings(parser: ArgumentParser) -> None:
         type=whole,
         default=WINDOW,
         metavar="K",
-        help="number of last measurements that the relaxation keeps; with more the bound is "
-        f"higher, and takes several times as long (default: {WINDOW})",
+        help=f"number of measurements of the first windows (default: {WINDOW})",
+    )
+    parser.add_argument(
+        "--work",
+        type=finite,
+        metavar="STEPS",
+        help="let windows grow for so many particle-steps, for instance 1e9; 0: not at all "
+        "(default: twice those of the first windows)",
+    )
+    parser.add_argument(
+        "--memory",
+        type=whole,
+        default=MEMORY,
+        metavar="MIB",
+        help=f"memory that the relaxation may take, in MiB (default: {MEMORY})",
     )
 
 
@@ -60,10 +74,11 @@ def bound_command(options: Namespace) -> None:
     from pfdist.cli.progress import Display
     from pfdist.runner.bound_settings import BoundSettings
 
+    settings = {field.name: getattr(options, field.name) for field in fields(BoundSettings)}
     with Display() as display:
         found = bound(
             options.run,
-            BoundSettings(options.draws, options.within, options.particles, options.window),
+            BoundSettings(**settings),
             pool=options.pool,
             workers=options.workers,
             address=options.address,

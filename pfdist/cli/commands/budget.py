@@ -11,6 +11,7 @@ from pfdist.errors import JobError, shown
 
 def _add_numbers(parser: ArgumentParser) -> None:
     from pfdist.api.budget import DRAWS
+    from pfdist.runner.bound_settings import LEAST_DRAWS
 
     parser.add_argument(
         "--measurements",
@@ -22,7 +23,8 @@ def _add_numbers(parser: ArgumentParser) -> None:
         "--target",
         type=finite,
         metavar="MSE",
-        help="also give the smallest number of measurements whose expected MSE is at most MSE",
+        help="also give the smallest number of measurements whose expected MSE is at most MSE, and "
+        "the largest number that is proved not to reach MSE with any times",
     )
     parser.add_argument(
         "--draws",
@@ -30,6 +32,14 @@ def _add_numbers(parser: ArgumentParser) -> None:
         default=DRAWS,
         metavar="K",
         help=f"number of draws on which all sets of times are compared (default: {DRAWS})",
+    )
+    parser.add_argument(
+        "--bound-draws",
+        type=whole,
+        default=LEAST_DRAWS,
+        metavar="K",
+        help="number of draws of the lower bound that is proved for each number of measurements; 0 "
+        f"for no bound (default: {LEAST_DRAWS})",
     )
 
 
@@ -47,6 +57,7 @@ def budget_command(options: Namespace) -> None:
             numbers,
             draws=options.draws,
             target=target,
+            bound_draws=options.bound_draws,
             changes=options.set,
             **settings(options, display),
         )

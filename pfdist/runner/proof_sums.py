@@ -1,0 +1,119 @@
+"""The sums of errors behind a bound: with the bound's particles, and with more for the guard."""
+
+import math
+from contextlib import closing
+from dataclasses import replace
+
+import numpy as np
+
+from pfdist.bounds.proof import Sums
+from pfdist.bounds.relaxation import Relaxation
+from pfdist.errors import ModelError
+from pfdist.evaluation.estimate import BOUND
+from pfdist.evaluation.work import Estimation
+from pfdist.runner.block_sums import BLOCK, GROUPS, BlockSums, Counted
+from pfdist.runner.build import Built
+from pfdist.runner.session import Session
+from pfdist.times.measurement_times import Times
+
+FINER = 4
+"""The guard has so many times the particles."""
+
+GUARDED = 10
+"""Groups of draws that the guard filters again."""
+
+
+class ProofSums:
+    """The sums of the errors of all windows of a relaxation, and of known sets.
+
+    Parameters
+    ----------
+    built : Built
+    relaxation : Relaxation
+    known : tuple of tuples of int, (C,)
+        Sets that are filtered on the same draws.
+    estimation : Estimation
+        An estimation by the variance of the particles.
+    """
+
+    def __init__(
+        self,
+        built: Built,
+        relaxation: Relaxation,
+        known: tuple[Times, ...],
+        estimation: Estimation,
+    ) -> None:
+        self._built, self._relaxation, self._known = built, relaxation, known
+        self._done = dict[str, int]()  # blocks, by the title of their work
+        if built.problem.exact:
+            return
+        every = np.zeros(len(known), np.int64)
+        counted = Counted(
+            (*relaxation.sets, *known),
+            np.concatenate([relaxation.first, every]),
+            np.concatenate([relaxation.ends, every + built.problem.horizon]),
+        )
+        noise, draws = (BOUND.stream(built.job.seed, role) for role in ("filter", "draws"))
+        finer = replace(estimation, particles=FINER * estimation.particles)
+        self._coarse = BlockSums(built, counted, (noise, draws), estimation)
+        self._fine = BlockSums(built, counted, (noise, draws), finer, groups=GUARDED)
+
+    def steps(self, blocks: int) -> int:
+        """Particle-steps of the first blocks of draws, with those of the guard."""
+        if self._built.problem.exact:
+            return 0
+        return self._coarse.steps(blocks) + self._fine.steps(blocks)
+
+    def steps_without_guard(self, blocks: int) -> float:
+        """Particle-steps of the first blocks of draws; infinite where the engine is exact."""
+        return math.inf if self._built.problem.exact else float(self._coarse.steps(blocks))
+
+    def exact(self) -> Sums:
+        """Give the exact errors, as the sums of one group of one draw."""
+        relaxation, problem = self._relaxation, self._built.problem
+        counted = Counted(tuple(relaxation.sets), relaxation.first, relaxation.ends)
+        relaxed = problem.expected_errors(counted.sets)[counted.at(problem.horizon)]
+        return Sums(relaxed[None], problem.expected_errors(self._known)[None], np.ones(1))
+
+    def estimated(self, blocks: int, session: Session) -> tuple[Sums, Sums]:
+        """Give the sums of the first blocks of draws, and those of the guard.
+
+        Raises
+        ------
+        ModelError
+            A draw is degenerate.
+        TaskError, PoolError, StoreError
+            A task failed, no worker answers, or a file cannot be read or written.
+        """
+        self._fill(self._coarse, blocks, session, "lower bound")
+        self._fill(self._fine, blocks, session, "guard of the bound")
+        return (
+            self._by_group(self._coarse, blocks, session),
+            self._by_group(self._fine, blocks, session),
+        )
+
+    def _fill(self, sums: BlockSums, blocks: int, session: Session, title: str) -> None:
+        """Filter those of the first blocks of draws that the store lacks."""
+        reporter = session.reporter
+        known = {block for block, _ in sums.known(blocks, session.store)}
+        a_block = sums.steps(GROUPS) // len(sums.wanted(GROUPS))
+        start = reporter.progress.done - self._done.get(title, 0) * a_block
+        done = len(known)
+        reporter.note(done=start + done * a_block)
+        reporter.begin(title, evaluations=done * BLOCK)
+        with closing(sums.fill(blocks, session.collector, known)) as filled:
+            for _ in filled:
+                done += 1
+                reporter.reach(start + done * a_block, evaluations=done * BLOCK)
+        self._done[title] = done
+
+    def _by_group(self, sums: BlockSums, blocks: int, session: Session) -> Sums:
+        errors, draws = sums.by_group(blocks, session.store)
+        if not np.isfinite(errors).all():
+            raise ModelError(
+                f"a draw is degenerate or infinite with {sums.particles} particles of the true "
+                "model; more particles may help"
+            )
+        windows = int(self._relaxation.offsets[-1])
+        own = errors[:, windows:].reshape(len(errors), -1, self._built.problem.horizon + 1)
+        return Sums(errors[:, :windows], own, draws)

@@ -1,0 +1,89 @@
+"""The windows of a proof: grown on draws of their own, along the sets that are best in them.
+
+The bound then has fresh draws. If the same draws chose the windows and gave the bound, the bound
+could lie above the truth: windows would be preferred that happen to have large errors.
+"""
+
+import numpy as np
+
+from pfdist.bounds.relaxation import Relaxation
+from pfdist.evaluation.estimate import BOUND, SearchEvaluation
+from pfdist.evaluation.work import Estimation
+from pfdist.runner.block_sums import GROUPS, BlockSums, Counted
+from pfdist.runner.session import Session
+from pfdist.runner.window_errors import errors_of
+from pfdist.search.base import Candidate
+from pfdist.search.state_space_relaxation import StateSpaceRelaxation
+
+CHOICE_BLOCKS = GROUPS
+"""Blocks of draws that choose windows."""
+
+
+def grown(
+    session: Session,
+    optimiser: StateSpaceRelaxation,
+    estimation: Estimation,
+    most_steps: float,
+    most_cells: int,
+) -> tuple[Relaxation, float]:
+    """Give the relaxation that a search for windows ends with, and the particle-steps it took.
+
+    Parameters
+    ----------
+    session : Session
+    optimiser : StateSpaceRelaxation
+    estimation : Estimation
+        An estimation by the variance of the particles.
+    most_steps : float
+        Particle-steps after which no window is added.
+    most_cells : int
+        Largest number of errors of a relaxation.
+
+    Raises
+    ------
+    TaskError, PoolError, StoreError
+        A task failed, no worker answers, or a file cannot be read or written.
+    """
+    state, steps, rng = optimiser.init(), 0.0, np.random.default_rng(0)
+    reporter = session.reporter
+    if not session.built.problem.exact:  # which takes no particle-steps
+        reporter.begin("windows of the bound")
+    start = reporter.progress.done
+    relaxation = state.relaxation
+    while not optimiser.done(state):
+        told, work = _told(session, optimiser.ask(state, rng), estimation)
+        steps += work
+        if work:
+            reporter.foresee(work)
+            reporter.reach(start + steps)
+        state = optimiser.tell(state, told)
+        if state.relaxation.offsets[-1] > most_cells:
+            break
+        relaxation = state.relaxation
+        if steps >= most_steps:
+            break
+    return relaxation, steps
+
+
+def _told(
+    session: Session, asked: list[Candidate], estimation: Estimation
+) -> tuple[list[SearchEvaluation], float]:
+    """Evaluations of windows and whole sets, all by their errors, and the particle-steps taken."""
+    built = session.built
+    stream = BOUND.stream(built.job.seed, "windows")
+
+    def sums_of(counted: Counted) -> BlockSums:
+        return BlockSums(built, counted, (stream, stream), estimation)
+
+    errors, steps = errors_of(asked, built, sums_of, CHOICE_BLOCKS, session.collector)
+    costs = errors.sum(axis=1) / (built.problem.horizon + 1)
+    return [
+        SearchEvaluation(
+            candidate.measurement_times,
+            cost[None],
+            exact=float(cost) if built.problem.exact else None,
+            end=candidate.end,
+            errors=row,
+        )
+        for candidate, row, cost in zip(asked, errors, costs, strict=True)
+    ], steps

@@ -1,0 +1,270 @@
+"""Decremental state-space relaxation: a dynamic programme over windows of the last measurements.
+
+The error at an instant depends most on the last measurements. The programme finds the best sets if
+the error depended on them alone, as if everything before had been measured. Then it looks closer at
+these sets: their windows grow by a measurement each, and the programme is solved again. The search
+ends when no set of the relaxation is better than the best set found. See `pfdist.bounds.relaxation`
+and `pfdist.bounds.growth`.
+
+If the costs are exact and the filter knows the truth, the best set is then proved to be optimal.
+
+References
+----------
+Christofides, Mingozzi, Toth, "State-space relaxation procedures for the computation of bounds to
+routing problems", Networks 11, 1981. Righini, Salani, "New dynamic programming algorithms for the
+resource constrained elementary shortest path problem", Networks 51, 2008.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pfdist.bounds.first_windows import relaxation_for
+from pfdist.bounds.growth import longer, near_optimal
+from pfdist.bounds.programme import Programme
+from pfdist.bounds.relaxation import Relaxation, Window
+from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.search.base import Candidate, best_of
+from pfdist.search.methods import method
+from pfdist.search.section import CommonNoiseSettings, Count
+from pfdist.times.feasible import Feasible
+from pfdist.times.measurement_times import Times
+
+MOST_CELLS = 3_000_000
+"""Largest number of errors of a relaxation at its beginning."""
+
+_ROUNDING = 1e-11  # of a proof, relative
+_SCREENING = (16, 4)  # shares of the draws with which the first programmes are solved
+_SCREENED_EACH, _PATHS_EACH = 8, 2  # at least, for each sum that is sought
+# Exact costs take no time, and a proof is worth many rounds:
+_PATHS_IF_EXACT = 64
+_ROUNDS_IF_EXACT = 500
+_MOST_WINDOWS = 20_000
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RelaxationState:
+    """Progress of the search.
+
+    Parameters
+    ----------
+    relaxation : Relaxation
+        The windows that are known, or asked for.
+    errors : mapping of tuple of int to array of float64
+        The errors of each window at the instants at which they count; NaN if a draw is degenerate.
+    level : int
+        Number of programmes with few draws that are solved.
+    sets : tuple of tuples of int
+        Sets to be evaluated next.
+    whole : tuple of SearchEvaluation
+        Evaluated sets.
+    round : int
+        Number of rounds in which windows have grown.
+    done : bool
+    """
+
+    relaxation: Relaxation
+    errors: Mapping[Window, Array] = field(default_factory=dict)
+    level: int = 0
+    sets: tuple[Times, ...] = ()
+    whole: tuple[SearchEvaluation, ...] = ()
+    round: int = 0
+    done: bool = False
+
+    @property
+    def lacking(self) -> list[int]:
+        """Indices of the windows whose errors are not known, or not far enough."""
+        sizes = np.diff(self.relaxation.offsets).tolist()
+        return [
+            number
+            for number, window in enumerate(self.relaxation.windows)
+            if sizes[number] > (self.errors[window].size if window in self.errors else 0)
+        ]
+
+    @property
+    def degenerate(self) -> set[Window]:
+        """Windows without errors."""
+        return {window for window, errors in self.errors.items() if np.isnan(errors).any()}
+
+    def programme(self, most: int) -> Programme:
+        """Give the programme for all sums up to the largest."""
+        relaxation = self.relaxation
+        passable = (relaxation.windows[number] for number in np.flatnonzero(relaxation.passable))
+        known = np.concatenate([self.errors[window] for window in passable])
+        return Programme(relaxation, known, most)
+
+    def least(self, spent: int) -> float:
+        """Least cost of the evaluated sets for which a bound of this sum holds; inf for none."""
+        return min(
+            (each.cost for each in self.whole
+             if self.relaxation.spent(each.measurement_times) == spent),
+            default=np.inf,
+        )  # fmt: skip
+
+
+@method(
+    "relaxation",
+    evaluation=CommonNoiseSettings(draws=720),
+    polish=True,
+    curve="best so far",
+    online=False,
+)
+@dataclass(frozen=True)
+class StateSpaceRelaxation:
+    """Decremental state-space relaxation: dynamic programme over the last measurements.
+
+    Parameters
+    ----------
+    feasible : Feasible
+    draws : int
+        Number of draws of an evaluation. Programmes with fewer draws come first, and leave few
+        windows for the others; 0 for no such programme.
+    paths : int
+        Number of sets that are evaluated, and whose windows grow, in a round.
+    rounds : int
+        Number of rounds in which windows grow.
+    screened : int
+        Number of sets whose windows the first programme leaves.
+    sought : tuple of int, optional
+        Numbers of measurements, or sums of money, whose best sets are sought. By default those of
+        the feasible sets.
+    known : tuple of tuples of int
+        Sets that are good already; by default regular times.
+    gap : float
+        The search ends when the relaxed costs lie below those of the best sets by at most this
+        share.
+    start : Relaxation, optional
+        The relaxation of the first round; by default that of all windows of two measurements.
+    """
+
+    feasible: Feasible
+    draws: int = 0
+    paths: Count = 8
+    rounds: Count = 1
+    screened: Count = 96
+    sought: tuple[int, ...] = ()
+    known: tuple[Times, ...] = ()
+    gap: float = _ROUNDING
+    start: Relaxation | None = None
+
+    @property
+    def generations(self) -> int:
+        """Approximate number of generations."""
+        return len(_SCREENING) + min(self.rounds, 5) + 1
+
+    @property
+    def evaluations(self) -> float:
+        """Approximate work, in evaluations of whole sets.
+
+        A programme with few draws takes a window to be as long as the longest gap, and those after
+        it have a few windows for each measurement.
+        """
+        cells, instants = int(self._start.offsets[-1]), self.feasible.horizon + 1
+        few = cells / instants / _SCREENING[0] if self.draws else cells / instants
+        return few + (self.rounds + 1) * self.paths
+
+    def init(self) -> RelaxationState:
+        """Give the state before the first generation."""
+        known = self.known or (self.feasible.regular(),)
+        return RelaxationState(self._start, level=0 if self.draws else len(_SCREENING), sets=known)
+
+    def ask(self, state: RelaxationState, rng: np.random.Generator) -> list[Candidate]:
+        """Give the windows that are lacking, and the sets that are best in the relaxation."""
+        relaxation = state.relaxation
+        windows = [
+            Candidate(
+                relaxation.filtered(relaxation.windows[number]),
+                int(relaxation.ends[number]),
+                draws=self._draws(state.level),
+                since=int(relaxation.first[number]),
+            )
+            for number in state.lacking
+        ]
+        return [*windows, *map(Candidate, state.sets)]
+
+    def tell(
+        self, state: RelaxationState, evaluations: Sequence[SearchEvaluation]
+    ) -> RelaxationState:
+        """Solve the programme, and let the windows grow along its best sets."""
+        state = _told(state, evaluations)
+        if any(len(window) == 1 for window in state.degenerate):
+            # No relaxed cost is known. Exchanges may still improve the known sets.
+            return replace(state, done=True)
+        exact = any(evaluation.exact is not None for evaluation in state.whole)
+        relaxation = state.relaxation
+        rounds = max(_ROUNDS_IF_EXACT, self.rounds) if exact else self.rounds
+        if state.round > rounds:
+            return replace(state, done=True)
+        programme = state.programme(max(self._sought))
+        least = {spent: state.least(spent) for spent in self._sought}
+        lower = {spent: programme.mse[spent] for spent in self._sought}
+        left = [
+            spent for spent in self._sought
+            if np.isfinite(lower[spent]) and lower[spent] < least[spent] * (1 - self.gap)
+        ]  # fmt: skip
+        if not left:
+            return replace(state, done=True)
+        if state.level < len(_SCREENING) and not exact:
+            share = max(_SCREENED_EACH, self.screened // len(left)) // (1 + state.level)
+            kept = [t for spent in left for t in near_optimal(programme, spent, share, np.inf)]
+            return replace(
+                state, relaxation=relaxation.restricted(kept), errors={}, level=state.level + 1
+            )
+        together = max(_PATHS_IF_EXACT, self.paths) if exact else self.paths
+        share = max(_PATHS_EACH, together // len(left))
+        paths = [t for spent in left for t in near_optimal(programme, spent, share, least[spent])]
+        evaluated = {evaluation.measurement_times for evaluation in state.whole}
+        sets = tuple(times for times in dict.fromkeys(self._whole(paths)) if times not in evaluated)
+        grown = relaxation.grown(*longer(relaxation, paths)).without(state.degenerate)
+        if state.round == rounds or len(grown.windows) > _MOST_WINDOWS or grown == relaxation:
+            return replace(state, done=not sets, sets=sets, round=rounds + 1)
+        return replace(state, relaxation=grown, sets=sets, round=state.round + 1)
+
+    def done(self, state: RelaxationState) -> bool:
+        """Whether the search has ended."""
+        return state.done
+
+    def finalists(self, state: RelaxationState) -> tuple[SearchEvaluation, ...]:
+        """Give the best sets, as their own costs say; with several sums the best of each."""
+        if not self.sought:
+            return best_of(state.whole)
+        best = dict[int, SearchEvaluation]()
+        for evaluation in sorted(state.whole, key=lambda evaluation: evaluation.cost):
+            best.setdefault(len(evaluation.measurement_times), evaluation)
+        return tuple(best[number] for number in sorted(best))
+
+    def _whole(self, paths: list[Times]) -> list[Times]:
+        """Give the paths that can be paid for, with the times that the money left over buys."""
+        if self.feasible.counted:
+            return paths
+        return [self.feasible.filled(times) for times in paths if self.feasible.allows(times)]
+
+    @cached_property
+    def _sought(self) -> tuple[int, ...]:
+        return self.sought or (self._start.total,)
+
+    @cached_property
+    def _start(self) -> Relaxation:
+        if self.start is not None:
+            return self.start
+        return relaxation_for(self.feasible, 2, self.feasible.measurements, MOST_CELLS)
+
+    def _draws(self, level: int) -> int | None:
+        """Number of draws of the windows; None for those of the search's settings."""
+        return max(1, self.draws // _SCREENING[level]) if level < len(_SCREENING) else None
+
+
+def _told(state: RelaxationState, evaluations: Sequence[SearchEvaluation]) -> RelaxationState:
+    """Give the state that knows what was asked for, without degenerate windows."""
+    lacking, relaxation, errors = state.lacking, state.relaxation, {**state.errors}
+    for number, evaluation in zip(lacking, evaluations, strict=False):
+        first, end = relaxation.first[number], relaxation.ends[number]
+        errors[relaxation.windows[number]] = evaluation.known_errors[first : end + 1]
+    whole = (*state.whole, *evaluations[len(lacking) :])
+    told = replace(state, errors=errors, whole=whole, sets=())
+    return replace(told, relaxation=relaxation.without(told.degenerate))

@@ -1,0 +1,273 @@
+"""The relaxation as a search: against brute force, and to its proof, where costs are exact."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from math import comb
+
+import numpy as np
+import pytest
+
+from oracles.searched import exactly
+from oracles.systems import SYSTEMS
+from pfdist import StateSpaceModel
+from pfdist.bounds.first_windows import relaxation_with
+from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.filters.kalman import expected_mse
+from pfdist.search import Candidate, StateSpaceRelaxation
+from pfdist.search.state_space_relaxation import RelaxationState
+from pfdist.times.feasible import Feasible
+from pfdist.times.measurement_times import Times
+
+HORIZON, BUDGET, DRAWS = 12, 4, 320
+PROVED = 1e-11  # relative: the search ends when no other set can be better by more
+PRICES = (1, 3, 2) * 4 + (1,)
+CONSTRAINED = {
+    "free": Feasible(HORIZON, BUDGET),
+    "forbidden": Feasible(HORIZON, BUDGET, forbidden=(0, 3, 4, 5, 9)),
+    "required": Feasible(HORIZON, BUDGET, required=(6, 7)),
+    "spaced": Feasible(HORIZON, BUDGET, minimum_spacing=3),
+    "together": Feasible(HORIZON, BUDGET, forbidden=(1, 2), required=(10,), minimum_spacing=2),
+    "money": Feasible(HORIZON, cost=PRICES, total_cost=8),
+    "money together": Feasible(
+        HORIZON, None, forbidden=(2,), required=(8,), minimum_spacing=2, cost=PRICES, total_cost=7
+    ),
+}
+Tell = Callable[[list[Candidate]], Sequence[SearchEvaluation]]
+systems = pytest.mark.parametrize("model", SYSTEMS.values(), ids=list(SYSTEMS))
+
+
+def _states(search: StateSpaceRelaxation, tell: Tell) -> Iterator[RelaxationState]:
+    """The state after each generation."""
+    state, rng = search.init(), np.random.default_rng(0)
+    while not search.done(state):
+        state = search.tell(state, tell(search.ask(state, rng)))
+        yield state
+
+
+def _exactly(search: StateSpaceRelaxation, model: StateSpaceModel) -> RelaxationState:
+    """The last state, where costs are those of the Kalman filter."""
+    *_, state = _states(search, lambda asked: exactly(model, search.feasible.horizon, asked))
+    return state
+
+
+def _bound(state: RelaxationState, spent: int) -> float:
+    return float(state.programme(spent).mse[spent])
+
+
+# --- the proof ---
+
+
+@systems
+def test_the_best_of_30_million_sets_is_proved(model: StateSpaceModel) -> None:
+    feasible = Feasible(29, 10)
+    assert feasible.size == comb(30, 10) == 30_045_015
+    search = StateSpaceRelaxation(feasible, DRAWS)
+    state = _exactly(search, model)
+    (best, *_) = search.finalists(state)
+    assert feasible.accepts(best.measurement_times)
+    (cost,) = expected_mse(model, 29, [best.measurement_times])
+    assert best.cost == pytest.approx(cost, rel=1e-12)
+    assert _bound(state, 10) == pytest.approx(cost, rel=PROVED)
+
+
+@systems
+@pytest.mark.parametrize("name", CONSTRAINED)
+def test_it_proves_what_brute_force_finds(model: StateSpaceModel, name: str) -> None:
+    feasible = CONSTRAINED[name]
+    search = StateSpaceRelaxation(feasible, DRAWS)
+    state = _exactly(search, model)
+    optimum = expected_mse(model, HORIZON, list(feasible.every())).min()
+    found = search.finalists(state)
+    assert found[0].cost == pytest.approx(optimum, rel=PROVED)
+    assert _bound(state, feasible.total) == pytest.approx(optimum, rel=PROVED)
+    assert all(feasible.accepts(evaluation.measurement_times) for evaluation in found)
+    costs = expected_mse(model, HORIZON, [evaluation.measurement_times for evaluation in found])
+    np.testing.assert_allclose([evaluation.cost for evaluation in found], costs, rtol=1e-12)
+
+
+@systems
+@pytest.mark.parametrize("unit", [1, 2, 4])
+def test_with_money_it_evaluates_feasible_sets_alone(model: StateSpaceModel, unit: int) -> None:
+    """Though a path may leave money over, or cost too much where prices are rounded down."""
+    rng = np.random.default_rng(unit)
+    for spacing in (1, 2):
+        feasible = Feasible(
+            HORIZON,
+            minimum_spacing=spacing,
+            cost=tuple(rng.integers(1, 9, HORIZON + 1).tolist()),
+            total_cost=17,
+        )
+        start = replace(relaxation_with(feasible, 2, 6), unit=unit)
+        search = StateSpaceRelaxation(feasible, DRAWS, start=start)
+        state = _exactly(search, model)
+        assert all(feasible.accepts(evaluation.measurement_times) for evaluation in state.whole)
+        optimum = expected_mse(model, HORIZON, list(feasible.every())).min()
+        assert _bound(state, start.total) <= optimum * (1 + 1e-12)
+        if unit == 1:
+            assert state.least(start.total) == pytest.approx(optimum, rel=PROVED)
+
+
+@systems
+def test_together_every_number_has_the_best_set_that_it_has_alone(model: StateSpaceModel) -> None:
+    most = Feasible(HORIZON, 6)
+    numbers = (2, 3, 5, 6)
+    together = StateSpaceRelaxation(most, DRAWS, sought=numbers)
+    state = _exactly(together, model)
+    found = {len(each.measurement_times): each for each in together.finalists(state)}
+    assert tuple(found) == numbers
+    for number, evaluation in found.items():
+        feasible = replace(most, measurement_budget=number)
+        search = StateSpaceRelaxation(feasible, DRAWS)
+        (alone, *_) = search.finalists(_exactly(search, model))
+        optimum = expected_mse(model, HORIZON, list(feasible.every())).min()
+        assert evaluation.cost == pytest.approx(alone.cost, rel=PROVED)
+        assert evaluation.cost == pytest.approx(optimum, rel=PROVED)
+        assert _bound(state, number) == pytest.approx(optimum, rel=PROVED)
+
+
+@systems
+def test_bounds_rise_and_the_best_cost_falls_from_round_to_round(model: StateSpaceModel) -> None:
+    feasible, least, bound = Feasible(20, 6), np.inf, 0.0
+    search = StateSpaceRelaxation(feasible, DRAWS, paths=2)
+    for state in _states(search, lambda asked: exactly(model, 20, asked)):
+        if state.lacking:
+            continue
+        assert bound <= (bound := _bound(state, 6)) * (1 + 1e-12)
+        assert least >= (least := state.least(6))
+        assert bound <= least * (1 + 1e-12)
+
+
+# --- limits ---
+
+
+def test_it_ends_within_the_gap_that_is_asked_for() -> None:
+    model, feasible = SYSTEMS["static"], Feasible(20, 7)
+    rounds = []
+    for gap in (0.3, 0.1, 0.02):
+        state = _exactly(StateSpaceRelaxation(feasible, DRAWS, gap=gap), model)
+        assert _bound(state, 7) >= state.least(7) * (1 - gap)
+        rounds.append(state.round)
+    assert rounds == sorted(rounds)
+    assert rounds[0] < rounds[-1]
+
+
+@pytest.mark.parametrize(
+    ("name", "limit"), [("_ROUNDS_IF_EXACT", 4), ("_MOST_WINDOWS", 600)], ids=["rounds", "windows"]
+)
+def test_a_limit_ends_it_with_a_bound_and_the_set_that_is_best_in_the_relaxation(
+    name: str, limit: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(f"pfdist.search.state_space_relaxation.{name}", limit)
+    feasible = Feasible(29, 10)
+    search = StateSpaceRelaxation(feasible, DRAWS)
+    state = _exactly(search, SYSTEMS["static"])
+    assert _bound(state, 10) < state.least(10)  # nothing is proved
+    if name == "_ROUNDS_IF_EXACT":
+        assert state.round == limit + 1
+    else:
+        assert len(state.relaxation.windows) <= limit
+    (best, *_) = search.finalists(state)
+    assert feasible.accepts(best.measurement_times)
+    evaluated = {evaluation.measurement_times for evaluation in state.whole}
+    assert state.programme(10).path(10) in evaluated
+
+
+def _unknown(tell: Tell, draws: int) -> Tell:
+    """The same costs, but as if they came from draws: the search cannot know that it proves."""
+
+    def told(asked: list[Candidate]) -> list[SearchEvaluation]:
+        return [
+            replace(evaluation, mse=np.full(draws, evaluation.cost), exact=None)
+            for evaluation in tell(asked)
+        ]
+
+    return told
+
+
+@systems
+def test_with_draws_few_windows_are_left_to_the_programme_with_all_draws(
+    model: StateSpaceModel,
+) -> None:
+    feasible = Feasible(24, 8)
+    search = StateSpaceRelaxation(feasible, DRAWS, paths=6, rounds=8, screened=20)
+    asked = list[list[Candidate]]()
+
+    def tell(candidates: list[Candidate]) -> Sequence[SearchEvaluation]:
+        asked.append(candidates)
+        return exactly(model, 24, candidates)
+
+    *_, state = _states(search, _unknown(tell, DRAWS))
+    draws = [{each.draws for each in some if each.since is not None} for some in asked]
+    assert draws[:3] == [{DRAWS // 16}, {DRAWS // 4}, {None}]
+    assert {number for each in draws[3:] for number in each} <= {None}
+    windows = [sum(each.since is not None for each in some) for some in asked]
+    assert windows[0] > 2 * max(windows[1:])
+    whole = [sum(each.since is None for each in some) for some in asked]
+    assert whole[:3] == [1, 0, 0]  # regular times
+    assert max(whole[3:]) <= search.paths
+    assert len(asked) <= 3 + search.rounds + 1
+    (best, *_) = search.finalists(state)
+    proved = _exactly(StateSpaceRelaxation(feasible, DRAWS), model).least(8)
+    assert best.cost == pytest.approx(proved, rel=PROVED)  # though most windows are left out
+
+
+@systems
+def test_no_set_is_evaluated_twice(model: StateSpaceModel) -> None:
+    for tell in (_unknown, lambda tell, _: tell):
+        search = StateSpaceRelaxation(Feasible(20, 6), DRAWS, rounds=4)
+        *_, state = _states(search, tell(lambda asked: exactly(model, 20, asked), DRAWS))
+        sets = [evaluation.measurement_times for evaluation in state.whole]
+        assert len(sets) == len({*sets})
+
+
+# --- degenerate draws ---
+
+
+def _degenerate(tell: Tell, is_degenerate: Callable[[Times], bool]) -> Tell:
+    """The same, but with a degenerate draw wherever a filter measures at such times."""
+
+    def told(asked: list[Candidate]) -> list[SearchEvaluation]:
+        return [
+            replace(
+                evaluation,
+                exact=np.inf,
+                errors=None if evaluation.errors is None else evaluation.errors + np.nan,
+            )
+            if is_degenerate(evaluation.measurement_times)
+            else evaluation
+            for evaluation in tell(asked)
+        ]
+
+    return told
+
+
+def test_where_every_draw_is_degenerate_it_ends_at_once_with_the_known_sets() -> None:
+    feasible = Feasible(HORIZON, BUDGET)
+    search = StateSpaceRelaxation(feasible, DRAWS)
+    tell = _degenerate(lambda asked: exactly(SYSTEMS["stable"], HORIZON, asked), bool)
+    (state,) = _states(search, tell)
+    (found,) = search.finalists(state)
+    assert found.measurement_times == feasible.regular()
+    assert found.cost == np.inf
+
+
+@systems
+def test_windows_with_a_degenerate_draw_are_forgotten_and_the_rest_is_searched(
+    model: StateSpaceModel,
+) -> None:
+    """Filters that wait for more than 4 instants, once they have measured, lose the target."""
+
+    def waits(times: Times) -> bool:
+        return any(later - time > 4 for time, later in pairwise(times))
+
+    feasible = Feasible(HORIZON, BUDGET)
+    search = StateSpaceRelaxation(feasible, DRAWS)
+    *_, state = _states(search, _degenerate(lambda a: exactly(model, HORIZON, a), waits))
+    assert not any(waits(relaxed) for relaxed in state.relaxation.sets)
+    (best, *_) = search.finalists(state)
+    usable = [times for times in feasible.every() if not waits(times)]
+    costs = expected_mse(model, HORIZON, usable)
+    assert best.cost <= expected_mse(model, HORIZON, [feasible.regular()])[0]
+    assert costs.min() * (1 - PROVED) <= best.cost <= np.quantile(costs, 0.1)
+    assert _bound(state, BUDGET) <= costs.min() * (1 + PROVED)
