@@ -74,6 +74,22 @@ def test_one_group_holds_exact_errors(sums: Sums) -> None:
     assert all(estimate.standard_error == 0.0 for estimate in (*proof.bounds, *proof.slack))
 
 
+def test_sets_bought_with_money_have_the_bound_of_all_of_the_money() -> None:
+    """However many times they have: each of them may spend what any of them spends."""
+    constraints = Constraints(2, cost=(2, 1, 1), total_cost=2)
+    relaxation, rng = relaxation_with(constraints, 4, 3), np.random.default_rng(4)
+    sets = [(0,), (1, 2)]
+    relaxed = rng.gamma(4.0, size=(1, int(relaxation.offsets[-1])))
+    own = np.stack([relaxed_errors(relaxation, relaxed, times) for times in sets], axis=1)
+    proof = prove(relaxation, Sums(relaxed, own, np.ones(1)), sets, relaxation.total)
+    assert proof.budgets == [2, 2]
+    every = [(), (0,), (1,), (2,), (1, 2)]  # the sets that 2 units pay for
+    least = min(relaxed_errors(relaxation, relaxed, times).mean() for times in every)
+    assert proof.bounds[2].value == pytest.approx(least, rel=1e-12)
+    costs = own[0].mean(axis=1)
+    assert [slack.value for slack in proof.slack] == pytest.approx(list(costs - least))
+
+
 def test_a_fall_is_the_relative_difference_on_the_same_draws(sums: Sums) -> None:
     of_bounds, of_sets = falls(RELAXATION, sums, _scaled(sums, 0.9), 1)
     for fall in (*of_bounds, *of_sets):
