@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from pfdist import Job
 from pfdist.job.job import load_job
 from pfdist.job.sections import Execution
 from pfdist.runner.build import build, make_pool
@@ -64,3 +65,22 @@ def test_a_search_finds_better_than_regular_times(costs: dict[str, float], name:
 @pytest.mark.parametrize("name", DO_NOT_GUESS)
 def test_the_best_set_of_a_small_problem_is_found(costs: dict[str, float], name: str) -> None:
     assert costs[name] == costs["exhaustive"]
+
+
+def test_a_filter_that_is_wrong_guides_a_search_by_its_own_variance_and_decides_nothing(
+    small_job: Job,
+) -> None:
+    """Exchanges and races use the squared error, and so does the search if probes distrust it."""
+    section = "[{method='survivors'}]"
+    wrong = ["model.filter.parameters.process_sd=2.0", f"search={section}"]
+    (search,) = build(small_job.with_changes(wrong)).searches
+    assert search.settings.estimation.estimator == "own_variance"
+    assert search.polishing is not None
+    assert search.polishing.estimation.estimator == "squared_error"
+    assert search.racing.estimation.estimator == "squared_error"
+    assert search.again is not None
+    assert search.again.settings.estimation.estimator == "squared_error"
+    (search,) = build(small_job.with_changes([f"search={section}"])).searches
+    assert search.settings.estimation.estimator == "filter_variance"
+    assert search.polishing is not None
+    assert search.polishing.estimation.estimator == "filter_variance"
