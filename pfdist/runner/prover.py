@@ -101,7 +101,8 @@ class Prover:
         self.confidence = 1 - (1 - CONFIDENCE) / looks
         feasible, cells = built.study.widest, settings.most_cells
         relaxation = relaxation_for(feasible, settings.window, built.study.usual, cells)
-        self.relaxation = replace(relaxation, unit=math.ceil(feasible.total / MOST_UNITS))
+        unit = 1 if feasible.counted else math.ceil(feasible.total / MOST_UNITS)
+        self.relaxation = replace(relaxation, unit=unit)
 
     @property
     def steps(self) -> float:

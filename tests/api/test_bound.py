@@ -245,6 +245,16 @@ def test_an_unfinished_run_and_wrong_numbers_are_refused(small_job: Job, tmp_pat
             bound(tmp_path / "run", **wrong)  # type: ignore[arg-type]
 
 
+def test_many_measurements_are_counted_one_by_one(
+    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = _run(small_job, tmp_path / "run", *EXACT).path
+    expected = [gap.bound.value for gap in bound(run).gaps]
+    monkeypatch.setattr("pfdist.runner.prover.MOST_UNITS", 3)  # less than N
+    assert [gap.bound.value for gap in bound(run).gaps] == expected
+    assert all(value > 0 for value in expected)
+
+
 @pytest.mark.parametrize("costs", [[3 + t % 2 for t in range(13)], [40 + t for t in range(13)]])
 def test_where_measurements_cost_money_it_lies_below_the_optimum(
     small_job: Job, tmp_path: Path, costs: list[int], monkeypatch: pytest.MonkeyPatch
