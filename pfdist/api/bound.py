@@ -89,7 +89,7 @@ def bound(
     run : str or Path
         Folder of a finished run.
     settings : BoundSettings
-        Draws, particles and window of the proof, and the gap that is demanded.
+        Draws, particles, windows and limits of the proof, and the gap that is demanded.
     pool, workers, address : optional
         Where to compute, as for `pfdist.run`. The default is Ray with all cores of this machine,
         wherever the run was computed; exact engines need no pool.
@@ -113,8 +113,8 @@ def bound(
         The folder holds no finished run, or the model has changed since, or the run names a model
         file that is not run without the user's word.
     JobError, ModelError
-        The measurements of the job have costs; the model defines an error of its own; the
-        relaxation is too large; or the model cannot be loaded.
+        The model defines an error of its own; the relaxation is too large; or the model cannot be
+        loaded.
     TaskError, PoolError
         A task failed, or no worker answers. All committed sums are kept.
     """

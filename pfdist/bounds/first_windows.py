@@ -1,4 +1,4 @@
-"""The relaxation before its windows grow: all windows of so many measurements."""
+"""The relaxation before its windows grow: all windows up to a number of measurements."""
 
 import math
 
@@ -8,7 +8,7 @@ from pfdist.times.constraints import Constraints
 
 
 def relaxation_with(constraints: Constraints, window: int, longest_gap: int) -> Relaxation:
-    """Give the relaxation that knows all windows of so many measurements.
+    """Give the relaxation that knows all windows of at most so many measurements.
 
     Windows with a gap longer than the longest gap are not known. The instants before the first
     measurement of a set are no gap.
@@ -35,29 +35,30 @@ def relaxation_with(constraints: Constraints, window: int, longest_gap: int) -> 
 
 
 def relaxation_for(
-    constraints: Constraints, window: int, fewest: int, most_cells: int
+    constraints: Constraints, window: int, measurements: int, most_cells: int
 ) -> Relaxation:
-    """Give the relaxation for sets of at least so many times, with windows of one length.
+    """Give the relaxation that knows all windows of at most so many measurements, within a memory.
 
-    Its longest gap is three mean gaps, or fewer if they need more memory, but at least two.
+    The longest gap is three mean gaps, or less if that needs too much memory, but at least two.
 
     Parameters
     ----------
     constraints : Constraints
     window : int
-        Number of measurements of a window.
-    fewest : int
-        Least number of times of a set.
+        Largest number of measurements of a window.
+    measurements : int
+        Usual number of measurements of a set, which gives the mean gap. The relaxation holds for
+        sets of any number.
     most_cells : int
         Largest number of errors that count.
 
     Raises
     ------
     JobError
-        It has more errors than allowed.
+        The relaxation has more errors than allowed.
     """
     instants = constraints.horizon + 1
-    two, three = (min(math.ceil(gaps * instants / (fewest + 1)), instants) for gaps in (2, 3))
+    two, three = (min(math.ceil(gaps * instants / (measurements + 1)), instants) for gaps in (2, 3))
 
     def cells(longest_gap: int) -> int:
         return int(instants * longest_gap ** (window - 1) * longest_gap) + instants**2

@@ -8,7 +8,7 @@ from pfdist.bounds.proof import Estimate, Proof
 from pfdist.times.measurement_times import Times
 
 _ROUNDING = 1e-12
-UNKNOWN, NOTHING = Estimate(math.nan, math.nan), Estimate(0.0)
+UNKNOWN, ZERO = Estimate(math.nan, math.nan), Estimate(0.0)
 
 
 @dataclass(frozen=True)
@@ -28,9 +28,9 @@ class SetAlone:
     """
 
     expected_mse: Estimate
-    estimate: Estimate = NOTHING
-    filter_model: Estimate = NOTHING
-    both: Estimate = NOTHING
+    estimate: Estimate = ZERO
+    filter_model: Estimate = ZERO
+    both: Estimate = ZERO
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,8 @@ class Gap:
     reason : str
         Why there is no bound; then everything below is NaN. Empty if the bound holds.
     budget : int
-        The bound holds for all feasible sets of so many times, or for so much money in units.
+        The bound holds for all feasible sets of so many times, or of so much money, in the units
+        of the relaxation.
     bound : Estimate
         Lower bound of the expected MSE of every such set, by any filter.
     path : tuple of int

@@ -21,7 +21,7 @@ class Falls:
     Parameters
     ----------
     of_bounds : list of Estimate
-        Relative fall of the bound of each number of measurements.
+        Relative fall of the bound of each sum that may be spent.
     of_sets : list of Estimate
         Relative fall of the variance of each known set.
     particles : str

@@ -101,19 +101,19 @@ class Sums(NamedTuple):
 
 @dataclass(frozen=True)
 class Proof:
-    """The lower bounds of all numbers of measurements, and the slack of known sets.
+    """The lower bounds of all sums that may be spent, and the slack of known sets.
 
     Parameters
     ----------
     bounds : list of Estimate
-        Lower bound of the expected MSE for 0, 1, 2, ... measurements.
+        Lower bound of the expected MSE for 0, 1, 2, ... measurements, or units of money.
     paths : list of tuples of int
         The times that reach each bound in the relaxation; they need not reach it themselves.
     budgets : list of int
         For each known set, the sum whose bound holds for it.
     slack : list of Estimate
         For each known set, how much its own expected error, by the same estimate on the same draws,
-        lies above the bound of its number of measurements.
+        lies above the bound of the sum that it spends.
     groups : int
         Number of groups of draws of the jackknife; 0 if everything is exact.
     """

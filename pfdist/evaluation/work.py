@@ -26,8 +26,8 @@ class Estimation:
     particles : int
         P.
     resampling : {"multinomial", "stratified", "systematic", "residual", "sorted_systematic"}
-    estimator : {"squared_error", "filter_variance", "two_filters"}
-        See `pfdist.filters.one_by_one`.
+    estimator : str
+        Name of an estimator of `pfdist.kernels.estimators`.
     """
 
     particles: int

@@ -62,7 +62,7 @@ class BlockSums:
     knows_truth : bool
         Whether the filter uses the true model.
     phase : str
-        Phase of the sums in the store; by default one of a bound.
+        Phase of the sums in the store; by default a phase of the bound for these sums alone.
     groups : int
         Only the draws of the first groups are filtered.
     """
@@ -115,7 +115,7 @@ class BlockSums:
         """
         rows, wanted = store.sums(self._id, blocks), self.wanted(blocks)
         for block, sums in zip(rows["block"].to_pylist(), rows["sums"], strict=True):
-            # A guard has the id of a bound of as many particles, which has blocks of all groups.
+            # A bound with as many particles as a guard has its id, and blocks of all groups.
             if block in wanted:
                 yield block, sums.values.to_numpy()
 

@@ -32,9 +32,9 @@ class BoundSettings:
     window : int
         Number of measurements of the windows that the relaxation knows at first.
     work : float, optional
-        Particle-steps after which no window grows; 0 for windows of one length. By default twice
-        those that the first windows take. Windows also stop growing when the relaxation explains
-        less than 0.1 % of the expected MSE, on the draws that choose them.
+        Particle-steps after which no window grows; 0 if no window is to grow. By default twice
+        those that the first windows take. Windows also stop growing when no set of the relaxation
+        is better than the run's sets by more than 0.1 %, on the draws that choose the windows.
     memory : int
         Memory that the relaxation may take, in MiB. A window that needs more is not known.
 

@@ -103,13 +103,9 @@ class Phase(Generic[E]):
     def sums(self, counted: Counted) -> BlockSums:
         """Sums of errors over blocks of draws, for candidates whose errors are wanted."""
         stream, estimation = self.stream(), self.settings.estimation
+        streams, truth = (stream, stream), self.knows_truth
         return BlockSums(
-            self.built,
-            counted,
-            (stream, stream),
-            estimation,
-            knows_truth=self.knows_truth,
-            phase=self.name,
+            self.built, counted, streams, estimation, knows_truth=truth, phase=self.name
         )
 
     def evaluation(self, request: "_Request", exact: float | None = None) -> E:
@@ -243,11 +239,8 @@ def _errors(
     blocks = math.ceil((windows[0].draws or phase.settings.draws) / BLOCK)
     errors, _ = errors_of(windows, phase.built, phase.sums, blocks, collector)
     for candidate, row in zip(windows, errors, strict=True):
-        cost, times = float(np.sum(row)) / row.size, candidate.measurement_times
-        yield (
-            candidate,
-            phase.purpose.evaluation(times, np.empty(0), exact=cost, end=candidate.end, errors=row),
-        )
+        times, cost = candidate.measurement_times, np.mean(row, keepdims=True)
+        yield candidate, phase.purpose.evaluation(times, cost, end=candidate.end, errors=row)
 
 
 def _known(phase: Phase[E], requests: list[_Request], collector: Collector) -> Iterator[_Request]:

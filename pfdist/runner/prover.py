@@ -249,11 +249,11 @@ class Prover:
     def _rows(self, looks: list[Look], compared_draws: int) -> pa.Table:
         """Rows of the table ``bound``."""
         relaxation = self.relaxation
-        grown = {"windows": len(relaxation.windows), "longest_gap": relaxation.longest_gap}
+        known = {"windows": len(relaxation.windows), "longest_gap": relaxation.longest_gap}
         rows = [
             {"position": position, "draws": look.draws, "steps": look.steps}
             | self._columns(compared_draws)
-            | grown
+            | known
             | gap.columns()
             for look in looks
             for position, gap in enumerate(look.gaps)

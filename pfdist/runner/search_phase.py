@@ -1,8 +1,9 @@
 """A search: its optimiser, exchanges that polish the best set, and a race between the finalists.
 
-Each phase has draws of its own, and the winner of the race is compared with the reference. Probes
-check any estimator but the squared error before the race. If the estimator fails, the search is
-run again by the squared error under another name, and the first results are left aside.
+Each phase has draws of its own. The set that the exchanges prefer is compared with the reference,
+unless the race contradicts; without exchanges it is the winner of the race. Probes check any
+estimator but the squared error before the race. If the estimator fails, the search is run again by
+the squared error under another name, and the first results are left aside.
 """
 
 import math

@@ -1,7 +1,8 @@
 """The compared sets alone: the expected MSE of each, and the variance of its particles.
 
 Both are filtered on draws that neither chose the sets nor gave the bound: on the first draws of the
-comparison, or on draws of their own if the comparison has too few.
+comparison, or on draws of their own if the comparison has too few. With several references, the
+draws of the comparison are always enough.
 """
 
 import math
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.analysis import Moments, Run
-from pfdist.bounds.gap import NOTHING, UNKNOWN, SetAlone
+from pfdist.bounds.gap import UNKNOWN, ZERO, SetAlone
 from pfdist.bounds.proof import Estimate
 from pfdist.common.streams import stream_key
 from pfdist.evaluation.estimate import BOUND
@@ -41,7 +42,7 @@ class _Kind:
 
 
 def _draws(built: Built, compared: int) -> int:
-    """Number of draws of a set alone; with many references, all are those of the comparison."""
+    """Number of draws of a set alone; with several references, never more than were compared."""
     return min(SET_DRAWS, compared) if len(built.study.references) > 1 else SET_DRAWS
 
 
@@ -181,7 +182,7 @@ def parts_of(whole: Moments, squared: Array, by_truth: Array, variance: Array) -
     ----------
     whole : Moments
         Moments of the squared errors of all draws, the first of which are `squared`.
-    squared, by_truth, variance : array of float64, (20,000,)
+    squared, by_truth, variance : array of float64, (D,)
         Squared errors with the filter's model and with the true model, and variances of the
         particles with the true model, of the same draws.
     """
@@ -189,7 +190,7 @@ def parts_of(whole: Moments, squared: Array, by_truth: Array, variance: Array) -
         return _DEGENERATE
     if by_truth is squared:
         both = _less(whole, squared, variance)
-        return SetAlone(Estimate(whole.mean, whole.standard_error), both, NOTHING, both)
+        return SetAlone(Estimate(whole.mean, whole.standard_error), both, ZERO, both)
     return SetAlone(
         Estimate(whole.mean, whole.standard_error),
         _paired(by_truth, variance),

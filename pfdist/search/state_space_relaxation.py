@@ -1,12 +1,13 @@
 """Decremental state-space relaxation: a dynamic programme over windows of the last measurements.
 
-The error at an instant depends most on the last measurements. The programme finds the best sets if
-the error depended on them alone, as if everything before had been measured. Then it looks closer at
-these sets: their windows grow by a measurement each, and the programme is solved again. The search
-ends when no set of the relaxation is better than the best set found. See `pfdist.bounds.relaxation`
-and `pfdist.bounds.growth`.
+The error at an instant depends most on the last measurements. The programme finds the sets that
+would be best if the error depended on these alone, as if everything before had been measured. Then
+the search looks closer at these sets: their windows grow by a measurement each, and the programme
+is solved again. The search ends when no set of the relaxation is better than the best set found, or
+after the last round. See `pfdist.bounds.relaxation` and `pfdist.bounds.growth`.
 
-If the costs are exact and the filter knows the truth, the best set is then proved to be optimal.
+If the costs are exact and the filter knows the truth, a search that ends before the last round has
+proved that its best set is optimal.
 
 References
 ----------
@@ -88,7 +89,7 @@ class RelaxationState:
 
     @property
     def degenerate(self) -> set[Window]:
-        """Windows without errors."""
+        """Windows whose errors are not known: a draw is degenerate in every block."""
         return {window for window, errors in self.errors.items() if np.isnan(errors).any()}
 
     def programme(self, most: int) -> Programme:
@@ -161,8 +162,8 @@ class StateSpaceRelaxation:
     def evaluations(self) -> float:
         """Approximate work, in evaluations of whole sets.
 
-        A programme with few draws takes a window to be as long as the longest gap, and those after
-        it have a few windows for each measurement.
+        The first programme needs the errors of all windows, on a sixteenth of the draws. Later
+        programmes need a few windows for each measurement, which are left out.
         """
         cells, instants = int(self._start.offsets[-1]), self.feasible.horizon + 1
         few = cells / instants / _SCREENING[0] if self.draws else cells / instants
