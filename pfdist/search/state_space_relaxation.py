@@ -204,13 +204,14 @@ class StateSpaceRelaxation:
         programme = state.programme(max(self._sought))
         least = {spent: state.least(spent) for spent in self._sought}
         lower = {spent: programme.mse[spent] for spent in self._sought}
-        left = [
-            spent for spent in self._sought
-            if np.isfinite(lower[spent]) and lower[spent] < least[spent] * (1 - self.gap)
+        screening = state.level < len(_SCREENING) and not exact
+        left = [  # few draws end no search: the known sets are evaluated on all draws
+            spent for spent in self._sought if np.isfinite(lower[spent])
+            and (screening or lower[spent] < least[spent] * (1 - self.gap))
         ]  # fmt: skip
         if not left:
             return replace(state, done=True)
-        if state.level < len(_SCREENING) and not exact:
+        if screening:
             share = max(_SCREENED_EACH, self.screened // len(left)) // (1 + state.level)
             kept = [t for spent in left for t in near_optimal(programme, spent, share, np.inf)]
             return replace(
