@@ -65,6 +65,11 @@ class BlockSums:
         Phase of the sums in the store; by default a phase of the bound for these sums alone.
     groups : int
         Only the draws of the first groups are filtered.
+
+    Attributes
+    ----------
+    id : str
+        Id of the sums in the store.
     """
 
     def __init__(
@@ -78,11 +83,12 @@ class BlockSums:
         phase: str = "",
         groups: int = GROUPS,
     ) -> None:
-        self._groups, sets, ends = groups, counted.sets, tuple(counted.ends.tolist())
+        self._groups, sets = groups, counted.sets
+        since, ends = tuple(counted.first.tolist()), tuple(counted.ends.tolist())
         noise, draws = streams
         source = built.source.truth if knows_truth else built.source
-        self._id = source.sums_id(sets, ends, noise, estimation)
-        self._phase = phase or f"{BOUND_PHASE}.{self._id}"
+        self.id = source.sums_id(sets, tuple(zip(since, ends, strict=True)), noise, estimation)
+        self._phase = phase or f"{BOUND_PHASE}.{self.id}"
         self._mask = counted.at(built.problem.horizon)
         self._work = Work(
             measurement_times=sets,
@@ -91,8 +97,8 @@ class BlockSums:
             draws_stream=draws,
             draws=(0, 0),
             estimation=estimation,
-            ids=(self._id,),
-            since=tuple(counted.first.tolist()),
+            ids=(self.id,),
+            since=since,
             knows_truth=knows_truth,
         )
 
@@ -113,7 +119,7 @@ class BlockSums:
         StoreError
             A file cannot be read.
         """
-        rows, wanted = store.sums(self._id, blocks), self.wanted(blocks)
+        rows, wanted = store.sums(self.id, blocks), self.wanted(blocks)
         for block, sums in zip(rows["block"].to_pylist(), rows["sums"], strict=True):
             # A bound with as many particles as a guard has its id, and blocks of all groups.
             if block in wanted:
@@ -184,5 +190,5 @@ class BlockSums:
 
     def _rows(self, work: Work, result: Result) -> pa.Table:
         block = work.draws[0] // BLOCK
-        row = {"evaluation": self._id, "block": block, "sums": result.sums}
+        row = {"evaluation": self.id, "block": block, "sums": result.sums}
         return pa.Table.from_pylist([row], schema=schema(_TABLE))

@@ -91,10 +91,23 @@ class ProblemSource:
         return self._id(estimation, times, end, stream)
 
     def sums_id(
-        self, sets: Sequence[Times], ends: Sequence[int], stream: int, estimation: Estimation
+        self,
+        sets: Sequence[Times],
+        instants: Sequence[tuple[int, int]],
+        stream: int,
+        estimation: Estimation,
     ) -> str:
-        """Id of sums of errors: a hash of everything on which they depend but their draws."""
-        return self._id(estimation, sets, ends, stream, "sums")
+        """Id of sums of errors: a hash of everything on which they depend but their draws.
+
+        Parameters
+        ----------
+        sets : sequence of tuples of int
+        instants : sequence of pairs of int
+            First and last instant at which the errors of each set count.
+        stream : int
+        estimation : Estimation
+        """
+        return self._id(estimation, sets, instants, stream, "sums")
 
     def _id(self, estimation: Estimation, *parts: Any) -> str:
         key = stream_key(

@@ -13,6 +13,7 @@ from pfdist.cli.main import main
 from pfdist.errors import CompileError, EngineWarning, ModelError, RunMismatchError
 from pfdist.evaluation.work import Estimation
 from pfdist.kernels import disk_cache
+from pfdist.runner.block_sums import BlockSums, Counted
 from pfdist.runner.build import build
 
 OTHER = """
@@ -74,6 +75,16 @@ def test_the_filters_model_may_be_another_one(tmp_path: Path) -> None:
     knowing = pfdist.evaluate(right.job, times, draws=200)
     difference = believing.mse - knowing.mse
     assert difference.mean() > 4 * difference.std() / np.sqrt(200)
+
+
+def test_sums_of_errors_of_other_instants_have_another_id(tmp_path: Path) -> None:
+    built, sets = build(job_with(tmp_path)), ((0, 4), (0, 8))
+    spans = [([0, 0], [7, 12]), ([4, 0], [7, 12]), ([0, 0], [7, 11])]
+    ids = {
+        BlockSums(built, Counted(sets, np.array(first), np.array(ends)), (1, 1), Estimation(40)).id
+        for first, ends in spans
+    }
+    assert len(ids) == len(spans)
 
 
 @pytest.mark.parametrize(
