@@ -11,7 +11,7 @@ from pfdist.analysis import Run, finite
 from pfdist.api.at_work import at_work
 from pfdist.api.finished_run import built_again, finished_run
 from pfdist.bounds.gap import Gap
-from pfdist.errors import RunMismatchError
+from pfdist.errors import JobError, RunMismatchError
 from pfdist.evaluation.engines import KALMAN
 from pfdist.plots import draw_figures
 from pfdist.runner.bound_settings import BoundSettings
@@ -125,7 +125,7 @@ def bound(
         given = {"pool": "serial"}  # there is nothing to compute in a pool
     built = built_again(proved, {"model": model, "filter_model": filter_model}, say, given)
     check_pool(built.job.execution)
-    prover, within = Prover(built, settings), settings.within
+    prover, within = _prover(built, settings), settings.within
     with _store(proved, built, say) as store, at_work(built, store, report, say) as session:
         session.reporter.foresee(prover.steps)
         look = prover.prove(session, finished_run(run))  # it may have been found damaged
@@ -142,6 +142,16 @@ def bound(
         None if within is None else look.is_within(within, built.study.references),
         look.gaps,
     )
+
+
+def _prover(built: Built, settings: BoundSettings) -> Prover:
+    try:
+        return Prover(built, settings)
+    except JobError as error:
+        if error.argument != "window":
+            raise
+        message = f"{error}; take a smaller window, or more memory"
+        raise JobError(message, argument="window") from error
 
 
 @contextlib.contextmanager

@@ -127,7 +127,8 @@ def _prover(
     try:
         prover = Prover(built, settings)
     except (JobError, ModelError) as error:
-        say(f"there is no lower bound: {error}")
+        hint = "; try pfdist bound --window 1, or more --memory"
+        say(f"there is no lower bound: {error}{hint * (error.argument == 'window')}")
         return None
     minutes = prover.steps * built.problem.seconds_a_step / 60
     if minutes > _PATIENCE:

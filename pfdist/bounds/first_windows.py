@@ -1,10 +1,20 @@
 """The relaxation before its windows grow: all windows up to a number of measurements."""
 
 import math
+from dataclasses import replace
 
 from pfdist.bounds.relaxation import NOTHING, START, Relaxation, Window, followers, in_order
 from pfdist.errors import JobError, MeasurementTimesError
 from pfdist.times.constraints import Constraints
+
+WINDOW = 2
+"""Largest number of measurements of the first windows, unless another number is wanted."""
+
+MOST_UNITS = 300
+"""Largest sum of money in a programme, in units; the memory of a programme grows with the sum."""
+
+_LEAST_OF_A_SEARCH = 1.2
+"""Least number of mean gaps between measurements that windows of a search must allow."""
 
 
 def relaxation_with(constraints: Constraints, window: int, longest_gap: int) -> Relaxation:
@@ -40,6 +50,7 @@ def relaxation_for(
     """Give the relaxation that knows all windows of at most so many measurements, within a memory.
 
     The longest gap is three mean gaps, or less if that needs too much memory, but at least two.
+    Money is counted in units of which the sum to spend has at most `MOST_UNITS`.
 
     Parameters
     ----------
@@ -57,19 +68,56 @@ def relaxation_for(
     JobError
         The relaxation has more errors than allowed.
     """
-    instants = constraints.horizon + 1
-    two, three = (min(math.ceil(gaps * instants / (measurements + 1)), instants) for gaps in (2, 3))
-
-    def cells(longest_gap: int) -> int:
-        return int(instants * longest_gap ** (window - 1) * longest_gap) + instants**2
-
-    longest_gap = three
-    while longest_gap > two and cells(longest_gap) > most_cells:
-        longest_gap -= 1
-    if cells(longest_gap) > most_cells:
+    gap = _longest_gap(constraints, window, measurements, most_cells, least=2.0)
+    cells = _cells(constraints, window, gap)
+    if cells > most_cells:
         raise JobError(
-            f"window = {window} needs about {cells(longest_gap):,} numbers for each group of "
-            f"draws, allowed: {most_cells:,}; try pfdist bound --window 1, or more --memory",
+            f"window = {window} needs about {cells:,} numbers for each group of draws, allowed: "
+            f"{most_cells:,}",
             argument="window",
         )
-    return relaxation_with(constraints, window, longest_gap)
+    return _relaxation(constraints, window, gap)
+
+
+def relaxation_within(constraints: Constraints, measurements: int, most_cells: int) -> Relaxation:
+    """Give the relaxation with which a search begins; none is refused.
+
+    It knows windows of `WINDOW` measurements with gaps of up to three mean gaps, or down to 1.2
+    where three need too much memory. If these are too many, it knows single measurements alone,
+    and windows grow from them. This happens where few measurements lie far apart.
+
+    Parameters
+    ----------
+    constraints, measurements, most_cells
+        As for `relaxation_for`.
+    """
+    for window, least in ((WINDOW, _LEAST_OF_A_SEARCH), (1, 3.0)):
+        gap = _longest_gap(constraints, window, measurements, most_cells, least)
+        if window == 1 or _cells(constraints, window, gap) <= most_cells:
+            break
+    return _relaxation(constraints, window, gap)
+
+
+def _longest_gap(
+    constraints: Constraints, window: int, measurements: int, most_cells: int, least: float
+) -> int:
+    """Give a gap of three mean gaps, or of the least number of mean gaps that memory demands."""
+    instants = constraints.horizon + 1
+    shortest, gap = (
+        min(math.ceil(gaps * instants / (measurements + 1)), instants) for gaps in (least, 3.0)
+    )
+    while gap > shortest and _cells(constraints, window, gap) > most_cells:
+        gap -= 1
+    return gap
+
+
+def _cells(constraints: Constraints, window: int, longest_gap: int) -> int:
+    """Give about how many errors count."""
+    instants = constraints.horizon + 1
+    return int(instants * longest_gap ** (window - 1) * longest_gap) + instants**2
+
+
+def _relaxation(constraints: Constraints, window: int, longest_gap: int) -> Relaxation:
+    """Give the relaxation in coarse units of money."""
+    unit = 1 if constraints.counted else math.ceil(constraints.total / MOST_UNITS)
+    return replace(relaxation_with(constraints, window, longest_gap), unit=unit)

@@ -2,13 +2,14 @@
 
 from dataclasses import dataclass
 
+from pfdist.bounds.first_windows import WINDOW
 from pfdist.errors import JobError, shown
 from pfdist.runner.block_sums import BLOCK, GROUPS
 
 LEAST_DRAWS, MOST_DRAWS, DRAWS = GROUPS * BLOCK, 100_000, 1920
 WITHIN_DRAWS = 30_720
 """Largest number of draws, if a gap is demanded and no number of draws."""
-WINDOW, MOST_WINDOW, MOST_PARTICLES = 2, 6, 32_000
+MOST_WINDOW, MOST_PARTICLES = 6, 32_000
 MEMORY, MOST_MEMORY = 1024, 1_000_000  # MiB
 MOST_WORK = 10**15  # particle-steps
 _BYTES = 400  # of an error, with all groups of draws

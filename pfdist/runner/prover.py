@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -35,7 +35,6 @@ _ROUNDS = 1000  # of growing windows, at most
 _PATHS = 16  # whose windows grow in a round
 # Windows grow until the relaxed costs lie below those of the sets by so small a share:
 _GROWN, _GROWN_EXACTLY = 1e-3, 1e-11
-MOST_UNITS = 300  # of money, in the programme
 
 
 @dataclass(frozen=True)
@@ -100,9 +99,7 @@ class Prover:
         looks = 1 if settings.within is None else len(self._blocks)
         self.confidence = 1 - (1 - CONFIDENCE) / looks
         feasible, cells = built.study.widest, settings.most_cells
-        relaxation = relaxation_for(feasible, settings.window, built.study.usual, cells)
-        unit = 1 if feasible.counted else math.ceil(feasible.total / MOST_UNITS)
-        self.relaxation = replace(relaxation, unit=unit)
+        self.relaxation = relaxation_for(feasible, settings.window, built.study.usual, cells)
 
     @property
     def steps(self) -> float:

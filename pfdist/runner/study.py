@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar, Protocol
 
-from pfdist.bounds.first_windows import relaxation_for
+from pfdist.bounds.first_windows import relaxation_within
 from pfdist.errors import JobError
 from pfdist.evaluation.estimate import (
     BUDGET,
@@ -205,7 +205,7 @@ class BudgetStudy:
                 f"budget needs a search of method {DEFAULT_METHOD!r}, got {section.method!r} "
                 f"({self.job.path})"
             )
-        start = relaxation_for(self.widest, 2, self.usual, MOST_CELLS)
+        start = relaxation_within(self.widest, self.usual, MOST_CELLS)
         sought = tuple(self.budgets)
         return StateSpaceRelaxation(
             self.widest, draws, sought=sought, start=start, **section.settings

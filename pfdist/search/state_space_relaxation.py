@@ -23,7 +23,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.bounds.first_windows import relaxation_for
+from pfdist.bounds.first_windows import relaxation_within
 from pfdist.bounds.growth import longer, near_optimal
 from pfdist.bounds.programme import Programme
 from pfdist.bounds.relaxation import Relaxation, Window
@@ -35,7 +35,7 @@ from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
 MOST_CELLS = 3_000_000
-"""Largest number of errors of a relaxation at its beginning."""
+"""Largest number of errors of windows of two measurements at the beginning."""
 
 _ROUNDING = 1e-11  # of a proof, relative
 _SCREENING = (16, 4)  # shares of the draws with which the first programmes are solved
@@ -140,7 +140,7 @@ class StateSpaceRelaxation:
         The search ends when the relaxed costs lie below those of the best sets by at most this
         share.
     start : Relaxation, optional
-        The relaxation of the first round; by default that of all windows of two measurements.
+        The relaxation of the first round; by default that of `relaxation_within`.
     """
 
     feasible: Feasible
@@ -221,7 +221,8 @@ class StateSpaceRelaxation:
         share = max(_PATHS_EACH, together // len(left))
         paths = [t for spent in left for t in near_optimal(programme, spent, share, least[spent])]
         evaluated = {evaluation.measurement_times for evaluation in state.whole}
-        sets = tuple(times for times in dict.fromkeys(self._whole(paths)) if times not in evaluated)
+        whole = dict.fromkeys(self._whole(programme, paths))
+        sets = tuple(times for times in whole if times not in evaluated)
         grown = relaxation.grown(*longer(relaxation, paths)).without(state.degenerate)
         if state.round == rounds or len(grown.windows) > _MOST_WINDOWS or grown == relaxation:
             return replace(state, done=not sets, sets=sets, round=rounds + 1)
@@ -240,11 +241,21 @@ class StateSpaceRelaxation:
             best.setdefault(len(evaluation.measurement_times), evaluation)
         return tuple(best[number] for number in sorted(best))
 
-    def _whole(self, paths: list[Times]) -> list[Times]:
-        """Give the paths that can be paid for, with the times that the money left over buys."""
+    def _whole(self, programme: Programme, paths: list[Times]) -> list[Times]:
+        """Give the paths that can be paid for, with the times that the money left over buys.
+
+        If prices are rounded down, all paths may cost too much. Then the paths of the largest sum
+        follow of which one can be paid for.
+        """
         if self.feasible.counted:
             return paths
-        return [self.feasible.filled(times) for times in paths if self.feasible.allows(times)]
+        spent, found = programme.most, paths
+        while True:
+            paid = [self.feasible.filled(times) for times in found if self.feasible.allows(times)]
+            if paid or programme.relaxation.unit == 1 or spent == 0:
+                return paid
+            spent -= 1
+            found = near_optimal(programme, spent, len(paths), np.inf)
 
     @cached_property
     def _sought(self) -> tuple[int, ...]:
@@ -254,7 +265,7 @@ class StateSpaceRelaxation:
     def _start(self) -> Relaxation:
         if self.start is not None:
             return self.start
-        return relaxation_for(self.feasible, 2, self.feasible.measurements, MOST_CELLS)
+        return relaxation_within(self.feasible, self.feasible.measurements, MOST_CELLS)
 
     def _draws(self, level: int) -> int | None:
         """Number of draws of the windows; None for those of the search's settings."""

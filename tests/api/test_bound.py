@@ -250,7 +250,7 @@ def test_many_measurements_are_counted_one_by_one(
 ) -> None:
     run = _run(small_job, tmp_path / "run", *EXACT).path
     expected = [gap.bound.value for gap in bound(run).gaps]
-    monkeypatch.setattr("pfdist.runner.prover.MOST_UNITS", 3)  # less than N
+    monkeypatch.setattr("pfdist.bounds.first_windows.MOST_UNITS", 3)  # less than N
     assert [gap.bound.value for gap in bound(run).gaps] == expected
     assert all(value > 0 for value in expected)
 
@@ -272,9 +272,19 @@ def test_where_measurements_cost_money_it_lies_below_the_optimum(
         assert gap.bound.value > 0.95 * optimum
     finely = bound(run, window=5).gaps[0].bound.value
     assert finely == pytest.approx(optimum)
-    monkeypatch.setattr("pfdist.runner.prover.MOST_UNITS", 7)  # costs are rounded down
+    monkeypatch.setattr("pfdist.bounds.first_windows.MOST_UNITS", 7)  # costs are rounded down
     roughly = bound(run, window=5).gaps[0].bound.value
     assert roughly <= finely
+
+
+def test_a_relaxation_that_is_too_large_is_refused_before_a_pool_starts(
+    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = _run(small_job, tmp_path / "run", *EXACT).path
+    monkeypatch.delattr("pfdist.api.at_work.make_pool")
+    with pytest.raises(JobError, match=r"; take a smaller window, or more memory$") as refused:
+        bound(run, window=6, memory=1)
+    assert refused.value.argument == "window"
 
 
 def test_where_no_bound_is_known_one_line_says_why(small_job: Job, tmp_path: Path) -> None:

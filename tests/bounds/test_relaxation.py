@@ -135,10 +135,3 @@ def test_a_relaxation_has_no_more_errors_than_it_may(
         else:
             assert relaxation.offsets[-1] <= most
             assert 2 * mean_gap <= relaxation.longest_gap <= 3 * mean_gap + 1
-
-
-def test_a_relaxation_that_needs_more_memory_is_refused() -> None:
-    message = "^window = 3 needs about .* numbers for each group of draws, allowed: 1,000; try pf"
-    with pytest.raises(JobError, match=message) as refused:
-        relaxation_for(Constraints(60, 21), 3, 21, 1000)
-    assert refused.value.argument == "window"

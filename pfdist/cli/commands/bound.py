@@ -19,7 +19,8 @@ _PARTS = {
 
 
 def _add_settings(parser: ArgumentParser) -> None:
-    from pfdist.runner.bound_settings import DRAWS, MEMORY, WINDOW, WITHIN_DRAWS
+    from pfdist.bounds.first_windows import WINDOW
+    from pfdist.runner.bound_settings import DRAWS, MEMORY, WITHIN_DRAWS
 
     parser.add_argument(
         "--within",
