@@ -124,7 +124,8 @@ class StateSpaceRelaxation:
     feasible : Feasible
     draws : int
         Number of draws of an evaluation. Programmes with fewer draws come first, and leave few
-        windows for the others; 0 for no such programme.
+        windows for the others. The best sets of the first programme with all draws are evaluated in
+        any case, because its relaxed costs vary with the draws. 0 for neither.
     paths : int
         Number of sets that are evaluated, and whose windows grow, in a round.
     rounds : int
@@ -205,9 +206,10 @@ class StateSpaceRelaxation:
         least = {spent: state.least(spent) for spent in self._sought}
         lower = {spent: programme.mse[spent] for spent in self._sought}
         screening = state.level < len(_SCREENING) and not exact
-        left = [  # few draws end no search: the known sets are evaluated on all draws
+        by_draws = bool(self.draws) and not exact and state.round == 0
+        left = [  # neither few draws nor a relaxed cost that is high by chance end the search
             spent for spent in self._sought if np.isfinite(lower[spent])
-            and (screening or lower[spent] < least[spent] * (1 - self.gap))
+            and (screening or by_draws or lower[spent] < least[spent] * (1 - self.gap))
         ]  # fmt: skip
         if not left:
             return replace(state, done=True)
@@ -219,7 +221,8 @@ class StateSpaceRelaxation:
             )
         together = max(_PATHS_IF_EXACT, self.paths) if exact else self.paths
         share = max(_PATHS_EACH, together // len(left))
-        paths = [t for spent in left for t in near_optimal(programme, spent, share, least[spent])]
+        below = {spent: np.inf if by_draws else least[spent] for spent in left}
+        paths = [t for spent in left for t in near_optimal(programme, spent, share, below[spent])]
         evaluated = {evaluation.measurement_times for evaluation in state.whole}
         whole = dict.fromkeys(self._whole(programme, paths))
         sets = tuple(times for times in whole if times not in evaluated)

@@ -213,6 +213,25 @@ def test_with_draws_few_windows_are_left_to_the_programme_with_all_draws(
 
 
 @systems
+def test_relaxed_costs_that_are_high_by_chance_do_not_keep_sets_from_being_evaluated(
+    model: StateSpaceModel,
+) -> None:
+    """On the draws at hand, every window costs twice what it should."""
+    feasible = Feasible(20, 6)
+    search = StateSpaceRelaxation(feasible, DRAWS, paths=3)
+
+    def tell(asked: list[Candidate]) -> list[SearchEvaluation]:
+        told = exactly(model, 20, asked)
+        return [
+            each if each.errors is None else replace(each, errors=2 * each.errors) for each in told
+        ]
+
+    *_, state = _states(search, _unknown(tell, DRAWS))
+    assert 3 <= len(state.whole) - 1 <= 2 * search.paths
+    assert state.least(6) < expected_mse(model, 20, [feasible.regular()])[0]
+
+
+@systems
 def test_no_set_is_evaluated_twice(model: StateSpaceModel) -> None:
     for tell in (_unknown, lambda tell, _: tell):
         search = StateSpaceRelaxation(Feasible(20, 6), DRAWS, rounds=4)
