@@ -13,6 +13,7 @@ MOST_WINDOW, MOST_PARTICLES = 6, 32_000
 MEMORY, MOST_MEMORY = 1024, 1_000_000  # MiB
 MOST_WORK = 10**15  # particle-steps
 _BYTES = 400  # of an error, with all groups of draws
+_BYTES_A_WINDOW = 50_000  # of a window that grows: its moves, its programmes, and its times
 
 
 @dataclass(frozen=True)
@@ -79,3 +80,8 @@ class BoundSettings:
     def most_cells(self) -> int:
         """The largest number of errors that count in the relaxation."""
         return self.memory * 2**20 // _BYTES
+
+    @property
+    def most_windows(self) -> int:
+        """The largest number of windows that grow."""
+        return self.memory * 2**20 // _BYTES_A_WINDOW

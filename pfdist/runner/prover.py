@@ -183,6 +183,7 @@ class Prover:
             known=known,
             gap=_GROWN if self.particles else _GROWN_EXACTLY,
             start=self.relaxation,
+            most_grown=self._settings.most_windows,
         )
         return grown(
             session, optimiser, self._estimation, self._most_steps, self._settings.most_cells

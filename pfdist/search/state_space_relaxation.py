@@ -43,8 +43,6 @@ _SCREENED_EACH, _PATHS_EACH = 8, 2  # at least, for each sum that is sought
 # Exact costs take no time, and a proof is worth many rounds:
 _PATHS_IF_EXACT = 64
 _ROUNDS_IF_EXACT = 500
-_MOST_WINDOWS = 20_000
-
 Array = NDArray[np.float64]
 
 
@@ -142,6 +140,8 @@ class StateSpaceRelaxation:
         share.
     start : Relaxation, optional
         The relaxation of the first round; by default that of `relaxation_within`.
+    most_grown : int
+        Windows stop growing before more than so many are added to those of the first round.
     """
 
     feasible: Feasible
@@ -153,6 +153,7 @@ class StateSpaceRelaxation:
     known: tuple[Times, ...] = ()
     gap: float = _ROUNDING
     start: Relaxation | None = None
+    most_grown: int = 20_000
 
     @property
     def generations(self) -> int:
@@ -227,7 +228,8 @@ class StateSpaceRelaxation:
         whole = dict.fromkeys(self._whole(programme, paths))
         sets = tuple(times for times in whole if times not in evaluated)
         grown = relaxation.grown(*longer(relaxation, paths)).without(state.degenerate)
-        if state.round == rounds or len(grown.windows) > _MOST_WINDOWS or grown == relaxation:
+        added = len(grown.windows) - len(self._start.windows)
+        if state.round == rounds or added > self.most_grown or grown == relaxation:
             return replace(state, done=not sets, sets=sets, round=rounds + 1)
         return replace(state, relaxation=grown, sets=sets, round=state.round + 1)
 
