@@ -16,6 +16,15 @@ from pfdist.times.measurement_times import Times
 if TYPE_CHECKING:
     from pfdist.evaluation.problem import Problem
 
+BLOCK = 24
+"""Draws over which errors are added up. One task adds up a whole block, so results do not depend on
+the workers."""
+
+
+def in_blocks(draws: int) -> int:
+    """Round a number of draws up to whole blocks."""
+    return -(-draws // BLOCK) * BLOCK
+
 
 @dataclass(frozen=True)
 class Estimation:

@@ -13,14 +13,12 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from pfdist.evaluation.work import Estimation, Result, Work
+from pfdist.evaluation.work import BLOCK, Estimation, Result, Work
 from pfdist.runner.build import Built
 from pfdist.runner.collect import Collector
 from pfdist.store import BOUND_PHASE, Store, schema
 from pfdist.times.measurement_times import Times
 
-BLOCK = 24
-"""Draws of a block. One task adds up a whole block, so results do not depend on the workers."""
 GROUPS = 20
 """Groups of blocks; the jackknife leaves one group out. Block b belongs to group b modulo 20."""
 _TABLE = "error_sums"

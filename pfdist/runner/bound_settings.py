@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 from pfdist.bounds.first_windows import WINDOW
 from pfdist.errors import JobError, shown
-from pfdist.runner.block_sums import BLOCK, GROUPS
+from pfdist.evaluation.work import BLOCK
+from pfdist.runner.block_sums import GROUPS
 
 LEAST_DRAWS, MOST_DRAWS, DRAWS = GROUPS * BLOCK, 100_000, 1920
 WITHIN_DRAWS = 30_720

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.evaluation.estimate import Evaluation, Purpose
-from pfdist.evaluation.work import Estimation, Work, cut
+from pfdist.evaluation.work import BLOCK, Estimation, Work, cut
 from pfdist.kernels.noise import generator
-from pfdist.runner.block_sums import BLOCK, BlockSums, Counted
+from pfdist.runner.block_sums import BlockSums, Counted
 from pfdist.runner.build import Built
 from pfdist.runner.collect import Collector
 from pfdist.runner.evaluation_rows import draw_rows, evaluation_rows

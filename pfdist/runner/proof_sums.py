@@ -10,8 +10,8 @@ from pfdist.bounds.proof import Sums
 from pfdist.bounds.relaxation import Relaxation
 from pfdist.errors import ModelError
 from pfdist.evaluation.estimate import BOUND
-from pfdist.evaluation.work import Estimation
-from pfdist.runner.block_sums import BLOCK, GROUPS, BlockSums, Counted
+from pfdist.evaluation.work import BLOCK, Estimation
+from pfdist.runner.block_sums import GROUPS, BlockSums, Counted
 from pfdist.runner.build import Built
 from pfdist.runner.session import Session
 from pfdist.times.measurement_times import Times

@@ -17,9 +17,9 @@ from pfdist.bounds.relaxation import Relaxation
 from pfdist.errors import ModelError
 from pfdist.evaluation.compiling import compile_problem
 from pfdist.evaluation.engines import ENGINES
-from pfdist.evaluation.work import Estimation
+from pfdist.evaluation.work import BLOCK, Estimation
 from pfdist.kernels.estimators import FILTER_VARIANCE
-from pfdist.runner.block_sums import BLOCK, GROUPS
+from pfdist.runner.block_sums import GROUPS
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built
 from pfdist.runner.proof_sums import FINER, GUARDED, ProofSums

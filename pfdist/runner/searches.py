@@ -3,12 +3,13 @@
 from dataclasses import dataclass, replace
 
 from pfdist.evaluation.engines import KALMAN
-from pfdist.evaluation.work import Estimation
+from pfdist.evaluation.work import Estimation, in_blocks
 from pfdist.job.job import Job
 from pfdist.kernels.estimators import OWN_VARIANCE, SQUARED_ERROR
 from pfdist.runner.memory import check_memory
 from pfdist.runner.study import Study
 from pfdist.search import SearchOptimiser
+from pfdist.search.methods import METHODS
 from pfdist.search.section import AUTO, EvaluationSettings, SearchSection
 
 _POLISH_DRAWS = 4096  # at most
@@ -136,6 +137,8 @@ def named_search(study: Study, job: Job, section: SearchSection, guide: str) -> 
         The optimiser cannot search this problem.
     """
     settings = Settings.from_job(job, section.evaluation, guide)
+    if not METHODS[section.method].online:  # it asks for errors of instants, block by block
+        settings = replace(settings, draws=in_blocks(settings.draws))
     check_memory(job, section, settings.draws)
     optimiser = study.optimiser(section, settings.draws)
     search = _with_settings(job, section, section.name, optimiser, settings)

@@ -111,7 +111,7 @@ def method(
         The curve of the search in the figure ``cost``, which shows expected MSE by evaluation.
     online : bool
         Whether the method can plan the measurements that are left. A method that asks for the
-        errors of each instant cannot.
+        errors of each instant cannot. It takes a whole number of blocks of 24 draws.
     """
 
     def declare(optimiser: C) -> C:

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from pfdist import Job
-from pfdist.job.job import load_job
+from pfdist.job.job import Job, load_job
 from pfdist.job.sections import Execution
 from pfdist.runner.build import build, make_pool
 from pfdist.runner.driver import drive
@@ -50,6 +49,17 @@ def costs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, float]:
         drive(Session.start(built, store, pool))
     sets = store.compared_sets()
     return dict(zip(sets, built.problem.expected_mse(list(sets.values())), strict=True))
+
+
+def test_a_search_for_errors_of_instants_evaluates_all_on_whole_blocks_of_draws(
+    small_job: Job,
+) -> None:
+    for method, draws in (("relaxation", 48), ("exchange", 30)):
+        search = {"method": method, "evaluation": {"draws": 30}}
+        built = build(load_job(small_job.path, settings={"search": [search]}))
+        assert built.searches[0].settings.draws == draws
+        if method == "relaxation":
+            assert built.searches[0].optimiser.draws == draws
 
 
 def test_no_search_finds_better_than_all_sets_have(costs: dict[str, float]) -> None:
