@@ -21,7 +21,7 @@ from pfdist.runner.evaluation_rows import draw_rows, evaluation_rows
 from pfdist.runner.progress import Reporter
 from pfdist.runner.search_tables import commit_generation, committed_generations, publish_search
 from pfdist.runner.searches import Settings
-from pfdist.runner.window_errors import errors_of
+from pfdist.runner.window_errors import evaluated_by_errors
 from pfdist.search import Candidate, Optimiser
 from pfdist.search.probe import new_leaders
 from pfdist.times.measurement_times import validated
@@ -236,11 +236,10 @@ def _errors(
     phase: Phase[E], windows: list[Candidate], collector: Collector
 ) -> Iterator[tuple[Candidate, E]]:
     """Yield an evaluation with the errors of each instant for each candidate."""
+    kind = phase.purpose.evaluation
     blocks = math.ceil((windows[0].draws or phase.settings.draws) / BLOCK)
-    errors, _ = errors_of(windows, phase.built, phase.sums, blocks, collector)
-    for candidate, row in zip(windows, errors, strict=True):
-        times, cost = candidate.measurement_times, np.mean(row, keepdims=True)
-        yield candidate, phase.purpose.evaluation(times, cost, end=candidate.end, errors=row)
+    evaluations, _ = evaluated_by_errors(windows, kind, phase.built, phase.sums, blocks, collector)
+    yield from zip(windows, evaluations, strict=True)
 
 
 def _known(phase: Phase[E], requests: list[_Request], collector: Collector) -> Iterator[_Request]:

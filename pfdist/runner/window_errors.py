@@ -1,30 +1,36 @@
-"""The expected errors of sets at the instants that a search asks for."""
+"""Evaluations by the expected errors of the instants that a search asks for."""
 
 from collections.abc import Callable, Sequence
+from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.runner.block_sums import BlockSums, Counted
 from pfdist.runner.build import Built
 from pfdist.runner.collect import Collector
 from pfdist.search.base import Candidate
 
+E = TypeVar("E", bound=Evaluation)
 
-def errors_of(
+
+def evaluated_by_errors(
     asked: Sequence[Candidate],
+    kind: type[E],
     built: Built,
     sums_of: Callable[[Counted], BlockSums],
     blocks: int,
     collector: Collector,
-) -> tuple[NDArray[np.float64], float]:
-    """Give the expected errors of candidates, (S, T+1), and the particle-steps they take.
+) -> tuple[list[E], float]:
+    """Give evaluations of candidates, and the particle-steps they take.
 
-    The errors are 0 before the instant from which they are wanted, and behind the candidate's end.
+    Errors are 0 before the instant from which they are wanted, and behind the candidate's end.
 
     Parameters
     ----------
-    asked : sequence of Candidate, (S,)
+    asked : sequence of Candidate
+    kind : type
+        Class of the evaluations.
     built : Built
     sums_of : callable
         Gives the sums over blocks of draws; exact engines need none.
@@ -37,12 +43,25 @@ def errors_of(
     TaskError, PoolError, StoreError
         A task failed, no worker answers, or a file cannot be read or written.
     """
-    horizon = built.problem.horizon
+    exact, horizon, steps = built.problem.exact, built.problem.horizon, 0.0
     sets = tuple(candidate.measurement_times for candidate in asked)
     first = np.array([candidate.since or 0 for candidate in asked])
     ends = np.array([horizon if each.end is None else each.end for each in asked])
     counted = Counted(sets, first, ends)
-    if built.problem.exact:
-        return np.where(counted.at(horizon), built.problem.expected_errors(sets), 0.0), 0.0
-    sums = sums_of(counted)
-    return sums.means(blocks, collector), sums.steps(blocks)
+    if exact:
+        errors = np.where(counted.at(horizon), built.problem.expected_errors(sets), 0.0)
+    else:
+        sums = sums_of(counted)
+        errors, steps = sums.means(blocks, collector), sums.steps(blocks)
+    costs = errors.sum(axis=1) / (horizon + 1)
+    evaluations = [
+        kind(
+            candidate.measurement_times,
+            cost[None],
+            exact=float(cost) if exact else None,
+            end=candidate.end,
+            errors=row,
+        )
+        for candidate, row, cost in zip(asked, errors, costs, strict=True)
+    ]
+    return evaluations, steps

@@ -11,8 +11,7 @@ from pfdist.evaluation.estimate import BOUND, SearchEvaluation
 from pfdist.evaluation.work import Estimation
 from pfdist.runner.block_sums import GROUPS, BlockSums, Counted
 from pfdist.runner.session import Session
-from pfdist.runner.window_errors import errors_of
-from pfdist.search.base import Candidate
+from pfdist.runner.window_errors import evaluated_by_errors
 from pfdist.search.state_space_relaxation import StateSpaceRelaxation
 
 CHOICE_BLOCKS = GROUPS
@@ -44,14 +43,22 @@ def grown(
     TaskError, PoolError, StoreError
         A task failed, no worker answers, or a file cannot be read or written.
     """
+    built, reporter = session.built, session.reporter
+    stream = BOUND.stream(built.job.seed, "windows")
+
+    def sums_of(counted: Counted) -> BlockSums:
+        return BlockSums(built, counted, (stream, stream), estimation)
+
     state, steps, rng = optimiser.init(), 0.0, np.random.default_rng(0)
-    reporter = session.reporter
-    if not session.built.problem.exact:  # which takes no particle-steps
+    if not built.problem.exact:  # which takes no particle-steps
         reporter.begin("windows of the bound")
     start = reporter.progress.done
     relaxation = state.relaxation
     while not optimiser.done(state):
-        told, work = _told(session, optimiser.ask(state, rng), estimation)
+        asked = optimiser.ask(state, rng)
+        told, work = evaluated_by_errors(
+            asked, SearchEvaluation, built, sums_of, CHOICE_BLOCKS, session.collector
+        )
         steps += work
         if work:
             reporter.foresee(work)
@@ -63,27 +70,3 @@ def grown(
         if steps >= most_steps:
             break
     return relaxation, steps
-
-
-def _told(
-    session: Session, asked: list[Candidate], estimation: Estimation
-) -> tuple[list[SearchEvaluation], float]:
-    """Evaluations of windows and whole sets, all by their errors, and the particle-steps taken."""
-    built = session.built
-    stream = BOUND.stream(built.job.seed, "windows")
-
-    def sums_of(counted: Counted) -> BlockSums:
-        return BlockSums(built, counted, (stream, stream), estimation)
-
-    errors, steps = errors_of(asked, built, sums_of, CHOICE_BLOCKS, session.collector)
-    costs = errors.sum(axis=1) / (built.problem.horizon + 1)
-    return [
-        SearchEvaluation(
-            candidate.measurement_times,
-            cost[None],
-            exact=float(cost) if built.problem.exact else None,
-            end=candidate.end,
-            errors=row,
-        )
-        for candidate, row, cost in zip(asked, errors, costs, strict=True)
-    ], steps
