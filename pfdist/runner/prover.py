@@ -103,9 +103,15 @@ class Prover:
 
     @property
     def steps(self) -> float:
-        """About how many particle-steps the proof takes, before the windows have grown."""
+        """About how many particle-steps the proof takes, with the growth of windows at most."""
         sets = steps_of_sets(self._built, len(self._built.names), self._estimation)
-        return sets + self._sums(()).steps(self._blocks[-1])
+        return sets + self._steps_of_windows
+
+    @property
+    def _steps_of_windows(self) -> float:
+        """Particle-steps foreseen for windows: to let them grow, then to filter the first ones."""
+        growth = self._most_steps if self.particles else 0.0
+        return growth + self._sums(()).steps(self._blocks[-1])
 
     def prove(self, session: Session, run: Run) -> Look:
         """Prove the sets of a run, and write the table ``bound``.
@@ -153,11 +159,11 @@ class Prover:
         alone = sets_alone(session, run, sets, self._estimation)
         feasible = {name: times for name, times in sets.items() if _satisfies(constraints, times)}
         known = tuple(feasible.values())
-        foreseen, growth = self._sums(()).steps(self._blocks[-1]), 0.0
+        foreseen, growth = self._steps_of_windows, 0.0
         if feasible and self._most_steps > 0:
             self.relaxation, growth = self._grown(session, known)
         sums = self._sums(known)
-        session.reporter.foresee(sums.steps(self._blocks[-1]) - foreseen)
+        session.reporter.foresee(growth + sums.steps(self._blocks[-1]) - foreseen)
         for blocks in self._blocks:
             reason = ""
             try:

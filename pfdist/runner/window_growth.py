@@ -61,7 +61,6 @@ def grown(
         )
         steps += work
         if work:
-            reporter.foresee(work)
             reporter.reach(start + steps)
         state = optimiser.tell(state, told)
         if state.relaxation.offsets[-1] > most_cells:

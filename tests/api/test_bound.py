@@ -20,6 +20,9 @@ from pfdist.errors import JobError, ModelError, StoreError
 from pfdist.evaluation.problem import Problem
 from pfdist.pools.base import SerialPool
 from pfdist.runner.bound_settings import LEAST_DRAWS, BoundSettings
+from pfdist.runner.build import build
+from pfdist.runner.progress import Progress
+from pfdist.runner.prover import Prover
 from pfdist.runner.sets_alone import SET_DRAWS
 
 SHARP = Path(__file__).parents[1] / "oracles" / "sharp_sensor.toml"
@@ -390,6 +393,29 @@ def test_the_table_has_a_row_for_each_set_window_and_number_of_draws(walk: Path)
         assert summary[gap.name]["lower_bound"]["gap"] == gap.gap
         assert summary[gap.name]["lower_bound"]["window"] == 2
     assert main(["verify", str(walk)]) == 0
+
+
+@pytest.mark.parametrize("work", [1e6, 3e6])
+def test_the_growth_of_windows_is_foreseen(walk: Path, work: float) -> None:
+    built = build(load_job(walk / "job.toml"))
+    steps = [Prover(built, BoundSettings(LEAST_DRAWS, work=each)).steps for each in (0, work)]
+    assert steps[1] - steps[0] == work
+    seen = list[Progress]()
+    bound(walk, LEAST_DRAWS, work=work, report=seen.append)
+    assert len({each.total for each in seen if each.phase == "windows of the bound"}) == 1
+    assert max(each.done / each.total for each in seen) == 1.0
+    assert seen[-1].done == seen[-1].total
+
+
+def test_a_plan_whose_windows_would_grow_for_long_has_no_bound_yet(
+    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Prover, "_most_steps", 1e13)
+    said = list[str]()
+    job = small_job.with_changes([*WALK, "comparison.draws=20"])
+    run = pfdist.plan(job, tmp_path / "plan", figures=False, pool="serial", say=said.append)
+    assert not run.has("bound")
+    assert any(line.startswith("there is no lower bound yet: ") for line in said)
 
 
 def test_it_takes_draws_until_the_gaps_are_within_what_is_demanded(walk: Path) -> None:
