@@ -3,11 +3,13 @@
 import math
 from contextlib import closing
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pfdist.bounds.proof import Sums
-from pfdist.bounds.relaxation import Relaxation
+from pfdist.bounds.relaxation import Relaxation, Window
 from pfdist.errors import ModelError
 from pfdist.evaluation.estimate import BOUND
 from pfdist.evaluation.work import BLOCK, Estimation
@@ -21,6 +23,24 @@ FINER = 4
 
 GUARDED = 10
 """Groups of draws that the guard filters again."""
+
+Array = NDArray[np.float64]
+
+
+class Estimated(NamedTuple):
+    """The sums of the windows that have no degenerate draw.
+
+    Parameters
+    ----------
+    relaxation : Relaxation
+        The relaxation that knows these windows alone.
+    coarse, fine : Sums
+        Sums of the bound, and those of the guard.
+    """
+
+    relaxation: Relaxation
+    coarse: Sums
+    fine: Sums
 
 
 class ProofSums:
@@ -75,22 +95,30 @@ class ProofSums:
         relaxed = problem.expected_errors(counted.sets)[counted.at(problem.horizon)]
         return Sums(relaxed[None], problem.expected_errors(self._known)[None], np.ones(1))
 
-    def estimated(self, blocks: int, session: Session) -> tuple[Sums, Sums]:
+    def estimated(self, blocks: int, session: Session) -> Estimated:
         """Give the sums of the first blocks of draws, and those of the guard.
+
+        Windows of two measurements or more that have a degenerate draw are left out. The shorter
+        windows that take their places have measured more.
 
         Raises
         ------
         ModelError
-            A draw is degenerate.
+            A draw is degenerate with a known set, or with a window that has to be known.
         TaskError, PoolError, StoreError
             A task failed, no worker answers, or a file cannot be read or written.
         """
         self._fill(self._coarse, blocks, session, "lower bound")
         self._fill(self._fine, blocks, session, "guard of the bound")
-        return (
-            self._by_group(self._coarse, blocks, session),
-            self._by_group(self._fine, blocks, session),
-        )
+        relaxation, both = self._relaxation, (self._coarse, self._fine)
+        found = [(sums, *sums.by_group(blocks, session.store)) for sums in both]
+        bad = set[Window]()
+        for sums, errors, _ in found:
+            bad |= self._degenerate(errors, sums.particles)
+        kept = relaxation.without(bad)
+        known = np.array([window in kept.index for window in relaxation.windows])
+        cells = np.repeat(known, np.diff(relaxation.offsets))
+        return Estimated(kept, *(self._sums(errors, draws, cells) for _, errors, draws in found))
 
     def _fill(self, sums: BlockSums, blocks: int, session: Session, title: str) -> None:
         """Filter those of the first blocks of draws that the store lacks."""
@@ -107,13 +135,27 @@ class ProofSums:
                 reporter.reach(start + done * a_block, evaluations=done * BLOCK)
         self._done[title] = done
 
-    def _by_group(self, sums: BlockSums, blocks: int, session: Session) -> Sums:
-        errors, draws = sums.by_group(blocks, session.store)
-        if not np.isfinite(errors).all():
+    def _degenerate(self, errors: Array, particles: int) -> set[Window]:
+        """Give the windows with a degenerate or infinite draw.
+
+        Raises
+        ------
+        ModelError
+            There is such a draw with a known set, or with a window that has to be known.
+        """
+        relaxation = self._relaxation
+        finite = np.isfinite(errors).all(axis=0)
+        windows, own = np.split(finite, [relaxation.offsets[-1]])
+        of_windows = np.logical_and.reduceat(windows, relaxation.offsets[:-1])
+        bad = {relaxation.windows[number] for number in np.flatnonzero(~of_windows)}
+        if not own.all() or any(len(window) == 1 for window in bad):
             raise ModelError(
-                f"a draw is degenerate or infinite with {sums.particles} particles of the true "
-                "model; more particles may help"
+                f"a draw is degenerate or infinite with {particles} particles of the true model; "
+                "more particles may help"
             )
-        windows = int(self._relaxation.offsets[-1])
-        own = errors[:, windows:].reshape(len(errors), -1, self._built.problem.horizon + 1)
-        return Sums(errors[:, :windows], own, draws)
+        return bad
+
+    def _sums(self, errors: Array, draws: Array, cells: NDArray[np.bool_]) -> Sums:
+        """Give the sums of some errors of windows, and of all known sets."""
+        relaxed, own = errors[:, : cells.size][:, cells], errors[:, cells.size :]
+        return Sums(relaxed, own.reshape(len(own), -1, self._built.problem.horizon + 1), draws)

@@ -215,15 +215,15 @@ class Prover:
         Raises
         ------
         ModelError
-            A draw is degenerate.
+            A draw is degenerate with a set, or with a window that has to be known.
         """
         known, relaxation = tuple(sets.values()), self.relaxation
         most = max(map(relaxation.spent, known))
         if not self.particles:
             return self._proved(sets, alone, prove(relaxation, sums.exact(), known, most))
-        coarse, fine = sums.estimated(blocks, session)
-        gaps = self._proved(sets, alone, prove(relaxation, coarse, known, most))
-        pair = falls(relaxation, coarse.first(GUARDED), fine, most)
+        kept, coarse, fine = sums.estimated(blocks, session)
+        gaps = self._proved(sets, alone, prove(kept, coarse, known, most))
+        pair = falls(kept, coarse.first(GUARDED), fine, most)
         particles = f"{FINER * self.particles} particles in the place of {self.particles}"
         return guarded(gaps, Falls(*pair, particles))
 

@@ -3,6 +3,7 @@
 import json
 import math
 import shutil
+from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -14,14 +15,17 @@ import pfdist
 from pfdist import Job, load_job
 from pfdist.api.bound import Bound
 from pfdist.api.bound import bound as bound_of
+from pfdist.bounds.relaxation import Window
 from pfdist.cli.bound_lines import proof_lines
 from pfdist.cli.main import main
 from pfdist.errors import JobError, ModelError, StoreError
 from pfdist.evaluation.problem import Problem
 from pfdist.pools.base import SerialPool
+from pfdist.runner.block_sums import BlockSums
 from pfdist.runner.bound_settings import LEAST_DRAWS, BoundSettings
 from pfdist.runner.build import build
 from pfdist.runner.progress import Progress
+from pfdist.runner.proof_sums import ProofSums
 from pfdist.runner.prover import Prover
 from pfdist.runner.sets_alone import SET_DRAWS
 
@@ -393,6 +397,59 @@ def test_the_table_has_a_row_for_each_set_window_and_number_of_draws(walk: Path)
         assert summary[gap.name]["lower_bound"]["gap"] == gap.gap
         assert summary[gap.name]["lower_bound"]["window"] == 2
     assert main(["verify", str(walk)]) == 0
+
+
+def _with_degenerate(
+    monkeypatch: pytest.MonkeyPatch, is_so: Callable[[Window], bool], groups: tuple[int, ...]
+) -> list[Window]:
+    """Make a draw degenerate in windows, in the sums of so many groups; give these windows."""
+    by_group, found = BlockSums.by_group, list[Window]()
+    estimated = ProofSums.estimated
+
+    def remember(proof: ProofSums, blocks: int, session: Any) -> Any:
+        relaxation = proof._relaxation
+        numbers = [number for number, window in enumerate(relaxation.windows) if is_so(window)]
+        found[:] = [relaxation.windows[number] for number in numbers]
+        places = [relaxation.offsets[number] for number in numbers]
+
+        def spoilt(sums: BlockSums, blocks: int, store: Any) -> Any:
+            errors, draws = by_group(sums, blocks, store)
+            if len(errors) in groups:
+                errors[3, places] = math.nan
+            return errors, draws
+
+        monkeypatch.setattr(BlockSums, "by_group", spoilt)
+        return estimated(proof, blocks, session)
+
+    monkeypatch.setattr(ProofSums, "estimated", remember)
+    return found
+
+
+@pytest.mark.parametrize("groups", [(20,), (10,)], ids=["bound", "guard"])
+def test_a_window_with_a_degenerate_draw_is_left_out_and_lowers_the_bound(
+    walk: Path, monkeypatch: pytest.MonkeyPatch, groups: tuple[int, ...]
+) -> None:
+    whole = {gap.name: gap for gap in bound(walk, LEAST_DRAWS).gaps}
+    short = {gap.name: gap for gap in bound(walk, LEAST_DRAWS, window=1, work=0).gaps}
+    with monkeypatch.context() as patch:
+        every = _with_degenerate(patch, lambda window: len(window) > 1, groups)
+        for gap in bound(walk, LEAST_DRAWS).gaps:
+            assert gap.reason == ""
+            assert gap.bound.value == pytest.approx(short[gap.name].bound.value, rel=1e-9)
+            assert gap.bound.value < whole[gap.name].bound.value
+    assert max(map(len, every)) > 2
+    some = _with_degenerate(monkeypatch, lambda window: window[:2] == (5, 7), groups)
+    for gap in bound(walk, LEAST_DRAWS).gaps:
+        assert short[gap.name].bound.value < gap.bound.value <= whole[gap.name].bound.value
+    assert some
+
+
+def test_a_single_measurement_with_a_degenerate_draw_withdraws_the_bound(
+    walk: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _with_degenerate(monkeypatch, lambda window: window == (5,), (10,))
+    for gap in bound(walk, LEAST_DRAWS).gaps:
+        assert "a draw is degenerate or infinite with 80 particles" in gap.reason
 
 
 @pytest.mark.parametrize("work", [1e6, 3e6])
