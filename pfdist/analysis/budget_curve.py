@@ -95,28 +95,14 @@ def with_bounds(table: pd.DataFrame, proofs: Mapping[str, Mapping[str, Any]]) ->
 def _limit(proof: Mapping[str, Any], numbers: int) -> float:
     """Give the one-sided lower limit of a bound.
 
-    The limits of all numbers of measurements hold together (Bonferroni).
+    The limits of all numbers of measurements hold together (Bonferroni). The limit allows for the
+    fall of the bound with more particles; it is NaN in tables of older runs, which lack the fall.
     """
     if not proof["particles"]:  # the engine is exact
         return float(proof["bound"])
+    fall = proof.get("fall", math.nan)
     quantile = stats.t.isf((1 - proof["confidence"]) / numbers, BOUND_DEGREES)
-    return float(proof["bound"] * (1 - _fall(proof)) - quantile * proof["bound_error"])
-
-
-def _fall(proof: Mapping[str, Any]) -> float:
-    """Give the relative fall of a bound with more particles that the guard has seen, or more.
-
-    The column gap_at_most is the limit of the gap by Student's t, plus this fall. The error of the
-    sum of the parts estimate and filter_model is not stored. The error is at least the difference
-    of the errors of both parts. With this difference, the limit is not too large, and the fall not
-    too small. The fall is exact where the filter's model is the true model.
-    """
-    parts = proof["estimate_error"] - proof["filter_model_error"]
-    error = math.hypot(proof["relaxation_error"], parts)
-    gap = proof["relaxation"] + proof["estimate"] + proof["filter_model"]
-    limit = gap + stats.t.ppf(proof["confidence"], BOUND_DEGREES) * error
-    scale = 1 / proof["expected_mse"] if proof["expected_mse"] > 0 else 0.0
-    return float(max(0.0, proof["gap_at_most"] - max(0.0, limit * scale)))
+    return float(proof["bound"] * (1 - fall) - quantile * proof["bound_error"])
 
 
 def _worse(table: pd.DataFrame, blocks: Iterable[Any]) -> dict[str, int]:

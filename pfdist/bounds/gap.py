@@ -57,6 +57,9 @@ class Gap:
         difference on common draws, so the gap has a smaller error than 1 - bound / expected_mse.
     gap_at_most : float
         One-sided limit of the gap, and what the bound falls with four times the particles.
+    fall : float
+        Relative fall of the bound with four times the particles; 0 if it rises. NaN where no guard
+        has looked at the gap.
     relaxation, estimate, filter_model : Estimate
         The parts of the difference: relaxation and chance; number of particles and bias of the
         estimate; wrong model of the filter.
@@ -71,6 +74,7 @@ class Gap:
     path: Times = ()
     gap: float = math.nan
     gap_at_most: float = math.nan
+    fall: float = math.nan
     relaxation: Estimate = UNKNOWN
     estimate: Estimate = UNKNOWN
     filter_model: Estimate = UNKNOWN
@@ -120,7 +124,7 @@ def gap_of(
         proof.paths[budget],
         max(0.0, total.value * scale),
         max(0.0, at_most * scale),
-        slack,
-        alone.estimate,
-        alone.filter_model,
+        relaxation=slack,
+        estimate=alone.estimate,
+        filter_model=alone.filter_model,
     )

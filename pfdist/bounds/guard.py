@@ -50,7 +50,8 @@ def guarded(gaps: Mapping[str, Gap], falls: Falls) -> dict[str, Gap]:
         if reason:
             checked[name] = Gap(name, gap.measurement_times, gap.expected_mse, reason)
         else:
-            checked[name] = replace(gap, gap_at_most=gap.gap_at_most + max(0.0, fall.value))
+            share = max(0.0, fall.value)
+            checked[name] = replace(gap, gap_at_most=gap.gap_at_most + share, fall=share)
     return checked
 
 

@@ -126,6 +126,7 @@ _SCHEMAS = {
         _column("path", pa.list_(pa.int16()), "t", "times that reach the bound when relaxed"),
         _column("gap", pa.float64(), "", "how much lower the error can be, over expected_mse"),
         _column("gap_at_most", pa.float64(), "", "one-sided limit of gap"),
+        _column("fall", pa.float64(), "", "of the bound with four times the particles, relative"),
         *_estimate("relaxation", "part of the gap: relaxation and chance"),
         *_estimate("estimate", "part of the gap: particles and estimate"),
         *_estimate("filter_model", "part of the gap: wrong filter model"),

@@ -391,6 +391,8 @@ def test_the_table_has_a_row_for_each_set_window_and_number_of_draws(walk: Path)
     assert list(rows["name"][:3]) == [gap.name for gap in found.gaps]
     last = rows[(rows["window"] == 2) & (rows["draws"] == 2 * LEAST_DRAWS)]
     assert list(last["gap_at_most"]) == [gap.gap_at_most for gap in found.gaps]
+    assert list(last["fall"]) == [gap.fall for gap in found.gaps]
+    assert all(0.0 <= gap.fall < 0.01 for gap in found.gaps)
     assert [tuple(path) for path in last["path"]] == [gap.path for gap in found.gaps]
     summary = pfdist.open_run(walk).summary()["results"]
     for gap in found.gaps:  # the proof of most work

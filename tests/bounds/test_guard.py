@@ -30,9 +30,9 @@ def _guarded(*gaps: Gap, bounds: Estimate = STEADY, sets: Estimate = STEADY) -> 
 
 
 def test_what_nothing_contradicts_stands_and_its_limit_holds_the_fall() -> None:
-    assert _guarded(GAP)["found"] == replace(GAP, gap_at_most=0.03 + 0.001)
+    assert _guarded(GAP)["found"] == replace(GAP, gap_at_most=0.03 + 0.001, fall=0.001)
     rises = Estimate(-0.01, 0.001)
-    assert _guarded(GAP, bounds=rises, sets=rises)["found"] == GAP
+    assert _guarded(GAP, bounds=rises, sets=rises)["found"] == replace(GAP, fall=0.0)
 
 
 @pytest.mark.parametrize(
