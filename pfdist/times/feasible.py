@@ -14,6 +14,13 @@ from pfdist.times.completions import Completions
 from pfdist.times.constraints import Constraints
 from pfdist.times.measurement_times import Times, nearest, random, regular
 
+_LONGEST_RUN = 48
+"""Times of a run that is shifted, at most, so that a set of N times has at most 96 N shifts.
+
+A shift changes the gaps at the ends of a run alone. The ends of a longer run lie so far apart that
+the error around one end tells nothing about the other. Shifts of shorter runs then do as well.
+"""
+
 
 class Feasible(Constraints):
     """The feasible sets: N times, or as many times as a sum of money pays for.
@@ -150,13 +157,20 @@ class Feasible(Constraints):
     def shifts(self, times: Times) -> list[Times]:
         """Give the feasible sets in which a run of successive times lies one allowed time off.
 
+        A run has at most 48 times.
+
         Parameters
         ----------
         times : tuple of int
         """
         allowed, places = self.allowed, [self.index[time] for time in times]
         shifted = dict[Times, None]()
-        for first, stop in combinations(range(len(times) + 1), 2):
+        runs = (
+            (first, stop)
+            for first in range(len(times))
+            for stop in range(first + 1, min(first + _LONGEST_RUN, len(times)) + 1)
+        )
+        for first, stop in runs:
             for step in (-1, 1):
                 moved = [place + step for place in places[first:stop]]
                 if moved[0] >= 0 and moved[-1] < len(allowed):

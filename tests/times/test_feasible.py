@@ -177,6 +177,16 @@ def test_shifts_are_the_sets_in_which_a_run_of_times_lies_one_allowed_time_off(c
         assert {*found} == {other for other in alike if is_shifted(times, other)}
 
 
+@pytest.mark.parametrize("number", [41, 48, 100, 300])
+def test_a_set_has_so_many_shifts_as_its_number_of_times_and_no_square(number: int) -> None:
+    feasible = Feasible(3 * number, number)
+    times = tuple(range(1, 3 * number, 3))
+    found = feasible.shifts(times)
+    every = number * (number + 1)  # runs of any length, to the left and to the right
+    assert len(found) == every - max(0, number - 48) * (number - 47)
+    assert len(found) <= 2 * 48 * number
+
+
 @quick
 @given(possible())
 def test_what_money_is_left_over_fills_a_set_to_a_feasible_one(case: Any) -> None:
