@@ -157,5 +157,5 @@ class ProofSums:
 
     def _sums(self, errors: Array, draws: Array, cells: NDArray[np.bool_]) -> Sums:
         """Give the sums of some errors of windows, and of all known sets."""
-        relaxed, own = errors[:, : cells.size][:, cells], errors[:, cells.size :]
+        relaxed, own = errors[:, : cells.size].compress(cells, axis=1), errors[:, cells.size :]
         return Sums(relaxed, own.reshape(len(own), -1, self._built.problem.horizon + 1), draws)
