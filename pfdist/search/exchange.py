@@ -24,6 +24,7 @@ from pfdist.search.methods import method
 from pfdist.search.paired import difference
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
+from pfdist.times.shifts import shifts
 
 _FEWEST = 32  # draws of the first evaluation; enough to know a standard error
 # Differences in standard errors:
@@ -136,5 +137,5 @@ class Exchange:
         return min(_FEWEST, self.draws)
 
     def _around(self, times: Times) -> ExchangeState:
-        neighbours = [*self.feasible.exchanges(times, self.reach), *self.feasible.shifts(times)]
+        neighbours = self.feasible.exchanges(times, self.reach) + shifts(self.feasible, times)
         return ExchangeState(times, tuple(dict.fromkeys(neighbours)), self._fewest)

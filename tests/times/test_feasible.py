@@ -17,6 +17,7 @@ from pfdist.errors import MeasurementTimesError
 from pfdist.times.constraints import Constraints
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times, regular
+from pfdist.times.shifts import shifts
 
 NAMES = "|".join(field.name for field in fields(Constraints))
 quick = settings(
@@ -171,7 +172,7 @@ def test_shifts_are_the_sets_in_which_a_run_of_times_lies_one_allowed_time_off(c
         return in_a_row and {steps[place] for place in moved} in ({1}, {-1})
 
     for times in every:
-        found = feasible.shifts(times)
+        found = shifts(feasible, times)
         assert len(found) == len({*found})
         alike = (other for other in every if len(other) == len(times))
         assert {*found} == {other for other in alike if is_shifted(times, other)}
@@ -181,7 +182,7 @@ def test_shifts_are_the_sets_in_which_a_run_of_times_lies_one_allowed_time_off(c
 def test_a_set_has_so_many_shifts_as_its_number_of_times_and_no_square(number: int) -> None:
     feasible = Feasible(3 * number, number)
     times = tuple(range(1, 3 * number, 3))
-    found = feasible.shifts(times)
+    found = shifts(feasible, times)
     every = number * (number + 1)  # runs of any length, to the left and to the right
     assert len(found) == every - max(0, number - 48) * (number - 47)
     assert len(found) <= 2 * 48 * number
