@@ -22,7 +22,7 @@ from benchmarks import (
 )
 from benchmarks.machine import provenance
 from benchmarks.peers import PeerDisagreesError
-from benchmarks.results import Benchmark, save, write_readme
+from benchmarks.results import Benchmark, redraw, save, write_readme
 
 # Peers come last: JAX leaves threads behind, and later benchmarks start processes.
 BENCHMARKS: dict[str, Benchmark] = {
@@ -57,7 +57,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     folder = options.results
     if folder is None:
         folder = Path(tempfile.mkdtemp(prefix="benchmarks-")) if options.quick else FOLDER
-    for name in [name for name in BENCHMARKS if name in options.names or not options.names]:
+    names = [name for name in BENCHMARKS if name in options.names or not options.names]
+    if options.redraw:
+        for name in names:
+            redraw(folder, name, BENCHMARKS[name])
+        return 0
+    for name in names:
         start = time.perf_counter()
 
         def say(line: str, name: str = name, start: float = start) -> None:
@@ -82,6 +87,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--quick", action="store_true", help="small problems, into a temporary folder: a test"
+    )
+    parser.add_argument(
+        "--redraw", action="store_true", help="draw figures from the tables, and measure nothing"
     )
     parser.add_argument(
         "--results", type=Path, metavar="DIR", help="output folder (benchmarks/results)"

@@ -8,12 +8,11 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Protocol
 
-import matplotlib as mpl
 import pandas as pd
 from matplotlib.figure import Figure
 
 from benchmarks.measure import Say
-from pfdist.plots.style import STYLE
+from pfdist.plots.library import styled
 
 Tables = dict[str, pd.DataFrame]
 
@@ -58,8 +57,41 @@ def save(
         head = "".join(f"# {key}: {value}\n" for key, value in provenance.items())
         text = head + rows.to_csv(index=False, float_format="%.6g")
         (folder / f"{table}.csv").write_text(text, encoding="utf-8")
-    with mpl.rc_context(STYLE):
+    _draw(folder, name, benchmark, tables)
+
+
+def redraw(folder: Path, name: str, benchmark: Benchmark) -> bool:
+    """Draw the figure of a benchmark from the tables in a folder, which were measured before.
+
+    Parameters
+    ----------
+    folder : Path
+    name : str
+        Name of the benchmark.
+    benchmark : Benchmark
+
+    Returns
+    -------
+    bool
+        False if a table is missing.
+    """
+    tables = _read(folder, benchmark)
+    if tables is not None:
+        _draw(folder, name, benchmark, tables)
+    return tables is not None
+
+
+def _draw(folder: Path, name: str, benchmark: Benchmark, tables: Tables) -> None:
+    with styled():
         benchmark.plot(tables).savefig(folder / f"{name}.png", bbox_inches="tight")
+
+
+def _read(folder: Path, benchmark: Benchmark) -> Tables | None:
+    """Read the tables of a benchmark; None if one is missing."""
+    files = [folder / f"{table}.csv" for table in benchmark.TABLES]
+    if not all(file.exists() for file in files):
+        return None
+    return {file.stem: pd.read_csv(file, comment="#") for file in files}
 
 
 def write_readme(folder: Path, benchmarks: Mapping[str, Benchmark]) -> str:
@@ -79,11 +111,10 @@ def write_readme(folder: Path, benchmarks: Mapping[str, Benchmark]) -> str:
     parts: list[str] = []
     machine = ""
     for name, benchmark in benchmarks.items():
-        files = [folder / f"{table}.csv" for table in benchmark.TABLES]
-        if not all(file.exists() for file in files):
+        tables = _read(folder, benchmark)
+        if tables is None:
             continue
-        tables = {file.stem: pd.read_csv(file, comment="#") for file in files}
-        known = _provenance(files[0])
+        known = _provenance(folder / f"{benchmark.TABLES[0]}.csv")
         on = f"{known['machine']}. {known['versions']}."
         if on != machine:  # repeated only if it changes
             parts.append(f"Measured on: {on}\n")

@@ -85,7 +85,7 @@ def _search(pool: str, workers: int, draws: int, generations: int) -> dict[str, 
             searched = end
 
     with tempfile.TemporaryDirectory(prefix="run-") as folder:
-        done = run(job, results=folder, pool=pool, workers=workers, report=report)
+        done = run(job, results=folder, pool=pool, workers=workers, progress=report)
         evaluated, tasks = done.evaluations()["generation"], done.timings()["seconds"]
     a_draw = (job.problem.horizon + 1) * job.filter.particles
     steps = int((evaluated > 0).sum()) * draws * a_draw

@@ -13,6 +13,7 @@ from typing import Any, get_args
 
 from pydantic.fields import FieldInfo
 
+from pfdist import plots
 from pfdist.cli.command import COMMANDS, Command
 from pfdist.evaluation.engines import AUTO, ENGINES
 from pfdist.kernels.estimators import ESTIMATORS, Estimator
@@ -109,6 +110,18 @@ def figures() -> str:
     return _table(["file", "what it shows"], rows)
 
 
+def panels() -> str:
+    """Give the table of the functions that draw one panel."""
+    rows = []
+    for name in plots.__all__:
+        function = getattr(plots, name)
+        if "ax" in inspect.signature(function).parameters:
+            first = (function.__doc__ or "").partition("\n")[0]
+            drawn = _sentence(first).removeprefix("Draw ")
+            rows.append([f"`{name}`", drawn[0].upper() + drawn[1:]])
+    return _table(["function", "what it draws"], rows)
+
+
 def pools() -> str:
     """Give the table of pools."""
     rows = [
@@ -121,7 +134,7 @@ def pools() -> str:
 TABLES: dict[str, Callable[[], str]] = {
     table.__name__: table
     for table in (
-        methods, settings, engines, estimators, schemes, commands, figures, pools,
+        methods, settings, engines, estimators, schemes, commands, figures, panels, pools,
     )
 }  # fmt: skip
 

@@ -1,3 +1,4 @@
+from . import plots as plots
 from .analysis import Run as Run
 from .analysis import open_run as open_run
 from .api.bound import bound as bound
@@ -8,7 +9,9 @@ from .api.next_time import next_time as next_time
 from .api.online import online as online
 from .api.plan import plan as plan
 from .api.planner import Planner as Planner
+from .api.report import report as report
 from .api.run import run as run
+from .api.why import why as why
 from .elementwise import clip as clip
 from .elementwise import where as where
 from .errors import PfdistError as PfdistError

@@ -43,9 +43,10 @@ def small_job(tmp_path: Path) -> Job:
 
 @pytest.fixture
 def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No figures by a command line, which has no `figures=False`: they take the longest."""
+    """No figures and reports by a command line: they take the longest."""
     monkeypatch.setattr("pfdist.api.run.draw_figures", lambda run: [])
     monkeypatch.setattr("pfdist.api.run.figure_files", lambda run: [])
+    monkeypatch.setattr("pfdist.api.run.try_report", lambda run, say: None)
 
 
 @pytest.fixture(scope="session")

@@ -15,12 +15,14 @@ from pfdist.analysis.budget_curve import reaching, with_bounds
 from pfdist.analysis.gains import BLOCK, ComparisonStatistics, relative_gain
 from pfdist.analysis.recorded import read_recorded
 from pfdist.analysis.results import results_of
+from pfdist.analysis.run_card import run_card, title_of
 from pfdist.analysis.summary import summary_of
-from pfdist.store import BOUND_PHASE, Store, check_entries, schema
+from pfdist.common.cards import Card, Shown
+from pfdist.store import QUESTIONS, Store, check_entries, schema
 from pfdist.times.measurement_times import Times
 
 
-class Run:
+class Run(Shown):
     """A run on disk, finished or not; made by `open_run`.
 
     Attributes
@@ -110,7 +112,7 @@ class Run:
         """``searching``, ``comparing`` or ``finished``."""
         if not self._store.has("compared"):
             return "searching"
-        if self._store.has_parts(without=BOUND_PHASE) or self._store.lost():
+        if self._store.has_parts(without=QUESTIONS) or self._store.lost():
             return "comparing"
         enough = self.draws_compared == self.job["comparison"]["draws"] or self._narrow
         online = self._store.present("online", "draw").size if self.has("online") else 0
@@ -143,6 +145,20 @@ class Run:
     def bounds(self) -> pd.DataFrame:
         """A row for each set and each proof of a lower bound: see the columns' descriptions."""
         return self._store.read("bound")
+
+    def profile(self) -> pd.DataFrame:
+        """A row for each set and instant: expected error, standard error, effective sample size.
+
+        The table is of the last call of ``pfdist why``.
+        """
+        return self._store.read("profile")
+
+    def worth(self) -> pd.DataFrame:
+        """A row for each measurement of each set: the rise of the expected MSE without it.
+
+        The table is of the last call of ``pfdist why``, as is that of `profile`.
+        """
+        return self._store.read("worth")
 
     @property
     def has_budget(self) -> bool:
@@ -217,6 +233,12 @@ class Run:
     def summary(self) -> dict[str, Any]:
         """How far the run is, and what it has found; see `pfdist.analysis.summary.summary_of`."""
         return summary_of(self, self._results)
+
+    def _card(self) -> Card:
+        return run_card(self)
+
+    def __repr__(self) -> str:
+        return f"<{title_of(self)}>"
 
     @property
     def knows_estimations(self) -> bool:

@@ -7,22 +7,20 @@ from typing import Any
 
 from pfdist.pools.kinds import POOLS
 from pfdist.runner.build import Built, make_pool
-from pfdist.runner.progress import Report
+from pfdist.runner.progress import Show
 from pfdist.runner.session import Session
 from pfdist.store import Store
 
 
 @contextlib.contextmanager
-def at_work(
-    built: Built, store: Store, report: Report, say: Callable[[str], Any]
-) -> Iterator[Session]:
+def at_work(built: Built, store: Store, show: Show, say: Callable[[str], Any]) -> Iterator[Session]:
     """Start the pool of a job, and end it again.
 
     Parameters
     ----------
     built : Built
     store : Store
-    report : callable
+    show : callable
         Receives the progress.
     say : callable
         Receives a line when the pool is ready.
@@ -32,6 +30,6 @@ def at_work(
         seconds = perf_counter() - start
         workers = f"{pool.workers} worker{'s' * (pool.workers != 1)}"
         say(f"{POOLS[execution.pool].title} is ready: {workers} in {seconds:.1f} s")
-        session = Session.start(built, store, pool, report, say)
+        session = Session.start(built, store, pool, show, say)
         yield session
         session.reporter.finish()

@@ -1,32 +1,32 @@
 """A lower bound of the expected MSE of every feasible set, and the gap of a run's sets."""
 
-import contextlib
-import tempfile
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pfdist.analysis import Run, finite
+from pfdist.analysis import finite
 from pfdist.api.at_work import at_work
 from pfdist.api.finished_run import built_again, finished_run
+from pfdist.api.following import Say, following, silent
+from pfdist.api.own_store import own_store
+from pfdist.api.report import renew_report
 from pfdist.bounds.gap import Gap
-from pfdist.errors import JobError, RunMismatchError
+from pfdist.common.cards import Card, Shown
+from pfdist.common.percent import percent
+from pfdist.common.rounding import with_error
+from pfdist.errors import JobError
 from pfdist.evaluation.engines import KALMAN
 from pfdist.plots import draw_figures
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built, check_pool
-from pfdist.runner.identity import opened
-from pfdist.runner.processor import note_processor
-from pfdist.runner.progress import Report
+from pfdist.runner.progress import Show
 from pfdist.runner.prover import Prover
-from pfdist.store import Store
 
 _DEFAULT = BoundSettings()
 
 
-@dataclass(frozen=True)
-class Bound:
+@dataclass(frozen=True, repr=False)
+class Bound(Shown):
     """Result of `bound`.
 
     Parameters
@@ -63,6 +63,12 @@ class Bound:
         answer: dict[str, Any] = finite({"run": str(self.run), **own, "sets": sets})
         return answer
 
+    def _card(self) -> Card:
+        limit = f"{100 * self.confidence:.3g} % limit"
+        drawn = f"on {self.draws:,} draws" if self.particles else "exact"
+        head = ("times", "expected MSE", "lower bound", "gap", limit)
+        return Card(f"lower bound of {self.run}, {drawn}", head, list(map(_row, self.gaps)))
+
 
 def bound(
     run: str | Path,
@@ -74,8 +80,8 @@ def bound(
     model: str = "",
     filter_model: str = "",
     figures: bool = True,
-    report: Report = lambda progress: None,
-    say: Callable[[str], Any] = lambda line: None,
+    progress: Show | bool = False,
+    say: Say = silent,
 ) -> Bound:
     """Prove how much lower the expected MSE of any other feasible times can be.
 
@@ -98,8 +104,9 @@ def bound(
         filter's model. It is run without question, and must mean the same as the run's model.
     figures : bool
         Whether to draw the figure of the bound against work.
-    report : callable, optional
-        Receives the progress.
+    progress : callable or bool
+        Whether to show progress and messages, or what receives each
+        `pfdist.runner.progress.Progress`.
     say : callable, optional
         Receives lines: each model file before it is run, and when the pool is ready.
 
@@ -123,14 +130,16 @@ def bound(
     proved = finished_run(run)
     if proved.job["filter"]["engine"] == KALMAN.name:
         given = {"pool": "serial"}  # there is nothing to compute in a pool
-    built = built_again(proved, {"model": model, "filter_model": filter_model}, say, given)
-    check_pool(built.job.execution)
-    prover, within = _prover(built, settings), settings.within
-    with _store(proved, built, say) as store, at_work(built, store, report, say) as session:
-        session.reporter.foresee(prover.steps)
-        look = prover.prove(session, finished_run(run))  # it may have been found damaged
-        if figures and store.path == proved.path:
-            draw_figures(proved, "bound")
+    with following(progress, say) as (show, tell):
+        built = built_again(proved, {"model": model, "filter_model": filter_model}, tell, given)
+        check_pool(built.job.execution)
+        prover, within = _prover(built, settings), settings.within
+        with own_store(proved, built, tell) as store, at_work(built, store, show, tell) as session:
+            session.reporter.foresee(prover.steps)
+            look = prover.prove(session, finished_run(run))  # it may have been found damaged
+            if figures and store.path == proved.path:
+                draw_figures(proved, "bound")
+        renew_report(proved.path, tell)
     return Bound(
         proved.path,
         settings.window,
@@ -144,6 +153,13 @@ def bound(
     )
 
 
+def _row(gap: Gap) -> tuple[str, ...]:
+    mse, bound = (with_error(*vars(each).values()) for each in (gap.expected_mse, gap.bound))
+    if gap.reason:
+        return gap.name, mse, gap.reason, "", ""
+    return gap.name, mse, bound, percent(gap.gap), percent(gap.gap_at_most)
+
+
 def _prover(built: Built, settings: BoundSettings) -> Prover:
     try:
         return Prover(built, settings)
@@ -152,18 +168,3 @@ def _prover(built: Built, settings: BoundSettings) -> Prover:
             raise
         message = f"{error}; take a smaller window, or more memory"
         raise JobError(message, argument="window") from error
-
-
-@contextlib.contextmanager
-def _store(run: Run, built: Built, say: Callable[[str], Any]) -> Iterator[Store]:
-    """Give the run's own store, or a store for a while if another version computed the run."""
-    with contextlib.ExitStack() as stack:
-        try:
-            store = stack.enter_context(opened(run.path, built, say))
-            note_processor(run.path, built, say)
-        except RunMismatchError as error:
-            difference, *_ = error.differences
-            say(f"{run.path} is of another program ({difference}): the bound is not stored there")
-            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="pfdist-bound-"))
-            store = Store(Path(folder))
-        yield store

@@ -1,6 +1,6 @@
 """The budget curve: the expected MSE against the measurement budget N, and which N is enough."""
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ DRAWS = 4000
 
 def budget(
     job: Job | str | Path,
-    measurements: tuple[int, int],
+    measurements: tuple[int, int] | range | Set[int],
     results: str | Path | None = None,
     draws: int = DRAWS,
     target: float | None = None,
@@ -25,7 +25,7 @@ def budget(
     changes: Sequence[str] = (),
     **options: Any,
 ) -> Run:
-    """Find times for every number of measurements, and compare them with regular times.
+    """Find times for each number of measurements, and compare them with regular times.
 
     One dynamic programme finds the times for all numbers. The found times and the regular times
     of each number then filter the same fresh draws. Another programme proves for each number how
@@ -36,8 +36,8 @@ def budget(
     job : Job, str or Path
         A job, or the path of a job file. The searches and the measurement budget of the job are
         left aside.
-    measurements : (int, int)
-        Least and largest number of measurements.
+    measurements : (int, int), range or set of int
+        Least and largest number of measurements, or a range or a set of all numbers.
     results : str or Path, optional
         The run's own folder; by default ``results/<the job file's stem>-budget``.
     draws : int
@@ -67,8 +67,8 @@ def budget(
     """
     if draws < 2:
         raise JobError(f"draws must be at least 2, got {draws}", argument="draws")
-    least, most = measurements
-    asked = {"budget": {"least": least, "most": most}, "comparison": {"draws": draws}}
+    numbers = _section(measurements)
+    asked = {"budget": numbers, "comparison": {"draws": draws}}
     search = [{"method": DEFAULT_METHOD, "polish": False}]
     job = as_job(job, changes, sections={"search": search, "online": None, **asked})
     if job.with_changes(sections=asked) != job:
@@ -78,9 +78,28 @@ def budget(
             argument="set",
         )
     # The run must not depend on the measurement budget that the job file names.
-    job = job.with_changes(settings={"problem": {"measurement_budget": most}})
+    job = job.with_changes(settings={"problem": {"measurement_budget": numbers["most"]}})
     results = Path("results") / f"{job.path.stem}-budget" if results is None else results
     finished = run(job, results, bound_draws=bound_draws, **options)
     if target is not None and options.get("figures", True):
         draw_target(finished, target)
     return finished
+
+
+def _section(measurements: tuple[int, int] | range | Set[int]) -> dict[str, Any]:
+    """Give the section [budget] of a job.
+
+    It is the same, and so the run is the same, however numbers without a gap are given.
+    """
+    if not isinstance(measurements, (range, Set)):
+        least, most = measurements
+        return {"least": least, "most": most}
+    numbers = sorted(measurements)
+    if not numbers or numbers[0] < 2:
+        got = numbers[0] if numbers else "none"
+        raise JobError(
+            f"numbers of measurements must be at least 2, got {got}", argument="measurements"
+        )
+    least, most = numbers[0], numbers[-1]
+    gaps = {} if len(numbers) == most - least + 1 else {"numbers": numbers}
+    return {"least": least, "most": most, **gaps}

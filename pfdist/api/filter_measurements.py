@@ -12,7 +12,9 @@ import pyarrow as pa
 from pfdist.analysis import finite
 from pfdist.api.filter_of import filter_of
 from pfdist.api.planned_run import planned_run
-from pfdist.plots import check_figure_replaceable, draw_filtered
+from pfdist.common.cards import Card, Shown
+from pfdist.plots import check_figure_replaceable, draw_filtered, filtered_plot
+from pfdist.reports import check_page_replaceable, write_filtered_report
 from pfdist.sequential.estimate import Estimate
 from pfdist.sequential.filter import Filter
 from pfdist.sequential.measurements import Measurements, read_measurements
@@ -23,8 +25,8 @@ from pfdist.times.measurement_times import Times
 IMPROBABLE = 0.01  # for the most surprising of all measurements: the model may be wrong
 
 
-@dataclass(frozen=True)
-class FilteredMeasurements:
+@dataclass(frozen=True, repr=False)
+class FilteredMeasurements(Shown):
     """Result of `filter_measurements`.
 
     Parameters
@@ -44,7 +46,7 @@ class FilteredMeasurements:
     why_no_evidence : str
         Why there is no log evidence; empty if there is.
     files : tuple of Path
-        The table and the figure.
+        The table, the figure, and the report if it was wanted.
     """
 
     run: Path
@@ -56,7 +58,7 @@ class FilteredMeasurements:
     table: pd.DataFrame
     log_evidence: float | None
     why_no_evidence: str
-    files: tuple[Path, Path]
+    files: tuple[Path, ...]
 
     @property
     def most_surprising(self) -> tuple[int, float] | None:
@@ -81,7 +83,7 @@ class FilteredMeasurements:
     def as_json(self) -> dict[str, Any]:
         """The result as JSON values, with the table as the path of its file."""
         most = self.most_surprising
-        table, figure = map(str, self.files)
+        table, figure, *report = map(str, self.files)
         answer = {
             "run": str(self.run),
             "times": self.name,
@@ -96,9 +98,21 @@ class FilteredMeasurements:
             "why_no_evidence": self.why_no_evidence,
             "table": table,
             "figure": figure,
+            "report": report[0] if report else None,
         }
         found: dict[str, Any] = finite(answer)
         return found
+
+    def _card(self) -> Card:
+        number = f"{len(self.measured)} measurement{'s' * (len(self.measured) != 1)}"
+        times = {
+            "measured at t": self.measured,
+            "planned, missing": self.missing,
+            "planned, to come": self.to_come,
+            "measured, not planned": self.extra,
+        }
+        rows = [(name, ", ".join(map(str, at))) for name, at in times.items()]
+        return Card(f"{number}, filtered as {self.run} does", (), rows)
 
 
 def filter_measurements(
@@ -110,12 +124,14 @@ def filter_measurements(
     out: str | Path = "",
     model: str = "",
     filter_model: str = "",
+    report: bool = True,
     say: Callable[[str], Any] = lambda line: None,
 ) -> FilteredMeasurements:
     """Filter real measurements of one system with the filter of a finished run.
 
-    The function writes a table, ``<stem>.filtered.csv`` or ``.parquet`` as the measurements are,
-    and a figure, ``<stem>.filtered.png``. They replace those of an earlier call, and no other file.
+    The function writes a table, ``<stem>.filtered.csv`` or ``.parquet`` as the measurements are, a
+    figure, ``<stem>.filtered.png``, and a report, ``<stem>.filtered.html``. They replace those of
+    an earlier call, and no other file.
 
     Parameters
     ----------
@@ -134,6 +150,8 @@ def filter_measurements(
     model, filter_model : str, optional
         ``path/file.py:object``: replaces the file that the run names for the model or for the
         filter's model. It is run without question, and must mean the same as the run's model.
+    report : bool
+        Whether to write the report.
     say : callable, optional
         Receives a line for each model file before the file is run.
 
@@ -160,6 +178,8 @@ def filter_measurements(
     schema = filtered_schema(believed.components[2])
     check_table_replaceable(files[0], schema)
     check_figure_replaceable(files[1])
+    if report:
+        check_page_replaceable(files[2])
     filtering = filter_of(planned.built, planned.prior)
     rows = read_measurements(path, believed, filtering.horizon, filtering.now.t)
     wanted = [t for t in planned.times if t >= filtering.now.t]
@@ -175,19 +195,21 @@ def filter_measurements(
         table.to_pandas(),
         filtering.log_evidence,
         filtering.why_no_evidence,
-        files,
+        files if report else files[:2],
     )
     write_user_table(files[0], table)
-    draw_filtered(files[1], found.table, found.missing, found.extra, found.to_come)
+    marked = found.missing, found.extra, found.to_come
+    draw_filtered(files[1], filtered_plot(found.table, marked))
+    if report:
+        write_filtered_report(files[2], found.as_json(), found.table)
     return found
 
 
-def _files(measurements: Path, folder: Path) -> tuple[Path, Path]:
+def _files(measurements: Path, folder: Path) -> tuple[Path, ...]:
     suffix = "parquet" if is_parquet(measurements) else "csv"
-    table, figure = (
-        folder / f"{measurements.stem}.filtered.{ending}" for ending in (suffix, "png")
+    return tuple(
+        folder / f"{measurements.stem}.filtered.{ending}" for ending in (suffix, "png", "html")
     )
-    return table, figure
 
 
 def _estimates(filtering: Filter, rows: Measurements) -> Iterable[Estimate]:

@@ -10,6 +10,8 @@ from pfdist.analysis import finite
 from pfdist.api.filter_measurements import IMPROBABLE
 from pfdist.api.planned_run import planned_run
 from pfdist.api.planner import Planner
+from pfdist.common.cards import Card, Shown
+from pfdist.common.rounding import with_error
 from pfdist.errors import MeasurementsError
 from pfdist.evaluation.estimate import ReportEvaluation
 from pfdist.sequential.measurements import Measurements, read_measurements
@@ -17,8 +19,8 @@ from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
 
-@dataclass(frozen=True)
-class NextTime:
+@dataclass(frozen=True, repr=False)
+class NextTime(Shown):
     """Result of `next_time`.
 
     Parameters
@@ -86,6 +88,18 @@ class NextTime:
         }
         found: dict[str, Any] = finite(answer)
         return found
+
+    def _card(self) -> Card:
+        title = "nothing is left to be measured"
+        if self.plan:
+            title = f"measure next at t = {self.next}"
+        mse = with_error(self.expected.expected_mse, self.expected.standard_error)
+        rows = [
+            ("measured at t", ", ".join(map(str, self.measured))),
+            ("plan", ", ".join(map(str, self.plan))),
+            ("expected MSE from now on", mse),
+        ]
+        return Card(title, (), rows)
 
 
 def next_time(

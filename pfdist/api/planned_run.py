@@ -8,6 +8,7 @@ import numpy as np
 
 from pfdist.analysis import Run
 from pfdist.api.finished_run import built_again, finished_run
+from pfdist.common.nearest import did_you_mean
 from pfdist.errors import JobError, shown
 from pfdist.filters.cloud import Cloud
 from pfdist.runner.build import Built
@@ -89,7 +90,8 @@ def planned_set(run: Run, name: str = "") -> tuple[str, Times]:
         return name, sets[name]
     if name:
         raise JobError(
-            f"times must be a compared set of {run.path}, {', '.join(sets)}, got {shown(name)}",
+            f"times must be a compared set of {run.path}, {', '.join(sets)}, got {shown(name)}"
+            f"{did_you_mean(name, sets)}",
             argument="times",
         )
     if run.has_budget:

@@ -1,21 +1,23 @@
 """Run a job: compute what the run lacks, prove a lower bound if wanted, then draw the figures."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 from pfdist.analysis import Run, open_run
 from pfdist.api.at_work import at_work
+from pfdist.api.following import Say, following, silent
+from pfdist.api.report import try_report
 from pfdist.errors import JobError, ModelError, TaskError
 from pfdist.job.job import Job, as_job
 from pfdist.plots import draw_figures, figure_files, remove_figures
+from pfdist.reports import has_report, remove_report
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built, build, check_pool
 from pfdist.runner.driver import FORKED, drive
 from pfdist.runner.identity import opened
 from pfdist.runner.named_by_a_run import files_named
 from pfdist.runner.processor import note_processor
-from pfdist.runner.progress import Report
+from pfdist.runner.progress import Show
 from pfdist.runner.prover import Prover
 from pfdist.runner.session import Session
 from pfdist.store import Store
@@ -34,8 +36,9 @@ def run(
     changes: Iterable[str] = (),
     figures: bool = True,
     bound_draws: int = 0,
-    report: Report = lambda progress: None,
-    say: Callable[[str], Any] = lambda line: None,
+    report: bool | None = None,
+    progress: Show | bool = False,
+    say: Say = silent,
 ) -> Run:
     """Run a job, or resume its run where it stopped.
 
@@ -61,8 +64,12 @@ def run(
     bound_draws : int
         Number of draws of a lower bound of the expected MSE of all feasible times, which is proved
         after the comparison unless the run has one; 0 for no bound. See `pfdist.bound`.
-    report : callable, optional
-        Receives the progress, each time as a `pfdist.runner.progress.Progress`.
+    report : bool, optional
+        Whether to write the file ``report.html``; by default if figures are drawn. See
+        `pfdist.report`.
+    progress : callable or bool
+        Whether to show progress and messages, or what receives each
+        `pfdist.runner.progress.Progress`.
     say : callable, optional
         Receives lines: which model files are run, when the pool is ready, which files were
         damaged, why a search does not trust its estimator, and why there is no lower bound.
@@ -85,29 +92,50 @@ def run(
     origin, path = (None, path) if fork is None else (Store(path), Path(fork))
     if origin is not None:
         open_run(origin.path)  # without a run there is nothing to start from
-    for file in files_named(job):
-        say(f"runs the model file {file}, which your job names")
-    built = build(job)
-    with opened(path, built, say) as store:
-        prover, unfinished = _prover(built, settings, say), open_run(path).state != "finished"
-        if prover is not None and not unfinished and prover.has_proved(open_run(path)):
-            prover = None
-        if unfinished:
-            remove_figures(path)  # they show fewer draws
-            if origin is not None:
-                store.adopt(origin, FORKED)
-        if unfinished or prover is not None:
-            note_processor(store.path, built, say)
-            with at_work(built, store, report, say) as session:
-                if prover is not None:
-                    session.reporter.foresee(prover.steps)
-                drive(session)
-                if prover is not None:
-                    _prove(prover, session)
-        finished = open_run(path)
-        if figures and not all(file.exists() for file in figure_files(finished)):
-            draw_figures(finished)
+    with following(progress, say) as (show, tell):
+        for file in files_named(job):
+            tell(f"runs the model file {file}, which your job names")
+        built = build(job)
+        with opened(path, built, tell) as store:
+            computed = _compute(built, store, origin, settings, show, tell)
+            finished = open_run(path)
+            if figures and not all(file.exists() for file in figure_files(finished)):
+                draw_figures(finished)
+            if computed:
+                remove_report(path)  # somebody may have asked for one of the unfinished run
+            if (figures if report is None else report) and not has_report(path):
+                try_report(finished, tell)
     return finished
+
+
+def _compute(
+    built: Built,
+    store: Store,
+    origin: Store | None,
+    settings: BoundSettings | None,
+    show: Show,
+    say: Say,
+) -> bool:
+    """Compute what the run lacks, with its lower bound; False if it lacks nothing."""
+    path = store.path
+    prover, unfinished = _prover(built, settings, say), open_run(path).state != "finished"
+    if prover is not None and not unfinished and prover.has_proved(open_run(path)):
+        prover = None
+    if not unfinished and prover is None:
+        return False
+    remove_report(path)
+    if unfinished:
+        remove_figures(path)  # they show fewer draws
+        if origin is not None:
+            store.adopt(origin, FORKED)
+    note_processor(path, built, say)
+    with at_work(built, store, show, say) as session:
+        if prover is not None:
+            session.reporter.foresee(prover.steps)
+        drive(session)
+        if prover is not None:
+            _prove(prover, session)
+    return True
 
 
 def _bound_settings(draws: int) -> BoundSettings | None:
@@ -118,9 +146,7 @@ def _bound_settings(draws: int) -> BoundSettings | None:
         raise JobError(f"bound_{error}", argument="bound_draws") from error
 
 
-def _prover(
-    built: Built, settings: BoundSettings | None, say: Callable[[str], Any]
-) -> Prover | None:
+def _prover(built: Built, settings: BoundSettings | None, say: Say) -> Prover | None:
     """A prover of the run's lower bound; None if no bound is wanted or known."""
     if settings is None:
         return None

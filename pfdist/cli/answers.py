@@ -36,8 +36,9 @@ def print_run(summary: dict[str, Any], options: Namespace) -> None:
         print_json(summary, options)
         return
     path = Path(summary["run"])
-    folders = [name for name in ("tables", "figures") if (path / name).is_dir()]
-    print_summary(summary, "   ".join(one_line(f"{name}: {path / name}") for name in folders))
+    results = {"tables": "tables", "figures": "figures", "report": "report.html"}
+    there = {name: path / file for name, file in results.items() if (path / file).exists()}
+    print_summary(summary, "   ".join(one_line(f"{name}: {at}") for name, at in there.items()))
 
 
 def print_checks(checks: Iterable["Check"], options: Namespace) -> list[str]:

@@ -52,6 +52,15 @@ def add_json(parser: ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print one JSON object and no text")
 
 
+def add_no_report(parser: ArgumentParser) -> None:
+    """Add ``--no-report``."""
+    parser.add_argument(
+        "--no-report",
+        action="store_true",
+        help="write no report (an HTML file that can be sent; see `pfdist report`)",
+    )
+
+
 def pool_options(pool: str, workers: str, address: str) -> Callable[[ArgumentParser], None]:
     """Give a function that adds ``--pool``, ``--workers`` and ``--address``.
 
@@ -105,6 +114,7 @@ def computing(results: str) -> Callable[[ArgumentParser], None]:
             help="start a new run in the folder NEW, which reuses the evaluations of the run in "
             "the --results folder",
         )
+        add_no_report(parser)
 
     return add
 

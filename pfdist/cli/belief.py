@@ -3,7 +3,7 @@
 from typing import Any
 
 from pfdist.cli.layout import line
-from pfdist.cli.numbers import percent
+from pfdist.common.percent import percent
 from pfdist.common.rounding import rounded, with_error
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from pfdist.cli.belief import distance
 from pfdist.cli.layout import COLUMNS
-from pfdist.cli.numbers import cost
+from pfdist.common.percent import cost
 from pfdist.common.rounding import rounded, with_interval
 
 _KINDS = ("regular", "found")

@@ -3,7 +3,7 @@
 from argparse import Namespace
 from typing import Any
 
-from pfdist.cli.progress import Display
+from pfdist.api.display import Display
 
 
 def settings(options: Namespace, display: Display) -> dict[str, Any]:
@@ -18,4 +18,4 @@ def settings(options: Namespace, display: Display) -> dict[str, Any]:
     """
     names = ("results", "pool", "workers", "address", "fork")
     chosen = {name: getattr(options, name) for name in names}
-    return {**chosen, "report": display.report, "say": display.say}
+    return {**chosen, "report": not options.no_report, "progress": display.show, "say": display.say}

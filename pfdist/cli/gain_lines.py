@@ -3,7 +3,7 @@
 from typing import Any
 
 from pfdist.cli.layout import line, paragraph
-from pfdist.cli.numbers import percent, percent_with_interval, range_of, times_100
+from pfdist.common.percent import percent, percent_with_interval, range_of, times_100
 from pfdist.common.rounding import with_interval
 
 

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from pfdist.cli import signals
+from pfdist.cli.help import welcome
 from pfdist.cli.parser import make_parser
 from pfdist.cli.streams import answers_alone, encode_all_text, flush_output, make_harmless
 from pfdist.errors import EngineWarning, PfdistError, TaskError, one_line
@@ -38,6 +39,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     make_harmless()
     signals.end_at_once()
     encode_all_text()
+    if not (sys.argv[1:] if arguments is None else arguments):
+        print(welcome(), end="")
+        return _DONE
     try:
         options = make_parser().parse_args(arguments)
     except PfdistError as error:

@@ -9,7 +9,7 @@ from pfdist.cli.gain_lines import (
     why_gains_disagree,
 )
 from pfdist.cli.layout import line
-from pfdist.cli.numbers import cost, percent, range_of
+from pfdist.common.percent import cost, percent, range_of
 from pfdist.common.rounding import with_error, with_interval
 
 

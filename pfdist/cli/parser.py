@@ -1,11 +1,16 @@
 """The parser of the command line, made from the declared commands."""
 
 import argparse
+import sys
+from itertools import takewhile
 from typing import Any, NoReturn
 
 import pfdist
-from pfdist.cli.command import COMMANDS, Command
-from pfdist.errors import one_line, shown_text
+from pfdist.cli.command import COMMANDS, Command, required_words
+from pfdist.cli.help import PROGRAM, HelpFormatter, examples_text, way_in
+from pfdist.cli.words import joined, unknown_option
+from pfdist.common.nearest import did_you_mean
+from pfdist.errors import one_line, shown, shown_text
 
 _EXIT_CODES = (
     "Exit codes: 0 done; 1 error; 2 wrong arguments; 130 interrupted by Ctrl-C; "
@@ -24,24 +29,43 @@ def make_parser() -> argparse.ArgumentParser:
     PfdistError
         A command that an installed package adds cannot be loaded.
     """
+    notes = f"`pfdist COMMAND --help` describes a command. {_EXIT_CODES}"
     parser = _Parser(
         prog="pfdist",
-        description="Find the measurement times at which a particle filter errs least, and prove "
-        "them on fresh draws. Start with `pfdist plan JOB`.",
-        epilog=f"`pfdist COMMAND --help` describes a command. {_EXIT_CODES}",
+        epilog=f"{notes}\n\n{examples_text(way_in())}",
+        formatter_class=HelpFormatter,
     )
+    parser.sentence = PROGRAM
     parser.add_argument("--version", action="version", version=f"pfdist {pfdist.__version__}")
-    subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
+    subparsers = parser.add_subparsers(required=True, metavar="COMMAND", title="commands")
     for name, command in COMMANDS.items():
+        notes = (_GOES_ON if command.goes_on else "") + _EXIT_CODES
+        examples = f"\n\n{examples_text(command.examples)}" if command.examples else ""
         added = subparsers.add_parser(
             name,
             help=command.description,
-            description=command.description,
-            epilog=(_GOES_ON if command.goes_on else "") + _EXIT_CODES,
+            epilog=notes + examples,
+            formatter_class=HelpFormatter,
         )
-        added.declared = command
+        added.sentence, added.declared = command.description, command
         added.set_defaults(called=command)
     return parser
+
+
+def complete_parser() -> argparse.ArgumentParser:
+    """Make the parser of the whole command line, with the arguments of every command."""
+    parser = make_parser()
+    for added in subparsers_of(parser).values():
+        added.add_declared_arguments()
+    return parser
+
+
+def subparsers_of(parser: argparse.ArgumentParser) -> dict[str, "_Parser"]:
+    """Give the parsers of all commands, by name."""
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            return dict(action.choices)
+    return {}
 
 
 class _Parser(argparse.ArgumentParser):
@@ -51,15 +75,48 @@ class _Parser(argparse.ArgumentParser):
     module.
     """
 
+    sentence: str = ""
     declared: Command | None = None
 
-    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+    def add_declared_arguments(self) -> None:
+        """Add the arguments of the command, unless the parser has them."""
         if self.declared is not None:
             declared, self.declared = self.declared, None
             declared.add_arguments(self)
             self.add_argument("--debug", action="store_true", help="show the traceback of an error")
-        return super().parse_known_args(args, namespace)
+            self.usage = " ".join(f"{self.prog} {required_words(self)}".split()) + " [options]"
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        self.add_declared_arguments()
+        words = joined(sys.argv[1:] if args is None else args, self._actions)
+        # The words after a command are those of the parser of this command.
+        own = takewhile(_is_option, words) if self._subparsers else words
+        options = [option for action in self._actions for option in action.option_strings]
+        if unknown := unknown_option(own, options):
+            self.error(f"unknown option {shown_text(unknown)}{did_you_mean(unknown, options)}")
+        return super().parse_known_args(words, namespace)
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if action.choices is not None and value not in action.choices:
+            name = "/".join(action.option_strings) or action.metavar
+            names = list(map(str, action.choices))
+            raise argparse.ArgumentError(
+                None,
+                f"{name} must be one of {', '.join(names)}, got {shown(value)}"
+                f"{did_you_mean(value, names)}",
+            )
+
+    def format_help(self) -> str:
+        """Give the help: the sentence that describes the command, and what argparse makes."""
+        formatter = self._get_formatter()
+        formatter.add_text(self.sentence)
+        return f"{formatter.format_help()}\n{super().format_help()}"
 
     def error(self, message: str) -> NoReturn:
         """Print what is wrong in one line without long values, and exit with 2."""
-        super().error(shown_text(one_line(message)))
+        told = shown_text(one_line(message))
+        self.exit(2, f"{self.prog}: error: {told} (see `{self.prog} --help`)\n")
+
+
+def _is_option(word: str) -> bool:
+    return word.startswith("-")

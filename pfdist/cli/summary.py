@@ -13,8 +13,8 @@ from pfdist.cli.gain_lines import (
     why_gains_disagree,
 )
 from pfdist.cli.layout import line, wrapped_lines
-from pfdist.cli.numbers import cost, percent, percent_with_interval, range_of
 from pfdist.cli.online_lines import online_lines
+from pfdist.common.percent import cost, percent, percent_with_interval, range_of
 from pfdist.common.rounding import with_error, with_interval
 from pfdist.errors import one_line
 

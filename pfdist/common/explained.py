@@ -6,6 +6,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
+from pfdist.common.nearest import did_you_mean, quoted_names
 from pfdist.errors import shown
 
 _RULES = {
@@ -73,9 +74,9 @@ def _sentence(error: ErrorDetails, model: type[BaseModel]) -> str:
     if kind == "extra_forbidden":
         section, _, name = key.rpartition(".")
         place = f" in [{section}]" if section else ""
-        return (
-            f"unknown key {shown(name)}{place}, allowed: {', '.join(_allowed_keys(section, model))}"
-        )
+        keys = _allowed_keys(section, model)
+        allowed = f"allowed: {', '.join(keys)}{did_you_mean(name, keys)}"
+        return f"unknown key {shown(name)}{place}, {allowed}"
     if kind == "missing":
         return f"{key} must be given"
     if kind in ("union_tag_invalid", "union_tag_not_found"):
@@ -84,12 +85,15 @@ def _sentence(error: ErrorDetails, model: type[BaseModel]) -> str:
         section, _, field = key.rpartition(".")
         kinds = _kinds(_section(section, model).model_fields[field])
         allowed = ", ".join(map(repr, kinds))
-        return f"{key}.{name} must be one of {allowed}, got {shown(value)}"
+        meant = did_you_mean(value, kinds)
+        return f"{key}.{name} must be one of {allowed}, got {shown(value)}{meant}"
     if key == "search":
         return f"search must be one or more [[search]] sections, got {shown(got)}"
     if kind == "value_error":
         return str(error["ctx"]["error"])
-    return f"{key} must be {_rule(error)}, got {shown(got)}"
+    rule = _rule(error)
+    meant = did_you_mean(got, quoted_names(rule)) if kind == "literal_error" else ""
+    return f"{key} must be {rule}, got {shown(got)}{meant}"
 
 
 def _rule(error: ErrorDetails) -> str:

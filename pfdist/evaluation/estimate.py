@@ -8,6 +8,8 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from pfdist.common.cards import Card, Shown
+from pfdist.common.rounding import with_error
 from pfdist.common.streams import stream_key
 from pfdist.times.measurement_times import Times
 
@@ -16,8 +18,8 @@ DEGENERATE_POLICIES = ("kill", "leave_out")
 degenerate; ``leave_out`` takes the mean over the other draws."""
 
 
-@dataclass(frozen=True)
-class Evaluation:
+@dataclass(frozen=True, repr=False)
+class Evaluation(Shown):
     """One estimate of the expected MSE for one set of measurement times.
 
     Parameters
@@ -83,6 +85,16 @@ class Evaluation:
     def cost(self) -> float:
         """`expected_mse`, which searches minimise."""
         return self.expected_mse
+
+    def _card(self) -> Card:
+        mse = with_error(self.expected_mse, self.standard_error)
+        count = len(self.measurement_times)
+        on = "exact" if self.exact is not None else f"on {self.draws:,} draws"
+        title = f"evaluation of {count} measurement{'s' * (count != 1)}: expected MSE {mse}, {on}"
+        rows = [("measured at t", ", ".join(map(str, self.measurement_times)))]
+        if self.degenerate_draws:
+            rows.append(("degenerate draws", f"{self.degenerate_draws:,}"))
+        return Card(title, (), rows)
 
     @property
     def _usable(self) -> NDArray[np.float64]:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from pfdist.common.nearest import did_you_mean
 from pfdist.errors import ModelError, PriorError
 from pfdist.filters.cloud import Prior
 from pfdist.filters.draws import Draws, check_prior
@@ -95,7 +96,8 @@ def check_filter(
         ("estimator", estimator, ESTIMATORS),
     ):
         if got not in allowed:
-            raise ValueError(f"{name} must be one of {', '.join(allowed)}, got {got!r}")
+            meant = did_you_mean(got, allowed)
+            raise ValueError(f"{name} must be one of {', '.join(allowed)}, got {got!r}{meant}")
     if SCHEMES[resampling].sorts and model.components[0] != 1:
         raise ModelError(
             f"resampling = {resampling!r} needs a model with a scalar state, got {model.name} with "

@@ -10,6 +10,7 @@ import tomli_w
 from pydantic import Field, PrivateAttr, ValidationError, model_validator
 
 from pfdist.common.explained import explained
+from pfdist.common.nearest import did_you_mean_path
 from pfdist.common.parsing import parse_toml, read_text
 from pfdist.common.section import Section
 from pfdist.errors import JobError, MeasurementTimesError, shown_text
@@ -118,13 +119,10 @@ class Job(Section):
     def _has_sets_of_every_number(self) -> Self:
         if self.budget is None:
             return self
-        least, most = self.budget.least, self.budget.most
         if self.comparison.reference != REGULAR:
             raise ValueError(
                 f"budget needs comparison.reference = {REGULAR!r}, got a single set of times"
             )
-        if least > most:
-            raise ValueError(f"budget.least must be at most budget.most = {most}, got {least}")
         if not self.problem.feasible.counted:
             raise ValueError("budget needs problem.measurement_budget, got problem.total_cost")
         if len(self.search) > 1:
@@ -132,7 +130,7 @@ class Job(Section):
             raise ValueError(f"budget needs one search of method {DEFAULT_METHOD!r}, got {methods}")
         if self.search[0].polish:
             raise ValueError("budget needs a search with polish = false, got true")
-        for number in (least, most):
+        for number in (self.budget.least, self.budget.most):
             try:
                 self.feasible(number)
             except MeasurementTimesError as error:
@@ -237,7 +235,8 @@ def load_job(
     try:
         data = parse_toml(read_text(path))
     except OSError as error:
-        raise JobError(f"cannot read the job file {path}: {error.strerror}") from error
+        meant = did_you_mean_path(path, (path.parent, Path("jobs")), _is_job)
+        raise JobError(f"cannot read the job file {path}: {error.strerror}{meant}") from error
     except ValueError as error:
         raise JobError(f"the job file must be TOML, got an error: {error} ({path})") from error
     origin = Origin(path, "search" in data, "online" in data)
@@ -256,6 +255,10 @@ def as_job(
     overrides = list(overrides)
     changed = overrides or sections or settings
     return job.with_changes(overrides, sections, settings) if changed else job
+
+
+def _is_job(path: Path) -> bool:
+    return path.suffix == ".toml"
 
 
 def job_toml(identity: Mapping[str, Any]) -> str:

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from numbers import Integral
 from typing import Any
 
+from pfdist.common.nearest import did_you_mean
 from pfdist.common.parsing import MOST_LEVELS, parse_toml
 from pfdist.errors import JobError, shown, shown_text
 
@@ -103,7 +104,8 @@ def _search_named(data: dict[str, Any], name: str, change: str) -> dict[str, Any
     if name not in names:
         allowed = ", ".join(names) or "none, there is no [[search]]"
         raise JobError(
-            f"change {shown_text(change)}: the job has no search {shown(name)}, allowed: {allowed}",
+            f"change {shown_text(change)}: the job has no search {shown(name)}, allowed: {allowed}"
+            f"{did_you_mean(name, names)}",
             argument="set",
         )
     found: dict[str, Any] = searches[names.index(name)]

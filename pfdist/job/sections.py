@@ -1,8 +1,10 @@
 """The sections of a job file, without [problem] and [[search]], with bounds and defaults."""
 
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self
 
-from pydantic import AfterValidator, Field, field_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from pfdist.common.section import Section
 from pfdist.errors import shown
@@ -104,10 +106,36 @@ class Comparison(Section):
 
 
 class Budget(Section):
-    """The range of numbers of measurements of a budget study; `pfdist budget` writes it."""
+    """The numbers of measurements of a budget study; `pfdist budget` writes them.
+
+    They are all numbers from ``least`` to ``most``, unless ``numbers`` lists them.
+    """
 
     least: Annotated[int, Field(ge=2, lt=2**63)]
     most: Annotated[int, Field(ge=2, lt=2**63)]
+    numbers: Annotated[tuple[int, ...], Field(strict=False)] | None = None
+
+    @property
+    def each(self) -> Sequence[int]:
+        """The numbers of measurements, from the least to the largest."""
+        return range(self.least, self.most + 1) if self.numbers is None else self.numbers
+
+    @model_validator(mode="after")
+    def _are_in_order(self) -> Self:
+        if self.least > self.most:
+            raise ValueError(
+                f"budget.least must be at most budget.most = {self.most}, got {self.least}"
+            )
+        numbers = self.numbers
+        if numbers is None:
+            return self
+        ends = numbers[:1] + numbers[-1:]
+        if ends != (self.least, self.most) or any(a >= b for a, b in pairwise(numbers)):
+            raise ValueError(
+                "budget.numbers must be in ascending order, from budget.least = "
+                f"{self.least} to budget.most = {self.most}, got {shown(list(numbers))}"
+            )
+        return self
 
 
 class Execution(Section):

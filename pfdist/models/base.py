@@ -11,6 +11,7 @@ from functools import cached_property
 from pathlib import PurePosixPath
 from typing import Any
 
+from pfdist.common.nearest import did_you_mean
 from pfdist.errors import ModelError
 from pfdist.jitted import guard_what_it_calls
 from pfdist.mistakes.places import place_of_function
@@ -156,7 +157,8 @@ class StateSpaceModel:
             if name not in self.parameters:
                 allowed = ", ".join(sorted(self.parameters)) or "none"
                 raise ModelError(
-                    f"model {self.name}: unknown parameter {name!r}, allowed: {allowed}",
+                    f"model {self.name}: unknown parameter {name!r}, allowed: {allowed}"
+                    f"{did_you_mean(name, self.parameters)}",
                     argument="parameters",
                 )
         try:

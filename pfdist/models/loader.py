@@ -17,6 +17,7 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
+from pfdist.common.nearest import did_you_mean
 from pfdist.errors import ModelError
 from pfdist.mistakes.endings import is_interrupt, kept_alive, told
 from pfdist.mistakes.places import place_of
@@ -123,6 +124,7 @@ class ModelSource:
                 f"{self.path} must contain a StateSpaceModel named {self.attribute!r}, "
                 f"got {'nothing' if model is None else type(model).__name__} of that name; "
                 f"models in this file: {', '.join(found) or 'none'}"
+                f"{did_you_mean(self.attribute, found)}"
             )
         return model
 
@@ -212,7 +214,7 @@ def find_model(name: str, folder: Path = Path()) -> ModelSource:
     if name not in installed:
         raise ModelError(
             f"a model must be one of {', '.join(sorted(installed))} or 'path/file.py:object', "
-            f"got {name!r}"
+            f"got {name!r}{did_you_mean(name, installed)}"
         )
     module, attribute = installed[name]
     try:

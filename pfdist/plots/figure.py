@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import pandas as pd
 from matplotlib.axes import Axes
@@ -21,19 +22,24 @@ class Plot:
     Parameters
     ----------
     height : float
-        In inches; all figures are one column of a paper wide.
+        In inches where the style has 8 points; the style gives the width, and other fonts scale the
+        height.
     draw : callable
         Draws into the panels, from above to below.
     panels : int
         Number of panels.
     share_x : bool
         Whether the panels share one horizontal axis.
+    title : str
+        One sentence that says what to see in the data. It is not drawn; reports show it beside the
+        figure, and files hold it as their title.
     """
 
     height: float
-    draw: Callable[[Sequence[Axes]], None]
+    draw: Callable[[Sequence[Axes]], Any]
     panels: int = 1
     share_x: bool = False
+    title: str = ""
 
 
 class Tables:
@@ -78,7 +84,7 @@ class Figure:
     name : str
         File name without suffix; with ``each_set`` the first part of it.
     description : str
-        The figure in one line.
+        The figure in one line: what it shows of any run. Reports take it as alternative text.
     plot : callable
         Gives the plot of `Tables`; with ``each_set`` of `Tables` and the name of a set.
     applies : callable
@@ -156,9 +162,3 @@ def figure(
         return plot
 
     return declare
-
-
-def write_instead(axes: Axes, text: str) -> None:
-    """Write a sentence where there is nothing to draw."""
-    axes.set_axis_off()
-    axes.text(0.5, 0.5, text, ha="center", va="center", transform=axes.transAxes)

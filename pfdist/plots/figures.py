@@ -4,13 +4,14 @@ from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
 
+from matplotlib import rcParams
 from matplotlib.figure import Figure as Canvas
 
 from pfdist.analysis import Run
 from pfdist.errors import StoreError
 from pfdist.plots.figure import FIGURES, Plot, Tables
 from pfdist.plots.library import styled
-from pfdist.plots.style import COLUMN_INCHES
+from pfdist.plots.panel import scaled
 from pfdist.store import remove_file, write_file
 
 FORMATS = ("png", "svg")
@@ -62,7 +63,7 @@ def draw_figures(run: Run, only: str = "") -> list[Path]:
 
 
 def save_plots(run: Run, plots: Iterable[tuple[str, Plot]]) -> list[Path]:
-    """Draw plots and save them into the folder ``figures`` of a run.
+    """Draw plots in the style for print and save them into the folder ``figures`` of a run.
 
     Parameters
     ----------
@@ -78,12 +79,12 @@ def save_plots(run: Run, plots: Iterable[tuple[str, Plot]]) -> list[Path]:
     files = []
     with styled():
         for name, plot in plots:
-            files += _saved(run, name, _drawn(plot))
+            files += _saved(run, name, drawn(plot), plot.title)
     return files
 
 
 def save_plot(path: Path, plot: Plot, title: str) -> None:
-    """Draw a plot and save it as a PNG file anywhere.
+    """Draw a plot in the style for print and save it as a PNG file anywhere.
 
     Parameters
     ----------
@@ -98,21 +99,33 @@ def save_plot(path: Path, plot: Plot, title: str) -> None:
         The file cannot be written.
     """
     with styled():
-        canvas = _drawn(plot)
+        canvas = drawn(plot)
         write_file(path, partial(canvas.savefig, format="png", metadata={"Title": title}))
 
 
-def _drawn(plot: Plot) -> Canvas:
-    canvas = Canvas(figsize=(COLUMN_INCHES, plot.height), layout="constrained")
+def drawn(plot: Plot) -> Canvas:
+    """Draw a plot, as large as the style in use makes it.
+
+    Parameters
+    ----------
+    plot : Plot
+
+    Returns
+    -------
+    matplotlib Figure
+        It belongs to no window.
+    """
+    width, height = rcParams["figure.figsize"][0], scaled(plot.height)
+    canvas = Canvas(figsize=(width, height), layout="constrained")
     panels = canvas.subplots(plot.panels, squeeze=False, sharex=plot.share_x)
     plot.draw(panels[:, 0].tolist())
     return canvas
 
 
-def _saved(run: Run, name: str, canvas: Canvas) -> list[Path]:
+def _saved(run: Run, name: str, canvas: Canvas, title: str) -> list[Path]:
     files = _files(run, name)
     for file in files:
-        write_file(file, partial(_save, canvas, file.suffix.removeprefix(".")))
+        write_file(file, partial(_save, canvas, file.suffix.removeprefix("."), title))
     return files
 
 
@@ -120,6 +133,8 @@ def _files(run: Run, name: str) -> list[Path]:
     return [run.path / "figures" / f"{name}.{suffix}" for suffix in FORMATS]
 
 
-def _save(canvas: Canvas, suffix: str, path: Path) -> None:
-    # Without a date, the same figure gives the same bytes.
-    canvas.savefig(path, format=suffix, metadata={"Date": None} if suffix == "svg" else None)
+def _save(canvas: Canvas, suffix: str, title: str, path: Path) -> None:
+    about: dict[str, str | None] = {"Title": title} if title else {}
+    if suffix == "svg":
+        about["Date"] = None  # without a date, the same figure gives the same bytes
+    canvas.savefig(path, format=suffix, metadata=about)

@@ -7,10 +7,19 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.ticker import MaxNLocator
 
 from pfdist.plots.figure import Plot
 from pfdist.plots.figures import save_plot
+from pfdist.plots.panel import (
+    axes_for,
+    chosen,
+    label_instants,
+    legend_above,
+    marker,
+    stack,
+    table_of,
+    thin,
+)
 from pfdist.plots.style import BLUE, GREY, ORANGE, RED
 from pfdist.store.replaceable import check_replaceable
 
@@ -21,23 +30,45 @@ _BANDS = ((5, 95, 0.22, "90 %"), (25, 75, 0.38, "50 %"))
 _LEVEL = 0.035  # of the markers of times, over the height of a panel
 
 
-def draw_filtered(
-    path: Path,
-    table: pd.DataFrame,
-    missing: Sequence[int] = (),
-    extra: Sequence[int] = (),
-    to_come: Sequence[int] = (),
-) -> None:
-    """Draw mean and bands of each component of z, and the times of measurements, to a PNG file.
+Times = tuple[Sequence[int], Sequence[int], Sequence[int]]
+"""Planned times that were not measured, measured times that were not planned, and planned times
+after the last measurement."""
+
+
+def filtered_plot(table: pd.DataFrame, times: Times) -> Plot:
+    """Give the plot of each component of z: mean, bands, and the times of measurements.
+
+    Parameters
+    ----------
+    table : DataFrame
+        With the columns of `pfdist.store.filtered_schema`.
+    times : tuple of three sequences of int
+        Planned times that were not measured, measured times that were not planned, and planned
+        times after the last measurement.
+    """
+    number = sum(str(name).startswith("mean_") for name in table.columns)
+    panels = min(number, MOST_COMPONENTS)
+    draw = partial(_draw, table, number, times)
+    return Plot(1.3 + 1.45 * panels, draw, panels, share_x=True, title=_sentence(table))
+
+
+def _sentence(table: pd.DataFrame) -> str:
+    """Say how sure the filter is in the end."""
+    last = table.iloc[-1]
+    return (
+        f"In the end the filter believes z to be {last['mean_0']:.3g}, and with 90 % between "
+        f"{last['q05_0']:.3g} and {last['q95_0']:.3g}."
+    )
+
+
+def draw_filtered(path: Path, plot: Plot) -> None:
+    """Draw the plot of filtered measurements to a PNG file.
 
     Parameters
     ----------
     path : Path
-    table : DataFrame
-        With the columns of `pfdist.store.filtered_schema`.
-    missing, extra, to_come : sequence of int
-        Planned times that were not measured, measured times that were not planned, and planned
-        times after the last measurement.
+    plot : Plot
+        As of `filtered_plot`.
 
     Raises
     ------
@@ -45,10 +76,7 @@ def draw_filtered(
         The file cannot be written, or another file has this name.
     """
     check_figure_replaceable(path)
-    number = sum(name.startswith("mean_") for name in table.columns)
-    panels = min(number, MOST_COMPONENTS)
-    draw = partial(_draw, table, number, (missing, extra, to_come))
-    save_plot(path, Plot(1.3 + 1.45 * panels, draw, panels, share_x=True), _TITLE)
+    save_plot(path, plot, _TITLE)
 
 
 def check_figure_replaceable(path: Path) -> None:
@@ -69,57 +97,85 @@ def _is_earlier(path: Path) -> bool:
 def _draw(
     table: pd.DataFrame,
     number: int,
-    times: tuple[Sequence[int], Sequence[int], Sequence[int]],
+    times: Times,
     panels: Sequence[Axes],
 ) -> None:
-    missing, extra, to_come = times
-    measured = table["t"].to_numpy()[table["measured"].to_numpy(bool)]
-    for component, axes in enumerate(panels):
-        plot_component(axes, table, component)
-        axes.set_ylabel("$z$" if number == 1 else f"$z_{{{component}}}$")
-        low, high = axes.get_ylim()
-        axes.set_ylim(low - 0.08 * (high - low), high)  # room for the markers
-        planned = sorted(set(measured) - set(extra))
-        mark_times(axes, planned, "|", "black", "measured as planned")
-        mark_times(axes, extra, "D", ORANGE, "measured, not planned")
-        mark_times(axes, missing, "x", RED, "planned, not measured")
-        mark_times(axes, to_come, "o", GREY, "planned, to come")
-    below = panels[-1]
-    left_out = f"; {number - len(panels)} more components are left out" * (number > len(panels))
-    below.set_xlabel(f"$t${left_out}")
-    below.xaxis.set_major_locator(MaxNLocator(integer=True))
-    panels[0].legend(ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0), borderaxespad=0.2)
+    for component, ax in enumerate(panels):
+        belief(table, component=component, times=times, ax=ax)
+    stack(panels)
+    if number > len(panels):
+        panels[-1].set_xlabel(f"$t$; {number - len(panels)} more components are left out")
 
 
-def plot_component(axes: Axes, table: pd.DataFrame, component: int) -> None:
-    """Draw the mean of a component of z, and its 50 and 90 % bands.
+def belief(
+    source: object,
+    *,
+    component: int = 0,
+    times: Times | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw the mean of a component of z with its 50 and 90 % bands, and the measurement times.
 
     Parameters
     ----------
-    axes : matplotlib Axes
-    table : DataFrame
-        With the columns of `pfdist.store.filtered_schema`.
+    source : DataFrame or object
+        A table of filtered measurements, with the columns of `pfdist.store.filtered_schema`, or an
+        object that has it as ``table``, such as the result of `pfdist.filter_measurements`.
     component : int
+        Component of z.
+    times : tuple of three sequences of int, optional
+        Planned times that were not measured, measured times that were not planned, and planned
+        times to come; by default the object's ``missing``, ``extra`` and ``to_come``.
+    ax : matplotlib Axes, optional
+        By default those of a new figure.
+
+    Returns
+    -------
+    matplotlib Axes
+
+    Raises
+    ------
+    JobError
+        There is no such component.
     """
+    table = table_of(source, "table")
+    if times is None:
+        missing, extra, to_come = (
+            getattr(source, key, ()) for key in ("missing", "extra", "to_come")
+        )
+    else:
+        missing, extra, to_come = times
+    number = sum(str(name).startswith("mean_") for name in table.columns)
+    chosen(component, range(number), "component")
+    ax = axes_for(ax)
+    _plot(ax, table, component)
+    ax.set_ylabel("$z$" if number == 1 else f"$z_{{{component}}}$")
+    low, high = ax.get_ylim()
+    ax.set_ylim(low - 0.08 * (high - low), high)  # room for the markers
+    measured = table["t"].to_numpy()[table["measured"].to_numpy(bool)]
+    planned = sorted(set(measured) - set(extra))
+    _mark(ax, planned, "|", "black", "measured as planned")
+    _mark(ax, extra, "D", ORANGE, "measured, not planned")
+    _mark(ax, missing, "x", RED, "planned, not measured")
+    _mark(ax, to_come, "o", GREY, "planned, to come")
+    label_instants(ax)
+    legend_above(ax)
+    return ax
+
+
+def _plot(ax: Axes, table: pd.DataFrame, component: int) -> None:
     t = table["t"].to_numpy()
     for low, high, alpha, label in _BANDS:
         below, above = (table[f"q{percent:02d}_{component}"].to_numpy() for percent in (low, high))
-        axes.fill_between(t, below, above, color=BLUE, alpha=alpha, lw=0, label=f"{label} band")
-    axes.plot(t, table[f"mean_{component}"].to_numpy(), color=BLUE, lw=1.0, label="mean")
+        ax.fill_between(t, below, above, color=BLUE, alpha=alpha, lw=0, label=f"{label} band")
+    ax.plot(t, table[f"mean_{component}"].to_numpy(), color=BLUE, label="mean")
 
 
-def mark_times(axes: Axes, times: Iterable[int], marker: str, color: str, label: str) -> None:
-    """Mark some times at the lower edge of a panel; no times have no entry in the legend.
-
-    Parameters
-    ----------
-    axes : matplotlib Axes
-    times : iterable of int
-    marker, color, label : str
-    """
+def _mark(ax: Axes, times: Iterable[int], shape: str, colour: str, label: str) -> None:
+    """Mark some times at the lower edge of a panel; no times have no entry in the legend."""
     at = np.array(list(times))
     if at.size:
-        axes.plot(
-            at, np.full(at.size, _LEVEL), marker, ms=3.5, mew=0.9, color=color, mfc="white",
-            transform=axes.get_xaxis_transform(), label=label, clip_on=False,
+        ax.plot(
+            at, np.full(at.size, _LEVEL), shape, ms=marker(1.2), mew=thin(0.9), color=colour,
+            mfc="white", transform=ax.get_xaxis_transform(), label=label, clip_on=False,
         )  # fmt: skip

@@ -1,13 +1,12 @@
 """One draw that is measured at times chosen one after another, and at the times of the plan."""
 
-from functools import partial
-
 import numpy as np
 import pandas as pd
 
 from pfdist.analysis import relative_gain
-from pfdist.plots.figure import Plot, Tables, figure, has_online, write_instead
-from pfdist.plots.one_draw import MOST_COMPONENTS, components, plot_one_draw, typical_draw
+from pfdist.plots.draws import components, no_draw, plot_of, title_of, typical_draw
+from pfdist.plots.figure import Plot, Tables, figure, has_online
+from pfdist.plots.panel import minus
 
 
 @figure("online_draw", applies=has_online)
@@ -19,18 +18,14 @@ def online_draw_figure(tables: Tables) -> Plot:
     plan, online = (rows[f"mse_{name}"].to_numpy() for name in (draws.plan, "online"))
     gains = pd.Series(relative_gain(online, plan), index=rows.index).dropna()
     if gains.empty:
-        told = "no draw with a trajectory has a gain"
-        return Plot(2.6, lambda panels: write_instead(panels[0], told))
+        return no_draw()
     draw = typical_draw(gains)
-    times = {draws.plan: list(draws.planned_times), "online": list(rows["measurement_times"][draw])}
+    sets = {draws.plan: list(draws.planned_times), "online": list(rows["measurement_times"][draw])}
     trajectory = with_online(trajectories[trajectories["draw"] == draw], rows["estimate"][draw])
-    number = min(components(trajectory), MOST_COMPONENTS)
-    gain, over = float(gains[draw]), f" over {draws.plan}"
-    return Plot(
-        1.2 + 1.4 * number,
-        partial(plot_one_draw, trajectory=trajectory, times=times, gain=gain, over=over),
-        number,
-    )
+    gain = float(gains[draw])
+    told = minus(f"draw {draw}, relative gain over {draws.plan} {100 * gain:.1f} %, the median")
+    title = title_of(gain, "online times", f"the times of {draws.plan}")
+    return plot_of(trajectory, sets, told, title)
 
 
 def with_online(trajectory: pd.DataFrame, estimate: np.ndarray) -> pd.DataFrame:

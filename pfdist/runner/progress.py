@@ -63,7 +63,8 @@ class Progress:
     found: tuple[Found, ...] = ()
 
 
-Report = Callable[[Progress], None]
+Show = Callable[[Progress], Any]
+"""Receives the progress of a computation each time."""
 
 
 class Reporter:
@@ -71,14 +72,14 @@ class Reporter:
 
     Parameters
     ----------
-    report : callable
+    show : callable
         Receives a `Progress` each time.
     total : float
         Particle-steps that the whole run is expected to take; see also `foresee`.
     """
 
-    def __init__(self, report: Report, total: float = 0.0) -> None:
-        self._report = report
+    def __init__(self, show: Show, total: float = 0.0) -> None:
+        self._show = show
         self._progress = Progress(phase="", done=0.0, total=total)
 
     @property
@@ -95,7 +96,7 @@ class Reporter:
     def reach(self, done: float, **shown: Any) -> None:
         """Report that so many particle-steps of the run are done, and change other fields."""
         self.note(done=done, **shown)
-        self._report(self._progress)
+        self._show(self._progress)
 
     def note(self, **shown: Any) -> None:
         """Change fields of the progress, to be shown with the next report."""

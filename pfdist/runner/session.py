@@ -1,5 +1,6 @@
 """One start of the program: what all phases of a run need."""
 
+import time
 import uuid
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,7 +10,7 @@ from pfdist.pools.base import Pool
 from pfdist.runner.build import Built
 from pfdist.runner.collect import Collector
 from pfdist.runner.pace import Pace
-from pfdist.runner.progress import Report, Reporter
+from pfdist.runner.progress import Reporter, Show
 from pfdist.store import Store
 
 
@@ -37,16 +38,21 @@ class Session:
         built: Built,
         store: Store,
         pool: Pool,
-        report: Report = lambda progress: None,
+        show: Show = lambda progress: None,
         say: Callable[[str], Any] = lambda line: None,
     ) -> "Session":
         """Start with a store and a pool that the caller has entered; nothing is computed yet."""
         pace = Pace(built.problem.seconds_a_step, pool.workers)
         failures, resumed = built.job.execution.failures, store.has("draws")
-        collector = Collector(store, pool, uuid.uuid4().hex[:8], pace, failures, resumed)
-        return cls(built, collector, Reporter(report), say)
+        collector = Collector(store, pool, _name(), pace, failures, resumed)
+        return cls(built, collector, Reporter(show), say)
 
     @property
     def store(self) -> Store:
         """The store of the run."""
         return self.collector.store
+
+
+def _name() -> str:
+    """A name for a start of the program; names sort in the order of the starts."""
+    return f"{int(time.time()):08x}{uuid.uuid4().hex[:4]}"

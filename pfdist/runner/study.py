@@ -1,4 +1,4 @@
-"""Studies: the best times of one problem, or of every measurement budget in a range.
+"""Studies: the best times of one problem, or of each of several measurement budgets.
 
 This module holds everything that differs between the two. Only `study_of` asks which study a job
 wants.
@@ -158,17 +158,17 @@ class TimesStudy:
 
 @dataclass(frozen=True)
 class BudgetStudy:
-    """Find the best times for every measurement budget of a range; a search finds all of them.
+    """Find the best times for each of several measurement budgets; a search finds all of them.
 
     Parameters
     ----------
     job : Job
-    budgets : range
-        Measurement budgets N.
+    budgets : sequence of int
+        Measurement budgets N, from the least to the largest.
     """
 
     job: Job
-    budgets: range
+    budgets: Sequence[int]
     purpose: ClassVar[Purpose[ReportEvaluation]] = BUDGET
     first_draws: ClassVar[tuple[str, ...]] = ()
 
@@ -239,4 +239,4 @@ def study_of(job: Job) -> Study:
     """The study that a job asks for."""
     if job.budget is None:
         return TimesStudy(job)
-    return BudgetStudy(job, range(job.budget.least, job.budget.most + 1))
+    return BudgetStudy(job, job.budget.each)

@@ -138,9 +138,16 @@ def method(
     return declare
 
 
-def any_section() -> Any:
-    """Give the type of the section [[search]]: the union of all methods' sections."""
-    sections = reduce(or_, (method.section for method in METHODS.values()))
+def any_section(*, online: bool = False) -> Any:
+    """Give the type of the section [[search]]: the union of all methods' sections.
+
+    Parameters
+    ----------
+    online : bool
+        Whether only those methods count that can plan the measurements that are left.
+    """
+    methods = [method for method in METHODS.values() if method.online or not online]
+    sections = reduce(or_, (method.section for method in methods))
     return Annotated[sections, Field(discriminator="method")]
 
 

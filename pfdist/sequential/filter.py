@@ -8,6 +8,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pfdist.common.nearest import did_you_mean
 from pfdist.errors import (
     CompileError,
     EngineWarning,
@@ -109,7 +110,8 @@ class Filter:
         _check_integers(seed=seed, draw=draw, horizon=horizon)
         if engine not in (AUTO, *ENGINES):
             allowed = ", ".join(map(repr, (AUTO, *ENGINES)))
-            raise ValueError(f"engine must be one of {allowed}, got {shown(engine)}")
+            meant = did_you_mean(engine, ENGINES)
+            raise ValueError(f"engine must be one of {allowed}, got {shown(engine)}{meant}")
         self.horizon = horizon
         self.stream = FILTER.stream(int(seed))
         """Key of the filter's noise, 64 bits."""

@@ -6,6 +6,7 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from pfdist.common.explained import explained
+from pfdist.common.nearest import did_you_mean_path
 from pfdist.common.parsing import parse_json, parse_toml, read_text
 from pfdist.errors import StoreError, shown
 from pfdist.store.schema import SCHEMA_VERSION
@@ -98,11 +99,21 @@ def unreadable(path: Path, name: str, reason: str) -> StoreError:
     )
 
 
+def no_run(path: Path, lacking: str = "run.json") -> StoreError:
+    """Make the error of a folder that lacks a file of a run; it names a run of a similar name."""
+    meant = did_you_mean_path(path, (path.parent, Path("results")), _has_run_json)
+    return StoreError(f"{path} holds no run: there is no {lacking} in it{meant}")
+
+
+def _has_run_json(path: Path) -> bool:
+    return (path / "run.json").is_file()
+
+
 def _read(path: Path, name: str, parse: Any) -> Any:
     try:
         return parse(read_text(path / name))
     except (FileNotFoundError, NotADirectoryError) as error:
-        raise StoreError(f"{path} holds no run: there is no {name} in it") from error
+        raise no_run(path, name) from error
     except OSError as error:
         raise StoreError(f"cannot read {path / name}: {error.strerror}") from error
     except ValueError as error:

@@ -18,7 +18,7 @@ import pyarrow as pa
 
 from pfdist.store import files
 from pfdist.store.reader import Reader
-from pfdist.store.schema import BOUND_PHASE, KEYS, schema
+from pfdist.store.schema import KEYS, QUESTIONS, schema
 from pfdist.store.tables import cut_rows, signed, unique
 
 ROWS_IN_A_FILE = {"draws": 1_000_000, "comparison": 50_000, "error_sums": 200}
@@ -101,7 +101,7 @@ class Store(Reader):
 
         def copy() -> None:
             for path in other._files("draws"):
-                if path not in wrong and not path.name.startswith(BOUND_PHASE):
+                if path not in wrong and not path.name.startswith(QUESTIONS):
                     rows = other._read(path).cast(schema("draws"))  # an older version's, too
                     self.commit("draws", phase, path.stem.replace(".", "-"), rows)
 

@@ -16,7 +16,7 @@ from pfdist.errors import StoreError
 from pfdist.store.draw_files import DrawFiles
 from pfdist.store.keys import run_key as folder_key
 from pfdist.store.manifest import Manifest
-from pfdist.store.schema import BOUND_PHASE, KEYS, schema
+from pfdist.store.schema import KEYS, QUESTIONS, schema
 from pfdist.store.tables import check_names, first_occurrences, read_file, unique
 
 _ATTEMPTS, _PAUSE_SECONDS = 50, 0.02  # another driver may be publishing what is read
@@ -83,14 +83,14 @@ class Reader:
         """Whether anything of a table was committed."""
         return bool(self._files(table))
 
-    def has_parts(self, table: str = "*", phase: str = "*", without: str = "") -> bool:
-        """Whether a phase, or the run without a phase, has rows that are not published yet."""
+    def has_parts(self, table: str = "*", phase: str = "*", without: tuple[str, ...] = ()) -> bool:
+        """Whether a phase, or the run without some phases, has rows that are not published yet."""
         parts = self._parts(table, phase)
-        return any(not (without and path.name.startswith(without)) for path in parts)
+        return any(not path.name.startswith(without) for path in parts)
 
     def lost(self) -> list[Path]:
-        """Missing files that a run needs to be finished; those of lower bounds are left out."""
-        return [path for path in self.manifest.lost() if not path.name.startswith(BOUND_PHASE)]
+        """Missing files that a run needs to be finished; those of `QUESTIONS` are left out."""
+        return [path for path in self.manifest.lost() if not path.name.startswith(QUESTIONS)]
 
     def phases_of(self, table: str, start: str) -> list[str]:
         """Phases with parts of a table whose names begin so; these names have no hyphen."""

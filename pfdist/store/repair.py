@@ -21,6 +21,7 @@ from pfdist.store import (
     strange_entries,
     verify,
 )
+from pfdist.store.about import no_run
 
 
 def verify_run(path: Path) -> Iterator[Damage]:
@@ -101,7 +102,7 @@ def _to_do(store: Store) -> str:
 def _check_verifiable(path: Path) -> None:
     exists = Manifest(path).exists()
     if not holds_run(path) and not exists:
-        raise StoreError(f"{path} holds no run: there is no run.json in it")
+        raise no_run(path)
     if not exists:
         run, _ = read_run(path)
         raise StoreError(

@@ -28,13 +28,18 @@ KEYS: dict[str, list[str]] = {
     "timings": ["phase", "task", "session", "seconds"],
     "bound": ["window", "work", "memory", "particles", "draws", "position"],
     "error_sums": ["evaluation", "block"],
+    "profile": ["position", "t"],
+    "worth": ["position", "t"],
 }
 """What identifies a row of each table."""
 
 TABLES = tuple(KEYS)
 
-BOUND_PHASE = "bound.proof"
-"""Start of the phases of lower bounds. No search is named so; a run is finished without them."""
+BOUND_PHASE, WHY_PHASE = "bound.proof", "why.measurements"
+"""Start of the phases of lower bounds, and the phase of what measurements are worth."""
+
+QUESTIONS = (BOUND_PHASE, WHY_PHASE)
+"""Phases of questions about a finished run. It is finished without them. No search is named so."""
 
 
 def _column(name: str, kind: pa.DataType, unit: str, description: str) -> pa.Field:
@@ -54,6 +59,10 @@ def _estimate(name: str, description: str) -> list[pa.Field]:
     ]
 
 
+_OF_A_SET = (
+    _column("position", pa.int32(), "", "order of the set, as in compared"),
+    _column("name", pa.string(), "", "the set's name, as in compared"),
+)
 _TIMES = _column("measurement_times", pa.list_(pa.int16()), "t", "the set M, sorted")
 
 _SCHEMAS = {
@@ -106,8 +115,7 @@ _SCHEMAS = {
         _column("error", pa.string(), "", "traceback, if it failed"),
     ],
     "bound": [
-        _column("position", pa.int32(), "", "order of the set, as in compared"),
-        _column("name", pa.string(), "", "the set's name, as in compared"),
+        *_OF_A_SET,
         _TIMES,
         _column("budget", pa.int32(), "", "the bound is for so many times, or for so much money"),
         _column("window", pa.int32(), "", "measurements of a window before windows grow"),
@@ -135,6 +143,29 @@ _SCHEMAS = {
         _column("evaluation", pa.string(), "", "id: hash of all that the sums depend on"),
         _column("block", pa.int64(), "", "index of the block of draws"),
         _column("sums", pa.list_(pa.float64()), _MSE, "errors of all states at their instants"),
+    ],
+    "profile": [
+        *_OF_A_SET,
+        _column("t", pa.int32(), "t", "instant"),
+        _column("measured", pa.bool_(), "", "whether the set measures at t"),
+        _column("draws", pa.int64(), "", "fresh draws; 0: exact"),
+        _column("error", pa.float64(), _MSE, "expected error at t"),
+        _column("standard_error", pa.float64(), _MSE, "of error"),
+        _column("degenerate_draws", pa.int64(), "", "draws that are degenerate up to t"),
+        _column(
+            "effective_sample_size",
+            pa.float64(),
+            "",
+            "mean over the draws in trajectories, after the measurement at t; null: not measured",
+        ),
+    ],
+    "worth": [
+        *_OF_A_SET,
+        _column("t", pa.int32(), "t", "instant of the measurement"),
+        _column("draws", pa.int64(), "", "fresh draws; 0: exact"),
+        *_estimate("removed", "rise of the expected MSE if the measurement is removed"),
+        *_estimate("earlier", "rise if it is made one instant earlier; null: impossible"),
+        *_estimate("later", "rise if it is made one instant later; null: impossible"),
     ],
 }
 

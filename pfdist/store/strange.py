@@ -13,9 +13,10 @@ from pfdist.errors import StoreError
 
 OWN = (
     "job.toml", "run.json", ".lock", "parts", "tables", "manifest", "quarantine", "figures",
+    "report.html",
 )  # fmt: skip
 """What a run's folder holds; other names in it are the user's and are never opened."""
-_FILES = ("job.toml", "run.json", ".lock")
+_FILES = ("job.toml", "run.json", ".lock", "report.html")
 _TABLES_DEEP = 2  # tables/<table>/ and parts/<table>/ hold files alone
 
 

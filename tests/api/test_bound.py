@@ -234,7 +234,7 @@ def test_an_unfinished_run_and_wrong_numbers_are_refused(small_job: Job, tmp_pat
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        pfdist.run(small_job, tmp_path / "run", report=stop, figures=False)
+        pfdist.run(small_job, tmp_path / "run", progress=stop, figures=False)
     with pytest.raises(StoreError, match="is not finished"):
         bound(tmp_path / "run")
     for wrong in (
@@ -329,7 +329,7 @@ def _stopped(run: Path, reports: int, **options: Any) -> None:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        bound(run, report=stop, **options)
+        bound(run, progress=stop, **options)
 
 
 def test_a_bound_that_was_stopped_goes_on_and_ends_with_the_same_bytes(
@@ -460,7 +460,7 @@ def test_the_growth_of_windows_is_foreseen(walk: Path, work: float) -> None:
     steps = [Prover(built, BoundSettings(LEAST_DRAWS, work=each)).steps for each in (0, work)]
     assert steps[1] - steps[0] == work
     seen = list[Progress]()
-    bound(walk, LEAST_DRAWS, work=work, report=seen.append)
+    bound(walk, LEAST_DRAWS, work=work, progress=seen.append)
     assert len({each.total for each in seen if each.phase == "windows of the bound"}) == 1
     assert max(each.done / each.total for each in seen) == 1.0
     assert seen[-1].done == seen[-1].total
@@ -607,7 +607,7 @@ def test_a_degenerate_draw_in_the_relaxation_is_a_reason(small_job: Job, tmp_pat
 
 def test_a_limit_is_printed_rounded_up(walk: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for gap, printed in ((0.02901, "3.0 %"), (0.029, "2.9 %"), (0.1, "10 %"), (0.0, "0 %")):
-        row = {"reason": "", "bound_error": 1.0, "confidence": 0.95, "gap": 0.0}
+        row = {"reason": "", "budget": 4, "bound_error": 1.0, "confidence": 0.95, "gap": 0.0}
         (line,) = proof_lines(row | {"gap_at_most": gap}, 4)
         assert line.endswith(f"(95 %: {printed}).")
 

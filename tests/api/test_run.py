@@ -205,7 +205,7 @@ def test_between_search_and_comparison_the_found_times_are_told(
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        pfdist.run(small_job, tmp_path / "run", report=stop, figures=False)
+        pfdist.run(small_job, tmp_path / "run", progress=stop, figures=False)
     summary = pfdist.open_run(tmp_path / "run").summary()
     assert (summary["state"], summary["draws_compared"]) == ("comparing", 0)
     assert set(summary["results"]) == {"regular", "genetic", "random"}
@@ -273,7 +273,7 @@ def test_the_serial_pool_has_one_worker(small_job: Job, tmp_path: Path) -> None:
 
 def test_progress_counts_all_work_once(small_job: Job, tmp_path: Path) -> None:
     seen: list[Any] = []
-    pfdist.run(small_job, tmp_path / "run", report=seen.append, figures=False)
+    pfdist.run(small_job, tmp_path / "run", progress=seen.append, figures=False)
     done = [state.done for state in seen]
     assert done == sorted(done)
     assert seen[-1].done == seen[-1].total == ((6 * 4 + 10) * 30 + 250 * 3) * A_DRAW

@@ -1,6 +1,7 @@
 """Why times are what they are: against the exact recursion, and against filters one by one."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import pytest
 import pfdist
 from oracles.bytes_of import hashes
 from pfdist import Job
-from pfdist.api.why import CHANGES, WHY, why
+from pfdist.api.why import why
 from pfdist.cli.main import main
 from pfdist.common.rounding import with_error
 from pfdist.errors import JobError, PfdistError, RunMismatchError, StoreError
@@ -18,6 +19,7 @@ from pfdist.evaluation.work import Estimation, Work
 from pfdist.filters import kalman
 from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.runner.build import build
+from pfdist.runner.worth import CHANGES, WHY
 from pfdist.store.repair import verify_run
 
 RANDOM = "search.random.evaluations=3"
@@ -51,7 +53,7 @@ def _by_riccati(times: tuple[int, ...], horizon: int) -> dict[tuple[int, str], f
 
 
 def _rises(found: Any, name: str) -> dict[tuple[int, str], tuple[float, float]]:
-    rows = found.measurements[found.measurements["name"] == name]
+    rows = found.worth[found.worth["name"] == name]
     return {
         (row["t"], change): (row[change], row[f"{change}_error"])
         for row in rows.to_dict("records")
@@ -142,14 +144,25 @@ def test_the_command_answers_in_json_draws_a_figure_a_search_and_leaves_the_run_
     assert answer["draws"] == 30
     assert list(answer["sets"]) == ["regular", "genetic", "random"]
     regular = answer["sets"]["regular"]
-    assert [row["t"] for row in regular["measurements"]] == [0, 4, 8, 12]
-    assert regular["measurements"][0]["earlier"] is None
+    assert [row["t"] for row in regular["worth"]] == [0, 4, 8, 12]
+    assert regular["worth"][0]["earlier"] is None
     assert [row["t"] for row in regular["profile"] if row["measured"]] == [0, 4, 8, 12]
-    names = [f"why-{name}.{kind}" for name in ("genetic", "random") for kind in ("png", "svg")]
+    names = [
+        f"{name}.{kind}"
+        for name in ("why-genetic", "why-random", "filters")
+        for kind in ("png", "svg")
+    ]
     assert [Path(file).name for file in answer["figures"]] == names
     assert all(Path(file).stat().st_size > 5000 for file in answer["figures"])
-    after = {file: content for file, content in hashes(run.path).items() if "why-" not in file}
+    after = {
+        file: content
+        for file, content in hashes(run.path).items()
+        if not re.search("why|filters", file)
+    }
     assert after == before
+    assert run.state == "finished"
+    assert run.profile()["error"].tolist()[:13] == [row["error"] for row in regular["profile"]]
+    assert run.worth()["removed"].tolist()[:4] == [row["removed"] for row in regular["worth"]]
     assert not list(verify_run(run.path))
     assert main(["why", str(run.path), "--draws", "30"]) == 0
     text = capsys.readouterr().out
@@ -157,8 +170,40 @@ def test_the_command_answers_in_json_draws_a_figure_a_search_and_leaves_the_run_
         f"regular: expected MSE {with_error(regular['expected_mse'], regular['standard_error'])} "
         in text
     )
-    worth = regular["measurements"][1]
+    worth = regular["worth"][1]
     assert with_error(worth["removed"], worth["removed_error"], sign=True) in text
+
+
+def test_the_effective_sample_size_is_that_of_the_draws_with_trajectories(
+    quick: Job, tmp_path: Path
+) -> None:
+    run = pfdist.run(_walk(quick, "compiled"), tmp_path / "run", figures=False)
+    profile = why(run.path, draws=2, figures=False).profile
+    at = profile["effective_sample_size"]
+    assert at.notna().tolist() == profile["measured"].tolist()
+    assert at[profile["measured"]].between(1, quick.filter.particles).all()
+    again = why(run.path, draws=2, figures=False).profile  # from the same noise
+    assert again.equals(profile)
+
+
+def test_degenerate_draws_are_counted_up_to_each_instant(quick: Job, tmp_path: Path) -> None:
+    (quick.path.parent / "cut.py").write_text(
+        "from dataclasses import replace\n"
+        "import numpy as np\n"
+        "from pfdist import load_model, where\n"
+        "walk = load_model('random_walk')\n"
+        "model = replace(walk, log_likelihood=lambda y, x, t, p:\n"
+        "    where(abs(y[0] - x[0]) > 3.5, -np.inf, -0.5 * (y[0] - x[0]) ** 2))\n"
+    )
+    changes = ["model.name=random_walk", "model.filter.name=cut.py:model", "filter.particles=5"]
+    job = quick.with_changes([*changes, "evaluation.degenerate_draws=leave_out"])
+    run = pfdist.run(job, tmp_path / "run", figures=False)
+    found = why(run.path, draws=50, figures=False)
+    known = found.sets.set_index("name")["degenerate_draws"]
+    for name, rows in found.profile.groupby("name"):
+        counts = rows["degenerate_draws"].to_numpy()
+        assert np.all(np.diff(counts) >= 0), name
+        assert 0 < counts[-1] == known[name]
 
 
 def test_a_models_file_is_found_from_anywhere_and_must_be_the_runs(
@@ -193,7 +238,7 @@ def test_what_is_impossible_is_said(quick: Job, tmp_path: Path) -> None:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        pfdist.run(quick, tmp_path / "run", report=stop, figures=False)
+        pfdist.run(quick, tmp_path / "run", progress=stop, figures=False)
     wrong: list[tuple[type[PfdistError], str, Path, int]] = [
         (
             StoreError,

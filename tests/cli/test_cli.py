@@ -177,7 +177,7 @@ def test_plot_draws_every_figure_as_png_and_svg(
 ) -> None:
     assert main(["plot", str(finished)]) == 0
     files = [Path(line) for line in capsys.readouterr().out.splitlines()]
-    names = {"cost", "draw-genetic", "gain-genetic", "draw-random", "gain-random"}
+    names = {"cost", "draw-genetic", "gain-genetic", "draw-random", "gain-random", "times"}
     assert {file.name for file in files} == {
         f"{n}.{kind}" for n in names for kind in ("png", "svg")
     }
@@ -206,7 +206,6 @@ def test_models_lists_every_model_with_a_line(capsys: pytest.CaptureFixture[str]
         ("run {job} --workers -3", "execution.workers .* got -3"),
         ("evaluate {job} --times 0,3,13", r"must lie in 0\.\.12, got 13 \(--times\)"),
         ("evaluate {job} --times 3,3", r"got 3 twice \(--times\)"),
-        ("evaluate {job} --times 0,x", "integers separated by commas.* got '0,x'"),
         ("evaluate {job} --times 1 --draws 1", "evaluation.draws .* got 1"),
         ("evaluate {job} --times 1 --particles 0", "filter.particles .* got 0"),
         ("status {job}", "holds no run"),
@@ -262,9 +261,7 @@ def test_a_missing_file_is_told_as_what_the_job_makes_again(
     assert main(["verify", str(run)]) == 0
 
 
-@pytest.mark.parametrize(
-    "command", ["", "walk", "run", "run a.toml --pool dask", "evaluate a.toml"]
-)
+@pytest.mark.parametrize("command", ["walk", "run", "run a.toml --pool dask", "evaluate a.toml"])
 def test_a_misuse_is_exit_code_2(command: str) -> None:
     with pytest.raises(SystemExit) as stop:
         main(shlex.split(command))
@@ -342,4 +339,4 @@ def test_to_read_a_run_runs_no_code_of_it(
     assert not flag.exists()
     files = [path for path in run.rglob("*") if path.is_file() and path.name != ".lock"]
     kinds = {path.suffix for path in files if path.stat().st_size}
-    assert kinds == {".toml", ".json", ".parquet", ".png", ".svg"}
+    assert kinds == {".toml", ".json", ".parquet", ".png", ".svg", ".html"}

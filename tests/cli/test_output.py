@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from pfdist.api.display import Display
 from pfdist.cli.main import main
-from pfdist.cli.progress import Display
 from pfdist.runner.progress import Found, Progress
 
 HEAVY = ("pandas", "scipy", "matplotlib", "numba", "llvmlite", "pyarrow", "ray", "pydantic", "rich")
@@ -81,7 +81,7 @@ def test_percentage_and_time_left_are_seen_at_any_width(width: int) -> None:
     console = Console(file=out, force_terminal=True, width=width, color_system=None)
     with Display(console) as display:
         for step in range(3):
-            display.report(
+            display.show(
                 Progress("a_search_with_a_name_that_is_long", 300.0 + 100 * step, 1000.0,
                          evaluations=300, generation=3, generations=25, best=23.45, mean=25.6,
                          found=(_FOUND,))
@@ -99,7 +99,7 @@ def test_the_time_left_does_not_count_the_time_to_compile(monkeypatch: pytest.Mo
     monkeypatch.setattr("time.monotonic", lambda: now[0])
     display = Display(Console(file=out, width=80))
     for now[0], done in ((10.0, 0), (70.0, 1), (80.0, 2), (90.0, 3)):  # a minute to compile
-        display.report(Progress("genetic", done, 9, evaluations=done, generation=1, generations=1))
+        display.show(Progress("genetic", done, 9, evaluations=done, generation=1, generations=1))
     *before, last = out.getvalue().splitlines()
     assert re.search(r"0\.1 evaluations/s +about 60 s left$", last)
     assert not [line for line in before[:2] if "left" in line]

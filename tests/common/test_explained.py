@@ -58,8 +58,13 @@ def sentence(data: dict[str, Any]) -> str:
         ("several", 3, "several must be a list, got 3"),
         ("parameters", 3, "parameters must be a section, got 3"),
         ("inner", 3, "inner must be a section, got 3"),
-        ("inner", {"cont": 3}, "unknown key 'cont' in [inner], allowed: count"),
-        ("hole", 3, f"unknown key 'hole', allowed: {', '.join(Section.model_fields)}"),
+        (
+            "inner",
+            {"cont": 3},
+            "unknown key 'cont' in [inner], allowed: count; did you mean 'count'?",
+        ),
+        ("kind", "comon", "kind must be 'fresh' or 'common', got 'comon'; did you mean 'common'?"),
+        ("zzz", 3, f"unknown key 'zzz', allowed: {', '.join(Section.model_fields)}"),
     ],
 )
 def test_each_type_of_error_has_its_own_words(key: str, value: object, said: str) -> None:

@@ -6,7 +6,7 @@ import pytest
 
 from pfdist.common.registry import Registry
 from pfdist.errors import PfdistError
-from pfdist.plots.cost import curve_of
+from pfdist.plots.cost_curves import curve_of
 from pfdist.search.methods import DEFAULT_METHOD, METHODS
 
 

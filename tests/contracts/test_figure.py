@@ -27,7 +27,7 @@ def _one_format() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Run]:
-    """A run for one number of measurements, one with a bound and online times, one for several."""
+    """An old run, one with a bound and online times, one for several numbers, one with its why."""
     folder = tmp_path_factory.mktemp("figures")
     shutil.copytree(ROOT / "assets" / "schema-2", folder / "run")
     job = pfdist.load_job(ROOT / "small.toml", [*EXACT, "problem.horizon=6"])
@@ -36,7 +36,10 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Run]:
     changes.append("online.draws=20")
     proved = pfdist.run(ROOT / "small.toml", folder / "proved", changes=changes, figures=False)
     pfdist.bound(proved.path, pool="serial", figures=False)
-    return [pfdist.open_run(folder / "run"), proved, several]
+    search = ["search=[{method='random', evaluations=3}]", "comparison.draws=20"]
+    explained = pfdist.run(ROOT / "small.toml", folder / "why", changes=search, figures=False)
+    pfdist.why(explained.path, draws=20, figures=False)
+    return [pfdist.open_run(folder / "run"), proved, several, explained]
 
 
 @every
@@ -62,6 +65,13 @@ def test_it_is_drawn_into_the_files_that_it_names_and_shows_something(
             plot.draw(panels)
             assert all(axes.has_data() or axes.texts for axes in panels), file
         assert files == FIGURES[name].files(run)
+
+
+@every
+def test_its_title_is_a_sentence_about_the_run(name: str, runs: list[Run]) -> None:
+    titles = [plot.title for run in runs for _, plot in FIGURES[name].plots(Tables(run))]
+    assert all(title[:1].isupper() and title.endswith(".") for title in titles), titles
+    assert not [title for title in titles if "nan" in title.split()], titles
 
 
 @every

@@ -1,5 +1,6 @@
 """Ended, or failed, at every single file operation of a run, and run again: the same bytes."""
 
+import contextlib
 import shutil
 from collections.abc import Callable
 from functools import partial
@@ -121,6 +122,8 @@ def go_wrong(
     fault: str,
     look: Callable[[Path], None],
     says: str | None = None,
+    *,
+    may_succeed: bool = False,
 ) -> int:
     """Let a fault end a computation at each so many file operations, and go on: the same bytes.
 
@@ -129,11 +132,12 @@ def go_wrong(
     untouched = shutil.copytree(begun, begun.with_name("whole"))
     count = layer.run(partial(compute, untouched))
     whole, chosen = hashes(untouched), range(0, count, step)
-    assert count > 50
+    assert count > 20
     for at in chosen:
         path, where = begun.with_name(f"{at}"), f"{fault} at operation {at} of {count}"
         shutil.copytree(begun, path)
-        with pytest.raises(FAULTS[fault], match=says):
+        fails = pytest.raises(FAULTS[fault], match=says)
+        with contextlib.suppress(StoreError) if may_succeed and fault != "ended" else fails:
             layer.run(partial(compute, path), fault, at)
         look(path)
         compute(path)
@@ -199,6 +203,61 @@ def test_online_draws_that_go_wrong_at_any_file_operation_end_with_the_same_byte
     record_property("faults", f"{PROMISE}: {faults}")
 
 
+@pytest.mark.parametrize("step", [13, pytest.param(1, marks=pytest.mark.crash)])
+@pytest.mark.parametrize("fault", FAULTS)
+def test_the_worth_of_measurements_that_goes_wrong_at_any_file_operation_has_the_same_bytes(
+    fault: str,
+    step: int,
+    small_job: Job,
+    tmp_path: Path,
+    layer: FileLayer,
+    record_property: Callable[[str, object], None],
+) -> None:
+    """The answer on 10 draws takes the place of that on 5."""
+    begun = pfdist.run(small_job.with_changes(CHANGES), tmp_path / "begun", figures=False).path
+    pfdist.why(begun, 5, figures=False)
+    ask = partial(pfdist.why, draws=10, figures=False)
+
+    def look(path: Path) -> None:
+        assert pfdist.open_run(path).state == "finished"
+        assert set(pfdist.open_run(path).worth()["draws"]) <= {5, 10}
+
+    faults = go_wrong(ask, begun, layer, step, fault, look, may_succeed=True)
+    record_property("faults", f"{PROMISE}: {faults}")
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_report_is_there_whole_or_not_at_all_and_its_failure_fails_no_run(
+    fault: str,
+    small_job: Job,
+    tmp_path: Path,
+    layer: FileLayer,
+    record_property: Callable[[str, object], None],
+) -> None:
+    job = small_job.with_changes(CHANGES)
+    file, said = tmp_path / "run" / "report.html", list[str]()
+    pfdist.run(job, file.parent, figures=False, report=True)
+    whole = file.read_bytes()
+    file.unlink()
+    again = partial(pfdist.run, job, file.parent, figures=False, report=True, say=said.append)
+    count = layer.run(again)
+    assert file.read_bytes() == whole
+    for at in range(count):
+        file.unlink()
+        if fault == "ended":
+            with pytest.raises(Ended):
+                layer.run(again, fault, at)
+        else:
+            with contextlib.suppress(StoreError):  # of the lock; a report's is only told
+                layer.run(again, fault, at)
+        assert not file.exists() or file.read_bytes() == whole
+        again()
+        assert file.read_bytes() == whole, f"{fault} at operation {at} of {count}"
+    if fault != "ended":
+        assert [line for line in said if line.startswith("there is no report: cannot write")]
+    record_property("faults", f"{PROMISE}: {count}")
+
+
 @pytest.mark.parametrize("step", [7, pytest.param(1, marks=pytest.mark.crash)])
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_figure_is_there_whole_or_not_at_all(
@@ -212,7 +271,7 @@ def test_a_figure_is_there_whole_or_not_at_all(
 ) -> None:
     monkeypatch.setattr(Figure, "savefig", lambda figure, path, **options: path.write_text("it"))
     run = pfdist.run(small_job.with_changes(CHANGES), tmp_path / "run", figures=False)
-    again = partial(pfdist.run, small_job.with_changes(CHANGES), run.path)
+    again = partial(pfdist.run, small_job.with_changes(CHANGES), run.path, report=False)
     count = layer.run(again)
     whole = hashes(run.path)
     assert count > 30

@@ -55,7 +55,7 @@ def runs(job: Job, tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[int, 
             found[seed, state] = folder / f"{seed}-{state}"
             with pytest.raises(EndedError):
                 pfdist.run(
-                    seeded, found[seed, state], report=partial(_end_in, last_phase), figures=False
+                    seeded, found[seed, state], progress=partial(_end_in, last_phase), figures=False
                 )
             assert pfdist.open_run(found[seed, state]).state == state
         found[seed, "finished"] = pfdist.run(

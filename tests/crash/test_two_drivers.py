@@ -30,7 +30,7 @@ def report(progress):
     if progress.phase == "comparison" and progress.evaluations:
         print("comparing", flush=True)
         time.sleep(600)
-pfdist.run(sys.argv[1], sys.argv[2], report=report, figures=False)
+pfdist.run(sys.argv[1], sys.argv[2], progress=report, figures=False)
 """
 # A file system without locks, that takes its time; and as many commits as there are tasks.
 WITHOUT_LOCKS = """

@@ -97,7 +97,7 @@ def test_a_worker_that_is_killed_in_each_phase_makes_no_difference(
             os.kill(workers[0].pid, signal.SIGKILL)
 
     job = small_job.with_changes(["comparison.draws=20000"])
-    run = pfdist.run(job, tmp_path / "run", pool="ray", workers=2, report=kill, figures=False)
+    run = pfdist.run(job, tmp_path / "run", pool="ray", workers=2, progress=kill, figures=False)
     assert set(killed) == {"genetic", "random", "comparison"}
     assert hashes(run.path) == hashes(
         pfdist.run(job, tmp_path / "whole", pool="serial", figures=False).path

@@ -152,7 +152,11 @@ MISTAKES = [
         "[execution]\npool = 'dask'",
         r"execution\.pool must .* 'ray' or 'serial', got",
     ),
-    ('"genetic"', '"genetics"', r"search\.method must .* 'genetic', .*'random', .*got 'genetics' "),
+    (
+        '"genetic"',
+        '"genetics"',
+        r"search\.method must .*'random', .*got 'genetics'; did you mean 'genetic'\? ",
+    ),
     ('method = "random"', "", r"search\.method must .* 'genetic', .*'random', .*got None "),
     ('"genetic"', '"genetic"\npop = 9', r"'pop' in \[search\.genetic\], allowed: .*, population,"),
     ('"genetic"', '"genetic"\npopulation = 7', r"\.population must .* multiple of 2, got 7 "),
@@ -347,7 +351,11 @@ def test_a_wrong_setting_is_one_line_with_the_setting(write, settings, message):
 @pytest.mark.parametrize(
     ("section", "message"),
     [
-        ("drws = 3", "unknown key 'drws' in [online], allowed: draws, judging_draws, search"),
+        (
+            "drws = 3",
+            "unknown key 'drws' in [online], allowed: draws, judging_draws, search; "
+            "did you mean 'draws'?",
+        ),
         ("draws = 1", "online.draws must be at least 2, got 1"),
         ("draws = 200_000", "online.draws must be at most comparison.draws = 100000, got 200000"),
         ("search = 3", "online.search must be a section, got 3"),

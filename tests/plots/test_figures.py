@@ -1,11 +1,7 @@
 """The paper's figures show what the tables say."""
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 import pandas as pd
 import pytest
@@ -15,22 +11,25 @@ from matplotlib.patches import StepPatch
 import pfdist
 from pfdist import Job
 from pfdist.analysis import Gain, Run
-from pfdist.plots.budget import plot_budget
-from pfdist.plots.cost import (
-    best_of_each_step,
-    best_so_far,
-    by_generation,
-    legend_inches,
-    one_by_one,
-    plot_cost,
+from pfdist.errors import JobError
+from pfdist.plots import (
+    budget,
+    cost,
+    error_profile,
+    gain,
+    one_draw,
+    online_raster,
+    online_shares,
+    shifts,
+    worth,
 )
-from pfdist.plots.gain_histogram import plot_gain_histogram
+from pfdist.plots.costs import legend_inches
+from pfdist.plots.draws import components, plot_of, typical_draw
+from pfdist.plots.figures import drawn
 from pfdist.plots.library import styled
-from pfdist.plots.one_draw import components, plot_one_draw, typical_draw
+from pfdist.plots.measured_online import measured_at
 from pfdist.plots.online_draw import with_online
-from pfdist.plots.online_times import measured_at, plot_raster, plot_shares
 from pfdist.plots.style import COLUMN_INCHES
-from pfdist.plots.why import plot_profile, plot_removals, plot_shifts
 
 EVALUATIONS = pd.DataFrame(
     [
@@ -66,9 +65,8 @@ def _legend(axes) -> str:
 
 
 def test_cost_of_a_population_is_averaged_over_copies_and_of_trials_over_all_so_far() -> None:
-    axes = _axes()
-    curves = {"genetic": by_generation, "random": one_by_one}
-    plot_cost(axes, EVALUATIONS, curves, ("regular times", 31.2))
+    methods = {"genetic": "genetic", "random": "random"}
+    axes = cost(EVALUATIONS, methods, reference=("regular times", 31.2), ax=_axes())
     lines = _lines(axes)
     assert lines["genetic, average"] == ([4, 8], [37.5, 20.0])
     assert lines["genetic, minimum"] == ([4, 8], [30.0, 20.0])
@@ -78,8 +76,7 @@ def test_cost_of_a_population_is_averaged_over_copies_and_of_trials_over_all_so_
 
 
 def test_costs_of_another_estimator_stand_beside_no_reference() -> None:
-    axes = _axes()
-    plot_cost(axes, EVALUATIONS, {"random": one_by_one}, None, "filter variance")
+    axes = cost(EVALUATIONS, {"random": "random"}, title="filter variance", ax=_axes())
     assert set(_lines(axes)) == {"random, average", "random, minimum"}
     assert axes.get_legend().get_title().get_text() == "filter variance"
 
@@ -90,7 +87,7 @@ def test_a_run_draws_a_panel_of_costs_for_each_way_to_estimate(
 ) -> None:
     drawn = {}
 
-    def keep(run: Run, name: str, figure: Figure) -> list[Path]:
+    def keep(run: Run, name: str, figure: Figure, title: str) -> list[Path]:
         drawn[name] = [_lines(axes) for axes in figure.axes]
         return []
 
@@ -116,11 +113,9 @@ def test_of_prefixes_and_of_short_tests_the_work_counts_and_not_the_cost() -> No
         ],
         columns=["generation", "individual", "copies", "end", "draws", "expected_mse"],
     ).assign(phase="mine")
-    axes = _axes()
-    plot_cost(axes, rows, {"mine": best_so_far}, None)
+    axes = cost(rows, {"mine": "survivors"}, ax=_axes())
     assert _lines(axes)["mine, best so far"] == ([3, 4, 5], [30.0, 25.0, 25.0])
-    axes = _axes()
-    plot_cost(axes, rows, {"mine": best_of_each_step}, None)
+    axes = cost(rows, {"mine": "greedy_forward"}, ax=_axes())
     assert _lines(axes)["mine, best of a step"] == ([2, 4, 5], [1.0, 25.0, 28.0])
 
 
@@ -133,14 +128,12 @@ def test_one_draw_shows_truth_estimates_and_stars_and_plus_signs() -> None:
             "estimate_genetic_0": [1.0, 2.0, 2.5],
         }
     )
-    axes = _axes()
-    plot_one_draw([axes], trajectory, {"regular": [0, 2], "genetic": [1]}, 0.283)
+    axes = one_draw(trajectory, {"regular": [0, 2], "genetic": [1]}, ax=_axes())
     lines = {line.get_label(): line for line in axes.get_lines()}
     regular, genetic = lines[r"$\mathcal{M}$, regular"], lines[r"$\mathcal{M}$, genetic"]
     assert (regular.get_marker(), list(regular.get_xdata())) == ("+", [0, 2])
     assert (genetic.get_marker(), list(genetic.get_xdata())) == ("*", [1])
     assert list(lines["$z(t)$"].get_ydata()) == [1.0, 2.0, 3.0]
-    assert "28.3 %" in axes.get_title()
     assert axes.get_ylabel() == "$z$"
 
 
@@ -151,14 +144,26 @@ def test_one_draw_shows_every_component_of_z_in_a_panel_of_its_own() -> None:
         for name in ("regular", "genetic"):
             trajectory[f"estimate_{name}_{k}"] = [k, k + 0.25]
     assert components(trajectory) == 3
-    for number, told in ((3, ""), (2, "1 more components")):  # of panels
-        panels = list(Figure().subplots(number))
-        plot_one_draw(panels, trajectory, {"regular": [0], "genetic": []}, 0.1)
-        for k, axes in enumerate(panels):
-            truth = next(line for line in axes.get_lines() if line.get_label() == "$z(t)$")
-            assert list(truth.get_ydata()) == [k, k + 0.5]
-            assert axes.get_ylabel() == f"$z_{{{k}}}$"
-        assert told in panels[0].get_title()
+    sets = {"regular": [0], "genetic": []}
+    panels = drawn(plot_of(trajectory, sets, "draw 3, relative gain 10 %", "Title.")).axes
+    assert [axes.get_legend() is not None for axes in panels] == [True, False, False]
+    assert panels[0].get_legend().get_title().get_text() == "draw 3, relative gain 10 %"
+    for k, axes in enumerate(panels):
+        truth = next(line for line in axes.get_lines() if line.get_label() == "$z(t)$")
+        assert list(truth.get_ydata()) == [k, k + 0.5]
+        assert axes.get_ylabel() == f"$z_{{{k}}}$"
+        alone = one_draw(trajectory, sets, component=k, ax=_axes())
+        assert _lines(alone) == _lines(axes)
+    with pytest.raises(JobError, match="component must be one of 0, 1, 2, got 3"):
+        one_draw(trajectory, sets, component=3, ax=_axes())
+
+
+def test_components_beyond_the_sixth_are_counted_below_the_panels() -> None:
+    columns = [f"{kind}_{k}" for k in range(8) for kind in ("z", "estimate_a", "estimate_b")]
+    trajectory = pd.DataFrame(0.0, range(3), columns).assign(t=range(3))
+    panels = drawn(plot_of(trajectory, {"a": [0], "b": [1]}, "", "")).axes
+    assert len(panels) == 6
+    assert panels[-1].get_xlabel() == "$t$; 2 more components are left out"
 
 
 def test_the_draw_shown_has_the_median_gain() -> None:
@@ -169,10 +174,9 @@ def test_the_draw_shown_has_the_median_gain() -> None:
 
 def test_the_histogram_counts_the_draws_and_marks_zero_mean_and_fraction() -> None:
     relative = np.random.default_rng(1).normal(0.25, 0.2, 5000).clip(max=1)
-    gain = Gain()
-    gain.add(1 - relative, np.ones(5000))
-    axes = _axes()
-    plot_gain_histogram(axes, gain, "genetic", "regular times")
+    known = Gain()
+    known.add(1 - relative, np.ones(5000))
+    axes = gain(known, "genetic", reference="regular times", ax=_axes())
     area = sum(patch.get_width() * patch.get_height() for patch in axes.patches)
     assert area == pytest.approx(1)
     edges = [patch.get_x() for patch in axes.patches]
@@ -193,16 +197,15 @@ def test_a_long_tail_is_counted_and_leaves_the_bulk_its_room() -> None:
     rng = np.random.default_rng(2)
     bulk, tail = rng.normal(0.2, 0.1, 4900), -rng.uniform(2, 8.38, 90)
     relative = np.concatenate([bulk, tail, np.full(10, -20.0)])  # and beyond all bins
-    gain = Gain()
-    gain.add(1 - relative, np.ones(relative.size))
-    axes = _axes()
-    plot_gain_histogram(axes, gain, "mine", "the reference")
+    known = Gain()
+    known.add(1 - relative, np.ones(relative.size))
+    axes = gain(known, "mine", reference="the reference", ax=_axes())
     low, high = axes.get_xlim()
     middle = np.quantile(100 * relative, [0.25, 0.75])
     assert np.diff(middle)[0] > 0.1 * (high - low)  # at most 7 quartile ranges are shown
     below = int(np.sum(100 * relative < low))
     assert below >= 100
-    assert f"{below} of them below {low:.0f} %" in _legend(axes)
+    assert f"{below} of them below {low:.0f} %".replace("-", "\N{MINUS SIGN}") in _legend(axes)
     assert any(line.get_marker() == "<" for line in axes.get_lines())
     area = sum(patch.get_width() * patch.get_height() for patch in axes.patches)
     assert area == pytest.approx(1 - below / relative.size)  # density of all draws
@@ -212,10 +215,11 @@ def test_another_set_is_an_outline_over_the_same_bars() -> None:
     rng = np.random.default_rng(3)
     relative = [rng.normal(mean, 0.2, 3000).clip(max=1) for mean in (0.4, 0.2)]
     gains = [Gain(), Gain()]
-    for gain, values in zip(gains, relative, strict=True):
-        gain.add(1 - values, np.ones(values.size))
-    axes = _axes()
-    plot_gain_histogram(axes, gains[0], "online", "regular times", ("plan", gains[1]))
+    for known, values in zip(gains, relative, strict=True):
+        known.add(1 - values, np.ones(values.size))
+    axes = gain(
+        gains[0], "online", reference="regular times", beside=("plan", gains[1]), ax=_axes()
+    )
     (outline,) = [patch for patch in axes.patches if isinstance(patch, StepPatch)]
     heights, edges, _ = outline.get_data()
     counts, _ = np.histogram(100 * relative[1], edges)
@@ -229,13 +233,12 @@ def test_the_raster_has_a_dark_cell_for_each_time_and_like_rows_are_neighbours()
     times = [(0, 3), (1, 2), (0, 3), (0, 2)]
     measured = measured_at(times, 4)
     assert [tuple(np.flatnonzero(row)) for row in measured] == times
-    axes = _axes()
-    plot_raster(axes, measured, (0, 3))
+    table = pd.DataFrame({"measurement_times": times})
+    axes = online_raster(table, planned=(0, 3), horizon=4, ax=_axes())
     (image,) = axes.get_images()
     rows = [tuple(np.flatnonzero(row).tolist()) for row in np.asarray(image.get_array())]
     assert rows == [(0, 2), (0, 3), (0, 3), (1, 2)]
-    axes = _axes()
-    plot_shares(axes, measured, (0, 3), "survivors")
+    axes = online_shares(table, planned=(0, 3), plan="survivors", horizon=4, ax=_axes())
     assert [bar.get_height() for bar in axes.patches] == [75, 25, 50, 50, 0]
     planned = _lines(axes)["the plan, survivors"][0]
     assert planned == [0, 3]
@@ -258,8 +261,7 @@ def test_a_profile_shows_the_error_its_band_and_the_instants_measured() -> None:
             "standard_error": [0.1] * 6,
         }
     )
-    axes = _axes()
-    plot_profile(axes, profile, ("regular", "found"), 2000)
+    axes = error_profile(profile, draws=2000, ax=_axes())
     assert "2,000 draws" in axes.get_legend().get_title().get_text()
     lines = {line.get_label(): line for line in axes.get_lines()}
     regular, found = lines["regular, mean 2.667"], lines["found, mean 2"]
@@ -283,20 +285,18 @@ def test_a_measurements_worth_is_a_stem_and_its_shifts_are_triangles_with_interv
             "later_error": [0.1, np.nan, 0.1],
         }
     )
-    axes = _axes()
-    plot_removals(axes, measurements, ("regular", "found"))
+    axes = worth(measurements, ax=_axes())
     stems = [segment.tolist() for segment in axes.collections[2].get_segments()]
     assert stems == [[[1.2, 0.0], [1.2, 1.0]], [[4.2, 0.0], [4.2, -0.5]]]  # beside the other's
     bars = np.stack(axes.collections[3].get_segments())[:, :, 1]
     np.testing.assert_allclose(bars, [[1 - 0.392, 1 + 0.392], [-0.5 - 0.588, -0.5 + 0.588]])
-    axes = _axes()
-    plot_shifts(axes, measurements, ("regular", "found"))
+    axes = shifts(measurements, ax=_axes())
     shown = {(line.get_marker(), *np.asarray(line.get_ydata())) for line in axes.get_lines()}
     assert {("<", 0.5, 0.25), (">", -1.0), (">", 0.75)} <= shown
 
 
 @pytest.fixture
-def budget() -> pd.DataFrame:
+def curve() -> pd.DataFrame:
     """A budget curve with a lower bound for 3 numbers of measurements, of which 4 lacks one."""
     costs = {"regular": [9.0, 7.0, 8.0, 6.0], "found": [8.0, 6.0, 5.0, 4.0]}
     table = pd.DataFrame(
@@ -314,10 +314,9 @@ def budget() -> pd.DataFrame:
 
 
 def test_the_budget_has_a_curve_each_for_regular_and_found_times_and_the_bound(
-    budget: pd.DataFrame,
+    curve: pd.DataFrame,
 ) -> None:
-    axes = _axes()
-    plot_budget(axes, budget)
+    axes = budget(curve, ax=_axes())
     labels = [entry.get_text() for entry in axes.get_legend().get_texts()]
     assert labels == ["regular times", "found times", "lower bound (95 %)"]
     numbers, bound = _lines(axes)["lower bound (95 %)"]
@@ -325,13 +324,12 @@ def test_the_budget_has_a_curve_each_for_regular_and_found_times_and_the_bound(
     np.testing.assert_array_equal(bound, [7.8, 5.8, np.nan, 3.8])
     shade = np.concatenate([path.vertices for path in axes.collections[-1].get_paths()])
     assert (shade[:, 1].min(), shade[:, 1].max()) == (3.5, 7.8)
-    curves = [container[0].get_ydata().tolist() for container in axes.containers]
-    assert curves == [[9.0, 7.0, 8.0, 6.0], [8.0, 6.0, 5.0, 4.0]]
+    lines = [container[0].get_ydata().tolist() for container in axes.containers]
+    assert lines == [[9.0, 7.0, 8.0, 6.0], [8.0, 6.0, 5.0, 4.0]]
 
 
-def test_without_a_bound_the_budget_has_two_curves(budget: pd.DataFrame) -> None:
-    axes = _axes()
-    plot_budget(axes, budget.assign(bound=np.nan, bound_low=np.nan))
+def test_without_a_bound_the_budget_has_two_curves(curve: pd.DataFrame) -> None:
+    axes = budget(curve.assign(bound=np.nan, bound_low=np.nan), ax=_axes())
     labels = [entry.get_text() for entry in axes.get_legend().get_texts()]
     assert labels == ["regular times", "found times"]
 
@@ -346,10 +344,9 @@ def test_without_a_bound_the_budget_has_two_curves(budget: pd.DataFrame) -> None
     ],
 )
 def test_the_least_numbers_that_reach_a_target_are_marked_and_the_largest_that_cannot(
-    target: float, marked: dict[str, int], budget: pd.DataFrame
+    target: float, marked: dict[str, int], curve: pd.DataFrame
 ) -> None:
-    axes = _axes()
-    plot_budget(axes, budget, target)
+    axes = budget(curve, target=target, ax=_axes())
     assert {text.get_text(): text.xy[0] for text in axes.texts} == marked
     assert _lines(axes)[f"target {target:g}"][1] == [target, target]
     assert f"target {target:g}" in _legend(axes)
@@ -363,7 +360,8 @@ def test_a_figure_of_twenty_searches_has_room_for_curves_and_legend(name: str) -
         height = 1.9 + legend_inches(names)
         figure = Figure(figsize=(COLUMN_INCHES, height), layout="constrained")
         axes = figure.subplots()
-        plot_cost(axes, pd.concat(rows), dict.fromkeys(names, one_by_one), ("regular times", 31.2))
+        methods, reference = dict.fromkeys(names, "random"), ("regular times", 31.2)
+        cost(pd.concat(rows), methods, reference=reference, ax=axes)
         figure.draw_without_rendering()
     texts = [text.get_window_extent() for text in axes.get_legend().get_texts()]
     assert len(axes.get_legend().get_texts()) == 41
@@ -374,31 +372,3 @@ def test_a_figure_of_twenty_searches_has_room_for_curves_and_legend(name: str) -
     for column in {round(text.x0) for text in texts}:
         rows = sorted(text.y0 for text in texts if round(text.x0) == column)
         assert min(np.diff(rows)) > 7 / 72 * figure.dpi  # no line lies on another
-
-
-@pytest.mark.parametrize(
-    "settings",
-    [
-        pytest.param({"MPLBACKEND": "nonsense"}, id="a backend that does not exist"),
-        pytest.param({"MPLBACKEND": "TkAgg"}, id="a backend that needs a screen"),
-        pytest.param({"HOME": "/proc", "MPLCONFIGDIR": ""}, id="no home to write to"),
-        pytest.param({"MPLCONFIGDIR": "/proc/x"}, id="no folder for settings to write to"),
-    ],
-)
-def test_no_setting_of_the_machine_ends_the_drawing_or_is_told(settings: dict[str, str]) -> None:
-    script = "import os, pfdist.plots\nprint(os.environ.get('MPLBACKEND'))"
-    done = subprocess.run(
-        [sys.executable, "-c", script],
-        env=os.environ | settings,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
-    assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.strip() == settings.get("MPLBACKEND", os.environ.get("MPLBACKEND", "None"))
-
-
-def test_figures_do_not_depend_on_settings_of_matplotlib() -> None:
-    with mpl.rc_context({"text.usetex": True, "axes.grid": True}), styled():
-        assert (mpl.rcParams["text.usetex"], mpl.rcParams["axes.grid"]) == (False, False)

@@ -151,7 +151,7 @@ def test_what_is_shown_at_the_end_is_what_the_summary_says(
 ) -> None:
     seen: list[Progress] = []
     job = _until(small_job, half_width)
-    run = pfdist.run(job, tmp_path / "run", report=seen.append, figures=False)
+    run = pfdist.run(job, tmp_path / "run", progress=seen.append, figures=False)
     results = run.summary()["results"]
     assert [found.name for found in seen[-1].found] == ["genetic", "random"]
     for found in seen[-1].found:
@@ -169,11 +169,11 @@ def test_a_kill_in_the_midst_shows_what_was_found_before(small_job: Job, tmp_pat
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        pfdist.run(small_job, tmp_path / "run", report=stop, figures=False)
+        pfdist.run(small_job, tmp_path / "run", progress=stop, figures=False)
     seen: list[Progress] = []
     known = pfdist.open_run(tmp_path / "run").summary()
     assert (known["state"], known["draws_compared"]) == ("comparing", 200)
-    pfdist.run(small_job, tmp_path / "run", report=seen.append, figures=False)
+    pfdist.run(small_job, tmp_path / "run", progress=seen.append, figures=False)
     first = next(state for state in seen if state.found)
     assert first.evaluations == 200
     assert first.found[0].mean_relative_gain == known["results"]["genetic"]["mean_relative_gain"]
@@ -216,7 +216,7 @@ def test_a_fork_computes_only_what_is_new_and_ends_as_a_run_from_nothing(
                 raise KeyboardInterrupt
 
         with pytest.raises(KeyboardInterrupt):
-            pfdist.run(longer, old, fork=new, report=stop, figures=False)
+            pfdist.run(longer, old, fork=new, progress=stop, figures=False)
     run = pfdist.run(longer, old, fork=new, figures=False)
     same = known & set(run.evaluations()["evaluation"])
     assert len(same) == len(known) >= 10  # earlier generations, and all random trials

@@ -53,7 +53,7 @@ def stopped_in_the_comparison(job: Job, path: Path) -> None:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        pfdist.run(job, path, report=stop, figures=False)
+        pfdist.run(job, path, progress=stop, figures=False)
 
 
 @pytest.mark.parametrize(

@@ -144,7 +144,7 @@ def test_a_run_that_is_stopped_goes_on_with_the_draws_that_it_lacks(
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        pfdist.run(job, tmp_path / "run", report=stop, figures=False)
+        pfdist.run(job, tmp_path / "run", progress=stop, figures=False)
     stopped = pfdist.open_run(tmp_path / "run")
     assert (stopped.state, len(stopped.online())) == ("comparing", 2)
     assert stopped.summary()["online"]["draws"] == 2

@@ -13,6 +13,7 @@ from pfdist import Job
 from pfdist.api.why import why
 from pfdist.evaluation.estimate import BUDGET
 from pfdist.evaluation.work import Work
+from pfdist.runner import worth
 from pfdist.runner.collect import Collector
 from pfdist.search.methods import DEFAULT_METHOD
 
@@ -84,12 +85,11 @@ def test_no_two_phases_share_a_draw(
     assert not budget["comparison"] & plan["comparison"]
 
     works: list[Work] = []
-    means = "pfdist.api.why._means"
-    real = why.__globals__["_means"]
+    means, real = "pfdist.runner.worth._means", worth._means
     monkeypatch.setattr(
         means, lambda problem, work, tell: works.append(work) or real(problem, work, tell)
     )
-    monkeypatch.setattr("pfdist.api.why.draw_why", lambda *found: [])
+    monkeypatch.setattr("pfdist.api.why.draw_figures", lambda *run: [])
     why(tmp_path / "plan", draws=2)
     explaining = {key for work in works for key in (work.draws_stream, *work.filter_streams)}
     assert explaining

@@ -17,7 +17,7 @@ from pfdist.cli.summary import print_summary
 from pfdist.errors import TaskError
 from pfdist.evaluation.estimate import REPORT
 from pfdist.evaluation.work import Work
-from pfdist.plots import cost
+from pfdist.plots import costs
 from pfdist.plots.figure import Tables
 from pfdist.runner.build import build
 from pfdist.runner.collect import Collector
@@ -52,7 +52,7 @@ def planned(job: Job, tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, li
     said, seen = list[str](), list[Any]()
     folder = tmp_path_factory.mktemp("sharp") / "run"
     run = pfdist.plan(
-        job, folder, "survivors", SMALL, say=said.append, report=seen.append, figures=False
+        job, folder, "survivors", SMALL, say=said.append, progress=seen.append, figures=False
     )
     return run, said, seen
 
@@ -243,10 +243,10 @@ def test_the_figure_of_costs_shows_the_search_that_was_done_again(
     planned: tuple[Run, list[str], list[Any]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     drawn: list[Any] = []
-    monkeypatch.setattr(cost, "plot_cost", lambda *arguments: drawn.append(arguments))
-    cost.cost_figure(Tables(planned[0])).draw([Figure().subplots()])
-    ((_, evaluations, _, _, title),) = drawn
-    assert title.endswith("\nsystematic resampling")  # and the squared error
+    monkeypatch.setattr(costs, "cost", lambda *given, **named: drawn.append((*given, named)))
+    costs.cost_figure(Tables(planned[0])).draw([Figure().subplots()])
+    ((evaluations, _, named),) = drawn
+    assert named["title"].endswith("\nsystematic resampling")  # and the squared error
     shown = evaluations[evaluations["phase"] == "survivors"]
     assert set(shown["estimator"]) == {"squared_error"}
     assert len(shown) == len(_rows(planned[0], "survivors.again"))

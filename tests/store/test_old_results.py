@@ -110,7 +110,7 @@ def test_its_status_and_figures_are_made(
     assert main(["status", str(old), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["results"]["random"]["gain_draws"] == 250
     assert main(["plot", str(old)]) == 0
-    assert len(capsys.readouterr().out.splitlines()) == 10
+    assert len(capsys.readouterr().out.splitlines()) == 12
     record_property("faults", f"{PROMISE}: 1")
 
 

@@ -79,7 +79,12 @@ from pfdist.plots.figure import Plot, figure
 def spacing(tables, name):
     '''Numbers of instants between the measurements of a set.'''
     times = tables.run.compared().set_index("name")["measurement_times"][name]
-    return Plot(2.0, lambda panels: panels[0].plot(times[:-1], times[1:] - times[:-1], "o"))
+    title = f"The longest gap of {name} is {max(times[1:] - times[:-1])} instants."
+
+    def draw(panels):
+        panels[0].plot(times[:-1], times[1:] - times[:-1], "o")
+
+    return Plot(2.0, draw, title=title)
 """,
     "pools": """
 from concurrent.futures import ThreadPoolExecutor

@@ -68,11 +68,23 @@ def _add_settings(parser: ArgumentParser) -> None:
 _add_pool = pool_options("ray", "0", "local")
 
 
-@command("bound", add_run, _add_settings, _add_pool, add_models, add_json, goes_on=True)
+@command(
+    "bound",
+    add_run,
+    _add_settings,
+    _add_pool,
+    add_models,
+    add_json,
+    goes_on=True,
+    examples={
+        "pfdist bound results/plan": "Prove a lower bound for the times of a finished run",
+        "pfdist bound results/plan --within 0.05": "Take draws until the gap is at most 5 %",
+    },
+)
 def bound_command(options: Namespace) -> None:
     """Prove how much lower the expected MSE of any other times can be."""
     from pfdist.api.bound import bound
-    from pfdist.cli.progress import Display
+    from pfdist.api.display import Display
     from pfdist.runner.bound_settings import BoundSettings
 
     settings = {field.name: getattr(options, field.name) for field in fields(BoundSettings)}
@@ -85,7 +97,7 @@ def bound_command(options: Namespace) -> None:
             address=options.address,
             model=options.model,
             filter_model=options.filter_model,
-            report=display.report,
+            progress=display.show,
             say=display.say,
         )
     answer = found.as_json()

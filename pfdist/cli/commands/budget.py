@@ -5,8 +5,8 @@ from argparse import ArgumentParser, Namespace
 from pfdist.cli.answers import print_run
 from pfdist.cli.arguments import RESULTS, add_job, add_json, computing, finite, whole
 from pfdist.cli.command import command
-from pfdist.common.parsing import whole_number
-from pfdist.errors import JobError, shown
+from pfdist.cli.words import number_list
+from pfdist.common.number_list import SPELLING
 
 
 def _add_numbers(parser: ArgumentParser) -> None:
@@ -15,9 +15,10 @@ def _add_numbers(parser: ArgumentParser) -> None:
 
     parser.add_argument(
         "--measurements",
+        type=number_list,
         required=True,
-        metavar="A:B",
-        help="smallest and largest number of measurements, for instance 5:41",
+        metavar="NUMBERS",
+        help=f"numbers of measurements: {SPELLING}, for instance 5:41, or 5:41:4, or 10,20,30",
     )
     parser.add_argument(
         "--target",
@@ -43,18 +44,36 @@ def _add_numbers(parser: ArgumentParser) -> None:
     )
 
 
-@command("budget", add_job, _add_numbers, computing(f"{RESULTS}-budget"), add_json, goes_on=True)
+@command(
+    "budget",
+    add_job,
+    _add_numbers,
+    computing(f"{RESULTS}-budget"),
+    add_json,
+    goes_on=True,
+    examples={
+        "pfdist budget jobs/plan.toml --measurements 5:41": (
+            "Show how the error falls with 5, 6, ..., 41 measurements"
+        ),
+        "pfdist budget jobs/plan.toml --measurements 10:40:10 --results results/tens": (
+            "Look at 10, 20, 30 and 40 measurements alone"
+        ),
+        "pfdist budget jobs/plan.toml --measurements 5:41 --target 25": (
+            "Find the smallest number of measurements that reaches an error of 25"
+        ),
+    },
+)
 def budget_command(options: Namespace) -> None:
     """Find times for each number of measurements, and compare them with regular times."""
     from pfdist.api.budget import budget
+    from pfdist.api.display import Display
     from pfdist.cli.computing import settings
-    from pfdist.cli.progress import Display
 
-    numbers, target = _range(options.measurements), options.target
+    target = options.target
     with Display() as display:
         finished = budget(
             options.job,
-            numbers,
+            set(options.measurements),
             draws=options.draws,
             target=target,
             bound_draws=options.bound_draws,
@@ -63,17 +82,3 @@ def budget_command(options: Namespace) -> None:
         )
     reached = {} if target is None else {"target": target, "reached": finished.reaching(target)}
     print_run(finished.summary() | reached, options)
-
-
-def _range(text: str) -> tuple[int, int]:
-    least, _, most = text.partition(":")
-    try:
-        numbers = whole_number(least), whole_number(most)
-    except ValueError:
-        numbers = (0, 0)
-    if not 2 <= numbers[0] <= numbers[1]:
-        raise JobError(
-            "--measurements must be two numbers A:B with 2 <= A <= B, for instance 5:41, "
-            f"got {shown(text)}"
-        )
-    return numbers

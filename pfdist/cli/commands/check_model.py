@@ -32,7 +32,15 @@ def _add_model(parser: ArgumentParser) -> None:
     )
 
 
-@command("check-model", _add_model, add_json)
+@command(
+    "check-model",
+    _add_model,
+    add_json,
+    examples={
+        "pfdist check-model mine.py:model": "Check the object `model` in the file mine.py",
+        "pfdist check-model ungm --horizon 20": "Check a model that ships, on short draws",
+    },
+)
 def check_model_command(options: Namespace) -> None:
     """Find what is wrong with a model."""
     from pfdist.checks.model import check_model

@@ -24,7 +24,15 @@ def _add_machine(parser: ArgumentParser) -> None:
     )
 
 
-@command("doctor", _add_machine, add_json)
+@command(
+    "doctor",
+    _add_machine,
+    add_json,
+    examples={
+        "pfdist doctor": "Check this machine, before the first run",
+        "pfdist doctor --results /tmp": "Check whether another disk can hold runs",
+    },
+)
 def doctor_command(options: Namespace) -> None:
     """Check whether this machine is fit for a run."""
     from pfdist.checks.machine import examine

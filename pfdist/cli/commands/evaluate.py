@@ -7,13 +7,17 @@ from argparse import ArgumentParser, Namespace
 from pfdist.cli.answers import print_json
 from pfdist.cli.arguments import add_job, add_json, whole
 from pfdist.cli.command import command
-from pfdist.common.parsing import whole_number
-from pfdist.errors import MeasurementTimesError, shown
+from pfdist.cli.words import number_list
+from pfdist.common.number_list import SPELLING
 
 
 def _add_times(parser: ArgumentParser) -> None:
     parser.add_argument(
-        "--times", required=True, metavar="T,T,...", help="measurement times, for instance 0,3,6"
+        "--times",
+        type=number_list,
+        required=True,
+        metavar="TIMES",
+        help=f"measurement times: {SPELLING}, for instance 0:60:3, or 0,6,12, or 0 6 12",
     )
     parser.add_argument(
         "--draws",
@@ -32,7 +36,18 @@ def _add_times(parser: ArgumentParser) -> None:
     )
 
 
-@command("evaluate", add_job, _add_times, add_json)
+@command(
+    "evaluate",
+    add_job,
+    _add_times,
+    add_json,
+    examples={
+        "pfdist evaluate jobs/plan.toml --times 0:60:3": "Measure at t = 0, 3, 6, ..., 60",
+        "pfdist evaluate jobs/plan.toml --times 0,6,12 20:30 --draws 5000": (
+            "Measure at 0, 6, 12 and at each instant from 20 to 30, on more draws"
+        ),
+    },
+)
 def evaluate_command(options: Namespace) -> None:
     """Estimate the expected MSE of one set of measurement times."""
     from pfdist.api.evaluate import prepare
@@ -40,8 +55,7 @@ def evaluate_command(options: Namespace) -> None:
     from pfdist.job.job import load_job
 
     job = load_job(options.job, options.set)
-    times = _times(options.times)
-    compute = prepare(job, times, options.draws, options.particles, options.seed)
+    compute = prepare(job, options.times, options.draws, options.particles, options.seed)
     start = time.perf_counter()  # after the compilation
     evaluation = compute()
     seconds = time.perf_counter() - start
@@ -66,12 +80,3 @@ def evaluate_command(options: Namespace) -> None:
     print(
         f"{evaluation.draws:,} draws, {evaluation.degenerate_draws:,} degenerate, {seconds:.1f} s"
     )
-
-
-def _times(text: str) -> list[int]:
-    try:
-        return [whole_number(time.strip()) for time in text.strip().rstrip(",").split(",")]
-    except ValueError as error:
-        raise MeasurementTimesError(
-            f"--times must be integers separated by commas, for instance 0,3,6, got {shown(text)}"
-        ) from error

@@ -5,7 +5,13 @@ from collections.abc import Sequence
 from typing import Any
 
 from pfdist.cli.answers import print_json
-from pfdist.cli.arguments import add_json, add_measurements, add_models, add_run
+from pfdist.cli.arguments import (
+    add_json,
+    add_measurements,
+    add_models,
+    add_no_report,
+    add_run,
+)
 from pfdist.cli.command import command
 from pfdist.cli.layout import line, wrapped_lines
 from pfdist.common.rounding import rounded
@@ -19,15 +25,29 @@ def _add_out(parser: ArgumentParser) -> None:
         "--out",
         default="",
         metavar="DIR",
-        help="folder of the table and the figure (default: the folder of MEASUREMENTS)",
+        help="folder of table, figure and report (default: the folder of MEASUREMENTS)",
     )
 
 
-@command("filter", add_run, add_measurements, _add_out, add_models, add_json)
+@command(
+    "filter",
+    add_run,
+    add_measurements,
+    _add_out,
+    add_models,
+    add_no_report,
+    add_json,
+    examples={
+        "pfdist filter results/plan patient.csv": "Filter the measurements of one system",
+        "pfdist filter results/plan patient.csv --times regular --out filtered": (
+            "Compare them with the regular times, and write to another folder"
+        ),
+    },
+)
 def filter_command(options: Namespace) -> None:
     """Filter real measurements of one system, with the filter of a finished run."""
+    from pfdist.api.display import Display
     from pfdist.api.filter_measurements import filter_measurements
-    from pfdist.cli.progress import Display
 
     with Display() as display:
         answer = filter_measurements(
@@ -38,6 +58,7 @@ def filter_command(options: Namespace) -> None:
             out=options.out,
             model=options.model,
             filter_model=options.filter_model,
+            report=not options.no_report,
             say=display.say,
         ).as_json()
     if options.json:
@@ -66,7 +87,8 @@ def _lines(answer: dict[str, Any]) -> list[str]:
     evidence = answer["log_evidence"]
     text = rounded(evidence) if evidence is not None else f"none: {answer['why_no_evidence']}"
     lines += wrapped_lines("log evidence", text)
-    return [*lines, "", *(one_line(answer[file]) for file in ("table", "figure"))]
+    files = ("table", "figure", "report")
+    return [*lines, "", *(one_line(answer[file]) for file in files if answer[file])]
 
 
 def _times(times: Sequence[int]) -> str:

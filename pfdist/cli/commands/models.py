@@ -7,7 +7,7 @@ from pfdist.cli.command import command
 from pfdist.errors import PfdistError
 
 
-@command("models")
+@command("models", examples={"pfdist models": "Show which names a job can give as model.name"})
 def models_command(options: Namespace) -> None:
     """List the models that a job can name."""
     from pfdist.models import find_model, installed_models

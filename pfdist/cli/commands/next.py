@@ -7,7 +7,7 @@ from pfdist.cli.answers import print_json
 from pfdist.cli.arguments import add_json, add_measurements, add_models, add_run, whole
 from pfdist.cli.command import command
 from pfdist.cli.layout import line, wrapped_lines
-from pfdist.cli.numbers import cost
+from pfdist.common.percent import cost
 from pfdist.common.rounding import with_error
 
 _SHOWN = 4  # planned times that are named
@@ -23,11 +23,24 @@ def _add_now(parser: ArgumentParser) -> None:
     )
 
 
-@command("next", add_run, add_measurements, _add_now, add_models, add_json)
+@command(
+    "next",
+    add_run,
+    add_measurements,
+    _add_now,
+    add_models,
+    add_json,
+    examples={
+        "pfdist next results/plan patient.csv": "Say when to measure this patient next",
+        "pfdist next results/plan patient.csv --now 17": (
+            "Say so if nothing was measured since, up to t = 17"
+        ),
+    },
+)
 def next_command(options: Namespace) -> None:
     """Choose when to measure a system next, from the measurements so far."""
+    from pfdist.api.display import Display
     from pfdist.api.next_time import next_time
-    from pfdist.cli.progress import Display
 
     with Display() as display:
         answer = next_time(

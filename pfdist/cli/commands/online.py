@@ -19,12 +19,27 @@ def _add_draws(parser: ArgumentParser) -> None:
     )
 
 
-@command("online", add_job, _add_draws, computing(_RESULTS), add_json, goes_on=True)
+@command(
+    "online",
+    add_job,
+    _add_draws,
+    computing(_RESULTS),
+    add_json,
+    goes_on=True,
+    examples={
+        "pfdist online jobs/online.toml": (
+            "Compare times chosen one after another with times found in advance"
+        ),
+        "pfdist online jobs/plan.toml --draws 200": (
+            "Do so for a job without a section [online], on few draws"
+        ),
+    },
+)
 def online_command(options: Namespace) -> None:
     """Choose times one after another, and compare them with times found in advance."""
+    from pfdist.api.display import Display
     from pfdist.api.online import online
     from pfdist.cli.computing import settings
-    from pfdist.cli.progress import Display
 
     with Display() as display:
         finished = online(

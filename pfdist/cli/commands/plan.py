@@ -35,13 +35,30 @@ def _add_bound_draws(parser: ArgumentParser) -> None:
 
 
 @command(
-    "plan", add_job, computing(_RESULTS), _add_search, _add_bound_draws, add_json, goes_on=True
+    "plan",
+    add_job,
+    computing(_RESULTS),
+    _add_search,
+    _add_bound_draws,
+    add_json,
+    goes_on=True,
+    examples={
+        "pfdist plan jobs/plan.toml": (
+            "Find times, and prove how good they are; the run is in results/plan"
+        ),
+        "pfdist plan jobs/plan.toml --set seed=3 --results results/seed3": (
+            "Change a key of the job, and keep the run in another folder"
+        ),
+        "pfdist plan jobs/plan.toml --search greedy_forward --results results/greedy": (
+            "Search by another method"
+        ),
+    },
 )
 def plan_command(options: Namespace) -> None:
     """Find measurement times for a job's problem, and prove how good they are."""
+    from pfdist.api.display import Display
     from pfdist.api.plan import plan
     from pfdist.cli.computing import settings
-    from pfdist.cli.progress import Display
 
     with Display() as display:
         chosen = settings(options, display)

@@ -7,7 +7,11 @@ from pfdist.cli.command import command
 from pfdist.errors import one_line
 
 
-@command("plot", add_run)
+@command(
+    "plot",
+    add_run,
+    examples={"pfdist plot results/plan": "Draw the figures of a run again"},
+)
 def plot_command(options: Namespace) -> None:
     """Draw the figures of a run from its tables."""
     from pfdist.analysis import open_run

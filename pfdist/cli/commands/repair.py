@@ -8,7 +8,11 @@ from pfdist.cli.command import command
 from pfdist.errors import one_line
 
 
-@command("repair", add_run)
+@command(
+    "repair",
+    add_run,
+    examples={"pfdist repair results/plan": "Move damaged files away, after `pfdist verify`"},
+)
 def repair_command(options: Namespace) -> None:
     """Move the damaged files of a run to quarantine."""
     from pfdist.store.repair import repair_run

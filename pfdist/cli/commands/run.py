@@ -7,12 +7,27 @@ from pfdist.cli.arguments import RESULTS, add_job, add_json, computing
 from pfdist.cli.command import command
 
 
-@command("run", add_job, computing(RESULTS), add_json, goes_on=True)
+@command(
+    "run",
+    add_job,
+    computing(RESULTS),
+    add_json,
+    goes_on=True,
+    examples={
+        "pfdist run jobs/quick.toml": "Run a small job; the run is in results/quick",
+        "pfdist run jobs/quick.toml --pool serial --results results/serial": (
+            "Run it in one process, without Ray"
+        ),
+        "pfdist run jobs/quick.toml --set comparison.draws=8000": (
+            "Go on with more draws in the comparison"
+        ),
+    },
+)
 def run_command(options: Namespace) -> None:
     """Run the searches of a job and compare the found times with regular times."""
+    from pfdist.api.display import Display
     from pfdist.api.run import run
     from pfdist.cli.computing import settings
-    from pfdist.cli.progress import Display
     from pfdist.job.job import load_job
 
     with Display() as display:

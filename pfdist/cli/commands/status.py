@@ -7,7 +7,15 @@ from pfdist.cli.arguments import add_json, add_run
 from pfdist.cli.command import command
 
 
-@command("status", add_run, add_json)
+@command(
+    "status",
+    add_run,
+    add_json,
+    examples={
+        "pfdist status results/plan": "Show what a run has found so far",
+        "pfdist status results/plan --json": "Give the same to a program",
+    },
+)
 def status_command(options: Namespace) -> None:
     """Show how far a run is and what it has found."""
     from pfdist.analysis import open_run

@@ -8,7 +8,11 @@ from pfdist.cli.command import command
 from pfdist.errors import StoreError, one_line
 
 
-@command("verify", add_run)
+@command(
+    "verify",
+    add_run,
+    examples={"pfdist verify results/plan": "Check a run after it was copied"},
+)
 def verify_command(options: Namespace) -> None:
     """Check every byte, row and key of a run."""
     from pfdist.store.repair import verify_run

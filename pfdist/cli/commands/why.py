@@ -6,7 +6,7 @@ from typing import Any
 from pfdist.cli.answers import print_json
 from pfdist.cli.arguments import add_json, add_models, add_run, whole
 from pfdist.cli.command import command
-from pfdist.cli.numbers import cost
+from pfdist.common.percent import cost
 from pfdist.common.rounding import with_error
 from pfdist.errors import one_line
 
@@ -26,11 +26,21 @@ def _add_draws(parser: ArgumentParser) -> None:
     )
 
 
-@command("why", add_run, _add_draws, add_models, add_json)
+@command(
+    "why",
+    add_run,
+    _add_draws,
+    add_models,
+    add_json,
+    examples={
+        "pfdist why results/plan": "Show what each measurement of the run is worth",
+        "pfdist why results/plan --draws 20000": "Show it more precisely",
+    },
+)
 def why_command(options: Namespace) -> None:
     """Show what each measurement of a finished run is worth."""
+    from pfdist.api.display import Display
     from pfdist.api.why import why
-    from pfdist.cli.progress import Display
 
     with Display() as display:
         answer = why(
@@ -38,7 +48,7 @@ def why_command(options: Namespace) -> None:
             options.draws,
             model=options.model,
             filter_model=options.filter_model,
-            report=display.report,
+            progress=display.show,
             say=display.say,
         ).as_json()
     if options.json:
@@ -55,7 +65,7 @@ def why_command(options: Namespace) -> None:
 def _set_lines(name: str, examined: dict[str, Any], precision: str) -> list[str]:
     """Give a table with a row for each measurement of a set."""
     mse = examined["expected_mse"]
-    rows = [_row(measurement, mse or 0.0) for measurement in examined["measurements"]]
+    rows = [_row(measurement, mse or 0.0) for measurement in examined["worth"]]
     width = max([_LEAST_WIDTH, *(len(cell) for row in rows for cell in row[1:])])
     lines = [
         f"{name}: expected MSE {with_error(cost(mse), examined['standard_error'])} ({precision})",

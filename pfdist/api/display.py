@@ -1,4 +1,4 @@
-"""The progress of a run on standard error: live in a terminal, else plain lines."""
+"""The progress of a run: a bar in a terminal, a line in a notebook, else plain lines."""
 
 import time
 from types import TracebackType
@@ -15,6 +15,7 @@ from rich.progress import (
 )
 from rich.table import Column
 
+from pfdist.api.notebook_cell import notebook_cell
 from pfdist.common.rounding import rounded, with_error
 from pfdist.errors import one_line
 from pfdist.runner.progress import Found
@@ -42,9 +43,10 @@ def _columns(with_bar: bool) -> list[ProgressColumn]:
 
 
 class Display:
-    """The progress of a run on standard error: live in a terminal, else a line every few seconds.
+    """The progress of a run: live in a terminal or notebook, else a line every few seconds.
 
-    A context manager. `pfdist.run` takes the methods `report` and `say` as arguments.
+    A terminal and plain lines are on standard error. A context manager; `pfdist.run` takes the
+    methods `show` and `say` as arguments.
 
     Parameters
     ----------
@@ -60,6 +62,7 @@ class Display:
             transient=True,
         )
         self._live = self._console.is_terminal
+        self._cell = notebook_cell() if console is None else None
         self._task: Any = None
         # Rates count from the first answer of a phase: before it, workers start and compile.
         self._start, self._start_time = State("", 0.0, 1.0), 0.0
@@ -77,12 +80,14 @@ class Display:
     ) -> None:
         if self._task is not None:
             self._bar.stop()
+        if self._cell is not None:
+            self._cell.close()
 
     def say(self, line: str) -> None:
         """Print one line."""
         self._console.print(one_line(line), soft_wrap=True, markup=False, emoji=False)
 
-    def report(self, state: State) -> None:
+    def show(self, state: State) -> None:
         """Show the progress of a run."""
         now = time.monotonic()
         if state.phase != self._start.phase:
@@ -90,6 +95,9 @@ class Display:
         elif not self._answered and state.done > self._start.done:
             self._start, self._start_time, self._answered = state, now, True
         line = "  ".join([*_position(state), *self._rate(state, now)])
+        if self._cell is not None:
+            self._cell.show(f"{100 * state.done / state.total:.1f} %  {line}")
+            return
         if self._live:
             self._show_live(state, line)
             return

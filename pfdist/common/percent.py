@@ -20,6 +20,8 @@ def percent(fraction: float | None, decimals: int = 2) -> str:
     if fraction is None:
         return "unknown"
     per_cent = 100 * fraction
+    if abs(per_cent) < 0.5 * 10.0**-decimals:
+        per_cent = 0.0  # without a minus sign
     return f"{per_cent:.{decimals}f} %" if abs(per_cent) < 1e6 else f"{rounded(per_cent, 3)} %"
 
 

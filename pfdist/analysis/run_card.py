@@ -1,0 +1,48 @@
+"""A run as a prompt and a notebook show it."""
+
+from typing import TYPE_CHECKING, Any
+
+from pfdist.common.cards import Card
+from pfdist.common.percent import cost, percent_with_interval
+from pfdist.common.rounding import with_error
+from pfdist.errors import StoreError
+
+if TYPE_CHECKING:
+    from pfdist.analysis.stored_run import Run
+
+
+def title_of(run: "Run") -> str:
+    """Give a run in a line: its folder, its state and how many draws are compared.
+
+    Parameters
+    ----------
+    run : Run
+    """
+    try:
+        return f"run {run.path}: {run.state}, {run.draws_compared:,} draws compared"
+    except StoreError:
+        return f"run {run.path}: cannot be read"
+
+
+def run_card(run: "Run") -> Card:
+    """Give the sets of a run with their expected MSE and gain.
+
+    Parameters
+    ----------
+    run : Run
+    """
+    try:
+        results = run.summary()["results"]
+    except StoreError:
+        return Card(title_of(run))
+    head = ("times", "measurements", "expected MSE", "below the reference")
+    return Card(title_of(run), head, [_row(name, each) for name, each in results.items()])
+
+
+def _row(name: str, result: dict[str, Any]) -> tuple[str, ...]:
+    mse = gain = ""
+    if "expected_mse" in result:
+        mse = with_error(cost(result["expected_mse"]), result["standard_error"])
+    if "gain_of_means" in result:
+        gain = percent_with_interval(result["gain_of_means"], result["gain_of_means_interval"])
+    return name, str(len(result["measurement_times"])), mse, gain

@@ -1,0 +1,105 @@
+"""The report of a run, once or again and again while the run goes on."""
+
+import time
+from pathlib import Path
+
+from pfdist.analysis import Run, open_run
+from pfdist.api.following import Say, silent
+from pfdist.errors import StoreError
+from pfdist.reports import REPORT, write_report
+from pfdist.store import check_not_held
+
+SECONDS = 5.0
+"""Between two reports of a run that goes on."""
+
+
+def report(
+    run: Run | str | Path,
+    *,
+    watch: bool = False,
+    say: Say = silent,
+) -> Path:
+    """Write the report of a run: one HTML file that loads nothing and can be sent.
+
+    The report is made from the run's tables alone; no model is run.
+
+    Parameters
+    ----------
+    run : Run, str or Path
+        A run or its folder; it need not be finished.
+    watch : bool
+        Whether to write the report again every few seconds while the run goes on. The page then
+        reloads itself, too.
+    say : callable, optional
+        Receives a line if the report is to be written again.
+
+    Returns
+    -------
+    Path
+        The file ``report.html`` in the run's folder.
+
+    Raises
+    ------
+    StoreError
+        The folder holds no run, a table cannot be read, or the file cannot be written.
+    """
+    path = run.path if isinstance(run, Run) else Path(run)
+    opened = open_run(path)
+    if watch and opened.state != "finished":
+        _watch(path, say)
+    elif watch:
+        say(f"{path} is finished")
+    return write_report(open_run(path))
+
+
+def _watch(path: Path, say: Say) -> None:
+    """Write the report again and again, until the run is finished or no process computes it."""
+    say(f"{path / REPORT} is written again every {SECONDS:.0f} s while the run goes on")
+    try:
+        while is_computed(path) and open_run(path).state != "finished":
+            write_report(open_run(path), seconds=round(SECONDS))
+            time.sleep(SECONDS)
+    except KeyboardInterrupt:
+        write_report(open_run(path))  # a page that is left must not reload for ever
+        raise
+    state = open_run(path).state
+    if state != "finished":
+        say(f"{path} is not finished ({state}), and no process computes it: run its job on")
+
+
+def is_computed(path: Path) -> bool:
+    """Whether a process computes the run in a folder."""
+    try:
+        check_not_held(path)
+    except StoreError:
+        return True
+    return False
+
+
+def try_report(run: Run, say: Say) -> None:
+    """Write the report of a run whose results stand, whatever becomes of the report.
+
+    Parameters
+    ----------
+    run : Run
+    say : callable
+        Receives a line if there is no report.
+    """
+    try:
+        write_report(run)
+    except StoreError as error:
+        say(f"there is no report: {error}")
+
+
+def renew_report(path: Path, say: Say) -> None:
+    """Write the report of a run anew, if there is one.
+
+    Parameters
+    ----------
+    path : Path
+        Folder of the run.
+    say : callable
+        Receives a line if the report cannot be written.
+    """
+    if (path / REPORT).exists():
+        try_report(open_run(path), say)

@@ -1,0 +1,60 @@
+"""A script by which a shell completes command lines.
+
+shtab makes the script from the parser. The shell completes a word without starting Python.
+"""
+
+import argparse
+from typing import Any
+
+import shtab
+
+from pfdist.cli.parser import complete_parser, subparsers_of
+from pfdist.models import installed_models
+
+# In bash, only folders that hold a run, and folders at most two levels above such a folder.
+_RUNS_IN_BASH = """
+_pfdist_run_dirs() {
+  local folder
+  compgen -d -- "$1" | while IFS= read -r folder; do
+    if compgen -G "$folder/run.json" || compgen -G "$folder/*/run.json" ||
+      compgen -G "$folder/*/*/run.json"
+    then printf '%s\\n' "$folder" >&3
+    fi
+  done 3>&1 >/dev/null
+}
+"""
+_RUN = {**shtab.DIRECTORY, "bash": "_pfdist_run_dirs", "preamble": {"bash": _RUNS_IN_BASH}}
+_VALUES: dict[str, Any] = {
+    "JOB": shtab.glob("*.toml"),
+    "RUN": _RUN,
+    "DIR": shtab.DIRECTORY,
+    "NEW": shtab.DIRECTORY,
+    "FILE": shtab.glob("*.parquet", "*.csv"),
+    "MEASUREMENTS": shtab.glob("*.csv", "*.parquet"),
+    "FILE.py:OBJECT": shtab.glob("*.py"),
+}
+"""The files and folders that complete a value, by the word that stands for the value in help."""
+
+
+def script(shell: str) -> str:
+    """Give the completion script of a shell.
+
+    Parameters
+    ----------
+    shell : str
+        A shell that shtab knows, for instance bash.
+    """
+    parser = complete_parser()
+    for command in subparsers_of(parser).values():
+        for argument in command._actions:
+            _complete(argument)
+    return shtab.complete(parser, shell)
+
+
+def _complete(argument: argparse.Action) -> None:
+    """Say in the attributes that shtab reads which values an argument can have."""
+    value: Any = argument
+    if argument.metavar in _VALUES:
+        value.complete = _VALUES[str(argument.metavar)]
+    elif argument.metavar == "MODEL":
+        value.choices = sorted(installed_models())

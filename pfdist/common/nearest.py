@@ -1,0 +1,87 @@
+"""The name that a user probably meant by a misspelt one."""
+
+import contextlib
+import difflib
+import re
+from collections.abc import Callable, Iterable
+from itertools import islice
+from pathlib import Path
+
+_LONGEST = 80  # characters of a word for which a name is sought
+_MOST_ENTRIES = 1000  # of a folder in which a name is sought
+_QUOTED = re.compile(r"'([^']*)'")
+
+
+def nearest_name(word: object, names: Iterable[str]) -> str:
+    """Give the name that is spelt most like a word.
+
+    Parameters
+    ----------
+    word : object
+        The word of a user. Only a string can be a misspelt name.
+    names : iterable of str
+        The names that are allowed there.
+
+    Returns
+    -------
+    str
+        Empty if no name is similar.
+
+    Examples
+    --------
+    >>> nearest_name("suvivors", ["annealing", "survivors"])
+    'survivors'
+    >>> nearest_name("Genetic", ["genetic"]), nearest_name("x", ["genetic"]), nearest_name(3, ["3"])
+    ('genetic', '', '')
+    """
+    if not isinstance(word, str) or len(word) > _LONGEST:
+        return ""
+    by_lower_case = {name.lower(): name for name in names}
+    found = difflib.get_close_matches(word.lower(), by_lower_case, n=1)
+    return by_lower_case[found[0]] if found else ""
+
+
+def did_you_mean(word: object, names: Iterable[str]) -> str:
+    """Give the end of an error about a name that is not allowed; empty if no name is similar.
+
+    Parameters and what is similar are as in `nearest_name`.
+
+    Examples
+    --------
+    >>> "got 'suvivors'" + did_you_mean("suvivors", ["annealing", "survivors"])
+    "got 'suvivors'; did you mean 'survivors'?"
+    """
+    name = nearest_name(word, names)
+    return f"; did you mean {name!r}?" if name else ""
+
+
+def did_you_mean_path(path: Path, folders: Iterable[Path], is_meant: Callable[[Path], bool]) -> str:
+    """Give the end of an error about a file or folder that is not there.
+
+    Parameters
+    ----------
+    path : Path
+        The path that a user wrote.
+    folders : iterable of Path
+        Folders in which a file or folder of a similar name is sought.
+    is_meant : callable
+        Whether a path is of the kind that the user wants.
+
+    Returns
+    -------
+    str
+        Empty if there is no similar name.
+    """
+    found: dict[str, str] = {}
+    for folder in folders:
+        with contextlib.suppress(OSError):
+            for near in islice(folder.iterdir(), _MOST_ENTRIES):
+                if near != path and is_meant(near):
+                    found.setdefault(near.name, str(near))
+    name = nearest_name(path.name, sorted(found))
+    return f"; did you mean {found[name]!r}?" if name else ""
+
+
+def quoted_names(text: str) -> list[str]:
+    """Give the names between single quotes in a text, for instance ``'a' or 'b'``."""
+    return _QUOTED.findall(text)

@@ -1,0 +1,146 @@
+"""Parts that panels share: axes, tables, legends, and sizes that the style gives."""
+
+from collections.abc import Collection, Sequence
+from typing import Any, TypeVar
+
+import pandas as pd
+from matplotlib import rcParams
+from matplotlib.axes import Axes
+from matplotlib.ticker import Formatter, MaxNLocator
+
+from pfdist.errors import JobError, shown
+from pfdist.plots.style import GREY
+
+T = TypeVar("T")
+_POINTS = 8  # of the font for which heights are given
+_THIN = 0.7  # width of a thin line over that of a line of the style
+
+
+def axes_for(ax: Axes | None, height: float | None = None) -> Axes:
+    """Give the axes to draw into: those given, or those of a new figure of pyplot.
+
+    Parameters
+    ----------
+    ax : matplotlib Axes or None
+    height : float, optional
+        Height of a new figure, in inches where the style has 8 points; by default the style's own.
+    """
+    if ax is not None:
+        return ax
+    from matplotlib import pyplot  # noqa: PLC0415  chooses a backend, which files do not need
+
+    figure, axes = pyplot.subplots(layout="constrained")
+    if height is not None:
+        figure.set_figheight(scaled(height))
+    return axes
+
+
+def table_of(source: object, *names: str) -> pd.DataFrame:
+    """Give a table: the DataFrame itself, or the table that an object has.
+
+    Parameters
+    ----------
+    source : DataFrame or object
+    *names : str
+        The first of these attributes that the object has is the table, or a method that reads it.
+
+    Raises
+    ------
+    TypeError
+        The object has none of these attributes.
+    """
+    if isinstance(source, pd.DataFrame):
+        return source
+    for name in names:
+        found = getattr(source, name, None)
+        if found is not None:
+            table: pd.DataFrame = found() if callable(found) else found
+            return table
+    wanted = " or ".join(f"`{name}`" for name in names)
+    raise TypeError(f"must be a DataFrame, or have the table {wanted}, got {type(source).__name__}")
+
+
+def chosen(name: T, among: Collection[T], argument: str) -> T:
+    """Give back a name, if it is among some names.
+
+    Raises
+    ------
+    JobError
+        It is not.
+    """
+    if name in among:
+        return name
+    allowed = ", ".join(map(str, among))
+    message = f"{argument} must be one of {allowed}, got {shown(name)}"
+    raise JobError(message, argument=argument)
+
+
+def scaled(inches: float) -> float:
+    """Scale a height for a font of 8 points to the font of the style in use."""
+    return inches * float(rcParams["font.size"]) / _POINTS
+
+
+def thin(share: float = _THIN) -> float:
+    """Width of a thin line in the style in use, in points."""
+    return share * float(rcParams["lines.linewidth"])
+
+
+def marker(share: float = 1.0) -> float:
+    """Size of a marker in the style in use, in points."""
+    return share * float(rcParams["lines.markersize"])
+
+
+def minus(text: str) -> str:
+    """Give a text with true minus signs in the place of hyphens, if the style has them."""
+    return Formatter.fix_minus(text)
+
+
+def legend_above(
+    ax: Axes, handles: Sequence[Any] | None = None, *, columns: int = 2, title: str = ""
+) -> None:
+    """Put the legend above the axes, where it covers no curve.
+
+    Parameters
+    ----------
+    ax : matplotlib Axes
+    handles : sequence of artists, optional
+        By default everything that has a label.
+    columns : int
+    title : str
+    """
+    given: dict[str, Any] = {} if handles is None else {"handles": handles}
+    if handles is None and not ax.get_legend_handles_labels()[0]:
+        return
+    ax.legend(
+        **given, ncols=columns, title=title or None, loc="lower center", bbox_to_anchor=(0.5, 1.0),
+        borderaxespad=0.3,
+    )  # fmt: skip
+
+
+def label_instants(ax: Axes) -> None:
+    """Label the horizontal axis as time, with whole numbers."""
+    ax.set_xlabel("$t$")
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
+
+
+def draw_zero(ax: Axes) -> None:
+    """Draw a thin line at 0."""
+    ax.axhline(0.0, color=GREY, lw=thin(0.6), zorder=0)
+
+
+def write_instead(ax: Axes, text: str) -> Axes:
+    """Write a sentence where there is nothing to draw."""
+    ax.set_axis_off()
+    ax.text(0.5, 0.5, text, ha="center", va="center", transform=ax.transAxes, wrap=True)
+    return ax
+
+
+def stack(panels: Sequence[Axes]) -> None:
+    """Let panels with one horizontal axis share its labels and the legend of the first."""
+    for ax in panels[1:]:
+        legend = ax.get_legend()
+        if legend is not None:
+            legend.remove()
+    for ax in panels[:-1]:
+        ax.set_xlabel("")
+        ax.tick_params(labelbottom=False)

@@ -1,0 +1,116 @@
+"""Sets of measurement times on one axis, a row for each, and the instants that are forbidden."""
+
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from pfdist.analysis import Run
+from pfdist.analysis.reference import label
+from pfdist.job.problem_section import ProblemSection
+from pfdist.plots.figure import Plot, Tables, figure
+from pfdist.plots.panel import axes_for, label_instants, legend_above, marker, thin
+from pfdist.plots.style import GREY, set_style
+
+_MOST_LABELS = 15  # rows that have room for their names
+_MOST_IN_TITLE = 3  # found sets that the title names
+_MOST_LINES = 30  # rows that have room for a line
+
+
+@figure("times")
+def times_figure(tables: Tables) -> Plot:
+    """Measurement times of every compared set, and the instants that are forbidden."""
+    run = tables.run
+    return Plot(_height(len(run.names)), lambda panels: times(run, ax=panels[0]), title=_title(run))
+
+
+def _height(rows: int) -> float:
+    return min(0.9 + 0.2 * rows, 4.0)
+
+
+def _title(run: Run) -> str:
+    """Say how many instants found times share with regular times."""
+    if run.has_budget:
+        numbers = sorted({len(chosen) for chosen in run.sets().values()})
+        return f"Regular times and found times, from {numbers[0]} to {numbers[-1]} measurements."
+    (reference, regular), *found = run.sets().items()
+    shared = {name: len({*chosen} & {*regular}) for name, chosen in found}
+    if len(shared) > _MOST_IN_TITLE:
+        least, most = min(shared.values()), max(shared.values())
+        return f"Found times share {least} to {most} of their instants with {label(reference)}."
+    parts = [f"{name} {shared[name]} of {len(chosen)}" for name, chosen in found]
+    return f"Instants that found times share with {label(reference)}: {', '.join(parts)}."
+
+
+def times(
+    sets: Run | Mapping[str, Sequence[int]],
+    *,
+    horizon: int | None = None,
+    forbidden: Iterable[int] = (),
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw sets of measurement times on one axis, a row for each; forbidden instants are grey.
+
+    The reference of a run has hollow markers.
+
+    Parameters
+    ----------
+    sets : Run or mapping of str to sequence of int
+        A run, or times by the name of their set, from above to below.
+    horizon : int, optional
+        The last instant T; by default that of the run, or else the last measurement time.
+    forbidden : iterable of int
+        Instants that may not be measured; a run adds its own.
+    ax : matplotlib Axes, optional
+        By default those of a new figure.
+
+    Returns
+    -------
+    matplotlib Axes
+    """
+    barred, references = set(forbidden), set[str]()
+    if isinstance(sets, Run):
+        run, problem = sets, ProblemSection.model_validate(sets.job["problem"])
+        horizon = problem.horizon if horizon is None else horizon
+        barred.update(problem.feasible.forbidden)
+        sets = run.sets()
+        references = _references(run)
+    if horizon is None:
+        horizon = max((t for chosen in sets.values() for t in chosen), default=0)
+    ax = axes_for(ax, _height(len(sets)))
+    size = min(1.0, _MOST_LABELS / max(1, len(sets)))
+    for row, (name, chosen) in enumerate(sets.items()):
+        style = set_style(0 if name in references else 1) | {"ls": ""}
+        if len(sets) <= _MOST_LINES:
+            ax.axhline(row, color=GREY, lw=thin(0.4), zorder=0)
+        at = list(chosen)
+        ax.plot(at, [row] * len(at), ms=marker(1.2 * size), mew=thin(0.8 * size), zorder=3, **style)
+    _shade(ax, barred)
+    ax.set_xlim(-0.75, horizon + 0.75)
+    ax.set_ylim(len(sets) - 0.5, -0.5)  # the first set on top
+    names, step = list(sets), -(-len(sets) // _MOST_LABELS)
+    ax.set_yticks(range(0, len(names), max(1, step)), names[:: max(1, step)])
+    ax.tick_params(axis="y", length=0)
+    label_instants(ax)
+    if barred:
+        legend_above(ax, ax.patches[:1])
+    return ax
+
+
+def _references(run: Run) -> set[str]:
+    """Names of the sets with which the found sets are compared."""
+    if not run.has_budget:
+        return {run.names[0]}
+    start = f"{run.job['comparison']['reference']}_"
+    return {name for name in run.names if name.startswith(start)}
+
+
+def _shade(ax: Axes, forbidden: Iterable[int]) -> None:
+    """Shade each stretch of successive forbidden instants."""
+    instants = np.array(sorted(forbidden), np.int64)
+    for stretch in np.split(instants, np.flatnonzero(np.diff(instants) > 1) + 1):
+        if stretch.size:
+            ax.axvspan(
+                stretch[0] - 0.5, stretch[-1] + 0.5, color=GREY, alpha=0.25, lw=0, zorder=-1,
+                label="forbidden",
+            )  # fmt: skip

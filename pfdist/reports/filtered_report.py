@@ -1,0 +1,115 @@
+"""The report of real measurements that were filtered: one HTML file beside their table."""
+
+from collections.abc import Hashable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from pfdist.common.rounding import rounded
+from pfdist.plots.error_over_time import effective_sample_size
+from pfdist.plots.figure import Plot
+from pfdist.plots.filtered import filtered_plot
+from pfdist.reports.parts import Block, Cell, Facts, Page, Picture, Section, Table, Text
+from pfdist.reports.render import write_page
+from pfdist.reports.subject import listed, number_of
+from pfdist.reports.svg import as_svg
+
+_P_DIGITS = 2
+_BELIEF = "Mean of the quantity of interest over time with 50 and 90 % bands, by the filter."
+_SIZE = "Effective sample size of the filter's particles at each instant."
+
+
+def write_filtered_report(path: Path, answer: Mapping[str, Any], table: pd.DataFrame) -> None:
+    """Write the report of filtered measurements.
+
+    Parameters
+    ----------
+    path : Path
+    answer : mapping
+        As of `pfdist.api.filter_measurements.FilteredMeasurements.as_json`.
+    table : DataFrame
+        With the columns of `pfdist.store.filtered_schema`.
+
+    Raises
+    ------
+    StoreError
+        The file cannot be written, or another file than an earlier report has this name.
+    """
+    write_page(_page(answer, table), path)
+
+
+def _page(answer: Mapping[str, Any], table: pd.DataFrame) -> Page:
+    improbable = (
+        "The model may be wrong about this system: it rarely gives measurements as surprising."
+    )
+    sections = [_belief(answer, table), _fit(answer, table), _instants(table)]
+    source = f"filtered as the run {Path(answer['run']).name} does, times of {answer['times']}"
+    number = number_of(len(answer["measured"]), "measurement")
+    warnings = [improbable] if answer["is_improbable"] else []
+    return Page("What the measurements say", f"{number}, {source}", sections, warnings)
+
+
+def _belief(answer: Mapping[str, Any], table: pd.DataFrame) -> Section:
+    times = tuple(answer[key] for key in ("missing", "extra", "to_come"))
+    plot = filtered_plot(table, times)
+    facts = [
+        ("measured at t", answer["measured"]),
+        ("planned, missing", answer["missing"]),
+        ("planned, to come", answer["to_come"]),
+        ("measured, not planned", answer["extra"]),
+    ]
+    known = Facts([(name, listed(list(at)) or "none") for name, at in facts])
+    return Section("What the filter believes", [_picture("belief", plot, _BELIEF), known])
+
+
+def _fit(answer: Mapping[str, Any], table: pd.DataFrame) -> Section:
+    """Say how well the measurements fit the model, and how many particles count."""
+    blocks: list[Block] = []
+    most = answer["most_surprising"]
+    if most:
+        among = rounded(answer["surprise_of_all"], _P_DIGITS)
+        blocks.append(
+            Text(
+                f"The most surprising measurement is that at t = {most['t']}: p = "
+                f"{rounded(most['surprise'], _P_DIGITS)}, and {among} among all measurements. A "
+                "p-value near 0 means that the model hardly ever gives such a measurement."
+            )
+        )
+    if answer["log_evidence"] is not None:
+        blocks.append(Text(f"Log evidence of the model: {rounded(answer['log_evidence'])}."))
+    known = table.dropna(subset="effective_sample_size")
+    if len(known):
+        least = known.iloc[known["effective_sample_size"].argmin()]
+        title = (
+            f"At t = {least['t']:.0f} the fewest particles count: "
+            f"{least['effective_sample_size']:.0f}."
+        )
+        plot = Plot(2.0, lambda panels: effective_sample_size(table, ax=panels[0]), title=title)
+        blocks.append(_picture("size", plot, _SIZE))
+    return Section("How well they fit the model", blocks)
+
+
+def _instants(table: pd.DataFrame) -> Section:
+    components = sum(str(name).startswith("mean_") for name in table.columns)
+    names = [""] if components == 1 else [f" of z{k}" for k in range(components)]
+    head = ["t", "measured", *(f"{what}{name}" for name in names for what in ("mean", "90 % band"))]
+    rows = [_row(row, components) for row in table.to_dict("records")]
+    return Section(
+        "All instants", [Table("Belief at each instant", [*head, "surprise"], rows, folded=True)]
+    )
+
+
+def _row(row: Mapping[Hashable, Any], components: int) -> list[Cell]:
+    cells = [Cell(str(row["t"]), row["t"]), Cell("yes" if row["measured"] else "no")]
+    for k in range(components):
+        mean, low, high = (row[f"{name}_{k}"] for name in ("mean", "q05", "q95"))
+        cells.append(Cell(rounded(mean), mean))
+        cells.append(Cell(f"{rounded(low)} to {rounded(high)}", low))
+    surprise = row["surprise"]
+    known = surprise is not None and not pd.isna(surprise)
+    return [*cells, Cell(rounded(surprise, _P_DIGITS), surprise) if known else Cell("")]
+
+
+def _picture(name: str, plot: Plot, description: str) -> Picture:
+    return Picture(plot.title, description, as_svg(plot, name, description))

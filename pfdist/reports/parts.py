@@ -1,0 +1,156 @@
+"""The parts of a report: what a page holds, whatever it looks like."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+Value = float | str | None
+
+
+@dataclass(frozen=True)
+class Text:
+    """A paragraph of plain text.
+
+    Parameters
+    ----------
+    text : str
+    prominent : bool
+        Whether it is the answer that a reader looks for.
+    """
+
+    kind: ClassVar[str] = "text"
+    text: str
+    prominent: bool = False
+
+
+@dataclass(frozen=True)
+class Code:
+    """Text to be copied, line by line.
+
+    Parameters
+    ----------
+    text : str
+    title : str
+        Says what it is; folded away under this title if there is one.
+    """
+
+    kind: ClassVar[str] = "code"
+    text: str
+    title: str = ""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A cell of a table.
+
+    Parameters
+    ----------
+    text : str
+    value : float, str or None
+        The key of the row in its column; by default the text.
+    """
+
+    text: str
+    value: Value = None
+
+    @property
+    def key(self) -> Value:
+        """The key by which rows are sorted."""
+        return self.text if self.value is None else self.value
+
+    @property
+    def is_number(self) -> bool:
+        """Whether the cell holds a number, or is empty."""
+        return not self.text or isinstance(self.value, float | int)
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table whose rows a reader can sort.
+
+    Parameters
+    ----------
+    caption : str
+    head : sequence of str
+    rows : sequence of sequences of Cell
+    folded : bool
+        Whether the table is folded away under its caption.
+    """
+
+    kind: ClassVar[str] = "table"
+    caption: str
+    head: Sequence[str]
+    rows: Sequence[Sequence[Cell]]
+    folded: bool = False
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Names with their values.
+
+    Parameters
+    ----------
+    facts : sequence of (str, str)
+    """
+
+    kind: ClassVar[str] = "facts"
+    facts: Sequence[tuple[str, str]]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure.
+
+    Parameters
+    ----------
+    title : str
+        A sentence that says what to see.
+    description : str
+        A line for those who cannot see the figure.
+    svg : str
+        An element ``svg`` that names nothing outside itself.
+    """
+
+    kind: ClassVar[str] = "picture"
+    title: str
+    description: str
+    svg: str
+
+
+Block = Text | Code | Table | Facts | Picture
+
+
+@dataclass(frozen=True)
+class Section:
+    """A section of a page.
+
+    Parameters
+    ----------
+    title : str
+    blocks : sequence of blocks
+    """
+
+    title: str
+    blocks: Sequence[Block]
+
+
+@dataclass(frozen=True)
+class Page:
+    """A report.
+
+    Parameters
+    ----------
+    title : str
+    subtitle : str
+    sections : sequence of Section
+    warnings : sequence of str
+        Sentences to be read before anything else, for instance that the run is not finished.
+    seconds : int
+        After so many seconds the page reloads itself; 0 for never.
+    """
+
+    title: str
+    subtitle: str
+    sections: Sequence[Section]
+    warnings: Sequence[str] = field(default_factory=tuple)
+    seconds: int = 0

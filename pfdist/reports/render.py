@@ -1,0 +1,78 @@
+"""From a page to one self-contained HTML file.
+
+A name in a run's files cannot become markup: the template escapes every text, and the page allows
+no script but its own.
+"""
+
+import base64
+import hashlib
+from importlib.resources import files
+from pathlib import Path
+
+from jinja2 import Environment, StrictUndefined
+
+from pfdist.reports.parts import Page
+from pfdist.store import write_file
+from pfdist.store.replaceable import check_replaceable
+
+_FOLDER = files("pfdist.reports")
+_MARK = b'<meta name="generator" content="pfdist">'
+_START = 1024  # bytes of a report in which the mark stands
+
+
+def as_html(page: Page) -> str:
+    """Give a page as an HTML document that loads nothing.
+
+    Parameters
+    ----------
+    page : Page
+    """
+    environment = Environment(
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        finalize=_unbroken,
+    )
+    style, script = (_text(name) for name in ("style.css", "sort.js"))
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    return environment.from_string(_text("page.html")).render(
+        page=page, style=style, script=script, digest=digest
+    )
+
+
+def _unbroken(value: object) -> object:
+    """Keep a number and its sign of per cent on one line."""
+    return value.replace(" %", "\xa0%") if type(value) is str else value
+
+
+def write_page(page: Page, path: Path) -> None:
+    """Write a page to a file.
+
+    Raises
+    ------
+    StoreError
+        The file cannot be written, or another file than an earlier report has this name.
+    """
+    check_page_replaceable(path)
+    html = as_html(page)
+    write_file(path, lambda file: file.write_text(html, encoding="utf-8", errors="replace"))
+
+
+def check_page_replaceable(path: Path) -> None:
+    """Raise an error unless a file is missing, or is an earlier report.
+
+    Raises
+    ------
+    StoreError
+    """
+    check_replaceable(path, _is_earlier)
+
+
+def _is_earlier(path: Path) -> bool:
+    with path.open("rb") as file:
+        return _MARK in file.read(_START)
+
+
+def _text(name: str) -> str:
+    return (_FOLDER / name).read_text(encoding="utf-8")

@@ -1,0 +1,45 @@
+"""The gain of choosing each time when the last measurement is known."""
+
+from typing import Any
+
+from pfdist.common.percent import cost, percent
+from pfdist.common.rounding import with_error
+from pfdist.reports.parts import Cell, Section, Table, Text
+from pfdist.reports.pictures import pictures
+from pfdist.reports.subject import Subject, number_of, percent_cell
+
+_FIGURES = ("online_gain", "online_times", "online_draw")
+
+
+def online(subject: Subject) -> Section | None:
+    """Compare online times with the plan and with the reference."""
+    found = subject.summary.get("online")
+    if found is None:
+        return None
+    plan, reference = found["plan"], found["reference"]
+    rows = [_row("online", found, {})] + [
+        _row(each["name"], each, each) for each in (plan, reference)
+    ]
+    table = Table(
+        f"Expected error on {number_of(found['draws'], 'draw')}",
+        ("times", "expected error", "online is lower by, %", "draws where online is lower, %"),
+        rows,
+    )
+    meaning = (
+        "Each time is chosen when the measurement before it is known: the rest of the plan is made "
+        f"anew from what the filter then believes. In {percent(found['differs_from_plan'], 0)} of "
+        f"the draws the times differ from those of {plan['name']}."
+    )
+    return Section(
+        "Times chosen one after another",
+        [Text(meaning), table, *pictures(subject.tables, _FIGURES)],
+    )
+
+
+def _row(name: str, costs: dict[str, Any], gain: dict[str, Any]) -> list[Cell]:
+    mse = cost(costs["expected_mse"])
+    cells = [Cell(name), Cell(with_error(mse, costs["standard_error"]), mse)]
+    for key in ("gain_of_means", "positive_fraction"):
+        known = key in gain
+        cells.append(percent_cell(gain[key], gain[f"{key}_interval"]) if known else Cell(""))
+    return cells

@@ -1,0 +1,182 @@
+"""The run that a report is about, and phrases that several sections use."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from pathlib import PurePosixPath, PureWindowsPath
+from typing import Any
+
+from pfdist.analysis import Run
+from pfdist.analysis.reference import label
+from pfdist.common.percent import range_of, times_100
+from pfdist.common.rounding import with_interval
+from pfdist.plots.figure import Tables
+from pfdist.reports.parts import Cell, Table
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A run, its summary and its tables.
+
+    Parameters
+    ----------
+    run : Run
+    """
+
+    run: Run
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        """As of `pfdist.analysis.Run.summary`."""
+        return self.run.summary()
+
+    @cached_property
+    def tables(self) -> Tables:
+        """The tables that figures need, each read once."""
+        return Tables(self.run)
+
+    @property
+    def results(self) -> dict[str, dict[str, Any]]:
+        """Results of each set by name, the reference first."""
+        results: dict[str, dict[str, Any]] = self.summary["results"]
+        return results
+
+    @property
+    def problem(self) -> Mapping[str, Any]:
+        """The section [problem] of the job."""
+        problem: Mapping[str, Any] = self.run.job["problem"]
+        return problem
+
+    @property
+    def is_compared(self) -> bool:
+        """Whether the comparison has begun."""
+        return any("expected_mse" in result for result in self.results.values())
+
+    @property
+    def found(self) -> dict[str, dict[str, Any]]:
+        """Results of the sets that the searches have found."""
+        names = list(self.results)
+        return {name: self.results[name] for name in names[1:]}
+
+    @property
+    def best(self) -> str:
+        """Name of the found set with the least expected MSE on the draws of the comparison."""
+        known = {name: each["expected_mse"] for name, each in self.found.items()}
+        return min(known, key=lambda name: (known[name] is None, known[name]))
+
+    @property
+    def reference_times(self) -> list[int]:
+        """Measurement times of the reference."""
+        times: list[int] = next(iter(self.results.values()))["measurement_times"]
+        return times
+
+    @property
+    def reference(self) -> str:
+        """The reference as sentences call it: ``every 3 instants``, or its name."""
+        name, times = next(iter(self.results)), self.reference_times
+        steps = {later - earlier for earlier, later in pairwise(times)}
+        if len(steps) == 1:
+            step = steps.pop()
+            return "every instant" if step == 1 else f"every {step} instants"
+        return label(name)
+
+
+def percent_and_interval(fraction: float, interval: list[float]) -> tuple[str, str]:
+    """Give a fraction in per cent, and its 95 % interval, as two texts.
+
+    Parameters
+    ----------
+    fraction : float
+    interval : list of float
+        Lower and upper end.
+    """
+    value, low, high = with_interval(*(times_100(part) for part in (fraction, *interval)))
+    return f"{value} %", f"{low} to {high} %"
+
+
+def effect(gain: float, interval: list[float | None]) -> tuple[str, str]:
+    """Say what a gain does to the expected error, and what its interval leaves open.
+
+    Parameters
+    ----------
+    gain : float
+        Relative; negative if the error rises.
+    interval : list of float or None
+        Lower and upper end, 95 %; None is unknown.
+
+    Returns
+    -------
+    (str, str)
+        A phrase, and a sentence or an empty text.
+
+    Examples
+    --------
+    >>> effect(0.05, [0.01, 0.09])
+    ('lowers the expected error by 5.0 % (95 %: 1.0 to 9.0 %)', '')
+    >>> effect(-0.05, [-0.09, 0.01])[0]
+    'raises the expected error by 5.0 % (95 %: -1.0 to 9.0 %)'
+    """
+    low, high = interval
+    changes = "lowers" if gain >= 0 else "raises"
+    if low is None or high is None:
+        value, *_ = with_interval(100 * abs(gain), None, None)
+        told = f"{changes} the expected error by {value} %"
+        return told, "There are too few draws to say how exact this figure is."
+    ends = [low, high] if gain >= 0 else [-high, -low]
+    value, low_to_high = percent_and_interval(abs(gain), ends)
+    told = f"{changes} the expected error by {value} (95 %: {low_to_high})"
+    open_ = "The interval contains 0, so these draws do not tell which times are better."
+    return told, open_ if low <= 0.0 <= high else ""
+
+
+def percent_cell(fraction: float | None, interval: list[float | None]) -> Cell:
+    """Give a cell with a fraction in per cent and its interval.
+
+    Parameters
+    ----------
+    fraction : float or None
+    interval : list of float or None
+        Lower and upper end.
+    """
+    value, low, high = with_interval(*(times_100(part) for part in (fraction, *interval)))
+    return Cell(f"{value} ({range_of(low, high)})", fraction)
+
+
+def listed(times: list[int]) -> str:
+    """Give measurement times as text."""
+    return ", ".join(map(str, times))
+
+
+def without_folder(model: str) -> str:
+    """Give the name of a model without a folder of the machine: a report may be sent.
+
+    Examples
+    --------
+    >>> without_folder("/home/user/walk.py:model"), without_folder("models/walk.py:model")
+    ('walk.py:model', 'models/walk.py:model')
+    """
+    file, colon, name = model.rpartition(":")
+    is_absolute = PurePosixPath(file).is_absolute() or PureWindowsPath(file).is_absolute()
+    return PureWindowsPath(file).name + colon + name if is_absolute else model
+
+
+def number_of(count: int, what: str) -> str:
+    """Give a number with a noun in the singular or plural.
+
+    Examples
+    --------
+    >>> number_of(1, "time"), number_of(12000, "draw")
+    ('1 time', '12,000 draws')
+    """
+    return f"{count:,} {what}{'s' * (count != 1)}"
+
+
+def sets_table(subject: Subject) -> Table:
+    """Give a table of all sets of times, folded away."""
+    rows = [
+        [Cell(name), Cell(str(len(times)), len(times)), Cell(listed(times))]
+        for name, result in subject.results.items()
+        for times in (result["measurement_times"],)
+    ]
+    return Table("All sets of times", ("times", "number", "t"), rows, folded=True)

@@ -1,0 +1,69 @@
+"""A plot as an SVG element of a page: its colours are the page's, and its ids are its own."""
+
+import io
+import re
+from xml.etree import ElementTree
+
+from pfdist.plots.figure import Plot
+from pfdist.plots.figures import drawn
+from pfdist.plots.library import styled
+from pfdist.plots.style import BLUE, GREEN, GREY, ORANGE, RED
+
+_SVG, _LINK = "http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"
+_COLOURS = {
+    "#000000": "currentColor",
+    "#ffffff": "var(--card)",
+    BLUE.lower(): "var(--blue)",
+    RED.lower(): "var(--red)",
+    ORANGE.lower(): "var(--orange)",
+    GREEN.lower(): "var(--green)",
+    GREY.lower(): "var(--grey)",
+}
+_COLOUR = re.compile("|".join(_COLOURS), re.IGNORECASE)
+_NOT_DRAWN = ("metadata", "style")
+"""Elements that Matplotlib writes and a page does not need."""
+
+
+def as_svg(plot: Plot, name: str, description: str) -> str:
+    """Draw a plot as an SVG element.
+
+    Parameters
+    ----------
+    plot : Plot
+    name : str
+        Comes before all ids of the element, so that two elements of a page share none.
+    description : str
+        A line for those who cannot see the figure.
+
+    Returns
+    -------
+    str
+    """
+    file = io.StringIO()
+    with styled():
+        drawn(plot).savefig(file, format="svg", transparent=True, metadata={"Date": None})
+    ElementTree.register_namespace("", _SVG)
+    svg = ElementTree.fromstring(file.getvalue())  # noqa: S314  it was written just above
+    for parent in list(svg.iter()):
+        for child in list(parent):
+            if child.tag.removeprefix(f"{{{_SVG}}}") in _NOT_DRAWN:
+                parent.remove(child)
+    for element in svg.iter():
+        _adapt(element, f"{name}-")
+    for key in ("width", "height", "version"):
+        svg.attrib.pop(key, None)
+    svg.attrib |= {"role": "img", "aria-label": description}
+    return ElementTree.tostring(svg, encoding="unicode")
+
+
+def _adapt(element: ElementTree.Element, prefix: str) -> None:
+    """Have an element name its own page's ids and colours."""
+    link = element.attrib.pop(f"{{{_LINK}}}href", None)
+    if link is not None:
+        element.set("href", f"#{prefix}{link[1:]}" if link.startswith("#") else link)
+    for key, value in element.attrib.items():
+        if key == "id":
+            element.set(key, prefix + value)
+        elif key != "href":
+            named = value.replace("url(#", f"url(#{prefix}")
+            element.set(key, _COLOUR.sub(lambda match: _COLOURS[match[0].lower()], named))

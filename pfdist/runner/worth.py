@@ -1,0 +1,180 @@
+"""The error over time of a set of times, and the worth of each of its measurements.
+
+Everything is computed on new draws, which neither chose the times nor compared them.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from pfdist.analysis import Moments
+from pfdist.evaluation.estimate import Purpose, ReportEvaluation
+from pfdist.evaluation.problem import Problem
+from pfdist.evaluation.work import Work
+from pfdist.filters.settings import FilterSettings
+from pfdist.runner.build import Built
+from pfdist.runner.pace import MOST_SECONDS
+from pfdist.runner.progress import Reporter
+from pfdist.sequential.effective_sizes import effective_sample_sizes
+from pfdist.sequential.one_filter import begin
+from pfdist.times.feasible import Feasible
+from pfdist.times.measurement_times import Times
+
+WHY = Purpose("why", ReportEvaluation)
+CHANGES = ("removed", "earlier", "later")
+_COLUMNS = [f"{change}{part}" for change in CHANGES for part in ("", "_error")]
+
+Array = NDArray[np.float64]
+Rows = list[dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class Worth:
+    """The answer for a set.
+
+    Parameters
+    ----------
+    summary : dict
+        expected_mse, standard_error and degenerate_draws of the set.
+    profile, worth : list of dict
+        Rows of the tables of these names, without position, name and draws.
+    """
+
+    summary: dict[str, Any]
+    profile: Rows
+    worth: Rows
+
+
+def worth_of(
+    built: Built, name: str, times: Times, draws: int, measured: list[Array], reporter: Reporter
+) -> Worth:
+    """Compute the error of a set over time, and the worth of each measurement.
+
+    The set up to every instant and all its changes share draws and noise. So common prefixes are
+    filtered once, and differences are paired.
+
+    Parameters
+    ----------
+    built : Built
+    name : str
+        Name of the set; keys the noise.
+    times : tuple of int
+    draws : int
+        Number of draws.
+    measured : list of arrays of float64, (N, m)
+        For each of some other draws, the measurements at these times. The effective sample size is
+        a mean over these draws.
+    reporter : Reporter
+    """
+    problem, seed, instants = built.problem, built.job.seed, built.problem.horizon + 1
+    changed = list(_changes(times, built.job.problem.feasible))
+    sets = [tuple(t for t in times if t <= end) for end in range(instants)]
+    sets += [other for _, _, other in changed]
+    stream = WHY.stream(seed, "filter", name)
+    work = Work(
+        measurement_times=tuple(sets),
+        ends=(*range(instants), *(problem.horizon,) * len(changed)),
+        filter_streams=(stream,) * len(sets),
+        draws_stream=WHY.stream(seed, "draws"),
+        draws=(0, draws),
+        estimation=built.comparing,
+    )
+    (cost, *found), degenerate = _means(problem, work, reporter)
+    sizes = dict(zip(times, _effective_sizes(built, stream, times, measured), strict=True))
+    profile = [
+        {
+            "t": t,
+            "measured": t in times,
+            "error": mean,
+            "standard_error": error,
+            "degenerate_draws": degenerate[t],
+            "effective_sample_size": sizes.get(t, math.nan),
+        }
+        for t, (mean, error) in enumerate(found[:instants])
+    ]
+    worth = {t: {"t": t} | dict.fromkeys(_COLUMNS, math.nan) for t in times}
+    for (t, change, _), (mean, error) in zip(changed, found[instants:], strict=True):
+        worth[t] |= {change: mean, f"{change}_error": error}
+    summary = {"expected_mse": cost[0], "standard_error": cost[1]}
+    return Worth(summary | {"degenerate_draws": degenerate[-1]}, profile, list(worth.values()))
+
+
+def _effective_sizes(built: Built, stream: int, times: Times, measured: list[Array]) -> list[float]:
+    """Mean effective sample size after each measurement; NaN for exact engines."""
+    if built.problem.exact or not times:
+        return [math.nan] * len(times)
+    job = built.job.filter
+    settings = FilterSettings(job.particles, job.resampling, job.dtype)
+    first = begin(built.problem.believed, settings, stream, 0, built.source.engine)
+    sizes = pd.DataFrame(
+        [
+            effective_sample_sizes(replace(first, draw=draw), times, y)
+            for draw, y in enumerate(measured)
+        ]
+    )
+    return sizes.mean().to_list()
+
+
+def _changes(times: Times, feasible: Feasible) -> Iterator[tuple[int, str, Times]]:
+    """Yield each measurement with each change of it, and the set that follows.
+
+    Every measurement may be removed, but it moves only to instants that the job allows.
+    """
+    for t in times:
+        others = set(times) - {t}
+        yield t, "removed", tuple(sorted(others))
+        for change, to in (("earlier", t - 1), ("later", t + 1)):
+            moved = tuple(sorted(others | {to}))
+            free = to in feasible.optional and to not in others and t not in feasible.required
+            if free and feasible.allows(moved):
+                yield t, change, moved
+
+
+def _means(
+    problem: Problem, work: Work, reporter: Reporter
+) -> tuple[list[tuple[float, float]], list[int]]:
+    """Mean and standard error of each column of `_columns`, and degenerate draws up to each t."""
+    instants, (_, draws), start = problem.horizon + 1, work.draws, reporter.progress.done
+    if problem.exact:
+        known = problem.expected_mse(work.measurement_times, work.ends)
+        reporter.reach(start + 1, evaluations=draws)
+        return [(float(mean), 0.0) for mean in _columns(known[None], instants)[0]], [0] * instants
+    columns = [Moments() for _ in range(1 + len(work.ends))]
+    degenerate = np.zeros(instants, np.int64)
+    for piece in problem.pieces(work, MOST_SECONDS):
+        mse = problem.filtered(piece).mse
+        degenerate += np.isnan(mse[:, :instants]).sum(axis=0)
+        for moments, values in zip(columns, _columns(mse, instants).T, strict=True):
+            moments.add(values[~np.isnan(values)])
+        _, compared = piece.draws
+        reporter.reach(start + compared / draws, evaluations=compared)
+    means = [(moments.mean, moments.standard_error) for moments in columns]
+    return means, degenerate.tolist()
+
+
+def _columns(mse: NDArray[np.float64], instants: int) -> NDArray[np.float64]:
+    """MSE, error at every instant, and rise of the MSE by each change, for each draw.
+
+    Parameters
+    ----------
+    mse : array of float64, (D, T+1+V)
+        Sum of the errors up to every instant over T+1, then the MSE of each of V changed sets.
+    instants : int
+        T+1.
+
+    Returns
+    -------
+    array of float64, (D, 1+T+1+V)
+        NaN where the unchanged set is degenerate.
+    """
+    whole = mse[:, instants - 1 : instants]
+    with np.errstate(invalid="ignore"):  # infinite errors have no difference
+        errors = np.diff(mse[:, :instants], axis=1, prepend=0.0) * instants
+        rises = mse[:, instants:] - whole
+    errors[np.isnan(whole[:, 0])] = np.nan  # also before the instant of the degeneracy
+    return np.concatenate([whole, errors, rises], axis=1)

@@ -1,0 +1,84 @@
+"""Every example of the help runs, on small jobs of the same names."""
+
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import tomli_w
+
+from pfdist.cli.command import COMMANDS
+from pfdist.cli.main import main
+from pfdist.common.parsing import parse_toml
+
+JOBS = Path(__file__).parents[2] / "jobs"
+EXAMPLES = [line for command in COMMANDS.values() for line in command.examples]
+_SMALL: dict[str, dict[str, Any]] = {
+    "problem": {"measurement_budget": 4},
+    "filter": {"particles": 5},
+    "evaluation": {"draws": 10},
+    "comparison": {"draws": 100},
+    "execution": {"pool": "serial"},
+}
+# Options that follow an example: the same work on fewer draws, and without Ray.
+_SHORTER = {
+    "bound": "--pool serial --draws 480 --work 0",
+    "budget": "--draws 50 --bound-draws 0",
+    "online": "--draws 2",
+    "plan": "--bound-draws 0",
+    "run": "--set comparison.draws=100",
+    "why": "--draws 100",
+}
+
+
+def _small(job: Path) -> str:
+    """Give a job of the same horizon, with few measurements, particles and draws."""
+    data = parse_toml(job.read_text())
+    for name, section in _SMALL.items():
+        data[name] = {**data.get(name, {}), **section}
+    for search in data.get("search", ()):
+        search["evaluation"] = {"draws": 10}
+        if search["method"] == "genetic":
+            search |= {"population": 4, "generations": 2}
+    if "online" in data:
+        data["online"] |= {"draws": 2, "judging_draws": 8}
+    return tomli_w.dumps(data)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A folder with the files that examples name, and the run of jobs/plan.toml."""
+    folder = tmp_path_factory.mktemp("examples")
+    (folder / "jobs").mkdir()
+    for job in ("plan", "quick", "online"):
+        (folder / "jobs" / f"{job}.toml").write_text(_small(JOBS / f"{job}.toml"))
+    (folder / "mine.py").write_text("from pfdist.models.ungm import model\n")
+    (folder / "patient.csv").write_text("t,y0\n1,0.3\n4,5.1\n9,2.2\n")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        assert main(["plan", "jobs/plan.toml", "--bound-draws", "0"]) == 0
+        yield folder
+
+
+@pytest.mark.parametrize("line", EXAMPLES)
+@pytest.mark.usefixtures("no_figures")
+def test_an_example_runs(line: str, folder: Path) -> None:
+    program, *words = shlex.split(line)
+    if program != "pfdist" or ">" in words:
+        _run_in_bash(line, folder)
+        return
+    assert main([*words, *shlex.split(_SHORTER.get(words[0], ""))]) == 0
+
+
+def _run_in_bash(line: str, home: Path) -> None:
+    """Run a line that only a shell understands; the folder it writes to is there."""
+    (home / ".config" / "fish" / "completions").mkdir(parents=True, exist_ok=True)
+    program = f'pfdist() {{ {shlex.quote(sys.executable)} -m pfdist "$@"; }}'
+    environment = {**os.environ, "HOME": str(home)}
+    bash = shutil.which("bash") or "bash"
+    subprocess.run([bash, "-ec", f"{program}\n{line}"], check=True, timeout=60, env=environment)

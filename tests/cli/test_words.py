@@ -1,0 +1,49 @@
+"""Lists of numbers with spaces, wherever the option stands, and options that nobody knows."""
+
+import pytest
+
+from pfdist.cli.parser import make_parser
+from pfdist.cli.words import unknown_option
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "a.toml --times 0,3,6",
+        "a.toml --times 0 3 6",
+        "--times 0 3 6 a.toml",
+        "--times=0 3 6 a.toml",
+        "--ti 0, 3 ,6 a.toml --json",
+        "--times 0:6:3 a.toml",
+        "--times 0:3:3 6 --seed 3 a.toml",
+    ],
+)
+def test_times_may_have_spaces_before_and_after_the_job(line: str) -> None:
+    options = make_parser().parse_args(["evaluate", *line.split()])
+    assert (options.job, options.times) == ("a.toml", [0, 3, 6])
+
+
+def test_measurements_take_the_same_lists() -> None:
+    options = make_parser().parse_args(["budget", "a.toml", "--measurements", "5:7", "20:40:10"])
+    assert options.measurements == [5, 6, 7, 20, 30, 40]
+
+
+@pytest.mark.parametrize("line", ["--times 0 x", "--times 0 -1", "--draws 3 4 --times 0"])
+def test_a_word_that_is_no_number_of_a_list_is_not_taken_for_one(line: str) -> None:
+    with pytest.raises(SystemExit) as stop:
+        make_parser().parse_args(["evaluate", "a.toml", *line.split()])
+    assert stop.value.code == 2
+
+
+@pytest.mark.parametrize(
+    ("line", "unknown"),
+    [
+        ("--draw 3 --jsn", "--jsn"),
+        ("--draws=3 --target -1 -.5 -", ""),
+        ("--drows=3", "--drows"),
+        ("-json", "-json"),
+        ("-- --jsn", ""),
+    ],
+)
+def test_the_first_unknown_option_is_found(line: str, unknown: str) -> None:
+    assert unknown_option(line.split(), ["-h", "--draws", "--json", "--target"]) == unknown

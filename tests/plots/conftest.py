@@ -1,0 +1,40 @@
+"""Runs whose figures tests draw."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+import pfdist
+from pfdist.analysis import Run
+
+ROOT = Path(__file__).parents[1]
+EXACT = ["model.name=random_walk", "filter.engine=kalman"]  # compiles no filter of a search
+
+
+@pytest.fixture(scope="session")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """A run of two searches, one of which estimates otherwise than the comparison."""
+    folder = tmp_path_factory.mktemp("plain") / "quick"
+    shutil.copytree(ROOT / "assets" / "schema-3", folder)
+    return pfdist.open_run(folder)
+
+
+@pytest.fixture(scope="session")
+def proved(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """A run with forbidden instants, online times, a lower bound, and the worth of measurements."""
+    folder = tmp_path_factory.mktemp("proved") / "run"
+    changes = [*EXACT, "search.random.evaluations=3", "search.genetic.generations=1"]
+    changes += ["online.draws=20", "problem.forbidden=[7, '9-10']"]
+    run = pfdist.run(ROOT / "small.toml", folder, changes=changes, figures=False)
+    pfdist.bound(run.path, pool="serial", figures=False)
+    pfdist.why(run.path, figures=False)
+    return run
+
+
+@pytest.fixture(scope="session")
+def several(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """A run for several numbers of measurements."""
+    job = pfdist.load_job(ROOT / "small.toml", [*EXACT, "problem.horizon=6"])
+    folder = tmp_path_factory.mktemp("several") / "budget"
+    return pfdist.budget(job, (2, 3), folder, draws=20, figures=False)

@@ -1,0 +1,132 @@
+"""A few outliers do not flatten a figure; arrows and numbers tell where they are."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from pfdist.plots import budget, cost, error_profile, shifts, worth
+from pfdist.plots.outliers import shown_range
+
+RNG = np.random.default_rng(5)
+WORTH = pd.DataFrame(
+    {"name": "mine", "t": range(12), "removed": RNG.uniform(0.5, 2, 12), "removed_error": 0.1}
+)
+
+
+def _axes() -> Axes:
+    return Figure().subplots()
+
+
+def _arrows(axes: Axes) -> dict[str, list[float]]:
+    """Places of the arrows at the upper and at the lower edge."""
+    return {
+        str(line.get_marker()): np.asarray(line.get_xdata()).tolist()
+        for line in axes.get_lines()
+        if line.get_marker() in ("^", "v") and line.get_transform() != axes.transData
+    }
+
+
+def _legend(axes: Axes) -> list[str]:
+    return [text.get_text() for text in axes.get_legend().get_texts()]
+
+
+@pytest.mark.parametrize("factor", [1e-6, 1.0, 1e9])
+def test_limits_have_the_scale_of_the_values(factor: float) -> None:
+    values = np.array([3.0, 1.0, 2.0, 1000.0]) * factor
+    assert shown_range(values) == (1.0 * factor, 3.0 * factor)
+    assert shown_range(-values) == (-3.0 * factor, -1.0 * factor)
+
+
+def test_nothing_is_cut_off_that_leaves_the_others_a_quarter_of_the_axis() -> None:
+    assert shown_range(np.array([1.0, 2.0, 3.0, 9.0])) is None
+    assert shown_range(np.array([1.0, 2.0, 3.0, 9.1])) == (1.0, 3.0)
+
+
+def test_at_most_a_tenth_is_cut_off_and_no_more_than_helps() -> None:
+    values = RNG.uniform(1, 2, 38)
+    assert shown_range(np.append(values, [500, 900])) == (values.min(), values.max())
+    assert shown_range(np.append(values[:30], [500] * 10)) is None  # a quarter: no outliers
+    assert shown_range(np.append(values, [3.0, 900])) == (values.min(), 3.0)
+
+
+def test_infinite_values_are_cut_off_and_equal_values_are_not() -> None:
+    assert shown_range(np.array([1.0, 2.0, np.inf])) == (1.0, 2.0)
+    assert shown_range(np.array([2.0, 2.0, 2.0])) is None
+    assert shown_range(np.zeros(0)) is None
+
+
+def test_a_measurement_worth_a_hundred_times_the_others_is_an_arrow_with_its_number() -> None:
+    table = WORTH.copy()
+    table.loc[4, "removed"] = 152.0
+    axes = worth(table, ax=_axes())
+    assert axes.get_ylim()[1] < 3
+    assert axes.get_ylim()[0] < 0  # the stems begin at 0
+    assert _arrows(axes) == {"^": [4.0]}
+    assert _legend(axes) == ["mine", "mine: 152"]
+    assert worth(WORTH, ax=_axes()).get_ylim()[1] > WORTH["removed"].max()
+    assert _arrows(worth(WORTH, ax=_axes())) == {}
+
+
+def test_a_shift_far_below_is_an_arrow_at_the_lower_edge_with_a_true_minus_sign() -> None:
+    table = WORTH.assign(earlier=WORTH["removed"], earlier_error=0.1, later=0.0, later_error=0.1)
+    table.loc[7, "earlier"] = -90.0
+    axes = shifts(table, ax=_axes())
+    assert _arrows(axes) == {"v": [6.7]}
+    assert _legend(axes)[-1] == "mine: \N{MINUS SIGN}90"
+
+
+def test_a_spike_of_the_error_leaves_the_profile_its_room() -> None:
+    error = np.append(RNG.uniform(1, 3, 20), 4e6)
+    profile = pd.DataFrame(
+        {"name": "mine", "t": range(21), "measured": False, "error": error, "standard_error": 0.1}
+    )
+    axes = error_profile(profile, ax=_axes())
+    assert (axes.get_ylim()[0], axes.get_ylim()[1] < 4) == (0.0, True)
+    assert _legend(axes)[-1] == r"mine: $4\times 10^{6}$"
+
+
+def test_an_axis_that_begins_at_0_has_no_arrow_for_a_small_value_that_it_shows() -> None:
+    error = np.append(RNG.uniform(100, 110, 20), 5.0)
+    profile = pd.DataFrame(
+        {"name": "mine", "t": range(21), "measured": False, "error": error, "standard_error": 0.1}
+    )
+    axes = error_profile(profile, ax=_axes())
+    assert axes.get_ylim()[0] == 0.0
+    assert _arrows(axes) == {}
+
+
+def test_first_generations_far_off_and_infinite_costs_leave_the_search_its_room() -> None:
+    costs = [1e5, *np.linspace(40, 20, 20)]
+    rows = pd.DataFrame(
+        {"phase": "mine", "generation": range(21), "copies": 5, "expected_mse": costs}
+    )
+    rows.loc[3, "expected_mse"] = np.inf
+    axes = cost(rows, {"mine": "genetic"}, reference=("regular times", 60.0), ax=_axes())
+    low, high = axes.get_ylim()
+    assert low < 20
+    assert 60 < high < 70  # the reference is shown
+    assert _arrows(axes) == {"^": [5.0]}
+    for kind in ("average", "minimum"):
+        assert rf"mine {kind}: $1\times 10^{{5}}$" in _legend(axes)
+
+
+def test_small_budgets_with_huge_errors_leave_the_curve_its_room() -> None:
+    numbers = np.arange(2, 42)
+    costs = {"regular": 60 / numbers, "found": 40 / numbers}
+    costs["found"][0] = 3e4
+    table = pd.concat(
+        pd.DataFrame({"kind": kind, "measurements": numbers, "expected_mse": mse})
+        for kind, mse in costs.items()
+    ).assign(bound=np.nan, bound_low=np.nan)
+    table["low"], table["high"] = 0.9 * table["expected_mse"], 1.1 * table["expected_mse"]
+    axes = budget(table, ax=_axes())
+    assert axes.get_ylim()[1] < 40
+    assert _legend(axes) == ["regular times", "found times", r"found: 30,000"]
+
+
+def test_many_points_beyond_the_axis_have_one_number() -> None:
+    table = pd.concat([WORTH] * 4, ignore_index=True).assign(t=range(48))
+    table.loc[[3, 9, 30], "removed"] = [300.0, 200.0, 500.0]
+    assert _legend(worth(table, ax=_axes()))[-1] == "mine: 3 up to 500"

@@ -1,0 +1,282 @@
+"""Every public figure: of a run or of tables, in given or new axes, with no legend on data."""
+
+import inspect
+from collections.abc import Callable, Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib import pyplot
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+import pfdist
+from pfdist import plots
+from pfdist.analysis import Run
+from pfdist.errors import JobError
+from pfdist.plots.figure import FIGURES, Tables
+from pfdist.plots.figures import drawn
+from pfdist.plots.library import styled
+from pfdist.plots.style import PRINT, SCREEN
+from pfdist.store import filtered_schema
+
+NAMES = [
+    name for name in plots.__all__ if "ax" in inspect.signature(getattr(plots, name)).parameters
+]
+SETS = ("regular", "mine")
+PROFILE = pd.DataFrame(
+    [
+        {
+            "name": name, "t": t, "measured": t % 3 == 0, "draws": 200, "error": 1.0 + t % 3,
+            "standard_error": 0.1, "degenerate_draws": 2 * t * (name == "mine"),
+            "effective_sample_size": 30.0 + t if t % 3 == 0 else np.nan,
+        }
+        for name in SETS
+        for t in range(10)
+    ]
+)  # fmt: skip
+WORTH = pd.DataFrame(
+    [
+        {"name": name, "t": t}
+        | dict.fromkeys(("removed", "earlier", "later"), 0.1 * t)
+        | {f"{change}_error": 0.02 for change in ("removed", "earlier", "later")}
+        for name in SETS
+        for t in range(0, 10, 3)
+    ]
+)
+WHY = SimpleNamespace(profile=PROFILE, worth=WORTH)  # as what pfdist.why returns
+
+
+@pytest.fixture(autouse=True)
+def _closed() -> Iterator[None]:
+    yield
+    pyplot.close("all")
+
+
+def _filtered() -> pd.DataFrame:
+    table = pd.DataFrame({name: np.arange(5.0) for name in filtered_schema(2).names})
+    return table.assign(t=range(5), measured=[True, False, True, False, False])
+
+
+def _trajectory() -> pd.DataFrame:
+    columns = {f"estimate_{name}_0": np.arange(10) + 0.5 for name in SETS}
+    return pd.DataFrame({"draw": 3, "t": range(10), "z_0": np.arange(10.0), **columns})
+
+
+def _drawings(plain: Run, proved: Run, several: Run) -> dict[str, list[Callable[[Any], Axes]]]:
+    """Ways to call each function."""
+    filtered = SimpleNamespace(table=_filtered(), missing=(1,), extra=(2,), to_come=(4,))
+    sets = {"regular": [0, 3], "mine": [1]}
+    return {
+        "belief": [
+            lambda ax: plots.belief(_filtered(), component=1, ax=ax),
+            lambda ax: plots.belief(filtered, ax=ax),
+        ],
+        "bound": [
+            lambda ax: plots.bound(proved, ax=ax),
+            lambda ax: plots.bound(proved.bounds(), ax=ax),
+        ],
+        "budget": [
+            lambda ax: plots.budget(several, ax=ax),
+            lambda ax: plots.budget(several.budget(), ax=ax),
+        ],
+        "cost": [
+            lambda ax: plots.cost(plain, ax=ax),
+            lambda ax: plots.cost(plain, ["survivors"], ax=ax),
+            lambda ax: plots.cost(proved.evaluations().assign(end=12), ax=ax),
+        ],
+        "degenerate_draws": [
+            lambda ax: plots.degenerate_draws(PROFILE, ax=ax),
+            lambda ax: plots.degenerate_draws(WHY, ["mine"], ax=ax),
+        ],
+        "effective_sample_size": [
+            lambda ax: plots.effective_sample_size(WHY, particles=50, ax=ax),
+            lambda ax: plots.effective_sample_size(filtered, ax=ax),
+        ],
+        "error_profile": [
+            lambda ax: plots.error_profile(PROFILE, ax=ax),
+            lambda ax: plots.error_profile(WHY, SETS, ax=ax),
+        ],
+        "gain": [
+            lambda ax: plots.gain(plain, "survivors", ax=ax),
+            lambda ax: plots.gain(plain, beside="survivors", ax=ax),
+            lambda ax: plots.gain(plain.comparison(), "genetic", reference="survivors", ax=ax),
+        ],
+        "one_draw": [
+            lambda ax: plots.one_draw(plain, ax=ax),
+            lambda ax: plots.one_draw(plain, "survivors", draw=4, ax=ax),
+            lambda ax: plots.one_draw(_trajectory(), sets, ax=ax),
+        ],
+        "online_gain": [lambda ax: plots.online_gain(proved, ax=ax)],
+        "online_raster": [
+            lambda ax: plots.online_raster(proved, ax=ax),
+            lambda ax: plots.online_raster(proved.online(), ax=ax),
+        ],
+        "online_shares": [
+            lambda ax: plots.online_shares(proved, ax=ax),
+            lambda ax: plots.online_shares(proved.online(), planned=(0, 3), plan="it", ax=ax),
+        ],
+        "shifts": [lambda ax: plots.shifts(WORTH, ax=ax), lambda ax: plots.shifts(WHY, ax=ax)],
+        "times": [
+            lambda ax: plots.times(proved, ax=ax),
+            lambda ax: plots.times(several, ax=ax),
+            lambda ax: plots.times(sets, forbidden=[5, 6], ax=ax),
+        ],
+        "worth": [lambda ax: plots.worth(WORTH, ax=ax), lambda ax: plots.worth(WHY, ax=ax)],
+    }
+
+
+@pytest.fixture(scope="module")
+def drawings(plain: Run, proved: Run, several: Run) -> dict[str, list[Callable[[Any], Axes]]]:
+    return _drawings(plain, proved, several)
+
+
+every = pytest.mark.parametrize("name", NAMES)
+
+
+def test_plots_are_found_under_pfdist() -> None:
+    assert pfdist.plots is plots
+    assert len(NAMES) == 15
+
+
+@every
+def test_it_draws_into_given_axes_and_makes_new_ones_in_the_users_style(
+    name: str, drawings: dict[str, list[Callable[[Any], Axes]]]
+) -> None:
+    for draw in drawings[name]:
+        axes = Figure().subplots()
+        assert draw(axes) is axes
+        assert axes.has_data()
+        assert not pyplot.get_fignums()
+        with pyplot.style.context({"lines.linewidth": 7.5, "figure.facecolor": "0.9"}):
+            new = draw(None)
+        assert new.figure is pyplot.gcf()
+        assert new.figure.get_facecolor()[:3] == (0.9, 0.9, 0.9)
+        assert _shapes(new) == _shapes(axes)
+        pyplot.close("all")
+
+
+def _shapes(axes: Axes) -> list[list[float]]:
+    return [np.asarray(line.get_xydata()).ravel().tolist() for line in axes.get_lines()]
+
+
+@every
+@pytest.mark.parametrize("style", [PRINT, SCREEN])
+def test_its_legend_covers_no_data(
+    name: str, style: str, drawings: dict[str, list[Callable[[Any], Axes]]]
+) -> None:
+    with styled(style):
+        for draw in drawings[name]:
+            figure = Figure(layout="constrained")
+            draw(figure.subplots())
+            _check_legends(figure)
+
+
+def test_no_legend_of_a_runs_figures_covers_data(plain: Run, proved: Run, several: Run) -> None:
+    figures = [
+        plot
+        for run in (plain, proved, several)
+        for figure in FIGURES.values()
+        for _, plot in figure.plots(Tables(run))
+    ]
+    for style in (PRINT, SCREEN):
+        with styled(style):
+            for plot in figures:
+                _check_legends(drawn(plot))
+
+
+def _check_legends(figure: Figure) -> None:
+    """Check that legends lie on the figure, and on no axes, marker or other legend."""
+    figure.draw_without_rendering()
+    legends = [axes.get_legend() for axes in figure.axes if axes.get_legend()]
+    boxes = [legend.get_window_extent() for legend in legends]
+    for number, box in enumerate(boxes):
+        assert box.x0 >= -1
+        assert box.x1 <= figure.bbox.width + 1
+        assert box.y1 <= figure.bbox.height + 1
+        assert not any(box.overlaps(other) for other in boxes[:number])
+        for axes in figure.axes:
+            assert not box.overlaps(axes.get_window_extent())
+            for line in axes.get_lines():
+                x, y = line.get_transform().transform(np.atleast_2d(line.get_xydata())).T
+                radius = line.get_markersize() / 2 / 72 * figure.dpi * (line.get_marker() != "None")
+                inside = (box.x0 < x + radius) & (x - radius < box.x1)
+                assert not (inside & (box.y0 < y + radius) & (y - radius < box.y1)).any()
+
+
+def test_the_reference_of_a_run_is_hollow_and_its_forbidden_instants_are_shaded(
+    proved: Run, several: Run
+) -> None:
+    axes = plots.times(proved, ax=Figure().subplots())
+    names = [label.get_text() for label in axes.get_yticklabels()]
+    assert names == list(proved.sets()) == ["regular", "genetic", "random"]
+    rows = [line for line in axes.get_lines() if line.get_marker() == "o"]
+    assert [list(line.get_xdata()) for line in rows] == [list(t) for t in proved.sets().values()]
+    assert [line.get_markerfacecolor() == "white" for line in rows] == [True, False, False]
+    shaded = [(patch.get_x(), patch.get_x() + patch.get_width()) for patch in axes.patches]
+    assert shaded == [(6.5, 7.5), (8.5, 10.5)]
+    assert axes.get_xlim() == (-0.75, 12.75)
+    rows = [line for line in plots.times(several).get_lines() if line.get_marker() == "o"]
+    assert [line.get_markerfacecolor() == "white" for line in rows] == [True, True, False, False]
+
+
+def test_degenerate_draws_are_a_share_that_steps_up() -> None:
+    axes = plots.degenerate_draws(PROFILE, ax=Figure().subplots())
+    lines = {str(line.get_label()): line for line in axes.get_lines()}
+    assert set(lines) == {"regular, in the end 0 %", "mine, in the end 9 %"}
+    assert list(lines["mine, in the end 9 %"].get_ydata()) == list(np.arange(10.0))
+
+
+def test_the_effective_sample_size_has_a_point_where_it_is_known() -> None:
+    axes = plots.effective_sample_size(PROFILE, particles=50, ax=Figure().subplots())
+    assert list(axes.get_lines()[0].get_xdata()) == [0, 3, 6, 9]
+    assert (axes.get_yscale(), axes.get_ylim()[0]) == ("linear", 0.0)
+    far = PROFILE.assign(effective_sample_size=PROFILE["effective_sample_size"] ** 3)
+    axes = plots.effective_sample_size(far, ax=Figure().subplots())
+    assert axes.get_yscale() == "linear"
+    far.loc[0, "effective_sample_size"] = 2.0
+    axes = plots.effective_sample_size(far, ax=Figure().subplots())
+    assert (axes.get_yscale(), axes.get_ylim()[0]) == ("log", 1.0)
+    known = PROFILE.assign(effective_sample_size=np.nan, draws=0)
+    for draw in (plots.effective_sample_size, plots.degenerate_draws):
+        assert "exact filters" in draw(known, ax=Figure().subplots()).texts[0].get_text()
+
+
+def test_a_set_or_a_draw_that_does_not_exist_is_named_with_those_that_do(plain: Run) -> None:
+    for draw, message in (
+        (lambda: plots.gain(plain, "nobody"), "name must be one of genetic, survivors, got 'nob"),
+        (lambda: plots.gain(plain, beside="regular"), "beside must be one of genetic, survivors"),
+        (lambda: plots.one_draw(plain, "nobody"), "sets must be one of genetic, survivors"),
+        (lambda: plots.one_draw(plain, draw=61), "draw must be one of 0, 1, 2"),
+        (lambda: plots.cost(plain, ["nobody"]), "searches must be one of genetic, survivors"),
+        (lambda: plots.worth(WORTH, ["nobody"]), "names must be one of regular, mine, got 'nob"),
+        (lambda: plots.cost(plain, ["genetic", "survivors"]), "must estimate costs alike"),
+    ):
+        with pytest.raises(JobError, match=message):
+            draw()
+    assert not pyplot.get_fignums()
+    with pytest.raises(
+        TypeError, match="must be a DataFrame, or have the table `profile`, got int"
+    ):
+        plots.error_profile(3)
+
+
+def test_the_searches_of_a_run_that_estimate_like_the_comparison_are_beside_the_reference(
+    plain: Run,
+) -> None:
+    labels = [line.get_label() for line in plots.cost(plain).get_lines()]
+    assert labels == ["genetic, average", "genetic, minimum", "regular times"]
+    other = plots.cost(plain, ["survivors"])
+    assert [line.get_label() for line in other.get_lines()] == ["survivors, best so far"]
+    assert "estimated otherwise" in other.get_legend().get_title().get_text()
+
+
+def test_the_draw_of_median_gain_is_shown_unless_another_is_wanted(plain: Run) -> None:
+    gains = plain.gains().set_index("draw")["gain_genetic"]
+    median = gains.dropna().sort_values().index[(len(gains.dropna()) - 1) // 2]
+    told = plots.one_draw(plain).get_legend().get_title().get_text()
+    assert told.startswith(f"draw {median}, relative gain ")
+    z = plain.trajectories().query("draw == 7")["z_0"].tolist()
+    assert list(plots.one_draw(plain, draw=7).get_lines()[0].get_ydata()) == z

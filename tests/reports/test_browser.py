@@ -1,0 +1,129 @@
+"""Reports in a real Chromium, with axe-core: wide and narrow, light, dark and printed.
+
+Chromium is that of the machine: Debian's package ``chromium``. Set PFDIST_CHROMIUM to use another.
+"""
+
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import pfdist
+from pfdist import load_job
+
+pytestmark = pytest.mark.browser
+
+WIDTHS = (400, 1200)
+KINDS = ("plan", "budget", "online", "unfinished")
+SMALL = ("model.name=random_walk", "filter.engine=kalman", "comparison.draws=60")
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    from playwright.sync_api import sync_playwright
+
+    program = os.environ.get("PFDIST_CHROMIUM") or shutil.which("chromium")
+    assert program, (
+        "there is no Chromium: install Debian's package chromium, or set PFDIST_CHROMIUM"
+    )
+    with sync_playwright() as playwright:
+        started = playwright.chromium.launch(executable_path=program, args=["--no-sandbox"])
+        yield started
+        started.close()
+
+
+@pytest.fixture(scope="module")
+def reports(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """A report of each kind of run, with everything that can be asked about the run."""
+    folder = tmp_path_factory.mktemp("runs")
+    file = folder / "small.toml"
+    file.write_text((Path(__file__).parents[1] / "small.toml").read_text())
+    job = load_job(file, [*SMALL, "search=[{method='genetic', generations=1}]"])
+    plan = pfdist.run(job, folder / "plan", bound_draws=480)
+    pfdist.why(plan.path)
+    pfdist.budget(job, (3, 5), folder / "budget", draws=60)
+    pfdist.online(job, folder / "online", draws=20)
+
+    def stop(progress: Any) -> None:
+        if progress.phase == "comparison":
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        pfdist.run(job, folder / "unfinished", progress=stop)
+    return {kind: pfdist.report(folder / kind) for kind in KINDS}
+
+
+@pytest.fixture
+def page(browser: Any, request: pytest.FixtureRequest) -> Iterator[Any]:
+    """A page that fails the test if anything is printed on the console or requested."""
+    width, scheme = request.param
+    context = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
+    opened, wrong = context.new_page(), list[str]()
+    opened.on("console", lambda message: wrong.append(message.text))
+    opened.on("pageerror", lambda error: wrong.append(str(error)))
+    opened.on(
+        "request",
+        lambda asked: None if asked.url.startswith(("file:", "data:")) else wrong.append(asked.url),
+    )
+    yield opened
+    context.close()
+    assert wrong == []
+
+
+LOOKS = pytest.mark.parametrize(
+    "page", [(width, scheme) for width in WIDTHS for scheme in ("light", "dark")], indirect=True
+)
+
+
+@LOOKS
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_figure_is_seen_and_everyone_can_read_it(
+    page: Any, reports: dict[str, Path], kind: str
+) -> None:
+    from axe_playwright_python.sync_playwright import Axe
+
+    page.goto(reports[kind].as_uri())
+    figures = page.locator("figure")
+    assert figures.count() >= (kind != "unfinished")
+    for figure in figures.all():
+        box = figure.locator("svg").bounding_box()
+        assert box["width"] > 250
+        assert box["height"] > 100
+        assert figure.locator("figcaption").inner_text().endswith(".")
+        assert figure.locator("svg").get_attribute("aria-label")
+    page_width = page.evaluate("document.documentElement.scrollWidth")
+    assert page_width <= page.viewport_size["width"]
+    for details in page.locator("details").all():
+        details.locator("summary").click()
+    broken = Axe().run(page).response["violations"]
+    assert [(rule["id"], rule["nodes"][0]["html"]) for rule in broken] == []
+
+
+@pytest.mark.parametrize("page", [(1200, "light")], indirect=True)
+def test_a_click_on_a_head_sorts_a_table_and_another_turns_it_round(
+    page: Any, reports: dict[str, Path]
+) -> None:
+    page.goto(reports["budget"].as_uri())
+    table = page.locator("table").first
+    first = table.locator("tbody th")
+    assert first.all_inner_texts() == ["3", "4", "5"]
+    head = table.get_by_role("button", name="measurements")
+    head.click()
+    assert first.all_inner_texts() == ["3", "4", "5"]
+    head.press("Enter")
+    assert first.all_inner_texts() == ["5", "4", "3"]
+    assert table.locator("thead th").first.get_attribute("aria-sort") == "descending"
+
+
+@pytest.mark.parametrize("page", [(1200, "dark")], indirect=True)
+def test_it_prints_in_black_on_white(page: Any, reports: dict[str, Path]) -> None:
+    page.goto(reports["plan"].as_uri())
+    page.emulate_media(media="print", color_scheme="dark")
+    colours = page.evaluate(
+        "[getComputedStyle(document.body).color, getComputedStyle(document.body).backgroundColor]"
+    )
+    assert colours == ["rgb(0, 0, 0)", "rgb(255, 255, 255)"]
+    assert len(page.pdf()) > 10_000
