@@ -115,7 +115,7 @@ def online_raster(
     rows, instants = measured.shape
     in_order = measured[np.lexsort(~measured.T[::-1])]  # early measurements come first
     ax.imshow(
-        in_order, aspect="auto", interpolation="nearest", cmap=ListedColormap(["white", BLUE]),
+        in_order, aspect="auto", interpolation="nearest", cmap=ListedColormap(["#ffffff00", BLUE]),
         vmin=0, vmax=1, extent=(-0.5, instants - 0.5, rows + 0.5, 0.5),
     )  # fmt: skip
     _mark(ax, planned, "")

@@ -13,7 +13,8 @@ from pfdist.plots.gain_histogram import gain, title_of
 def online_gain_figure(tables: Tables) -> Plot:
     """Histogram of the relative gain of online times; the plan's gain on the same draws."""
     draws = tables.online
-    title = title_of(draws.gain("online", draws.plan), "online times", f"those of {draws.plan}")
+    over_reference = draws.gain("online", draws.reference)
+    title = title_of(over_reference, "online times", label(draws.reference))
     return Plot(2.9, lambda panels: online_gain(draws, ax=panels[0]), title=title)
 
 

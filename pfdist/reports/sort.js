@@ -1,10 +1,12 @@
 // A click on the head of a column sorts the table by it, and a second click turns the order round.
 "use strict";
 
+const unknown = (key) => key === "" || key === "nan";
+
 const by = (index, turned) => (first, second) => {
   const [a, b] = [first, second].map((row) => row.cells[index].dataset.key);
-  const [x, y] = [a, b].map(Number);
-  const order = a === "" || b === "" ? (a === "") - (b === "")
+  const [x, y] = [a, b].map((key) => Number(key.replace("inf", "Infinity")));
+  const order = unknown(a) || unknown(b) ? unknown(a) - unknown(b)
     : Number.isNaN(x) || Number.isNaN(y) ? a.localeCompare(b) : x - y;
   return turned ? -order : order;
 };

@@ -12,7 +12,10 @@ from pfdist.analysis.reference import label
 from pfdist.common.percent import range_of, times_100
 from pfdist.common.rounding import with_interval
 from pfdist.plots.figure import Tables
-from pfdist.reports.parts import Cell, Table
+from pfdist.reports.parts import Cell, Table, Text
+
+MOST_SETS = 4
+"""Sets that have figures in a report; each has about 60 kB of them."""
 
 
 @dataclass(frozen=True)
@@ -62,8 +65,31 @@ class Subject:
     @property
     def best(self) -> str:
         """Name of the found set with the least expected MSE on the draws of the comparison."""
+        return self.by_error[0]
+
+    @property
+    def by_error(self) -> list[str]:
+        """Names of the found sets, the least expected MSE first."""
         known = {name: each["expected_mse"] for name, each in self.found.items()}
-        return min(known, key=lambda name: (known[name] is None, known[name]))
+        return sorted(known, key=lambda name: (known[name] is None, known[name] or 0.0))
+
+    @property
+    def shown(self) -> list[str]:
+        """Names of the sets that have figures in a report: some of the best."""
+        return self.by_error[:MOST_SETS]
+
+    @property
+    def about_others(self) -> list[Text]:
+        """Say where the figures of the other sets are."""
+        others = len(self.found) - len(self.shown)
+        if not others:
+            return []
+        return [
+            Text(
+                f"Figures are shown of the {MOST_SETS} sets with the least expected error. Those "
+                f"of the other {others} are in the folder figures of the run."
+            )
+        ]
 
     @property
     def reference_times(self) -> list[int]:

@@ -123,6 +123,20 @@ def test_a_run_that_is_not_finished_has_a_report_that_says_so(
     assert "What was asked" in seen.text
 
 
+def test_of_many_searches_the_best_sets_have_figures(small_job: Job, tmp_path: Path) -> None:
+    many = ", ".join(f"{{method='random', name='s{k}', evaluations=2}}" for k in range(20))
+    job = small_job.with_changes([*EXACT, f"search=[{many}]"])
+    run = pfdist.run(job, tmp_path / "run", figures=False)
+    file = pfdist.report(run)
+    seen = Seen(file.read_text(encoding="utf-8"))
+    best = sorted(run.summary()["results"].items(), key=lambda each: each[1]["expected_mse"])
+    best_sets = [name for name, _ in best if name != "regular"][:4]
+    shown = [name for name in run.names if f"the times of {name} err" in seen.text]
+    assert sorted(shown) == sorted(best_sets)
+    assert "Those of the other 16 are in the folder figures" in seen.text
+    assert file.stat().st_size < 2_000_000
+
+
 def test_errors_that_are_unknown_are_said(small_job: Job, tmp_path: Path) -> None:
     (small_job.path.parent / "far.py").write_text(
         "from dataclasses import replace\n"

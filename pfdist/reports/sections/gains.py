@@ -35,7 +35,8 @@ def gains(subject: Subject) -> Section | None:
             table,
             Text(_MEANING),
             *texts,
-            *pictures(subject.tables, ["gain", "draw"]),
+            *pictures(subject.tables, ["gain", "draw"], subject.shown),
+            *subject.about_others,
             sets_table(subject),
         ],
     )

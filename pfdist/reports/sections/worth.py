@@ -29,10 +29,8 @@ def worth(subject: Subject) -> Section | None:
         "measurement whose loss changes little may be left out; the others should be kept. A value "
         "below 0 means that the change would lower the error."
     )
-    names = ["why", "filters"]
-    return Section(
-        "What each measurement is worth", [Text(meaning), *pictures(subject.tables, names), *tables]
-    )
+    figures = pictures(subject.tables, ["why", "filters"], subject.shown)
+    return Section("What each measurement is worth", [Text(meaning), *figures, *tables])
 
 
 def _row(measurement: Mapping[Hashable, Any]) -> list[Cell]:
