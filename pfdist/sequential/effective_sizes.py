@@ -29,21 +29,22 @@ def effective_sample_sizes(filtering: OneFilter, times: Times, y: Array) -> list
     Returns
     -------
     list of float, (N,)
-        NaN from the first measurement that no particle explains.
+        NaN from the first measurement at which the filter fails: no particle explains it, or a
+        state is not finite.
 
     References
     ----------
     Kong, Liu, Wong, "Sequential imputations and Bayesian missing data problems", Journal of the
     American Statistical Association 89, 1994.
     """
-    sizes = []
-    try:
-        for t, measured in zip(times, y, strict=True):
+    sizes = [math.nan] * len(times)
+    for number, (t, measured) in enumerate(zip(times, y, strict=True)):
+        try:
             predicted, *_ = filtering.at(t)
-            cloud = cast(Cloud, predicted.settings.prior)
             filtering, *_ = predicted.at(t, measured)
-            share, _ = weighed(filtering.model, cloud, measured)
-            sizes.append(Particles(cloud.x, share).effective_sample_size())
-    except MeasurementsError:
-        pass
-    return sizes + [math.nan] * (len(times) - len(sizes))
+        except MeasurementsError:
+            return sizes  # from here on the filter has no belief
+        cloud = cast(Cloud, predicted.settings.prior)
+        share, _ = weighed(filtering.model, cloud, measured)
+        sizes[number] = Particles(cloud.x, share).effective_sample_size()
+    return sizes
