@@ -3,9 +3,12 @@
 from typing import TYPE_CHECKING, Any
 
 from pfdist.analysis.bounds import last_bounds
+from pfdist.analysis.exact import add_exact_results
 from pfdist.analysis.finite import finite
 from pfdist.analysis.online import online_draws
 from pfdist.analysis.results import Results
+from pfdist.evaluation.engines import is_exact
+from pfdist.job.problem_section import ProblemSection
 
 if TYPE_CHECKING:
     from pfdist.analysis.stored_run import Run
@@ -23,9 +26,11 @@ def summary_of(run: "Run", kind: Results) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``state``, ``run``, ``evaluations`` (copies counted), ``draws_compared``, ``results`` by
-        name, and ``online`` if there is such a table. Fractions are not in per cent; an
-        infinite or unknown value is None. Each result has:
+        ``state``, ``run``, ``evaluations`` (copies counted), ``draws_compared``, ``is_exact``
+        (whether the engine knows expected MSEs without draws), ``is_constrained`` (whether the job
+        excludes some times, beside their number or cost), ``results`` by name, and ``online`` if
+        there is such a table. Fractions are not in per cent; an infinite or unknown value is None.
+        Each result has:
 
         - measurement_times, expected_mse, standard_error, degenerate_draws, search_cost and
           search_standard_error.
@@ -40,6 +45,9 @@ def summary_of(run: "Run", kind: Results) -> dict[str, Any]:
 
         - For all, if a lower bound was proved: lower_bound, with the columns of `bounds` for
           the proof of most compared draws, then of most particle-steps.
+
+        - With an exact engine: exact_mse, of the reference only if a lower bound was proved or
+          ``pfdist why`` has computed it; then exact_gain of the others, 1 less the ratio.
 
         If the run has several numbers of measurements, the results are the rows of `budget`,
         with the four search_ fields for found times. Before the comparison has begun, a result
@@ -61,6 +69,7 @@ def summary_of(run: "Run", kind: Results) -> dict[str, Any]:
         proved = last_bounds(run.bounds()) if run.has("bound") else {}
         for name, columns in proved.items():
             results[name]["lower_bound"] = columns
+        add_exact_results(run, results)
     evaluations = int(run.evaluations()["copies"].sum()) if run.has("evaluations") else 0
     has_online = run.has("online") and run.has("comparison")
     online = {"online": finite(online_draws(run).summary())} if has_online else {}
@@ -69,6 +78,8 @@ def summary_of(run: "Run", kind: Results) -> dict[str, Any]:
         "run": str(run.path),
         "evaluations": evaluations,
         "draws_compared": run.draws_compared,
+        "is_exact": is_exact(run.job["filter"]["engine"]),
+        "is_constrained": ProblemSection.model_validate(run.job["problem"]).is_constrained,
         "results": finite(results),
         **online,
     }

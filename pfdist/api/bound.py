@@ -15,7 +15,7 @@ from pfdist.common.cards import Card, Shown
 from pfdist.common.percent import percent
 from pfdist.common.rounding import with_error
 from pfdist.errors import JobError
-from pfdist.evaluation.engines import KALMAN
+from pfdist.evaluation.engines import is_exact
 from pfdist.plots import draw_figures
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built, check_pool
@@ -42,6 +42,8 @@ class Bound(Shown):
         Whether the limits of all found sets are as small as demanded; None if nothing was demanded.
     gaps : list of Gap
         One for each compared set of the run.
+    is_constrained : bool
+        Whether the job excludes some times, beside their number or cost.
     """
 
     run: Path
@@ -53,6 +55,7 @@ class Bound(Shown):
     confidence: float
     within_reached: bool | None
     gaps: list[Gap]
+    is_constrained: bool = False
 
     def as_json(self) -> dict[str, Any]:
         """The whole result as JSON values; an unknown value is None."""
@@ -128,7 +131,7 @@ def bound(
     execution = {"pool": pool, "workers": workers, "address": address}
     given = {key: value for key, value in execution.items() if value is not None}
     proved = finished_run(run)
-    if proved.job["filter"]["engine"] == KALMAN.name:
+    if is_exact(proved.job["filter"]["engine"]):
         given = {"pool": "serial"}  # there is nothing to compute in a pool
     with following(progress, say) as (show, tell):
         built = built_again(proved, {"model": model, "filter_model": filter_model}, tell, given)
@@ -150,6 +153,7 @@ def bound(
         prover.confidence,
         None if within is None else look.is_within(within, built.study.references),
         look.gaps,
+        built.job.problem.is_constrained,
     )
 
 

@@ -6,7 +6,7 @@ from pfdist.cli.layout import paragraph, wrapped_lines
 from pfdist.common.gap_sentence import gap_sentence
 
 
-def proof_lines(gap: dict[str, Any], measurements: int) -> list[str]:
+def proof_lines(gap: dict[str, Any], measurements: int, *, is_constrained: bool) -> list[str]:
     """Say how much lower the error of other times can be, or why nobody knows.
 
     Parameters
@@ -15,7 +15,9 @@ def proof_lines(gap: dict[str, Any], measurements: int) -> list[str]:
         Fields of `pfdist.bounds.gap.Gap` as JSON, and ``confidence``.
     measurements : int
         Number of measurements of the set.
+    is_constrained : bool
+        Whether the job excludes some times, beside their number or cost.
     """
     if gap["reason"]:
         return wrapped_lines("no lower bound", gap["reason"])
-    return paragraph(gap_sentence(gap, measurements))
+    return paragraph(gap_sentence(gap, measurements, is_constrained=is_constrained))

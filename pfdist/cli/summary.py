@@ -33,22 +33,21 @@ def print_summary(summary: dict[str, Any], files: str) -> None:
     lines = [
         f"{one_line(summary['run'])}: {summary['state']}, {summary['evaluations']:,} evaluations, "
         f"{summary['draws_compared']:,} draws compared",
-        *(budget_lines(summary) if several else _lines_of_sets(summary["results"])),
+        *(budget_lines(summary) if several else _lines_of_sets(summary)),
         *_lines_of_online(summary),
         *(["", files] if files else []),
     ]
     print("\n".join(lines), file=sys.stdout)
 
 
-def _lines_of_sets(results: dict[str, Any]) -> list[str]:
+def _lines_of_sets(summary: dict[str, Any]) -> list[str]:
     """Give the lines of each set of measurement times, the reference first."""
-    lines = []
-    reference = next(iter(results), "")
+    lines, results = [], summary["results"]
     for name, result in results.items():
         times = ", ".join(map(str, result["measurement_times"]))
         lines += ["", f"{name}: measure at t = {times}"]
         if "expected_mse" in result:
-            lines += _compared_lines(name, results, reference)
+            lines += _compared_lines(name, summary)
         elif result["search_cost"] is not None:  # the comparison has not begun
             lines.append(belief_line(result))
     return lines
@@ -62,9 +61,10 @@ def _lines_of_online(summary: dict[str, Any]) -> list[str]:
     return ["", *online_lines(online, results[online["reference"]["name"]].get("gain_over_itself"))]
 
 
-def _compared_lines(name: str, results: dict[str, Any], reference: str) -> list[str]:
+def _compared_lines(name: str, summary: dict[str, Any]) -> list[str]:
     """Give what the comparison says of a set."""
-    result = results[name]
+    results = summary["results"]
+    reference, result = next(iter(results)), results[name]
     mse = with_error(cost(result["expected_mse"]), result["standard_error"])
     lines = _reference_lines(result) if name == reference else []
     lines.append(line("expected MSE", f"{mse}  (standard error, on fresh draws)"))
@@ -78,7 +78,9 @@ def _compared_lines(name: str, results: dict[str, Any], reference: str) -> list[
         noise = results[reference].get("gain_over_itself")
         lines += _gain_lines(result, reference, noise)
         if "lower_bound" in result:
-            lines += proof_lines(result["lower_bound"], len(result["measurement_times"]))
+            measurements, constrained = len(result["measurement_times"]), summary["is_constrained"]
+            proof = result["lower_bound"]
+            lines += proof_lines(proof, measurements, is_constrained=constrained)
     if "gain_over_itself" in result:
         interval = result["gain_over_itself_interval"]
         gain = percent_with_interval(result["gain_over_itself"], interval)

@@ -9,7 +9,7 @@ from pfdist.common.rounding import rounded
 _ROUNDING = 1e-9  # of exact values
 
 
-def gap_sentence(gap: Mapping[str, Any], measurements: int, *, constrained: bool = False) -> str:
+def gap_sentence(gap: Mapping[str, Any], measurements: int, *, is_constrained: bool = False) -> str:
     """Say how much lower the error of other times can be.
 
     Parameters
@@ -18,7 +18,7 @@ def gap_sentence(gap: Mapping[str, Any], measurements: int, *, constrained: bool
         Fields of `pfdist.bounds.gap.Gap` as JSON, and ``confidence``; there is a bound.
     measurements : int
         Number of measurements of the set.
-    constrained : bool
+    is_constrained : bool
         Whether other constraints exclude some times.
 
     Returns
@@ -35,7 +35,7 @@ def gap_sentence(gap: Mapping[str, Any], measurements: int, *, constrained: bool
     'No other times that cost no more have a lower expected error.'
     """
     times = "time" if measurements == 1 else f"{measurements} times"
-    conditions = ["that the constraints allow"] if constrained else []
+    conditions = ["that the constraints allow"] if is_constrained else []
     if gap["budget"] != measurements:  # it counts money
         times, conditions = "times", ["that cost no more", *conditions]
     times = " ".join([times, " and ".join(conditions)]).rstrip()

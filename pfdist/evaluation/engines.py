@@ -93,4 +93,21 @@ KALMAN = Engine(
 )
 ENGINES = {engine.name: engine for engine in (COMPILED, NUMPY, KALMAN)}
 
+
+def is_exact(name: str) -> bool:
+    """Whether the engine of this name knows the expected MSE without draws.
+
+    Parameters
+    ----------
+    name : str
+        As in ``filter.engine``.
+
+    Examples
+    --------
+    >>> is_exact("kalman"), is_exact("auto")
+    (True, False)
+    """
+    return name in ENGINES and ENGINES[name].exact
+
+
 NUMPY_TIMES_SLOWER = round(NUMPY.seconds_a_step / COMPILED.seconds_a_step)

@@ -79,6 +79,11 @@ class ProblemSection(Section):
             total_cost=self.total_cost,
         )
 
+    @property
+    def is_constrained(self) -> bool:
+        """Whether some times are excluded that have as many measurements, or cost no more."""
+        return bool(self.forbidden or self.required) or (self.minimum_spacing or 1) > 1
+
     def broken(self, times: Iterable[int]) -> list[str]:
         """Give the constraints that a set of times in 0..T breaks, one sentence each.
 

@@ -1,7 +1,8 @@
 """The parts of a report: what a page holds, whatever it looks like."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import compress
 from typing import ClassVar
 
 Value = float | str | None
@@ -82,6 +83,20 @@ class Table:
     head: Sequence[str]
     rows: Sequence[Sequence[Cell]]
     folded: bool = False
+
+
+def without_empty_columns(table: Table) -> Table:
+    """Give a table without the columns in which no row has a text.
+
+    Examples
+    --------
+    >>> table = Table("Searches", ("search", "why"), [[Cell("genetic"), Cell("")]])
+    >>> without_empty_columns(table).head
+    ['search']
+    """
+    kept = [any(row[column].text for row in table.rows) for column in range(len(table.head))]
+    rows = [list(compress(row, kept)) for row in table.rows]
+    return replace(table, head=list(compress(table.head, kept)), rows=rows)
 
 
 @dataclass(frozen=True)

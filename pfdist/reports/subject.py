@@ -9,8 +9,8 @@ from typing import Any
 
 from pfdist.analysis import Run
 from pfdist.analysis.reference import label
-from pfdist.common.percent import range_of, times_100
-from pfdist.common.rounding import with_interval
+from pfdist.common.percent import percent, range_of, times_100
+from pfdist.common.rounding import rounded, with_interval
 from pfdist.plots.figure import Tables
 from pfdist.reports.parts import Cell, Table, Text
 
@@ -52,6 +52,11 @@ class Subject:
         return problem
 
     @property
+    def is_exact(self) -> bool:
+        """Whether the engine knows expected errors without draws."""
+        return bool(self.summary["is_exact"])
+
+    @property
     def is_compared(self) -> bool:
         """Whether the comparison has begun."""
         return any("expected_mse" in result for result in self.results.values())
@@ -64,13 +69,14 @@ class Subject:
 
     @property
     def best(self) -> str:
-        """Name of the found set with the least expected MSE on the draws of the comparison."""
+        """Name of the found set with the least expected MSE: exact, or on the compared draws."""
         return self.by_error[0]
 
     @property
     def by_error(self) -> list[str]:
         """Names of the found sets, the least expected MSE first."""
-        known = {name: each["expected_mse"] for name, each in self.found.items()}
+        key = "exact_mse" if self.is_exact else "expected_mse"
+        known = {name: each.get(key) for name, each in self.found.items()}
         return sorted(known, key=lambda name: (known[name] is None, known[name] or 0.0))
 
     @property
@@ -154,6 +160,25 @@ def effect(gain: float, interval: list[float | None]) -> tuple[str, str]:
     told = f"{changes} the expected error by {value} (95 %: {low_to_high})"
     open_ = "The interval contains 0, so these draws do not tell which times are better."
     return told, open_ if low <= 0.0 <= high else ""
+
+
+def exact_effect(mse: float, reference: float) -> str:
+    """Say what times do to the expected error, where both expected errors are known exactly.
+
+    Parameters
+    ----------
+    mse, reference : float
+        Expected MSE of the times, and that of the reference.
+
+    Examples
+    --------
+    >>> exact_effect(2.2889, 2.4657)
+    'lowers the expected error by 7.17 %, from 2.4657 to 2.2889: the filter knows both exactly'
+    """
+    changes = "lowers" if mse <= reference else "raises"
+    change = percent(abs(1 - mse / reference))
+    ends = f"from {rounded(reference)} to {rounded(mse)}"
+    return f"{changes} the expected error by {change}, {ends}: the filter knows both exactly"
 
 
 def percent_cell(fraction: float | None, interval: list[float | None]) -> Cell:

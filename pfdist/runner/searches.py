@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 
-from pfdist.evaluation.engines import KALMAN
+from pfdist.evaluation.engines import is_exact
 from pfdist.evaluation.work import Estimation, in_blocks
 from pfdist.job.job import Job
 from pfdist.kernels.estimators import OWN_VARIANCE, SQUARED_ERROR
@@ -143,9 +143,7 @@ def named_search(study: Study, job: Job, section: SearchSection, guide: str) -> 
     optimiser = study.optimiser(section, settings.draws)
     search = _with_settings(job, section, section.name, optimiser, settings)
     estimation = settings.estimation
-    if (
-        estimation.estimator == SQUARED_ERROR.name or job.filter.engine == KALMAN.name
-    ):  # which is exact
+    if estimation.estimator == SQUARED_ERROR.name or is_exact(job.filter.engine):  # which is exact
         return search
     estimation = replace(estimation, estimator=SQUARED_ERROR.name, particles=job.filter.particles)
     settings = replace(settings, estimation=estimation)

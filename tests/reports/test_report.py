@@ -60,7 +60,7 @@ def test_it_says_what_the_summary_says_in_a_sentence(exact: Job, tmp_path: Path)
     )
     assert f"Measure at t = {times}." in seen.text
     assert told is not None
-    assert float(told[1]) == pytest.approx(100 * result["gain_of_means"], rel=0.05)  # rounded
+    assert float(told[1]) == pytest.approx(100 * result["exact_gain"], abs=0.006)  # rounded
     assert "No other 4 times can lower the error by more than another" in seen.text
     for title in (
         "What was asked",

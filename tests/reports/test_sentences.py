@@ -8,11 +8,14 @@ import pytest
 
 import pfdist
 from pfdist import Job
+from pfdist.cli.main import main
 from pfdist.common.gap_sentence import gap_sentence
 from pfdist.common.percent import percent
+from pfdist.common.rounding import rounded
 from pfdist.reports.run_report import page_of
 from pfdist.reports.sections.computed import _LOAD
-from pfdist.reports.subject import effect
+from pfdist.reports.sections.searches import searches
+from pfdist.reports.subject import Subject, effect
 
 EXACT = ("model.name=random_walk", "filter.engine=kalman", "comparison.draws=30")
 SEARCH = "search=[{method='genetic', generations=1}]"
@@ -48,7 +51,7 @@ def test_a_gap_of_rounding_errors_is_no_gap() -> None:
 
 
 def test_a_bound_for_money_is_not_said_of_a_number_of_times() -> None:
-    assert gap_sentence(BOUND, 3, constrained=True).startswith(
+    assert gap_sentence(BOUND, 3, is_constrained=True).startswith(
         "No other times that cost no more and that the constraints allow can lower"
     )
 
@@ -68,6 +71,85 @@ def test_exact_costs_are_not_called_too_good(small_job: Job, tmp_path: Path) -> 
     text = _text(_run(small_job, tmp_path / "run"))
     assert "The filter is exact" in text
     assert "its draws chose the set" not in text
+
+
+def test_an_exact_gain_is_said_where_the_tables_hold_it(small_job: Job, tmp_path: Path) -> None:
+    """The expected MSEs are those that `pfdist.evaluate` gives, and not the means of draws."""
+    run = _run(small_job, tmp_path / "run")
+    assert "exact_gain" not in run.summary()["results"]["genetic"]
+    assert "This gain is an average over simulated draws" in _text(run)
+    pfdist.bound(run.path, figures=False)
+    results = run.summary()["results"]
+    exact = [
+        pfdist.evaluate(small_job.with_changes(EXACT), result["measurement_times"]).expected_mse
+        for result in results.values()
+    ]
+    assert [result["exact_mse"] for result in results.values()] == pytest.approx(exact)
+    assert results["genetic"]["exact_gain"] == pytest.approx(1 - exact[1] / exact[0])
+    assert f"from {rounded(exact[0])} to {rounded(exact[1])}: the filter knows" in _text(run)
+
+
+def test_why_tells_the_exact_errors_too(small_job: Job, tmp_path: Path) -> None:
+    run = _run(small_job, tmp_path / "run")
+    pfdist.why(run.path, figures=False)
+    of_why = [result["exact_mse"] for result in run.summary()["results"].values()]
+    pfdist.bound(run.path, figures=False)
+    of_bound = [result["exact_mse"] for result in run.summary()["results"].values()]
+    assert of_why == pytest.approx(of_bound)
+
+
+def test_the_best_of_several_sets_is_chosen_by_exact_errors(small_job: Job, tmp_path: Path) -> None:
+    random = ", ".join(f"{{method='random', name='s{k}', evaluations=1}}" for k in range(4))
+    run = _run(small_job, tmp_path / "run", f"search=[{random}]", "comparison.draws=2")
+    subject = Subject(run)
+    costs = {name: found["search_cost"] for name, found in subject.found.items()}
+    assert subject.by_error == sorted(costs, key=lambda name: costs[name])
+    assert "the best of 4 sets by their expected errors, which are known exactly" in _text(run)
+
+
+def test_an_estimate_without_standard_error_is_not_called_exact(
+    small_job: Job, tmp_path: Path
+) -> None:
+    """A search by particles may see the same error in all of its draws."""
+    run = _run(small_job, tmp_path / "run", "filter.engine=compiled")
+    subject = Subject(run)
+    for result in subject.found.values():
+        result["search_standard_error"] = 0.0
+    assert "exact" not in str(searches(subject))
+
+
+def test_columns_without_any_value_are_left_out(small_job: Job, tmp_path: Path) -> None:
+    """The searches of a range of budgets believe something of each number of measurements."""
+    job = small_job.with_changes([*EXACT, "problem.horizon=6"])
+    subject = Subject(pfdist.budget(job, (2, 3), tmp_path / "run", draws=20, figures=False))
+    found = searches(subject)
+    assert found is not None
+    assert found.blocks[0].head == ["search", "method", "sets evaluated"]
+
+
+@pytest.mark.parametrize(
+    ("change", "is_constrained"),
+    [
+        ("seed=1", False),
+        ("problem.minimum_spacing=1", False),
+        ("problem.minimum_spacing=2", True),
+        ("problem.forbidden=[3]", True),
+        ("problem.required=[3]", True),
+    ],
+)
+def test_report_and_commands_say_alike_whether_constraints_exclude_times(
+    small_job: Job,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    change: str,
+    is_constrained: bool,
+) -> None:
+    run = _run(small_job, tmp_path / "run", change)
+    assert main(["bound", str(run.path)]) == 0
+    of_bound = capsys.readouterr().out
+    assert main(["status", str(run.path)]) == 0
+    for text in (of_bound, capsys.readouterr().out, _text(run)):
+        assert ("that the constraints allow" in " ".join(text.split())) == is_constrained
 
 
 def test_the_best_of_online_and_plan_is_named(small_job: Job, tmp_path: Path) -> None:

@@ -104,8 +104,9 @@ def bound_command(options: Namespace) -> None:
     if options.json:
         print_json(answer, options)
         return
-    sets, confidence = answer["sets"], {"confidence": answer["confidence"]}
-    print("\n\n".join("\n".join(_lines(name, gap | confidence)) for name, gap in sets.items()))
+    common = {key: answer[key] for key in ("confidence", "is_constrained")}
+    lines = (_lines(name, gap | common) for name, gap in answer["sets"].items())
+    print("\n\n".join(map("\n".join, lines)))
     if answer["within_reached"] is False:
         print(f"\nThe limit of a found set is above {100 * options.within:g} % with "
               f"{answer['draws']:,} draws.")  # fmt: skip
@@ -120,7 +121,7 @@ def _lines(name: str, gap: dict[str, Any]) -> list[str]:
     ]
     if not gap["reason"]:
         lines.append(line("lower bound", _estimate(gap, "bound")))
-    lines += proof_lines(gap, number)
+    lines += proof_lines(gap, number, is_constrained=gap["is_constrained"])
     if gap["reason"]:
         return lines
     scale = 100 / gap["expected_mse"] if gap["expected_mse"] else 0.0

@@ -6,7 +6,17 @@ from pfdist.common.gap_sentence import gap_sentence
 from pfdist.common.percent import percent
 from pfdist.reports.parts import Block, Section, Text
 from pfdist.reports.pictures import pictures
-from pfdist.reports.subject import Subject, effect, listed, number_of
+from pfdist.reports.subject import Subject, effect, exact_effect, listed, number_of
+
+_LOOKS_BETTER = (
+    "on the same draws. The best of several sets looks better than it is, the more so the more "
+    "sets there are."
+)
+_MEASURED = (
+    "This gain is an average over simulated draws: the tables do not hold the exact error of the "
+    "times compared with. `pfdist bound` computes it."
+)
+_KNOWN = "by their expected errors, which are known exactly."
 
 
 def answer(subject: Subject) -> Section | None:
@@ -28,13 +38,9 @@ def _blocks(subject: Subject, name: str) -> list[Block]:
         blocks.append(Text(" ".join(filter(None, sentences)), prominent=True))
         others = len(subject.found) - 1
         if others:
-            blocks.append(
-                Text(
-                    f"These are the times of the search {name}, the best of {others + 1} sets on "
-                    "the same draws. The best of several sets looks better than it is, the more so "
-                    "the more sets there are."
-                )
-            )
+            best = f"These are the times of the search {name}, the best of {others + 1} sets"
+            known = _KNOWN if subject.is_exact else _LOOKS_BETTER
+            blocks.append(Text(f"{best} {known}"))
     blocks.append(Text(f"Measure at t = {listed(times)}."))
     return blocks
 
@@ -47,18 +53,23 @@ def _gain(subject: Subject, result: dict[str, Any]) -> str:
     these = f"Measuring at these {number_of(len(times), 'time')} instead of {subject.reference}"
     if gain is None or positive is None:
         return f"{these}: the gain is not known, because errors are 0, infinite or unknown."
-    told, left_open = effect(gain, result["gain_of_means_interval"])
     share = f"{percent(positive, 0)} of {number_of(result['gain_draws'], 'draw')}"
-    return f"{these} {told}. In {share}, the error is lower. {left_open}".rstrip()
+    if result.get("exact_gain") is not None:
+        reference = next(iter(subject.results.values()))["exact_mse"]
+        told = exact_effect(result["exact_mse"], reference)
+        return f"{these} {told}. In {share}, the error is lower."
+    told, left_open = effect(gain, result["gain_of_means_interval"])
+    measured = _MEASURED if subject.is_exact else ""
+    sentences = (f"{these} {told}.", measured, f"In {share}, the error is lower.", left_open)
+    return " ".join(filter(None, sentences))
 
 
 def _proof(subject: Subject, result: dict[str, Any]) -> str:
     proof = result.get("lower_bound")
     if proof is None or proof["reason"]:
         return ""
-    constraints = ("forbidden", "required", "minimum_spacing")
-    constrained = any(subject.problem.get(key) for key in constraints)
-    return gap_sentence(proof, len(result["measurement_times"]), constrained=constrained)
+    constrained = subject.summary["is_constrained"]
+    return gap_sentence(proof, len(result["measurement_times"]), is_constrained=constrained)
 
 
 def _online(subject: Subject) -> str:

@@ -35,9 +35,8 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
         if asked.get(key):
             yield name, _text(asked[key])
     filtering = job["filter"]
-    exact = filtering["engine"] == "kalman"
     particles = f"particle filter with {number_of(filtering['particles'], 'particle')}"
-    yield "filter", "Kalman filter (exact)" if exact else particles
+    yield "filter", "Kalman filter (exact)" if subject.is_exact else particles
 
 
 def _model(section: Mapping[str, Any]) -> str:

@@ -5,7 +5,7 @@ from typing import Any
 
 from pfdist.common.percent import percent
 from pfdist.common.rounding import with_error
-from pfdist.reports.parts import Cell, Section, Table, Text
+from pfdist.reports.parts import Cell, Section, Table, Text, without_empty_columns
 from pfdist.reports.pictures import pictures
 from pfdist.reports.subject import Subject
 from pfdist.search.methods import METHODS
@@ -28,11 +28,11 @@ def searches(subject: Subject) -> Section | None:
     if not evaluated:
         return None
     rows = [_row(subject, search, evaluated.get(search["name"], 0)) for search in job]
-    exact = subject.run.job["filter"]["engine"] == "kalman"
-    meaning = Text(_EXACT if exact else _MEANING)
+    meaning = Text(_EXACT if subject.is_exact else _MEANING)
+    table = without_empty_columns(Table("Searches", _HEAD, rows))
     return Section(
         "How the times were found",
-        [Table("Searches", _HEAD, rows), meaning, *pictures(subject.tables, ["cost"])],
+        [table, meaning, *pictures(subject.tables, ["cost"])],
     )
 
 
@@ -54,7 +54,7 @@ def _row(subject: Subject, search: Mapping[str, Any], count: int) -> list[Cell]:
     if believed is None:
         return [*cells, Cell(""), Cell(""), Cell("")]
     cells.append(Cell(with_error(believed, result["search_standard_error"]), believed))
-    if result["search_standard_error"] == 0.0:
+    if subject.is_exact:
         return [*cells, Cell(""), Cell("exact")]
     excess = result.get("search_excess")
     why = result.get("search_distrust") or result.get("search_cause") or ""

@@ -1,0 +1,52 @@
+"""Expected MSEs that a run's tables hold exactly, because its engine needs no draws."""
+
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
+
+from pfdist.evaluation.engines import is_exact
+
+if TYPE_CHECKING:
+    from pfdist.analysis.stored_run import Run
+
+
+def exact_costs(run: "Run") -> dict[str, float]:
+    """Give the exact expected MSE of each compared set whose tables hold it, by name.
+
+    The searches know it of the sets that they have found. That of the reference is known once
+    ``pfdist bound`` or ``pfdist why`` has computed it.
+
+    Parameters
+    ----------
+    run : Run
+        Its searches are done. If its engine needs draws, nothing is known exactly.
+    """
+    if not is_exact(run.job["filter"]["engine"]):
+        return {}
+    rows = run.compared()
+    costs = dict(zip(rows["name"], rows["search_cost"], strict=True))
+    if run.has("profile"):
+        costs |= run.profile().groupby("name")["error"].mean().to_dict()
+    if run.has("bound"):
+        proved = run.bounds().drop_duplicates("name", keep="last")
+        costs |= dict(zip(proved["name"], proved["expected_mse"], strict=True))
+    return {str(name): float(cost) for name, cost in costs.items() if pd.notna(cost)}
+
+
+def add_exact_results(run: "Run", results: dict[str, dict[str, Any]]) -> None:
+    """Add ``exact_mse`` to the results of a run, and ``exact_gain`` to those of found sets.
+
+    Parameters
+    ----------
+    run : Run
+    results : dict
+        Results of each compared set by name, changed in place; see `exact_costs`.
+    """
+    costs = exact_costs(run)
+    for name, cost in costs.items():
+        results[name]["exact_mse"] = cost
+    reference = costs.get(run.names[0])
+    if not reference or run.has_budget:
+        return
+    for name in run.names[1:]:
+        results[name]["exact_gain"] = 1 - costs[name] / reference
