@@ -14,11 +14,12 @@ from pfdist.api.filter_of import filter_of
 from pfdist.api.planned_run import planned_run
 from pfdist.common.cards import Card, Shown
 from pfdist.plots import check_figure_replaceable, draw_filtered, filtered_plot
-from pfdist.reports import check_page_replaceable, write_filtered_report
+from pfdist.reports import write_filtered_report
 from pfdist.sequential.estimate import Estimate
 from pfdist.sequential.filter import Filter
 from pfdist.sequential.measurements import Measurements, read_measurements
 from pfdist.store import FILTERED_PERCENTS, filtered_schema
+from pfdist.store.shown_files import check_page_replaceable
 from pfdist.store.user_tables import check_table_replaceable, is_parquet, write_user_table
 from pfdist.times.measurement_times import Times
 

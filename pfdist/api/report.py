@@ -5,9 +5,10 @@ from pathlib import Path
 
 from pfdist.analysis import Run, open_run
 from pfdist.api.following import Say, silent
-from pfdist.errors import StoreError
-from pfdist.reports import REPORT, write_report
+from pfdist.errors import PfdistError, StoreError, one_line, shown_text
+from pfdist.reports import write_report
 from pfdist.store import check_not_held
+from pfdist.store.shown_files import REPORT
 
 SECONDS = 5.0
 """Between two reports of a run that goes on."""
@@ -79,6 +80,9 @@ def is_computed(path: Path) -> bool:
 def try_report(run: Run, say: Say) -> None:
     """Write the report of a run whose results stand, whatever becomes of the report.
 
+    No error of the report ends the command that has computed the results, not even a mistake in
+    pfdist. It is told in one line.
+
     Parameters
     ----------
     run : Run
@@ -87,8 +91,11 @@ def try_report(run: Run, say: Say) -> None:
     """
     try:
         write_report(run)
-    except StoreError as error:
+    except PfdistError as error:
         say(f"there is no report: {error}")
+    except Exception as error:
+        told = one_line(shown_text(f"{type(error).__name__}: {error}"))
+        say(f"there is no report: {told} (`pfdist report {run.path} --debug` shows where)")
 
 
 def renew_report(path: Path, say: Say) -> None:

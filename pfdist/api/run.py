@@ -10,7 +10,7 @@ from pfdist.api.report import try_report
 from pfdist.errors import JobError, ModelError, TaskError
 from pfdist.job.job import Job, as_job
 from pfdist.plots import draw_figures, figure_files, remove_figures
-from pfdist.reports import has_report, remove_report
+from pfdist.reports import remove_report
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built, build, check_pool
 from pfdist.runner.driver import FORKED, drive
@@ -21,6 +21,7 @@ from pfdist.runner.progress import Show
 from pfdist.runner.prover import Prover
 from pfdist.runner.session import Session
 from pfdist.store import Store
+from pfdist.store.shown_files import has_report
 
 _PATIENCE = 10  # minutes of one core that a bound may take where nobody asked for it alone
 

@@ -23,7 +23,9 @@ def print_json(answer: dict[str, Any], options: Namespace) -> None:
 
 
 def print_run(summary: dict[str, Any], options: Namespace) -> None:
-    """Print the summary of a run, and where its tables and figures are.
+    """Print the summary of a run, and where its tables, its figures and its report are.
+
+    Files of the user's own that have these names are not named.
 
     Parameters
     ----------
@@ -35,9 +37,21 @@ def print_run(summary: dict[str, Any], options: Namespace) -> None:
     if options.json:
         print_json(summary, options)
         return
+    # Not above: commands that print no run need none of the libraries of the store.
+    from pfdist.store.shown_files import (  # noqa: PLC0415
+        FIGURES_FOLDER,
+        REPORT,
+        figures_in,
+        has_report,
+    )
+
     path = Path(summary["run"])
-    results = {"tables": "tables", "figures": "figures", "report": "report.html"}
-    there = {name: path / file for name, file in results.items() if (path / file).exists()}
+    results = {
+        "tables": ("tables", (path / "tables").is_dir()),
+        "figures": (FIGURES_FOLDER, any(figures_in(path))),
+        "report": (REPORT, has_report(path)),
+    }
+    there = {name: path / file for name, (file, is_there) in results.items() if is_there}
     print_summary(summary, "   ".join(one_line(f"{name}: {at}") for name, at in there.items()))
 
 

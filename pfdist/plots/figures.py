@@ -13,8 +13,7 @@ from pfdist.plots.figure import FIGURES, Plot, Tables
 from pfdist.plots.library import styled
 from pfdist.plots.panel import scaled
 from pfdist.store import remove_file, write_file
-
-FORMATS = ("png", "svg")
+from pfdist.store.shown_files import FIGURES_FOLDER, FORMATS, figures_in
 
 
 def figure_files(run: Run) -> list[Path]:
@@ -31,9 +30,8 @@ def figure_files(run: Run) -> list[Path]:
 
 def remove_figures(path: Path) -> None:
     """Remove the figures of the run in this folder."""
-    for file in (path / "figures").glob("*.*"):
-        if file.suffix.removeprefix(".") in FORMATS:
-            remove_file(file)
+    for file in figures_in(path):
+        remove_file(file)
 
 
 def draw_figures(run: Run, only: str = "") -> list[Path]:
@@ -130,7 +128,7 @@ def _saved(run: Run, name: str, canvas: Canvas, title: str) -> list[Path]:
 
 
 def _files(run: Run, name: str) -> list[Path]:
-    return [run.path / "figures" / f"{name}.{suffix}" for suffix in FORMATS]
+    return [run.path / FIGURES_FOLDER / f"{name}.{suffix}" for suffix in FORMATS]
 
 
 def _save(canvas: Canvas, suffix: str, title: str, path: Path) -> None:

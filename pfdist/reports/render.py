@@ -13,11 +13,9 @@ from jinja2 import Environment, StrictUndefined
 
 from pfdist.reports.parts import Page
 from pfdist.store import write_file
-from pfdist.store.replaceable import check_replaceable
+from pfdist.store.shown_files import check_page_replaceable
 
 _FOLDER = files("pfdist.reports")
-_MARK = b'<meta name="generator" content="pfdist">'
-_START = 1024  # bytes of a report in which the mark stands
 
 
 def as_html(page: Page) -> str:
@@ -57,21 +55,6 @@ def write_page(page: Page, path: Path) -> None:
     check_page_replaceable(path)
     html = as_html(page)
     write_file(path, lambda file: file.write_text(html, encoding="utf-8", errors="replace"))
-
-
-def check_page_replaceable(path: Path) -> None:
-    """Raise an error unless a file is missing, or is an earlier report.
-
-    Raises
-    ------
-    StoreError
-    """
-    check_replaceable(path, _is_earlier)
-
-
-def _is_earlier(path: Path) -> bool:
-    with path.open("rb") as file:
-        return _MARK in file.read(_START)
 
 
 def _text(name: str) -> str:

@@ -6,7 +6,7 @@ from pathlib import Path
 from pfdist.analysis import Run
 from pfdist.errors import StoreError
 from pfdist.reports.parts import Page
-from pfdist.reports.render import check_page_replaceable, write_page
+from pfdist.reports.render import write_page
 from pfdist.reports.sections.answer import answer
 from pfdist.reports.sections.budget import budget
 from pfdist.reports.sections.computed import citation, computed, tables
@@ -18,8 +18,8 @@ from pfdist.reports.sections.searches import searches
 from pfdist.reports.sections.worth import worth
 from pfdist.reports.subject import Subject, number_of, without_folder
 from pfdist.store import remove_file
+from pfdist.store.shown_files import REPORT, check_page_replaceable
 
-REPORT = "report.html"
 _SECTIONS = (
     answer, budget, problem, gains, proof, worth, online, searches, computed, tables, citation,
 )  # fmt: skip
@@ -48,15 +48,6 @@ def write_report(run: Run, seconds: int = 0) -> Path:
     path = run.path / REPORT
     write_page(page_of(run, seconds), path)
     return path
-
-
-def has_report(path: Path) -> bool:
-    """Say whether the folder of a run has a report, and not another file of this name."""
-    try:
-        check_page_replaceable(path / REPORT)
-    except StoreError:
-        return False
-    return (path / REPORT).exists()
 
 
 def remove_report(path: Path) -> None:

@@ -43,7 +43,8 @@ def test_run_and_status_print_the_same_json_and_nothing_else(
         assert captured.err == ""
     run, status = outputs
     assert run == status
-    assert set(run) == {"state", "run", "evaluations", "draws_compared", "results"}
+    facts = {"is_exact", "is_constrained"}
+    assert set(run) == {"state", "run", "evaluations", "draws_compared", "results", *facts}
     assert (run["state"], run["evaluations"], run["draws_compared"]) == ("finished", 34, 250)
     regular, genetic = run["results"]["regular"], run["results"]["genetic"]
     both = {"measurement_times", "expected_mse", "standard_error", "search_cost"}

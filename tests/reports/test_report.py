@@ -213,3 +213,37 @@ def test_a_users_own_file_stays_and_the_run_says_that_there_is_no_report(
     pfdist.run(exact, tmp_path / "run", figures=False, report=True, say=told.append)
     assert (tmp_path / "run" / "report.html").read_text() == "mine"
     assert "there is no report" in told[-1]
+
+
+@pytest.mark.parametrize(
+    "error", [KeyError("z"), ZeroDivisionError("a\nb"), MemoryError(), StoreError("disk full")]
+)
+def test_a_mistake_in_the_report_does_not_spoil_a_finished_run(
+    exact: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    def fail(*arguments: object) -> None:
+        raise error
+
+    monkeypatch.setattr("pfdist.reports.run_report.page_of", fail)
+    told = list[str]()
+    run = pfdist.run(exact, tmp_path / "run", figures=False, report=True, say=told.append)
+    assert run.state == "finished"
+    assert not (run.path / "report.html").exists()
+    is_ours = isinstance(error, StoreError)
+    assert told[-1].startswith(f"there is no report: {error if is_ours else type(error).__name__}")
+    assert "\n" not in told[-1]
+
+
+def test_commands_name_no_file_of_the_users_own_as_a_result(
+    exact: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = pfdist.run(exact, tmp_path / "run", figures=False, report=True)
+    assert main(["status", str(run.path)]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == (
+        f"tables: {run.path}/tables   report: {run.path}/report.html"
+    )
+    (run.path / "report.html").write_text("mine")
+    (run.path / "figures").mkdir()
+    (run.path / "figures" / "notes.txt").write_text("mine")
+    assert main(["status", str(run.path)]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == f"tables: {run.path}/tables"
