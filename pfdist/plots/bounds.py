@@ -10,7 +10,15 @@ from pfdist.analysis import Run
 from pfdist.common.gap_sentence import rounded_up
 from pfdist.common.rounding import rounded
 from pfdist.plots.figure import Plot, Tables, figure, one_number
-from pfdist.plots.panel import axes_for, legend_above, marker, table_of, thin, write_instead
+from pfdist.plots.panel import (
+    axes_for,
+    legend_above,
+    marker,
+    table_of,
+    thin,
+    verbatim,
+    write_instead,
+)
 from pfdist.plots.style import GREY, SERIES
 
 _DASHES = ("-", "-.", ":")
@@ -70,7 +78,7 @@ def bound(rows: Run | pd.DataFrame, *, ax: Axes | None = None) -> Axes:
     -------
     matplotlib Axes
     """
-    rows, ax = table_of(rows, "bounds"), axes_for(ax)
+    rows, ax = table_of(rows, "rows", "bounds"), axes_for(ax)
     rows = _last_proof(rows) if len(rows) else rows
     found = rows[rows["position"] > 0]
     proved = found[found["bound"].notna()]
@@ -80,7 +88,7 @@ def bound(rows: Run | pd.DataFrame, *, ax: Axes | None = None) -> Axes:
     last = found[found["draws"] == rows["draws"].max()].sort_values("position")
     for number, (name, mse) in enumerate(zip(last["name"], last["expected_mse"], strict=True)):
         style: dict[str, Any] = {"color": SERIES[number % len(SERIES)], "ls": _DASHES[number % 3]}
-        ax.axhline(mse, lw=thin(0.9), label=f"expected MSE of {name}", **style)
+        ax.axhline(mse, lw=thin(0.9), label=f"expected MSE of {verbatim(name)}", **style)
     steps = proved["steps"] / 1e9
     ax.errorbar(
         steps, proved["bound"], _TWO_SIDED * proved["bound_error"],

@@ -99,7 +99,7 @@ def budget(
     StoreError
         The run has times of one number of measurements alone.
     """
-    table, ax, curves = table_of(table, "budget"), axes_for(ax), []
+    table, ax, curves = table_of(table, "table", "budget"), axes_for(ax), []
     for kind, style in _STYLES.items():
         rows = table[table["kind"] == kind]
         mean = rows["expected_mse"].to_numpy()

@@ -15,7 +15,15 @@ from pfdist.errors import JobError
 from pfdist.plots.cost_curves import curve_of
 from pfdist.plots.figure import Plot, Tables, figure, one_number
 from pfdist.plots.outliers import cut_outliers, points
-from pfdist.plots.panel import axes_for, chosen, legend_above, marker, thin
+from pfdist.plots.panel import (
+    axes_for,
+    check_kind,
+    chosen,
+    legend_above,
+    marker,
+    thin,
+    verbatim,
+)
 from pfdist.plots.style import GREY, SERIES
 
 _PANEL_INCHES = 1.9  # height of a panel without the legend above it
@@ -133,7 +141,10 @@ def cost(
     ------
     JobError
         The run has no such search, or the searches estimate differently.
+    TypeError
+        The evaluations are neither a run nor a table.
     """
+    check_kind(evaluations, (Run, pd.DataFrame), "evaluations")
     if isinstance(evaluations, Run):
         run, way, names = evaluations, *_alike(groups_of(evaluations), list(searches))
         searches, title = _methods(run, names), title or _told(way)
@@ -150,13 +161,14 @@ def cost(
         start = 0.2 * position / len(methods)
         for kind, costs in curve.items():
             ax.plot(
-                costs.index, costs, color=colour, ls=_DASHES[str(kind)], label=f"{name}, {kind}",
-                marker=shape, markevery=(start, 0.2), ms=marker(0.9), mew=0,
+                costs.index, costs, color=colour, ls=_DASHES[str(kind)],
+                label=f"{verbatim(name)}, {kind}", marker=shape,
+                markevery=(start, 0.2), ms=marker(0.9), mew=0,
             )  # fmt: skip
             shown.append(points(costs.index, costs, colour, f"{name} {kind}"))
     if reference is not None:
         told, mse = reference
-        ax.axhline(mse, color=GREY, lw=thin(0.9), ls=":", label=told)
+        ax.axhline(mse, color=GREY, lw=thin(0.9), ls=":", label=verbatim(told))
     ax.set_xlabel("number of cost function evaluations")
     ax.set_ylabel(r"$\hat{\mathbb{E}}_{\mathrm{MSE}}$" if reference else "estimated cost")
     ax.set_xlim(left=0)

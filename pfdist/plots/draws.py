@@ -12,6 +12,7 @@ from pfdist.errors import JobError
 from pfdist.plots.figure import Plot, Tables, figure, one_number
 from pfdist.plots.panel import (
     axes_for,
+    check_kind,
     chosen,
     label_instants,
     legend_above,
@@ -19,6 +20,7 @@ from pfdist.plots.panel import (
     minus,
     stack,
     thin,
+    verbatim,
     write_instead,
 )
 from pfdist.plots.style import BLUE, RED
@@ -152,7 +154,10 @@ def one_draw(
     ------
     JobError
         There is no such set, draw or component.
+    TypeError
+        The trajectory is neither a run nor a table.
     """
+    check_kind(trajectory, (Run, pd.DataFrame), "trajectory")
     if isinstance(trajectory, Run):
         trajectory, sets, draw, told = _of_run(trajectory, sets, draw)
         title = title or told
@@ -197,11 +202,12 @@ def _plot(ax: Axes, trajectory: pd.DataFrame, sets: Sets, component: int) -> Non
     for row, ((name, times), estimate, (colour, shape, dashes)) in enumerate(
         zip(sets.items(), estimates, _SHAPES, strict=True), start=1
     ):
+        shown = verbatim(name)
         ax.plot(
-            t, estimate, color=colour, ls=dashes, lw=thin(0.9), label=rf"$\hat{{z}}(t)$, {name}"
+            t, estimate, color=colour, ls=dashes, lw=thin(0.9), label=rf"$\hat{{z}}(t)$, {shown}"
         )
         level = low - (high - low) * (0.06 + 0.07 * row)  # below the curves
-        told = rf"$\mathcal{{M}}$, {name}"
+        told = rf"$\mathcal{{M}}$, {shown}"
         at = np.asarray(times)
         ax.plot(
             at, np.full(at.size, level), shape, color=colour, ms=marker(1.2), mew=thin(), label=told

@@ -10,12 +10,14 @@ from matplotlib.axes import Axes
 from pfdist.plots.outliers import cut_outliers, points
 from pfdist.plots.panel import (
     axes_for,
+    check_kind,
     chosen,
     label_instants,
     legend_above,
     marker,
     table_of,
     thin,
+    verbatim,
     write_instead,
 )
 from pfdist.plots.style import set_style
@@ -55,7 +57,7 @@ def error_profile(
     JobError
         The table has no set of this name.
     """
-    table, curves = table_of(profile, "profile"), []
+    table, curves = table_of(profile, "profile", "profile"), []
     sets, ax = rows_of_sets(table, names), axes_for(ax)
     if table.empty:
         return write_instead(ax, "there is no table of errors over time")
@@ -63,7 +65,7 @@ def error_profile(
         t, error = rows["t"].to_numpy(), rows["error"].to_numpy()
         half = BAND * rows["standard_error"].to_numpy()
         ax.fill_between(t, error - half, error + half, color=style["color"], alpha=0.2, lw=0)
-        told = f"{name}, mean {error.mean():.4g}"
+        told = f"{verbatim(name)}, mean {error.mean():.4g}"
         measured = np.flatnonzero(rows["measured"])
         ax.plot(t, error, markevery=measured, ms=marker(0.9), lw=thin(0.9), label=told, **style)
         curves.append(points(t, error, style["color"], name))
@@ -110,13 +112,13 @@ def effective_sample_size(
     JobError
         The table has no set of this name.
     """
-    known = table_of(profile, "profile", "table").dropna(subset="effective_sample_size")
+    known = table_of(profile, "profile", "profile", "table").dropna(subset="effective_sample_size")
     sets, ax = rows_of_sets(known, names), axes_for(ax)
     if known.empty:
         return write_instead(ax, "exact filters have no effective sample size")
     for name, rows, style in sets:
         size = rows["effective_sample_size"].to_numpy()
-        ax.plot(rows["t"], size, ms=marker(), lw=thin(), label=name or None, **style)
+        ax.plot(rows["t"], size, ms=marker(), lw=thin(), label=verbatim(name) or None, **style)
     sizes = known["effective_sample_size"]
     if sizes.max() > _LINEAR * sizes.min():
         ax.set_yscale("log")
@@ -153,14 +155,14 @@ def degenerate_draws(profile: object, names: Sequence[str] = (), *, ax: Axes | N
     JobError
         The table has no set of this name.
     """
-    table = table_of(profile, "profile")
+    table = table_of(profile, "profile", "profile")
     known = table[table["draws"] > 0]
     sets, ax = rows_of_sets(known, names), axes_for(ax)
     if known.empty:
         return write_instead(ax, "exact filters have no degenerate draws")
     for name, rows, style in sets:
         share = 100 * rows["degenerate_draws"].to_numpy() / rows["draws"].to_numpy()
-        told = f"{name}, in the end {share[-1]:.2g} %" if name else None
+        told = f"{verbatim(name)}, in the end {share[-1]:.2g} %" if name else None
         ax.step(
             rows["t"], share, where="post", label=told, color=style["color"], ls=style["ls"],
             lw=thin(),
@@ -183,13 +185,15 @@ def rows_of_sets(
     table : DataFrame
         Without a column name it has one set, whose name is empty. An empty table has no set.
     names : sequence of str
-        By default all sets.
+        By default all sets. One name is a sequence of itself.
 
     Raises
     ------
     JobError
         The table has no set of this name.
     """
+    check_kind(names, (Sequence,), "names")
+    names = [names] if isinstance(names, str) else names
     if table.empty:
         return []
     if "name" not in table:

@@ -138,7 +138,7 @@ def belief(
     JobError
         There is no such component.
     """
-    table = table_of(source, "table")
+    table = table_of(source, "source", "table")
     if times is None:
         missing, extra, to_come = (
             getattr(source, key, ()) for key in ("missing", "extra", "to_come")

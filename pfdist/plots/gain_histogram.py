@@ -10,11 +10,13 @@ from pfdist.analysis.reference import label
 from pfdist.plots.figure import Plot, Tables, figure, one_number
 from pfdist.plots.panel import (
     axes_for,
+    check_kind,
     chosen,
     legend_above,
     marker,
     minus,
     thin,
+    verbatim,
     write_instead,
 )
 from pfdist.plots.style import BLUE, GREY, RED
@@ -75,11 +77,14 @@ def gain(
     ------
     JobError
         There is no such set.
+    TypeError
+        The source is neither a run, nor a gain, nor a table.
 
     References
     ----------
     Tukey, "Exploratory data analysis", 1977: the fences.
     """
+    check_kind(source, (Run, Gain, pd.DataFrame), "source")
     gains: dict[str, Gain] = {}
     if isinstance(source, Gain):
         gains[name] = source
@@ -131,11 +136,13 @@ def _plot(ax: Axes, gains: dict[str, Gain], reference: str) -> None:
         ends = np.append(100 * EDGES[starts], 100 * EDGES[starts[-1]] + width)
         outline = _density(of_other, starts, last, width)
         shape = ax.stairs(outline, ends, color="black", lw=thin())
-        bars.set_label("\n".join([f"{name}:", *_mean_and_share(summary), *draws.split(", ")]))
-        shape.set_label("\n".join([f"{other}:", *_mean_and_share(of_other.summary())]))
+        bars.set_label(
+            "\n".join([f"{verbatim(name)}:", *_mean_and_share(summary), *draws.split(", ")])
+        )
+        shape.set_label("\n".join([f"{verbatim(other)}:", *_mean_and_share(of_other.summary())]))
         legend_above(ax, [bars, shape])
     ax.set_xlim(100 * EDGES[first], 100 * EDGES[last])
-    ax.set_xlabel(f"relative gain $g$ of {name} over {reference} [%]")
+    ax.set_xlabel(f"relative gain $g$ of {verbatim(name)} over {verbatim(reference)} [%]")
     ax.set_ylabel("density [1/%]")
 
 

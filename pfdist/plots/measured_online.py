@@ -12,7 +12,15 @@ from numpy.typing import NDArray
 from pfdist.analysis import Run
 from pfdist.analysis.online import OnlineDraws, online_draws
 from pfdist.plots.figure import Plot, Tables, figure, has_online
-from pfdist.plots.panel import axes_for, label_instants, legend_above, marker, stack
+from pfdist.plots.panel import (
+    axes_for,
+    check_kind,
+    label_instants,
+    legend_above,
+    marker,
+    stack,
+    verbatim,
+)
 from pfdist.plots.style import BLUE, RED
 from pfdist.times.measurement_times import Times
 
@@ -76,7 +84,7 @@ def online_shares(
     share, ax = 100 * measured.mean(axis=0), axes_for(ax)
     label = f"online, {len(measured):,} draws"
     ax.bar(np.arange(share.size), share, 0.8, color=BLUE, alpha=0.75, lw=0, label=label)
-    _mark(ax, planned, f"the plan, {plan}" if plan else "the plan")
+    _mark(ax, planned, f"the plan, {verbatim(plan)}" if plan else "the plan")
     ax.set_ylim(0, 108)
     ax.set_yticks([0, 50, 100])
     ax.set_xlim(-0.75, share.size - 0.25)
@@ -130,6 +138,7 @@ def _measured(
     source: Source, planned: Times, plan: str, horizon: int | None
 ) -> tuple[NDArray[np.bool_], Times, str]:
     """Whether each draw is measured at each instant, and the times and the name of the plan."""
+    check_kind(source, (Run, OnlineDraws, pd.DataFrame), "source")
     if isinstance(source, Run):
         horizon = source.job["problem"]["horizon"] if horizon is None else horizon
         source = online_draws(source)

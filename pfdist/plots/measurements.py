@@ -17,6 +17,7 @@ from pfdist.plots.panel import (
     marker,
     table_of,
     thin,
+    verbatim,
     write_instead,
 )
 from pfdist.plots.style import GREY
@@ -47,7 +48,7 @@ def worth(measurements: object, names: Sequence[str] = (), *, ax: Axes | None = 
     JobError
         The table has no set of this name.
     """
-    table, curves = table_of(measurements, "worth", "measurements"), list[Points]()
+    table, curves = table_of(measurements, "measurements", "worth", "measurements"), list[Points]()
     sets, ax = rows_of_sets(table, names), axes_for(ax)
     if table.empty:
         return write_instead(ax, "there is no table of what measurements are worth")
@@ -55,7 +56,7 @@ def worth(measurements: object, names: Sequence[str] = (), *, ax: Axes | None = 
         t, rise = rows["t"].to_numpy() + aside, rows["removed"].to_numpy()
         ax.vlines(t, 0.0, rise, color=style["color"], lw=thin())
         _intervals(ax, t, rise, rows["removed_error"].to_numpy(), style)
-        ax.plot([], [], label=name or None, **style | {"ls": ""}, ms=marker(0.9))
+        ax.plot([], [], label=verbatim(name) or None, **style | {"ls": ""}, ms=marker(0.9))
         curves.append(points(t, rise, style["color"], name))
     draw_zero(ax)
     cut_outliers(ax, curves, keep=[0.0])
@@ -87,12 +88,12 @@ def shifts(measurements: object, names: Sequence[str] = (), *, ax: Axes | None =
     JobError
         The table has no set of this name.
     """
-    table, curves = table_of(measurements, "worth", "measurements"), list[Points]()
+    table, curves = table_of(measurements, "measurements", "worth", "measurements"), list[Points]()
     sets, ax = rows_of_sets(table, names), axes_for(ax)
     if table.empty:
         return write_instead(ax, "there is no table of what measurements are worth")
     for name, _, style in sets:
-        ax.plot([], [], label=name or None, **style | {"ls": ""}, ms=marker(0.9))
+        ax.plot([], [], label=verbatim(name) or None, **style | {"ls": ""}, ms=marker(0.9))
     for change, shape, aside in (("earlier", "<", -0.3), ("later", ">", 0.3)):
         for name, found, style in sets:
             rows = found.dropna(subset=change)

@@ -6,7 +6,10 @@ import pandas as pd
 from pfdist.analysis import relative_gain
 from pfdist.plots.draws import components, no_draw, plot_of, title_of, typical_draw
 from pfdist.plots.figure import Plot, Tables, figure, has_online
-from pfdist.plots.panel import minus
+from pfdist.plots.panel import (
+    minus,
+    verbatim,
+)
 
 
 @figure("online_draw", applies=has_online)
@@ -23,7 +26,8 @@ def online_draw_figure(tables: Tables) -> Plot:
     sets = {draws.plan: list(draws.planned_times), "online": list(rows["measurement_times"][draw])}
     trajectory = with_online(trajectories[trajectories["draw"] == draw], rows["estimate"][draw])
     gain = float(gains[draw])
-    told = minus(f"draw {draw}, relative gain over {draws.plan} {100 * gain:.1f} %, the median")
+    over = f"relative gain over {verbatim(draws.plan)}"
+    told = minus(f"draw {draw}, {over} {100 * gain:.1f} %, the median")
     title = title_of(gain, "online times", f"the times of {draws.plan}")
     return plot_of(trajectory, sets, told, title)
 

@@ -7,6 +7,7 @@ from pfdist.analysis.online import OnlineDraws, online_draws
 from pfdist.analysis.reference import label
 from pfdist.plots.figure import Plot, Tables, figure, has_online
 from pfdist.plots.gain_histogram import gain, title_of
+from pfdist.plots.panel import check_kind
 
 
 @figure("online_gain", applies=has_online)
@@ -31,7 +32,13 @@ def online_gain(source: Run | OnlineDraws, *, ax: Axes | None = None) -> Axes:
     Returns
     -------
     matplotlib Axes
+
+    Raises
+    ------
+    TypeError
+        The source is neither a run nor its draws.
     """
+    check_kind(source, (Run, OnlineDraws), "source")
     draws = online_draws(source) if isinstance(source, Run) else source
     online, plan = (draws.gain(name, draws.reference) for name in ("online", draws.plan))
     return gain(

@@ -8,7 +8,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import ArrayLike, NDArray
 
-from pfdist.plots.panel import marker, minus
+from pfdist.plots.panel import (
+    marker,
+    minus,
+    verbatim,
+)
 
 Array = NDArray[np.float64]
 _SHARE = 0.1  # of all values that may be cut off; one value always may
@@ -126,5 +130,5 @@ def _mark(ax: Axes, curve: Points, beyond: NDArray[np.bool_], edge: float, shape
     ax.plot(
         curve.x[beyond], np.full(len(farthest), edge), shape, color=curve.colour, ms=marker(),
         mfc=curve.colour, transform=ax.get_xaxis_transform(), clip_on=False, zorder=5,
-        label=f"{curve.name}: {told}" if curve.name else told,
+        label=f"{verbatim(curve.name)}: {told}" if curve.name else told,
     )  # fmt: skip

@@ -24,8 +24,14 @@ def axes_for(ax: Axes | None, height: float | None = None) -> Axes:
     ax : matplotlib Axes or None
     height : float, optional
         Height of a new figure, in inches where the style has 8 points; by default the style's own.
+
+    Raises
+    ------
+    TypeError
+        These are no axes, for instance an array of axes.
     """
     if ax is not None:
+        check_kind(ax, (Axes,), "ax")
         return ax
     from matplotlib import pyplot  # noqa: PLC0415  chooses a backend, which files do not need
 
@@ -35,19 +41,21 @@ def axes_for(ax: Axes | None, height: float | None = None) -> Axes:
     return axes
 
 
-def table_of(source: object, *names: str) -> pd.DataFrame:
+def table_of(source: object, argument: str, *names: str) -> pd.DataFrame:
     """Give a table: the DataFrame itself, or the table that an object has.
 
     Parameters
     ----------
     source : DataFrame or object
+    argument : str
+        Name of the argument, for errors.
     *names : str
         The first of these attributes that the object has is the table, or a method that reads it.
 
     Raises
     ------
     TypeError
-        The object has none of these attributes.
+        The object has none of these attributes, or the attribute is no table.
     """
     if isinstance(source, pd.DataFrame):
         return source
@@ -55,9 +63,43 @@ def table_of(source: object, *names: str) -> pd.DataFrame:
         found = getattr(source, name, None)
         if found is not None:
             table: pd.DataFrame = found() if callable(found) else found
+            check_kind(table, (pd.DataFrame,), f"{argument}.{name}")
             return table
     wanted = " or ".join(f"`{name}`" for name in names)
-    raise TypeError(f"must be a DataFrame, or have the table {wanted}, got {type(source).__name__}")
+    got = type(source).__name__
+    raise TypeError(f"{argument} must be a DataFrame, or have the table {wanted}, got {got}")
+
+
+def check_kind(value: object, kinds: Sequence[type], argument: str) -> None:
+    """Raise an error unless a value is of one of some types.
+
+    Raises
+    ------
+    TypeError
+
+    Examples
+    --------
+    >>> check_kind(5, (pd.DataFrame, Axes), "source")
+    Traceback (most recent call last):
+        ...
+    TypeError: source must be of type DataFrame or Axes, got int
+    """
+    if not isinstance(value, tuple(kinds)):
+        allowed = " or ".join(kind.__name__ for kind in kinds)
+        raise TypeError(f"{argument} must be of type {allowed}, got {type(value).__name__}")
+
+
+def verbatim(name: object) -> str:
+    r"""Give a name as texts of a figure show it letter by letter, also its dollar signs.
+
+    Matplotlib takes text between two dollar signs for a formula.
+
+    Examples
+    --------
+    >>> verbatim("a$b")
+    'a\\$b'
+    """
+    return str(name).replace("$", r"\$")
 
 
 def chosen(name: T, among: Collection[T], argument: str) -> T:

@@ -3,18 +3,32 @@
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
+from matplotlib import rcParams
 from matplotlib.axes import Axes
+from matplotlib.font_manager import FontProperties
 
 from pfdist.analysis import Run
 from pfdist.analysis.reference import label
+from pfdist.errors import shown
 from pfdist.job.problem_section import ProblemSection
 from pfdist.plots.figure import Plot, Tables, figure
-from pfdist.plots.panel import axes_for, label_instants, legend_above, marker, thin
+from pfdist.plots.panel import (
+    axes_for,
+    check_kind,
+    label_instants,
+    legend_above,
+    marker,
+    thin,
+    verbatim,
+)
 from pfdist.plots.style import GREY, set_style
 
-_MOST_LABELS = 15  # rows that have room for their names
+_AXIS_INCHES = 0.9  # height of all but the rows
+_ROW_INCHES, _SMALL_ROW_INCHES = 0.2, 0.13  # heights of the first rows, and of the others
+_MOST_LARGE = 15  # first rows
+_MOST_NAMED = 40  # rows up to which a new figure grows, so that each has its name and its line
 _MOST_IN_TITLE = 3  # found sets that the title names
-_MOST_LINES = 30  # rows that have room for a line
+_LEADING = 1.25  # distance of two names over the size of their font
 
 
 @figure("times")
@@ -25,7 +39,10 @@ def times_figure(tables: Tables) -> Plot:
 
 
 def _height(rows: int) -> float:
-    return min(0.9 + 0.2 * rows, 4.0)
+    """Give the height of a figure in which each of up to 40 rows has its name."""
+    large = min(rows, _MOST_LARGE)
+    small = min(rows, _MOST_NAMED) - large
+    return _AXIS_INCHES + _ROW_INCHES * large + _SMALL_ROW_INCHES * small
 
 
 def _title(run: Run) -> str:
@@ -51,7 +68,8 @@ def times(
 ) -> Axes:
     """Draw sets of measurement times on one axis, a row for each; forbidden instants are grey.
 
-    The reference of a run has hollow markers.
+    The reference of a run has hollow markers. A new figure grows with the sets, up to 40. Axes
+    without room for all names show every second, third, ... name, and say so.
 
     Parameters
     ----------
@@ -67,7 +85,13 @@ def times(
     Returns
     -------
     matplotlib Axes
+
+    Raises
+    ------
+    TypeError
+        The sets are neither a run nor times by name.
     """
+    check_kind(sets, (Run, Mapping), "sets")
     barred, references = set(forbidden), set[str]()
     if isinstance(sets, Run):
         run, problem = sets, ProblemSection.model_validate(sets.job["problem"])
@@ -75,26 +99,39 @@ def times(
         barred.update(problem.feasible.forbidden)
         sets = run.sets()
         references = _references(run)
+    for name, chosen in sets.items():
+        check_kind(chosen, (Sequence, np.ndarray), f"sets[{shown(name)}]")
     if horizon is None:
         horizon = max((t for chosen in sets.values() for t in chosen), default=0)
     ax = axes_for(ax, _height(len(sets)))
-    size = min(1.0, _MOST_LABELS / max(1, len(sets)))
+    size = (_height(len(sets)) - _AXIS_INCHES) / (_ROW_INCHES * max(1, len(sets)))
     for row, (name, chosen) in enumerate(sets.items()):
         style = set_style(0 if name in references else 1) | {"ls": ""}
-        if len(sets) <= _MOST_LINES:
+        if len(sets) <= _MOST_NAMED:
             ax.axhline(row, color=GREY, lw=thin(0.4), zorder=0)
         at = list(chosen)
         ax.plot(at, [row] * len(at), ms=marker(1.2 * size), mew=thin(0.8 * size), zorder=3, **style)
     _shade(ax, barred)
     ax.set_xlim(-0.75, horizon + 0.75)
     ax.set_ylim(len(sets) - 0.5, -0.5)  # the first set on top
-    names, step = list(sets), -(-len(sets) // _MOST_LABELS)
-    ax.set_yticks(range(0, len(names), max(1, step)), names[:: max(1, step)])
+    step = max(1, -(-len(sets) // _room_for_names(ax)))
+    names = list(map(verbatim, sets))[::step]
+    ax.set_yticks(range(0, len(sets), step), names)
+    if step > 1:
+        ax.set_ylabel(f"{len(sets)} sets, 1 of {step} is named")
     ax.tick_params(axis="y", length=0)
     label_instants(ax)
     if barred:
         legend_above(ax, ax.patches[:1])
     return ax
+
+
+def _room_for_names(ax: Axes) -> int:
+    """Give the number of names that have room on the vertical axis, one below another."""
+    points = FontProperties(size=rcParams["ytick.labelsize"]).get_size_in_points()
+    figure = ax.get_figure(root=True)
+    inches = ax.get_window_extent().height / figure.dpi if figure else 0.0
+    return max(1, int(72 * inches / (_LEADING * points)))
 
 
 def _references(run: Run) -> set[str]:

@@ -1,7 +1,9 @@
 """Every public figure: of a run or of tables, in given or new axes, with no legend on data."""
 
 import inspect
+import io
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 
@@ -258,9 +260,109 @@ def test_a_set_or_a_draw_that_does_not_exist_is_named_with_those_that_do(plain: 
             draw()
     assert not pyplot.get_fignums()
     with pytest.raises(
-        TypeError, match="must be a DataFrame, or have the table `profile`, got int"
+        TypeError, match="profile must be a DataFrame, or have the table `profile`, got int"
     ):
         plots.error_profile(3)
+
+
+@every
+@pytest.mark.parametrize("wrong", [5, "results/quick", {"regular": 3}, [1, 2], None])
+def test_what_is_no_source_is_refused_in_one_line(name: str, wrong: object) -> None:
+    """The line names the argument, the allowed types, and the type that it got."""
+    draw = getattr(plots, name)
+    source = next(iter(inspect.signature(draw).parameters))
+    got = "int" if wrong == {"regular": 3} and name == "times" else type(wrong).__name__
+    told = rf"^{source}\S* must be (of type \w+( or \w+)*|a DataFrame, or have .*), got {got}$"
+    with pytest.raises(TypeError, match=told):
+        draw(wrong)
+    assert not pyplot.get_fignums()
+
+
+@every
+def test_what_are_no_axes_is_refused_in_one_line(
+    name: str, drawings: dict[str, list[Callable[[Any], Axes]]]
+) -> None:
+    """For instance the array of two axes that pyplot.subplots gives."""
+    for draw in drawings[name]:
+        with pytest.raises(TypeError, match=r"^ax must be of type Axes, got ndarray$"):
+            draw(np.array([1, 2]))
+
+
+def test_a_table_of_another_kind_is_refused() -> None:
+    with pytest.raises(TypeError, match=r"^profile\.profile must be of type DataFrame, got int$"):
+        plots.error_profile(SimpleNamespace(profile=3))
+    with pytest.raises(TypeError, match=r"^names must be of type Sequence, got int$"):
+        plots.worth(WORTH, 3)  # type: ignore[arg-type]
+    assert next(line.get_label() for line in plots.shifts(WORTH, "mine").get_lines()) == "mine"
+
+
+COSTLY = r"US$\frac$_^{"  # what Matplotlib would take for a formula, and could not read
+
+
+def _with_costly_names() -> dict[str, Callable[[Any], Axes]]:
+    """Ways to draw own tables with such names, one or more for each function that shows names."""
+    mse = np.linspace(1.0, 2.0, 50)
+    comparison = pd.DataFrame({"mse_a$b": mse, f"mse_{COSTLY}": mse[::-1], "mse_$": mse**2})
+    rows = pd.DataFrame({"draw": range(50), "measurement_times": [[0, 3]] * 50})
+    evaluations = pd.DataFrame({"phase": COSTLY, "generation": [0, 0, 1, 1], "individual": 0})
+    evaluations = evaluations.assign(copies=1, expected_mse=[3.0, 2.0, 1.0, 1e9], draws=5, end=9)
+    bounds = pd.DataFrame({"position": [0, 1], "name": ["a$b", COSTLY], "draws": 5, "steps": 1e9})
+    bounds = bounds.assign(compared_draws=5, window=1, work=1.0, memory=1, particles=5)
+    bounds = bounds.assign(expected_mse=2.0, bound=1.0, bound_error=0.1)
+    profile, worth = (table.replace({"mine": COSTLY}) for table in (PROFILE, WORTH))
+    trajectory = _trajectory().rename(columns={"estimate_mine_0": f"estimate_{COSTLY}_0"})
+    both = {"regular": [0, 3], COSTLY: [1]}
+    return {
+        "bound": lambda ax: plots.bound(bounds, ax=ax),
+        "cost": lambda ax: plots.cost(evaluations, reference=(COSTLY, 2.0), ax=ax),
+        "degenerate_draws": lambda ax: plots.degenerate_draws(profile, ax=ax),
+        "effective_sample_size": lambda ax: plots.effective_sample_size(profile, ax=ax),
+        "error_profile": lambda ax: plots.error_profile(profile, ax=ax),
+        "gain": lambda ax: plots.gain(comparison, COSTLY, reference="a$b", beside="$", ax=ax),
+        "one_draw": lambda ax: plots.one_draw(trajectory, both, ax=ax),
+        "online_shares": lambda ax: plots.online_shares(rows, planned=(1,), plan=COSTLY, ax=ax),
+        "shifts": lambda ax: plots.shifts(worth, ax=ax),
+        "times": lambda ax: plots.times(both, ax=ax),
+        "worth": lambda ax: plots.worth(worth, ax=ax),
+    }
+
+
+@pytest.mark.parametrize("name", _with_costly_names())
+def test_a_name_is_no_formula(name: str) -> None:
+    figure = Figure(layout="constrained")
+    axes = _with_costly_names()[name](figure.subplots())
+    figure.savefig(io.BytesIO(), format="svg")
+    legend = axes.get_legend()
+    texts = [*axes.get_yticklabels(), axes.xaxis.label, *(legend.get_texts() if legend else [])]
+    assert any(COSTLY.replace("$", r"\$") in text.get_text() for text in texts)
+
+
+@pytest.mark.parametrize("style", [PRINT, SCREEN])
+@pytest.mark.parametrize("number", [1, 15, 16, 40])
+def test_each_of_forty_sets_has_its_name_in_a_new_figure(number: int, style: str) -> None:
+    """Names lie one below another, and no two of them touch."""
+    sets = {f"set {position}": [position] for position in range(number)}
+    with styled(style):
+        axes = plots.times(sets)
+        axes.figure.draw_without_rendering()
+        boxes = [label.get_window_extent() for label in axes.get_yticklabels()]
+    assert [label.get_text() for label in axes.get_yticklabels()] == list(sets)
+    assert not any(box.overlaps(other) for box, other in pairwise(boxes))
+
+
+def test_names_that_have_no_room_are_left_out_and_the_axis_says_so() -> None:
+    sets = {f"set {position}": [position] for position in range(101)}
+    axes = plots.times(sets)
+    axes.figure.draw_without_rendering()
+    shown = [label.get_text() for label in axes.get_yticklabels()]
+    step = -(-101 // len(shown))
+    assert step > 1
+    assert shown == list(sets)[::step]
+    assert axes.get_ylabel() == f"101 sets, 1 of {step} is named"
+    boxes = [label.get_window_extent() for label in axes.get_yticklabels()]
+    assert not any(box.overlaps(other) for box, other in pairwise(boxes))
+    small = plots.times(sets, ax=Figure(figsize=(3, 1.5)).subplots())
+    assert len(small.get_yticks()) < len(shown)
 
 
 def test_the_searches_of_a_run_that_estimate_like_the_comparison_are_beside_the_reference(
