@@ -1,5 +1,6 @@
 """Expected MSEs that a run's tables hold exactly, because its engine needs no draws."""
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
@@ -31,6 +32,23 @@ def exact_costs(run: "Run") -> dict[str, float]:
         proved = run.bounds().drop_duplicates("name", keep="last")
         costs |= dict(zip(proved["name"], proved["expected_mse"], strict=True))
     return {str(name): float(cost) for name, cost in costs.items() if pd.notna(cost)}
+
+
+def names_by_error(summary: Mapping[str, Any]) -> list[str]:
+    """Give the names of the found sets, the least expected MSE first.
+
+    Exact errors decide if the engine knows them, and else the errors on the compared draws. Sets
+    whose error is unknown or infinite come last.
+
+    Parameters
+    ----------
+    summary : mapping
+        As of `pfdist.analysis.Run.summary`, of a run with one number of measurements.
+    """
+    key = "exact_mse" if summary["is_exact"] else "expected_mse"
+    _, *found = summary["results"].items()
+    errors = {name: result.get(key) for name, result in found}
+    return sorted(errors, key=lambda name: (errors[name] is None, errors[name] or 0.0))
 
 
 def add_exact_results(run: "Run", results: dict[str, dict[str, Any]]) -> None:

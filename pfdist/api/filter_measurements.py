@@ -33,6 +33,8 @@ class FilteredMeasurements(Shown):
     Parameters
     ----------
     run : Path
+    measurements : Path
+        The file with the measurements.
     name : str
         Name of the compared set whose times were planned.
     measured : tuple of int
@@ -51,6 +53,7 @@ class FilteredMeasurements(Shown):
     """
 
     run: Path
+    measurements: Path
     name: str
     measured: Times
     missing: Times
@@ -87,7 +90,8 @@ class FilteredMeasurements(Shown):
         table, figure, *report = map(str, self.files)
         answer = {
             "run": str(self.run),
-            "times": self.name,
+            "measurements": str(self.measurements),
+            "planned": self.name,
             "measured": self.measured,
             "missing": self.missing,
             "extra": self.extra,
@@ -120,7 +124,7 @@ def filter_measurements(
     run: str | Path,
     measurements: str | Path,
     *,
-    times: str = "",
+    planned: str = "",
     prior: str | Path = "",
     out: str | Path = "",
     model: str = "",
@@ -140,7 +144,7 @@ def filter_measurements(
         Folder of a finished run. Its job gives the filter's model, its settings and the seed.
     measurements : str or Path
         Table with the columns t, y0, y1, ..., in CSV or Parquet.
-    times : str, optional
+    planned : str, optional
         Name of the compared set whose times were planned; by default the found set with the lowest
         expected MSE.
     prior : str or Path, optional
@@ -173,22 +177,23 @@ def filter_measurements(
         The model cannot be loaded, or a formula failed.
     """
     instead = {"model": model, "filter_model": filter_model}
-    planned, path = planned_run(run, times, prior, instead, say), Path(measurements)
-    believed = planned.built.problem.believed
+    plan, path = planned_run(run, planned, prior, instead, say), Path(measurements)
+    believed = plan.built.problem.believed
     files = _files(path, Path(out) if out else path.parent)
     schema = filtered_schema(believed.components[2])
     check_table_replaceable(files[0], schema)
     check_figure_replaceable(files[1])
     if report:
         check_page_replaceable(files[2])
-    filtering = filter_of(planned.built, planned.prior)
+    filtering = filter_of(plan.built, plan.prior)
     rows = read_measurements(path, believed, filtering.horizon, filtering.now.t)
-    wanted = [t for t in planned.times if t >= filtering.now.t]
+    wanted = [t for t in plan.times if t >= filtering.now.t]
     table = _table(_estimates(filtering, rows), schema)
     last = max((*rows.t, *rows.missed), default=-1)
     found = FilteredMeasurements(
-        planned.run.path,
-        planned.name,
+        plan.run.path,
+        path,
+        plan.name,
         rows.t,
         tuple(t for t in wanted if t <= last and t not in rows.t),
         tuple(t for t in rows.t if t not in wanted),

@@ -71,7 +71,7 @@ class NextTime(Shown):
         before = self.expected_before
         answer = {
             "run": str(self.run),
-            "times": self.name,
+            "planned": self.name,
             "measured": self.measured,
             "now": self.now,
             "next": self.next,
@@ -107,7 +107,7 @@ def next_time(
     measurements: str | Path,
     *,
     now: int | None = None,
-    times: str = "",
+    planned: str = "",
     prior: str | Path = "",
     model: str = "",
     filter_model: str = "",
@@ -124,7 +124,7 @@ def next_time(
         any component is a time that was missed.
     now : int, optional
         The last instant that has passed, if nothing was measured at the end.
-    times : str, optional
+    planned : str, optional
         Name of the compared set that was planned; by default the found set with the lowest expected
         MSE.
     prior : str or Path, optional
@@ -152,9 +152,9 @@ def next_time(
         The model cannot be loaded, or a formula failed.
     """
     instead = {"model": model, "filter_model": filter_model}
-    planned = planned_run(run, times, prior, instead, say)
-    believed = planned.built.problem.believed
-    planner = Planner.of_built(planned.built, planned.times, planned.prior)
+    plan = planned_run(run, planned, prior, instead, say)
+    believed = plan.built.problem.believed
+    planner = Planner.of_built(plan.built, plan.times, plan.prior)
     feasible, start = planner.feasible, planner.estimate().t
     rows = read_measurements(Path(measurements), believed, feasible.horizon, start)
     last, surprise = _tell(planner, rows)
@@ -164,13 +164,13 @@ def next_time(
             planner.missed(now)
         last = now
     left = max(0, feasible.total - len(planner.measured)) if feasible.counted else None
-    before = tuple(time for time in planned.times if time > last and time >= start)[:left]
+    before = tuple(time for time in plan.times if time > last and time >= start)[:left]
     expected, *expected_before = planner.expected(
         planner.plan(), *([before] if _is_possible(feasible, planner.measured, before) else [])
     )
     return NextTime(
-        planned.run.path,
-        planned.name,
+        plan.run.path,
+        plan.name,
         planner.measured,
         planner.estimate().t,
         planner.plan(),

@@ -4,9 +4,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from pfdist.analysis import Run
+from pfdist.analysis.exact import names_by_error
 from pfdist.api.finished_run import built_again, finished_run
 from pfdist.common.nearest import did_you_mean
 from pfdist.errors import JobError, shown
@@ -40,7 +39,7 @@ class PlannedRun(NamedTuple):
 
 def planned_run(
     run: str | Path,
-    times: str,
+    planned: str,
     prior: str | Path,
     instead: Mapping[str, str],
     say: Callable[[str], Any],
@@ -50,7 +49,7 @@ def planned_run(
     Parameters
     ----------
     run : str or Path
-    times : str
+    planned : str
         Name of the compared set that was planned; empty: see `planned_set`.
     prior : str or Path
         Table of particles from which the filter starts; empty for none.
@@ -65,10 +64,10 @@ def planned_run(
         As `finished_run`, `planned_set`, `built_again` and `read_prior` raise.
     """
     opened = finished_run(run)
-    name, planned = planned_set(opened, times)
+    name, times = planned_set(opened, planned)
     built = built_again(opened, instead, say)
     known = read_prior(Path(prior), built.problem.believed) if prior else None
-    return PlannedRun(opened, name, planned, built, known)
+    return PlannedRun(opened, name, times, built, known)
 
 
 def planned_set(run: Run, name: str = "") -> tuple[str, Times]:
@@ -90,21 +89,15 @@ def planned_set(run: Run, name: str = "") -> tuple[str, Times]:
         return name, sets[name]
     if name:
         raise JobError(
-            f"times must be a compared set of {run.path}, {', '.join(sets)}, got {shown(name)}"
+            f"planned must be a compared set of {run.path}, {', '.join(sets)}, got {shown(name)}"
             f"{did_you_mean(name, sets)}",
-            argument="times",
+            argument="planned",
         )
     if run.has_budget:
         raise JobError(
-            f"{run.path} has times of several numbers of measurements: times must say which were "
-            f"planned, for instance {list(sets)[-1]}",
-            argument="times",
+            f"{run.path} has times of several numbers of measurements: planned must say which, "
+            f"for instance {list(sets)[-1]}",
+            argument="planned",
         )
-    results = run.summary()["results"]
-    best = min(run.names[1:], key=lambda found: _cost(results[found]))
+    best = names_by_error(run.summary())[0]
     return best, sets[best]
-
-
-def _cost(result: Mapping[str, Any]) -> float:
-    mse = result["expected_mse"]
-    return np.inf if mse is None else float(mse)

@@ -173,7 +173,7 @@ def add_measurements(parser: ArgumentParser) -> None:
         "an empty cell is a component that is missing, a row without any value a missed time",
     )
     parser.add_argument(
-        "--times",
+        "--planned",
         default="",
         metavar="NAME",
         help="compared set whose times were planned, for instance regular (default: the found set "

@@ -10,7 +10,17 @@ from pfdist.common.rounding import rounded
 from pfdist.plots.error_over_time import effective_sample_size
 from pfdist.plots.figure import Plot
 from pfdist.plots.filtered import filtered_plot
-from pfdist.reports.parts import Block, Cell, Facts, Page, Picture, Section, Table, Text
+from pfdist.reports.parts import (
+    Block,
+    Cell,
+    Facts,
+    Page,
+    Picture,
+    Section,
+    Table,
+    Text,
+    without_empty_columns,
+)
 from pfdist.reports.render import write_page
 from pfdist.reports.subject import listed, number_of
 from pfdist.reports.svg import as_svg
@@ -44,10 +54,12 @@ def _page(answer: Mapping[str, Any], table: pd.DataFrame) -> Page:
         "The model may be wrong about this system: it rarely gives measurements as surprising."
     )
     sections = [_belief(answer, table), _fit(answer, table), _instants(table)]
-    source = f"filtered as the run {Path(answer['run']).name} does, times of {answer['times']}"
+    run, file = Path(answer["run"]).name, Path(answer["measurements"]).name
     number = number_of(len(answer["measured"]), "measurement")
+    subtitle = f"{number} of {file}, filtered as the run {run} does, times of {answer['planned']}"
     warnings = [improbable] if answer["is_improbable"] else []
-    return Page("What the measurements say", f"{number}, {source}", sections, warnings)
+    source = f"from the measurements {file} by the filter of the run {run}"
+    return Page("What the measurements say", subtitle, sections, warnings, source=source)
 
 
 def _belief(answer: Mapping[str, Any], table: pd.DataFrame) -> Section:
@@ -95,9 +107,8 @@ def _instants(table: pd.DataFrame) -> Section:
     names = [""] if components == 1 else [f" of z{k}" for k in range(components)]
     head = ["t", "measured", *(f"{what}{name}" for name in names for what in ("mean", "90 % band"))]
     rows = [_row(row, components) for row in table.to_dict("records")]
-    return Section(
-        "All instants", [Table("Belief at each instant", [*head, "surprise"], rows, folded=True)]
-    )
+    table = Table("Belief at each instant", [*head, "surprise"], rows, folded=True)
+    return Section("All instants", [without_empty_columns(table)])
 
 
 def _row(row: Mapping[Hashable, Any], components: int) -> list[Cell]:

@@ -162,6 +162,8 @@ class Page:
         Sentences to be read before anything else, for instance that the run is not finished.
     seconds : int
         After so many seconds the page reloads itself; 0 for never.
+    source : str
+        Says from what the page is made, in its last line.
     """
 
     title: str
@@ -169,3 +171,4 @@ class Page:
     sections: Sequence[Section]
     warnings: Sequence[str] = field(default_factory=tuple)
     seconds: int = 0
+    source: str = "from tables alone"

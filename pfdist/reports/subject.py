@@ -8,6 +8,7 @@ from pathlib import PurePosixPath, PureWindowsPath
 from typing import Any
 
 from pfdist.analysis import Run
+from pfdist.analysis.exact import names_by_error
 from pfdist.analysis.reference import label
 from pfdist.common.percent import percent, range_of, times_100
 from pfdist.common.rounding import rounded, with_interval
@@ -75,9 +76,7 @@ class Subject:
     @property
     def by_error(self) -> list[str]:
         """Names of the found sets, the least expected MSE first."""
-        key = "exact_mse" if self.is_exact else "expected_mse"
-        known = {name: each.get(key) for name, each in self.found.items()}
-        return sorted(known, key=lambda name: (known[name] is None, known[name] or 0.0))
+        return names_by_error(self.summary)
 
     @property
     def shown(self) -> list[str]:

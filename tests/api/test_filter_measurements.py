@@ -89,6 +89,21 @@ def test_the_same_measurements_give_the_same_bytes_and_the_run_is_not_touched(
     assert image.shape[:2] == (825, 1050)
 
 
+def test_the_report_names_the_file_of_the_measurements_and_no_folder(
+    run: Run, y: Any, tmp_path: Path
+) -> None:
+    path = _written(tmp_path / "patient 7.csv", (0, 3, 8), y)
+    *_, report = pfdist.filter_measurements(run.path, path).files
+    text = " ".join(report.read_text().split())
+    assert f"3 measurements of patient 7.csv, filtered as the run {run.path.name} does" in text
+    assert (
+        "Made by pfdist from the measurements patient 7.csv by the filter of the run "
+        f"{run.path.name}." in text
+    )
+    assert "from tables alone" not in text
+    assert str(tmp_path) not in text
+
+
 def test_parquet_gives_parquet_in_another_folder(run: Run, y: Any, tmp_path: Path) -> None:
     path = _written(tmp_path / "mine.parquet", (8, 0, 3), y)
     found = pfdist.filter_measurements(run.path, path, out=tmp_path / "new" / "folder")
@@ -105,7 +120,7 @@ def test_planned_times_that_are_missing_and_extra_times_are_named(
     run: Run, y: Any, tmp_path: Path
 ) -> None:
     path = _written(tmp_path / "mine.csv", (0, 5, 8), y)
-    found = pfdist.filter_measurements(run.path, path, times="regular")  # 0, 4, 8, 12
+    found = pfdist.filter_measurements(run.path, path, planned="regular")  # 0, 4, 8, 12
     assert (found.name, found.measured) == ("regular", (0, 5, 8))
     assert (found.missing, found.extra, found.to_come) == ((4,), (5,), (12,))
     best = pfdist.filter_measurements(run.path, path)
@@ -115,7 +130,7 @@ def test_planned_times_that_are_missing_and_extra_times_are_named(
         results[best.name]["expected_mse"] <= results[name]["expected_mse"]
         for name in run.names[1:]
     )
-    nothing = pfdist.filter_measurements(run.path, _written(path, (), y), times="regular")
+    nothing = pfdist.filter_measurements(run.path, _written(path, (), y), planned="regular")
     assert (nothing.missing, nothing.to_come) == ((), (0, 4, 8, 12))
     assert (nothing.most_surprising, nothing.is_improbable) == (None, False)
 
@@ -124,7 +139,7 @@ def test_a_prior_is_where_the_filter_starts(run: Run, y: Any, tmp_path: Path) ->
     path = _written(tmp_path / "mine.csv", (5, 8), y)
     pd.DataFrame({"x0": [6.5, 7.5], "t": [4, 4]}).to_parquet(tmp_path / "prior.parquet")
     found = pfdist.filter_measurements(
-        run.path, path, times="regular", prior=tmp_path / "prior.parquet"
+        run.path, path, planned="regular", prior=tmp_path / "prior.parquet"
     )
     assert found.table["t"].tolist() == list(range(4, HORIZON + 1))
     assert found.table["mean_0"][0] == 7.0
@@ -142,7 +157,7 @@ def test_the_command_prints_what_is_missing_and_how_surprising_it_is(
     run: Run, y: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["filter", str(run.path), str(_written(tmp_path / "mine.csv", (0, 5, 8), y))]
-    assert main([*words, "--times", "regular"]) == 0
+    assert main([*words, "--planned", "regular"]) == 0
     text = capsys.readouterr().out
     assert text.startswith("3 measurements; planned: regular\n")
     for line in (
@@ -155,7 +170,7 @@ def test_the_command_prints_what_is_missing_and_how_surprising_it_is(
         assert line in text
     assert "  most surprising       t = " in text
     assert "may be wrong" not in text
-    assert main([*words, "--times", "regular", "--json"]) == 0
+    assert main([*words, "--planned", "regular", "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
     assert {key: answer[key] for key in ("measured", "missing", "extra", "to_come")} == {
         "measured": [0, 5, 8], "missing": [4], "extra": [5], "to_come": [12],
@@ -191,7 +206,7 @@ def _suspected(model: Any, y: Any, times: Any, draw: int) -> bool:
     surprises = [filtering.update(t, y[t]).surprise for t in times]
     table = pd.DataFrame({"t": list(times), "surprise": surprises})
     found = FilteredMeasurements(
-        Path(), "", tuple(times), (), (), (), table, None, "", (Path(), Path())
+        Path(), Path(), "", tuple(times), (), (), (), table, None, "", (Path(), Path())
     )
     assert found.is_improbable is (min(surprises) * len(surprises) < IMPROBABLE)
     return found.is_improbable
@@ -241,7 +256,11 @@ def test_no_file_of_others_is_overwritten(run: Run, y: Any, tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("arguments", "error", "words"),
     [
-        ({"times": "nearest"}, JobError, "a compared set of .*, regular, genetic, random, got 'ne"),
+        (
+            {"planned": "nearest"},
+            JobError,
+            "a compared set of .*, genetic, random, got 'ne",
+        ),
         ({"run": ""}, StoreError, "holds no run"),
         ({"measurements": "none.csv"}, MeasurementsError, r"cannot read .*none\.csv: No such file"),
         ({"prior": "none.csv"}, PriorError, r"cannot read .*none\.csv: No such file"),
@@ -263,10 +282,10 @@ def test_the_command_names_its_option(
     run: Run, y: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = _written(tmp_path / "mine.csv", (0, 3), y)
-    assert main(["filter", str(run.path), str(path), "--times", "none"]) == 1
+    assert main(["filter", str(run.path), str(path), "--planned", "none"]) == 1
     error = capsys.readouterr().err
     assert error.count("\n") == 1
-    assert error.endswith("got 'none' (--times)\n")
+    assert error.endswith("got 'none' (--planned)\n")
 
 
 def test_a_run_of_several_budgets_must_be_told_which_times_were_planned(
@@ -277,10 +296,10 @@ def test_a_run_of_several_budgets_must_be_told_which_times_were_planned(
         small_job, (3, 4), tmp_path / "budget", draws=20, changes=few, figures=False
     )
     path = _written(tmp_path / "mine.csv", (0, 3), y)
-    with pytest.raises(JobError, match="several numbers of measurements: times must say which"):
+    with pytest.raises(JobError, match="several numbers of measurements: planned must say which"):
         pfdist.filter_measurements(curve.path, path)
     name = curve.names[-1]
-    assert pfdist.filter_measurements(curve.path, path, times=name).name == name
+    assert pfdist.filter_measurements(curve.path, path, planned=name).name == name
 
 
 def test_a_panel_is_drawn_for_each_component_up_to_six(tmp_path: Path) -> None:

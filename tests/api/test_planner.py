@@ -216,22 +216,22 @@ def test_next_says_what_a_planner_says(run: pfdist.Run, tmp_path: Path) -> None:
 
 
 def test_before_anything_is_measured_next_is_the_plan(run: pfdist.Run, tmp_path: Path) -> None:
-    found = pfdist.next_time(run.path, write(tmp_path / "y.csv", ()), times="regular")
+    found = pfdist.next_time(run.path, write(tmp_path / "y.csv", ()), planned="regular")
     assert found.plan == found.planned_before == run.sets()["regular"]
     assert found.expected.expected_mse == found.expected_before.expected_mse
 
 
 def test_time_that_has_passed_replaces_the_plan(run: pfdist.Run, tmp_path: Path) -> None:
     table = write(tmp_path / "y.csv", (0,))
-    found = pfdist.next_time(run.path, table, now=9, times="regular")
+    found = pfdist.next_time(run.path, table, now=9, planned="regular")
     assert found.plan[0] > 9
     assert len(found.plan) == 4
     assert found.now == 9
     for now in (15, -1):
         with pytest.raises(MeasurementsError, match=r"now must lie in 0..14"):
             pfdist.next_time(run.path, table, now=now)
-    with pytest.raises(JobError, match="times must be a compared set"):
-        pfdist.next_time(run.path, table, times="nothing")
+    with pytest.raises(JobError, match="planned must be a compared set"):
+        pfdist.next_time(run.path, table, planned="nothing")
 
 
 def test_the_command_says_when(

@@ -47,7 +47,7 @@ def test_pfdist_alone_shows_three_commands_to_try(
         ("status {folder}/runn", 1, "{folder}/run"),
         ("verify {folder}/runn", 1, "{folder}/run"),
         ("status found", 1, "results/foun"),
-        ("filter {asset} x.csv --times regula", 1, "regular"),
+        ("filter {asset} x.csv --planned regula", 1, "regular"),
     ],
 )
 def test_a_misspelt_word_is_followed_by_the_nearest_one_in_one_line(

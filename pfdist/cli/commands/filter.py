@@ -39,7 +39,7 @@ def _add_out(parser: ArgumentParser) -> None:
     add_json,
     examples={
         "pfdist filter results/plan patient.csv": "Filter the measurements of one system",
-        "pfdist filter results/plan patient.csv --times regular --out filtered": (
+        "pfdist filter results/plan patient.csv --planned regular --out filtered": (
             "Compare them with the regular times, and write to another folder"
         ),
     },
@@ -53,7 +53,7 @@ def filter_command(options: Namespace) -> None:
         answer = filter_measurements(
             options.run,
             options.measurements,
-            times=options.times,
+            planned=options.planned,
             prior=options.prior,
             out=options.out,
             model=options.model,
@@ -71,7 +71,7 @@ def _lines(answer: dict[str, Any]) -> list[str]:
     """Give the text that says which measurements there are, and how well they fit the model."""
     number = len(answer["measured"])
     lines = [
-        f"{number} measurement{'s' * (number != 1)}; planned: {answer['times']}",
+        f"{number} measurement{'s' * (number != 1)}; planned: {answer['planned']}",
         *wrapped_lines("planned, missing", _times(answer["missing"])),
         *wrapped_lines("planned, to come", _times(answer["to_come"])),
         *wrapped_lines("measured, not planned", _times(answer["extra"])),

@@ -47,7 +47,7 @@ def next_command(options: Namespace) -> None:
             options.run,
             options.measurements,
             now=options.now,
-            times=options.times,
+            planned=options.planned,
             prior=options.prior,
             model=options.model,
             filter_model=options.filter_model,
@@ -76,7 +76,7 @@ def _lines(answer: dict[str, Any]) -> list[str]:
         named = ", ".join(map(str, answer["planned_before"])) or "no times"
         possible = answer["expected_mse_before"] is not None
         ending = "" if possible else ", no longer possible"
-        lines += wrapped_lines(f"planned by {answer['times']}", f"t = {named}{ending}")
+        lines += wrapped_lines(f"planned by {answer['planned']}", f"t = {named}{ending}")
         lines += _expected(answer, "_before") if possible else []
     return lines + _warning(answer)
 
