@@ -5,18 +5,20 @@ its name, and this module puts ``problem.`` before it.
 """
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 from typing import Annotated, Any, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
+from pfdist.common.number_list import whole_numbers
 from pfdist.common.section import Section
 from pfdist.errors import MeasurementTimesError, shown
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
-_RANGE = re.compile(r"(\d{1,6})-(\d{1,6})|(\d{1,6})")
+_WITH_HYPHEN = re.compile(r"(\d{1,6})-(\d{1,6})")
+_RANGES = "'20:30', '0:60:3' or '20-30'"
 
 
 class ProblemSection(Section):
@@ -36,7 +38,7 @@ class ProblemSection(Section):
         if value is not None and not isinstance(value, (list, tuple)):
             raise ValueError(
                 f"problem.{info.field_name} must be a list of times and of ranges as "
-                f"'20-30', got {shown(value)}"
+                f"{_RANGES}, got {shown(value)}"
             )
         for entry in value or ():
             _times_in(entry, f"problem.{info.field_name}")
@@ -51,7 +53,7 @@ class ProblemSection(Section):
         elif value is not None and not isinstance(value, (list, tuple)):
             raise ValueError(
                 "problem.cost must be a list of horizon + 1 numbers, or a section of ranges as "
-                f'"20-30" = 2, got {shown(value)}'
+                f'"20:30" = 2, got {shown(value)}'
             )
         for cost in value.values() if isinstance(value, dict) else value or ():
             if not isinstance(cost, int) or isinstance(cost, bool):
@@ -112,19 +114,30 @@ class ProblemSection(Section):
         return tuple(costs[time] for time in range(self.horizon + 1))
 
 
-def _times_in(value: Any, key: str) -> range:
-    """Give the times that an integer, or a range such as '20-30', stands for."""
+def _times_in(value: Any, key: str) -> Sequence[int]:
+    """Give the times that an integer, or a text such as '20:30', '0:60:3' or '20-30', stands for.
+
+    Lists and ranges with colons are those of the command line; a hyphen is another spelling of the
+    colon between two times.
+    """
     if isinstance(value, int) and not isinstance(value, bool):
-        return range(value, value + 1)
-    found = _RANGE.fullmatch(value) if isinstance(value, str) else None
-    if found is None:
+        return [value]
+    if not isinstance(value, str):
         raise ValueError(
-            f"{key} must name times, as 20, and ranges, as '20-30', got {shown(value)}"
+            f"{key} must name times, as 20, and ranges, as {_RANGES}, got {shown(value)}"
         )
-    first, last = (int(found[1]), int(found[2])) if found[1] else (int(found[3]),) * 2
-    if last < first:
-        raise ValueError(f"{key} must have ranges from a time to a later one, got {value!r}")
-    return range(first, last + 1)
+    with_hyphen = _WITH_HYPHEN.fullmatch(value)
+    try:
+        return whole_numbers(f"{with_hyphen[1]}:{with_hyphen[2]}" if with_hyphen else value)
+    except ValueError as error:
+        if ":" in value:
+            raise ValueError(f"{key} {error}") from error
+        what = (
+            "have ranges from a time to a later one"
+            if with_hyphen
+            else (f"name times, as 20, and ranges, as {_RANGES}")
+        )
+        raise ValueError(f"{key} must {what}, got {shown(value)}") from error
 
 
 def _union(entries: Iterable[int | str]) -> Times:

@@ -107,8 +107,8 @@ def _instants(table: pd.DataFrame) -> Section:
     names = [""] if components == 1 else [f" of z{k}" for k in range(components)]
     head = ["t", "measured", *(f"{what}{name}" for name in names for what in ("mean", "90 % band"))]
     rows = [_row(row, components) for row in table.to_dict("records")]
-    table = Table("Belief at each instant", [*head, "surprise"], rows, folded=True)
-    return Section("All instants", [without_empty_columns(table)])
+    instants = Table("Belief at each instant", [*head, "surprise"], rows, folded=True)
+    return Section("All instants", [without_empty_columns(instants)])
 
 
 def _row(row: Mapping[Hashable, Any], components: int) -> list[Cell]:

@@ -70,9 +70,18 @@ def test_the_papers_job_is_the_papers_experiment():  # Paper, sections 2.4 and 3
     assert (genetic["sigma_scaling"], trials["evaluations"]) == (1.0, 50 * 25)
 
 
-@pytest.mark.parametrize("cost", ["[1, 1, 1, 1, 2, 2, 2, 2, 2, 2, 3]", "{0-3=1, 4-9=2, 10=3}"])
-def test_constraints_are_spelt_as_times_or_as_ranges(write, cost):
-    lines = ["forbidden = ['4-6', 8]", "required = [3]", f"cost = {cost}", "total_cost = 7"]
+COSTS = (
+    "[1, 1, 1, 1, 2, 2, 2, 2, 2, 2, 3]",
+    "{0-3=1, 4-9=2, 10=3}",
+    "{'0:3'=1, '4:9'=2, 10=3}",
+    "{'0:3'=1, '4:8:2'=2, '5:9:2'=2, '10'=3}",
+)
+
+
+@pytest.mark.parametrize("cost", COSTS)
+@pytest.mark.parametrize("forbidden", ["'4-6', 8", "'4:6', '8'", "'4:8:2', 5", "'4:6, 8'"])
+def test_constraints_are_spelt_as_times_or_as_ranges(write, cost, forbidden):
+    lines = [f"forbidden = [{forbidden}]", "required = [3]", f"cost = {cost}", "total_cost = 7"]
     problem = load_job(write("measurement_budget = 3", "\n".join(lines))).problem
     assert problem.feasible == Feasible(
         10, None, (4, 5, 6, 8), (3,), cost=(1, 1, 1, 1, 2, 2, 2, 2, 2, 2, 3), total_cost=7
@@ -119,6 +128,22 @@ MISTAKES = [
     ),
     ("budget = 3", "budget = 3\nrequired = 5", r"problem\.required must be a list .* got 5 "),
     ("budget = 3", "budget = 3\nrequired = [1.5]", r"required must name times, .* got 1\.5 "),
+    (
+        "budget = 3",
+        "budget = 3\nforbidden = ['3:1']",
+        r"problem\.forbidden must have ranges from a number to a larger one .*, got '3:1' ",
+    ),
+    (
+        "budget = 3",
+        "budget = 3\nforbidden = ['0:9:0']",
+        r"problem\.forbidden must .* steps of at least 1, got '0:9:0' ",
+    ),
+    (
+        "budget = 3",
+        "budget = 3\nrequired = ['a']",
+        r"problem\.required must name times, as 20, and ranges, as '20:30', '0:60:3' or '20-30', "
+        "got 'a' ",
+    ),
     ("budget = 3", "budget = 3\nrequired = ['3-1']", r"required must have ranges .* got '3-1' "),
     ("budget = 3", "budget = 3\nforbidden = ['8-11']", r"forbidden must .* 0\.\.10, got 11 "),
     (
