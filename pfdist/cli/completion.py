@@ -23,15 +23,24 @@ _pfdist_run_dirs() {
   done 3>&1 >/dev/null
 }
 """
+
+
+def _files(*patterns: str) -> dict[str, Any]:
+    """Give what completes names of files that match one of some patterns."""
+    one_of = patterns[0] if len(patterns) == 1 else f"({'|'.join(patterns)})"
+    # shtab writes (*.toml), which zsh does not take for a pattern.
+    return {**shtab.glob(*patterns), "zsh": f"_files -g '{one_of}'"}
+
+
 _RUN = {**shtab.DIRECTORY, "bash": "_pfdist_run_dirs", "preamble": {"bash": _RUNS_IN_BASH}}
 _VALUES: dict[str, Any] = {
-    "JOB": shtab.glob("*.toml"),
+    "JOB": _files("*.toml"),
     "RUN": _RUN,
     "DIR": shtab.DIRECTORY,
     "NEW": shtab.DIRECTORY,
-    "FILE": shtab.glob("*.parquet", "*.csv"),
-    "MEASUREMENTS": shtab.glob("*.csv", "*.parquet"),
-    "FILE.py:OBJECT": shtab.glob("*.py"),
+    "FILE": _files("*.parquet", "*.csv"),
+    "MEASUREMENTS": _files("*.csv", "*.parquet"),
+    "FILE.py:OBJECT": _files("*.py"),
 }
 """The files and folders that complete a value, by the word that stands for the value in help."""
 
@@ -48,6 +57,9 @@ def script(shell: str) -> str:
     for command in subparsers_of(parser).values():
         for argument in command._actions:
             _complete(argument)
+            if shell == "zsh" and isinstance(argument.metavar, str):
+                # zsh takes what follows a bare colon for a command that completes the value.
+                argument.metavar = argument.metavar.replace(":", r"\:")
     return shtab.complete(parser, shell)
 
 

@@ -1,10 +1,12 @@
-"""Bash completes commands, options, values, jobs and runs with the printed script."""
+"""Shells complete commands, options, values, jobs and runs with the printed script."""
 
+import re
 import subprocess
 from pathlib import Path
 
 import pytest
 
+from oracles.completed_by_zsh import completed_by_zsh
 from pfdist.cli.completion import script
 
 
@@ -59,3 +61,52 @@ def test_bash_completes(words: list[str], found: set[str], folder: Path) -> None
 def test_other_shells_get_a_script_that_knows_commands_options_and_values(shell: str) -> None:
     text = script(shell)
     assert all(word in text for word in ("check-model", "measurements", "greedy_backward", "toml"))
+
+
+def test_the_words_for_values_are_no_commands_of_zsh() -> None:
+    """A specification is --option[help]:word:command, and a bare colon ends the word."""
+    specifications = re.findall(r'^  "(--\S.*)"$', script("zsh"), re.MULTILINE)
+    assert len(specifications) > 50
+    for specification in specifications:
+        _, *parts = re.split(r"(?<!\\):", specification)
+        assert len(parts) in (0, 2), specification
+
+
+def test_the_patterns_of_zsh_are_no_qualifiers() -> None:
+    """zsh reads parentheses at the end of a pattern as qualifiers, if they hold no bar."""
+    patterns = re.findall(r"_files -g '([^']*)'", script("zsh"))
+    assert {"*.toml", "*.py", "(*.csv|*.parquet)"} <= set(patterns)
+    assert not [pattern for pattern in patterns if pattern[0] == "(" and "|" not in pattern]
+
+
+LINES = {
+    "pfdist pl": {"plan", "plot"},
+    "pfdist check-model un": {"ungm", "ungm_gordon"},
+    "pfdist plan jobs/": {"plan.toml"},
+    "pfdist filter results/run p": {"patient.csv"},
+    "pfdist plan a.toml --search gr": {"greedy_backward", "greedy_forward"},
+    "pfdist run a.toml --pool s": {"serial"},
+    "pfdist run a.toml --address ": set(),
+    "pfdist why results/run --model m": {"mine.py"},
+    "pfdist budget a.toml --me": {"--measurements"},
+}
+
+
+@pytest.mark.shells
+@pytest.mark.parametrize("line", LINES)
+def test_zsh_completes(line: str, folder: Path) -> None:
+    (folder / "functions").mkdir(exist_ok=True)
+    (folder / "functions" / "_pfdist").write_text(script("zsh"))
+    assert completed_by_zsh(line, folder) == LINES[line]
+
+
+@pytest.mark.shells
+@pytest.mark.parametrize("line", [line for line in LINES if LINES[line]])
+def test_fish_completes(line: str, folder: Path) -> None:
+    (folder / "pfdist.fish").write_text(script("fish"))
+    done = subprocess.run(
+        ["fish", "-c", "source pfdist.fish; complete -C $argv[1]", line],
+        cwd=folder, capture_output=True, text=True, check=True, timeout=60,
+    )  # fmt: skip
+    offered = {row.partition("\t")[0] for row in done.stdout.splitlines()}
+    assert {Path(word).name for word in offered} == LINES[line]

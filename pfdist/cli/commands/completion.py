@@ -21,6 +21,9 @@ def _add_shell(parser: ArgumentParser) -> None:
         "pfdist completion bash > ~/.pfdist.bash": (
             "Keep the script, for the line `. ~/.pfdist.bash` in ~/.bashrc"
         ),
+        "pfdist completion zsh > ~/.zfunc/_pfdist": (
+            "Keep the script for zsh, with `fpath=(~/.zfunc $fpath)` before compinit in ~/.zshrc"
+        ),
         "pfdist completion fish > ~/.config/fish/completions/pfdist.fish": (
             "Complete in every terminal of fish"
         ),
