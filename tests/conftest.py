@@ -24,6 +24,7 @@ PROMISES = (
     "Ctrl-C",
     "memory is flat",
     "old results stay readable",
+    "a report that fails spoils neither the run nor the earlier report",
 )
 QUICK = ("analysis", "common", "job", "search", "times")  # folders of tests
 SMALL_JOB = (Path(__file__).parent / "small.toml").read_text()

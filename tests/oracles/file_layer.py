@@ -50,8 +50,9 @@ class FileLayer:
         Parameters
         ----------
         act : callable
-        fault : {"ended", "ENOSPC", "EIO"}, optional
-            Once ended all is; a disk stays full; a failure to read or write comes once.
+        fault : {"ended", "ENOSPC", "EIO", "EROFS"}, optional
+            Once ended all is; a disk stays full; a folder that cannot be written stays so; a
+            failure to read or write comes once.
         at : int
             The operation.
         """
@@ -89,7 +90,8 @@ class FileLayer:
         if self._fault == "ended":
             return Ended() if number == self._at else Again()
         code = getattr(errno, self._fault)
-        if number == self._at or (self._fault == "ENOSPC" and needs_space):
+        stays = self._fault == "EROFS" or (self._fault == "ENOSPC" and needs_space)
+        if number == self._at or stays:
             return OSError(code, os.strerror(code))
         return None
 

@@ -127,3 +127,17 @@ def test_it_prints_in_black_on_white(page: Any, reports: dict[str, Path]) -> Non
     )
     assert colours == ["rgb(0, 0, 0)", "rgb(255, 255, 255)"]
     assert len(page.pdf()) > 10_000
+
+
+@pytest.mark.parametrize("page", [(1200, "light")], indirect=True)
+def test_what_is_folded_away_is_printed(page: Any, reports: dict[str, Path]) -> None:
+    heights = """[...document.querySelectorAll('details')].map(folded =>
+        folded.offsetHeight - folded.querySelector('summary').offsetHeight)"""
+    for path in reports.values():
+        page.goto(path.as_uri())
+        page.emulate_media(media="screen")
+        folded = page.evaluate(heights)
+        assert folded
+        assert max(folded) == 0
+        page.emulate_media(media="print")
+        assert min(page.evaluate(heights)) > 20
