@@ -78,6 +78,7 @@ def test_an_example_runs(line: str, folder: Path) -> None:
 def _run_in_bash(line: str, home: Path) -> None:
     """Run a line that only a shell understands; the folder it writes to is there."""
     (home / ".config" / "fish" / "completions").mkdir(parents=True, exist_ok=True)
+    (home / ".zfunc").mkdir(exist_ok=True)
     program = f'pfdist() {{ {shlex.quote(sys.executable)} -m pfdist "$@"; }}'
     environment = {**os.environ, "HOME": str(home)}
     bash = shutil.which("bash") or "bash"
