@@ -22,7 +22,7 @@ def _add_shell(parser: ArgumentParser) -> None:
             "Keep the script, for the line `. ~/.pfdist.bash` in ~/.bashrc"
         ),
         "pfdist completion zsh > ~/.zfunc/_pfdist": (
-            "Keep the script for zsh, with `fpath=(~/.zfunc $fpath)` before compinit in ~/.zshrc"
+            "Keep it for zsh, with `fpath+=~/.zfunc` before compinit in ~/.zshrc"
         ),
         "pfdist completion fish > ~/.config/fish/completions/pfdist.fish": (
             "Complete in every terminal of fish"
