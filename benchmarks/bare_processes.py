@@ -9,7 +9,7 @@ from multiprocessing.synchronize import Barrier
 from time import perf_counter
 
 from pfdist import load_model
-from pfdist.evaluation.problem import Problem
+from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation, Work
 from pfdist.times.measurement_times import regular
 
@@ -44,12 +44,12 @@ def measure_rate(processes: int, draws: int, seconds: float) -> float:
 
 
 def _work(barrier: Barrier, rates: "Queue[float]", draws: int, seconds: float) -> None:
-    problem = Problem(load_model("ungm"), horizon=60)
+    evaluator = Evaluator(load_model("ungm"), horizon=60)
     task = Work((regular(60, 21),), (60,), (1,), 2, (0, draws), Estimation(500))
-    problem(task)  # compiles
+    evaluator(task)  # compiles
     barrier.wait()
     start, done = perf_counter(), 0
     while perf_counter() - start < seconds:
-        problem(task)
+        evaluator(task)
         done += draws * 61 * 500
     rates.put(done / (perf_counter() - start))

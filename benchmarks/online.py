@@ -115,7 +115,7 @@ def _measured(wanted: tuple[str, str, bool]) -> dict[str, object]:
 
 def _planned(built: Built, fixed: Times, system: int) -> tuple[Times, list[float], int]:
     """Choose the times of one system: the times, seconds of each step, and plans replaced."""
-    y = built.problem.draws(range(system, system + 1), PURPOSE.stream(0, "draws")).y[0]
+    y = built.evaluator.draws(range(system, system + 1), PURPOSE.stream(0, "draws")).y[0]
     planner, seconds, replaced = Planner.of_built(built, fixed, draw=system), [], 0
     time = planner.next_time()
     while time is not None:
@@ -125,20 +125,20 @@ def _planned(built: Built, fixed: Times, system: int) -> tuple[Times, list[float
         time = planner.next_time()
         seconds.append(process_time() - start)
         replaced += planner.plan() != before
-    return planner.measured, seconds, replaced
+    return planner.clock.instants(planner.measured), seconds, replaced
 
 
 def _errors(built: Built, system: int, sets: tuple[Times, ...]) -> NDArray[np.float64]:
     """MSE of one system with each set, with the same noise of the filter."""
     work = Work(
         measurement_times=sets,
-        ends=(built.problem.horizon,) * len(sets),
+        ends=(built.evaluator.horizon,) * len(sets),
         filter_streams=(PURPOSE.stream(0, "filter"),) * len(sets),
         draws_stream=PURPOSE.stream(0, "draws"),
         draws=(system, system + 1),
         estimation=built.comparing,
     )
-    errors: NDArray[np.float64] = built.problem.filtered(work).mse[0]
+    errors: NDArray[np.float64] = built.evaluator.filtered(work).mse[0]
     return errors
 
 

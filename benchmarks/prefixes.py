@@ -57,7 +57,7 @@ def measure(quick: bool, say: Say) -> Tables:
         evaluations = run(job, results=folder, pool="serial").evaluations()
     say(f"{len(evaluations)} evaluations")
     evaluations = evaluations.drop_duplicates("evaluation")  # copies were evaluated once
-    horizon, particles = job.problem.horizon, job.filter.particles
+    horizon, particles = job.problem.feasible.horizon, job.filter.particles
     draws = simulate(load_model("ungm"), horizon, range(DRAWS), stream=1)
     evaluations = evaluations[evaluations["generation"] % EVERY == 0]
     generations: dict[Any, list[Times]] = {

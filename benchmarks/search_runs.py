@@ -94,7 +94,7 @@ def search(job: Job, pool: Pool) -> dict[str, Any]:
         drive(Session.start(built, store, counting))
         seconds = perf_counter() - start
         rows, compared = store.read("evaluations"), store.read("compared").set_index("name")
-        steps = int((rows["end"] + 1).sum()) if built.problem.exact else counting.steps
+        steps = int((rows["end"] + 1).sum()) if built.evaluator.exact else counting.steps
         believed, times = compared.loc[name, "search_cost"], store.compared_sets()[name]
     return {"steps": steps, "seconds": seconds, "believed": believed, "times": times}
 
@@ -121,8 +121,8 @@ def fresh_costs(built: Built, pool: Pool, sets: Sequence[Times], rounds: int) ->
         A row for each set: times, cost, standard_error, excess and excess_error (in per cent of the
         best set's cost), draws, best (whether the set won the race).
     """
-    if built.problem.exact:
-        costs = built.problem.expected_mse(sets)
+    if built.evaluator.exact:
+        costs = built.evaluator.expected_mse(sets)
         excess = 100 * (costs / costs.min() - 1)
         rows = {"cost": costs, "standard_error": 0.0, "excess": excess, "excess_error": 0.0}
         return pd.DataFrame({"times": sets, **rows, "draws": 0, "best": excess == 0})
@@ -189,7 +189,7 @@ def filtered(
     """
     work = Work(
         measurement_times=tuple(sets),
-        ends=(built.job.problem.horizon,) * len(sets),
+        ends=(built.job.problem.feasible.horizon,) * len(sets),
         filter_streams=tuple(filter_streams) or (stream,) * len(sets),
         draws_stream=stream,
         draws=draws,

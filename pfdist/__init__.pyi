@@ -3,6 +3,8 @@ from .analysis import Run as Run
 from .analysis import open_run as open_run
 from .api.bound import bound as bound
 from .api.budget import budget as budget
+from .api.check_model import check_model as check_model
+from .api.compare import compare as compare
 from .api.evaluate import evaluate as evaluate
 from .api.filter_measurements import filter_measurements as filter_measurements
 from .api.next_time import next_time as next_time
@@ -11,6 +13,7 @@ from .api.plan import plan as plan
 from .api.planner import Planner as Planner
 from .api.report import report as report
 from .api.run import run as run
+from .api.simulate import simulate as simulate
 from .api.why import why as why
 from .elementwise import clip as clip
 from .elementwise import where as where
@@ -19,6 +22,7 @@ from .evaluation.estimate import Evaluation as Evaluation
 from .filters.cloud import Cloud as Cloud
 from .job.job import Job as Job
 from .job.job import load_job as load_job
+from .job.problem import Problem as Problem
 from .models import StateSpaceModel as StateSpaceModel
 from .models import load_model as load_model
 from .models.linear_gaussian import linear_gaussian as linear_gaussian

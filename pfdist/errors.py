@@ -3,7 +3,8 @@
 ::
 
     PfdistError                     one line: what, got, allowed, where
-    ├── JobError                    a value in the job file or of an option is wrong
+    ├── JobError                    a value in a job, or of an option, is wrong
+    ├── ArgumentError               another argument of a function is wrong; also a ValueError
     ├── ModelError                  a model cannot be loaded, or a formula is wrong
     │   └── CompileError            Numba cannot compile a formula
     ├── MeasurementTimesError       measurement times or their constraints are wrong
@@ -97,7 +98,11 @@ class PfdistError(Exception):
 
 
 class JobError(PfdistError):
-    """A value in the job file, or of an option that replaces it, is wrong."""
+    """A value in a job, or of an option that replaces it, is wrong."""
+
+
+class ArgumentError(PfdistError, ValueError):
+    """An argument of a function, which no job has, is wrong."""
 
 
 class ModelError(PfdistError):

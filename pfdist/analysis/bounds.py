@@ -18,5 +18,5 @@ def last_bounds(rows: pd.DataFrame) -> dict[str, dict[str, Any]]:
     last = rows.sort_values(["compared_draws", "steps"], kind="stable").groupby("name").tail(1)
     proofs = last.drop(columns=_OF_THE_SET).to_dict("records")
     for proof in proofs:
-        proof["path"] = [int(time) for time in proof["path"]]
+        proof["path"] = proof["path"].tolist()
     return dict(zip(last["name"], proofs, strict=True))

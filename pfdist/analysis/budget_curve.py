@@ -41,7 +41,7 @@ def budget_table(
     """
     rows = []
     for entry in compared.to_dict("records"):
-        name, times = str(entry["name"]), [int(time) for time in entry["measurement_times"]]
+        name, times = str(entry["name"]), entry["measurement_times"].tolist()
         known, (low, high) = statistics.mse[name], statistics.mse[name].interval
         rows.append(
             {

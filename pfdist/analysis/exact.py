@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pandas as pd
 
 from pfdist.evaluation.engines import is_exact
@@ -26,8 +27,14 @@ def exact_costs(run: "Run") -> dict[str, float]:
         return {}
     rows = run.compared()
     costs = dict(zip(rows["name"], rows["search_cost"], strict=True))
+    if "exact_mse" in rows:  # a run with sets that its job names
+        given = rows[rows["exact_mse"].notna()]
+        costs |= dict(zip(given["name"], given["exact_mse"], strict=True))
     if run.has("profile"):
-        costs |= run.profile().groupby("name")["error"].mean().to_dict()
+        profile, weights = run.profile(), run.problem.weights
+        if weights is not None:
+            profile["error"] *= np.tile(weights, len(profile) // len(weights))
+        costs |= profile.groupby("name")["error"].mean().to_dict()
     if run.has("bound"):
         proved = run.bounds().drop_duplicates("name", keep="last")
         costs |= dict(zip(proved["name"], proved["expected_mse"], strict=True))
@@ -35,7 +42,7 @@ def exact_costs(run: "Run") -> dict[str, float]:
 
 
 def names_by_error(summary: Mapping[str, Any]) -> list[str]:
-    """Give the names of the found sets, the least expected MSE first.
+    """Give the names of the found sets, or of all sets in a run without a search, the best first.
 
     Exact errors decide if the engine knows them, and else the errors on the compared draws. Sets
     whose error is unknown or infinite come last.
@@ -46,8 +53,9 @@ def names_by_error(summary: Mapping[str, Any]) -> list[str]:
         As of `pfdist.analysis.Run.summary`, of a run with one number of measurements.
     """
     key = "exact_mse" if summary["is_exact"] else "expected_mse"
-    _, *found = summary["results"].items()
-    errors = {name: result.get(key) for name, result in found}
+    results = summary["results"]
+    found = {name: each for name, each in results.items() if each["search_cost"] is not None}
+    errors = {name: result.get(key) for name, result in (found or results).items()}
     return sorted(errors, key=lambda name: (errors[name] is None, errors[name] or 0.0))
 
 

@@ -4,6 +4,7 @@ This module holds everything that differs between the two. Only `results_of` ask
 belongs to.
 """
 
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -62,18 +63,20 @@ class TimesResults:
         for entry in run.compared().to_dict("records"):
             name, mse = str(entry["name"]), statistics.mse[entry["name"]]
             result: dict[str, Any] = {
-                "measurement_times": [int(time) for time in entry["measurement_times"]],
+                "measurement_times": entry["measurement_times"].tolist(),
                 "expected_mse": mse.mean,
                 "standard_error": mse.standard_error,
                 "degenerate_draws": statistics.draws - mse.count,
                 "search_cost": float(entry["search_cost"]),
                 "search_standard_error": float(entry["search_standard_error"]),
             }
-            if name == run.names[0]:
-                times = tuple(result["measurement_times"])
-                result |= described(run.job, name, times) | _gain_over_itself(run)
+            if math.isnan(result["search_cost"]):  # no search found it
+                result |= described(run.job, name, tuple(result["measurement_times"]))
             else:
                 result |= belief_of(run, name, result)
+            if name == run.names[0]:
+                result |= _gain_over_itself(run)
+            else:
                 result |= statistics.gains[name].summary().columns()
             results[name] = result
         return results
@@ -120,7 +123,7 @@ class BudgetResults:
     def sets_of_one_number(self, run: "Run") -> dict[str, Times]:
         """Raise an error: the sets have several numbers of measurements."""
         raise StoreError(
-            f"{run.path} has times of several numbers of measurements: why takes a run of one"
+            f"{run.path} has times of several numbers of measurements: give a run of one"
         )
 
 

@@ -1,6 +1,6 @@
 """A run as pandas DataFrames and as a summary."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -8,21 +8,27 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pyarrow as pa
+from numpy.typing import NDArray
 
 from pfdist.analysis.belief import own_estimation
 from pfdist.analysis.bounds import last_bounds
 from pfdist.analysis.budget_curve import reaching, with_bounds
+from pfdist.analysis.exact import exact_costs
 from pfdist.analysis.gains import BLOCK, ComparisonStatistics, relative_gain
+from pfdist.analysis.pairs import pairs_table, ranks_table
 from pfdist.analysis.recorded import read_recorded
 from pfdist.analysis.results import results_of
 from pfdist.analysis.run_card import run_card, title_of
+from pfdist.analysis.run_tables import RunTables
 from pfdist.analysis.summary import summary_of
-from pfdist.common.cards import Card, Shown
-from pfdist.store import QUESTIONS, Store, check_entries, schema
+from pfdist.common.cards import Card
+from pfdist.errors import StoreError, shown
+from pfdist.job.problem_section import ProblemSection
+from pfdist.store import QUESTIONS, check_entries
 from pfdist.times.measurement_times import Times
 
 
-class Run(Shown):
+class Run(RunTables):
     """A run on disk, finished or not; made by `open_run`.
 
     Attributes
@@ -31,60 +37,17 @@ class Run(Shown):
         Its folder.
     job : dict
         The resolved job.
+    models : mapping of str to ChosenModel
+        Models that were given as objects, for "model" and "filter_model", if this process made the
+        run. A run's folder holds no model.
     """
 
+    models: Mapping[str, Any] = {}
+
     def __init__(self, path: Path) -> None:
-        self.path = path
         self._about, self.job = read_recorded(path)
-        self._store = Store(path)
+        super().__init__(path)
         self._results = results_of(self.job)
-
-    def evaluations(self) -> pd.DataFrame:
-        """A row for each evaluation: phase, generation, individual, copies, times, expected MSE."""
-        return self._store.read("evaluations")
-
-    def draws(self) -> pd.DataFrame:
-        """Per-draw MSE of every evaluation: evaluation, draw, mse."""
-        return self._store.read("draws")
-
-    def compared(self) -> pd.DataFrame:
-        """A row for each compared set: name, measurement times, cost that its search believed."""
-        return self._store.compared()
-
-    def comparison(self, draws: int | None = None) -> pd.DataFrame:
-        """A row for each draw: draw, and mse_<name> for every compared set.
-
-        Parameters
-        ----------
-        draws : int, optional
-            Read only so many first draws.
-        """
-        return self._store.read("comparison", draws)
-
-    def repeated(self) -> pd.DataFrame:
-        """A row for each of the first draws: the reference's MSE under other filter noise."""
-        return self._store.read("repeated")
-
-    def online(self) -> pd.DataFrame:
-        """A row for each of the first draws: times chosen one after another, and their MSE.
-
-        Without such times the table is empty.
-        """
-        if not self.has("online"):
-            return pd.DataFrame(columns=schema("online").names)
-        return self._store.read("online")
-
-    def trajectories(self) -> pd.DataFrame:
-        """z, y and the estimate of every filter over time, for the comparison's first draws."""
-        return self._store.read("trajectories")
-
-    def timings(self) -> pd.DataFrame:
-        """A row for each task: seconds, worker, node, failures."""
-        return self._store.read("timings")
-
-    def has(self, table: str) -> bool:
-        """Whether the run has rows of a table."""
-        return self._store.has(table)
 
     def gains(self, draws: int | None = None) -> pd.DataFrame:
         """A row for each draw: draw, and gain_<name> for every set but the reference.
@@ -108,6 +71,21 @@ class Run(Shown):
         return [str(name) for name in self.compared()["name"]]
 
     @property
+    def given(self) -> list[str]:
+        """Names of the sets that the job gives by name; the reference may be among them."""
+        return [name for name in self.names if name in self.job["comparison"].get("sets", {})]
+
+    @property
+    def found(self) -> list[str]:
+        """Names of the sets that searches have found."""
+        return [name for name in self.names[1:] if name not in self.given]
+
+    @cached_property
+    def problem(self) -> ProblemSection:
+        """The section [problem] of the job, with the clock and the constraints."""
+        return ProblemSection.model_validate(self.job["problem"])
+
+    @property
     def state(self) -> str:
         """``searching``, ``comparing`` or ``finished``."""
         if not self._store.has("compared"):
@@ -128,10 +106,14 @@ class Run(Shown):
     def statistics(self) -> ComparisonStatistics:
         """Statistics of all compared draws; memory does not grow with the draws."""
         statistics = ComparisonStatistics(self.names)
-        for rows in self.blocks():
-            columns = [rows[f"mse_{name}"].to_numpy() for name in self.names]
-            statistics.add(np.stack(columns, axis=1))
+        for block in self._columns():
+            statistics.add(block)
         return statistics
+
+    def _columns(self) -> Iterator[NDArray[np.float64]]:
+        """Per-draw MSE of all compared sets, block by block: (D, S) each time."""
+        for rows in self.blocks():
+            yield np.stack([rows[f"mse_{name}"].to_numpy() for name in self.names], axis=1)
 
     def blocks(self) -> Iterator[pa.Table]:
         """The comparison in tables of as many draws each, so that memory does not grow."""
@@ -139,26 +121,8 @@ class Run(Shown):
         return self._store.blocks("comparison", "draw", BLOCK, last)
 
     def sets(self) -> dict[str, Times]:
-        """All compared sets by name, the reference first."""
+        """All compared sets by name, the reference first; times on the clock of the job."""
         return self._store.compared_sets()
-
-    def bounds(self) -> pd.DataFrame:
-        """A row for each set and each proof of a lower bound: see the columns' descriptions."""
-        return self._store.read("bound")
-
-    def profile(self) -> pd.DataFrame:
-        """A row for each set and instant: expected error, standard error, effective sample size.
-
-        The table is of the last call of ``pfdist why``.
-        """
-        return self._store.read("profile")
-
-    def worth(self) -> pd.DataFrame:
-        """A row for each measurement of each set: the rise of the expected MSE without it.
-
-        The table is of the last call of ``pfdist why``, as is that of `profile`.
-        """
-        return self._store.read("worth")
 
     @property
     def has_budget(self) -> bool:
@@ -225,6 +189,34 @@ class Run(Shown):
         """
         return reaching(self.budget(), target)
 
+    def pairs(self) -> pd.DataFrame:
+        """A row for each pair of compared sets, on the draws that are degenerate with neither.
+
+        The columns are first and second (names); draws; difference (expected MSE of the first less
+        that of the second) with low and high (95 %, Student's t, of the paired differences);
+        simultaneous_low and simultaneous_high (with 95 % the intervals of all pairs hold together,
+        by Bonferroni); clear (whether the simultaneous interval leaves out 0); gain_of_means (1
+        less the first expected MSE over the second) with gain_of_means_low and gain_of_means_high
+        (95 %, Fieller's); first_wins (share of the draws in which the first has the lower MSE) with
+        first_wins_low and first_wins_high (95 %, Wilson's). Where an engine knows both expected
+        MSEs without draws, difference and gain_of_means are exact, and all their limits are equal.
+        """
+        return pairs_table(self.names, self._columns(), exact_costs(self))
+
+    def ranks(self) -> pd.DataFrame:
+        """A row for each compared set, the lowest expected MSE first.
+
+        The columns are name; expected_mse and standard_error; best_rank (1 and the number of sets
+        that are clearly better) and worst_rank (the number of sets less those that are clearly
+        worse), as `pairs` defines clear; difference (expected MSE less that of the first row) with
+        low and high (95 %, of this pair alone). With 95 % the true ranks of all sets lie from
+        best_rank to worst_rank.
+        """
+        mse, exact = self.statistics().mse, exact_costs(self)
+        costs = {name: (each.mean, each.standard_error) for name, each in mse.items()}
+        costs |= {name: (cost, 0.0) for name, cost in exact.items()}
+        return ranks_table(self.pairs(), costs)
+
     @property
     def draws_compared(self) -> int:
         """Number of draws that every set has filtered."""
@@ -285,5 +277,7 @@ def open_run(path: str | Path) -> Run:
     StoreError
         The folder holds no run, or one that cannot be read.
     """
+    if not isinstance(path, str | Path):
+        raise StoreError(f"a run must be the path of its folder, got {shown(path)}", argument="run")
     check_entries(Path(path))
     return Run(Path(path))

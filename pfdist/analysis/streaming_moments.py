@@ -107,8 +107,23 @@ class Pairs:
             self.products += apart * before * x.size / (before + x.size)
 
     @property
+    def ratio_error(self) -> float:
+        """Standard error of mean(x) / mean(y), by the delta method; NaN if it is unknown."""
+        count, scale = self.x.count, self.y.mean  # so that no square overflows
+        if count < 2 or scale == 0.0:
+            return math.nan
+        x, y = self.x.squares / scale / scale, self.y.squares / scale / scale
+        xy, ratio = self.products / scale / scale, self.x.mean / scale
+        variance = (x - 2.0 * ratio * xy + ratio * ratio * y) / count / (count - 1)
+        return math.sqrt(max(0.0, variance)) if math.isfinite(variance) else math.nan
+
+    @property
     def ratio_interval(self) -> Interval:
-        """95 % interval of mean(x) / mean(y), by Fieller's theorem with Student's t.
+        """95 % interval of mean(x) / mean(y); see `ratio_interval_of`."""
+        return self.ratio_interval_of(CONFIDENCE)
+
+    def ratio_interval_of(self, confidence: float) -> Interval:
+        """Interval of mean(x) / mean(y), by Fieller's theorem with Student's t.
 
         It contains all ratios r for which the mean of x - r y does not differ from 0. It is exact
         for normal means, unlike the delta method. Infinite if the mean of y may be 0; NaN with
@@ -118,7 +133,7 @@ class Pairs:
         if count < 2 or self.y.mean == 0.0:
             return UNKNOWN
         scale = self.y.mean  # so that no square overflows
-        squared = float(stats.t.isf((1 - CONFIDENCE) / 2, count - 1)) ** 2 / count / (count - 1)
+        squared = float(stats.t.isf((1 - confidence) / 2, count - 1)) ** 2 / count / (count - 1)
         x, y = self.x.squares / scale / scale, self.y.squares / scale / scale
         xy, ratio = self.products / scale / scale, self.x.mean / scale
         # a r^2 - 2 b r + c <= 0; `inner` is proportional to b^2 - a c without cancellation

@@ -8,7 +8,6 @@ from pfdist.analysis.finite import finite
 from pfdist.analysis.online import online_draws
 from pfdist.analysis.results import Results
 from pfdist.evaluation.engines import is_exact
-from pfdist.job.problem_section import ProblemSection
 
 if TYPE_CHECKING:
     from pfdist.analysis.stored_run import Run
@@ -28,30 +27,34 @@ def summary_of(run: "Run", kind: Results) -> dict[str, Any]:
     dict
         ``state``, ``run``, ``evaluations`` (copies counted), ``draws_compared``, ``is_exact``
         (whether the engine knows expected MSEs without draws), ``is_constrained`` (whether the job
-        excludes some times, beside their number or cost), ``results`` by name, and ``online`` if
-        there is such a table. Fractions are not in per cent; an infinite or unknown value is None.
-        Each result has:
+        excludes some times, beside their number or cost), ``time_unit`` if the job has a clock,
+        ``results`` by name, and ``online`` if there is such a table. Times are those of the clock.
+        Fractions are not in per cent; an infinite or unknown value is None. Each result has:
 
         - measurement_times, expected_mse, standard_error, degenerate_draws, search_cost and
           search_standard_error.
-        - For the reference: description, broken_constraints (see
-          `pfdist.job.problem_section.ProblemSection.broken`), and gain_over_itself (see
-          `pfdist.analysis.gains.gain_over_itself`) with interval and draws.
-        - For the others: search_excess (search_cost over expected_mse, less 1),
+        - For the reference: gain_over_itself (see `pfdist.analysis.gains.gain_over_itself`) with
+          interval and draws. For the reference and sets that the job names: description, and
+          broken_constraints (see `pfdist.job.problem_section.ProblemSection.broken`).
+        - For all but the reference: the fields of `GainSummary`, and gains_disagree
+          (`GainSummary.disagree`).
+        - For found sets: search_excess (search_cost over expected_mse, less 1),
           search_estimation (how the search estimated otherwise than the comparison),
           search_cause (why search_cost is not expected_mse), search_distrust (why the search
-          was run again by the squared error, or None), the fields of `GainSummary`, and
-          gains_disagree (`GainSummary.disagree`).
-
+          was run again by the squared error, or None).
         - For all, if a lower bound was proved: lower_bound, with the columns of `bounds` for
           the proof of most compared draws, then of most particle-steps.
 
-        - With an exact engine: exact_mse, of the reference only if a lower bound was proved or
-          ``pfdist why`` has computed it; then exact_gain of the others, 1 less the ratio.
+        - With an exact engine: exact_mse, of the reference only if the job names sets, a lower
+          bound was proved, or ``pfdist why`` has computed it; then exact_gain of the others, 1
+          less the ratio.
 
         If the run has several numbers of measurements, the results are the rows of `budget`,
         with the four search_ fields for found times. Before the comparison has begun, a result
         has only measurement_times, search_cost and search_standard_error.
+
+        If the job names sets, ``pairs`` and ``ranks`` hold the rows of `pfdist.analysis.Run.pairs`
+        and `pfdist.analysis.Run.ranks`.
 
         If times were chosen one after another, there is a key ``online``: draws (without the
         degenerate_draws, which are degenerate with the online times, the plan or the
@@ -79,17 +82,25 @@ def summary_of(run: "Run", kind: Results) -> dict[str, Any]:
         "evaluations": evaluations,
         "draws_compared": run.draws_compared,
         "is_exact": is_exact(run.job["filter"]["engine"]),
-        "is_constrained": ProblemSection.model_validate(run.job["problem"]).is_constrained,
+        "is_constrained": run.problem.is_constrained,
+        **({"time_unit": run.problem.clock.unit} if run.problem.has_clock else {}),
         "results": finite(results),
         **online,
+        **(_pairs_and_ranks(run) if run.has("comparison") and run.given else {}),
     }
+
+
+def _pairs_and_ranks(run: "Run") -> dict[str, Any]:
+    """Rows of the tables of pairs and ranks."""
+    tables = {"pairs": run.pairs(), "ranks": run.ranks()}
+    return {name: finite(table.to_dict("records")) for name, table in tables.items()}
 
 
 def _before_the_comparison(run: "Run") -> dict[str, Any]:
     """Times of each set, and the cost that its search believed."""
     return {
         str(entry["name"]): {
-            "measurement_times": [int(time) for time in entry["measurement_times"]],
+            "measurement_times": entry["measurement_times"].tolist(),
             "search_cost": float(entry["search_cost"]),
             "search_standard_error": float(entry["search_standard_error"]),
         }

@@ -1,12 +1,12 @@
 """A lower bound of the expected MSE of every feasible set, and the gap of a run's sets."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from pfdist.analysis import finite
 from pfdist.api.at_work import at_work
-from pfdist.api.finished_run import built_again, finished_run
+from pfdist.api.finished_run import AskedRun, Model, built_again, finished_run
 from pfdist.api.following import Say, following, silent
 from pfdist.api.own_store import own_store
 from pfdist.api.report import renew_report
@@ -14,13 +14,14 @@ from pfdist.bounds.gap import Gap
 from pfdist.common.cards import Card, Shown
 from pfdist.common.percent import percent
 from pfdist.common.rounding import with_error
-from pfdist.errors import JobError
+from pfdist.errors import ArgumentError, JobError, shown
 from pfdist.evaluation.engines import is_exact
 from pfdist.plots import draw_figures
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built, check_pool
 from pfdist.runner.progress import Show
 from pfdist.runner.prover import Prover
+from pfdist.times.clock import Clock
 
 _DEFAULT = BoundSettings()
 
@@ -74,14 +75,14 @@ class Bound(Shown):
 
 
 def bound(
-    run: str | Path,
+    run: AskedRun,
     settings: BoundSettings = _DEFAULT,
     *,
     pool: str | None = None,
     workers: int | None = None,
     address: str | None = None,
-    model: str = "",
-    filter_model: str = "",
+    model: Model = "",
+    filter_model: Model = "",
     figures: bool = True,
     progress: Show | bool = False,
     say: Say = silent,
@@ -95,15 +96,16 @@ def bound(
 
     Parameters
     ----------
-    run : str or Path
-        Folder of a finished run.
+    run : Run, Problem, Job, str or Path
+        A finished run or its folder. A problem or a job means the run that `pfdist.plan` makes of
+        it, or `pfdist.run` if the job has searches; what this run lacks is computed first.
     settings : BoundSettings
         Draws, particles, windows and limits of the proof, and the gap that is demanded.
     pool, workers, address : optional
         Where to compute, as for `pfdist.run`. The default is Ray with all cores of this machine,
         wherever the run was computed; exact engines need no pool.
-    model, filter_model : str, optional
-        ``path/file.py:object``: replaces the file that the run names for the model or for the
+    model, filter_model : StateSpaceModel or str, optional
+        An object or ``path/file.py:object``: replaces what the run names for the model or for the
         filter's model. It is run without question, and must mean the same as the run's model.
     figures : bool
         Whether to draw the figure of the bound against work.
@@ -130,7 +132,11 @@ def bound(
     """
     execution = {"pool": pool, "workers": workers, "address": address}
     given = {key: value for key, value in execution.items() if value is not None}
-    proved = finished_run(run)
+    if not isinstance(settings, BoundSettings):
+        raise ArgumentError(
+            f"settings must be a pfdist.BoundSettings, got {shown(settings)}", argument="settings"
+        )
+    proved = finished_run(run, **execution, progress=progress, say=say)
     if is_exact(proved.job["filter"]["engine"]):
         given = {"pool": "serial"}  # there is nothing to compute in a pool
     with following(progress, say) as (show, tell):
@@ -139,7 +145,7 @@ def bound(
         prover, within = _prover(built, settings), settings.within
         with own_store(proved, built, tell) as store, at_work(built, store, show, tell) as session:
             session.reporter.foresee(prover.steps)
-            look = prover.prove(session, finished_run(run))  # it may have been found damaged
+            look = prover.prove(session, finished_run(proved))  # it may have been found damaged
             if figures and store.path == proved.path:
                 draw_figures(proved, "bound")
         renew_report(proved.path, tell)
@@ -151,10 +157,17 @@ def bound(
         prover.particles,
         look.draws,
         prover.confidence,
-        None if within is None else look.is_within(within, built.study.references),
-        look.gaps,
+        None if within is None else look.is_within(within, built.unjudged),
+        [_on_clock(gap, built.job.problem.clock) for gap in look.gaps],
         built.job.problem.is_constrained,
     )
+
+
+def _on_clock(gap: Gap, clock: Clock) -> Gap:
+    """Give a gap with times on the clock in the place of instants."""
+    times: Any = tuple(clock.times_of(gap.measurement_times))
+    path: Any = tuple(clock.times_of(gap.path))
+    return replace(gap, measurement_times=times, path=path)
 
 
 def _row(gap: Gap) -> tuple[str, ...]:

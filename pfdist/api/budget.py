@@ -6,17 +6,19 @@ from typing import Any
 
 from pfdist.analysis import Run
 from pfdist.api.run import run
-from pfdist.errors import JobError
-from pfdist.job.job import Job, as_job
+from pfdist.common.arguments import number_argument, whole_argument
+from pfdist.errors import ArgumentError, JobError, shown
+from pfdist.job.asked import Asked, as_job
 from pfdist.plots import draw_target
 from pfdist.runner.bound_settings import LEAST_DRAWS
 from pfdist.search.methods import DEFAULT_METHOD
 
 DRAWS = 4000
+MOST_DRAWS = 100_000_000  # as many as a comparison may have
 
 
 def budget(
-    job: Job | str | Path,
+    job: Asked,
     measurements: tuple[int, int] | range | Set[int],
     results: str | Path | None = None,
     draws: int = DRAWS,
@@ -33,9 +35,9 @@ def budget(
 
     Parameters
     ----------
-    job : Job, str or Path
-        A job, or the path of a job file. The searches and the measurement budget of the job are
-        left aside.
+    job : Problem, Job, str or Path
+        A problem, a job, or the path of a job file. The searches and the measurement budget of the
+        job are left aside.
     measurements : (int, int), range or set of int
         Least and largest number of measurements, or a range or a set of all numbers.
     results : str or Path, optional
@@ -65,8 +67,9 @@ def budget(
     PfdistError
         As `pfdist.run` raises.
     """
-    if draws < 2:
-        raise JobError(f"draws must be at least 2, got {draws}", argument="draws")
+    draws = whole_argument("draws", draws, 2, MOST_DRAWS)
+    if target is not None:
+        number_argument("target", target)
     numbers = _section(measurements)
     asked = {"budget": numbers, "comparison": {"draws": draws}}
     search = [{"method": DEFAULT_METHOD, "polish": False}]
@@ -91,10 +94,19 @@ def _section(measurements: tuple[int, int] | range | Set[int]) -> dict[str, Any]
 
     It is the same, and so the run is the same, however numbers without a gap are given.
     """
-    if not isinstance(measurements, (range, Set)):
+    is_pair = isinstance(measurements, tuple | list) and len(measurements) == 2
+    if not is_pair and not isinstance(measurements, range | Set):
+        raise ArgumentError(
+            "measurements must be a pair (least, most), or a range or set of numbers, got "
+            f"{shown(measurements)}",
+            argument="measurements",
+        )
+    for number in measurements:
+        whole_argument("measurements", number, -(2**63), 2**63 - 1)
+    if is_pair:
         least, most = measurements
-        return {"least": least, "most": most}
-    numbers = sorted(measurements)
+        return {"least": int(least), "most": int(most)}
+    numbers = sorted(map(int, measurements))
     if not numbers or numbers[0] < 2:
         got = numbers[0] if numbers else "none"
         raise JobError(

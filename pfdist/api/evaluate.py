@@ -1,97 +1,164 @@
-"""The expected MSE of one set of measurement times, computed in this process."""
+"""The expected MSE of sets of measurement times, computed in this process."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from functools import partial
-from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 
-from pfdist.errors import MeasurementTimesError
+from pfdist.errors import JobError, MeasurementTimesError
 from pfdist.evaluation.estimate import Purpose, ReportEvaluation
-from pfdist.evaluation.problem import Problem
+from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Work
-from pfdist.job.job import Job, as_job
+from pfdist.job.asked import Asked, as_job
+from pfdist.job.job import Job
 from pfdist.runner.build import build
 from pfdist.runner.pace import MOST_SECONDS
 from pfdist.runner.searches import Settings
-from pfdist.times.measurement_times import Times, validated
+from pfdist.times.clock import Clock, Time
+from pfdist.times.measurement_times import REGULAR, Times
+from pfdist.times.written import validated_instants
 
 EVALUATE = Purpose("evaluate", ReportEvaluation)
+UNNAMED = ""
+"""Name of a set to which the user gives no name."""
+
+OneSet = Iterable[Time | str] | str
+Written = OneSet | Mapping[str, OneSet]
 
 
+@overload
 def evaluate(
-    job: Job | str | Path,
-    measurement_times: Iterable[int],
+    job: Asked,
+    measurement_times: Mapping[str, Iterable[Time | str] | str],
     draws: int | None = None,
     particles: int | None = None,
     seed: int | None = None,
-) -> ReportEvaluation:
-    """Estimate the expected MSE of one set of measurement times, in this process.
+) -> dict[str, ReportEvaluation]: ...
+
+
+@overload
+def evaluate(
+    job: Asked,
+    measurement_times: Iterable[Time] | str,
+    draws: int | None = None,
+    particles: int | None = None,
+    seed: int | None = None,
+) -> ReportEvaluation: ...
+
+
+def evaluate(
+    job: Asked,
+    measurement_times: Written,
+    draws: int | None = None,
+    particles: int | None = None,
+    seed: int | None = None,
+) -> ReportEvaluation | dict[str, ReportEvaluation]:
+    """Estimate the expected MSE of a set of measurement times, or of several, in this process.
 
     Parameters
     ----------
-    job : Job, str or Path
-        A job, or the path of a job file.
-    measurement_times : iterable of int
-        Any number of times in 0..T. They may break the job's constraints:
-        ``load_job(path).problem.broken(times)`` lists the broken ones.
+    job : Problem, Job, str or Path
+        A problem, a job, or the path of a job file.
+    measurement_times : iterable of int or float, or str; or mapping of str to these
+        Any number of times in 0..T, or on the clock of the job, or a text such as "0:60:3". They
+        may break the job's constraints: ``load_job(path).problem.broken(times)`` lists the broken
+        ones. Sets with names share their draws and the noise of their filters; "regular" stands
+        for the regular times of the job.
     draws, particles, seed : int, optional
         Replace the job's evaluation.draws, filter.particles and seed.
 
     Returns
     -------
-    ReportEvaluation
+    ReportEvaluation, or dict of str to ReportEvaluation
         ``expected_mse``, ``standard_error``, ``draws``, ``degenerate_draws`` and the per-draw
-        values ``mse``.
+        values ``mse``; of sets with names, by name.
 
     Raises
     ------
     JobError, ModelError, MeasurementTimesError
         The job, the model or the times are not possible.
     """
-    return prepare(job, measurement_times, draws, particles, seed)()
+    compute = prepare(job, measurement_times, draws, particles, seed)
+    return compute() if isinstance(measurement_times, Mapping) else compute()[UNNAMED]
 
 
 def prepare(
-    job: Job | str | Path,
-    measurement_times: Iterable[int],
+    job: Asked,
+    measurement_times: Written,
     draws: int | None = None,
     particles: int | None = None,
     seed: int | None = None,
-) -> Callable[[], ReportEvaluation]:
-    """Compile what `evaluate` needs, and return a function that evaluates without delay."""
+) -> Callable[[], dict[str, ReportEvaluation]]:
+    """Compile what `evaluate` needs, and return a function that evaluates without delay.
+
+    The name of a set without a name is empty.
+    """
     settings: dict[str, Any] = {} if seed is None else {"seed": seed}
     settings |= {} if draws is None else {"evaluation": {"draws": draws}}
     settings |= {} if particles is None else {"filter": {"particles": particles}}
     job = as_job(job, settings=settings)
-    try:
-        times = validated(measurement_times, job.problem.horizon)
-    except MeasurementTimesError as error:
-        error.argument = "times"
-        raise
-    fresh = [times] if job.evaluation.noise == "fresh" else []
+    written, are_named = {UNNAMED: measurement_times}, False
+    if isinstance(measurement_times, Mapping):
+        written, are_named = {**measurement_times}, True
+    sets = {name: _instants(job, name, times) for name, times in written.items()}
+    if not sets:
+        raise JobError("evaluate needs at least one set of times, got none", argument="times")
+    # Sets with names share draws and noise; a single set has its own, if the job wants fresh noise.
+    fresh = [] if are_named or job.evaluation.noise != "fresh" else [*sets.values()]
     stream = EVALUATE.stream(job.seed, *fresh)
-    problem, policy = build(job).source.compiled(), job.evaluation.degenerate_draws
-    if problem.exact:
-        return partial(_exact, problem, times, policy)
+    evaluator, policy = build(job).source.compiled(), job.evaluation.degenerate_draws
+    clock = job.problem.clock
+    if evaluator.exact:
+        return partial(_exact, evaluator, sets, policy, clock)
     evaluation = Settings.from_job(job)
     work = Work(
-        measurement_times=(times,),
-        ends=(problem.horizon,),
-        filter_streams=(stream,),
+        measurement_times=tuple(sets.values()),
+        ends=(evaluator.horizon,) * len(sets),
+        filter_streams=(stream,) * len(sets),
         draws_stream=stream,
         draws=(0, evaluation.draws),
         estimation=evaluation.estimation,
+        ids=tuple(sets),
     )
-    return partial(_estimated, problem, work, policy)
+    return partial(_estimated, evaluator, work, policy, clock)
 
 
-def _exact(problem: Problem, times: Times, policy: str) -> ReportEvaluation:
-    exact = float(problem.expected_mse([times])[0])
-    return EVALUATE.evaluation(times, np.empty(0), policy, exact)
+def _instants(job: Job, name: str, written: Iterable[Time | str] | str) -> Times:
+    """Give the instants of a set; the error names the option, and the set if it has a name."""
+    if name and isinstance(written, str) and written == REGULAR:
+        return job.problem.feasible.regular()
+    try:
+        return validated_instants(written, job.problem.clock, where=name and f"times of {name}")
+    except MeasurementTimesError as error:
+        error.argument = "times"
+        raise
 
 
-def _estimated(problem: Problem, work: Work, policy: str) -> ReportEvaluation:
-    mse = [problem.filtered(piece).mse[:, 0] for piece in problem.pieces(work, MOST_SECONDS)]
-    return EVALUATE.evaluation(work.measurement_times[0], np.concatenate(mse), policy)
+def _exact(
+    evaluator: Evaluator, sets: Mapping[str, Times], policy: str, clock: Clock
+) -> dict[str, ReportEvaluation]:
+    costs = evaluator.expected_mse([*sets.values()])
+    return {
+        name: _on_clock(EVALUATE.evaluation(times, np.empty(0), policy, float(cost)), clock)
+        for (name, times), cost in zip(sets.items(), costs, strict=True)
+    }
+
+
+def _estimated(
+    evaluator: Evaluator, work: Work, policy: str, clock: Clock
+) -> dict[str, ReportEvaluation]:
+    pieces = [evaluator.filtered(piece).mse for piece in evaluator.pieces(work, MOST_SECONDS)]
+    return {
+        name: _on_clock(EVALUATE.evaluation(times, mse, policy), clock)
+        for name, times, mse in zip(
+            work.ids, work.measurement_times, np.concatenate(pieces).T.copy(), strict=True
+        )
+    }
+
+
+def _on_clock(evaluation: ReportEvaluation, clock: Clock) -> ReportEvaluation:
+    """Give an evaluation with times on the clock in the place of instants."""
+    times: Any = tuple(clock.times_of(evaluation.measurement_times))
+    return replace(evaluation, measurement_times=times)

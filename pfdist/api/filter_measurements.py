@@ -1,27 +1,35 @@
 """Real measurements of one system, filtered as a run filters its draws."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
+from numpy.typing import ArrayLike
 
 from pfdist.analysis import finite
 from pfdist.api.filter_of import filter_of
+from pfdist.api.finished_run import AskedRun, Model
 from pfdist.api.planned_run import planned_run
+from pfdist.api.table import Table, table_argument
+from pfdist.common.arguments import path_argument
 from pfdist.common.cards import Card, Shown
+from pfdist.common.component_names import Component
+from pfdist.common.told_times import told_times
+from pfdist.filters.cloud import Prior
 from pfdist.plots import check_figure_replaceable, draw_filtered, filtered_plot
 from pfdist.reports import write_filtered_report
 from pfdist.sequential.estimate import Estimate
 from pfdist.sequential.filter import Filter
 from pfdist.sequential.measurements import Measurements, read_measurements
-from pfdist.store import FILTERED_PERCENTS, filtered_schema
+from pfdist.store import FILTERED_PERCENTS, ClockColumns, filtered_schema, frame_of
 from pfdist.store.shown_files import check_page_replaceable
 from pfdist.store.user_tables import check_table_replaceable, is_parquet, write_user_table
-from pfdist.times.measurement_times import Times
+from pfdist.times.clock import Time
 
 IMPROBABLE = 0.01  # for the most surprising of all measurements: the model may be wrong
 
@@ -37,9 +45,9 @@ class FilteredMeasurements(Shown):
         The file with the measurements.
     name : str
         Name of the compared set whose times were planned.
-    measured : tuple of int
-        Times with a measurement.
-    missing, extra, to_come : tuple of int
+    measured : tuple of int or float
+        Times with a measurement, on the clock of the job, as all times below.
+    missing, extra, to_come : tuple of int or float
         Planned times up to the last measurement that were not measured, measured times that were
         not planned, and planned times after the last measurement.
     table : DataFrame
@@ -49,28 +57,31 @@ class FilteredMeasurements(Shown):
     why_no_evidence : str
         Why there is no log evidence; empty if there is.
     files : tuple of Path
-        The table, the figure, and the report if it was wanted.
+        The table, the figure, and the report if it was wanted; none for a DataFrame without `out`.
+    time_unit : str
+        The unit of the clock; empty if the job has none.
     """
 
     run: Path
     measurements: Path
     name: str
-    measured: Times
-    missing: Times
-    extra: Times
-    to_come: Times
+    measured: tuple[Time, ...]
+    missing: tuple[Time, ...]
+    extra: tuple[Time, ...]
+    to_come: tuple[Time, ...]
     table: pd.DataFrame
     log_evidence: float | None
     why_no_evidence: str
     files: tuple[Path, ...]
+    time_unit: str = ""
 
     @property
-    def most_surprising(self) -> tuple[int, float] | None:
+    def most_surprising(self) -> tuple[Time, float] | None:
         """Time and p-value of the most surprising measurement, if there is a measurement."""
         if not self.measured:
             return None
         row = int(np.nanargmin(self.table["surprise"]))
-        return int(self.table["t"][row]), float(self.table["surprise"][row])
+        return self.table["t"][row].item(), float(self.table["surprise"][row])
 
     @property
     def surprise_of_all(self) -> float | None:
@@ -87,7 +98,7 @@ class FilteredMeasurements(Shown):
     def as_json(self) -> dict[str, Any]:
         """The result as JSON values, with the table as the path of its file."""
         most = self.most_surprising
-        table, figure, *report = map(str, self.files)
+        files = dict(zip(("table", "figure", "report"), map(str, self.files), strict=False))
         answer = {
             "run": str(self.run),
             "measurements": str(self.measurements),
@@ -101,9 +112,8 @@ class FilteredMeasurements(Shown):
             "is_improbable": self.is_improbable,
             "log_evidence": self.log_evidence,
             "why_no_evidence": self.why_no_evidence,
-            "table": table,
-            "figure": figure,
-            "report": report[0] if report else None,
+            **({"time_unit": self.time_unit} if self.time_unit else {}),
+            **{name: files.get(name) for name in ("table", "figure", "report")},
         }
         found: dict[str, Any] = finite(answer)
         return found
@@ -116,19 +126,19 @@ class FilteredMeasurements(Shown):
             "planned, to come": self.to_come,
             "measured, not planned": self.extra,
         }
-        rows = [(name, ", ".join(map(str, at))) for name, at in times.items()]
+        rows = [(name, told_times(at, self.time_unit)) for name, at in times.items()]
         return Card(f"{number}, filtered as {self.run} does", (), rows)
 
 
 def filter_measurements(
-    run: str | Path,
-    measurements: str | Path,
+    run: AskedRun,
+    measurements: Table,
     *,
     planned: str = "",
-    prior: str | Path = "",
+    prior: Table | Prior | ArrayLike = "",
     out: str | Path = "",
-    model: str = "",
-    filter_model: str = "",
+    model: Model = "",
+    filter_model: Model = "",
     report: bool = True,
     say: Callable[[str], Any] = lambda line: None,
 ) -> FilteredMeasurements:
@@ -140,20 +150,22 @@ def filter_measurements(
 
     Parameters
     ----------
-    run : str or Path
-        Folder of a finished run. Its job gives the filter's model, its settings and the seed.
-    measurements : str or Path
-        Table with the columns t, y0, y1, ..., in CSV or Parquet.
+    run : Run, Problem, Job, str or Path
+        A finished run or its folder, or a problem or job, as for `pfdist.why`. The job gives the
+        filter's model, its settings and the seed.
+    measurements : str, Path or DataFrame
+        Table with the columns t, y0, y1, ...: a file in CSV or Parquet, or a DataFrame.
     planned : str, optional
         Name of the compared set whose times were planned; by default the found set with the lowest
         expected MSE.
-    prior : str or Path, optional
+    prior : str, Path, DataFrame, Cloud or array, optional
         Table of particles from which the filter starts, with the columns x0, x1, ..., and on
         request weight and t; see `pfdist.sequential.user_prior.read_prior`.
     out : str or Path, optional
-        Folder of the table and the figure; by default the folder of the measurements.
-    model, filter_model : str, optional
-        ``path/file.py:object``: replaces the file that the run names for the model or for the
+        Folder of the table and the figure; by default the folder of the measurements. For a
+        DataFrame nothing is written by default.
+    model, filter_model : StateSpaceModel or str, optional
+        An object or ``path/file.py:object``: replaces what the run names for the model or for the
         filter's model. It is run without question, and must mean the same as the run's model.
     report : bool
         Whether to write the report.
@@ -177,45 +189,64 @@ def filter_measurements(
         The model cannot be loaded, or a formula failed.
     """
     instead = {"model": model, "filter_model": filter_model}
-    plan, path = planned_run(run, planned, prior, instead, say), Path(measurements)
-    believed = plan.built.problem.believed
-    files = _files(path, Path(out) if out else path.parent)
-    schema = filtered_schema(believed.components[2])
-    check_table_replaceable(files[0], schema)
-    check_figure_replaceable(files[1])
-    if report:
-        check_page_replaceable(files[2])
+    table = table_argument("measurements", measurements)
+    plan = planned_run(run, planned, prior, instead, say)
+    believed = plan.built.evaluator.believed
+    files = _files(table, out)[: 3 if report else 2]
+    quantities = believed.named("z")
+    schema = filtered_schema(quantities)
+    for file, check in zip(files, _checks(schema), strict=False):
+        check(file)
     filtering = filter_of(plan.built, plan.prior)
-    rows = read_measurements(path, believed, filtering.horizon, filtering.now.t)
+    problem = plan.built.job.problem
+    clock = problem.clock
+    rows = read_measurements(table, believed, clock, filtering.now.t)
     wanted = [t for t in plan.times if t >= filtering.now.t]
-    table = _table(_estimates(filtering, rows), schema)
+    estimates = _table(_estimates(filtering, rows), quantities, schema)
+    if problem.has_clock:
+        estimates = ClockColumns(clock.times, clock.unit).table(estimates)
     last = max((*rows.t, *rows.missed), default=-1)
     found = FilteredMeasurements(
         plan.run.path,
-        path,
+        Path("measurements") if isinstance(table, pd.DataFrame) else table,
         plan.name,
-        rows.t,
-        tuple(t for t in wanted if t <= last and t not in rows.t),
-        tuple(t for t in rows.t if t not in wanted),
-        tuple(t for t in wanted if t > last),
-        table.to_pandas(),
+        tuple(clock.times_of(rows.t)),
+        tuple(clock.times_of(t for t in wanted if t <= last and t not in rows.t)),
+        tuple(clock.times_of(t for t in rows.t if t not in wanted)),
+        tuple(clock.times_of(t for t in wanted if t > last)),
+        frame_of(estimates),
         filtering.log_evidence,
         filtering.why_no_evidence,
-        files if report else files[:2],
+        files,
+        clock.unit,
     )
-    write_user_table(files[0], table)
-    marked = found.missing, found.extra, found.to_come
-    draw_filtered(files[1], filtered_plot(found.table, marked))
-    if report:
-        write_filtered_report(files[2], found.as_json(), found.table)
+    if files:
+        write_user_table(files[0], estimates)
+        marked = found.missing, found.extra, found.to_come
+        draw_filtered(files[1], filtered_plot(found.table, marked))
+    for file in files[2:]:
+        write_filtered_report(file, found.as_json(), found.table)
     return found
 
 
-def _files(measurements: Path, folder: Path) -> tuple[Path, ...]:
+def _files(measurements: Path | pd.DataFrame, out: str | Path) -> tuple[Path, ...]:
+    """The files of the result. A table in memory has no folder: without `out` there are none."""
+    path_argument("out", out)
+    if isinstance(measurements, pd.DataFrame):
+        if not str(out):
+            return ()
+        measurements = Path(out) / "measurements.csv"
+    folder = Path(out) if str(out) else measurements.parent
     suffix = "parquet" if is_parquet(measurements) else "csv"
     return tuple(
         folder / f"{measurements.stem}.filtered.{ending}" for ending in (suffix, "png", "html")
     )
+
+
+def _checks(schema: pa.Schema) -> Iterable[Callable[[Path], None]]:
+    """The checks that no foreign file is replaced, for each file of the result."""
+    table = partial(check_table_replaceable, schema=schema)
+    return table, check_figure_replaceable, check_page_replaceable
 
 
 def _estimates(filtering: Filter, rows: Measurements) -> Iterable[Estimate]:
@@ -225,18 +256,20 @@ def _estimates(filtering: Filter, rows: Measurements) -> Iterable[Estimate]:
         yield filtering.update(t, measured[t]) if t in measured else filtering.predict(t)
 
 
-def _table(estimates: Iterable[Estimate], schema: pa.Schema) -> pa.Table:
+def _table(
+    estimates: Iterable[Estimate], quantities: Sequence[Component], schema: pa.Schema
+) -> pa.Table:
     levels = [percent / 100 for percent in FILTERED_PERCENTS]
     rows = []
     for estimate in estimates:
         row: dict[str, Any] = {"t": estimate.t, "measured": estimate.measured}
         quantiles = estimate.quantiles(levels)
-        for k, (mean, sd) in enumerate(
-            zip(estimate.mean, estimate.standard_deviation, strict=True)
-        ):
-            row |= {f"mean_{k}": float(mean), f"sd_{k}": float(sd)}
+        for k, component in enumerate(quantities):
+            end = component.suffix
+            row[f"mean_{end}"] = float(estimate.mean[k])
+            row[f"sd_{end}"] = float(estimate.standard_deviation[k])
             for percent, values in zip(FILTERED_PERCENTS, quantiles, strict=True):
-                row[f"q{percent:02d}_{k}"] = float(values[k])
+                row[f"q{percent:02d}_{end}"] = float(values[k])
         row |= {
             "effective_sample_size": estimate.effective_sample_size,
             "surprise": estimate.surprise,

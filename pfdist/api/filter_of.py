@@ -23,7 +23,7 @@ def filter_of(built: Built, prior: Prior | None = None, draw: int = 0) -> Filter
     """
     job = built.job
     return Filter(
-        built.problem.believed,
+        built.evaluator.believed,
         job.filter.particles,
         job.seed,
         resampling=job.filter.resampling,
@@ -31,5 +31,5 @@ def filter_of(built: Built, prior: Prior | None = None, draw: int = 0) -> Filter
         dtype=job.filter.dtype,
         prior=prior,
         draw=draw,
-        horizon=job.problem.horizon,
+        horizon=job.problem.feasible.horizon,
     )

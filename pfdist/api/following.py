@@ -4,6 +4,7 @@ import contextlib
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from pfdist.common.arguments import called_argument
 from pfdist.runner.progress import Show
 
 Say = Callable[[str], Any]
@@ -26,7 +27,9 @@ def following(progress: Show | bool, say: Say) -> Iterator[tuple[Show, Say]]:
     say : callable
         Receives the messages, line by line.
     """
+    called_argument("say", say)
     if not isinstance(progress, bool):
+        called_argument("progress", progress)
         yield progress, say
     elif not progress:
         yield lambda state: None, say

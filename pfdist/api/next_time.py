@@ -2,19 +2,27 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import chain, pairwise
+from itertools import chain
+from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
 
+from numpy.typing import ArrayLike
+
 from pfdist.analysis import finite
 from pfdist.api.filter_measurements import IMPROBABLE
+from pfdist.api.finished_run import AskedRun, Model
 from pfdist.api.planned_run import planned_run
 from pfdist.api.planner import Planner
+from pfdist.api.table import Table, table_argument
 from pfdist.common.cards import Card, Shown
 from pfdist.common.rounding import with_error
-from pfdist.errors import MeasurementsError
+from pfdist.common.told_times import told_time, told_times
+from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.evaluation.estimate import ReportEvaluation
+from pfdist.filters.cloud import Prior
 from pfdist.sequential.measurements import Measurements, read_measurements
+from pfdist.times.clock import Clock, Time
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
@@ -28,36 +36,39 @@ class NextTime(Shown):
     run : Path
     name : str
         Name of the compared set whose times were planned before anything was measured.
-    measured : tuple of int
-        Times with a measurement.
-    now : int
-        The instant from which on errors are expected: the last that has passed.
-    plan : tuple of int
+    measured : tuple of int or float
+        Times with a measurement, on the clock of the job, as all times below.
+    now : int or float
+        The time from which on errors are expected: the last that has passed.
+    plan : tuple of int or float
         Times that are left to be measured, the next first; empty if the budget is spent.
     left : int or None
         Number of measurements that are left of the budget; None if they have costs.
-    planned_before : tuple of int
+    planned_before : tuple of int or float
         Times of the first plan that are left.
     expected, expected_before : ReportEvaluation
         Expected MSE from `now` to T with both plans, on the same fresh simulated systems. An exact
         engine needs none. `expected_before` is None if the first plan is no longer possible.
     surprise : float or None
         P-value of the most surprising among all measurements (Bonferroni), if there is one.
+    time_unit : str
+        The unit of the clock; empty if the job has none.
     """
 
     run: Path
     name: str
-    measured: Times
-    now: int
-    plan: Times
+    measured: tuple[Time, ...]
+    now: Time
+    plan: tuple[Time, ...]
     left: int | None
-    planned_before: Times
+    planned_before: tuple[Time, ...]
     expected: ReportEvaluation
     expected_before: ReportEvaluation | None
     surprise: float | None
+    time_unit: str = ""
 
     @property
-    def next(self) -> int | None:
+    def next(self) -> Time | None:
         """The time to measure next; None if the budget is spent."""
         return self.plan[0] if self.plan else None
 
@@ -85,6 +96,7 @@ class NextTime(Shown):
             "draws": self.expected.draws,
             "surprise_of_all": self.surprise,
             "is_improbable": self.is_improbable,
+            **({"time_unit": self.time_unit} if self.time_unit else {}),
         }
         found: dict[str, Any] = finite(answer)
         return found
@@ -92,45 +104,46 @@ class NextTime(Shown):
     def _card(self) -> Card:
         title = "nothing is left to be measured"
         if self.plan:
-            title = f"measure next at t = {self.next}"
+            title = f"measure next at t = {told_times(self.plan[:1], self.time_unit)}"
         mse = with_error(self.expected.expected_mse, self.expected.standard_error)
         rows = [
-            ("measured at t", ", ".join(map(str, self.measured))),
-            ("plan", ", ".join(map(str, self.plan))),
+            ("measured at t", told_times(self.measured, self.time_unit)),
+            ("plan", told_times(self.plan, self.time_unit)),
             ("expected MSE from now on", mse),
         ]
         return Card(title, (), rows)
 
 
 def next_time(
-    run: str | Path,
-    measurements: str | Path,
+    run: AskedRun,
+    measurements: Table,
     *,
-    now: int | None = None,
+    now: Time | None = None,
     planned: str = "",
-    prior: str | Path = "",
-    model: str = "",
-    filter_model: str = "",
+    prior: Table | Prior | ArrayLike = "",
+    model: Model = "",
+    filter_model: Model = "",
     say: Callable[[str], Any] = lambda line: None,
 ) -> NextTime:
     """Choose when to measure one system next, from the measurements so far.
 
     Parameters
     ----------
-    run : str or Path
-        Folder of a finished run. Its job gives the models, the constraints and the seed.
-    measurements : str or Path
-        Table with the columns t, y0, y1, ..., in CSV or Parquet. It may have no rows. A row without
-        any component is a time that was missed.
-    now : int, optional
-        The last instant that has passed, if nothing was measured at the end.
+    run : Run, Problem, Job, str or Path
+        A finished run or its folder, or a problem or job, as for `pfdist.why`. The job gives the
+        models, the constraints and the seed.
+    measurements : str, Path or DataFrame
+        Table with the columns t, y0, y1, ...: a file in CSV or Parquet, or a DataFrame. It may have
+        no rows. A row without any component is a time that was missed.
+    now : int or float, optional
+        The last time that has passed, if nothing was measured at the end.
     planned : str, optional
         Name of the compared set that was planned; by default the found set with the lowest expected
         MSE.
-    prior : str or Path, optional
+    prior : str, Path, DataFrame, Cloud or array, optional
         Table of particles from which the filter starts; see `pfdist.filter_measurements`.
-    model, filter_model : str, optional
-        ``path/file.py:object``: replaces the file that the run names for the model or for the
+    model, filter_model : StateSpaceModel or str, optional
+        An object or ``path/file.py:object``: replaces what the run names for the model or for the
         filter's model. It is run without question, and must mean the same as the run's model.
     say : callable, optional
         Receives a line for each model file before the file is run.
@@ -151,22 +164,26 @@ def next_time(
     ModelError
         The model cannot be loaded, or a formula failed.
     """
+    table = table_argument("measurements", measurements)
     instead = {"model": model, "filter_model": filter_model}
     plan = planned_run(run, planned, prior, instead, say)
-    believed = plan.built.problem.believed
-    planner = Planner.of_built(plan.built, plan.times, plan.prior)
-    feasible, start = planner.feasible, planner.estimate().t
-    rows = read_measurements(Path(measurements), believed, feasible.horizon, start)
+    believed = plan.built.evaluator.believed
+    clock = plan.built.job.problem.clock
+    planner = Planner.of_built(plan.built, clock.times_of(plan.times), plan.prior)
+    feasible = planner.feasible
+    start = clock.instants([planner.estimate().t])[0]
+    rows = read_measurements(table, believed, clock, start)
     last, surprise = _tell(planner, rows)
     if now is not None:
-        _check_now(now, max(last, start), feasible.horizon)
-        if now > last:
-            planner.missed(now)
-        last = now
+        instant = _instant_now(now, max(last, start), clock)
+        if instant > last:
+            planner.missed(clock.time(instant))
+        last = instant
     left = max(0, feasible.total - len(planner.measured)) if feasible.counted else None
-    before = tuple(time for time in plan.times if time > last and time >= start)[:left]
+    before = tuple(t for t in plan.times if t > last and t >= start)[:left]
+    still = _is_possible(feasible, clock.instants(planner.measured), before)
     expected, *expected_before = planner.expected(
-        planner.plan(), *([before] if _is_possible(feasible, planner.measured, before) else [])
+        planner.plan(), *([clock.times_of(before)] if still else [])
     )
     return NextTime(
         plan.run.path,
@@ -175,18 +192,17 @@ def next_time(
         planner.estimate().t,
         planner.plan(),
         left,
-        before,
+        tuple(clock.times_of(before)),
         expected,
         expected_before[0] if expected_before else None,
         surprise,
+        clock.unit,
     )
 
 
 def _is_possible(feasible: Feasible, measured: Times, left: Times) -> bool:
     """Whether times may still be measured: at a distance from each other, and not too dear."""
-    times, spacing = (*measured[-1:], *left), feasible.minimum_spacing
-    apart = all(later - time >= spacing for time, later in pairwise(times))
-    money = feasible.total_cost
+    apart, money = feasible.spacing.apart((*measured[-1:], *left)), feasible.total_cost
     return apart and (money is None or feasible.cost_of((*measured, *left)) <= money)
 
 
@@ -196,17 +212,17 @@ def _tell(planner: Planner, rows: Measurements) -> tuple[int, float | None]:
     Returns
     -------
     int
-        The last instant, or -1.
+        The last instant that has a row, or -1.
     float or None
         The p-value of the most surprising among all measurements.
     """
-    surprises = list[float]()
+    surprises, clock = list[float](), planner.clock
     told = sorted(chain(zip(rows.t, rows.y, strict=True), ((t, None) for t in rows.missed)), key=_t)
     for t, y in told:
         if y is None:
-            planner.missed(t)
+            planner.missed(clock.time(t))
         else:
-            estimate = planner.update(y, t)
+            estimate = planner.update(y, clock.time(t))
             surprises += [] if estimate.surprise is None else [estimate.surprise]
     surprise = min(1.0, len(surprises) * min(surprises)) if surprises else None
     return told[-1][0] if told else -1, surprise
@@ -216,6 +232,15 @@ def _t(row: tuple[int, Any]) -> int:
     return row[0]
 
 
-def _check_now(now: int, last: int, horizon: int) -> None:
-    if not last <= now <= horizon:
-        raise MeasurementsError(f"now must lie in {last}..{horizon}, got {now}", argument="now")
+def _instant_now(now: Time, last: int, clock: Clock) -> int:
+    """Give the instant of the last time that has passed, after checking it."""
+    if clock.counts and (isinstance(now, bool) or not isinstance(now, Integral)):
+        raise MeasurementsError(f"now must be an integer, got {shown(now)}", argument="now")
+    first = clock.time(last) if last >= 0 else -1
+    if isinstance(now, Real) and not first <= now <= clock.times[-1]:
+        ends = f"{told_time(first)}..{told_time(clock.times[-1])}"
+        raise MeasurementsError(f"now must lie in {ends}, got {told_time(now)}", argument="now")
+    try:
+        return int(now) if clock.counts else clock.instant(now, "now")
+    except MeasurementTimesError as error:
+        raise MeasurementsError(str(error), argument="now") from error

@@ -6,11 +6,11 @@ from typing import Any
 
 from pfdist.analysis import Run
 from pfdist.api.run import run
-from pfdist.job.job import Job, as_job
+from pfdist.job.asked import Asked, as_job
 
 
 def online(
-    job: Job | str | Path,
+    job: Asked,
     results: str | Path | None = None,
     draws: int | None = None,
     changes: Iterable[str] = (),
@@ -24,8 +24,9 @@ def online(
 
     Parameters
     ----------
-    job : Job, str or Path
-        A job, or the path of a job file. Without a section [online] it gets the defaults.
+    job : Problem, Job, str or Path
+        A problem, a job, or the path of a job file. Without a section [online] it gets the
+        defaults.
     results : str or Path, optional
         The run's own folder; by default ``results/<the job file's stem>`` if the job file has a
         section [online], as its run has, and otherwise ``results/<stem>-online``.

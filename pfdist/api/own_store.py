@@ -9,7 +9,7 @@ from typing import Any
 from pfdist.analysis import Run
 from pfdist.errors import RunMismatchError, StoreError
 from pfdist.runner.build import Built
-from pfdist.runner.identity import opened
+from pfdist.runner.identity import opened, store_of
 from pfdist.runner.processor import note_processor
 from pfdist.store import Store
 
@@ -41,14 +41,14 @@ def own_store(
         except RunMismatchError as error:
             difference, *_ = error.differences
             say(f"{run.path} is of another program ({difference}): the answer is not stored there")
-            store = _elsewhere(stack)
+            store = _elsewhere(stack, built)
         except StoreError as error:
             if must_be:
                 raise
             say(f"the answer is not stored in the run: {error}")
-            store = _elsewhere(stack)
+            store = _elsewhere(stack, built)
         yield store
 
 
-def _elsewhere(stack: contextlib.ExitStack) -> Store:
-    return Store(Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="pfdist-"))))
+def _elsewhere(stack: contextlib.ExitStack, built: Built) -> Store:
+    return store_of(built, Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="pfdist-"))))

@@ -6,13 +6,13 @@ from typing import Any
 
 from pfdist.analysis import Run
 from pfdist.api.run import run
-from pfdist.job.job import Job, as_job
+from pfdist.job.asked import Asked, as_job
 from pfdist.runner.bound_settings import LEAST_DRAWS
 from pfdist.search.methods import DEFAULT_METHOD
 
 
 def plan(
-    job: Job | str | Path,
+    job: Asked,
     results: str | Path | None = None,
     search: str = DEFAULT_METHOD,
     changes: Iterable[str] = (),
@@ -23,8 +23,8 @@ def plan(
 
     Parameters
     ----------
-    job : Job, str or Path
-        A job, or the path of a job file. Searches that the job names are left aside.
+    job : Problem, Job, str or Path
+        A problem, a job, or the path of a job file. Searches that the job names are left aside.
     results : str or Path, optional
         The run's own folder; by default ``results/<the job file's stem>``. If the job names
         searches, that folder belongs to their run, and the default is ``results/<stem>-plan``.

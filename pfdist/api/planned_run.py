@@ -6,12 +6,13 @@ from typing import Any, NamedTuple
 
 from pfdist.analysis import Run
 from pfdist.analysis.exact import names_by_error
-from pfdist.api.finished_run import built_again, finished_run
+from pfdist.api.finished_run import AskedRun, Model, built_again, finished_run
 from pfdist.common.nearest import did_you_mean
 from pfdist.errors import JobError, shown
-from pfdist.filters.cloud import Cloud
+from pfdist.filters.cloud import Prior
+from pfdist.models import StateSpaceModel
 from pfdist.runner.build import Built
-from pfdist.sequential.user_prior import read_prior
+from pfdist.sequential.user_prior import as_prior, read_prior
 from pfdist.times.measurement_times import Times
 
 
@@ -26,7 +27,7 @@ class PlannedRun(NamedTuple):
     times : tuple of int
     built : Built
         The run's job, built again.
-    prior : Cloud or None
+    prior : Cloud, Gaussian or None
         Particles from which the filter starts, if the user gives some.
     """
 
@@ -34,26 +35,27 @@ class PlannedRun(NamedTuple):
     name: str
     times: Times
     built: Built
-    prior: Cloud | None
+    prior: Prior | None
 
 
 def planned_run(
-    run: str | Path,
+    run: AskedRun,
     planned: str,
-    prior: str | Path,
-    instead: Mapping[str, str],
+    prior: Any,
+    instead: Mapping[str, Model],
     say: Callable[[str], Any],
 ) -> PlannedRun:
     """Open a finished run whose times were planned.
 
     Parameters
     ----------
-    run : str or Path
+    run : Run, Problem, Job, str or Path
+        As for `finished_run`.
     planned : str
         Name of the compared set that was planned; empty: see `planned_set`.
-    prior : str or Path
-        Table of particles from which the filter starts; empty for none.
-    instead : mapping of str to str
+    prior : str, Path, DataFrame, Cloud or array
+        Particles from which the filter starts, or their table; an empty name for none.
+    instead : mapping of str to StateSpaceModel or str
         As for `pfdist.api.finished_run.built_again`.
     say : callable
         Receives a line for each model file before the file is run.
@@ -63,11 +65,18 @@ def planned_run(
     StoreError, JobError, ModelError, PriorError
         As `finished_run`, `planned_set`, `built_again` and `read_prior` raise.
     """
-    opened = finished_run(run)
+    opened = finished_run(run, say=say)
     name, times = planned_set(opened, planned)
     built = built_again(opened, instead, say)
-    known = read_prior(Path(prior), built.problem.believed) if prior else None
-    return PlannedRun(opened, name, times, built, known)
+    times = built.job.problem.clock.instants(times)
+    return PlannedRun(opened, name, times, built, _known(prior, built.evaluator.believed))
+
+
+def _known(prior: Any, model: StateSpaceModel) -> Prior | None:
+    """The knowledge from which a filter starts: a table's, a prior, or None for an empty name."""
+    if isinstance(prior, str | Path):
+        return read_prior(Path(prior), model) if str(prior) else None
+    return as_prior(prior, model)
 
 
 def planned_set(run: Run, name: str = "") -> tuple[str, Times]:

@@ -2,26 +2,31 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from numpy.typing import ArrayLike, NDArray
 
 from pfdist.api.filter_of import filter_of
+from pfdist.common.arguments import whole_argument
+from pfdist.common.told_times import told_time
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.evaluation.estimate import ReportEvaluation
 from pfdist.filters.cloud import Prior
-from pfdist.job.job import Job, as_job
+from pfdist.job.asked import Asked, as_job
+from pfdist.job.job import Job
 from pfdist.runner.build import Built, build
 from pfdist.runner.online_planning import planning_of
 from pfdist.search.methods import METHODS
 from pfdist.sequential.estimate import Estimate
-from pfdist.sequential.measurements import checked_instant
+from pfdist.sequential.measurements import instant_on
 from pfdist.sequential.planning import ONLINE, Now, Replanner
 from pfdist.sequential.user_prior import as_prior
+from pfdist.times.clock import Clock, Time
 from pfdist.times.feasible import Feasible
-from pfdist.times.measurement_times import Times, validated
+from pfdist.times.measurement_times import Times
+from pfdist.times.written import validated_instants
 
+MOST_DRAWS = 100_000_000
 EXPECTED_DRAWS = 2000
 """Simulated systems on which an expected MSE is estimated."""
 _FIRST_SEARCH = METHODS["survivors"].section()
@@ -36,14 +41,15 @@ class Planner:
 
     Parameters
     ----------
-    job : Job, str or Path
-        A job, or the path of a job file. Its section [online] says how plans are made.
-    times : iterable of int, optional
+    job : Problem, Job, str or Path
+        A problem, a job, or the path of a job file. Its section [online] says how plans are made.
+    times : iterable of int or float, optional
         The plan before anything is measured, such as the times that `pfdist.plan` found; a feasible
         set of the job, or of one of its measurement budgets. By default a short search finds some.
-    prior : Cloud, Gaussian or array, optional
+    prior : Cloud, Gaussian, array or DataFrame, optional
         The knowledge of x(s), in the place of the model's `initial`; the system then starts at s.
-        An array (n, M) holds M particles of x(0). Planned times before s count as measured.
+        An array (n, M) holds M particles of x(0); a DataFrame has a row for each. Planned times
+        before s count as measured.
     draw : int
         Number of the system, which keys the noise: give each system a number of its own.
 
@@ -66,30 +72,37 @@ class Planner:
 
     def __init__(
         self,
-        job: Job | str | Path,
-        times: Iterable[int] | None = None,
+        job: Asked,
+        times: Iterable[Time] | None = None,
         *,
         prior: Prior | ArrayLike | None = None,
         draw: int = 0,
     ) -> None:
-        self._begin(build(as_job(job)), times, None if prior is None else as_prior(prior), draw)
+        built = build(as_job(job))
+        known = None if prior is None else as_prior(prior, built.evaluator.believed)
+        self._begin(built, times, known, draw)
 
     @classmethod
     def of_built(
-        cls, built: Built, times: Iterable[int], prior: Prior | None = None, draw: int = 0
+        cls, built: Built, times: Iterable[Time], prior: Prior | None = None, draw: int = 0
     ) -> "Planner":
         """Make a planner from a job that is built already; parameters as above."""
         planner = cls.__new__(cls)
         planner._begin(built, times, prior, draw)
         return planner
 
-    def next_time(self) -> int | None:
+    def next_time(self) -> Time | None:
         """Give the time to measure next; None if no measurement is left."""
-        return self._plan[0] if self._plan else None
+        return self.plan()[0] if self._plan else None
 
-    def plan(self) -> Times:
+    def plan(self) -> tuple[Time, ...]:
         """Give all planned times that are left, the next first."""
-        return self._plan
+        return tuple(self.clock.times_of(self._plan))
+
+    @property
+    def clock(self) -> Clock:
+        """The clock of the job. All times of a planner are times on this clock."""
+        return self._built.job.problem.clock
 
     @property
     def feasible(self) -> Feasible:
@@ -97,11 +110,11 @@ class Planner:
         return self._replanner.feasible
 
     @property
-    def measured(self) -> Times:
+    def measured(self) -> tuple[Time, ...]:
         """The times that were measured."""
-        return self._taken
+        return tuple(self.clock.times_of(self._taken))
 
-    def update(self, y: float | Sequence[float] | NDArray[Any], t: int | None = None) -> Estimate:
+    def update(self, y: float | Sequence[float] | NDArray[Any], t: Time | None = None) -> Estimate:
         """Tell a measurement, and plan what is left anew.
 
         Parameters
@@ -109,7 +122,7 @@ class Planner:
         y : float or sequence of float, (m,)
             The measurement. NaN marks a component that is missing, which a model must declare that
             it takes.
-        t : int, optional
+        t : int or float, optional
             The time, if it is not the next planned time. Planned times before it count as missed.
 
         Returns
@@ -129,16 +142,16 @@ class Planner:
         if estimate.measured:
             self._taken = (*self._taken, estimate.t)
         self._plan_anew(estimate.t)
-        return estimate
+        return self._on_clock(estimate)
 
-    def missed(self, t: int | None = None) -> None:
+    def missed(self, t: Time | None = None) -> None:
         """Tell that nothing was measured up to t, and plan what is left anew.
 
         The measurement is not lost: it may be made later.
 
         Parameters
         ----------
-        t : int, optional
+        t : int or float, optional
             By default the next planned time.
 
         Raises
@@ -149,12 +162,12 @@ class Planner:
         nothing = [float("nan")] * self._filter.model.components[1]
         self._plan_anew(self._filter.update(self._time(t), nothing).t)
 
-    def estimate(self, t: int | None = None) -> Estimate:
+    def estimate(self, t: Time | None = None) -> Estimate:
         """Estimate z(t) from all measurements so far.
 
         Parameters
         ----------
-        t : int, optional
+        t : int or float, optional
             Not before the last measurement; by default its time.
 
         Raises
@@ -162,16 +175,18 @@ class Planner:
         MeasurementsError
             The time is wrong.
         """
-        return self._filter.now if t is None else self._filter.predict(t)
+        if t is None:
+            return self._on_clock(self._filter.now)
+        return self._on_clock(self._filter.predict(instant_on(self.clock, t)))
 
     def expected(
-        self, *plans: Iterable[int], draws: int = EXPECTED_DRAWS
+        self, *plans: Iterable[Time], draws: int = EXPECTED_DRAWS
     ) -> list[ReportEvaluation]:
         """Estimate the expected MSE from now to T with plans, on the same fresh simulated systems.
 
         Parameters
         ----------
-        *plans : iterables of int
+        *plans : iterables of int or float
             Times that are left to be measured; by default those of `plan`.
         draws : int
             Number of simulated systems.
@@ -180,29 +195,30 @@ class Planner:
         ------
         MeasurementTimesError
             A time does not lie after the last measurement and up to T.
-        ValueError
+        ArgumentError
             The number of draws is below 2.
         """
-        if isinstance(draws, bool) or not isinstance(draws, int) or draws < 2:
-            raise ValueError(f"draws must be an integer of at least 2, got {shown(draws)}")
+        draws = whole_argument("draws", draws, 2, MOST_DRAWS)
         first = self._now.first
-        wanted = [validated(plan, self.feasible.horizon) for plan in plans or (self._plan,)]
+        wanted = [validated_instants(plan, self.clock) for plan in plans or (self.plan(),)]
         for plan in wanted:
             if plan and plan[0] < first:
+                least, got = (told_time(self.clock.time(t)) for t in (first, plan[0]))
                 raise MeasurementTimesError(
-                    f"times that are left must be at least {first}, got {plan[0]}"
+                    f"times that are left must be at least {least}, got {got}"
                 )
         estimation = self._built.comparing
         return self._replanner.expected(self._now, wanted, draws, estimation, self._draw)
 
     def _begin(
-        self, built: Built, times: Iterable[int] | None, prior: Prior | None, draw: int
+        self, built: Built, times: Iterable[Time] | None, prior: Prior | None, draw: int
     ) -> None:
-        planning = planning_of(built.job, built.problem.cheapest_estimator)
+        planning = planning_of(built.job, built.evaluator.cheapest_estimator)
         stream = ONLINE.stream(built.job.seed, "planner")
-        planned = None if times is None else validated(times, built.problem.horizon, "times")
+        clock = built.job.problem.clock
+        planned = None if times is None else validated_instants(times, clock, "times", "times")
         feasible = _feasible(built.job, planned)
-        self._replanner = Replanner(built.problem, feasible, planning, stream)
+        self._replanner = Replanner(built.evaluator, feasible, planning, stream)
         self._filter = filter_of(built, prior, draw)
         self._built, self._draw = built, int(draw)
         self._now, self._taken = Now(prior), ()
@@ -212,20 +228,28 @@ class Planner:
         self._plan = tuple(time for time in planned if time >= self._now.first)
         self._before = tuple(time for time in planned if time < self._now.first)
 
-    def _time(self, t: int | None) -> int:
-        """The time that is meant: a given one, or the next planned."""
+    def _on_clock(self, estimate: Estimate) -> Estimate:
+        """Give an estimate whose time is one on the clock."""
+        if self.clock.counts:
+            return estimate
+        time: Any = self.clock.time(estimate.t)
+        return replace(estimate, t=time)
+
+    def _time(self, t: Time | None) -> int:
+        """The instant that is meant: that of a given time, or the next planned."""
         if t is not None:
-            time = checked_instant(t, 0, self.feasible.horizon)
-            if time < self._now.first:
+            instant = instant_on(self.clock, t)
+            if instant < self._now.first:
+                first = told_time(self.clock.time(self._now.first))
                 raise MeasurementsError(
-                    f"t must be at least {self._now.first}, the first instant that has not "
-                    f"passed, got {time}"
+                    f"t must be at least {first}, the first instant that has not passed, got "
+                    f"{told_time(t)}"
                 )
-            return time
+            return instant
         if not self._plan:
             raise MeasurementsError(
                 f"no measurement is left of the plan, got one without t (measured: "
-                f"{shown(self._taken)})"
+                f"{shown(self.measured)})"
             )
         return self._plan[0]
 
@@ -250,9 +274,10 @@ def _feasible(job: Job, planned: Times | None) -> Feasible:
         return feasible
     if job.budget is not None and planned:
         feasible = job.feasible(len(planned))
+    times = tuple(job.problem.clock.times_of(planned))
     if broken := feasible.broken(planned):
         raise MeasurementTimesError(
-            f"times must satisfy the constraints of the job, got {shown(planned)}: "
+            f"times must satisfy the constraints of the job, got {shown(times)}: "
             f"{'; '.join(f'problem.{sentence}' for sentence in broken)}",
             argument="times",
         )

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from pfdist.analysis import Run, open_run
 from pfdist.api.following import Say, silent
+from pfdist.common.arguments import path_argument
 from pfdist.errors import PfdistError, StoreError, one_line, shown_text
 from pfdist.reports import write_report
 from pfdist.store import check_not_held
@@ -44,7 +45,7 @@ def report(
     StoreError
         The folder holds no run, a table cannot be read, or the file cannot be written.
     """
-    path = run.path if isinstance(run, Run) else Path(run)
+    path = run.path if isinstance(run, Run) else path_argument("run", run)
     opened = open_run(path)
     if watch and opened.state != "finished":
         _watch(path, say)

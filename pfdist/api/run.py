@@ -1,14 +1,16 @@
 """Run a job: compute what the run lacks, prove a lower bound if wanted, then draw the figures."""
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 from pfdist.analysis import Run, open_run
 from pfdist.api.at_work import at_work
 from pfdist.api.following import Say, following, silent
 from pfdist.api.report import try_report
+from pfdist.common.arguments import path_argument
 from pfdist.errors import JobError, ModelError, TaskError
-from pfdist.job.job import Job, as_job
+from pfdist.job.asked import Asked, as_job
 from pfdist.plots import draw_figures, figure_files, remove_figures
 from pfdist.reports import remove_report
 from pfdist.runner.bound_settings import BoundSettings
@@ -27,7 +29,7 @@ _PATIENCE = 10  # minutes of one core that a bound may take where nobody asked f
 
 
 def run(
-    job: Job | str | Path,
+    job: Asked,
     results: str | Path | None = None,
     pool: str | None = None,
     workers: int | None = None,
@@ -45,8 +47,8 @@ def run(
 
     Parameters
     ----------
-    job : Job, str or Path
-        A job, or the path of a job file.
+    job : Problem, Job, str or Path
+        A problem, a job, or the path of a job file.
     results : str or Path, optional
         The run's own folder; by default ``results/<the job file's stem>``.
     pool : str, optional
@@ -89,23 +91,67 @@ def run(
     settings = _bound_settings(bound_draws)
     job = as_job(job, changes, settings={"execution": given} if given else {})
     check_pool(job.execution)
-    path = Path("results") / job.path.stem if results is None else Path(results)
-    origin, path = (None, path) if fork is None else (Store(path), Path(fork))
+    path = Path("results") / job.path.stem
+    if results is not None:
+        path = path_argument("results", results)
+    origin, path = (None, path) if fork is None else (Store(path), path_argument("fork", fork))
     if origin is not None:
         open_run(origin.path)  # without a run there is nothing to start from
     with following(progress, say) as (show, tell):
         for file in files_named(job):
             tell(f"runs the model file {file}, which your job names")
-        built = build(job)
-        with opened(path, built, tell) as store:
-            computed = _compute(built, store, origin, settings, show, tell)
-            finished = open_run(path)
-            if figures and not all(file.exists() for file in figure_files(finished)):
-                draw_figures(finished)
-            if computed:
-                remove_report(path)  # somebody may have asked for one of the unfinished run
-            if (figures if report is None else report) and not has_report(path):
-                try_report(finished, tell)
+        ending = Ending(figures, figures if report is None else report, settings)
+        return run_built(build(job), path, ending, show, tell, origin)
+
+
+@dataclass(frozen=True)
+class Ending:
+    """Settings of what follows the comparison of a run.
+
+    Parameters
+    ----------
+    figures, report : bool
+        Whether the figures are drawn, and the report is written.
+    bound : BoundSettings or None
+        Settings of the lower bound; None for no bound.
+    """
+
+    figures: bool
+    report: bool
+    bound: BoundSettings | None = None
+
+
+def run_built(
+    built: Built, path: Path, ending: Ending, show: Show, say: Say, origin: Store | None = None
+) -> Run:
+    """Compute what a run in a folder lacks, and make its figures and its report.
+
+    Parameters
+    ----------
+    built : Built
+    path : Path
+        The run's own folder.
+    ending : Ending
+    show, say : callable
+        Receive the progress and the messages.
+    origin : Store or None
+        The store of a run whose evaluations a new run takes.
+
+    Raises
+    ------
+    PfdistError
+        As `run` raises.
+    """
+    with opened(path, built, say) as store:
+        computed = _compute(built, store, origin, ending.bound, show, say)
+        finished = open_run(path)
+        finished.models = built.job.models
+        if ending.figures and not all(file.exists() for file in figure_files(finished)):
+            draw_figures(finished)
+        if computed:
+            remove_report(path)  # somebody may have asked for one of the unfinished run
+        if ending.report and not has_report(path):
+            try_report(finished, say)
     return finished
 
 
@@ -142,7 +188,7 @@ def _compute(
 def _bound_settings(draws: int) -> BoundSettings | None:
     """Settings of the run's lower bound; None if no bound is wanted."""
     try:
-        return BoundSettings(draws) if draws else None
+        return None if draws == 0 else BoundSettings(draws)
     except JobError as error:
         raise JobError(f"bound_{error}", argument="bound_draws") from error
 
@@ -157,7 +203,7 @@ def _prover(built: Built, settings: BoundSettings | None, say: Say) -> Prover | 
         hint = "; try pfdist bound --window 1, or more --memory"
         say(f"there is no lower bound: {error}{hint * (error.argument == 'window')}")
         return None
-    minutes = prover.steps * built.problem.seconds_a_step / 60
+    minutes = prover.steps * built.evaluator.seconds_a_step / 60
     if minutes > _PATIENCE:
         say(f"there is no lower bound yet: pfdist bound would take about {minutes:.0f} minutes of "
             "one core")  # fmt: skip

@@ -1,4 +1,4 @@
-"""The error over time of a run's sets, and the worth of each of their measurements.
+"""The error over time of a run's sets, the worth of their measurements, and sampling windows.
 
 Everything is computed on new draws, which neither chose the times nor compared them.
 """
@@ -13,22 +13,29 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from pfdist.analysis import Run, finite
-from pfdist.api.finished_run import built_again, finished_run
+from pfdist.analysis.sampling_windows import STRICT, windows_of
+from pfdist.api.finished_run import AskedRun, Model, built_again, finished_run
 from pfdist.api.following import Say, following, silent
 from pfdist.api.own_store import own_store
 from pfdist.api.report import renew_report
+from pfdist.common.arguments import whole_argument
 from pfdist.common.cards import Card, Shown
 from pfdist.common.rounding import with_error
-from pfdist.errors import JobError, shown
+from pfdist.common.told_times import told_time
 from pfdist.plots import draw_figures
 from pfdist.runner.build import Built
+from pfdist.runner.jitter import jitter
 from pfdist.runner.progress import Reporter, Show
+from pfdist.runner.sampling_windows import sampling_windows, windows_by_percent
 from pfdist.runner.worth import worth_of
-from pfdist.store import WHY_PHASE, schema
+from pfdist.store import WHY_PHASE, frame_of, schema
+from pfdist.store.component_columns import components_in
 from pfdist.times.measurement_times import Times, validated
 
 DRAWS = 2000
-FIGURES = ("why", "filters")
+FIGURES = ("why", "windows", "filters")
+_PARTS = ("profile", "worth", "windows", "jitter")
+_STEPS = 3  # for each set: worth, windows, jitter
 MOST_DRAWS = 100_000_000  # as many as a comparison may have
 
 
@@ -55,8 +62,19 @@ class Why(Shown):
         MSE if the measurement is removed, or made one instant earlier or later: removed, earlier,
         later. NaN if another measurement is made at that instant, or if the job does not allow the
         instant. The standard errors are removed_error, earlier_error and later_error.
+    windows : DataFrame
+        A row for each set, measurement and instant to which it alone is moved: position, name, t,
+        instant, draws, loss (the rise of the expected MSE over that of the set), loss_error (its
+        standard error), degenerate_draws, lower_limit and upper_limit (one-sided, 95 %). The states
+        within_1 and within_5 are "inside" if the upper limit is at most 1 % or 5 %, "outside" if
+        the lower limit is above, and else "open". The instants lie between the neighbouring
+        measurements, and end on each side with the first that is outside within_5.
+    jitter : DataFrame
+        A row for each set and level: position, name, percent (1 or 5), draws, and the loss when
+        each draw moves all measurements at random within their windows of this level: loss,
+        loss_error, degenerate_draws, low and high (95 % interval). No draws: nothing can move.
     figures : list of Path
-        A figure for each search.
+        Two figures for each search, and that of the filters if they have particles.
     """
 
     run: Path
@@ -64,17 +82,19 @@ class Why(Shown):
     sets: pd.DataFrame
     profile: pd.DataFrame
     worth: pd.DataFrame
+    windows: pd.DataFrame
+    jitter: pd.DataFrame
     figures: list[Path]
 
     def as_json(self) -> dict[str, Any]:
         """The whole result as JSON values; an unknown value is None."""
         sets = {}
-        frames = {"profile": self.profile, "worth": self.worth}
+        frames: dict[str, pd.DataFrame] = {part: getattr(self, part) for part in _PARTS}
         for row in self.sets.to_dict("records"):
             name = row.pop("name")
             parts = {key: frame[frame["name"] == name] for key, frame in frames.items()}
             parts = {
-                key: frame.drop(columns=["position", "name", "draws"])
+                key: frame.drop(columns=["position", "name"] + ["draws"] * (key != "jitter"))
                 for key, frame in parts.items()
             }
             sets[str(name)] = row | {key: frame.to_dict("records") for key, frame in parts.items()}
@@ -84,42 +104,59 @@ class Why(Shown):
 
     def _card(self) -> Card:
         drawn = f"on {self.draws:,} fresh draws" if self.draws else "exact"
-        head = ("times", "measured at t", "rise of the expected MSE without it")
+        head = (
+            "times",
+            "measured at t",
+            "rise of the expected MSE without it",
+            f"can move within {STRICT} %",
+        )
+        windows = {
+            (name, window.t): window.text
+            for name, rows in self.windows.groupby("name")
+            for window in windows_of(rows.to_dict("records"), STRICT)
+        }
         rows = [
-            (str(row["name"]), str(row["t"]), with_error(row["removed"], row["removed_error"]))
+            (
+                str(row["name"]),
+                told_time(row["t"]),
+                with_error(row["removed"], row["removed_error"]),
+                windows[row["name"], row["t"]],
+            )
             for row in self.worth.to_dict("records")
         ]
         return Card(f"what each measurement of {self.run} is worth, {drawn}", head, rows)
 
 
 def why(
-    run: str | Path,
+    run: AskedRun,
     draws: int = DRAWS,
     *,
-    model: str = "",
-    filter_model: str = "",
+    model: Model = "",
+    filter_model: Model = "",
     figures: bool = True,
     progress: Show | bool = False,
     say: Say = silent,
 ) -> Why:
-    """Compute the error over time, and the worth of each measurement of a finished run.
+    """Compute what each measurement of a finished run is worth, and how exactly it must be kept.
 
-    The function runs the model, writes the tables ``profile`` and ``worth`` of the run, and draws
-    the figures ``why-<search>`` into its folder. It runs a model file that the run's folder names
+    The function runs the model, writes the tables ``profile``, ``worth``, ``windows`` and
+    ``jitter`` of the run, and draws the figures ``why-<search>`` and ``windows-<search>`` into its
+    folder. It runs a model file that the run's folder names
     only if the file is unchanged since the run, and if the user has run the file on this machine
     before.
 
     Parameters
     ----------
-    run : str or Path
-        Folder of a finished run.
+    run : Run, Problem, Job, str or Path
+        A finished run or its folder. A problem or a job means the run that `pfdist.plan` makes of
+        it, or `pfdist.run` if the job has searches; what this run lacks is computed first.
     draws : int
         Number of draws, computed in this process; memory does not grow with them.
-    model, filter_model : str, optional
-        ``path/file.py:object``: replaces the file that the run names for the model or for the
+    model, filter_model : StateSpaceModel or str, optional
+        An object or ``path/file.py:object``: replaces what the run names for the model or for the
         filter's model. It is run without question, and must mean the same as the run's model.
     figures : bool
-        Whether to draw the figures ``why-<search>``.
+        Whether to draw the figures.
     progress : callable or bool
         Whether to show progress and messages, or what receives each
         `pfdist.runner.progress.Progress`.
@@ -135,17 +172,15 @@ def why(
     StoreError
         The folder holds no finished run, or the model has changed since, or the run names a model
         file that is not run without the user's word.
-    JobError, ModelError
+    ArgumentError, ModelError
         There are too few draws, or the model cannot be loaded.
     """
-    if not 2 <= draws <= MOST_DRAWS:
-        least = "at least 2" if draws < 2 else f"at most {MOST_DRAWS:,}"
-        raise JobError(f"draws must be {least}, got {shown(draws)}", argument="draws")
-    opened = finished_run(run)
+    draws = whole_argument("draws", draws, 2, MOST_DRAWS)
+    opened = finished_run(run, progress=progress, say=say)
     sets = opened.sets_of_one_number()
     with following(progress, say) as (show, tell):
         built = built_again(opened, {"model": model, "filter_model": filter_model}, tell)
-        found = _examine(opened, sets, built, draws, Reporter(show, len(sets)), tell)
+        found = _examine(opened, sets, built, draws, Reporter(show, _STEPS * len(sets)), tell)
         files = [file for name in FIGURES for file in draw_figures(opened, name)] if figures else []
         renew_report(opened.path, tell)
     return replace(found, figures=files)
@@ -155,32 +190,44 @@ def _examine(
     run: Run, sets: dict[str, Times], built: Built, draws: int, reporter: Reporter, say: Say
 ) -> Why:
     """Compute the worth of all measurements, and store the tables; no figure is drawn."""
-    drawn = 0 if built.problem.exact else draws
-    answers = list[dict[str, Any]]()
-    rows: dict[str, list[dict[str, Any]]] = {"profile": [], "worth": []}
+    answers, rows = list[dict[str, Any]](), {part: list[dict[str, Any]]() for part in _PARTS}
     with own_store(run, built, say, must_be=False) as store:
         for position, (name, times) in enumerate(sets.items()):
-            reporter.note(phase=f"why {name}", done=position)
-            checked = validated(times, built.problem.horizon, f"{run.path}: {name}")
-            found = worth_of(built, name, checked, draws, _measured(run, checked), reporter)
-            about = {"position": position, "name": name, "draws": drawn}
-            rows["profile"] += [about | row for row in found.profile]
-            rows["worth"] += [about | row for row in found.worth]
-            answers.append({"name": name, "measurement_times": list(checked)} | found.summary)
-        tables = {name: _table(name, rows[name]) for name in rows}
+            reporter.note(phase=f"why {name}", done=_STEPS * position)
+            instants = built.job.problem.clock.instants(times)
+            checked = validated(instants, built.evaluator.horizon, f"{run.path}: {name}")
+            summary, found = _of_a_set(run, name, checked, built, draws, reporter)
+            about = {"position": position, "name": name}
+            for part in _PARTS:
+                rows[part] += [about | row for row in found[part]]
+            answers.append({"name": name, "measurement_times": list(times)} | summary)
+        tables = {name: store.timed(_table(name, rows[name])) for name in rows}
         for name, table in tables.items():
             store.publish(name, WHY_PHASE, [table])
-    frames = {name: table.to_pandas() for name, table in tables.items()}
+    frames = {name: frame_of(table) for name, table in tables.items()}
+    drawn = 0 if built.evaluator.exact else draws
     return Why(run.path, drawn, pd.DataFrame(answers), **frames, figures=[])
+
+
+def _of_a_set(
+    run: Run, name: str, times: Times, built: Built, draws: int, reporter: Reporter
+) -> tuple[dict[str, Any], dict[str, list[dict[str, Any]]]]:
+    """Compute the summary of a set, and the rows of each table, without position and name."""
+    found = worth_of(built, name, times, draws, _measured(run, times), reporter)
+    windows = sampling_windows(built, name, times, draws, reporter)
+    by_percent = windows_by_percent(windows, times)
+    drawn = {"draws": 0 if built.evaluator.exact else draws}
+    rows = {"profile": found.profile, "worth": found.worth, "windows": windows}
+    rows = {part: [drawn | row for row in of_a_part] for part, of_a_part in rows.items()}
+    rows["jitter"] = jitter(built, name, times, by_percent, draws, reporter)
+    return found.summary, rows
 
 
 def _measured(run: Run, times: Times) -> list[NDArray[np.float64]]:
     """For each draw with a trajectory, what would be measured at these times, (N, m)."""
     rows = run.trajectories()
-    columns = [name for name in rows if str(name).startswith("y_")]
-    return [
-        draw.set_index("t").loc[list(times), columns].to_numpy() for _, draw in rows.groupby("draw")
-    ]
+    columns = [f"y_{component.suffix}" for component in components_in(rows, "y_")]
+    return [draw[columns].to_numpy()[list(times)] for _, draw in rows.groupby("draw")]
 
 
 def _table(name: str, rows: list[dict[str, Any]]) -> pa.Table:

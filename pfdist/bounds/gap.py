@@ -41,6 +41,7 @@ class Gap:
     ----------
     name : str
     measurement_times : tuple of int
+        Instants; times on the clock where a user reads them. So is `path`.
     expected_mse : Estimate
         With the job's own filter, on draws that neither chose the set nor gave the bound.
     reason : str

@@ -290,7 +290,7 @@ class Relaxation:
 
 def followers(constraints: Constraints, last: int) -> Iterator[int]:
     """Give the times that may be measured after a last time; none lies behind a required time."""
-    first = 0 if last == NOTHING else last + constraints.minimum_spacing
+    first = constraints.spacing.after(last)
     until = min((t for t in constraints.required if t > last), default=constraints.horizon)
     return (time for time in constraints.allowed if first <= time <= until)
 

@@ -85,4 +85,4 @@ def _rest(model: StateSpaceModel, component: int) -> StateSpaceModel:
         missing = y[0] * np.nan
         return model.log_likelihood((*y[:component], missing, *y[component:]), x, t, p)
 
-    return replace(model, measurement=measurement, log_likelihood=log_likelihood)
+    return replace(model, measurement=measurement, log_likelihood=log_likelihood, y_names=())

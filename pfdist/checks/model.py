@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -16,9 +16,9 @@ from pfdist.checks.measured import missing_components, normalised
 from pfdist.checks.speed import speed
 from pfdist.common.rounding import rounded, with_error
 from pfdist.errors import CompileError, ModelError
-from pfdist.evaluation.compiling import compile_problem, libm_functions
+from pfdist.evaluation.compiling import compile_evaluator, libm_functions
 from pfdist.evaluation.engines import ENGINES, NUMPY_TIMES_SLOWER
-from pfdist.evaluation.problem import Problem
+from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation, Work
 from pfdist.filters.draws import Draws
 from pfdist.filters.matrices import matrices_of
@@ -33,9 +33,9 @@ _FEW_PARTICLES = 50
 _SECONDS = 4.0  # for an evaluation of fewer draws, where a thousand take longer
 
 
-def _same_bytes(model: StateSpaceModel, _: Draws) -> tuple[str, str]:
+def _same_bytes(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
     """Whether the compiled formulas give the same bytes on another processor."""
-    called = libm_functions(Problem(model, 1), Estimation(1))
+    called = libm_functions(Evaluator(model, draws.instants[-1]), Estimation(1))
     if not called:
         return "ok", "the compiled formulas give the same bytes on all processors"
     return "note", (
@@ -72,7 +72,11 @@ class Check:
 
 
 def check_model(
-    name: str, horizon: int = 60, particles: int = 500, folder: Path = Path()
+    name: str,
+    horizon: int = 60,
+    particles: int = 500,
+    folder: Path = Path(),
+    times: Sequence[float] = (),
 ) -> Iterator[Check]:
     """Check a model in every way, and give each result when it is known.
 
@@ -81,11 +85,14 @@ def check_model(
     name : str
         As a job has it: a model that ships, an entry point, or ``path/file.py:object``.
     horizon : int
-        T of the draws that are simulated.
+        T of the draws that are simulated. A clock takes the place of it.
     particles : int
         Number of particles of the filter that is timed.
     folder : Path
         The folder to which a path in the name is relative.
+    times : sequence of float, (T+1,)
+        The clock: the time of each instant. By default 0..T for a model that reads a clock, and no
+        clock for other models.
 
     Yields
     ------
@@ -94,13 +101,31 @@ def check_model(
     try:
         source, told, again = loaded_twice(name, folder)
         model = source.load()
-        states, measurements, quantities = model.components
     except ModelError as error:
         yield Check("load", "wrong", str(error))
         return
+    checks = check_object(model, horizon, particles, times)
+    yield next(checks)
+    yield Check("loads the same twice", *_constant(source.path, told, again))
+    yield from checks
+
+
+def check_object(
+    model: StateSpaceModel, horizon: int, particles: int, times: Sequence[float] = ()
+) -> Iterator[Check]:
+    """Check a model that is loaded; parameters and result as of `check_model`."""
+    states, measurements, quantities = model.components
     sizes = f"{states} of x, {measurements} of y, {quantities} of z"
     yield Check("load", "ok", f"{model.name}: components {sizes}")
-    yield Check("loads the same twice", *_constant(source.path, told, again))
+    if times or model.reads_clock:
+        clock = tuple(times) or tuple(map(float, range(horizon + 1)))
+        horizon = len(clock) - 1
+        try:
+            model = model.on_clock(clock)
+        except ModelError as error:
+            yield Check("clock", "wrong", str(error))
+            return
+        yield Check("clock", *_clock(clock, not times))
     try:
         few = few_draws(model, horizon)
     except ModelError as error:
@@ -117,7 +142,7 @@ def _computed(model: StateSpaceModel, horizon: int, estimation: Estimation) -> I
     """Look at a model whose formulas are right in NumPy, as an engine computes it."""
     engine = "compiled"
     try:
-        compile_problem(Problem(model, horizon), estimation)
+        compile_evaluator(Evaluator(model, horizon), estimation)
         yield Check("compile", "ok", "Numba compiles every formula")
     except CompileError as error:
         engine = "numpy"
@@ -146,7 +171,7 @@ def _computed(model: StateSpaceModel, horizon: int, estimation: Estimation) -> I
     for look, function in looks.items():
         yield Check(look, *looked(function, model, draws))
     try:
-        yield from _filtered(Problem(model, horizon, engine=engine), estimation)
+        yield from _filtered(Evaluator(model, horizon, engine=engine), estimation)
     except ModelError as error:
         yield Check("filter", "wrong", str(error))
 
@@ -157,6 +182,13 @@ def _constant(path: str, told: Meaning, again: Meaning) -> tuple[str, str]:
     except ModelError as error:
         return "wrong", str(error)
     return "ok", "formulas, constants and data are the same in a second load"
+
+
+def _clock(clock: Sequence[float], is_assumed: bool) -> tuple[str, str]:
+    text = f"p.time is {clock[0]:g} to {clock[-1]:g} in {len(clock)} instants"
+    if not is_assumed:
+        return "ok", text
+    return "note", f"{text}, assumed because formulas read a clock: a job must have one"
 
 
 def _every_instant(engine: str, model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
@@ -177,15 +209,15 @@ def _linear_gaussian(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
     return "ok", "as it declares: filter.engine = 'kalman' computes it exactly"
 
 
-def _filtered(problem: Problem, estimation: Estimation) -> Iterator[Check]:
+def _filtered(evaluator: Evaluator, estimation: Estimation) -> Iterator[Check]:
     """Measure how long an evaluation takes and how many draws are degenerate."""
-    times = regular(problem.horizon, max(2, (problem.horizon + 1) // 3))
-    work = Work((times,), (problem.horizon,), (3,), 3, (0, 1), estimation)
-    seconds_a_draw = problem.seconds_a_step * work.steps_a_draw
+    times = regular(evaluator.horizon, max(2, (evaluator.horizon + 1) // 3))
+    work = Work((times,), (evaluator.horizon,), (3,), 3, (0, 1), estimation)
+    seconds_a_draw = evaluator.seconds_a_step * work.steps_a_draw
     draws = min(_DRAWS, max(1, int(_SECONDS / seconds_a_draw)))
     start = time.perf_counter()
     with np.errstate(over="ignore", invalid="ignore"):  # what comes of it is said below
-        mse = problem(replace(work, draws=(0, draws))).mse[:, 0]
+        mse = evaluator(replace(work, draws=(0, draws))).mse[:, 0]
     seconds = (time.perf_counter() - start) * _DRAWS / draws
     usable = mse[~np.isnan(mse)]
     share = 1 - usable.size / draws

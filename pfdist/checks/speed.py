@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from pfdist.evaluation.compiling import makes_arrays
-from pfdist.evaluation.problem import Problem
+from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation
 from pfdist.filters.draws import Draws
 from pfdist.kernels.formulas import names_in
@@ -25,9 +25,9 @@ _SLOW = {
 }  # fmt: skip
 
 
-def speed(model: StateSpaceModel, _: Draws) -> tuple[str, str]:
+def speed(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
     """Look for arrays in what the formulas were compiled to, and for the lines that make them."""
-    if not makes_arrays(Problem(model, 1), Estimation(1)):
+    if not makes_arrays(Evaluator(model, draws.instants[-1]), Estimation(1)):
         return "ok", "no formula makes an array for a particle"
     found = [
         f"{what} in {name} ({place}): {cure}"

@@ -4,7 +4,7 @@ import math
 from argparse import ArgumentParser, ArgumentTypeError
 from collections.abc import Callable
 
-from pfdist.common.parsing import whole_number
+from pfdist.common.parsing import finite_number, whole_number
 from pfdist.errors import shown
 from pfdist.pools.kinds import POOLS
 
@@ -15,6 +15,11 @@ RESULTS = "results/<name of the job file without .toml>"
 def add_job(parser: ArgumentParser) -> None:
     """Add JOB and ``--set``."""
     parser.add_argument("job", metavar="JOB", help="job file, for instance jobs/paper.toml")
+    add_changes(parser)
+
+
+def add_changes(parser: ArgumentParser) -> None:
+    """Add ``--set``."""
     parser.add_argument(
         "--set",
         nargs="+",
@@ -93,13 +98,15 @@ def pool_options(pool: str, workers: str, address: str) -> Callable[[ArgumentPar
     return add
 
 
-def computing(results: str) -> Callable[[ArgumentParser], None]:
+def computing(results: str, *, fork: bool = True) -> Callable[[ArgumentParser], None]:
     """Give a function that adds what a command needs to compute a run.
 
     Parameters
     ----------
     results : str
         Describes the folder of the run if ``--results`` is not given.
+    fork : bool
+        Whether the run may take evaluations from another run.
     """
 
     def add(parser: ArgumentParser) -> None:
@@ -108,12 +115,13 @@ def computing(results: str) -> Callable[[ArgumentParser], None]:
         )
         sections = (f"execution.{key} of the job" for key in ("pool", "workers", "address"))
         pool_options(*sections)(parser)
-        parser.add_argument(
-            "--fork",
-            metavar="NEW",
-            help="start a new run in the folder NEW, which reuses the evaluations of the run in "
-            "the --results folder",
-        )
+        if fork:
+            parser.add_argument(
+                "--fork",
+                metavar="NEW",
+                help="start a new run in the folder NEW, which reuses the evaluations of the run "
+                "in the --results folder",
+            )
         add_no_report(parser)
 
     return add
@@ -129,6 +137,20 @@ def whole(text: str) -> int:
     """
     try:
         return whole_number(text)
+    except ValueError as error:
+        raise ArgumentTypeError(str(error)) from error
+
+
+def decimal(text: str) -> int | float:
+    """Give a number with digits and a decimal point; a whole number without a point is an int.
+
+    Raises
+    ------
+    ArgumentTypeError
+        The text is no such number.
+    """
+    try:
+        return finite_number(text) if "." in text else whole_number(text)
     except ValueError as error:
         raise ArgumentTypeError(str(error)) from error
 

@@ -9,6 +9,7 @@ from pfdist.cli.belief import distance
 from pfdist.cli.layout import COLUMNS
 from pfdist.common.percent import cost
 from pfdist.common.rounding import rounded, with_interval
+from pfdist.common.told_times import told_times
 
 _KINDS = ("regular", "found")
 _BOUND = "lower bound"
@@ -35,7 +36,7 @@ def budget_lines(summary: dict[str, Any]) -> list[str]:
     for kind, reached in summary.get("reached", {}).items():
         lines += ["", _reached_line(kind, reached, summary["target"])]
         if reached["measurement_times"] is not None and kind == "found":
-            times = ", ".join(map(str, reached["measurement_times"]))
+            times = told_times(reached["measurement_times"], summary.get("time_unit", ""))
             lines.append(f"  measure at t = {times}")
     return lines
 

@@ -36,6 +36,7 @@ _RUN = {**shtab.DIRECTORY, "bash": "_pfdist_run_dirs", "preamble": {"bash": _RUN
 _VALUES: dict[str, Any] = {
     "JOB": _files("*.toml"),
     "RUN": _RUN,
+    "JOB_OR_RUN": shtab.FILE,
     "DIR": shtab.DIRECTORY,
     "NEW": shtab.DIRECTORY,
     "FILE": _files("*.parquet", "*.csv"),

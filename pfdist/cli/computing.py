@@ -17,5 +17,5 @@ def settings(options: Namespace, display: Display) -> dict[str, Any]:
         Shows the progress of the run, and prints its messages.
     """
     names = ("results", "pool", "workers", "address", "fork")
-    chosen = {name: getattr(options, name) for name in names}
+    chosen = {name: getattr(options, name) for name in names if hasattr(options, name)}
     return {**chosen, "report": not options.no_report, "progress": display.show, "say": display.say}

@@ -14,8 +14,10 @@ from pfdist.cli.gain_lines import (
 )
 from pfdist.cli.layout import line, wrapped_lines
 from pfdist.cli.online_lines import online_lines
+from pfdist.cli.pair_lines import comparison_lines
 from pfdist.common.percent import cost, percent, percent_with_interval, range_of
 from pfdist.common.rounding import with_error, with_interval
+from pfdist.common.told_times import told_times
 from pfdist.errors import one_line
 
 
@@ -34,6 +36,7 @@ def print_summary(summary: dict[str, Any], files: str) -> None:
         f"{one_line(summary['run'])}: {summary['state']}, {summary['evaluations']:,} evaluations, "
         f"{summary['draws_compared']:,} draws compared",
         *(budget_lines(summary) if several else _lines_of_sets(summary)),
+        *comparison_lines(summary),
         *_lines_of_online(summary),
         *(["", files] if files else []),
     ]
@@ -44,7 +47,7 @@ def _lines_of_sets(summary: dict[str, Any]) -> list[str]:
     """Give the lines of each set of measurement times, the reference first."""
     lines, results = [], summary["results"]
     for name, result in results.items():
-        times = ", ".join(map(str, result["measurement_times"]))
+        times = told_times(result["measurement_times"], summary.get("time_unit", ""))
         lines += ["", f"{name}: measure at t = {times}"]
         if "expected_mse" in result:
             lines += _compared_lines(name, summary)
@@ -66,7 +69,7 @@ def _compared_lines(name: str, summary: dict[str, Any]) -> list[str]:
     results = summary["results"]
     reference, result = next(iter(results)), results[name]
     mse = with_error(cost(result["expected_mse"]), result["standard_error"])
-    lines = _reference_lines(result) if name == reference else []
+    lines = _given_lines(result) if "description" in result else []
     lines.append(line("expected MSE", f"{mse}  (standard error, on fresh draws)"))
     if result["degenerate_draws"]:
         lines.append(line("degenerate draws", f"{result['degenerate_draws']:,} (left out)"))
@@ -74,13 +77,14 @@ def _compared_lines(name: str, summary: dict[str, Any]) -> list[str]:
         lines.append(belief_line(result))
     if result.get("search_distrust"):
         lines += wrapped_lines("searched again", result["search_distrust"])
-    if "mean_relative_gain" in result:
+    is_only_compared = all(each["search_cost"] is None for each in results.values())
+    if "mean_relative_gain" in result and not is_only_compared:
         noise = results[reference].get("gain_over_itself")
         lines += _gain_lines(result, reference, noise)
-        if "lower_bound" in result:
-            measurements, constrained = len(result["measurement_times"]), summary["is_constrained"]
-            proof = result["lower_bound"]
-            lines += proof_lines(proof, measurements, is_constrained=constrained)
+    if "mean_relative_gain" in result and "lower_bound" in result:
+        measurements, constrained = len(result["measurement_times"]), summary["is_constrained"]
+        proof = result["lower_bound"]
+        lines += proof_lines(proof, measurements, is_constrained=constrained)
     if "gain_over_itself" in result:
         interval = result["gain_over_itself_interval"]
         gain = percent_with_interval(result["gain_over_itself"], interval)
@@ -88,8 +92,8 @@ def _compared_lines(name: str, summary: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _reference_lines(result: dict[str, Any]) -> list[str]:
-    """Describe the reference, and name the constraints of the job that it breaks."""
+def _given_lines(result: dict[str, Any]) -> list[str]:
+    """Describe a set that no search found, and name the constraints of the job that it breaks."""
     facts = [("what it is", result["description"])]
     facts += [("breaks", constraint) for constraint in result["broken_constraints"]]
     return [wrapped for name, text in facts for wrapped in wrapped_lines(name, text)]

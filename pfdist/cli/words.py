@@ -4,9 +4,11 @@ import argparse
 import re
 from collections.abc import Iterable, Sequence
 
-from pfdist.common.number_list import whole_numbers
+from pfdist.common.number_list import ranges, whole_numbers
+from pfdist.common.parsing import finite_number
+from pfdist.errors import JobError, shown
 
-_GOES_ON = re.compile(r"[0-9:,]+")  # a word after a list of numbers that belongs to the list
+_GOES_ON = re.compile(r"[0-9.:,]+")  # a word after a list of numbers that belongs to the list
 _OPTION = re.compile(r"-[^0-9. ][^ ]*")  # argparse takes other words for values
 
 
@@ -24,6 +26,92 @@ def number_list(text: str) -> list[int]:
         raise argparse.ArgumentTypeError(str(error)) from error
 
 
+def time_list(text: str) -> str:
+    """Give the times that an option lists, as they are written: the clock of the job reads them.
+
+    Raises
+    ------
+    ArgumentTypeError
+        The text lists no times.
+    """
+    try:
+        ranges(text, finite_number)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+    return text
+
+
+def named_times(text: str) -> tuple[str, str]:
+    """Give the name and the times of a set, as in ``clinic=0,6,12``; the name may be missing.
+
+    The word ``regular`` alone is a set of this name.
+
+    Raises
+    ------
+    ArgumentTypeError
+        The text lists no times.
+    """
+    # Not above: it imports NumPy, and the words of every command line are read here.
+    from pfdist.times.measurement_times import REGULAR  # noqa: PLC0415
+
+    if text == REGULAR:
+        return REGULAR, REGULAR
+    name, equals, times = text.rpartition("=")
+    if equals and not name:
+        raise argparse.ArgumentTypeError(f"needs a name before '=', got {shown(text)}")
+    return name, times if name and times == REGULAR else time_list(times)
+
+
+def add_named_times(
+    parser: argparse.ArgumentParser, description: str, *, required: bool = False
+) -> None:
+    """Add ``--times``, which may be given several times.
+
+    Parameters
+    ----------
+    parser : ArgumentParser
+    description : str
+        The help of the option.
+    required : bool
+        Whether the option must be given.
+    """
+    parser.add_argument(
+        "--times",
+        type=named_times,
+        action="append",
+        default=[],
+        metavar="TIMES",
+        help=description,
+        required=required,
+    )
+
+
+def sets_by_name(named: Iterable[tuple[str, str]]) -> dict[str, str]:
+    """Give the sets of ``--times`` by name.
+
+    Raises
+    ------
+    JobError
+        A set has no name, or a name is used twice.
+    """
+    sets = dict[str, str]()
+    for name, times in named:
+        if not name:
+            raise JobError(
+                f"times of several sets must be NAME=TIMES, as mine={times}, got {shown(times)}",
+                argument="times",
+            )
+        if name in sets:
+            raise JobError(
+                f"names of times must differ from each other, got {name!r} twice", argument="times"
+            )
+        sets[name] = times
+    return sets
+
+
+_LISTS = (number_list, time_list, named_times)
+
+
 def joined(words: Iterable[str], actions: Iterable[argparse.Action]) -> list[str]:
     """Give a command line in which each list of numbers is one word.
 
@@ -35,11 +123,10 @@ def joined(words: Iterable[str], actions: Iterable[argparse.Action]) -> list[str
     words : iterable of str
         A command line.
     actions : iterable of Action
-        The arguments of the parser. Those of the type `number_list` take a list.
+        The arguments of the parser. Those of the types `number_list`, `time_list` and
+        `named_times` take a list.
     """
-    lists = [
-        name for action in actions if action.type is number_list for name in action.option_strings
-    ]
+    lists = [name for action in actions if action.type in _LISTS for name in action.option_strings]
     found: list[str] = []
     begins = goes_on = False  # whether a list is expected, or may go on
     for word in words:

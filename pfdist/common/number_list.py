@@ -1,6 +1,8 @@
 """Whole numbers as users list them: numbers and ranges, for instance ``0,6,12`` or ``0:60:3``."""
 
 import re
+from collections.abc import Callable
+from typing import Any
 
 from pfdist.common.parsing import whole_number
 from pfdist.errors import shown
@@ -31,24 +33,46 @@ def whole_numbers(text: str) -> list[int]:
         ...
     ValueError: must have ranges from a number to a larger one in steps of at least 1, got '8:5'
     """
-    numbers: list[int] = []
-    for entry in _SEPARATOR.split(text.strip().removesuffix(",").rstrip()):
-        first, last, step = _ends(entry, text)
-        if len(numbers) + (last - first) // step >= MOST_NUMBERS:
-            raise ValueError(f"must be at most {MOST_NUMBERS:,} numbers, got more: {shown(text)}")
-        numbers += range(first, last + 1, step)
-    return numbers
+    entries = ranges(text, whole_number)
+    return [number for first, last, step in entries for number in range(first, last + 1, step or 1)]
 
 
-def _ends(entry: str, text: str) -> tuple[int, int, int]:
-    """Give the first and the last number, and the step, of an entry of a text."""
+def ranges(text: str, number: Callable[[str], Any]) -> list[tuple[Any, Any, Any]]:
+    """Give the first and the last number, and the step, of each entry of a text.
+
+    Parameters
+    ----------
+    text : str
+        As for `whole_numbers`.
+    number : callable
+        Reads one number; raises ValueError for any other text.
+
+    Returns
+    -------
+    list of tuple
+        A number alone is a range from it to itself. The step is 0 if none is given.
+
+    Raises
+    ------
+    ValueError
+        The text is spelt otherwise, or lists more than a million numbers.
+    """
+    entries = _SEPARATOR.split(text.strip().removesuffix(",").rstrip())
+    found = [_ends(entry, text, number) for entry in entries]
+    if sum(1 + (last - first) // (step or 1) for first, last, step in found) > MOST_NUMBERS:
+        raise ValueError(f"must be at most {MOST_NUMBERS:,} numbers, got more: {shown(text)}")
+    return found
+
+
+def _ends(entry: str, text: str, number: Callable[[str], Any]) -> tuple[Any, Any, Any]:
     got = shown(text) if entry == text else f"{shown(entry)} in {shown(text)}"
     try:
-        first, *others = map(whole_number, entry.split(":"))
-        last, step = [*others, *(first, 1)[len(others) :]]
+        first, *others = map(number, entry.split(":"))
+        last, step = [*others, *(first, number("0"))[len(others) :]]
     except ValueError as error:
         raise ValueError(f"must be {SPELLING}, for instance 0:60:3 or 0,6,12, got {got}") from error
-    if last < first or step < 1:
+    has_step = len(others) > 1
+    if last < first or (has_step and step <= 0):
         raise ValueError(
             f"must have ranges from a number to a larger one in steps of at least 1, got {got}"
         )

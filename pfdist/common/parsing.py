@@ -16,6 +16,7 @@ from pfdist.errors import shown
 MOST_BYTES = 16_000_000  # of a file: a job that names every time takes less than one million
 MOST_LEVELS = 16  # a job has four
 _INTEGER = re.compile(r"[+-]?[0-9]{1,40}")
+_DECIMAL = re.compile(r"[+-]?[0-9]{1,40}(\.[0-9]{1,40})?")
 _LONGEST = 80  # characters of a key that an error shows
 
 
@@ -115,3 +116,16 @@ def whole_number(text: str) -> int:
     if not _INTEGER.fullmatch(text):
         raise ValueError(f"must be a whole number in digits 0-9, got {shown(text)}")
     return int(text)
+
+
+def finite_number(text: str) -> float:
+    """Give the number that a text spells with digits and a decimal point.
+
+    Raises
+    ------
+    ValueError
+        It spells no number, or spells it otherwise.
+    """
+    if not _DECIMAL.fullmatch(text):
+        raise ValueError(f"must be a number, with the digits 0-9 and a point, got {shown(text)}")
+    return float(text)

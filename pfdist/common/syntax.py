@@ -5,6 +5,7 @@ Comments, docstrings, annotations, positions and the version of Python make no d
 
 import ast
 import importlib.util
+import linecache
 import types
 from collections import defaultdict
 from collections.abc import Iterator
@@ -33,7 +34,7 @@ def syntax_of(function: types.FunctionType) -> bytes | None:
     try:
         text = loader.get_source(scope.get("__name__"))
     except (AttributeError, ImportError, OSError, SyntaxError):
-        return None
+        text = "".join(linecache.getlines(code.co_filename))  # a notebook keeps its cells there
     return _syntax_of_code(code, text) if text else None
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pfdist.common.cards import Card, Shown
 from pfdist.common.rounding import with_error
 from pfdist.common.streams import stream_key
+from pfdist.common.told_times import told_times
 from pfdist.times.measurement_times import Times
 
 DEGENERATE_POLICIES = ("kill", "leave_out")
@@ -25,6 +26,7 @@ class Evaluation(Shown):
     Parameters
     ----------
     measurement_times : tuple of int
+        Instants; times on the clock where a user reads them.
     mse : array of float64, (D,)
         Per-draw MSE; NaN marks a degenerate draw.
     degenerate_policy : {"kill", "leave_out"}
@@ -91,7 +93,7 @@ class Evaluation(Shown):
         count = len(self.measurement_times)
         on = "exact" if self.exact is not None else f"on {self.draws:,} draws"
         title = f"evaluation of {count} measurement{'s' * (count != 1)}: expected MSE {mse}, {on}"
-        rows = [("measured at t", ", ".join(map(str, self.measurement_times)))]
+        rows = [("measured at t", told_times(self.measurement_times))]
         if self.degenerate_draws:
             rows.append(("degenerate draws", f"{self.degenerate_draws:,}"))
         return Card(title, (), rows)

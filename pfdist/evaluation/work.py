@@ -14,7 +14,7 @@ from pfdist.kernels.prefixes import plan
 from pfdist.times.measurement_times import Times
 
 if TYPE_CHECKING:
-    from pfdist.evaluation.problem import Problem
+    from pfdist.evaluation.evaluator import Evaluator
 
 BLOCK = 24
 """Draws over which errors are added up. One task adds up a whole block, so results do not depend on
@@ -75,7 +75,7 @@ class Work:
         If given, the errors of each set at the instants from this one to its end are wanted, as
         sums over the draws. Such a work is not cut: the rounding of a sum depends on its draws.
     knows_truth : bool
-        Whether the filter uses the true model, whatever the problem's filter model is.
+        Whether the filter uses the true model, whatever the evaluator's filter model is.
     """
 
     measurement_times: tuple[Times, ...]
@@ -89,15 +89,15 @@ class Work:
     since: tuple[int, ...] = ()
     knows_truth: bool = False
 
-    def result(self, problem: "Problem") -> "Result":
-        """The result for a problem, with arguments that the caller has checked.
+    def result(self, evaluator: "Evaluator") -> "Result":
+        """The result of an evaluator, with arguments that the caller has checked.
 
         Raises
         ------
         ModelError
             A formula failed.
         """
-        return problem.filtered(self)
+        return evaluator.filtered(self)
 
     def by_id(self, result: "Result") -> dict[str, NDArray[np.float64]]:
         """Per-draw MSE of each set, (D,), by the id of its evaluation."""

@@ -66,10 +66,13 @@ class Cloud:
     weight: Array | None = None
 
     def __post_init__(self) -> None:
-        if self.x.ndim != 2 or not self.x.size:
+        if isinstance(self.t, bool) or not isinstance(self.t, int | np.integer):
+            raise PriorError(f"a prior must be of an instant t, an integer, got {shown(self.t)}")
+        is_array = isinstance(self.x, np.ndarray) and self.x.dtype.kind in "biuf"
+        if not is_array or self.x.ndim != 2 or not self.x.size:
             raise PriorError(
                 "a prior must have an array x (components, particles) with one particle or more, "
-                f"got {shown(self.x.shape)}"
+                f"got {shown(self.x.shape if is_array else self.x)}"
             )
         if not np.isfinite(self.x).all():
             component, particle = np.argwhere(~np.isfinite(self.x))[0].tolist()

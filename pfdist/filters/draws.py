@@ -19,6 +19,7 @@ from pfdist.kernels.noise import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS
 from pfdist.kernels.scratch import WithScratch
 from pfdist.mistakes.places import place_of, place_of_function
 from pfdist.models import StateSpaceModel
+from pfdist.models.parameters import flat_parameters, parameter_names
 
 _FORMULAS = ("initial", "transition", "measurement", "quantity_of_interest")
 _TOGETHER = 64  # draws that are simulated side by side, with a few vectors of noise
@@ -44,6 +45,8 @@ class Draws:
         The first instant of the arrays; T+1 is their number of instants.
     origin : array of int64, (D,), optional
         The particle of a cloud from which each draw started, if it did.
+    weights : array of float64, (T+1,), optional
+        Weight of each instant's error in the MSE, with mean 1; by default all weights are 1.
     """
 
     model: StateSpaceModel
@@ -53,6 +56,12 @@ class Draws:
     z: NDArray[np.float64]
     start: int = 0
     origin: Indices | None = None
+    weights: NDArray[np.float64] | None = None
+
+    @property
+    def instant_weights(self) -> NDArray[np.float64]:
+        """Weight of each instant's error in the MSE, (T+1,)."""
+        return np.ones(self.z.shape[1]) if self.weights is None else self.weights
 
     @property
     def instants(self) -> range:
@@ -68,7 +77,8 @@ class Draws:
     def upto(self, end: int) -> "Draws":
         """The same draws up to an instant."""
         t = slice(end + 1 - self.start)
-        return replace(self, x=self.x[:, t], y=self.y[:, t], z=self.z[:, t])
+        weights = None if self.weights is None else self.weights[t]
+        return replace(self, x=self.x[:, t], y=self.y[:, t], z=self.z[:, t], weights=weights)
 
 
 def simulate(
@@ -101,7 +111,8 @@ def simulate(
     """
     draws = begun(model, horizon, index, stream, prior)
     with formulas_of(model.name, model.formulas):
-        given = np.uint64(stream), index.start, draws.start, prior is not None, np.array(model.p)
+        flat = flat_parameters(model.parameters, horizon + 1)
+        given = np.uint64(stream), index.start, draws.start, prior is not None, flat
         _compiled(model)(*given, draws.x, draws.y, draws.z)
     check_finite(model, draws, stream)
     return draws
@@ -242,7 +253,7 @@ def _compiled(model: StateSpaceModel) -> WithScratch:
         (model.initial, model.transition, model.measurement, model.quantity_of_interest),
         (model.initial_noise, model.process_noise, model.measurement_noise),
         model.components,
-        tuple(model.parameters),
+        parameter_names(model.parameters),
     )
 
 

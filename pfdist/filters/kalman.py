@@ -32,11 +32,13 @@ def expected_mse(
     sets: Sequence[Times],
     ends: Sequence[int] | None = None,
     prior: Prior | None = None,
+    weights: Array | None = None,
 ) -> Array:
     """Exact expected MSE of the Kalman filter with each set of times, (S,): no draws are needed.
 
     The mean is over t = 0..T, or over t = s..T with a prior of x(s). If `ends` are given, each
-    set's errors count up to its end only, and are divided by the number of all instants.
+    set's errors count up to its end only, and are divided by the number of all instants. The
+    weights of the instants have mean 1; by default all are 1.
 
     Raises
     ------
@@ -46,6 +48,8 @@ def expected_mse(
     errors = expected_errors(model, horizon, sets, prior)
     start = horizon + 1 - errors.shape[1]
     last = [horizon - start] * len(sets) if ends is None else [end - start for end in ends]
+    if weights is not None:
+        errors *= weights
     mse: Array = np.cumsum(errors, axis=1)[range(len(sets)), last] / errors.shape[1]
     return mse
 
@@ -114,7 +118,8 @@ def filter_checked_draws(
             step = matrices.transition[k]
             mean = step.offset + _times(step.matrix[:, : mean.shape[1]], mean)
             covariance = _propagated(covariance, step)
-    mse = np.mean(np.sum((draws.z - estimate) ** 2, axis=2), axis=1)
+    errors = np.sum((draws.z - estimate) ** 2, axis=2)
+    mse = np.mean(draws.instant_weights * errors, axis=1)
     if not trajectories:
         return Filtered(mse)
     last = tuple(Gaussian(instants[-1], row, covariance) for row in mean)

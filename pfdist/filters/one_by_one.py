@@ -63,11 +63,10 @@ def one_by_one(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., A
     ) -> Array:
         keys, columns = filter_streams(stream, settings.estimator), []
         for times, end in zip(sets, ends, strict=True):
-            filters = _filters(filter_checked_draws, model, draws.upto(end), times, keys, settings)
-            columns.append(
-                _mse(filters, ESTIMATORS[settings.estimator])
-                * ((end + 1 - draws.start) / draws.z.shape[1])
-            )
+            some, estimator = draws.upto(end), ESTIMATORS[settings.estimator]
+            filters = _filters(filter_checked_draws, model, some, times, keys, settings)
+            share = (end + 1 - draws.start) / draws.z.shape[1]
+            columns.append(_mse(filters, some, estimator) * share)
         return np.stack(columns, axis=1)
 
     return filter_checked_sets
@@ -147,7 +146,7 @@ def errors_by_variance(estimates: Array, variances: Array, weights: ErrorWeights
 def _errors(filters: Sequence[Filtered], draws: Draws, estimator: Estimator) -> Array:
     """Estimate the error of each draw at each instant, (D, T+1)."""
     if not estimator.for_any_filter:
-        return errors_by_variance(*_moments(filters), estimator.weights)
+        return draws.instant_weights * errors_by_variance(*_moments(filters), estimator.weights)
     (estimate,), _ = _moments(filters)
     model = draws.model
     errors = [
@@ -156,10 +155,12 @@ def _errors(filters: Sequence[Filtered], draws: Draws, estimator: Estimator) -> 
     ]
     shape = len(draws.index), 1
     columns = [np.broadcast_to(np.reshape(error, (-1, 1)), shape) for error in errors]
-    return estimator.weights.squared_error * np.concatenate(columns, axis=1)
+    weights = estimator.weights.squared_error * draws.instant_weights
+    weighted: Array = weights * np.concatenate(columns, axis=1)
+    return weighted
 
 
-def _mse(filters: Sequence[Filtered], estimator: Estimator) -> Array:
+def _mse(filters: Sequence[Filtered], draws: Draws, estimator: Estimator) -> Array:
     """Estimate each draw's MSE, (D,); NaN and inf of any filter remain."""
     mse: Array = np.sum([filtered.mse for filtered in filters], axis=0)
     weights = estimator.weights
@@ -167,7 +168,8 @@ def _mse(filters: Sequence[Filtered], estimator: Estimator) -> Array:
         return weights.squared_error * mse
     estimates, variances = _moments(filters)
     with np.errstate(all="ignore"):
-        mean = np.mean(errors_by_variance(estimates, variances, weights), axis=1)
+        errors = draws.instant_weights * errors_by_variance(estimates, variances, weights)
+        mean = np.mean(errors, axis=1)
         if weights.squared_error:
             mean += weights.squared_error * mse
     return np.where(np.isnan(mse), np.nan, np.where(mean < np.inf, mean, np.inf))

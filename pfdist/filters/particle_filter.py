@@ -29,6 +29,7 @@ from pfdist.kernels.libm import libm_functions, makes_arrays
 from pfdist.kernels.prefixes import Plan, Planned, plan
 from pfdist.kernels.scratch import WithScratch
 from pfdist.models import StateSpaceModel
+from pfdist.models.parameters import flat_parameters, parameter_names
 from pfdist.times.measurement_times import Times
 
 KERNEL_VERSION = 4
@@ -203,8 +204,9 @@ def _filter(
         draws.z,
         settings.particles,
         ESTIMATORS[settings.estimator].weights,
-        np.array(model.p),
-        np.array(truth.p),
+        draws.instant_weights,
+        flat_parameters(model.parameters, draws.instants.stop),
+        flat_parameters(truth.parameters, draws.instants.stop),
     )
     compiled = _compiled(model, truth, settings.resampling, settings.dtype)
     estimate, variance = wanted.moments
@@ -262,7 +264,7 @@ def _compiled(
         (*formulas, truth.error),
         (model.initial_noise, model.process_noise),
         model.components,
-        (tuple(model.parameters), tuple(truth.parameters)),
+        (parameter_names(model.parameters), parameter_names(truth.parameters)),
         resampling,
         dtype,
     )

@@ -121,7 +121,7 @@ def _filter(
             variance[:, k, c] = np.sum(share * (counted - mean[:, k, c, None]) ** 2, axis=1)
         error = draws.model.error(tuple(draws.z[:, k].T), tuple(mean[:, k].T), t, draws.model.p)
         mean[~alive, k], variance[~alive, k] = np.nan, np.nan
-        total[alive] += _like(error, (count,))[alive]
+        total[alive] += draws.instant_weights[k] * _like(error, (count,))[alive]
         infinite = alive & ~(total < np.inf)
         total[infinite], alive[infinite] = np.inf, False
         if t in times:

@@ -2,8 +2,9 @@
 
 from dataclasses import dataclass
 
+from pfdist.common.arguments import whole_argument
 from pfdist.common.nearest import did_you_mean
-from pfdist.errors import ModelError, PriorError
+from pfdist.errors import ArgumentError, ModelError, PriorError, shown
 from pfdist.filters.cloud import Prior
 from pfdist.filters.draws import Draws, check_prior
 from pfdist.kernels.estimators import ESTIMATORS, SQUARED_ERROR
@@ -12,6 +13,8 @@ from pfdist.models import StateSpaceModel, squared_error
 
 RESAMPLING = tuple(SCHEMES)
 DTYPES = ("float64", "float32")
+
+MOST_PARTICLES = 2**31 - 1  # an index of a particle has 32 bits
 
 
 @dataclass(frozen=True)
@@ -72,6 +75,23 @@ def check_fits(model: StateSpaceModel, truth: StateSpaceModel) -> None:
             )
 
 
+def check_lengths(model: StateSpaceModel, horizon: int) -> None:
+    """Raise an error unless each parameter that varies with t has a value for each instant 0..T.
+
+    Raises
+    ------
+    ModelError
+        A parameter has fewer or more values. The attribute `argument` is "parameters".
+    """
+    for name, value in model.parameters.items():
+        if isinstance(value, tuple) and len(value) != horizon + 1:
+            raise ModelError(
+                f"model {model.name}: parameter {name} must have a number for each of "
+                f"{horizon + 1} instants, got {len(value)}",
+                argument="parameters",
+            )
+
+
 def check_filter(
     model: StateSpaceModel,
     truth: StateSpaceModel,
@@ -86,7 +106,7 @@ def check_filter(
     ------
     ModelError
         As for `check_fits`, or a setting does not fit the model.
-    ValueError
+    ArgumentError
         A setting has a value that is not allowed.
     """
     check_fits(model, truth)
@@ -95,9 +115,11 @@ def check_filter(
         ("dtype", dtype, DTYPES),
         ("estimator", estimator, ESTIMATORS),
     ):
-        if got not in allowed:
+        if not isinstance(got, str) or got not in allowed:
             meant = did_you_mean(got, allowed)
-            raise ValueError(f"{name} must be one of {', '.join(allowed)}, got {got!r}{meant}")
+            raise ArgumentError(
+                f"{name} must be one of {', '.join(allowed)}, got {shown(got)}{meant}"
+            )
     if SCHEMES[resampling].sorts and model.components[0] != 1:
         raise ModelError(
             f"resampling = {resampling!r} needs a model with a scalar state, got {model.name} with "
@@ -105,8 +127,7 @@ def check_filter(
         )
     if not ESTIMATORS[estimator].for_any_filter:
         _check_estimator(model, truth, estimator)
-    if particles < 1:
-        raise ValueError(f"particles must be at least 1, got {particles}")
+    whole_argument("particles", particles, 1, MOST_PARTICLES)
 
 
 def _check_estimator(model: StateSpaceModel, truth: StateSpaceModel, estimator: str) -> None:

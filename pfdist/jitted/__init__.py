@@ -34,7 +34,7 @@ from pfdist.jitted.admitted import admit
 from pfdist.jitted.errors import UNWRAPPED, InCallError
 from pfdist.jitted.guarded import Guarded
 from pfdist.jitted.in_place import guard_what_it_calls
-from pfdist.jitted.reached import is_library, names_in
+from pfdist.jitted.reached import is_library, names_in, reached
 
 __all__ = [
     "UNWRAPPED",
@@ -44,4 +44,5 @@ __all__ = [
     "guard_what_it_calls",
     "is_library",
     "names_in",
+    "reached",
 ]

@@ -3,22 +3,24 @@
 from collections.abc import Iterable, Mapping
 from copy import deepcopy
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Final, NamedTuple, Self
+from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, Self
 
 import tomli_w
 from pydantic import Field, PrivateAttr, ValidationError, model_validator
 
+from pfdist.common.arguments import path_argument
 from pfdist.common.explained import explained
 from pfdist.common.nearest import did_you_mean_path
 from pfdist.common.parsing import parse_toml, read_text
 from pfdist.common.section import Section
 from pfdist.errors import JobError, MeasurementTimesError, shown_text
+from pfdist.job.given_sets import check_names, given_sets
 from pfdist.job.online_section import Online, Search
 from pfdist.job.overrides import override, set_values
 from pfdist.job.problem_section import ProblemSection
 from pfdist.job.sections import (
-    GIVEN,
     Budget,
     Comparison,
     EvaluationSection,
@@ -28,9 +30,11 @@ from pfdist.job.sections import (
 )
 from pfdist.search.methods import DEFAULT_METHOD, METHODS
 from pfdist.times.feasible import Feasible
-from pfdist.times.measurement_times import REGULAR, validated
+from pfdist.times.measurement_times import REGULAR, Times
 
-RESERVED: Final = (REGULAR, GIVEN, "comparison")  # names that no search may have
+if TYPE_CHECKING:  # a job is read without Numba
+    from pfdist.meaning.chosen import ChosenModel
+
 ONLINE: Final = "online"
 """Name of the times that are chosen one after another, beside the names of the searches."""
 MOST_SEARCHES: Final = 100  # a figure of more searches could not be read
@@ -48,11 +52,17 @@ class Origin(NamedTuple):
         Whether the job file has a [[search]]. Otherwise the job has the default search.
     names_online : bool
         Whether the job file has a section [online].
+    models : mapping of str to ChosenModel
+        Models that were given as objects, for the parts "model" and "filter_model".
+    is_file : bool
+        Whether there is a job file. A problem in Python has none.
     """
 
     path: Path = Path("job.toml")
     names_searches: bool = False
     names_online: bool = False
+    models: Mapping[str, "ChosenModel"] = _NOTHING
+    is_file: bool = True
 
 
 _NO_FILE = Origin()
@@ -83,7 +93,6 @@ class Job(Section):
     evaluation: EvaluationSection = EvaluationSection()
     search: tuple[Search, ...] = Field(
         default=(METHODS[DEFAULT_METHOD].section(),),
-        min_length=1,
         max_length=MOST_SEARCHES,
         strict=False,
     )
@@ -102,30 +111,19 @@ class Job(Section):
 
     @model_validator(mode="after")
     def _names_differ(self) -> Self:
-        names = [search.name for search in self.search]
-        for name in names:
-            if name in RESERVED:
-                raise ValueError(
-                    f"search names must not be {', '.join(map(repr, RESERVED))}, got {name!r}"
-                )
-            if names.count(name) > 1:
-                raise ValueError(
-                    f"search names must be unique, got {name!r} twice: give one of these searches "
-                    'another name with name = "..."'
-                )
+        check_names(self.comparison, (search.name for search in self.search))
         return self
 
     @model_validator(mode="after")
     def _has_sets_of_every_number(self) -> Self:
         if self.budget is None:
             return self
-        if self.comparison.reference != REGULAR:
-            raise ValueError(
-                f"budget needs comparison.reference = {REGULAR!r}, got a single set of times"
-            )
+        if self.comparison.reference != REGULAR or self.comparison.named:
+            got = "comparison.sets" if self.comparison.named else "a single set of times"
+            raise ValueError(f"budget needs comparison.reference = {REGULAR!r}, got {got}")
         if not self.problem.feasible.counted:
             raise ValueError("budget needs problem.measurement_budget, got problem.total_cost")
-        if len(self.search) > 1:
+        if len(self.search) != 1:
             methods = ", ".join(search.method for search in self.search)
             raise ValueError(f"budget needs one search of method {DEFAULT_METHOD!r}, got {methods}")
         if self.search[0].polish:
@@ -143,6 +141,8 @@ class Job(Section):
             return self
         if self.budget is not None:
             raise ValueError("online needs a job with one measurement budget, got a budget section")
+        if not self.search:
+            raise ValueError("online needs a search, whose times are the plan, got search = []")
         if any(search.name == ONLINE for search in self.search):
             raise ValueError(f"online needs searches of other names, got a search {ONLINE!r}")
         if self.online.draws > self.comparison.draws:
@@ -158,14 +158,17 @@ class Job(Section):
         return self
 
     @model_validator(mode="after")
-    def _reference_is_of_this_horizon(self) -> Self:
-        reference = self.comparison.reference
-        if not isinstance(reference, str):
-            try:
-                validated(reference, self.problem.horizon, "comparison.reference")
-            except MeasurementTimesError as error:
-                raise ValueError(str(error)) from error
+    def _given_sets_are_of_this_clock(self) -> Self:
+        try:
+            self.given_sets  # noqa: B018  made here, because it checks the times
+        except MeasurementTimesError as error:
+            raise ValueError(str(error)) from error
         return self
+
+    @cached_property
+    def given_sets(self) -> dict[str, Times | None]:
+        """Instants of the sets that the job gives, the reference first; None: regular times."""
+        return given_sets(self.comparison, self.problem)
 
     def feasible(self, measurement_budget: int) -> Feasible:
         """Give the feasible sets of another number of measurements."""
@@ -195,6 +198,11 @@ class Job(Section):
     def names_online(self) -> bool:
         """Whether the job file has a section [online]."""
         return self._origin.names_online
+
+    @property
+    def models(self) -> "Mapping[str, ChosenModel]":
+        """Models that were given as objects in Python, for "model" and "filter_model"."""
+        return self._origin.models
 
     def identity(self) -> dict[str, Any]:
         """Give all that identifies a run of this job: everything but [execution]."""
@@ -231,7 +239,7 @@ def load_job(
     JobError
         The file cannot be read or is no TOML, a value is wrong, or values contradict each other.
     """
-    path = Path(path)
+    path = path_argument("path", path)
     try:
         data = parse_toml(read_text(path))
     except OSError as error:
@@ -241,20 +249,6 @@ def load_job(
         raise JobError(f"the job file must be TOML, got an error: {error} ({path})") from error
     origin = Origin(path, "search" in data, "online" in data)
     return _validated(data | dict(sections), origin, overrides, settings)
-
-
-def as_job(
-    job: Job | str | Path,
-    overrides: Iterable[str] = (),
-    sections: Mapping[str, Any] = _NOTHING,
-    settings: Mapping[str, Any] = _NOTHING,
-) -> Job:
-    """Give a job, or the job of a file, with changes; parameters and errors as of `load_job`."""
-    if not isinstance(job, Job):
-        return load_job(job, overrides, sections, settings)
-    overrides = list(overrides)
-    changed = overrides or sections or settings
-    return job.with_changes(overrides, sections, settings) if changed else job
 
 
 def _is_job(path: Path) -> bool:
@@ -276,6 +270,6 @@ def _validated(
     try:
         return Job(origin, **data)
     except JobError as error:
-        path = origin.path
-        where = f"{path} with {shown_text(' '.join(given))}" if given else str(path)
-        raise JobError(f"{error} ({where})") from error
+        changes = f"with {shown_text(' '.join(given))}" if given else ""
+        where = f"{origin.path} {changes}".strip() if origin.is_file else changes
+        raise JobError(f"{error} ({where})" if where else str(error)) from error

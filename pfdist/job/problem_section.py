@@ -1,59 +1,91 @@
-"""The section [problem] of a job file: the horizon, and the feasible sets of measurement times.
+"""The section [problem] of a job file: the horizon, the clock, and the feasible sets of times.
 
 The keys have the names of the parameters of `Constraints`. An error about such a value begins with
 its name, and this module puts ``problem.`` before it.
 """
 
-import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from functools import cached_property
 from typing import Annotated, Any, Self
 
+import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from pfdist.common.number_list import whole_numbers
 from pfdist.common.section import Section
 from pfdist.errors import MeasurementTimesError, shown
+from pfdist.times.clock import Clock, Time
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
+from pfdist.times.written import RANGES, instants_of
 
-_WITH_HYPHEN = re.compile(r"(\d{1,6})-(\d{1,6})")
-_RANGES = "'20:30', '0:60:3' or '20-30'"
+_MOST_INSTANTS = 32_001
+_LONGEST_UNIT = 40  # characters
+_Numbers = tuple[Time, ...]
 
 
 class ProblemSection(Section):
-    """The horizon, and constraints on the measurement times: how many, at what cost, and when."""
+    """The horizon, and constraints on the measurement times: how many, at what cost, and when.
 
-    horizon: Annotated[int, Field(ge=1, le=32_000)]
+    Without a clock, the horizon and all times count instants. With `time_step`, `time_unit` or
+    `times` there is a clock, and all times are times on the clock.
+    """
+
+    horizon: Time | None = None
+    time_step: Annotated[float, Field(gt=0.0, allow_inf_nan=False, strict=False)] | None = None
+    time_unit: Annotated[str, Field(max_length=_LONGEST_UNIT)] | None = None
+    times: Annotated[_Numbers, Field(min_length=2, max_length=_MOST_INSTANTS)] | None = None
+    instant_weights: _Numbers | None = None
     measurement_budget: Annotated[int, Field(ge=2, lt=2**63)] | None = None
-    forbidden: tuple[int | str, ...] | None = None
-    required: tuple[int | str, ...] | None = None
-    minimum_spacing: Annotated[int, Field(ge=1, lt=2**63)] | None = None
+    forbidden: tuple[Time | str, ...] | None = None
+    required: tuple[Time | str, ...] | None = None
+    minimum_spacing: Time | None = None
     cost: tuple[int, ...] | dict[str, int] | None = None
     total_cost: Annotated[int, Field(ge=1, lt=2**63)] | None = None
 
+    @field_validator("horizon", "minimum_spacing", mode="before")
+    @classmethod
+    def _is_number(cls, value: Any, info: ValidationInfo) -> Any:
+        if value is not None and type(value) not in (int, float):
+            raise ValueError(f"problem.{info.field_name} must be a number, got {shown(value)}")
+        return value
+
+    @field_validator("times", "instant_weights", mode="before")
+    @classmethod
+    def _are_numbers(cls, value: Any, info: ValidationInfo) -> Any:
+        if value is None:
+            return None
+        are_numbers = isinstance(value, (list, tuple)) and all(
+            type(number) in (int, float) for number in value
+        )
+        if not are_numbers:
+            raise ValueError(
+                f"problem.{info.field_name} must be a list of numbers, got {shown(value)}"
+            )
+        return tuple(value)
+
     @field_validator("forbidden", "required", mode="before")
     @classmethod
-    def _times(cls, value: Any, info: ValidationInfo) -> Any:
+    def _are_times(cls, value: Any, info: ValidationInfo) -> Any:
         if value is not None and not isinstance(value, (list, tuple)):
             raise ValueError(
                 f"problem.{info.field_name} must be a list of times and of ranges as "
-                f"{_RANGES}, got {shown(value)}"
+                f"{RANGES}, got {shown(value)}"
             )
         for entry in value or ():
-            _times_in(entry, f"problem.{info.field_name}")
+            if type(entry) not in (int, float, str):
+                raise ValueError(
+                    f"problem.{info.field_name} must name times, as 20, and ranges, as {RANGES}, "
+                    f"got {shown(entry)}"
+                )
         return None if value is None else tuple(value)
 
     @field_validator("cost", mode="before")
     @classmethod
-    def _costs(cls, value: Any) -> Any:
-        if isinstance(value, dict):
-            for key in value:
-                _times_in(key, "problem.cost")
-        elif value is not None and not isinstance(value, (list, tuple)):
+    def _are_costs(cls, value: Any) -> Any:
+        if value is not None and not isinstance(value, (list, tuple, dict)):
             raise ValueError(
-                "problem.cost must be a list of horizon + 1 numbers, or a section of ranges as "
-                f'"20:30" = 2, got {shown(value)}'
+                "problem.cost must be a list with a number for each instant, or a section of "
+                f'ranges as "20:30" = 2, got {shown(value)}'
             )
         for cost in value.values() if isinstance(value, dict) else value or ():
             if not isinstance(cost, int) or isinstance(cost, bool):
@@ -63,82 +95,145 @@ class ProblemSection(Section):
     @model_validator(mode="after")
     def _is_possible(self) -> Self:
         try:
-            self.feasible  # noqa: B018  made here, because it checks the values together
+            self.feasible, self.weights  # noqa: B018  made here: they check the values together
         except MeasurementTimesError as error:
             raise ValueError(f"problem.{error}") from error
         return self
 
+    @property
+    def has_clock(self) -> bool:
+        """Whether times are times on a clock."""
+        return any(value is not None for value in (self.time_step, self.time_unit, self.times))
+
+    @cached_property
+    def clock(self) -> Clock:
+        """The time of each instant; without a clock, the number of the instant.
+
+        Raises
+        ------
+        MeasurementTimesError
+            The values contradict each other. The message begins with the key.
+        """
+        if self.times is not None:
+            for name in ("horizon", "time_step"):
+                if getattr(self, name) is not None:
+                    raise MeasurementTimesError(
+                        f"{name} must be left out, because times say every instant; got "
+                        f"{getattr(self, name):g}"
+                    )
+            return Clock(tuple(map(float, self.times)), self.time_unit or "")
+        if self.horizon is None:
+            raise MeasurementTimesError("horizon must be given, or times in the place of it")
+        if not self.has_clock:
+            return Clock.counting(self._whole("horizon", self.horizon))
+        step = self.time_step or 1.0
+        if not 1 <= round(self.horizon / step) < _MOST_INSTANTS:
+            raise MeasurementTimesError(
+                f"horizon must be 1 to {_MOST_INSTANTS - 1:,} steps of time_step = {step:g}, got "
+                f"{self.horizon:g}"
+            )
+        return Clock.regular(self.horizon, step, self.time_unit or "")
+
     @cached_property
     def feasible(self) -> Feasible:
-        """The feasible sets of measurement times."""
+        """The feasible sets of measurement times, which count instants."""
+        clock, spacing = self.clock, self.minimum_spacing
+        if spacing is not None and self.has_clock and not 0 < spacing < np.inf:
+            raise MeasurementTimesError(f"minimum_spacing must be above 0, got {spacing:g}")
+        if not self.has_clock:
+            spacing = 1 if spacing is None else self._whole("minimum_spacing", spacing)
         return Feasible(
-            horizon=self.horizon,
+            horizon=clock.horizon,
             measurement_budget=self.measurement_budget,
-            forbidden=_union(self.forbidden or ()),
-            required=_union(self.required or ()),
-            minimum_spacing=self.minimum_spacing or 1,
-            cost=self._costs_of_times,
+            forbidden=_union(self.forbidden or (), clock, "forbidden"),
+            required=_union(self.required or (), clock, "required"),
+            minimum_spacing=spacing or 0.0,
+            cost=self._costs_of_instants,
             total_cost=self.total_cost,
+            clock=clock if self.has_clock else None,
         )
+
+    @cached_property
+    def weights(self) -> tuple[float, ...] | None:
+        """Weight of each instant's error in the MSE, with mean 1; None if all are equal.
+
+        Raises
+        ------
+        MeasurementTimesError
+            There is another number of weights than of instants, or a weight is below 0.
+        """
+        instants, given = len(self.clock.times), self.instant_weights
+        if given is None:
+            if self.clock.is_even:
+                return None
+            given = self.clock.trapezoids
+        if len(given) != instants:
+            raise MeasurementTimesError(
+                f"instant_weights must have a number for each of {instants} instants, got "
+                f"{len(given)}"
+            )
+        weights = np.array(given, np.float64)
+        if not (np.isfinite(weights).all() and (weights >= 0.0).all() and weights.any()):
+            raise MeasurementTimesError(
+                "instant_weights must be finite, none below 0 and one above, got "
+                f"{shown(list(given))}"
+            )
+        return tuple((weights / weights.mean()).tolist())
 
     @property
     def is_constrained(self) -> bool:
         """Whether some times are excluded that have as many measurements, or cost no more."""
-        return bool(self.forbidden or self.required) or (self.minimum_spacing or 1) > 1
+        return bool(self.forbidden or self.required) or not self.feasible.spacing.is_free
 
-    def broken(self, times: Iterable[int]) -> list[str]:
-        """Give the constraints that a set of times in 0..T breaks, one sentence each.
+    def broken(self, times: Iterable[Time]) -> list[str]:
+        """Give the constraints that a set of times breaks, one sentence each.
 
         Each sentence begins with the key, for instance ``problem.forbidden: 4 is measured``.
+
+        Parameters
+        ----------
+        times : iterable of int or float
+            Instants in 0..T, or times on the clock.
         """
-        return [f"problem.{sentence}" for sentence in self.feasible.broken(times)]
+        instants = self.clock.instants(times)
+        return [f"problem.{sentence}" for sentence in self.feasible.broken(instants)]
 
     @property
-    def _costs_of_times(self) -> tuple[int, ...] | None:
+    def _costs_of_instants(self) -> tuple[int, ...] | None:
         if not isinstance(self.cost, dict):
             return self.cost
-        costs: dict[int, int] = {}
+        clock, costs = self.clock, dict[int, int]()
+        ends = f"{clock.times[0]:.10g}..{clock.times[-1]:.10g}"
         for key, cost in self.cost.items():
-            for time in _times_in(key, "problem.cost"):
-                if time in costs or time > self.horizon:
-                    what = "twice" if time in costs else f"for a horizon of {self.horizon}"
+            for t in instants_of(key, clock, "cost"):
+                if t in costs or t > clock.horizon:
+                    what = "twice" if t in costs else f"for a horizon of {clock.horizon}"
+                    told = t if t > clock.horizon else f"{clock.times[t]:.10g}"
                     raise MeasurementTimesError(
-                        f"cost must name every time in 0..{self.horizon} once, got {time} {what}"
+                        f"cost must name every time in {ends} once, got {told} {what}"
                     )
-                costs[time] = cost
-        lacking = [time for time in range(self.horizon + 1) if time not in costs]
+                costs[t] = cost
+        lacking = [t for t in range(clock.horizon + 1) if t not in costs]
         if lacking:
             raise MeasurementTimesError(
-                f"cost must name every time in 0..{self.horizon} once, got none for {lacking[0]}"
+                f"cost must name every time in {ends} once, got none for "
+                f"{clock.times[lacking[0]]:.10g}"
             )
-        return tuple(costs[time] for time in range(self.horizon + 1))
+        return tuple(costs[t] for t in range(clock.horizon + 1))
+
+    def _whole(self, name: str, value: Time) -> int:
+        """Give a number of instants; the keys of a clock are named if it is no whole number."""
+        if not isinstance(value, int):
+            raise MeasurementTimesError(
+                f"{name} must be an integer, or in the unit of a clock (time_step, time_unit or "
+                f"times), got {shown(value)}"
+            )
+        most = _MOST_INSTANTS - 1 if name == "horizon" else 2**63 - 1
+        if not 1 <= value <= most:
+            bound = "at least 1" if value < 1 else f"at most {most}"
+            raise MeasurementTimesError(f"{name} must be {bound}, got {shown(value)}")
+        return value
 
 
-def _times_in(value: Any, key: str) -> Sequence[int]:
-    """Give the times that an integer, or a text such as '20:30', '0:60:3' or '20-30', stands for.
-
-    Lists and ranges with colons are those of the command line; a hyphen is another spelling of the
-    colon between two times.
-    """
-    if isinstance(value, int) and not isinstance(value, bool):
-        return [value]
-    if not isinstance(value, str):
-        raise ValueError(
-            f"{key} must name times, as 20, and ranges, as {_RANGES}, got {shown(value)}"
-        )
-    with_hyphen = _WITH_HYPHEN.fullmatch(value)
-    try:
-        return whole_numbers(f"{with_hyphen[1]}:{with_hyphen[2]}" if with_hyphen else value)
-    except ValueError as error:
-        if ":" in value:
-            raise ValueError(f"{key} {error}") from error
-        what = (
-            "have ranges from a time to a later one"
-            if with_hyphen
-            else (f"name times, as 20, and ranges, as {_RANGES}")
-        )
-        raise ValueError(f"{key} must {what}, got {shown(value)}") from error
-
-
-def _union(entries: Iterable[int | str]) -> Times:
-    return tuple(sorted({time for entry in entries for time in _times_in(entry, "problem")}))
+def _union(entries: Iterable[Time | str], clock: Clock, name: str) -> Times:
+    return tuple(sorted(set(instants_of(entries, clock, name))))

@@ -1,5 +1,6 @@
 """The sections of a job file, without [problem] and [[search]], with bounds and defaults."""
 
+import re
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self
@@ -12,9 +13,16 @@ from pfdist.evaluation.engines import AUTO, ENGINES
 from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.pools.kinds import POOLS
 from pfdist.search.section import Estimator, Resampling
-from pfdist.times.measurement_times import REGULAR, Times
+from pfdist.times.clock import Time
+from pfdist.times.measurement_times import REGULAR
 
 GIVEN: Final = "reference"  # name of a reference that the job gives, in tables and figures
+MOST_SETS: Final = 100
+"""Sets that a job may give by name: there are almost 5000 pairs of them."""
+_LONGEST_SET_NAME = 64  # characters, as a name of a table's column may have
+_SET_NAME = re.compile(rf"[a-z][a-z0-9_]{{0,{_LONGEST_SET_NAME - 1}}}")
+RESERVED: Final = (REGULAR, GIVEN, "comparison")
+"""Names that no search may have, and no given set; only regular times may be called "regular"."""
 _LONGEST_TEXT = 4096  # characters of a path
 if TYPE_CHECKING:
     EngineName = str
@@ -33,6 +41,51 @@ def _checked_text(text: str) -> str:
     return text
 
 
+def _checked_parameters(values: Any, section: str) -> Any:
+    """Refuse parameters that are neither numbers nor lists of numbers; lists become tuples."""
+    if not isinstance(values, dict):
+        return values
+    found = {}
+    for name, value in values.items():
+        numbers = value if isinstance(value, list | tuple) and value else (value,)
+        if not all(type(number) in (int, float) for number in numbers):
+            raise ValueError(
+                f"{section}.{name} must be a number, or a list with a number for each instant, "
+                f"got {shown(value)}"
+            )
+        is_list = isinstance(value, list | tuple)
+        found[name] = tuple(map(float, value)) if is_list else float(value)
+    return found
+
+
+def _checked_set_name(name: Any) -> str:
+    if not (isinstance(name, str) and _SET_NAME.fullmatch(name)):
+        raise ValueError(
+            "names of comparison.sets must be lower-case letters, digits and underscores, a letter "
+            f"first and at most {_LONGEST_SET_NAME}, got {shown(name)}"
+        )
+    return name
+
+
+def _written_times(name: str, written: Any) -> str | tuple[Any, ...]:
+    """Check the type of the times of a set; the clock reads them later."""
+    if name in RESERVED and not name == written == REGULAR:
+        raise ValueError(
+            f"comparison.sets must not name a set {name!r}, because pfdist uses this name; got "
+            f"{shown(written)}"
+        )
+    if isinstance(written, str):
+        return written if written == REGULAR else (written,)
+    entries = written if isinstance(written, (list, tuple)) else (None,)
+    if not all(type(entry) in (int, float, str) for entry in entries):
+        raise ValueError(
+            f"comparison.sets.{name} must be {REGULAR!r}, or times, as [0, 3, 6], and ranges, as "
+            f"'0:60:3', got {shown(written)}"
+        )
+    return tuple(written)
+
+
+Parameter = float | tuple[float, ...]
 Text = Annotated[str, AfterValidator(_checked_text)]
 
 
@@ -40,15 +93,25 @@ class FilterModel(Section):
     """The filter's model, if it differs from the truth: another model, or other parameters."""
 
     name: Text = ""
-    parameters: dict[str, float] = Field(default_factory=dict)
+    parameters: dict[str, Parameter] = Field(default_factory=dict)
+
+    @field_validator("parameters", mode="before")
+    @classmethod
+    def _are_numbers(cls, values: Any) -> Any:
+        return _checked_parameters(values, "model.filter.parameters")
 
 
 class Model(Section):
     """The system: a model that ships, an entry point, or ``path/file.py:object``."""
 
     name: Text = "ungm"
-    parameters: dict[str, float] = Field(default_factory=dict)
+    parameters: dict[str, Parameter] = Field(default_factory=dict)
     filter: FilterModel = FilterModel()
+
+    @field_validator("parameters", mode="before")
+    @classmethod
+    def _are_numbers(cls, values: Any) -> Any:
+        return _checked_parameters(values, "model.parameters")
 
 
 class Filter(Section):
@@ -76,33 +139,51 @@ class Until(Section):
 
 
 class Comparison(Section):
-    """The comparison of the found times with the reference, on the same fresh draws.
+    """The comparison of sets of times with the reference, on the same fresh draws.
 
-    The reference is "regular", which stands for the feasible set nearest to the regular times, or
-    any set of times in 0..T. A given set may break constraints.
+    Found sets are compared, and those that ``sets`` gives by name. The reference is "regular",
+    which stands for the feasible set nearest to the regular times, or any set of times in 0..T, or
+    on the clock, or the name of a given set. A given set may break constraints.
     """
 
     draws: Annotated[int, Field(ge=2, le=100_000_000)] = 100_000
     until: Until = Until()
-    reference: Literal["regular"] | Times = REGULAR
+    reference: str | tuple[Time, ...] = REGULAR
+    sets: dict[str, Literal["regular"] | tuple[Time | str, ...]] | None = None
 
     @field_validator("reference", mode="before")
     @classmethod
-    def _is_regular_or_times(cls, value: Any) -> Any:
-        if value == REGULAR:
+    def _is_name_or_times(cls, value: Any) -> Any:
+        if isinstance(value, str):
             return value
-        whole = isinstance(value, (list, tuple)) and all(type(time) is int for time in value)
-        if not whole:
+        are_times = isinstance(value, (list, tuple)) and all(
+            type(time) in (int, float) for time in value
+        )
+        if not are_times:
             raise ValueError(
                 f"comparison.reference must be {REGULAR!r} or a list of times, for instance "
                 f"[0, 3, 6], got {shown(value)}"
             )
         return tuple(sorted(value))
 
+    @field_validator("sets", mode="before")
+    @classmethod
+    def _are_named_times(cls, sets: Any) -> Any:
+        if not isinstance(sets, dict):
+            return sets
+        if len(sets) > MOST_SETS:
+            raise ValueError(f"comparison.sets must have at most {MOST_SETS} sets, got {len(sets)}")
+        return {_checked_set_name(name): _written_times(name, sets[name]) for name in sets} or None
+
+    @property
+    def named(self) -> dict[str, str | tuple[Time | str, ...]]:
+        """The sets that the job gives by name, as it writes them; "regular": its regular times."""
+        return {**(self.sets or {})}
+
     @property
     def reference_name(self) -> str:
         """Name of the reference in tables and figures."""
-        return REGULAR if self.reference == REGULAR else GIVEN
+        return self.reference if isinstance(self.reference, str) else GIVEN
 
 
 class Budget(Section):

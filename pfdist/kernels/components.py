@@ -15,6 +15,8 @@ import numpy as np
 
 from pfdist.kernels.melting import melted
 
+_VARYING = "[t]"  # ends the name of an array, with an entry for each instant
+
 
 @cache
 def tuple_of(
@@ -69,10 +71,25 @@ def _other(axes: str) -> str:
 
 @cache
 def naming(names: tuple[str, ...]) -> Callable[..., Any]:
-    """Compile ``named(values)``, which gives a named tuple of the entries of an array."""
-    kind = namedtuple("Parameters", names)  # type: ignore[misc]
-    entries = ", ".join(f"values[{i}]" for i in range(len(names)))
-    return _made(f"def result(values):\n    return kind({entries})\n", kind=kind)
+    """Compile ``named(values)``, which gives a named tuple of the entries of an array.
+
+    Parameters
+    ----------
+    names : tuple of str
+        A name such as ``rate[t]`` stands for an array. The arrays follow the numbers, and all have
+        the same length.
+    """
+    varying = [name for name in names if name.endswith(_VARYING)]
+    numbers, length = len(names) - len(varying), f"(values.size - {len(names) - len(varying)})"
+    length = f"{length} // {max(1, len(varying))}"
+    places = {name: str(i) for i, name in enumerate(n for n in names if n not in varying)} | {
+        name: f"{numbers} + {k} * length : {numbers} + {k + 1} * length"
+        for k, name in enumerate(varying)
+    }
+    kind = namedtuple("Parameters", [name.removesuffix(_VARYING) for name in names])  # type: ignore[misc]
+    entries = ", ".join(f"values[{places[name]}]" for name in names)
+    source = f"def result(values):\n    length = {length}\n    return kind({entries})\n"
+    return _made(source, kind=kind)
 
 
 def _made(source: str, **names: Any) -> Callable[..., Any]:

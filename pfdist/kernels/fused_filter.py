@@ -40,6 +40,8 @@ class Request(NamedTuple):
     particles : int
     weights : ErrorWeights
         Weights of the estimator.
+    instant_weights : array of float64, (T+1,)
+        Weight of each instant's error, with mean 1.
     parameters, true_parameters : arrays of float64
         Parameters of the filter's model, and of the truth.
     """
@@ -52,6 +54,7 @@ class Request(NamedTuple):
     z: NDArray[np.float64]
     particles: int
     weights: ErrorWeights
+    instant_weights: NDArray[np.float64]
     parameters: NDArray[np.float64]
     true_parameters: NDArray[np.float64]
 
@@ -222,15 +225,16 @@ def _filter_draw(
                     fill_squares(cloud, here, instant, p, weight, row, mean, terms)
                     variances = mean_of(terms, total)
                     record(results, d, t, mean, variances)
-                    known = error_by_variance(
+                    known = request.instant_weights[t] * error_by_variance(
                         weights, first_means, filter_number, s, t, mean, variances, truth, instant
                     )
                     error += known
                     _add(results.errors, s, t, known)
                 z = read_z(request.z, d, t)
                 squared = error_of(z, mean, instant, truth) if by_error else 0.0
-                error += weights.squared_error * squared
-                _add(results.errors, s, t, weights.squared_error * squared)
+                squared *= request.instant_weights[t] * weights.squared_error
+                error += squared
+                _add(results.errors, s, t, squared)
                 if not error < np.inf:
                     return _end(saved.errors, slots, s, t, np.inf)
                 if measured[s, t] and (goes_on or t + 1 < ends[s]):

@@ -12,7 +12,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from pfdist.errors import ModelError
+from pfdist.meaning.model_value import ModelValue
 from pfdist.meaning.values import UntoldValueError
 from pfdist.meaning.walk import Walk, digest
 from pfdist.models import ModelSource, StateSpaceModel
@@ -24,16 +27,19 @@ FORMULAS = (
     "initial", "transition", "measurement", "log_likelihood", "quantity_of_interest", "error",
 )  # fmt: skip
 _SETTINGS = ("initial_noise", "process_noise", "measurement_noise", "linear_gaussian")
+_NAMES = ("x_names", "y_names", "z_names")  # they name columns
 
 
-def meaning_of(model: StateSpaceModel, source: ModelSource) -> Meaning:
-    """Give the meaning of a model that was just loaded.
+def meaning_of(model: StateSpaceModel, source: ModelSource | ModelValue, main: str = "") -> Meaning:
+    """Give the meaning of a model that was just loaded, or given as an object.
 
     Parameters
     ----------
     model : StateSpaceModel
-    source : ModelSource
+    source : ModelSource or ModelValue
         The source of the model, with its files.
+    main : str, optional
+        A module whose variables have labels as those of a script, wherever they are defined.
 
     Raises
     ------
@@ -41,7 +47,7 @@ def meaning_of(model: StateSpaceModel, source: ModelSource) -> Meaning:
         A formula uses a value whose content cannot be read.
     """
     try:
-        table = Walk({name: getattr(model, name) for name in FORMULAS}, source).table()
+        table = Walk({name: getattr(model, name) for name in FORMULAS}, source, main).table()
     except UntoldValueError as error:
         raise ModelError(
             f"{_named(error.label, source.path)} is or holds {error.what}, which pfdist cannot "
@@ -49,13 +55,21 @@ def meaning_of(model: StateSpaceModel, source: ModelSource) -> Meaning:
             f"use numbers, text, arrays, functions, or objects made of these ({source.path})"
         ) from error
     settings = {name: digest([repr(getattr(model, name)).encode()]) for name in _SETTINGS}
-    data = {f"data_files.{name}": source.sha256[name][:16] for name in model.data_files}
-    return {**table, **settings, **data, **parameters_of(model.p._asdict())}
+    files = source.sha256
+    data = {f"data_files.{name}": files[name][:16] for name in model.data_files if name in files}
+    names = {name: ", ".join(given) for name in _NAMES if (given := getattr(model, name))}
+    return {**table, **settings, **names, **data, **parameters_of(model.p._asdict())}
 
 
-def parameters_of(values: Mapping[str, float]) -> Meaning:
-    """Give parameters as entries of a meaning."""
-    return {f"parameters.{name}": float(value) for name, value in values.items()}
+def parameters_of(values: Mapping[str, Any]) -> Meaning:
+    """Give parameters as entries of a meaning: numbers, and hashes of sequences."""
+    return {f"parameters.{name}": _told(value) for name, value in values.items()}
+
+
+def _told(value: Any) -> float | str:
+    if isinstance(value, list | tuple | np.ndarray):
+        return digest([np.array(value, np.float64).tobytes()])
+    return float(value)
 
 
 @cache
@@ -103,4 +117,5 @@ def _named(label: str, path: str) -> str:
     """Give a label of a meaning in words, such as ``C of helper.py``."""
     module, _, name = label.rpartition(".")
     file = f"{module.replace('.', '/')}.py"
-    return f"{name} of {file if module not in ('', 'parameters') else Path(path).name}"
+    own = module in ("", "parameters", "__main__")
+    return f"{name} of {Path(path).name if own else file}"

@@ -9,7 +9,9 @@ from typing import Protocol
 from pfdist.common.streams import stream_key
 from pfdist.meaning import Meaning, check_is_constant, loaded_meaning, meaning_of, parameters_of
 from pfdist.meaning.known_models import remember
+from pfdist.meaning.model_value import ModelValue
 from pfdist.models import ModelSource, StateSpaceModel, find_model
+from pfdist.models.parameters import Parameter
 
 
 @dataclass(frozen=True)
@@ -18,16 +20,16 @@ class ChosenModel:
 
     Parameters
     ----------
-    source : ModelSource
+    source : ModelSource or ModelValue
         The source with its files.
-    parameters : mapping of str to float
+    parameters : mapping of str to float or sequence of float
         Parameters that replace those of the source.
     loaded : Meaning
         Meaning of the model in the process that chose it, with the parameters of the source.
     """
 
-    source: ModelSource
-    parameters: Mapping[str, float]
+    source: ModelSource | ModelValue
+    parameters: Mapping[str, Parameter]
     loaded: Meaning
 
     def load(self) -> StateSpaceModel:
@@ -40,8 +42,9 @@ class ChosenModel:
             parameter is unknown or outside its range.
         """
         model = self.source.load()
-        here = loaded_meaning(self.source)
-        check_is_constant(self.loaded, here, self.source.path, "in each process")
+        if isinstance(self.source, ModelSource):  # a value has travelled with its meaning
+            here = loaded_meaning(self.source)
+            check_is_constant(self.loaded, here, self.source.path, "in each process")
         return model.with_parameters(self.parameters)
 
     @cached_property
@@ -59,12 +62,12 @@ class Choose(Protocol):
     """A function that chooses the models of a job; see `choose`."""
 
     def __call__(
-        self, part: str, name: str, folder: Path, parameters: Mapping[str, float], /
+        self, part: str, name: str, folder: Path, parameters: Mapping[str, Parameter], /
     ) -> ChosenModel:
         """Give the model of a part of the job: "model" or "filter_model"."""
 
 
-def choose(part: str, name: str, folder: Path, parameters: Mapping[str, float]) -> ChosenModel:
+def choose(part: str, name: str, folder: Path, parameters: Mapping[str, Parameter]) -> ChosenModel:
     """Give the model that the user names.
 
     Parameters
@@ -73,7 +76,7 @@ def choose(part: str, name: str, folder: Path, parameters: Mapping[str, float]) 
     name : str
     folder : Path
         Folder to which a path in the name is relative.
-    parameters : mapping of str to float
+    parameters : mapping of str to float or sequence of float
 
     Raises
     ------
@@ -85,7 +88,7 @@ def choose(part: str, name: str, folder: Path, parameters: Mapping[str, float]) 
     return ChosenModel(source, dict(parameters), again)
 
 
-def chosen_from(source: ModelSource, parameters: Mapping[str, float]) -> ChosenModel:
+def chosen_from(source: ModelSource, parameters: Mapping[str, Parameter]) -> ChosenModel:
     """Give the model of a source that has its files. No other file is read.
 
     Raises

@@ -37,6 +37,8 @@ def home_of(value: Any) -> str | None:
 
 def is_installed(module: str) -> bool:
     """Whether a module belongs to an installed distribution, and is not being developed."""
+    if module == "__main__":  # a script or notebook, whatever program runs it
+        return False
     file = getattr(sys.modules.get(module), "__file__", None)
     return file is not None and not _INSTALLED.isdisjoint(Path(file).parts)
 

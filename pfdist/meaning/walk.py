@@ -16,6 +16,7 @@ from pfdist.common.syntax import syntax_of
 from pfdist.kernels.content import Content, Parts, UnknownContentError
 from pfdist.kernels.fingerprint import bytecode
 from pfdist.kernels.uses import Import, Uses, imports_in, uses_in
+from pfdist.meaning.model_value import ModelValue
 from pfdist.meaning.origins import home_of, is_installed, version_of
 from pfdist.meaning.values import UntoldValueError, copy_of, python_function
 from pfdist.models import ModelSource
@@ -52,18 +53,23 @@ class Walk(Content):
     ----------
     functions : mapping of str to callable
         The formulas by their names.
-    source : ModelSource
+    source : ModelSource or ModelValue
         The source of the model, with its files.
+    main : str, optional
+        A module whose variables have labels as those of a script, wherever they are defined.
     """
 
-    def __init__(self, functions: Mapping[str, Any], source: ModelSource) -> None:
+    def __init__(
+        self, functions: Mapping[str, Any], source: ModelSource | ModelValue, main: str = ""
+    ) -> None:
         super().__init__()
+        self._main = main
         self._own = source.package.partition(".")[0]
         self._labels: dict[int, str] = {}  # labels of functions and classes, by their ids
         self._values: dict[str, Any] = {}
         self._todo: deque[str] = deque()
         files = {name: text for name, text in source.sha256.items() if name.endswith(".py")}
-        self._files = repr(sorted(files.items())).encode()
+        self._files, self._has_files = repr(sorted(files.items())).encode(), bool(files)
         for name, function in functions.items():
             self._enter(name, function)
 
@@ -125,7 +131,8 @@ class Walk(Content):
         qualified = getattr(function, "__qualname__", "") if _has_home(function) else ""
         if qualified and "<" not in qualified:
             home, name = str(home_of(function)), qualified
-        yield self._enter(f"{own_name(home)}.{name}", value).encode()
+        module = "__main__" if home == self._main else own_name(home)
+        yield self._enter(f"{module}.{name}", value).encode()
 
     def cell(self, cell: types.CellType, uses: Uses | None = None) -> Parts:
         """Give the content of a variable in a closure. It may have no value yet."""
@@ -146,7 +153,7 @@ class Walk(Content):
         named = uses_in(function.__code__).named
         if _DYNAMIC & named:
             yield self._files
-        if _WHOLE_MODULE & named:
+        if _WHOLE_MODULE & named or (_DYNAMIC & named and not self._has_files):
             for name in sorted(function.__globals__):
                 yield from self.variable(function.__globals__, name, None)
         for statement in imports_in(function.__code__):

@@ -11,7 +11,14 @@ import numpy as np
 
 _PACKAGE = Path(__file__).parents[1]
 _STANDARD_LIBRARY = Path(sysconfig.get_path("stdlib"))
-_NOT_MODELS = ("__init__.py", "base.py", "beside.py", "loader.py", "trial_calls.py")
+_NOT_MODELS = (
+    "__init__.py",
+    "base.py",
+    "beside.py",
+    "loader.py",
+    "parameters.py",
+    "trial_calls.py",
+)
 
 
 def frames_of(error: BaseException) -> Iterator[tuple[FrameType, int]]:

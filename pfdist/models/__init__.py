@@ -4,9 +4,10 @@ A model consists of formulas. It knows neither filters nor simulations.
 """
 
 from pfdist.models.base import StateSpaceModel, is_in_folder, squared_error
-from pfdist.models.loader import ModelSource, find_model, installed_models, load_model
+from pfdist.models.loader import PYTHON, ModelSource, find_model, installed_models, load_model
 
 __all__ = [
+    "PYTHON",
     "ModelSource",
     "StateSpaceModel",
     "find_model",

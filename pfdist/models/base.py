@@ -4,21 +4,32 @@ import dataclasses
 import inspect
 import keyword
 import math
-from collections import namedtuple
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 from pathlib import PurePosixPath
 from typing import Any
 
+from pfdist.common.component_names import Component, named_components
 from pfdist.common.nearest import did_you_mean
-from pfdist.errors import ModelError
+from pfdist.errors import ModelError, shown
 from pfdist.jitted import guard_what_it_calls
 from pfdist.mistakes.places import place_of_function
+from pfdist.models.parameters import (
+    CLOCK,
+    Parameter,
+    fixed_parameter,
+    named_parameters,
+    trial_parameters,
+    values_of_parameter,
+)
 from pfdist.models.trial_calls import ARGUMENTS, count_components
 
 NOISE_KINDS = ("normal", "uniform")
-_LATER = ("normalised", "missing_components")  # fields that older runs do not know
+_NAMES = {"x": "x_names", "y": "y_names", "z": "z_names"}
+_LATER = ("normalised", "missing_components", *_NAMES.values())
+"""Fields that older runs do not know."""
 
 
 def squared_error(z: Any, estimate: Any, t: Any, p: Any) -> Any:
@@ -36,7 +47,9 @@ class StateSpaceModel:
     x, w, v, y and z are tuples of components, even if there is a single component. A component is a
     number in the compiled filter and an array in the plain filter. So formulas use operators,
     NumPy's elementwise functions, `pfdist.where` and `pfdist.clip`. t is an integer. p holds the
-    parameters, read as ``p.sigma``.
+    parameters, read as ``p.sigma``; a parameter that varies with t is read as ``p.rate[t]``. If the
+    job has a clock, ``p.time[t]`` is the time of the instant t, and ``p.dt[t]`` the time from t to
+    t + 1, both in the clock's unit.
 
     Parameters
     ----------
@@ -55,8 +68,9 @@ class StateSpaceModel:
     initial_noise, process_noise, measurement_noise : tuple of {"normal", "uniform"}
         Distribution of each component of w and v: standard normal, or uniform on (0, 1). Any other
         distribution is a transform of these, written in the formula.
-    parameters : mapping of str to float
-        Values of the parameters p. A job may override them.
+    parameters : mapping of str to float or sequence of float
+        Values of the parameters p. A job may override them. A sequence has a value for each instant
+        0..T.
     parameter_ranges : mapping of str to (float, float)
         Lowest and highest allowed value. A parameter without a range may have any finite value.
     error : callable
@@ -76,12 +90,17 @@ class StateSpaceModel:
     missing_components : bool
         Whether `log_likelihood` takes NaN for a component of y that was not measured, and then
         gives the log-likelihood of the other components.
+    x_names, y_names, z_names : tuple of str
+        A name for each component of x, y or z, with the unit in brackets at the end:
+        ``("concentration [mg/l]",)``. Columns, figures and reports use them; without names the
+        components have numbers.
 
     Raises
     ------
     ModelError
         A formula does not take its arguments or does not give a tuple of components; a kind of
-        noise is unknown; a parameter lies outside its range, or a data file outside the folder.
+        noise is unknown; a parameter lies outside its range, or a data file outside the folder;
+        names do not fit the components.
     """
 
     name: str
@@ -93,13 +112,16 @@ class StateSpaceModel:
     initial_noise: tuple[str, ...]
     process_noise: tuple[str, ...]
     measurement_noise: tuple[str, ...]
-    parameters: Mapping[str, float] = field(default_factory=dict)
+    parameters: Mapping[str, Parameter] = field(default_factory=dict)
     parameter_ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     error: Callable[..., Any] = squared_error
     linear_gaussian: bool = False
     data_files: tuple[str, ...] = ()
     normalised: bool = False
     missing_components: bool = False
+    x_names: tuple[str, ...] = ()
+    y_names: tuple[str, ...] = ()
+    z_names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name, arguments in ARGUMENTS.items():
@@ -115,9 +137,13 @@ class StateSpaceModel:
                 )
         for name, value in self.parameters.items():
             self._check_parameter(name, value)
+        fixed = {name: fixed_parameter(value) for name, value in self.parameters.items()}
+        object.__setattr__(self, "parameters", fixed)
         for function in self.formulas.values():
             guard_what_it_calls(function)
         self.components  # noqa: B018  evaluated here, because it finds wrong formulas
+        for kind in _NAMES:
+            self.named(kind)
 
     def __getstate__(self) -> dict[str, Any]:
         """Give the attributes as they were before the fields of `_LATER`, where these are unset.
@@ -130,21 +156,77 @@ class StateSpaceModel:
 
     @cached_property
     def p(self) -> Any:
-        """The parameters as formulas read them: a named tuple of floats."""
-        kind = namedtuple("Parameters", self.parameters)  # type: ignore[misc]
-        return kind(**{name: float(value) for name, value in self.parameters.items()})
+        """The parameters as formulas read them: a named tuple of floats, and of arrays (T+1,)."""
+        return named_parameters(self.parameters)
+
+    @property
+    def reads_clock(self) -> bool:
+        """Whether a formula reads ``p.time`` or ``p.dt``, and the model has no clock yet."""
+        try:
+            count_components(self, named_parameters(self.parameters))
+        except ModelError:
+            return True  # with a clock the formulas did not fail when the model was made
+        return False
+
+    def on_clock(self, time: Sequence[float]) -> "StateSpaceModel":
+        """Give the model with the parameters ``time`` and ``dt``, a value for each instant.
+
+        Parameters
+        ----------
+        time : sequence of float, (T+1,)
+            The time of each instant. dt[t] is the time from t to t + 1; the last is that before it.
+
+        Raises
+        ------
+        ModelError
+            The model has a parameter of its own with one of these names.
+        """
+        for name in CLOCK:
+            if name in self.parameters:
+                raise ModelError(
+                    f"model {self.name}: with a clock, p.{name} is the clock's, so no parameter "
+                    f"may have the name {name!r}: give it another name"
+                )
+        times = tuple(map(float, time))
+        steps = [after - before for before, after in pairwise(times)]
+        clock = {"time": times, "dt": (*steps, steps[-1])}
+        return dataclasses.replace(self, parameters={**self.parameters, **clock})
 
     @cached_property
     def components(self) -> tuple[int, int, int]:
         """Numbers of components of x, y and z."""
-        return count_components(self)
+        return count_components(self, trial_parameters(self.parameters))
+
+    def named(self, kind: str) -> tuple[Component, ...]:
+        """Give the components of x, y or z with their names, units and the ends of columns.
+
+        Parameters
+        ----------
+        kind : {"x", "y", "z"}
+
+        Raises
+        ------
+        ModelError
+            The names do not fit the components.
+        """
+        count = dict(zip(_NAMES, self.components, strict=True))[kind]
+        try:
+            return named_components(getattr(self, _NAMES[kind]), count)
+        except ValueError as error:
+            raise ModelError(f"model {self.name}: {_NAMES[kind]}: {error}") from error
+
+    def named_as(self, truth: "StateSpaceModel") -> "StateSpaceModel":
+        """Give the model with the names that another model gives to y and z."""
+        if (self.y_names, self.z_names) == (truth.y_names, truth.z_names):
+            return self
+        return dataclasses.replace(self, y_names=truth.y_names, z_names=truth.z_names)
 
     @cached_property
     def formulas(self) -> dict[str, Callable[..., Any]]:
         """The formulas by their names."""
         return {name: getattr(self, name) for name in ARGUMENTS}
 
-    def with_parameters(self, overrides: Mapping[str, float]) -> "StateSpaceModel":
+    def with_parameters(self, overrides: Mapping[str, Parameter]) -> "StateSpaceModel":
         """Give a model with some parameters changed.
 
         Raises
@@ -196,20 +278,24 @@ class StateSpaceModel:
                 f"the model's file, and in it, got {files!r}"
             )
 
-    def _check_parameter(self, name: str, value: float) -> None:
+    def _check_parameter(self, name: str, value: Parameter) -> None:
         if not name.isidentifier() or name.startswith("_") or keyword.iskeyword(name):
             raise ModelError(
                 f"model {self.name}: the name of a parameter must be that of a variable, "
                 f"got {name!r}"
             )
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise ModelError(f"model {self.name}: parameter {name} must be a number, got {value!r}")
         low, high = self.parameter_ranges.get(name, (-math.inf, math.inf))
-        if not (math.isfinite(value) and low <= value <= high):
-            raise ModelError(
-                f"model {self.name}: parameter {name} must be a finite number in "
-                f"{low:g}..{high:g}, got {value!r}"
-            )
+        for number in values_of_parameter(value):
+            if isinstance(number, bool) or not isinstance(number, int | float):
+                raise ModelError(
+                    f"model {self.name}: parameter {name} must be a number, or a sequence of "
+                    f"numbers, one for each instant, got {shown(value)}"
+                )
+            if not (math.isfinite(number) and low <= number <= high):
+                raise ModelError(
+                    f"model {self.name}: parameter {name} must be a finite number in "
+                    f"{low:g}..{high:g}, got {number!r}"
+                )
 
 
 def is_in_folder(name: Any) -> bool:

@@ -18,14 +18,16 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
 from pfdist.common.nearest import did_you_mean
-from pfdist.errors import ModelError
+from pfdist.errors import ModelError, shown
 from pfdist.mistakes.endings import is_interrupt, kept_alive, told
 from pfdist.mistakes.places import place_of
 from pfdist.models.base import StateSpaceModel
 from pfdist.models.beside import Beside, Files, FilesOnDisk
 
+PYTHON = "python:"
+"""Before the name of a model that was given as an object in Python, in the job of its run."""
 _GROUP = "pfdist.models"
-_NOT_MODELS = ("base", "beside", "loader", "trial_calls")  # modules of this package
+_NOT_MODELS = ("base", "beside", "loader", "parameters", "trial_calls")  # modules of this package
 _recordings = itertools.count()
 
 
@@ -207,6 +209,13 @@ def find_model(name: str, folder: Path = Path()) -> ModelSource:
     ModelError
         There is no such model, or its file cannot be read.
     """
+    if not isinstance(name, str):
+        raise ModelError(f"the name of a model must be a text, got {shown(name)}")
+    if name.startswith(PYTHON):
+        raise ModelError(
+            f"the model {name!r} was given as an object in Python: give the object again, from "
+            "Python, or name a file that holds it, 'path/file.py:object'"
+        )
     if ".py:" in name:
         file, _, attribute = name.rpartition(":")
         return _read(name, folder / file, attribute, package="")

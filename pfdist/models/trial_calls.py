@@ -31,12 +31,14 @@ _ONE_NUMBER = {
 }
 
 
-def count_components(model: Any) -> tuple[int, int, int]:
+def count_components(model: Any, p: Any) -> tuple[int, int, int]:
     """Give the numbers of components of x, y and z, by calling every formula once.
 
     Parameters
     ----------
     model : StateSpaceModel
+    p : named tuple
+        The parameters as formulas read them.
 
     Raises
     ------
@@ -44,17 +46,17 @@ def count_components(model: Any) -> tuple[int, int, int]:
         A formula fails, or gives values of a wrong kind or number.
     """
     with np.errstate(all="ignore"):
-        x = _call(model, "initial", _variates(model.initial_noise), model.p)
-        following = _call(model, "transition", x, 0, _variates(model.process_noise), model.p)
+        x = _call(model, "initial", _variates(model.initial_noise), p)
+        following = _call(model, "transition", x, 0, _variates(model.process_noise), p)
         if len(following) != len(x):
             raise ModelError(
                 f"model {model.name}: transition must give as many components as initial, "
                 f"{len(x)}, got {len(following)}"
             )
-        y = _call(model, "measurement", x, 0, _variates(model.measurement_noise), model.p)
-        z = _call(model, "quantity_of_interest", x, 0, model.p)
-        _call(model, "log_likelihood", y, x, 0, model.p)
-        _call(model, "error", z, z, 0, model.p)
+        y = _call(model, "measurement", x, 0, _variates(model.measurement_noise), p)
+        z = _call(model, "quantity_of_interest", x, 0, p)
+        _call(model, "log_likelihood", y, x, 0, p)
+        _call(model, "error", z, z, 0, p)
     return len(x), len(y), len(z)
 
 

@@ -1,15 +1,17 @@
 """The figures of a run, one a file: from tables to axes. Figures read tables alone.
 
-The functions `belief`, `bound`, `budget`, `cost`, `degenerate_draws`, `effective_sample_size`,
-`error_profile`, `gain`, `one_draw`, `online_gain`, `online_raster`, `online_shares`, `shifts`,
-`times` and `worth` each draw one panel: of a run, or of tables, into ``ax``, or into a new figure
-of pyplot. They return the axes. ``plt.style.use("pfdist.plots.print")`` gives the look of printed
-figures, and ``pfdist.plots.screen`` that of figures on a screen.
+The functions `belief`, `bound`, `budget`, `comparison`, `cost`, `degenerate_draws`,
+`effective_sample_size`, `error_profile`, `gain`, `one_draw`, `online_gain`, `online_raster`,
+`online_shares`, `shifts`, `times`, `windows` and `worth` each draw one panel: of a run, or of
+tables, into ``ax``, or into a new figure of pyplot. They return the axes.
+``plt.style.use("pfdist.plots.print")`` gives the look of printed figures, and
+``pfdist.plots.screen`` that of figures on a screen.
 """
 
 from pfdist.plots import library  # noqa: F401  first: it decides how Matplotlib is imported
 from pfdist.plots.bounds import bound
 from pfdist.plots.budget_curve import budget, draw_target
+from pfdist.plots.compared import comparison
 from pfdist.plots.costs import cost
 from pfdist.plots.draws import one_draw
 from pfdist.plots.error_over_time import degenerate_draws, effective_sample_size, error_profile
@@ -19,6 +21,7 @@ from pfdist.plots.gain_histogram import gain
 from pfdist.plots.measured_online import online_raster, online_shares
 from pfdist.plots.measurements import shifts, worth
 from pfdist.plots.online_histogram import online_gain
+from pfdist.plots.sampling_windows import windows
 from pfdist.plots.times_axis import times
 
 __all__ = [
@@ -26,6 +29,7 @@ __all__ = [
     "bound",
     "budget",
     "check_figure_replaceable",
+    "comparison",
     "cost",
     "degenerate_draws",
     "draw_figures",
@@ -43,5 +47,6 @@ __all__ = [
     "remove_figures",
     "shifts",
     "times",
+    "windows",
     "worth",
 ]

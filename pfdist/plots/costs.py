@@ -33,7 +33,11 @@ _MARKERS = "osD^vPX<>*"
 _DASHES = {"average": "-", "minimum": "--", "best so far": "--", "best of a step": "--"}
 
 
-@figure("cost", applies=one_number)
+def _has_searches(run: Run) -> bool:
+    return one_number(run) and bool(run.job["search"])
+
+
+@figure("cost", applies=_has_searches)
 def cost_figure(tables: Tables) -> Plot:
     """Cost against the number of evaluations (the paper's figure 2).
 

@@ -14,7 +14,8 @@ from pfdist.plots.panel import (
     axes_for,
     check_kind,
     chosen,
-    label_instants,
+    label_quantity,
+    label_times,
     legend_above,
     marker,
     minus,
@@ -24,6 +25,7 @@ from pfdist.plots.panel import (
     write_instead,
 )
 from pfdist.plots.style import BLUE, RED
+from pfdist.store.component_columns import components_in
 
 MOST_COMPONENTS = 6  # components of z that are shown, each in a panel
 _LONGEST_NAMES = {3: 12, 2: 20}
@@ -82,7 +84,7 @@ def plot_of(trajectory: pd.DataFrame, sets: Sets, told: str, title: str) -> Plot
     title : str
         Title of the plot.
     """
-    number = components(trajectory)
+    number = len(components_in(trajectory, "z_"))
     shown = min(number, MOST_COMPONENTS)
 
     def draw(panels: Sequence[Axes]) -> None:
@@ -111,11 +113,6 @@ def typical_draw(gains: "pd.Series[float]") -> int:
         Relative gains; the index holds the draws.
     """
     return int(gains.sort_values(kind="stable").index[(len(gains) - 1) // 2])
-
-
-def components(trajectory: pd.DataFrame) -> int:
-    """Give the number of components of z."""
-    return sum(column.startswith("z_") for column in trajectory.columns)
 
 
 def one_draw(
@@ -167,12 +164,12 @@ def one_draw(
         draws = trajectory["draw"].unique().tolist()
         draw = draws[0] if draw is None else chosen(draw, draws, "draw")
         trajectory = trajectory[trajectory["draw"] == draw]
-    number = components(trajectory)
-    chosen(component, range(number), "component")
+    quantities = components_in(trajectory, "z_")
+    chosen(component, range(len(quantities)), "component")
     ax = axes_for(ax)
-    _plot(ax, trajectory.sort_values("t"), sets, component)
-    ax.set_ylabel("$z$" if number == 1 else f"$z_{{{component}}}$")
-    label_instants(ax)
+    _plot(ax, trajectory.sort_values("t"), sets, quantities[component].suffix)
+    label_quantity(ax, quantities, component)
+    label_times(ax, trajectory)
     legend_above(ax, columns=_columns(sets), title=title)
     return ax
 
@@ -193,10 +190,10 @@ def _of_run(run: Run, name: str | Sets, draw: int | None) -> tuple[pd.DataFrame,
     return trajectories, shown, draw, _told(draw, gains[draw])
 
 
-def _plot(ax: Axes, trajectory: pd.DataFrame, sets: Sets, component: int) -> None:
-    t, z = trajectory["t"].to_numpy(), trajectory[f"z_{component}"].to_numpy()
+def _plot(ax: Axes, trajectory: pd.DataFrame, sets: Sets, suffix: str) -> None:
+    t, z = trajectory["t"].to_numpy(), trajectory[f"z_{suffix}"].to_numpy()
     ax.plot(t, z, color="black", label="$z(t)$")
-    estimates = [trajectory[f"estimate_{name}_{component}"].to_numpy() for name in sets]
+    estimates = [trajectory[f"estimate_{name}_{suffix}"].to_numpy() for name in sets]
     everything = np.concatenate([z, *estimates])
     low, high = np.nanmin(everything), np.nanmax(everything)
     for row, ((name, times), estimate, (colour, shape, dashes)) in enumerate(

@@ -12,7 +12,7 @@ from pfdist.plots.panel import (
     axes_for,
     check_kind,
     chosen,
-    label_instants,
+    label_times,
     legend_above,
     marker,
     table_of,
@@ -39,7 +39,8 @@ def error_profile(
     ----------
     profile : DataFrame or object
         A table with the columns name, t, measured, error and standard_error, or an object that has
-        it as ``profile``, such as the result of `pfdist.why`.
+        it as ``profile``, such as the result of `pfdist.why`. The column weight, if there is one,
+        weighs the mean that the legend tells.
     names : sequence of str
         Sets that are drawn, the reference first; by default all.
     draws : int, optional
@@ -63,15 +64,17 @@ def error_profile(
         return write_instead(ax, "there is no table of errors over time")
     for name, rows, style in sets:
         t, error = rows["t"].to_numpy(), rows["error"].to_numpy()
+        weights = rows["weight"] if "weight" in rows else np.ones(len(rows))
+        mean = np.average(np.nan_to_num(error), weights=weights)  # an error of weight 0 is unknown
         half = BAND * rows["standard_error"].to_numpy()
         ax.fill_between(t, error - half, error + half, color=style["color"], alpha=0.2, lw=0)
-        told = f"{verbatim(name)}, mean {error.mean():.4g}"
+        told = f"{verbatim(name)}, mean {mean:.4g}"
         measured = np.flatnonzero(rows["measured"])
         ax.plot(t, error, markevery=measured, ms=marker(0.9), lw=thin(0.9), label=told, **style)
         curves.append(points(t, error, style["color"], name))
     cut_outliers(ax, curves, zero=True)
     ax.set_ylabel("expected error $e(t)$")
-    label_instants(ax)
+    label_times(ax, table)
     if draws is None:
         draws = int(table["draws"].max()) if "draws" in table else 0
     drawn = f"on {draws:,} draws of their own; " if draws else ""
@@ -128,7 +131,7 @@ def effective_sample_size(
     if particles is not None:
         ax.axhline(particles, color="black", ls=":", lw=thin(), label=f"{particles:,} particles")
     ax.set_ylabel("effective sample size")
-    label_instants(ax)
+    label_times(ax, known)
     legend_above(ax, columns=3)
     return ax
 
@@ -170,7 +173,7 @@ def degenerate_draws(profile: object, names: Sequence[str] = (), *, ax: Axes | N
     _, high = ax.get_ylim()
     ax.set_ylim(0, high if known["degenerate_draws"].any() else 1.0)
     ax.set_ylabel("degenerate draws [%]")
-    label_instants(ax)
+    label_times(ax, table)
     legend_above(ax)
     return ax
 

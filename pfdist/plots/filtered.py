@@ -13,7 +13,8 @@ from pfdist.plots.figures import save_plot
 from pfdist.plots.panel import (
     axes_for,
     chosen,
-    label_instants,
+    label_quantity,
+    label_times,
     legend_above,
     marker,
     stack,
@@ -21,6 +22,7 @@ from pfdist.plots.panel import (
     thin,
 )
 from pfdist.plots.style import BLUE, GREY, ORANGE, RED
+from pfdist.store.component_columns import components_in
 from pfdist.store.replaceable import check_replaceable
 
 MOST_COMPONENTS = 6  # components of z that are shown, each in a panel
@@ -30,7 +32,7 @@ _BANDS = ((5, 95, 0.22, "90 %"), (25, 75, 0.38, "50 %"))
 _LEVEL = 0.035  # of the markers of times, over the height of a panel
 
 
-Times = tuple[Sequence[int], Sequence[int], Sequence[int]]
+Times = tuple[Sequence[float], Sequence[float], Sequence[float]]
 """Planned times that were not measured, measured times that were not planned, and planned times
 after the last measurement."""
 
@@ -42,11 +44,11 @@ def filtered_plot(table: pd.DataFrame, times: Times) -> Plot:
     ----------
     table : DataFrame
         With the columns of `pfdist.store.filtered_schema`.
-    times : tuple of three sequences of int
+    times : tuple of three sequences of int or float
         Planned times that were not measured, measured times that were not planned, and planned
         times after the last measurement.
     """
-    number = sum(str(name).startswith("mean_") for name in table.columns)
+    number = len(components_in(table, "mean_"))
     panels = min(number, MOST_COMPONENTS)
     draw = partial(_draw, table, number, times)
     return Plot(1.3 + 1.45 * panels, draw, panels, share_x=True, title=_sentence(table))
@@ -54,10 +56,12 @@ def filtered_plot(table: pd.DataFrame, times: Times) -> Plot:
 
 def _sentence(table: pd.DataFrame) -> str:
     """Say how sure the filter is in the end."""
-    last = table.iloc[-1]
+    last, first = table.iloc[-1], components_in(table, "mean_")[0]
+    mean, low, high = (f"{last[f'{name}_{first.suffix}']:.3g}" for name in ("mean", "q05", "q95"))
+    unit = f" {first.unit}" if first.unit else ""
     return (
-        f"In the end the filter believes z to be {last['mean_0']:.3g}, and with 90 % between "
-        f"{last['q05_0']:.3g} and {last['q95_0']:.3g}."
+        f"In the end the filter believes {first.name or 'z'} to be {mean}{unit}, and with 90 % "
+        f"between {low} and {high}{unit}."
     )
 
 
@@ -145,11 +149,11 @@ def belief(
         )
     else:
         missing, extra, to_come = times
-    number = sum(str(name).startswith("mean_") for name in table.columns)
-    chosen(component, range(number), "component")
+    quantities = components_in(table, "mean_")
+    chosen(component, range(len(quantities)), "component")
     ax = axes_for(ax)
-    _plot(ax, table, component)
-    ax.set_ylabel("$z$" if number == 1 else f"$z_{{{component}}}$")
+    _plot(ax, table, quantities[component].suffix)
+    label_quantity(ax, quantities, component)
     low, high = ax.get_ylim()
     ax.set_ylim(low - 0.08 * (high - low), high)  # room for the markers
     measured = table["t"].to_numpy()[table["measured"].to_numpy(bool)]
@@ -158,20 +162,20 @@ def belief(
     _mark(ax, extra, "D", ORANGE, "measured, not planned")
     _mark(ax, missing, "x", RED, "planned, not measured")
     _mark(ax, to_come, "o", GREY, "planned, to come")
-    label_instants(ax)
+    label_times(ax, table)
     legend_above(ax)
     return ax
 
 
-def _plot(ax: Axes, table: pd.DataFrame, component: int) -> None:
+def _plot(ax: Axes, table: pd.DataFrame, suffix: str) -> None:
     t = table["t"].to_numpy()
     for low, high, alpha, label in _BANDS:
-        below, above = (table[f"q{percent:02d}_{component}"].to_numpy() for percent in (low, high))
+        below, above = (table[f"q{percent:02d}_{suffix}"].to_numpy() for percent in (low, high))
         ax.fill_between(t, below, above, color=BLUE, alpha=alpha, lw=0, label=f"{label} band")
-    ax.plot(t, table[f"mean_{component}"].to_numpy(), color=BLUE, label="mean")
+    ax.plot(t, table[f"mean_{suffix}"].to_numpy(), color=BLUE, label="mean")
 
 
-def _mark(ax: Axes, times: Iterable[int], shape: str, colour: str, label: str) -> None:
+def _mark(ax: Axes, times: Iterable[float], shape: str, colour: str, label: str) -> None:
     """Mark some times at the lower edge of a panel; no times have no entry in the legend."""
     at = np.array(list(times))
     if at.size:

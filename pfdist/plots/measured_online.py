@@ -22,6 +22,7 @@ from pfdist.plots.panel import (
     verbatim,
 )
 from pfdist.plots.style import BLUE, RED
+from pfdist.times.clock import Clock
 from pfdist.times.measurement_times import Times
 
 MOST_ROWS = 200  # draws in the raster: more could not be told apart
@@ -80,16 +81,16 @@ def online_shares(
     -------
     matplotlib Axes
     """
-    measured, planned, plan = _measured(source, planned, plan, horizon)
+    measured, clock, planned, plan = _measured(source, planned, plan, horizon)
     share, ax = 100 * measured.mean(axis=0), axes_for(ax)
-    label = f"online, {len(measured):,} draws"
-    ax.bar(np.arange(share.size), share, 0.8, color=BLUE, alpha=0.75, lw=0, label=label)
+    label, step = f"online, {len(measured):,} draws", _least_step(clock)
+    ax.bar(clock.times, share, 0.8 * step, color=BLUE, alpha=0.75, lw=0, label=label)
     _mark(ax, planned, f"the plan, {verbatim(plan)}" if plan else "the plan")
     ax.set_ylim(0, 108)
     ax.set_yticks([0, 50, 100])
-    ax.set_xlim(-0.75, share.size - 0.25)
+    ax.set_xlim(clock.times[0] - 0.75 * step, clock.times[-1] + 0.75 * step)
     ax.set_ylabel("draws measured [%]")
-    label_instants(ax)
+    label_instants(ax, clock.unit, whole=clock.counts)
     legend_above(ax)
     return ax
 
@@ -118,36 +119,51 @@ def online_raster(
     -------
     matplotlib Axes
     """
-    measured, planned, _ = _measured(source, planned, "", horizon)
+    measured, clock, planned, _ = _measured(source, planned, "", horizon)
     measured, ax = measured[:MOST_ROWS], axes_for(ax)
-    rows, instants = measured.shape
+    rows, step = len(measured), _least_step(clock)
     in_order = measured[np.lexsort(~measured.T[::-1])]  # early measurements come first
+    first, last = clock.times[0] - step / 2, clock.times[-1] + step / 2
+    if clock.is_even:
+        shown = in_order
+    else:  # each instant in the columns of least width that lie nearest to it
+        columns = np.arange(first + step / 2, last, step)
+        nearest = np.abs(np.subtract.outer(np.array(clock.times), columns)).argmin(axis=1)
+        shown = np.zeros((rows, len(columns)), np.bool_)
+        shown[:, nearest] = in_order
     ax.imshow(
-        in_order, aspect="auto", interpolation="nearest", cmap=ListedColormap(["#ffffff00", BLUE]),
-        vmin=0, vmax=1, extent=(-0.5, instants - 0.5, rows + 0.5, 0.5),
+        shown, aspect="auto", interpolation="nearest", cmap=ListedColormap(["#ffffff00", BLUE]),
+        vmin=0, vmax=1, extent=(first, last, rows + 0.5, 0.5),
     )  # fmt: skip
     _mark(ax, planned, "")
-    ax.set_xlim(-0.75, instants - 0.25)
+    ax.set_xlim(first - step / 4, last + step / 4)
     ax.set_ylabel(f"{rows:,} draws, sorted by times")
     ax.set_yticks([])
-    label_instants(ax)
+    label_instants(ax, clock.unit, whole=clock.counts)
     return ax
+
+
+def _least_step(clock: Clock) -> float:
+    return float(np.diff(clock.times).min()) if clock.horizon else 1.0
 
 
 def _measured(
     source: Source, planned: Times, plan: str, horizon: int | None
-) -> tuple[NDArray[np.bool_], Times, str]:
-    """Whether each draw is measured at each instant, and the times and the name of the plan."""
+) -> tuple[NDArray[np.bool_], Clock, Times, str]:
+    """Whether each draw is measured at each instant, the clock, the plan's times and its name."""
     check_kind(source, (Run, OnlineDraws, pd.DataFrame), "source")
+    clock: Clock | None = None
     if isinstance(source, Run):
-        horizon = source.job["problem"]["horizon"] if horizon is None else horizon
-        source = online_draws(source)
+        clock, source = source.problem.clock, online_draws(source)
     if isinstance(source, OnlineDraws):
         planned, plan, source = planned or source.planned_times, plan or source.plan, source.rows
     times = list(source["measurement_times"])
-    if horizon is None:
-        horizon = max((int(t) for chosen in [*times, planned] for t in chosen), default=0)
-    return measured_at(times, horizon), planned, plan
+    if clock is None:
+        if horizon is None:
+            horizon = max((int(t) for chosen in [*times, planned] for t in chosen), default=0)
+        clock = Clock.counting(horizon)
+    instants = [clock.instants(chosen) for chosen in times]
+    return measured_at(instants, clock.horizon), clock, planned, plan
 
 
 def _mark(ax: Axes, planned: Times, label: str) -> None:

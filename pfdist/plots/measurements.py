@@ -12,9 +12,10 @@ from pfdist.plots.outliers import Points, cut_outliers, points
 from pfdist.plots.panel import (
     axes_for,
     draw_zero,
-    label_instants,
+    label_times,
     legend_above,
     marker,
+    step_of,
     table_of,
     thin,
     verbatim,
@@ -53,7 +54,8 @@ def worth(measurements: object, names: Sequence[str] = (), *, ax: Axes | None = 
     if table.empty:
         return write_instead(ax, "there is no table of what measurements are worth")
     for (name, rows, style), aside in zip(sets, _aside(len(sets)), strict=True):
-        t, rise = rows["t"].to_numpy() + aside, rows["removed"].to_numpy()
+        t = rows["t"].to_numpy() + aside * step_of(table)
+        rise = rows["removed"].to_numpy()
         ax.vlines(t, 0.0, rise, color=style["color"], lw=thin())
         _intervals(ax, t, rise, rows["removed_error"].to_numpy(), style)
         ax.plot([], [], label=verbatim(name) or None, **style | {"ls": ""}, ms=marker(0.9))
@@ -61,7 +63,7 @@ def worth(measurements: object, names: Sequence[str] = (), *, ax: Axes | None = 
     draw_zero(ax)
     cut_outliers(ax, curves, keep=[0.0])
     ax.set_ylabel("MSE rise if removed")
-    label_instants(ax)
+    label_times(ax, table)
     legend_above(ax)
     return ax
 
@@ -97,7 +99,8 @@ def shifts(measurements: object, names: Sequence[str] = (), *, ax: Axes | None =
     for change, shape, aside in (("earlier", "<", -0.3), ("later", ">", 0.3)):
         for name, found, style in sets:
             rows = found.dropna(subset=change)
-            t, rise = rows["t"].to_numpy() + aside, rows[change].to_numpy()
+            t = rows["t"].to_numpy() + aside * step_of(table)
+            rise = rows[change].to_numpy()
             _intervals(ax, t, rise, rows[f"{change}_error"].to_numpy(), style | {"marker": shape})
             curves.append(points(t, rise, style["color"], name))
         told = f"one instant {change}"
@@ -105,7 +108,7 @@ def shifts(measurements: object, names: Sequence[str] = (), *, ax: Axes | None =
     draw_zero(ax)
     cut_outliers(ax, curves, keep=[0.0])
     ax.set_ylabel("MSE rise if shifted")
-    label_instants(ax)
+    label_times(ax, table)
     legend_above(ax)
     return ax
 

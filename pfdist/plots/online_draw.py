@@ -4,12 +4,13 @@ import numpy as np
 import pandas as pd
 
 from pfdist.analysis import relative_gain
-from pfdist.plots.draws import components, no_draw, plot_of, title_of, typical_draw
+from pfdist.plots.draws import no_draw, plot_of, title_of, typical_draw
 from pfdist.plots.figure import Plot, Tables, figure, has_online
 from pfdist.plots.panel import (
     minus,
     verbatim,
 )
+from pfdist.store.component_columns import components_in
 
 
 @figure("online_draw", applies=has_online)
@@ -42,7 +43,10 @@ def with_online(trajectory: pd.DataFrame, estimate: np.ndarray) -> pd.DataFrame:
     estimate : array of float64, ((T+1) q,)
         As in the table ``online``.
     """
-    number = components(trajectory)
-    estimates = np.reshape(estimate, (-1, number))
-    columns = {f"estimate_online_{k}": estimates[:, k] for k in range(number)}
+    quantities = components_in(trajectory, "z_")
+    estimates = np.reshape(estimate, (-1, len(quantities)))
+    columns = {
+        f"estimate_online_{quantity.suffix}": estimates[:, k]
+        for k, quantity in enumerate(quantities)
+    }
     return trajectory.sort_values("t").assign(**columns)

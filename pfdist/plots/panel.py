@@ -1,19 +1,23 @@
 """Parts that panels share: axes, tables, legends, and sizes that the style gives."""
 
 from collections.abc import Collection, Sequence
+from textwrap import wrap
 from typing import Any, TypeVar
 
+import numpy as np
 import pandas as pd
 from matplotlib import rcParams
 from matplotlib.axes import Axes
 from matplotlib.ticker import Formatter, MaxNLocator
 
+from pfdist.common.component_names import Component
 from pfdist.errors import JobError, shown
 from pfdist.plots.style import GREY
 
 T = TypeVar("T")
 _POINTS = 8  # of the font for which heights are given
 _THIN = 0.7  # width of a thin line over that of a line of the style
+_LABEL_LINE = 24  # characters of a line of a vertical axis's label
 
 
 def axes_for(ax: Axes | None, height: float | None = None) -> Axes:
@@ -159,10 +163,41 @@ def legend_above(
     )  # fmt: skip
 
 
-def label_instants(ax: Axes) -> None:
-    """Label the horizontal axis as time, with whole numbers."""
-    ax.set_xlabel("$t$")
-    ax.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
+def label_instants(ax: Axes, unit: str = "", *, whole: bool = True) -> None:
+    """Label the horizontal axis as time.
+
+    Parameters
+    ----------
+    ax : matplotlib Axes
+    unit : str
+        The unit of the clock.
+    whole : bool
+        Whether the axis has whole numbers alone, because it counts instants.
+    """
+    ax.set_xlabel(f"$t$ [{verbatim(unit)}]" if unit else "$t$")
+    ax.xaxis.set_major_locator(MaxNLocator(integer=whole, steps=[1, 2, 5, 10]))
+
+
+def label_times(ax: Axes, table: pd.DataFrame) -> None:
+    """Label the horizontal axis as the column t of a table: instants, or times on a clock."""
+    label_instants(ax, table.attrs.get("time_unit", ""), whole=table["t"].dtype.kind != "f")
+
+
+def label_quantity(ax: Axes, quantities: Sequence[Component], number: int) -> None:
+    """Label the vertical axis as a component of z: by its name and unit, if the model has them."""
+    label = quantities[number].label
+    if label:
+        ax.set_ylabel(verbatim("\n".join(wrap(label, _LABEL_LINE))))
+    else:
+        ax.set_ylabel("$z$" if len(quantities) == 1 else f"$z_{{{number}}}$")
+
+
+def step_of(table: pd.DataFrame) -> float:
+    """Give the least difference of two times in the column t of a table; 1 for instants."""
+    if table["t"].dtype.kind != "f":
+        return 1.0
+    differences = np.diff(np.unique(table["t"].to_numpy()))
+    return float(differences.min()) if differences.size else 1.0
 
 
 def draw_zero(ax: Axes) -> None:

@@ -10,7 +10,6 @@ from matplotlib.font_manager import FontProperties
 from pfdist.analysis import Run
 from pfdist.analysis.reference import label
 from pfdist.errors import shown
-from pfdist.job.problem_section import ProblemSection
 from pfdist.plots.figure import Plot, Tables, figure
 from pfdist.plots.panel import (
     axes_for,
@@ -22,6 +21,7 @@ from pfdist.plots.panel import (
     verbatim,
 )
 from pfdist.plots.style import GREY, set_style
+from pfdist.times.clock import Clock
 
 _AXIS_INCHES = 0.9  # height of all but the rows
 _ROW_INCHES, _SMALL_ROW_INCHES = 0.2, 0.13  # heights of the first rows, and of the others
@@ -60,10 +60,10 @@ def _title(run: Run) -> str:
 
 
 def times(
-    sets: Run | Mapping[str, Sequence[int]],
+    sets: Run | Mapping[str, Sequence[float]],
     *,
-    horizon: int | None = None,
-    forbidden: Iterable[int] = (),
+    horizon: float | None = None,
+    forbidden: Iterable[float] = (),
     ax: Axes | None = None,
 ) -> Axes:
     """Draw sets of measurement times on one axis, a row for each; forbidden instants are grey.
@@ -73,11 +73,12 @@ def times(
 
     Parameters
     ----------
-    sets : Run or mapping of str to sequence of int
+    sets : Run or mapping of str to sequence of int or float
         A run, or times by the name of their set, from above to below.
-    horizon : int, optional
-        The last instant T; by default that of the run, or else the last measurement time.
-    forbidden : iterable of int
+    horizon : int or float, optional
+        The last instant T, or time of the clock; by default that of the run, or else the last
+        measurement time.
+    forbidden : iterable of int or float
         Instants that may not be measured; a run adds its own.
     ax : matplotlib Axes, optional
         By default those of a new figure.
@@ -92,17 +93,18 @@ def times(
         The sets are neither a run nor times by name.
     """
     check_kind(sets, (Run, Mapping), "sets")
-    barred, references = set(forbidden), set[str]()
+    barred, references, clock = set[float](forbidden), set[str](), None
     if isinstance(sets, Run):
-        run, problem = sets, ProblemSection.model_validate(sets.job["problem"])
-        horizon = problem.horizon if horizon is None else horizon
-        barred.update(problem.feasible.forbidden)
+        run, problem = sets, sets.problem
+        clock = problem.clock
+        barred.update(clock.times_of(problem.feasible.forbidden))
         sets = run.sets()
         references = _references(run)
     for name, chosen in sets.items():
         check_kind(chosen, (Sequence, np.ndarray), f"sets[{shown(name)}]")
-    if horizon is None:
-        horizon = max((t for chosen in sets.values() for t in chosen), default=0)
+    if clock is None:
+        last = max((t for chosen in sets.values() for t in chosen), default=0)
+        clock = Clock.counting(int(last) if horizon is None else int(horizon))
     ax = axes_for(ax, _height(len(sets)))
     size = (_height(len(sets)) - _AXIS_INCHES) / (_ROW_INCHES * max(1, len(sets)))
     for row, (name, chosen) in enumerate(sets.items()):
@@ -111,8 +113,10 @@ def times(
             ax.axhline(row, color=GREY, lw=thin(0.4), zorder=0)
         at = list(chosen)
         ax.plot(at, [row] * len(at), ms=marker(1.2 * size), mew=thin(0.8 * size), zorder=3, **style)
-    _shade(ax, barred)
-    ax.set_xlim(-0.75, horizon + 0.75)
+    _shade(ax, barred, clock)
+    first, last = clock.times[0], clock.times[-1] if horizon is None else horizon
+    beside = 0.75 * (last - first) / max(1, clock.horizon) or 0.75
+    ax.set_xlim(first - beside, last + beside)
     ax.set_ylim(len(sets) - 0.5, -0.5)  # the first set on top
     step = max(1, -(-len(sets) // _room_for_names(ax)))
     names = list(map(verbatim, sets))[::step]
@@ -120,7 +124,7 @@ def times(
     if step > 1:
         ax.set_ylabel(f"{len(sets)} sets, 1 of {step} is named")
     ax.tick_params(axis="y", length=0)
-    label_instants(ax)
+    label_instants(ax, clock.unit, whole=clock.counts)
     if barred:
         legend_above(ax, ax.patches[:1])
     return ax
@@ -142,12 +146,17 @@ def _references(run: Run) -> set[str]:
     return {name for name in run.names if name.startswith(start)}
 
 
-def _shade(ax: Axes, forbidden: Iterable[int]) -> None:
-    """Shade each stretch of successive forbidden instants."""
-    instants = np.array(sorted(forbidden), np.int64)
+def _shade(ax: Axes, forbidden: Iterable[float], clock: Clock) -> None:
+    """Shade each stretch of successive forbidden instants, half a step beyond both ends."""
+    known = set(forbidden)
+    instants = np.array([t for t, time in enumerate(clock.times) if time in known], np.int64)
+    times = np.array(clock.times)
+    steps = np.diff(times)
+    before, after = np.append(steps[:1], steps) / 2, np.append(steps, steps[-1:]) / 2
     for stretch in np.split(instants, np.flatnonzero(np.diff(instants) > 1) + 1):
         if stretch.size:
+            first, last = stretch[0], stretch[-1]
             ax.axvspan(
-                stretch[0] - 0.5, stretch[-1] + 0.5, color=GREY, alpha=0.25, lw=0, zorder=-1,
-                label="forbidden",
+                times[first] - before[first], times[last] + after[last], color=GREY, alpha=0.25,
+                lw=0, zorder=-1, label="forbidden",
             )  # fmt: skip

@@ -8,6 +8,7 @@ from matplotlib.axes import Axes
 
 from pfdist.analysis import Run
 from pfdist.analysis.reference import label
+from pfdist.common.told_times import told_time
 from pfdist.plots.error_over_time import degenerate_draws, effective_sample_size, error_profile
 from pfdist.plots.figure import Plot, Tables, figure
 from pfdist.plots.measurements import shifts, worth
@@ -40,8 +41,8 @@ def _title(measurements: pd.DataFrame, names: tuple[str, str]) -> str:
         return f"{names[1]} measures nothing."
     most = rows.iloc[rows["removed"].argmax()]
     return (
-        f"The measurement of {names[1]} at t = {most['t']:.0f} is worth most: without it, the "
-        f"expected MSE rises by {most['removed']:.3g}; {label(names[0])} are shown beside it."
+        f"The measurement of {names[1]} at t = {told_time(most['t'])} is worth most: without it, "
+        f"the expected MSE rises by {most['removed']:.3g}; {label(names[0])} are shown beside it."
     )
 
 
@@ -78,7 +79,7 @@ def filters_figure(tables: Tables) -> Plot:
 
     least = known.iloc[known["effective_sample_size"].argmin()]
     title = (
-        f"The fewest particles count at t = {least['t']:.0f} of {least['name']}: on average "
+        f"The fewest particles count at t = {told_time(least['t'])} of {least['name']}: on average "
         f"{least['effective_sample_size']:.0f} of {particles}."
     )
     if is_degenerate:

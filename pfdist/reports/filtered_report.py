@@ -1,12 +1,14 @@
 """The report of real measurements that were filtered: one HTML file beside their table."""
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
+from pfdist.common.component_names import Component
 from pfdist.common.rounding import rounded
+from pfdist.common.told_times import told_time, told_times
 from pfdist.plots.error_over_time import effective_sample_size
 from pfdist.plots.figure import Plot
 from pfdist.plots.filtered import filtered_plot
@@ -22,8 +24,9 @@ from pfdist.reports.parts import (
     without_empty_columns,
 )
 from pfdist.reports.render import write_page
-from pfdist.reports.subject import listed, number_of
+from pfdist.reports.subject import number_of
 from pfdist.reports.svg import as_svg
+from pfdist.store.component_columns import components_in
 
 _P_DIGITS = 2
 _BELIEF = "Mean of the quantity of interest over time with 50 and 90 % bands, by the filter."
@@ -71,7 +74,8 @@ def _belief(answer: Mapping[str, Any], table: pd.DataFrame) -> Section:
         ("planned, to come", answer["to_come"]),
         ("measured, not planned", answer["extra"]),
     ]
-    known = Facts([(name, listed(list(at)) or "none") for name, at in facts])
+    unit = answer.get("time_unit", "")
+    known = Facts([(name, told_times(at, unit) or "none") for name, at in facts])
     return Section("What the filter believes", [_picture("belief", plot, _BELIEF), known])
 
 
@@ -83,7 +87,7 @@ def _fit(answer: Mapping[str, Any], table: pd.DataFrame) -> Section:
         among = rounded(answer["surprise_of_all"], _P_DIGITS)
         blocks.append(
             Text(
-                f"The most surprising measurement is that at t = {most['t']}: p = "
+                f"The most surprising measurement is that at t = {told_time(most['t'])}: p = "
                 f"{rounded(most['surprise'], _P_DIGITS)}, and {among} among all measurements. A "
                 "p-value near 0 means that the model hardly ever gives such a measurement."
             )
@@ -94,7 +98,7 @@ def _fit(answer: Mapping[str, Any], table: pd.DataFrame) -> Section:
     if len(known):
         least = known.iloc[known["effective_sample_size"].argmin()]
         title = (
-            f"At t = {least['t']:.0f} the fewest particles count: "
+            f"At t = {told_time(least['t'])} the fewest particles count: "
             f"{least['effective_sample_size']:.0f}."
         )
         plot = Plot(2.0, lambda panels: effective_sample_size(table, ax=panels[0]), title=title)
@@ -103,18 +107,22 @@ def _fit(answer: Mapping[str, Any], table: pd.DataFrame) -> Section:
 
 
 def _instants(table: pd.DataFrame) -> Section:
-    components = sum(str(name).startswith("mean_") for name in table.columns)
-    names = [""] if components == 1 else [f" of z{k}" for k in range(components)]
+    quantities = components_in(table, "mean_")
+    alone = len(quantities) == 1
+    names = [
+        f" of {each.label}" if each.label else "" if alone else f" of z{k}"
+        for k, each in enumerate(quantities)
+    ]
     head = ["t", "measured", *(f"{what}{name}" for name in names for what in ("mean", "90 % band"))]
-    rows = [_row(row, components) for row in table.to_dict("records")]
+    rows = [_row(row, quantities) for row in table.to_dict("records")]
     instants = Table("Belief at each instant", [*head, "surprise"], rows, folded=True)
     return Section("All instants", [without_empty_columns(instants)])
 
 
-def _row(row: Mapping[Hashable, Any], components: int) -> list[Cell]:
-    cells = [Cell(str(row["t"]), row["t"]), Cell("yes" if row["measured"] else "no")]
-    for k in range(components):
-        mean, low, high = (row[f"{name}_{k}"] for name in ("mean", "q05", "q95"))
+def _row(row: Mapping[Hashable, Any], quantities: Sequence[Component]) -> list[Cell]:
+    cells = [Cell(told_time(row["t"]), row["t"]), Cell("yes" if row["measured"] else "no")]
+    for each in quantities:
+        mean, low, high = (row[f"{name}_{each.suffix}"] for name in ("mean", "q05", "q95"))
         cells.append(Cell(rounded(mean), mean))
         cells.append(Cell(f"{rounded(low)} to {rounded(high)}", low))
     surprise = row["surprise"]

@@ -9,6 +9,7 @@ from pfdist.reports.parts import Page
 from pfdist.reports.render import write_page
 from pfdist.reports.sections.answer import answer
 from pfdist.reports.sections.budget import budget
+from pfdist.reports.sections.compared import compared
 from pfdist.reports.sections.computed import citation, computed, tables
 from pfdist.reports.sections.gains import gains
 from pfdist.reports.sections.online import online
@@ -21,7 +22,8 @@ from pfdist.store import remove_file
 from pfdist.store.shown_files import REPORT, check_page_replaceable
 
 _SECTIONS = (
-    answer, budget, problem, gains, proof, worth, online, searches, computed, tables, citation,
+    answer, compared, budget, problem, gains, proof, worth, online, searches, computed, tables,
+    citation,
 )  # fmt: skip
 
 

@@ -1,6 +1,6 @@
 """The run that a report is about, and phrases that several sections use."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -12,6 +12,7 @@ from pfdist.analysis.exact import names_by_error
 from pfdist.analysis.reference import label
 from pfdist.common.percent import percent, range_of, times_100
 from pfdist.common.rounding import rounded, with_interval
+from pfdist.common.told_times import told_time, told_times
 from pfdist.plots.figure import Tables
 from pfdist.reports.parts import Cell, Table, Text
 
@@ -65,6 +66,12 @@ class Subject:
     @property
     def found(self) -> dict[str, dict[str, Any]]:
         """Results of the sets that the searches have found."""
+        results = self.results.items()
+        return {name: each for name, each in results if each["search_cost"] is not None}
+
+    @property
+    def others(self) -> dict[str, dict[str, Any]]:
+        """Results of all sets but the reference."""
         names = list(self.results)
         return {name: self.results[name] for name in names[1:]}
 
@@ -75,42 +82,54 @@ class Subject:
 
     @property
     def by_error(self) -> list[str]:
-        """Names of the found sets, the least expected MSE first."""
+        """Names of the found sets, the best first; of all sets in a run without a search."""
         return names_by_error(self.summary)
 
     @property
     def shown(self) -> list[str]:
         """Names of the sets that have figures in a report: some of the best."""
-        return self.by_error[:MOST_SETS]
+        return [name for name in self.by_error if name in self.others][:MOST_SETS]
 
     @property
     def about_others(self) -> list[Text]:
         """Say where the figures of the other sets are."""
-        others = len(self.found) - len(self.shown)
+        others = len(self.others) - len(self.shown)
         if not others:
             return []
+        found = "found " * (len(self.found) < len(self.others) and bool(self.found))
         return [
             Text(
-                f"Figures are shown of the {MOST_SETS} sets with the least expected error. Those "
-                f"of the other {others} are in the folder figures of the run."
+                f"Figures are shown of the {len(self.shown)} {found}sets with the least expected "
+                f"error. Those of the other {others} are in the folder figures of the run."
             )
         ]
 
     @property
-    def reference_times(self) -> list[int]:
+    def reference_times(self) -> list[float]:
         """Measurement times of the reference."""
-        times: list[int] = next(iter(self.results.values()))["measurement_times"]
+        times: list[float] = next(iter(self.results.values()))["measurement_times"]
         return times
 
     @property
     def reference(self) -> str:
         """The reference as sentences call it: ``every 3 instants``, or its name."""
         name, times = next(iter(self.results)), self.reference_times
-        steps = {later - earlier for earlier, later in pairwise(times)}
-        if len(steps) == 1:
-            step = steps.pop()
-            return "every instant" if step == 1 else f"every {step} instants"
-        return label(name)
+        steps = {told_time(later - earlier) for earlier, later in pairwise(times)}
+        if len(steps) != 1:
+            return label(name)
+        step = steps.pop()
+        if self.run.problem.has_clock:
+            return f"every {step} {self.unit}".rstrip()
+        return "every instant" if step == "1" else f"every {step} instants"
+
+    @property
+    def unit(self) -> str:
+        """The unit of the clock; empty if the job has none."""
+        return self.run.problem.clock.unit
+
+    def listed(self, times: Sequence[float]) -> str:
+        """Give measurement times as text, with the unit of the clock."""
+        return told_times(times, self.unit)
 
 
 def percent_and_interval(fraction: float, interval: list[float]) -> tuple[str, str]:
@@ -193,11 +212,6 @@ def percent_cell(fraction: float | None, interval: list[float | None]) -> Cell:
     return Cell(f"{value} ({range_of(low, high)})", fraction)
 
 
-def listed(times: list[int]) -> str:
-    """Give measurement times as text."""
-    return ", ".join(map(str, times))
-
-
 def without_folder(model: str) -> str:
     """Give the name of a model without a folder of the machine: a report may be sent.
 
@@ -225,7 +239,7 @@ def number_of(count: int, what: str) -> str:
 def sets_table(subject: Subject) -> Table:
     """Give a table of all sets of times, folded away."""
     rows = [
-        [Cell(name), Cell(str(len(times)), len(times)), Cell(listed(times))]
+        [Cell(name), Cell(str(len(times)), len(times)), Cell(subject.listed(times))]
         for name, result in subject.results.items()
         for times in (result["measurement_times"],)
     ]

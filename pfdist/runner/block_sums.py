@@ -87,7 +87,7 @@ class BlockSums:
         source = built.source.truth if knows_truth else built.source
         self.id = source.sums_id(sets, tuple(zip(since, ends, strict=True)), noise, estimation)
         self._phase = phase or f"{BOUND_PHASE}.{self.id}"
-        self._mask = counted.at(built.problem.horizon)
+        self._mask = counted.at(built.evaluator.horizon)
         self._work = Work(
             measurement_times=sets,
             ends=ends,

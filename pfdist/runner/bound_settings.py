@@ -1,6 +1,7 @@
 """Settings of the proof of a lower bound."""
 
 from dataclasses import dataclass
+from numbers import Integral, Real
 
 from pfdist.bounds.first_windows import WINDOW
 from pfdist.errors import JobError, shown
@@ -13,6 +14,7 @@ WITHIN_DRAWS = 30_720
 MOST_WINDOW, MOST_PARTICLES = 6, 32_000
 MEMORY, MOST_MEMORY = 1024, 1_000_000  # MiB
 MOST_WORK = 10**15  # particle-steps
+_OPTIONAL = ("draws", "particles", "work")  # None stands for a default
 _BYTES = 400  # of an error, with all groups of draws
 _BYTES_A_WINDOW = 50_000  # of a window that grows: its moves, its programmes, and its times
 
@@ -62,11 +64,16 @@ class BoundSettings:
             ("memory", self.memory, 1, MOST_MEMORY),
             ("work", self.work, 0, MOST_WORK),
         ):
-            if value is not None and not least <= value <= most:
+            if value is None and name in _OPTIONAL:
+                continue
+            if name != "work" and (isinstance(value, bool) or not isinstance(value, Integral)):
+                raise JobError(f"{name} must be an integer, got {shown(value)}", argument=name)
+            if not isinstance(value, Real) or not least <= value <= most:
                 raise JobError(
                     f"{name} must be {least:,} to {most:,}, got {shown(value)}", argument=name
                 )
-        if self.within is not None and not 0 < self.within < 1:
+        within = self.within
+        if within is not None and not (isinstance(within, Real) and 0 < within < 1):
             raise JobError(
                 f"within must be a fraction above 0 and below 1, got {shown(self.within)}",
                 argument="within",

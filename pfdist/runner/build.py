@@ -1,36 +1,39 @@
-"""From the names in a job to objects: model, problem, optimisers, pool."""
+"""From the names in a job to objects: model, evaluator, optimisers, pool."""
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any
 
 from pfdist.checks.contract import check_compiled, check_formulas, few_draws
+from pfdist.common.component_names import check_estimate_columns
 from pfdist.common.streams import stream_key
 from pfdist.errors import CompileError, EngineWarning, JobError, ModelError
-from pfdist.evaluation.compiling import compile_problem, libm_functions
+from pfdist.evaluation.compiling import compile_evaluator, libm_functions
 from pfdist.evaluation.engines import AUTO, COMPILED, NUMPY, NUMPY_TIMES_SLOWER
-from pfdist.evaluation.problem import Problem
+from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation
 from pfdist.filters.draws import Draws
 from pfdist.filters.particle_filter import KERNEL_VERSION
+from pfdist.filters.settings import check_fits, check_lengths
 from pfdist.job.job import Job
 from pfdist.job.sections import Execution
-from pfdist.meaning import chosen
 from pfdist.meaning.chosen import Choose, ChosenModel
 from pfdist.pools.base import Pool
 from pfdist.pools.kinds import POOLS
+from pfdist.runner.chooser import chooser_of, models_of
 from pfdist.runner.online_planning import planning_of
 from pfdist.runner.searches import NamedSearch, Settings, named_search
 from pfdist.runner.study import Study, study_of
 from pfdist.sequential.planning import check_plannable
+from pfdist.times.clock import Time
 from pfdist.times.measurement_times import Times
 
 
 @dataclass(frozen=True)
-class ProblemSource:
-    """A problem as data, from which each worker makes the problem itself.
+class EvaluatorSource:
+    """An evaluator as data, from which each worker makes the evaluator itself.
 
     Parameters
     ----------
@@ -39,6 +42,10 @@ class ProblemSource:
     dtype, engine : str
     estimations : tuple of Estimation
         Estimations that the run uses; the comparison's first.
+    clock : tuple of float, (T+1,), optional
+        The time of each instant, which formulas read; None if the job has no clock.
+    weights : tuple of float, (T+1,), optional
+        Weight of each instant's error in the MSE, with mean 1; None if all are 1.
     """
 
     model: ChosenModel
@@ -47,14 +54,16 @@ class ProblemSource:
     dtype: str
     engine: str
     estimations: tuple[Estimation, ...]
+    clock: tuple[float, ...] | None = None
+    weights: tuple[float, ...] | None = None
 
     @property
-    def truth(self) -> "ProblemSource":
-        """The same problem with a filter that knows the true model."""
+    def truth(self) -> "EvaluatorSource":
+        """The same evaluator with a filter that knows the true model."""
         return replace(self, filter_model=self.model)
 
-    def make(self) -> Problem:
-        """The problem with its models loaded and every estimation checked."""
+    def make(self) -> Evaluator:
+        """The evaluator with its models loaded and every estimation checked."""
         try:
             model = self.model.load()
         except ModelError as error:
@@ -65,25 +74,33 @@ class ProblemSource:
             filter_model = self.filter_model.load()
         except ModelError as error:
             raise ModelError(f"model.filter: {error}") from error
-        problem = Problem(model, self.horizon, filter_model, self.dtype, self.engine)
+        if self.clock is not None:
+            model, filter_model = model.on_clock(self.clock), filter_model.on_clock(self.clock)
+        for each in (model, filter_model):
+            check_lengths(each, self.horizon)
+        check_fits(filter_model, model)
+        filter_model = filter_model.named_as(model)
+        evaluator = Evaluator(
+            model, self.horizon, filter_model, self.dtype, self.engine, weights=self.weights
+        )
         for estimation in self.estimations:
-            problem.check(estimation)
-        return problem
+            evaluator.check(estimation)
+        return evaluator
 
-    def compiled(self) -> Problem:
-        """The problem with everything compiled that the estimations need."""
-        problem = self.make()
+    def compiled(self) -> Evaluator:
+        """The evaluator with everything compiled that the estimations need."""
+        evaluator = self.make()
         if self.engine != NUMPY.name:
             for estimation in self.estimations:
-                compile_problem(problem, estimation)
-        return problem
+                compile_evaluator(evaluator, estimation)
+        return evaluator
 
     def libm_functions(self) -> tuple[str, ...]:
         """Functions of the C library that the compiled formulas call."""
         if self.engine == NUMPY.name:
             return ()
-        problem = self.compiled()
-        found = (libm_functions(problem, estimation) for estimation in self.estimations)
+        evaluator = self.compiled()
+        found = (libm_functions(evaluator, estimation) for estimation in self.estimations)
         return tuple(sorted(set().union(*found)))
 
     def evaluation_id(self, times: Times, end: int, stream: int, estimation: Estimation) -> str:
@@ -118,6 +135,7 @@ class ProblemSource:
             self.dtype,
             self.engine,
             vars(estimation),
+            *(part for part in (self.clock, self.weights) if part is not None),
             *parts,
         )
         return f"{key:016x}"
@@ -129,13 +147,18 @@ class Built:
 
     job: Job
     study: Study
-    source: ProblemSource
+    source: EvaluatorSource
     searches: tuple[NamedSearch, ...] = field(repr=False)
 
     @cached_property
-    def problem(self) -> Problem:
-        """The problem, made in this process."""
+    def evaluator(self) -> Evaluator:
+        """The evaluator, made in this process."""
         return self.source.make()
+
+    def instants(self, sets: Mapping[str, Sequence[Time]]) -> dict[str, Times]:
+        """Give the instants of sets of times on the job's clock."""
+        clock = self.job.problem.clock
+        return {name: clock.instants(times) for name, times in sets.items()}
 
     @property
     def phases(self) -> list[str]:
@@ -149,9 +172,17 @@ class Built:
 
     @property
     def names(self) -> list[str]:
-        """Names of the compared sets: the references, then the sets that the searches find."""
+        """Names of the compared sets: those that the job gives, then those that searches find."""
         found = [name for search in self.searches for name in self.study.names(search.name)]
-        return [*self.study.references, *found]
+        return [*self.study.given, *found]
+
+    @property
+    def unjudged(self) -> Collection[str]:
+        """Names of the sets whose gaps may be large: given sets, or the references alone.
+
+        In a run without a search, the given sets take the place of the found sets.
+        """
+        return self.study.given if self.searches else self.study.references
 
 
 def build(job: Job, choose: Choose | None = None) -> Built:
@@ -161,9 +192,10 @@ def build(job: Job, choose: Choose | None = None) -> Built:
     ----------
     job : Job
     choose : callable, optional
-        Chooses the job's models. The default chooses the models that the job names, because the
-        user has named the job. If the job lies in a run's folder, the default runs no model file of
-        that folder that the user has not run before.
+        Chooses the job's models. The default chooses the objects that were given with the job, and
+        the models that the job names, because the user has named the job. If the job lies in a
+        run's folder, the default runs no model file of that folder that the user has not run
+        before.
 
     Raises
     ------
@@ -173,59 +205,47 @@ def build(job: Job, choose: Choose | None = None) -> Built:
         The model cannot be loaded, a parameter is unknown or out of its range, or an estimator or
         a resampling scheme does not fit.
     """
-    choose = choose or _chooser(job)
-    try:
-        model = choose("model", job.model.name, job.path.parent, job.model.parameters)
-    except ModelError as error:
-        raise ModelError(f"model.name: {error}") from error
-    source = ProblemSource(
+    model, filter_model = models_of(job, choose or chooser_of(job))
+    source = EvaluatorSource(
         model=model,
-        filter_model=_filter_model(job, model, choose),
-        horizon=job.problem.horizon,
+        filter_model=filter_model,
+        horizon=job.problem.feasible.horizon,
         dtype=job.filter.dtype,
         engine=job.filter.engine,
         estimations=(_comparing(job), Settings.from_job(job).estimation),
+        clock=job.problem.clock.times if job.problem.has_clock else None,
+        weights=job.problem.weights,
     )
-    problem, study = source.make(), study_of(job)
-    guide = problem.guiding_estimator
+    evaluator, study = source.make(), study_of(job)
+    guide = evaluator.guiding_estimator
     searches = tuple(named_search(study, job, section, guide) for section in job.search)
     wanted = [settings.estimation for search in searches for settings in search.all_settings]
     if job.online is not None:
-        check_plannable(problem)
-        wanted.append(planning_of(job, problem.cheapest_estimator).estimation)
+        check_plannable(evaluator)
+        wanted.append(planning_of(job, evaluator.cheapest_estimator).estimation)
     source = replace(source, estimations=tuple(dict.fromkeys([*source.estimations, *wanted])))
     draws = _checked_formulas(source)
     source = replace(source, engine=_compiled_or_numpy(source))
     if draws and source.engine == "compiled":
         check_compiled(draws.model, draws)
-    return Built(job, study, source, searches)
+    built = Built(job, study, source, searches)
+    check_estimate_columns(built.names, evaluator.model.named("z"))
+    return built
 
 
-def _chooser(job: Job) -> Choose:
-    """The function that chooses a job's models; a careful function for the job of a run."""
-    if not (job.path.parent / "run.json").exists():
-        return chosen.choose
-    # Imported here, so that workers, which choose no model, need no pyarrow.
-    from pfdist.runner.named_by_a_run import of_a_runs_job  # noqa: PLC0415
-
-    return of_a_runs_job(job)
-
-
-def _checked_formulas(source: ProblemSource) -> Draws | None:
+def _checked_formulas(source: EvaluatorSource) -> Draws | None:
     """Refuse wrong formulas of the user's models; return a few draws of a user's true model."""
-    draws = None
+    draws, evaluator = None, source.make()
     if not _ships(source.model):
-        model = source.model.load()
-        draws = few_draws(model, source.horizon)
-        check_formulas(model, draws)
+        draws = few_draws(evaluator.model, source.horizon)
+        check_formulas(evaluator.model, draws)
     if source.filter_model.meaning != source.model.meaning and not _ships(source.filter_model):
-        believed = source.filter_model.load()
         try:
-            believed_draws = few_draws(believed, source.horizon)
+            believed_draws = few_draws(evaluator.believed, source.horizon)
         except ModelError:  # its simulation may diverge: measurements guide the particles
             return draws
         try:
-            check_formulas(believed, believed_draws)
+            check_formulas(evaluator.believed, believed_draws)
         except ModelError as error:
             raise ModelError(f"model.filter: {error}") from error
     return draws
@@ -239,18 +259,7 @@ def _comparing(job: Job) -> Estimation:
     return Estimation(job.filter.particles, job.filter.resampling)
 
 
-def _filter_model(job: Job, model: ChosenModel, choose: Choose) -> ChosenModel:
-    """The model that the filter uses: the job's model, unless [model.filter] names another."""
-    section = job.model.filter
-    if section.name:
-        try:
-            return choose("filter_model", section.name, job.path.parent, section.parameters)
-        except ModelError as error:
-            raise ModelError(f"model.filter.name: {error}") from error
-    return replace(model, parameters={**model.parameters, **section.parameters})
-
-
-def _compiled_or_numpy(source: ProblemSource) -> str:
+def _compiled_or_numpy(source: EvaluatorSource) -> str:
     """Name of the engine: NumPy where Numba fails, unless the job demands another engine.
 
     The formulas are compiled here, and workers on this machine find the result on disk.
@@ -270,7 +279,7 @@ def _compiled_or_numpy(source: ProblemSource) -> str:
     return COMPILED.name if source.engine == AUTO else source.engine
 
 
-def _worker(source: ProblemSource) -> Callable[[Any], Any]:
+def _worker(source: EvaluatorSource) -> Callable[[Any], Any]:
     # Compiled before the first task: the time of a task is limited.
     return source.compiled().results
 

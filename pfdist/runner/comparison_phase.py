@@ -81,7 +81,7 @@ def run_comparison(
 def comparison_steps(built: Built) -> int:
     """How many particle-steps the whole comparison takes."""
     job = built.job
-    instants = len(built.names) * (job.problem.horizon + 1)
+    instants = len(built.names) * (job.problem.feasible.horizon + 1)
     return job.comparison.draws * job.filter.particles * instants
 
 
@@ -94,7 +94,7 @@ def _present(store: Store, draws: int) -> NDArray[np.bool_]:
 
 def _work(built: Built, sets: Mapping[str, Times]) -> Work:
     """All sets on the same draws, each with filter noise of its own; the draws are not chosen."""
-    job, purpose, horizon = built.job, built.study.purpose, built.job.problem.horizon
+    job, purpose, horizon = built.job, built.study.purpose, built.job.problem.feasible.horizon
     return Work(
         measurement_times=tuple(validated(times, horizon, name) for name, times in sets.items()),
         ends=(horizon,) * len(sets),

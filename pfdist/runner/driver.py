@@ -6,12 +6,13 @@ from typing import Any
 import pyarrow as pa
 
 from pfdist.errors import SearchError
+from pfdist.runner.build import Built
 from pfdist.runner.comparison_phase import COMPARISON, comparison_steps, run_comparison
 from pfdist.runner.online_phase import CHOOSING, online_steps, run_online
 from pfdist.runner.search_phase import run_search, search_steps
 from pfdist.runner.search_tables import unpublished
 from pfdist.runner.session import Session
-from pfdist.store import Store, schema
+from pfdist.store import Store, compared_schema
 from pfdist.times.measurement_times import Times
 
 FORKED = "forked-from"
@@ -47,7 +48,7 @@ def drive(session: Session) -> None:
         if lost or not has or unpublished(store, built.phases):
             sets = _search(session)
         else:
-            sets = store.compared_sets()
+            sets = built.instants(store.compared_sets())
             reporter.note(done=searched)
         run_comparison(built, sets, collector, reporter)
         if built.job.online is not None:
@@ -64,9 +65,7 @@ def drive(session: Session) -> None:
 def _search(session: Session) -> dict[str, Times]:
     """Run every search, and return the sets that are compared, by name."""
     built, collector = session.built, session.collector
-    rows: list[dict[str, Any]] = [
-        {"name": name, "measurement_times": times} for name, times in built.study.references.items()
-    ]
+    rows = _given_rows(built)
     for search in built.searches:
         end = run_search(built, search, collector, session.reporter, session.say)
         rows += [
@@ -89,10 +88,23 @@ def _search(session: Session) -> dict[str, Times]:
             )
     for position, row in enumerate(rows):
         row["position"] = position
-    table = pa.Table.from_pylist(rows, schema=schema("compared"))
+    with_exact = any("exact_mse" in row for row in rows)
+    table = pa.Table.from_pylist(rows, schema=compared_schema(with_exact=with_exact))
     # Written after the tables of the searches: it marks the searches as done.
     collector.later(partial(_publish_compared, collector.store, table))
     return {row["name"]: row["measurement_times"] for row in rows}
+
+
+def _given_rows(built: Built) -> list[dict[str, Any]]:
+    """Rows of the sets that no search finds; with an exact engine, the costs of named sets."""
+    sets = built.study.given
+    rows: list[dict[str, Any]] = [
+        {"name": name, "measurement_times": times} for name, times in sets.items()
+    ]
+    if built.evaluator.exact and built.job.comparison.named:
+        for row, cost in zip(rows, built.evaluator.expected_mse([*sets.values()]), strict=True):
+            row["exact_mse"] = float(cost)
+    return rows
 
 
 def _publish_compared(store: Store, table: pa.Table) -> None:

@@ -1,6 +1,6 @@
 """Tables of the comparison's first draws, which are filtered once more for figures and summary."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
@@ -10,8 +10,10 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from pfdist.common.component_names import Component
 from pfdist.evaluation.estimate import REPORT
 from pfdist.evaluation.work import Result, Work, cut
+from pfdist.models import StateSpaceModel
 from pfdist.runner.build import Built
 from pfdist.runner.collect import Collector
 from pfdist.store import Store, schema, trajectories_schema
@@ -57,19 +59,20 @@ class FirstDraws:
     def _publish(self, phase: str, store: Store) -> None:
         if store.has_parts(self.table, phase):
             kept = store.read(self.table)
-            rows = pa.Table.from_pandas(kept, schema=self.schema, preserve_index=False)
+            own = store.own_schema(self.schema)
+            rows = pa.Table.from_pandas(kept, schema=own, preserve_index=False)
             store.publish(self.table, phase, [rows])
 
 
 def trajectories(built: Built, work: Work) -> FirstDraws:
     """Truth, measurements and estimates of the first draws, which the figures show."""
-    _, measurements, quantities = built.problem.model.components
+    model = built.evaluator.model
     draws = min(TRAJECTORIES, built.job.comparison.draws)
     return FirstDraws(
         "trajectories",
-        trajectories_schema(list(work.ids), quantities, measurements),
+        trajectories_schema(list(work.ids), model.named("z"), model.named("y")),
         replace(work, draws=(0, draws), trajectories=True),
-        _trajectory_columns,
+        partial(_trajectory_columns, model),
     )
 
 
@@ -100,22 +103,25 @@ def _repeated_columns(piece: Work, result: Result) -> dict[str, Any]:
     return {"draw": np.arange(*piece.draws), "mse": mse}
 
 
-def _trajectory_columns(piece: Work, result: Result) -> dict[str, Any]:
+def _trajectory_columns(model: StateSpaceModel, piece: Work, result: Result) -> dict[str, Any]:
     first, last = piece.draws
     instants = result.z.shape[1]
     columns: dict[str, Any] = {
         "draw": np.repeat(np.arange(first, last), instants),
         "t": np.tile(np.arange(instants, dtype=np.int32), last - first),
     }
-    columns |= _by_component("z", result.z) | _by_component("y", result.y)
+    z, y = model.named("z"), model.named("y")
+    columns |= _by_component("z", z, result.z) | _by_component("y", y, result.y)
     for name, estimate in zip(piece.ids, result.estimates, strict=True):
-        columns |= _by_component(f"estimate_{name}", estimate)
+        columns |= _by_component(f"estimate_{name}", z, estimate)
     return columns
 
 
-def _by_component(name: str, values: NDArray[np.float64]) -> dict[str, pa.Array]:
+def _by_component(
+    name: str, components: Sequence[Component], values: NDArray[np.float64]
+) -> dict[str, pa.Array]:
     """A column for each component of (D, T+1, components), draw after draw; NaN becomes null."""
     return {
-        f"{name}_{k}": pa.array(values[:, :, k].ravel(), from_pandas=True)
-        for k in range(values.shape[2])
+        f"{name}_{component.suffix}": pa.array(values[:, :, k].ravel(), from_pandas=True)
+        for k, component in enumerate(components)
     }

@@ -21,6 +21,7 @@ from pfdist.runner.processor import processor
 from pfdist.store import (
     ABOUT,
     SCHEMA_VERSION,
+    ClockColumns,
     Damage,
     Store,
     check_entries,
@@ -30,6 +31,7 @@ from pfdist.store import (
     holds_run,
     key_of,
     own_key,
+    read_run,
     write_job,
     write_run,
 )
@@ -62,7 +64,7 @@ def opened(path: Path, built: Built, say: Callable[[str], Any]) -> Iterator[Stor
     identity = _identity(built)
     key = key_of(identity, built.job.identity())
     known = has_key(path, key) or own_key(path) == key
-    store = Store(path, key if known else None)  # another run is read with its own key
+    store = store_of(built, path, key if known else None)  # another run is read with its own key
     if not known and not holds_run(path):
         _check_free(path)
     with held(path):
@@ -83,7 +85,15 @@ def opened(path: Path, built: Built, say: Callable[[str], Any]) -> Iterator[Stor
         store.sweep()
         _quarantine(store, damages, say)
         _write_about(path, built, identity, key)
-        yield Store(path, key)
+        yield store_of(built, path, key)
+
+
+def store_of(built: Built, path: Path, run_key: str | None = None) -> Store:
+    """Give the store of a run of this job, whose tables have times on the job's clock."""
+    problem = built.job.problem
+    if not problem.has_clock:
+        return Store(path, run_key)
+    return Store(path, run_key, ClockColumns(problem.clock.times, problem.clock.unit))
 
 
 def _quarantine(store: Store, damages: list[Damage], say: Callable[[str], Any]) -> None:
@@ -114,7 +124,7 @@ def estimations(built: Built) -> dict[str, dict[str, Any]]:
 
     The tables say whether a search was run again by the squared error.
     """
-    if built.problem.exact:
+    if built.evaluator.exact:
         return {}
     return {search.name: vars(search.settings.estimation) for search in built.searches}
 
@@ -254,7 +264,7 @@ def _provenance(built: Built) -> dict[str, Any]:
     return {
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "command": sys.argv,
-        "folder": str(job.path.parent.absolute()),  # paths of models are relative to it
+        "folder": _folder_of_models(job.path.parent),  # paths of models are relative to it
         "files": {  # the files of each model, by their paths relative to the model's folder
             "model": built.source.model.source.sha256,
             "filter_model": built.source.filter_model.source.sha256,
@@ -272,6 +282,15 @@ def _provenance(built: Built) -> dict[str, Any]:
         "git": _git(job.path.parent),
         "execution": job.execution.model_dump(mode="json"),
     }
+
+
+def _folder_of_models(folder: Path) -> str:
+    """Give the folder of a job file; for the job in a run's folder, what that run records."""
+    if not holds_run(folder):
+        return str(folder.absolute())
+    provenance = read_run(folder)[0].get("provenance")
+    recorded = provenance.get("folder") if isinstance(provenance, Mapping) else None
+    return recorded if isinstance(recorded, str) else str(folder.absolute())
 
 
 def _git(folder: Path) -> dict[str, Any] | None:

@@ -8,7 +8,7 @@ import os
 import re
 import stat
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -16,10 +16,14 @@ from typing import Any
 from pfdist.errors import StoreError
 from pfdist.job.job import Job
 from pfdist.meaning.chosen import ChosenModel, choose, chosen_from
+from pfdist.meaning.given import chosen_value, given_model
 from pfdist.meaning.known_models import is_known
-from pfdist.models import ModelSource, is_in_folder
+from pfdist.models import PYTHON, ModelSource, StateSpaceModel, is_in_folder, load_model
+from pfdist.models.parameters import Parameter
 from pfdist.store import read_run
 
+Model = StateSpaceModel | str
+"""A model as a user gives it: an object, or a name as in a job."""
 _LONGEST = 4096  # characters of a path
 _HASH = re.compile("[0-9a-f]{64}")
 
@@ -34,8 +38,8 @@ class NamedByRun:
         The run's folder.
     about : mapping
         Content of the run's run.json.
-    instead : mapping of str to str
-        Models that the user names instead, for the parts "model" and "filter_model".
+    instead : mapping of str to str, StateSpaceModel or ChosenModel
+        Models that the user gives instead, for the parts "model" and "filter_model".
     say : callable
         Receives a line for each model file before the file is run.
     remedy : str
@@ -44,12 +48,12 @@ class NamedByRun:
 
     run: Path
     about: Mapping[str, Any]
-    instead: Mapping[str, str]
+    instead: Mapping[str, Model | ChosenModel]
     say: Callable[[str], Any]
     remedy: str
 
     def __call__(
-        self, part: str, name: str, folder: Path, parameters: Mapping[str, float]
+        self, part: str, name: str, folder: Path, parameters: Mapping[str, Parameter]
     ) -> ChosenModel:
         """Choose the model of a part, "model" or "filter_model", as `pfdist.meaning.chosen.choose`.
 
@@ -61,8 +65,14 @@ class NamedByRun:
             There is no such model, or it cannot be loaded.
         """
         if given := self.instead.get(part):
-            self.say(f"runs the model {given}, as you name it")
-            return choose(part, given, Path(), parameters)
+            return self._given(part, name, given, parameters)
+        if name.startswith(PYTHON):
+            raise StoreError(
+                f"{self.run} is of a model that was given as an object in Python ({name!r}): go on "
+                "in Python with the object, as in pfdist.run(problem) and pfdist.why(run, "
+                f"{part}={_variable(name)}), or ask with a file that holds it, {part} = "
+                "FILE.py:OBJECT"
+            )
         if len(name) > _LONGEST:
             raise StoreError(f"{self.run} names a model by {len(name):,} characters, not a file")
         if ".py:" not in name:  # a model of an installed package
@@ -73,6 +83,28 @@ class NamedByRun:
             "and you have run it before"
         )
         return chosen_from(source, parameters)
+
+    def _given(
+        self,
+        part: str,
+        name: str,
+        given: Model | ChosenModel,
+        parameters: Mapping[str, Parameter],
+    ) -> ChosenModel:
+        """The model that the user gives. A name gets the run's parameters, an object has its own.
+
+        In the place of an object, a file's model is taken by value, so that both mean the same.
+        """
+        if isinstance(given, StateSpaceModel):
+            if ".py:" in name and not name.startswith(PYTHON):
+                return chosen_value(given)
+            known = given_model(given)
+            return known.chosen or choose(part, known.name, Path(), known.parameters)
+        if isinstance(given, str):
+            self.say(f"runs the model {given}, as you name it")
+            chosen = given_model(load_model(given)).chosen if name.startswith(PYTHON) else None
+            given = chosen or choose(part, given, Path(), parameters)
+        return replace(given, parameters=dict(parameters))
 
     def _source(self, part: str, name: str) -> ModelSource:
         """Source of the model, if its files are unchanged since the run and known to the user."""
@@ -138,8 +170,15 @@ def of_a_runs_job(job: Job) -> NamedByRun:
 def files_named(job: Job) -> list[Path]:
     """Paths of the model files that a job names."""
     names = (job.model.name, job.model.filter.name)
-    files = [name.rpartition(":")[0] for name in names if ".py:" in name]
+    named = [name for name in names if ".py:" in name and not name.startswith(PYTHON)]
+    files = [name.rpartition(":")[0] for name in named]
     return [job.path.parent / file for file in dict.fromkeys(files)]
+
+
+def _variable(name: str) -> str:
+    """A name for the model in an example of Python."""
+    own = name.removeprefix(PYTHON)
+    return own if own.isidentifier() else "model"
 
 
 def _is_hash(name: Any, value: Any) -> bool:

@@ -72,14 +72,14 @@ def online_work(built: Built, plan: Times) -> OnlineWork:
     planner = built.searches[0].name  # with its noise, draws that keep the plan keep its error
     return OnlineWork(
         measurement_times=(plan,),
-        ends=(job.problem.horizon,),
+        ends=(job.problem.feasible.horizon,),
         filter_streams=(purpose.stream(job.seed, "filter", planner),),
         draws_stream=purpose.stream(job.seed, "draws"),
         draws=(0, online.draws),
         estimation=built.comparing,
         ids=("online",),
         feasible=job.problem.feasible,
-        planning=planning_of(job, built.problem.cheapest_estimator),
+        planning=planning_of(job, built.evaluator.cheapest_estimator),
         planning_stream=purpose.stream(job.seed, "planning"),
         shown=TRAJECTORIES,
     )

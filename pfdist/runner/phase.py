@@ -72,7 +72,7 @@ class Phase(Generic[E]):
 
     def steps(self) -> float:
         """About how many particle-steps the phase takes."""
-        settings, instants = self.settings, self.built.job.problem.horizon + 1
+        settings, instants = self.settings, self.built.job.problem.feasible.horizon + 1
         a_draw = settings.estimation.steps_an_instant * instants
         return self.optimiser.evaluations * settings.draws * a_draw
 
@@ -85,7 +85,7 @@ class Phase(Generic[E]):
             The optimiser asked for times that do not lie in 0..T.
         """
         times, end, draws, individual, squared, _ = candidate
-        last = self.built.job.problem.horizon if end is None else end
+        last = self.built.job.problem.feasible.horizon if end is None else end
         validated(times, last, f"search {self.name}")
         fresh = [generation, times if individual is None else individual]
         keyed_by = [] if self.settings.common_noise else fresh
@@ -153,7 +153,7 @@ def run_phase(phase: Phase[E], collector: Collector, reporter: Reporter) -> Sequ
     state, generation = optimiser.init(), 0
     share, start = phase.steps() / max(1, optimiser.generations), reporter.progress.done
     reporter.begin(name, generation=1, generations=optimiser.generations)
-    copies_are_alike = phase.settings.common_noise or phase.built.problem.exact
+    copies_are_alike = phase.settings.common_noise or phase.built.evaluator.exact
     while not optimiser.done(state):
         rng = generator(phase.built.job.seed, "search", name, generation)
         asked = list(optimiser.ask(state, rng))
@@ -212,12 +212,12 @@ def _evaluate(
 
     Candidates whose errors of each instant are wanted are evaluated first, all together.
     """
-    problem = phase.built.problem
+    evaluator = phase.built.evaluator
     if windows:
         yield from _errors(phase, windows, collector)
-    if problem.exact:  # it takes no time, so neither pool nor store is needed
+    if evaluator.exact:  # it takes no time, so neither pool nor store is needed
         sets = [request.candidate.measurement_times for request in requests]
-        costs = problem.expected_mse(sets, [request.end for request in requests])
+        costs = evaluator.expected_mse(sets, [request.end for request in requests])
         for request, cost in zip(requests, costs, strict=True):
             request.mse = np.empty(0)
             yield request.candidate, phase.evaluation(request, float(cost))

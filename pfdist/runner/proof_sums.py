@@ -65,13 +65,13 @@ class ProofSums:
     ) -> None:
         self._built, self._relaxation, self._known = built, relaxation, known
         self._done = dict[str, int]()  # blocks, by the title of their work
-        if built.problem.exact:
+        if built.evaluator.exact:
             return
         every = np.zeros(len(known), np.int64)
         counted = Counted(
             (*relaxation.sets, *known),
             np.concatenate([relaxation.first, every]),
-            np.concatenate([relaxation.ends, every + built.problem.horizon]),
+            np.concatenate([relaxation.ends, every + built.evaluator.horizon]),
         )
         noise, draws = (BOUND.stream(built.job.seed, role) for role in ("filter", "draws"))
         finer = replace(estimation, particles=FINER * estimation.particles)
@@ -80,20 +80,20 @@ class ProofSums:
 
     def steps(self, blocks: int) -> int:
         """Particle-steps of the first blocks of draws, with those of the guard."""
-        if self._built.problem.exact:
+        if self._built.evaluator.exact:
             return 0
         return self._coarse.steps(blocks) + self._fine.steps(blocks)
 
     def steps_without_guard(self, blocks: int) -> float:
         """Particle-steps of the first blocks of draws; infinite where the engine is exact."""
-        return math.inf if self._built.problem.exact else float(self._coarse.steps(blocks))
+        return math.inf if self._built.evaluator.exact else float(self._coarse.steps(blocks))
 
     def exact(self) -> Sums:
         """Give the exact errors, as the sums of one group of one draw."""
-        relaxation, problem = self._relaxation, self._built.problem
+        relaxation, evaluator = self._relaxation, self._built.evaluator
         counted = Counted(tuple(relaxation.sets), relaxation.first, relaxation.ends)
-        relaxed = problem.expected_errors(counted.sets)[counted.at(problem.horizon)]
-        return Sums(relaxed[None], problem.expected_errors(self._known)[None], np.ones(1))
+        relaxed = evaluator.expected_errors(counted.sets)[counted.at(evaluator.horizon)]
+        return Sums(relaxed[None], evaluator.expected_errors(self._known)[None], np.ones(1))
 
     def estimated(self, blocks: int, session: Session) -> Estimated:
         """Give the sums of the first blocks of draws, and those of the guard.
@@ -158,4 +158,4 @@ class ProofSums:
     def _sums(self, errors: Array, draws: Array, cells: NDArray[np.bool_]) -> Sums:
         """Give the sums of some errors of windows, and of all known sets."""
         relaxed, own = errors[:, : cells.size].compress(cells, axis=1), errors[:, cells.size :]
-        return Sums(relaxed, own.reshape(len(own), -1, self._built.problem.horizon + 1), draws)
+        return Sums(relaxed, own.reshape(len(own), -1, self._built.evaluator.horizon + 1), draws)

@@ -15,7 +15,7 @@ from pfdist.bounds.guard import Falls, guarded
 from pfdist.bounds.proof import CONFIDENCE, Proof, falls, prove
 from pfdist.bounds.relaxation import Relaxation
 from pfdist.errors import ModelError
-from pfdist.evaluation.compiling import compile_problem
+from pfdist.evaluation.compiling import compile_evaluator
 from pfdist.evaluation.engines import ENGINES
 from pfdist.evaluation.work import BLOCK, Estimation
 from pfdist.kernels.estimators import FILTER_VARIANCE
@@ -90,11 +90,11 @@ class Prover:
         # The relaxation filters with the truth's model: a bound for the filter of any model.
         count = settings.particles or built.job.filter.particles
         self._estimation = Estimation(count, "systematic", FILTER_VARIANCE.name)
-        truth = built.problem.truth
+        truth = built.evaluator.truth
         truth.check(self._estimation)
         if ENGINES[built.source.engine].compiled:  # before the first task, whose time is limited
-            compile_problem(truth, self._estimation)
-        self.particles = 0 if built.problem.exact else count
+            compile_evaluator(truth, self._estimation)
+        self.particles = 0 if built.evaluator.exact else count
         self._blocks = _doubled(math.ceil(settings.most_draws / BLOCK)) if self.particles else [0]
         looks = 1 if settings.within is None else len(self._blocks)
         self.confidence = 1 - (1 - CONFIDENCE) / looks
@@ -131,7 +131,7 @@ class Prover:
         try:
             for look in self._looks(session, run):
                 looks.append(look)
-                if within is not None and look.is_within(within, self._built.study.references):
+                if within is not None and look.is_within(within, self._built.unjudged):
                     break
         finally:
             session.collector.flush()
@@ -155,7 +155,7 @@ class Prover:
     def _looks(self, session: Session, run: Run) -> Iterator[Look]:
         """Yield the gaps after more and more draws."""
         constraints = self._built.study.widest
-        sets = self._built.study.proved(run.sets())
+        sets = self._built.study.proved(self._built.instants(run.sets()))
         alone = sets_alone(session, run, sets, self._estimation)
         feasible = {name: times for name, times in sets.items() if _satisfies(constraints, times)}
         known = tuple(feasible.values())

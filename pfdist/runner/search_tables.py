@@ -41,7 +41,8 @@ def publish_search(store: Store, phase: str) -> None:
     most = rows.groupby("evaluation", sort=False)["draws"].max()
     wanted = {str(id_): int(draws) for id_, draws in most.items()}
     store.publish("draws", phase, _draws_of(store, wanted))
-    table = pa.Table.from_pandas(rows, schema=schema("evaluations"), preserve_index=False)
+    own = store.own_schema(schema("evaluations"))
+    table = pa.Table.from_pandas(rows, schema=own, preserve_index=False)
     store.publish("evaluations", phase, [table])
 
 

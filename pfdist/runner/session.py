@@ -42,7 +42,7 @@ class Session:
         say: Callable[[str], Any] = lambda line: None,
     ) -> "Session":
         """Start with a store and a pool that the caller has entered; nothing is computed yet."""
-        pace = Pace(built.problem.seconds_a_step, pool.workers)
+        pace = Pace(built.evaluator.seconds_a_step, pool.workers)
         failures, resumed = built.job.execution.failures, store.has("draws")
         collector = Collector(store, pool, _name(), pace, failures, resumed)
         return cls(built, collector, Reporter(show), say)

@@ -48,11 +48,11 @@ def _draws(built: Built, compared: int) -> int:
 
 def steps_of_sets(built: Built, sets: int, estimation: Estimation) -> int:
     """About how many particle-steps it takes to filter so many sets alone."""
-    if built.problem.exact:
+    if built.evaluator.exact:
         return 0
     compared = built.job.comparison.draws
     kinds = _kinds(built, estimation, compared).values()
-    instants = _draws(built, compared) * sets * (built.problem.horizon + 1)
+    instants = _draws(built, compared) * sets * (built.evaluator.horizon + 1)
     return sum(instants * kind.estimation.steps_an_instant for kind in kinds)
 
 
@@ -77,8 +77,8 @@ def sets_alone(
         A task failed, no worker answers, or a file cannot be read or written.
     """
     built = session.built
-    if built.problem.exact:
-        costs = built.problem.expected_mse(list(sets.values())).tolist()
+    if built.evaluator.exact:
+        costs = built.evaluator.expected_mse(list(sets.values())).tolist()
         return {name: SetAlone(Estimate(cost)) for name, cost in zip(sets, costs, strict=True)}
     draws = _draws(built, run.draws_compared)
     kinds = _kinds(built, estimation, run.draws_compared)
@@ -116,7 +116,7 @@ def sets_alone(
 def _kinds(built: Built, estimation: Estimation, compared: int) -> dict[str, _Kind]:
     """The filters of the sets; the squared error only if too few draws were compared."""
     kinds = {"variance": _Kind(estimation, knows_truth=True)}
-    if built.problem.truth is not built.problem:
+    if built.evaluator.truth is not built.evaluator:
         kinds["by_truth"] = _Kind(built.comparing, knows_truth=True)
     if compared < _draws(built, compared):
         kinds["squared"] = _Kind(built.comparing, knows_truth=False)
@@ -128,7 +128,7 @@ def _per_draw(
 ) -> dict[str, Array]:
     """Errors of so many draws, (draws,), by the name of the set."""
     built, reporter = session.built, session.reporter
-    horizon, noise = built.problem.horizon, BOUND.stream(built.job.seed, "filter of a set")
+    horizon, noise = built.evaluator.horizon, BOUND.stream(built.job.seed, "filter of a set")
     source = built.source.truth if kind.knows_truth else built.source
     key = stream_key(noise, draws_stream)
     ids = {

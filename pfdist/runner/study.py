@@ -45,6 +45,10 @@ class Study(Protocol):
         """Measurement times with which the found times are compared, by name."""
 
     @property
+    def given(self) -> dict[str, Times]:
+        """All compared sets that no search finds, by name: the references first."""
+
+    @property
     def widest(self) -> Feasible:
         """The feasible sets of the largest number of measurements that is sought."""
 
@@ -106,10 +110,15 @@ class TimesStudy:
     @cached_property
     def references(self) -> dict[str, Times]:
         """The reference of the job, under its name."""
-        comparison = self.job.comparison
-        if isinstance(comparison.reference, str):
-            return {comparison.reference_name: self.job.problem.feasible.regular()}
-        return {comparison.reference_name: comparison.reference}
+        name = self.job.comparison.reference_name
+        return {name: self.given[name]}
+
+    @cached_property
+    def given(self) -> dict[str, Times]:
+        """The reference, and the sets that comparison.sets names."""
+        regular = self.job.problem.feasible.regular
+        sets = self.job.given_sets
+        return {name: regular() if times is None else times for name, times in sets.items()}
 
     @property
     def widest(self) -> Feasible:
@@ -181,6 +190,11 @@ class BudgetStudy:
         }
 
     @property
+    def given(self) -> dict[str, Times]:
+        """The references: a job of several budgets names no sets."""
+        return self.references
+
+    @property
     def widest(self) -> Feasible:
         """The feasible sets of the largest budget."""
         return self.job.feasible(self.budgets[-1])
@@ -231,7 +245,7 @@ class BudgetStudy:
         return ()
 
     def _name(self, name: str, budget: int) -> str:
-        digits = len(str(self.job.problem.horizon + 1))
+        digits = len(str(self.job.problem.feasible.horizon + 1))
         return f"{name}_{budget:0{digits}}"
 
 

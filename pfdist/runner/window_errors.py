@@ -43,13 +43,13 @@ def evaluated_by_errors(
     TaskError, PoolError, StoreError
         A task failed, no worker answers, or a file cannot be read or written.
     """
-    exact, horizon, steps = built.problem.exact, built.problem.horizon, 0.0
+    exact, horizon, steps = built.evaluator.exact, built.evaluator.horizon, 0.0
     sets = tuple(candidate.measurement_times for candidate in asked)
     first = np.array([candidate.since or 0 for candidate in asked])
     ends = np.array([horizon if each.end is None else each.end for each in asked])
     counted = Counted(sets, first, ends)
     if exact:
-        errors = np.where(counted.at(horizon), built.problem.expected_errors(sets), 0.0)
+        errors = np.where(counted.at(horizon), built.evaluator.expected_errors(sets), 0.0)
     else:
         sums = sums_of(counted)
         errors, steps = sums.means(blocks, collector), sums.steps(blocks)

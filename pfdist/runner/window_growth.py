@@ -50,7 +50,7 @@ def grown(
         return BlockSums(built, counted, (stream, stream), estimation)
 
     state, steps, rng = optimiser.init(), 0.0, np.random.default_rng(0)
-    if not built.problem.exact:  # which takes no particle-steps
+    if not built.evaluator.exact:  # which takes no particle-steps
         reporter.begin("windows of the bound")
     start = reporter.progress.done
     relaxation = state.relaxation

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pfdist.analysis import Moments
 from pfdist.evaluation.estimate import Purpose, ReportEvaluation
-from pfdist.evaluation.problem import Problem
+from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Work
 from pfdist.filters.settings import FilterSettings
 from pfdist.runner.build import Built
@@ -24,6 +24,7 @@ from pfdist.sequential.effective_sizes import effective_sample_sizes
 from pfdist.sequential.one_filter import begin
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
+from pfdist.times.moves import moved
 
 WHY = Purpose("why", ReportEvaluation)
 CHANGES = ("removed", "earlier", "later")
@@ -71,27 +72,29 @@ def worth_of(
         a mean over these draws.
     reporter : Reporter
     """
-    problem, seed, instants = built.problem, built.job.seed, built.problem.horizon + 1
+    evaluator, seed, instants = built.evaluator, built.job.seed, built.evaluator.horizon + 1
     changed = list(_changes(times, built.job.problem.feasible))
     sets = [tuple(t for t in times if t <= end) for end in range(instants)]
     sets += [other for _, _, other in changed]
     stream = WHY.stream(seed, "filter", name)
     work = Work(
         measurement_times=tuple(sets),
-        ends=(*range(instants), *(problem.horizon,) * len(changed)),
+        ends=(*range(instants), *(evaluator.horizon,) * len(changed)),
         filter_streams=(stream,) * len(sets),
         draws_stream=WHY.stream(seed, "draws"),
         draws=(0, draws),
         estimation=built.comparing,
     )
-    (cost, *found), degenerate = _means(problem, work, reporter)
+    (cost, *found), degenerate = _means(evaluator, work, reporter)
     sizes = dict(zip(times, _effective_sizes(built, stream, times, measured), strict=True))
+    weights = built.job.problem.weights or (1.0,) * instants
     profile = [
         {
             "t": t,
             "measured": t in times,
-            "error": mean,
-            "standard_error": error,
+            "error": mean / weights[t] if weights[t] else math.nan,
+            "standard_error": error / weights[t] if weights[t] else math.nan,
+            "weight": weights[t],
             "degenerate_draws": degenerate[t],
             "effective_sample_size": sizes.get(t, math.nan),
         }
@@ -106,11 +109,11 @@ def worth_of(
 
 def _effective_sizes(built: Built, stream: int, times: Times, measured: list[Array]) -> list[float]:
     """Mean effective sample size after each measurement; NaN for exact engines."""
-    if built.problem.exact or not times:
+    if built.evaluator.exact or not times:
         return [math.nan] * len(times)
     job = built.job.filter
     settings = FilterSettings(job.particles, job.resampling, job.dtype)
-    first = begin(built.problem.believed, settings, stream, 0, built.source.engine)
+    first = begin(built.evaluator.believed, settings, stream, 0, built.source.engine)
     sizes = pd.DataFrame(
         [
             effective_sample_sizes(replace(first, draw=draw), times, y)
@@ -126,28 +129,26 @@ def _changes(times: Times, feasible: Feasible) -> Iterator[tuple[int, str, Times
     Every measurement may be removed, but it moves only to instants that the job allows.
     """
     for t in times:
-        others = set(times) - {t}
-        yield t, "removed", tuple(sorted(others))
+        yield t, "removed", tuple(other for other in times if other != t)
         for change, to in (("earlier", t - 1), ("later", t + 1)):
-            moved = tuple(sorted(others | {to}))
-            free = to in feasible.optional and to not in others and t not in feasible.required
-            if free and feasible.allows(moved):
-                yield t, change, moved
+            changed = moved(times, t, to, feasible)
+            if changed is not None:
+                yield t, change, changed
 
 
 def _means(
-    problem: Problem, work: Work, reporter: Reporter
+    evaluator: Evaluator, work: Work, reporter: Reporter
 ) -> tuple[list[tuple[float, float]], list[int]]:
     """Mean and standard error of each column of `_columns`, and degenerate draws up to each t."""
-    instants, (_, draws), start = problem.horizon + 1, work.draws, reporter.progress.done
-    if problem.exact:
-        known = problem.expected_mse(work.measurement_times, work.ends)
+    instants, (_, draws), start = evaluator.horizon + 1, work.draws, reporter.progress.done
+    if evaluator.exact:
+        known = evaluator.expected_mse(work.measurement_times, work.ends)
         reporter.reach(start + 1, evaluations=draws)
         return [(float(mean), 0.0) for mean in _columns(known[None], instants)[0]], [0] * instants
     columns = [Moments() for _ in range(1 + len(work.ends))]
     degenerate = np.zeros(instants, np.int64)
-    for piece in problem.pieces(work, MOST_SECONDS):
-        mse = problem.filtered(piece).mse
+    for piece in evaluator.pieces(work, MOST_SECONDS):
+        mse = evaluator.filtered(piece).mse
         degenerate += np.isnan(mse[:, :instants]).sum(axis=0)
         for moments, values in zip(columns, _columns(mse, instants).T, strict=True):
             moments.add(values[~np.isnan(values)])

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.errors import shown
+from pfdist.errors import ArgumentError, shown
 from pfdist.sequential.beliefs import Belief
 
 Array = NDArray[np.float64]
@@ -46,9 +46,12 @@ class Estimate:
         levels : float or sequence of float
             In 0..1, without the ends.
         """
-        wanted = np.atleast_1d(np.array(levels, np.float64))
+        try:
+            wanted = np.atleast_1d(np.array(levels, np.float64))
+        except (TypeError, ValueError):
+            wanted = np.array([np.nan])
         if wanted.ndim != 1 or not ((wanted > 0) & (wanted < 1)).all():
-            raise ValueError(f"levels must lie between 0 and 1, got {shown(levels)}")
+            raise ArgumentError(f"levels must lie between 0 and 1, got {shown(levels)}")
         return self._belief.quantiles(wanted)
 
 

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pfdist.common.nearest import did_you_mean
 from pfdist.errors import (
+    ArgumentError,
     CompileError,
     EngineWarning,
     MeasurementsError,
@@ -64,9 +65,10 @@ class Filter:
         exact, for models that declare themselves linear-Gaussian.
     dtype : {"float64", "float32"}
         The dtype of the particles' states.
-    prior : Cloud, Gaussian or array, optional
+    prior : Cloud, Gaussian, array or DataFrame, optional
         The knowledge of x(s), in the place of the model's `initial`; the filter then starts at s.
-        An array (n, M) holds M particles of x(0). A filter's `cloud` may go here.
+        An array (n, M) holds M particles of x(0); a DataFrame has a row for each. The `cloud`
+        of a filter may go here.
     draw : int
         Index of the filter in the stream of its noise.
     horizon : int
@@ -78,7 +80,7 @@ class Filter:
         The model cannot be loaded, does not fit a setting, or a formula failed.
     PriorError
         The prior does not fit the model.
-    ValueError
+    ArgumentError
         A setting has a value that is not allowed.
 
     Examples
@@ -111,12 +113,12 @@ class Filter:
         if engine not in (AUTO, *ENGINES):
             allowed = ", ".join(map(repr, (AUTO, *ENGINES)))
             meant = did_you_mean(engine, ENGINES)
-            raise ValueError(f"engine must be one of {allowed}, got {shown(engine)}{meant}")
+            raise ArgumentError(f"engine must be one of {allowed}, got {shown(engine)}{meant}")
         self.horizon = horizon
         self.stream = FILTER.stream(int(seed))
         """Key of the filter's noise, 64 bits."""
         check_filter(self.model, self.model, particles, resampling, dtype)
-        known = None if prior is None else as_prior(prior)
+        known = None if prior is None else as_prior(prior, self.model)
         self._check_prior(known, engine)
         settings = FilterSettings(particles, resampling, dtype, prior=known)
         self._filter, mean, variance = self._begun(settings, engine, draw)
@@ -296,4 +298,4 @@ def _check_integers(**values: Any) -> None:
         most = math.inf if name == "seed" else LAST if name == "horizon" else _LARGEST_DRAW
         if not whole or not (name == "seed" or 0 <= value <= most):
             bounds = "" if name == "seed" else f" in 0..{most}"
-            raise ValueError(f"{name} must be an integer{bounds}, got {shown(value)}")
+            raise ArgumentError(f"{name} must be an integer{bounds}, got {shown(value)}")

@@ -8,11 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
-from pfdist.errors import MeasurementsError, shown
+from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.models import StateSpaceModel
+from pfdist.sequential.user_columns import user_columns
 from pfdist.store.user_tables import read_user_table
+from pfdist.times.clock import Clock
 
 Array = NDArray[np.float64]
 
@@ -39,19 +42,21 @@ class Measurements:
 
 
 def read_measurements(
-    path: Path, model: StateSpaceModel, horizon: int, start: int = 0
+    path: Path | pd.DataFrame, model: StateSpaceModel, clock: Clock, start: int = 0
 ) -> Measurements:
-    """Read a table with the columns t, y0, y1, ..., in CSV or Parquet, with rows in any order.
+    """Read a table with the columns t, y0, y1, ..., with rows in any order.
 
-    A row without any component is a time that was not measured.
+    If the model names the components of y, columns may have the names: y_concentration. A row
+    without any component is a time that was not measured.
 
     Parameters
     ----------
-    path : Path
+    path : Path or DataFrame
+        A file in CSV or Parquet, or a table in memory.
     model : StateSpaceModel
         The model that has these measurements.
-    horizon : int
-        T.
+    clock : Clock
+        The column t has times on it. It knows T.
     start : int
         The first instant that can be measured.
 
@@ -60,10 +65,11 @@ def read_measurements(
     MeasurementsError
         The file cannot be read, its header does not fit, or a value is wrong.
     """
-    wanted = ["t", *(f"y{component}" for component in range(model.components[1]))]
+    allowed = [["t", *names] for names in user_columns("y", model)]
     try:
-        columns = read_user_table(path, partial(_check_header, wanted))
-        times = [checked_instant(t, start, horizon) for t in columns["t"].tolist()]
+        columns = read_user_table(path, partial(_check_header, allowed))
+        wanted = next(names for names in allowed if names[1] in columns)
+        times = [instant_on(clock, t, start) for t in columns["t"].tolist()]
         for t, following in pairwise(sorted(times)):
             if t == following:
                 raise MeasurementsError(f"a time must stand in one row, got t = {t} twice")
@@ -73,15 +79,37 @@ def read_measurements(
             for row in np.argsort(times, kind="stable")
         ]
     except (MeasurementsError, ValueError) as error:
-        raise MeasurementsError(f"{path}: {error}") from error
+        where = "measurements" if isinstance(path, pd.DataFrame) else path
+        raise MeasurementsError(f"{where}: {error}") from error
     except OSError as error:
         raise MeasurementsError(f"cannot read {path}: {error.strerror or error}") from error
     measured = {t: y for t, y in rows if y is not None}
     return Measurements(
         tuple(measured),
-        np.array(list(measured.values())).reshape(-1, len(wanted) - 1),
+        np.array(list(measured.values())).reshape(-1, model.components[1]),
         tuple(t for t, y in rows if y is None),
     )
+
+
+def instant_on(clock: Clock, t: Any, start: int = 0) -> int:
+    """Give the instant of a time on a clock, after checking it.
+
+    Raises
+    ------
+    MeasurementsError
+        No instant has this time, or it lies before the instant `start`.
+    """
+    if clock.counts:
+        return checked_instant(t, start, clock.horizon)
+    try:
+        instant = clock.instant(_plain(t), "t")
+    except MeasurementTimesError as error:
+        raise MeasurementsError(str(error)) from error
+    if instant < start:
+        raise MeasurementsError(
+            f"t must lie in {clock.times[start]:g}..{clock.told(clock.horizon)}, got {t:g}"
+        )
+    return instant
 
 
 def checked_instant(t: Any, start: int, horizon: int) -> int:
@@ -144,11 +172,12 @@ def checked_measurement(
     return values
 
 
-def _check_header(wanted: list[str], header: list[str]) -> None:
-    if sorted(header) == sorted(wanted):
+def _check_header(allowed: list[list[str]], header: list[str]) -> None:
+    if sorted(header) in map(sorted, allowed):
         return
-    allowed = ", ".join(wanted)
-    text = f"the columns must be {allowed}, got {shown(', '.join(header))}"
+    wanted = list(dict.fromkeys(name for names in allowed for name in names))
+    choices = " or ".join(map(", ".join, allowed))
+    text = f"the columns must be {choices}, got {shown(', '.join(header))}"
     hints = [
         f"{meant} in the place of {name}"
         for name in header
@@ -170,9 +199,12 @@ def _meant(name: str, wanted: list[str]) -> str:
     plain = name.lower().replace("_", "").replace("[", "").replace("]", "").replace(" ", "")
     if plain in _TIME_WORDS:
         return "t"
-    if plain == "y" and wanted[1:] == ["y0"]:
+    if plain == "y" and "y1" not in wanted:
         return "y0"
-    return plain if plain in wanted else ""
+    if plain in wanted:
+        return plain
+    named = {each.removeprefix("y_").replace("_", ""): each for each in wanted}
+    return named.get(plain.removeprefix("y"), "") or named.get(plain, "")
 
 
 def _is_number(text: str) -> bool:

@@ -15,7 +15,7 @@ import numpy as np
 from pfdist.common.streams import stream_key
 from pfdist.errors import ModelError
 from pfdist.evaluation.estimate import Purpose, ReportEvaluation, SearchEvaluation
-from pfdist.evaluation.problem import Problem
+from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation
 from pfdist.filters.cloud import Prior
 from pfdist.filters.draws import Draws
@@ -104,12 +104,12 @@ class Now(NamedTuple):
 
 @dataclass(frozen=True)
 class Replanner:
-    """Plans the measurements that are left, for a problem and its constraints.
+    """Plans the measurements that are left, for a model and constraints.
 
     Parameters
     ----------
-    problem : Problem
-        The problem from t = 0: its model simulates systems, and its filter model filters them.
+    evaluator : Evaluator
+        Its model simulates systems from t = 0, and its filter model filters them.
     feasible : Feasible
         The feasible sets of the whole horizon.
     planning : Planning
@@ -122,13 +122,13 @@ class Replanner:
         The filter's model has states of another size than the true model.
     """
 
-    problem: Problem
+    evaluator: Evaluator
     feasible: Feasible
     planning: Planning
     stream: int
 
     def __post_init__(self) -> None:
-        check_plannable(self.problem)
+        check_plannable(self.evaluator)
 
     def plan(self, now: Now, taken: Times, plan: Times, draw: int = 0) -> Times:
         """Give the plan for what is left: the plan at hand, or a better one.
@@ -187,24 +187,26 @@ class Replanner:
         ModelError
             A formula failed.
         """
-        problem = replace(self.problem, prior=now.prior)
-        ends = [problem.horizon] * len(plans)
-        if problem.exact:
-            costs = problem.expected_mse(plans).tolist()
+        evaluator = replace(self.evaluator, prior=now.prior)
+        ends = [evaluator.horizon] * len(plans)
+        if evaluator.exact:
+            costs = evaluator.expected_mse(plans).tolist()
             return [
                 ReportEvaluation(plan, np.empty(0), _POLICY, cost)
                 for plan, cost in zip(plans, costs, strict=True)
             ]
         stream = stream_key(self.stream, draw, now.first, "expected")
-        simulated = problem.draws(range(draws), stream)
-        mse = problem.mse_of_sets(simulated, plans, ends, stream_key(stream, "filter"), estimation)
+        simulated = evaluator.draws(range(draws), stream)
+        mse = evaluator.mse_of_sets(
+            simulated, plans, ends, stream_key(stream, "filter"), estimation
+        )
         return [
             ReportEvaluation(plan, column, _POLICY)
             for plan, column in zip(plans, np.ascontiguousarray(mse.T), strict=True)
         ]
 
 
-def check_plannable(problem: Problem) -> None:
+def check_plannable(evaluator: Evaluator) -> None:
     """Raise an error unless systems can be simulated from the particles of the filter.
 
     Raises
@@ -212,11 +214,11 @@ def check_plannable(problem: Problem) -> None:
     ModelError
         The filter's model has states of another size than the true model.
     """
-    true, believed = problem.model.components[0], problem.believed.components[0]
+    true, believed = evaluator.model.components[0], evaluator.believed.components[0]
     if true != believed:
         raise ModelError(
             "times can be chosen one after another only if the filter's model has as many "
-            f"components of x as the model {problem.model.name}, {true}, got {believed}: systems "
+            f"components of x as the model {evaluator.model.name}, {true}, got {believed}: systems "
             "are simulated from the filter's particles"
         )
 
@@ -260,18 +262,18 @@ class _Outlook:
         return plans[1] if lower and new.degenerate_draws <= kept.degenerate_draws else plans[0]
 
     def _draws(self, index: range) -> Draws | None:
-        return None if self.problem.exact else self.problem.draws(index, self.stream)
+        return None if self.evaluator.exact else self.evaluator.draws(index, self.stream)
 
     def _evaluated(
         self, draws: Draws | None, candidates: Sequence[Candidate], estimation: Estimation
     ) -> list[SearchEvaluation]:
         """Evaluate candidates on common draws with common noise."""
-        problem, last = self.problem, self.problem.horizon
+        evaluator, last = self.evaluator, self.evaluator.horizon
         first = self.now.first
         sets = [tuple(first + time for time in each.measurement_times) for each in candidates]
         ends = [last if each.end is None else first + each.end for each in candidates]
         if draws is None:
-            costs = problem.expected_mse(sets, ends)
+            costs = evaluator.expected_mse(sets, ends)
             return [
                 SearchEvaluation(
                     each.measurement_times, np.empty(0), _POLICY, float(cost), each.end
@@ -280,7 +282,7 @@ class _Outlook:
             ]
         noise = stream_key(self.stream, "filter")
         draws = draws[: max(each.draws or len(draws.index) for each in candidates)]
-        mse = problem.mse_of_sets(draws, sets, ends, noise, estimation)
+        mse = evaluator.mse_of_sets(draws, sets, ends, noise, estimation)
         columns = np.ascontiguousarray(mse.T)
         return [
             SearchEvaluation(each.measurement_times, column[: each.draws], _POLICY, None, each.end)
@@ -288,6 +290,6 @@ class _Outlook:
         ]
 
     @property
-    def problem(self) -> Problem:
-        """The problem from now on."""
-        return replace(self.replanner.problem, prior=self.now.prior)
+    def evaluator(self) -> Evaluator:
+        """The evaluator from now on."""
+        return replace(self.replanner.evaluator, prior=self.now.prior)

@@ -5,18 +5,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from pfdist.errors import PriorError, shown
 from pfdist.filters.cloud import Cloud, Gaussian, Prior
 from pfdist.models import StateSpaceModel
+from pfdist.sequential.user_columns import user_columns
 from pfdist.store.user_tables import read_user_table
 
 Array = NDArray[np.float64]
 
 
-def as_prior(prior: Any) -> Prior:
-    """Give a prior; an array holds particles of x(0), a row a component and a column a particle.
+def as_prior(prior: Any, model: StateSpaceModel) -> Prior:
+    """Give a prior of a model from what a user has: a prior, particles in an array, or a table.
+
+    An array holds particles of x(0), a row a component and a column a particle. A DataFrame holds a
+    particle in each row, as `read_prior` reads it.
 
     Raises
     ------
@@ -25,24 +30,28 @@ def as_prior(prior: Any) -> Prior:
     """
     if isinstance(prior, Cloud | Gaussian):
         return prior
+    if isinstance(prior, pd.DataFrame):
+        return read_prior(prior, model)
     try:
         x = np.array(prior, np.float64)
     except (TypeError, ValueError) as error:
         raise PriorError(
-            f"a prior must be a Cloud or an array (components, particles), got {shown(prior)}"
+            "a prior must be a Cloud, a DataFrame or an array (components, particles), got "
+            f"{shown(prior)}"
         ) from error
     return Cloud(0, x[None] if x.ndim == 1 else x)
 
 
-def read_prior(path: Path, model: StateSpaceModel) -> Cloud:
+def read_prior(path: Path | pd.DataFrame, model: StateSpaceModel) -> Cloud:
     """Read particles from a table in Parquet or CSV, a row a particle.
 
-    The columns are x0, x1, ..., and on request weight (in any unit; else all are equal) and t, the
-    instant of the states, the same in all rows (else 0).
+    The columns are x0, x1, ..., or x_ with the names that the model gives to the states, and on
+    request weight (in any unit; else all are equal) and t, the instant of the states, the same in
+    all rows (else 0).
 
     Parameters
     ----------
-    path : Path
+    path : Path or DataFrame
     model : StateSpaceModel
         The model that has these states.
 
@@ -51,23 +60,23 @@ def read_prior(path: Path, model: StateSpaceModel) -> Cloud:
     PriorError
         The file cannot be read, its columns do not fit, or a value is wrong.
     """
-    states = [f"x{component}" for component in range(model.components[0])]
+    allowed = user_columns("x", model)
     try:
-        columns = read_user_table(path, partial(_check_header, states))
+        columns = read_user_table(path, partial(_check_header, allowed))
+        states = next(names for names in allowed if names[0] in columns)
         x = np.stack([columns[name] for name in states])
         return Cloud(_instant(columns.get("t")), x, columns.get("weight"))
     except (PriorError, ValueError) as error:
-        raise PriorError(f"{path}: {error}") from error
+        where = "prior" if isinstance(path, pd.DataFrame) else path
+        raise PriorError(f"{where}: {error}") from error
     except OSError as error:
         raise PriorError(f"cannot read {path}: {error.strerror or error}") from error
 
 
-def _check_header(states: list[str], header: list[str]) -> None:
-    lacking = [name for name in states if name not in header]
-    unknown = [name for name in header if name not in (*states, "weight", "t")]
-    if lacking or unknown:
+def _check_header(allowed: list[list[str]], header: list[str]) -> None:
+    if {name for name in header if name not in ("weight", "t")} not in map(set, allowed):
         raise PriorError(
-            f"the columns must be {', '.join(states)}, and may be weight and t, "
+            f"the columns must be {' or '.join(map(', '.join, allowed))}, and may be weight and t, "
             f"got {shown(', '.join(header))}"
         )
 

@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from pfdist.errors import MeasurementsError
-from pfdist.evaluation.problem import Problem
+from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Result, Work
 from pfdist.filters.settings import FilterSettings
 from pfdist.sequential.one_filter import begin
@@ -42,12 +42,12 @@ class OnlineWork(Work):
     planning_stream: int
     shown: int = 0
 
-    def result(self, problem: Problem) -> Result:
+    def result(self, evaluator: Evaluator) -> Result:
         """Per-draw MSE, (D, 1), and the times that were chosen for each draw.
 
         The estimates are (E, T+1, q), for the draws whose estimates are wanted.
         """
-        results = [self._of_draw(problem, draw) for draw in range(*self.draws)]
+        results = [self._of_draw(evaluator, draw) for draw in range(*self.draws)]
         chosen = tuple(result.measurement_times[0] for result in results)
         estimates = [result.estimates[0, 0] for result in results if result.estimates.size]
         return Result(
@@ -61,8 +61,8 @@ class OnlineWork(Work):
         """About how many particle-steps a draw takes: nearly all of them plan."""
         return _steps(self.feasible, self.planning) + super().steps_a_draw
 
-    def _of_draw(self, problem: Problem, draw: int) -> Result:
-        times = self.chosen(problem, draw)
+    def _of_draw(self, evaluator: Evaluator, draw: int) -> Result:
+        times = self.chosen(evaluator, draw)
         filtered = Work(
             measurement_times=(times,),
             ends=self.ends,
@@ -72,16 +72,16 @@ class OnlineWork(Work):
             estimation=self.estimation,
             trajectories=draw < self.shown,
         )
-        return replace(problem.filtered(filtered), measurement_times=(times,))
+        return replace(evaluator.filtered(filtered), measurement_times=(times,))
 
-    def chosen(self, problem: Problem, draw: int) -> Times:
+    def chosen(self, evaluator: Evaluator, draw: int) -> Times:
         """Choose the times of one draw; if it is degenerate, the last plan stays."""
-        replanner = Replanner(problem, self.feasible, self.planning, self.planning_stream)
-        y = problem.draws(range(draw, draw + 1), self.draws_stream).y[0]
+        replanner = Replanner(evaluator, self.feasible, self.planning, self.planning_stream)
+        y = evaluator.draws(range(draw, draw + 1), self.draws_stream).y[0]
         estimation, (plan,) = self.estimation, self.measurement_times
-        settings = FilterSettings(estimation.particles, estimation.resampling, problem.dtype)
+        settings = FilterSettings(estimation.particles, estimation.resampling, evaluator.dtype)
         filtering = begin(
-            problem.believed, settings, self.filter_streams[0], draw, problem.computed_by.name
+            evaluator.believed, settings, self.filter_streams[0], draw, evaluator.computed_by.name
         )
         taken = Times()
         while plan:

@@ -5,6 +5,7 @@ search is the driver's.
 """
 
 from pfdist.store.about import read_run, unreadable
+from pfdist.store.clock_columns import ClockColumns, frame_of
 from pfdist.store.files import remove as remove_file
 from pfdist.store.files import write_file
 from pfdist.store.folder import (
@@ -24,6 +25,8 @@ from pfdist.store.schema import (
     QUESTIONS,
     SCHEMA_VERSION,
     WHY_PHASE,
+    WINDOW_PERCENTS,
+    compared_schema,
     comparison_schema,
     filtered_schema,
     schema,
@@ -40,15 +43,19 @@ __all__ = [
     "ROWS_IN_A_FILE",
     "SCHEMA_VERSION",
     "WHY_PHASE",
+    "WINDOW_PERCENTS",
+    "ClockColumns",
     "Damage",
     "Manifest",
     "Store",
     "add_to_provenance",
     "check_entries",
     "check_not_held",
+    "compared_schema",
     "comparison_schema",
     "confirm",
     "filtered_schema",
+    "frame_of",
     "has_key",
     "held",
     "holds_run",

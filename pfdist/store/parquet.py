@@ -13,10 +13,12 @@ process may die at any instant of it.
 """
 
 from collections.abc import Iterable
+from pathlib import Path
 
 import pyarrow as pa
 
 from pfdist.store import files
+from pfdist.store.clock_columns import ClockColumns
 from pfdist.store.reader import Reader
 from pfdist.store.schema import KEYS, QUESTIONS, schema
 from pfdist.store.tables import cut_rows, signed, unique
@@ -26,7 +28,30 @@ _MANY = 1_000_000_000  # rows of the other tables: one file a phase
 
 
 class Store(Reader):
-    """Tables of one run, to be read and written; see `Reader` for the parameters."""
+    """Tables of one run, to be read and written.
+
+    Parameters
+    ----------
+    path : Path
+    run_key : str, optional
+        As of `Reader`.
+    clock : ClockColumns, optional
+        The clock of the run. Callers hand over instants, and the tables hold times on the clock.
+    """
+
+    def __init__(
+        self, path: Path, run_key: str | None = None, clock: ClockColumns | None = None
+    ) -> None:
+        super().__init__(path, run_key)
+        self._clock = clock
+
+    def timed(self, rows: pa.Table) -> pa.Table:
+        """Give rows with times on the clock of the run in the place of instants."""
+        return rows if self._clock is None else self._clock.table(rows)
+
+    def own_schema(self, schema: pa.Schema) -> pa.Schema:
+        """Give the schema that a table has in this store: with a clock, times are numbers."""
+        return schema if self._clock is None else self._clock.schema(schema)
 
     def sweep(self) -> None:
         """Remove unfinished files of killed processes."""
@@ -46,7 +71,7 @@ class Store(Reader):
         folder = self.path / "parts" / table
         path = next(folder.glob(f"{phase}-{key}.*.parquet"), None)
         if path is None:
-            prepared = files.prepare_table(folder, signed(rows, self._run_key))
+            prepared = files.prepare_table(folder, self._prepared(rows))
             path = folder / f"{phase}-{key}.{prepared.stamp}.parquet"
             files.give_name(prepared, path, replace=False)
         if table == "draws":  # even if it was there: another driver may have committed it
@@ -67,8 +92,7 @@ class Store(Reader):
         settled = []
         for number, rows in enumerate(cut_rows(pieces, ROWS_IN_A_FILE.get(table, _MANY))):
             path = self.path / "tables" / table / f"{phase}-{number:05d}.parquet"
-            whole = signed(rows.combine_chunks(), self._run_key)
-            prepared = files.prepare_table(path.parent, whole)
+            prepared = files.prepare_table(path.parent, self._prepared(rows.combine_chunks()))
             before = self.manifest.expect(path, prepared.stamp)
             files.give_name(prepared, path, replace=True)
             settled.append((path, prepared.stamp, before))
@@ -81,6 +105,10 @@ class Store(Reader):
             files.remove(path)
         self._draw_files.remove(gone)
 
+    def _prepared(self, rows: pa.Table) -> pa.Table:
+        """Give rows as files hold them."""
+        return signed(self.timed(rows), self._run_key)
+
     def settle(self, table: str, phase: str) -> None:
         """Publish all rows that a phase has committed so far, sorted by key, if it has parts."""
         if self.has_parts(table, phase):
@@ -88,7 +116,8 @@ class Store(Reader):
 
     def renew(self, table: str, phase: str, rows: pa.Table) -> None:
         """Publish rows beside the published rows of a phase, and in the place of the same keys."""
-        self.publish(table, phase, [unique([rows, *self._load(table, phase)], KEYS[table])])
+        pieces = [self.timed(rows), *self._load(table, phase)]
+        self.publish(table, phase, [unique(pieces, KEYS[table])])
 
     def adopt(self, other: "Store", phase: str) -> None:
         """Commit all per-draw rows of another run, under a phase of their own.

@@ -13,6 +13,7 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from pfdist.errors import StoreError
+from pfdist.store.clock_columns import frame_of
 from pfdist.store.draw_files import DrawFiles
 from pfdist.store.keys import run_key as folder_key
 from pfdist.store.manifest import Manifest
@@ -54,7 +55,7 @@ class Reader:
         pieces = self._load(table, filters=wanted)
         if not pieces:
             raise StoreError(f"the run {self.path} has no table {table!r} yet")
-        frame: pd.DataFrame = pd.concat([piece.to_pandas() for piece in pieces])
+        frame: pd.DataFrame = pd.concat([frame_of(piece) for piece in pieces])
         return frame.drop_duplicates(KEYS[table]).sort_values(KEYS[table], ignore_index=True)
 
     def compared(self) -> pd.DataFrame:
@@ -72,10 +73,10 @@ class Reader:
         return rows
 
     def compared_sets(self) -> dict[str, tuple[int, ...]]:
-        """Read the compared sets by name, the reference first."""
+        """Read the compared sets by name, the reference first; times are those of the clock."""
         rows = self.compared()
         return {
-            str(name): tuple(map(int, times))
+            str(name): tuple(times.tolist())
             for name, times in zip(rows["name"], rows["measurement_times"], strict=True)
         }
 

@@ -8,12 +8,17 @@ from collections.abc import Sequence
 
 import pyarrow as pa
 
+from pfdist.common.component_names import Component
+
 SCHEMA_VERSION = 3
 RUN_KEY = b"pfdist_run"
 """Under this name a file's metadata holds the key of the run that wrote it (schema 3 and later)."""
 
 FILTERED_PERCENTS = (5, 25, 50, 75, 95)
 """Quantiles, in per cent, in the table of a user's filtered measurements."""
+
+WINDOW_PERCENTS = (1, 5)
+"""Largest losses, in per cent, within the sampling windows of a measurement."""
 
 _MSE = "square of z's unit"
 
@@ -30,13 +35,15 @@ KEYS: dict[str, list[str]] = {
     "error_sums": ["evaluation", "block"],
     "profile": ["position", "t"],
     "worth": ["position", "t"],
+    "windows": ["position", "t", "instant"],
+    "jitter": ["position", "percent"],
 }
 """What identifies a row of each table."""
 
 TABLES = tuple(KEYS)
 
 BOUND_PHASE, WHY_PHASE = "bound.proof", "why.measurements"
-"""Start of the phases of lower bounds, and the phase of what measurements are worth."""
+"""Start of the phases of lower bounds, and the phase of all that `why` computes."""
 
 QUESTIONS = (BOUND_PHASE, WHY_PHASE)
 """Phases of questions about a finished run. It is finished without them. No search is named so."""
@@ -44,6 +51,16 @@ QUESTIONS = (BOUND_PHASE, WHY_PHASE)
 
 def _column(name: str, kind: pa.DataType, unit: str, description: str) -> pa.Field:
     return pa.field(name, kind, metadata={"unit": unit, "description": description})
+
+
+def _of_component(start: str, component: Component, unit: str, description: str) -> pa.Field:
+    """A column of a component; the unit is that of the component, if it has one."""
+    column = _column(
+        f"{start}_{component.suffix}", pa.float64(), component.unit or unit, description
+    )
+    if not component.name:
+        return column
+    return column.with_metadata({**column.metadata, b"label": component.label.encode()})
 
 
 def _schema(table: str, columns: Sequence[pa.Field]) -> pa.Schema:
@@ -59,11 +76,22 @@ def _estimate(name: str, description: str) -> list[pa.Field]:
     ]
 
 
+def _within(percent: int) -> str:
+    return f"inside: upper_limit is at most {percent} %; outside: lower_limit is above; else open"
+
+
 _OF_A_SET = (
     _column("position", pa.int32(), "", "order of the set, as in compared"),
     _column("name", pa.string(), "", "the set's name, as in compared"),
 )
 _TIMES = _column("measurement_times", pa.list_(pa.int16()), "t", "the set M, sorted")
+
+_LOSS = (
+    _column("loss", pa.float64(), "", "rise of the expected MSE over that of the kept set"),
+    _column("loss_error", pa.float64(), "", "standard error of loss"),
+    _column("degenerate_draws", pa.int64(), "", "with the moved measurements"),
+)
+
 
 _SCHEMAS = {
     "evaluations": [
@@ -151,6 +179,7 @@ _SCHEMAS = {
         _column("draws", pa.int64(), "", "fresh draws; 0: exact"),
         _column("error", pa.float64(), _MSE, "expected error at t"),
         _column("standard_error", pa.float64(), _MSE, "of error"),
+        _column("weight", pa.float64(), "", "of the instant in the MSE; the mean is 1"),
         _column("degenerate_draws", pa.int64(), "", "draws that are degenerate up to t"),
         _column(
             "effective_sample_size",
@@ -166,6 +195,28 @@ _SCHEMAS = {
         *_estimate("removed", "rise of the expected MSE if the measurement is removed"),
         *_estimate("earlier", "rise if it is made one instant earlier; null: impossible"),
         *_estimate("later", "rise if it is made one instant later; null: impossible"),
+    ],
+    "windows": [
+        *_OF_A_SET,
+        _column("t", pa.int32(), "t", "instant of the measurement"),
+        _column("instant", pa.int32(), "t", "to which it alone is moved; t itself is a row, too"),
+        _column("place", pa.int32(), "", "number of this instant, counted from 0"),
+        _column("draws", pa.int64(), "", "fresh draws; 0: exact"),
+        *_LOSS,
+        _column("lower_limit", pa.float64(), "", "one-sided 95 % limit of loss"),
+        _column("upper_limit", pa.float64(), "", "one-sided 95 % limit of loss"),
+        *(
+            _column(f"within_{percent}", pa.string(), "", _within(percent))
+            for percent in WINDOW_PERCENTS
+        ),
+    ],
+    "jitter": [
+        *_OF_A_SET,
+        _column("percent", pa.int32(), "%", "largest loss within the sampling windows"),
+        _column("draws", pa.int64(), "", "each with random times; 0: nothing moves"),
+        *_LOSS,
+        _column("low", pa.float64(), "", "end of the 95 % interval of loss"),
+        _column("high", pa.float64(), "", "end of the 95 % interval of loss"),
     ],
 }
 
@@ -185,40 +236,52 @@ def comparison_schema(names: Sequence[str]) -> pa.Schema:
     return _schema("comparison", columns)
 
 
-def trajectories_schema(names: Sequence[str], quantities: int, measurements: int) -> pa.Schema:
-    """Schema of the trajectories: a row a draw and instant."""
+def compared_schema(*, with_exact: bool) -> pa.Schema:
+    """Schema of the compared sets, with a column of exact costs if the job names sets.
+
+    A set that the job names has no search, and no cost that a search believed.
+    """
+    exact = _column("exact_mse", pa.float64(), _MSE, "of a given set; null: found")
+    compared = schema("compared")
+    return compared.append(exact) if with_exact else compared
+
+
+def trajectories_schema(
+    names: Sequence[str], quantities: Sequence[Component], measurements: Sequence[Component]
+) -> pa.Schema:
+    """Schema of the trajectories of sets with these names: a row a draw and instant.
+
+    The components are those of z and of y.
+    """
     columns = [
         _column("draw", pa.int64(), "", "index of the draw, as in comparison"),
         _column("t", pa.int32(), "t", "instant"),
     ]
+    columns += [_of_component("z", each, "z", "quantity of interest") for each in quantities]
     columns += [
-        _column(f"z_{k}", pa.float64(), "z", "quantity of interest") for k in range(quantities)
+        _of_component("y", each, "y", "measurement, had one been made") for each in measurements
     ]
     columns += [
-        _column(f"y_{k}", pa.float64(), "y", "measurement, had one been made")
-        for k in range(measurements)
-    ]
-    columns += [
-        _column(f"estimate_{name}_{k}", pa.float64(), "z", "the filter's; null: degenerate")
+        _of_component(f"estimate_{name}", each, "z", "the filter's; null: degenerate")
         for name in names
-        for k in range(quantities)
+        for each in quantities
     ]
     return _schema("trajectories", columns)
 
 
-def filtered_schema(quantities: int) -> pa.Schema:
-    """Schema of a user's measurements that were filtered: a row an instant."""
+def filtered_schema(quantities: Sequence[Component]) -> pa.Schema:
+    """Schema of filtered measurements, by the components of z: a row an instant."""
     columns = [
         _column("t", pa.int32(), "t", "instant"),
         _column("measured", pa.bool_(), "", "whether t was measured"),
     ]
-    for k in range(quantities):
+    for each in quantities:
         columns += [
-            _column(f"mean_{k}", pa.float64(), "z", "mean, by the measurements up to t"),
-            _column(f"sd_{k}", pa.float64(), "z", "standard deviation"),
+            _of_component("mean", each, "z", "mean, by the measurements up to t"),
+            _of_component("sd", each, "z", "standard deviation"),
         ]
         columns += [
-            _column(f"q{percent:02d}_{k}", pa.float64(), "z", f"quantile of {percent} %")
+            _of_component(f"q{percent:02d}", each, "z", f"quantile of {percent} %")
             for percent in FILTERED_PERCENTS
         ]
     columns += [

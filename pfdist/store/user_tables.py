@@ -25,14 +25,14 @@ MOST_COLUMNS = 1000
 _MISSING = ("", "nan", "na", "null")  # texts of a number that is missing, in lower case
 
 
-def read_user_table(path: Path, check_header: CheckHeader) -> dict[str, Array]:
+def read_user_table(path: Path | pd.DataFrame, check_header: CheckHeader) -> dict[str, Array]:
     """Read a table of numbers; a number that is missing is NaN.
 
     Parameters
     ----------
-    path : Path
+    path : Path or DataFrame
         A Parquet file if its name ends in ``.parquet``; else a CSV file, whose first line names the
-        columns.
+        columns. Or a table in memory, whose index counts as a column if it has a name.
     check_header : callable
         Takes the names of the columns, and raises an error if they are wrong. It is called before
         any number is read.
@@ -49,6 +49,8 @@ def read_user_table(path: Path, check_header: CheckHeader) -> dict[str, Array]:
     OSError
         The file cannot be read.
     """
+    if isinstance(path, pd.DataFrame):
+        return _columns_of(path, check_header)
     about = path.stat()
     if not stat.S_ISREG(about.st_mode):  # a pipe might never end
         raise ValueError("a table must be a file, got something else")
@@ -60,6 +62,22 @@ def read_user_table(path: Path, check_header: CheckHeader) -> dict[str, Array]:
 def is_parquet(path: Path) -> bool:
     """Whether a file's name is that of a Parquet file."""
     return path.suffix.lower() == ".parquet"
+
+
+def _columns_of(table: pd.DataFrame, check_header: CheckHeader) -> dict[str, Array]:
+    if table.index.name is not None:
+        table = table.reset_index()
+    header = list(map(str, table.columns))
+    _check_size(header, len(table))
+    check_header(header)
+    columns = {}
+    for column, name in enumerate(header):
+        try:
+            columns[name] = pd.to_numeric(table.iloc[:, column]).to_numpy(np.float64, copy=True)
+        except (TypeError, ValueError) as error:
+            reason = str(error).partition("\n")[0]
+            raise ValueError(f"column {shown(name)} must hold numbers: {reason}") from error
+    return columns
 
 
 def _read_csv(path: Path, check_header: CheckHeader) -> dict[str, Array]:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.times.measurement_times import Times
+from pfdist.times.spacing import Spacing
 
 _IMPOSSIBLE = -(2**62)
 
@@ -30,8 +31,7 @@ class Affordable:
     required : tuple of int
         Usable times that every set must contain; no other usable time lies within the spacing of
         them.
-    spacing : int
-        Smallest allowed difference of two times.
+    spacing : Spacing
     price : sequence of int, (T+1,)
         Price of each time, at least 1.
     total : int
@@ -40,7 +40,7 @@ class Affordable:
 
     usable: Times
     required: Times
-    spacing: int
+    spacing: Spacing
     price: Sequence[int]
     total: int
 
@@ -91,7 +91,7 @@ class Affordable:
         for index, time in enumerate(self.usable):
             if index and self.usable[index - 1] in self.required:  # no set may leave it out
                 before, following = keys[index - 1].copy(), index
-            while self.usable[following] <= time - self.spacing:
+            while self.usable[following] <= self.spacing.before(time):
                 np.maximum(before, keys[following], out=before)
                 following += 1
             price = self.price[time]
@@ -113,5 +113,5 @@ class Affordable:
             spent, key = spent - self.price[time], key - self._count + abs(time - target)
             before = [self.usable.index(taken) for taken in self.required if taken < time]
             first = max(before, default=0)
-            stop = bisect_right(self.usable, time - self.spacing)
+            stop = bisect_right(self.usable, self.spacing.before(time))
         return tuple(reversed(times))

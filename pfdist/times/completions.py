@@ -19,6 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pfdist.times.spacing import Spacing
+
 _BEFORE = -1  # stands for the last time of an empty prefix; as an index, the table's last row
 
 
@@ -37,8 +39,7 @@ class Completions:
         Usable times that every set must contain.
     cheap : tuple of int
         Times that a set must contain unless another of its times lies within the spacing.
-    spacing : int
-        Smallest allowed difference of two times.
+    spacing : Spacing
     cost : tuple of int, (T+1,)
         Cost of each time, at least 1.
     total : int
@@ -51,7 +52,7 @@ class Completions:
     usable: tuple[int, ...]
     required: tuple[int, ...]
     cheap: tuple[int, ...]
-    spacing: int
+    spacing: Spacing
     cost: tuple[int, ...]
     total: int
     left_over: range
@@ -102,7 +103,7 @@ class Completions:
         return tuple(times)
 
     def _first_after(self, last: int) -> int:
-        return 0 if last == _BEFORE else last + self.spacing
+        return self.spacing.after(last)
 
     def _next(self, times: tuple[int, ...], first: int) -> int:
         """Give the earliest of some times that is not before `first`; T + 1 if there is none."""
@@ -113,7 +114,7 @@ class Completions:
         """Give the range of the next time: a later time would omit a required or a cheap time."""
         first = self._first_after(last)
         cheap, required = self._next(self.cheap, first), self._next(self.required, last + 1)
-        stop = min(cheap + self.spacing, required + 1, self.horizon + 1)
+        stop = min(self.spacing.after(cheap), required + 1, self.horizon + 1)
         return range(first, max(first, stop))
 
     def _following(self, last: int) -> tuple[int, ...]:

@@ -62,7 +62,8 @@ class Feasible(Constraints):
         """Give the regular times, or in their place a feasible set like them.
 
         With N measurements these are the times of the paper's equation 13; a single one is in the
-        middle. If they are not feasible, the nearest feasible set takes their place (see
+        middle. On an uneven clock they are the instants nearest to evenly spaced times. If they
+        are not feasible, the nearest feasible set takes their place (see
         `pfdist.times.measurement_times.nearest`). With money, the set is one of those that spend
         the most. It has the most times of these, and is then the nearest to regular times (see
         `pfdist.times.affordable.Affordable.nearest`).
@@ -115,7 +116,7 @@ class Feasible(Constraints):
         required = self.required[bisect_right(self.required, last) :]
         if left <= 0 or len(required) > left:
             return ()
-        start = bisect_left(self.allowed, last + self.minimum_spacing if times else 0)
+        start = bisect_left(self.allowed, self.spacing.after(last))
         stop = bisect_right(self._negative_capacities, -left)
         if required:
             index = bisect_left(self.allowed, required[0])
@@ -182,14 +183,14 @@ class Feasible(Constraints):
     @property
     def _free(self) -> bool:
         """Whether all sets of N allowed times that contain the required times are feasible."""
-        return self.counted and self.minimum_spacing == 1
+        return self.counted and self.spacing.is_free
 
     @cached_property
     def _negative_capacities(self) -> list[int]:
         """For each allowed time, minus the most times that fit from it on; sorted for bisect."""
         negated = [0] * (len(self.allowed) + 1)
         for index in reversed(range(len(self.allowed))):
-            after = bisect_left(self.allowed, self.allowed[index] + self.minimum_spacing)
+            after = bisect_left(self.allowed, self.spacing.after(self.allowed[index]))
             negated[index] = negated[after] - 1
         return negated[:-1]
 
@@ -210,7 +211,7 @@ class Feasible(Constraints):
                 usable=usable,
                 required=self.required,
                 cheap=tuple(time for time in self.optional if self.price[time] <= least),
-                spacing=self.minimum_spacing,
+                spacing=self.spacing,
                 cost=self.price,
                 total=self.total,
                 left_over=range(least, min(more, self.total + 1)),
@@ -261,11 +262,15 @@ class Feasible(Constraints):
 
     def _regular_or_middle(self, number: int) -> Times:
         """Give regular times, feasible or not; the middle for N = 1, where the formula fails."""
-        return regular(self.horizon, number) if number > 1 else ((self.horizon + 1) // 2,)[:number]
+        if number <= 1:
+            return ((self.horizon + 1) // 2,)[:number]
+        if self.clock is not None and not self.clock.is_even:
+            return self.clock.regular_times(number)
+        return regular(self.horizon, number)
 
     @cached_property
     def _nearest_regular(self) -> Times:
-        spacing = self.minimum_spacing
+        spacing = self.spacing
         if not self.counted:
             affordable = Affordable(self.allowed, self.required, spacing, self.price, self.total)
             return affordable.nearest(self._regular_or_middle)

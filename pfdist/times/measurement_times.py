@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.errors import MeasurementTimesError, shown
+from pfdist.times.spacing import Spacing
 
 Times = tuple[int, ...]
 REGULAR: Final = "regular"  # name of the regular times in jobs and tables
@@ -40,6 +41,10 @@ def validated(measurement_times: Iterable[int], horizon: int, where: str = "") -
     (0, 3, 5)
     """
     origin = f" ({where})" if where else ""
+    if isinstance(measurement_times, str | bytes) or not isinstance(measurement_times, Iterable):
+        raise MeasurementTimesError(
+            f"measurement_times must be a list of integers, got {shown(measurement_times)}{origin}"
+        )
     times = list(measurement_times)
     for time in times:
         if isinstance(time, bool) or not isinstance(time, (int, np.integer)):
@@ -126,7 +131,7 @@ def random(
     return np.sort(order[:, :measurement_budget], axis=1)
 
 
-def nearest(wanted: Times, usable: Times, required: Times, spacing: int) -> Times:
+def nearest(wanted: Times, usable: Times, required: Times, spacing: Spacing) -> Times:
     """Give the set of usable times that is nearest to a set of wanted times.
 
     Parameters
@@ -138,8 +143,7 @@ def nearest(wanted: Times, usable: Times, required: Times, spacing: int) -> Time
     required : tuple of int
         Usable times that the set must contain. No other usable time lies within the spacing of
         them.
-    spacing : int
-        Smallest allowed difference of two times.
+    spacing : Spacing
 
     Returns
     -------
@@ -159,14 +163,16 @@ def nearest(wanted: Times, usable: Times, required: Times, spacing: int) -> Time
 
     Examples
     --------
-    >>> nearest((0, 5, 10), usable=(1, 2, 3, 4, 6, 8, 9), required=(), spacing=3)
+    >>> spacing = Spacing.constant(3, horizon=10)
+    >>> nearest((0, 5, 10), usable=(1, 2, 3, 4, 6, 8, 9), required=(), spacing=spacing)
     (1, 4, 9)
     """
     times, last = np.array(usable), len(usable) - 1
     taken = np.isin(times, required).nonzero()[0].tolist()
     # The times from start to stop may precede a time: they are far enough away from it, and no
     # required time lies between.
-    stops = np.searchsorted(times, times - spacing, side="right").tolist()
+    latest = [spacing.before(time) for time in usable]
+    stops = np.searchsorted(times, latest, side="right").tolist()
     starts = [max((i for i in taken if i < index), default=0) for index in range(len(times))]
     first_taken, last_taken = (taken[0], taken[-1]) if taken else (last, 0)
     distance = np.full(len(times), np.inf)
@@ -184,7 +190,7 @@ def nearest(wanted: Times, usable: Times, required: Times, spacing: int) -> Time
         distance = here
     if wanted and not np.isfinite(distance[last_taken:]).any():
         raise MeasurementTimesError(
-            f"there must be {len(wanted)} usable times at least {spacing} apart, got {usable}"
+            f"there must be {len(wanted)} usable times far enough apart, got {usable}"
         )
     indices = [last_taken + int(distance[last_taken:].argmin())] if wanted else []
     for previous in reversed(before):

@@ -34,7 +34,7 @@ def rest_of(feasible: Feasible, taken: Times, first: int) -> Feasible | None:
     if first > feasible.horizon:
         return None
     left = range(first, feasible.horizon + 1)
-    near = {t for time in taken for t in left if abs(t - time) < feasible.minimum_spacing}
+    near = {t for time in taken for t in feasible.spacing.near(time)}
     barred = near.union(feasible.forbidden)
     required = [time for time in feasible.required if time in left and time not in barred]
     make = partial(
@@ -42,6 +42,7 @@ def rest_of(feasible: Feasible, taken: Times, first: int) -> Feasible | None:
         horizon=feasible.horizon - first,
         forbidden=tuple(time - first for time in left if time in barred),
         minimum_spacing=feasible.minimum_spacing,
+        clock=None if feasible.clock is None else feasible.clock.since(first),
     )
     if feasible.cost is not None and feasible.total_cost is not None:
         money, cost = feasible.total_cost - feasible.cost_of(taken), feasible.cost[first:]

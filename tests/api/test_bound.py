@@ -19,7 +19,7 @@ from pfdist.bounds.relaxation import Window
 from pfdist.cli.bound_lines import proof_lines
 from pfdist.cli.main import main
 from pfdist.errors import JobError, ModelError, StoreError
-from pfdist.evaluation.problem import Problem
+from pfdist.evaluation.evaluator import Evaluator
 from pfdist.pools.base import SerialPool
 from pfdist.runner.block_sums import BlockSums
 from pfdist.runner.bound_settings import LEAST_DRAWS, BoundSettings
@@ -71,8 +71,8 @@ def test_where_everything_is_known_it_lies_below_the_optimum(
 ) -> None:
     found = bound(_run(small_job, tmp_path / "run", *EXACT).path, window=window)
     job = small_job.with_changes(EXACT)
-    problem = Problem(pfdist.load_model("random_walk"), 12, engine="kalman")
-    optimum = min(problem.expected_mse(list(job.problem.feasible.every())))
+    evaluator = Evaluator(pfdist.load_model("random_walk"), 12, engine="kalman")
+    optimum = min(evaluator.expected_mse(list(job.problem.feasible.every())))
     assert found.draws == found.particles == 0
     for gap in found.gaps:
         assert gap.bound.value <= optimum * (1 + 1e-12)
@@ -90,8 +90,8 @@ def test_with_particles_it_lies_below_the_optimum_but_for_its_error(
 ) -> None:
     run = _run(small_job, tmp_path / "run", "model.name=random_walk", "filter.particles=200")
     found = bound(run.path, LEAST_DRAWS)
-    problem = Problem(pfdist.load_model("random_walk"), 12, engine="kalman")
-    optimum = min(problem.expected_mse(list(small_job.problem.feasible.every())))
+    evaluator = Evaluator(pfdist.load_model("random_walk"), 12, engine="kalman")
+    optimum = min(evaluator.expected_mse(list(small_job.problem.feasible.every())))
     for gap in found.gaps:
         assert not gap.reason
         assert gap.bound.value < optimum + 4 * gap.bound.standard_error
@@ -270,8 +270,8 @@ def test_where_measurements_cost_money_it_lies_below_the_optimum(
     path = small_job.path.with_name("priced.toml")
     path.write_text(text.replace("measurement_budget = 4", f"total_cost = {money}\ncost = {costs}"))
     job = load_job(path).with_changes(EXACT)
-    problem = Problem(pfdist.load_model("random_walk"), 12, engine="kalman")
-    optimum = min(problem.expected_mse(list(job.problem.feasible.every())))
+    evaluator = Evaluator(pfdist.load_model("random_walk"), 12, engine="kalman")
+    optimum = min(evaluator.expected_mse(list(job.problem.feasible.every())))
     run = _run(load_job(path), tmp_path / "run", *EXACT).path
     for gap in bound(run).gaps:
         assert gap.budget == job.problem.feasible.total

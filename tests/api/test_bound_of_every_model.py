@@ -13,17 +13,18 @@ SHIPPED = sorted(name for name, (module, _) in installed_models().items() if "pf
 JOB_OF = {"ungm": "plan"}
 JOBS = Path(__file__).parents[2] / "jobs"
 SMALL = [
-    "problem.horizon=12",
     "problem.measurement_budget=4",
     "comparison.draws=100",
     "execution.pool=serial",
 ]
+INSTANTS = {"pharmacokinetics": "problem.times=[0, 0.5, 1, 2, 3, 4, 6, 9, 12, 13, 30, 46, 47]"}
 
 
 @pytest.mark.zoo
 @pytest.mark.parametrize("name", SHIPPED)
 def test_a_bound_is_given(name: str, tmp_path: Path) -> None:
-    job = load_job(JOBS / f"{JOB_OF.get(name, name)}.toml", SMALL)
+    instants = INSTANTS.get(name, "problem.horizon=12")
+    job = load_job(JOBS / f"{JOB_OF.get(name, name)}.toml", [*SMALL, instants])
     run = pfdist.plan(job, tmp_path / "run", search="random", bound_draws=0, figures=False)
     for gap in pfdist.bound(
         run.path, BoundSettings(LEAST_DRAWS), pool="serial", figures=False

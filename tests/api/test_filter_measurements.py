@@ -17,6 +17,7 @@ from oracles.bytes_of import hashes
 from pfdist import Filter, Job, Run
 from pfdist.api.filter_measurements import IMPROBABLE, FilteredMeasurements
 from pfdist.cli.main import main
+from pfdist.common.component_names import numbered_components
 from pfdist.errors import JobError, MeasurementsError, PfdistError, PriorError, StoreError
 from pfdist.filters.draws import simulate
 from pfdist.store import filtered_schema
@@ -55,7 +56,7 @@ def test_the_table_is_the_filter_of_the_run_at_every_instant(
     believed = pfdist.load_model("ungm").with_parameters({"process_sd": 1.5})
     filtering = Filter(believed, 40, 1, resampling="multinomial", dtype="float32")
     rows = pd.read_csv(tmp_path / "mine.filtered.csv").to_dict("records")
-    assert list(found.table.columns) == filtered_schema(1).names
+    assert list(found.table.columns) == filtered_schema(numbered_components(1)).names
     assert [row["t"] for row in rows] == list(range(HORIZON + 1))
     for t, row in enumerate(rows):
         estimate = filtering.update(t, y[t]) if t in times else filtering.predict(t)
@@ -110,7 +111,7 @@ def test_parquet_gives_parquet_in_another_folder(run: Run, y: Any, tmp_path: Pat
     table, *_ = found.files
     assert table == tmp_path / "new" / "folder" / "mine.filtered.parquet"
     schema = pq.read_schema(table)
-    assert schema.names == filtered_schema(1).names
+    assert schema.names == filtered_schema(numbered_components(1)).names
     assert all(schema.field(name).metadata[b"description"] for name in schema.names)
     pd.testing.assert_frame_equal(pd.read_parquet(table), found.table)
     assert found.table["surprise"].notna().tolist() == found.table["measured"].tolist()
@@ -306,7 +307,7 @@ def test_a_panel_is_drawn_for_each_component_up_to_six(tmp_path: Path) -> None:
     from pfdist.plots import draw_filtered, filtered_plot
 
     for number, height in ((1, 825), (3, 1695), (8, 3000)):
-        names = filtered_schema(number).names
+        names = filtered_schema(numbered_components(number)).names
         table = pd.DataFrame({name: np.zeros(5) for name in names})
         table["t"], table["measured"] = range(5), [True, False, True, False, False]
         path = tmp_path / f"{number}.png"

@@ -22,7 +22,7 @@ from pfdist.errors import (
     StoreError,
     TaskError,
 )
-from pfdist.evaluation.problem import Problem
+from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Work
 from pfdist.pools.base import Outcome, SerialPool
 from pfdist.runner import collect
@@ -124,9 +124,9 @@ def test_a_run_that_failed_goes_on_with_what_is_committed_and_ends_with_the_same
     whole = pfdist.run(small_job, tmp_path / "whole", figures=False)
     needed = sum(count_draws)
     count_draws.clear()
-    calls, do = 0, Problem.filtered
+    calls, do = 0, Evaluator.filtered
 
-    def failing(self: Problem, work: Work) -> Any:
+    def failing(self: Evaluator, work: Work) -> Any:
         nonlocal calls
         calls += 1
         if calls > stop_after:
@@ -134,7 +134,7 @@ def test_a_run_that_failed_goes_on_with_what_is_committed_and_ends_with_the_same
         return do(self, work)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Problem, "filtered", failing)
+        patch.setattr(Evaluator, "filtered", failing)
         with pytest.raises(TaskError, match="the cluster is on fire") as failure:
             pfdist.run(small_job, tmp_path / "again", figures=False)
     assert "Traceback" in failure.value.traceback
@@ -302,7 +302,7 @@ def test_tables_without_what_says_whose_they_are_are_left_alone(
 def test_a_wish_for_too_many_draws_can_be_taken_back(small_job: Job, tmp_path: Path) -> None:
     run = pfdist.run(small_job, tmp_path / "run", figures=False)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Problem, "filtered", lambda self, work: 1 / 0)
+        patch.setattr(Evaluator, "filtered", lambda self, work: 1 / 0)
         with pytest.raises(TaskError, match="ZeroDivisionError"):
             pfdist.run(
                 small_job.with_changes(["comparison.draws=90000000"]), run.path, figures=False

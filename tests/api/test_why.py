@@ -11,10 +11,11 @@ import pytest
 import pfdist
 from oracles.bytes_of import hashes
 from pfdist import Job
+from pfdist.analysis.sampling_windows import sentences, windows_of
 from pfdist.api.why import why
 from pfdist.cli.main import main
 from pfdist.common.rounding import with_error
-from pfdist.errors import JobError, PfdistError, RunMismatchError, StoreError
+from pfdist.errors import ArgumentError, PfdistError, RunMismatchError, StoreError
 from pfdist.evaluation.work import Estimation, Work
 from pfdist.filters import kalman
 from pfdist.kernels.estimators import ESTIMATORS
@@ -123,7 +124,7 @@ def test_the_profile_is_the_squared_error_over_time_and_its_mean_the_expected_ms
             estimation=Estimation(quick.filter.particles, quick.filter.resampling),
             trajectories=True,
         )
-        result = built.problem(alone)
+        result = built.evaluator(alone)
         error = (result.z - result.estimates[0])[:, :, 0] ** 2
         profile = found.profile[found.profile["name"] == row["name"]]
         np.testing.assert_allclose(profile["error"], error.mean(axis=0))
@@ -147,9 +148,14 @@ def test_the_command_answers_in_json_draws_a_figure_a_search_and_leaves_the_run_
     assert [row["t"] for row in regular["worth"]] == [0, 4, 8, 12]
     assert regular["worth"][0]["earlier"] is None
     assert [row["t"] for row in regular["profile"] if row["measured"]] == [0, 4, 8, 12]
+    windows, jitter = regular["windows"], regular["jitter"]
+    assert {row["t"] for row in windows} == {0, 4, 8, 12}
+    assert [row["loss"] for row in windows if row["instant"] == row["t"]] == [0.0] * 4
+    assert [row["percent"] for row in jitter] == [1, 5]
+    assert all(row["low"] <= row["loss"] <= row["high"] for row in jitter)
     names = [
         f"{name}.{kind}"
-        for name in ("why-genetic", "why-random", "filters")
+        for name in ("why-genetic", "why-random", "windows-genetic", "windows-random", "filters")
         for kind in ("png", "svg")
     ]
     assert [Path(file).name for file in answer["figures"]] == names
@@ -157,14 +163,19 @@ def test_the_command_answers_in_json_draws_a_figure_a_search_and_leaves_the_run_
     after = {
         file: content
         for file, content in hashes(run.path).items()
-        if not re.search("why|filters", file)
+        if not re.search("why|windows|filters", file)
     }
     assert after == before
     assert run.state == "finished"
     assert run.profile()["error"].tolist()[:13] == [row["error"] for row in regular["profile"]]
     assert run.worth()["removed"].tolist()[:4] == [row["removed"] for row in regular["worth"]]
+    stored = run.windows()
+    assert stored["loss"].tolist()[: len(windows)] == [row["loss"] for row in windows]
+    assert run.jitter()["loss"].tolist()[:2] == [row["loss"] for row in jitter]
     assert not list(verify_run(run.path))
+    again = hashes(run.path)
     assert main(["why", str(run.path), "--draws", "30"]) == 0
+    assert hashes(run.path) == again
     text = capsys.readouterr().out
     assert (
         f"regular: expected MSE {with_error(regular['expected_mse'], regular['standard_error'])} "
@@ -172,6 +183,11 @@ def test_the_command_answers_in_json_draws_a_figure_a_search_and_leaves_the_run_
     )
     worth = regular["worth"][1]
     assert with_error(worth["removed"], worth["removed_error"], sign=True) in text
+    strict, wide = (windows_of(windows, percent)[1].text for percent in (1, 5))
+    assert f"  t = 4: 1 %: {strict}; 5 %: {wide}\n" in text
+    unwrapped = " ".join(text.split())
+    assert all(said in unwrapped for said in sentences(windows, jitter, is_reference=True))
+    assert all(len(line) <= 80 for line in text.splitlines() if str(run.path) not in line)
 
 
 def test_the_effective_sample_size_is_that_of_the_draws_with_trajectories(
@@ -247,7 +263,7 @@ def test_what_is_impossible_is_said(quick: Job, tmp_path: Path) -> None:
             2,
         ),
         (StoreError, "holds no run", tmp_path, 2),
-        (JobError, r"draws must be at least 2, got 1$", tmp_path / "run", 1),
+        (ArgumentError, r"draws must be at least 2, got 1$", tmp_path / "run", 1),
     ]
     for error, words, path, draws in wrong:
         with pytest.raises(error, match=words):

@@ -23,7 +23,7 @@ from pfdist.bounds.guard import Falls, guarded
 from pfdist.bounds.programme import least
 from pfdist.bounds.proof import Sums, falls, prove
 from pfdist.bounds.relaxation import NOTHING, Relaxation, Window
-from pfdist.evaluation.problem import Problem
+from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation, Work
 from pfdist.filters.draws import Draws, simulate
 from pfdist.filters.kalman import expected_mse
@@ -54,8 +54,8 @@ class Case:
         return Feasible(self.horizon, BUDGET)
 
     @property
-    def problem(self) -> Problem:
-        return Problem(self.model, self.horizon)
+    def evaluator(self) -> Evaluator:
+        return Evaluator(self.model, self.horizon)
 
 
 def _by_kalman(case: Case) -> float:
@@ -88,7 +88,7 @@ CASES = {
 
 
 def _errors(case: Case, work: Work) -> Array:
-    return case.problem.filtered(work).mse[:, 0]
+    return case.evaluator.filtered(work).mse[:, 0]
 
 
 def _alone(case: Case, times: Times, draws: tuple[int, int], estimator: str) -> Array:
@@ -110,7 +110,7 @@ def _sums(
         estimation=Estimation(particles, "systematic", "filter_variance"),
     )
     blocks = [(first + group * IN_GROUP, first + (group + 1) * IN_GROUP) for group in range(groups)]
-    sums = np.stack([case.problem.sum_errors(replace(work, draws=draws)) for draws in blocks])
+    sums = np.stack([case.evaluator.sum_errors(replace(work, draws=draws)) for draws in blocks])
     relaxed, own = counted(relaxation, sums[:, :-1]), sums[:, -1:]
     return Sums(relaxed, own, np.full(groups, float(IN_GROUP)))
 

@@ -15,7 +15,7 @@ from oracles.windows import counted, relaxed_errors
 from pfdist import load_job, load_model
 from pfdist.bounds.first_windows import relaxation_with
 from pfdist.bounds.relaxation import Relaxation
-from pfdist.evaluation.problem import Problem
+from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation, Work
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
@@ -70,7 +70,7 @@ def best_sets(tmp_path_factory: pytest.TempPathFactory) -> list[Times]:
 
 def _sums(sets: list[Times], ends: list[int], chance: int) -> Array:
     """Sums of the errors over each group of draws, (G, S, T+1)."""
-    problem, found = Problem(load_model("ungm"), HORIZON), list[Array]()
+    evaluator, found = Evaluator(load_model("ungm"), HORIZON), list[Array]()
     for group in range(GROUPS):
         first = (chance * GROUPS + group) * DRAWS
         pieces = []
@@ -80,7 +80,7 @@ def _sums(sets: list[Times], ends: list[int], chance: int) -> Array:
             draws = (first, first + DRAWS)
             streams = (7,) * len(some)
             work = Work(tuple(some), tuple(until), streams, 8, draws, estimation)
-            pieces.append(problem.sum_errors(work))
+            pieces.append(evaluator.sum_errors(work))
         found.append(np.concatenate(pieces))
     return np.stack(found)
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from oracles.clocked import with_clock
 from pfdist import StateSpaceModel, load_model
 from pfdist.checks.measured import missing_components, normalised
 from pfdist.checks.model import check_model
@@ -124,7 +125,7 @@ def test_a_density_has_the_integral_1_and_a_model_that_lies_is_found(name: str) 
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_a_model_that_ships_is_normalised_if_it_says_so_and_only_then(name: str) -> None:
-    model = load_model(name)
+    model = with_clock(load_model(name), 12)
     assert (_looked(normalised, model)[0] == "ok") is model.normalised
 
 
@@ -155,6 +156,7 @@ def _two_sensors(second: Any) -> StateSpaceModel:
         ),
         *("normal", "normal"),
         missing_components=True,
+        y_names=("first", "second"),
     )
 
 

@@ -166,6 +166,34 @@ def test_a_mistake_is_found(
     assert "\n" not in check.text
 
 
+READS_CLOCK = ("0.9 * x[0] + w[0]", "np.exp(-p.dt[t]) * x[0] + w[0]")
+
+
+def test_a_model_that_reads_a_clock_gets_one_and_the_note_says_so(tmp_path: Path) -> None:
+    checks = checks_of(tmp_path, READS_CLOCK)
+    assert checks["clock"].state == "note"
+    assert checks["clock"].text.startswith("p.time is 0 to 12 in 13 instants, assumed because")
+    assert {check.state for name, check in checks.items() if name != "clock"} == {"ok"}
+    assert list(checks) == [*LOOKS[:2], "clock", *LOOKS[2:]]
+
+
+def test_a_given_clock_is_used(tmp_path: Path) -> None:
+    text = RIGHT.replace(*READS_CLOCK).replace("np.exp(-p.dt[t])", "np.sqrt(0.5 - p.dt[t])")
+    (tmp_path / "mine.py").write_text(text)
+    for times, state in (((0, 0.25, 0.75), "ok"), ((0, 0.25, 0.8), "wrong"), ((), "wrong")):
+        found = check_model("mine.py:model", 12, 50, tmp_path, times)
+        checks = {check.name: check for check in found}
+        assert checks["simulate"].state == state
+
+
+def test_a_parameter_with_the_name_of_the_clocks_is_wrong(tmp_path: Path) -> None:
+    text = RIGHT.replace('name="mine",', 'name="mine", parameters={"dt": 0.5},')
+    (tmp_path / "mine.py").write_text(text)
+    checks = list(check_model("mine.py:model", 12, 50, tmp_path, (0.0, 1.0)))
+    assert (checks[-1].name, checks[-1].state) == ("clock", "wrong")
+    assert "no parameter may have the name 'dt'" in checks[-1].text
+
+
 def test_a_constant_that_is_random_is_found_by_its_name(tmp_path: Path) -> None:
     change = ("counter = []", "counter = np.random.rand()"), ("0.9 * x[0]", "counter * x[0]")
     check = checks_of(tmp_path, *change)["loads the same twice"]

@@ -28,6 +28,7 @@ _SMALL: dict[str, dict[str, Any]] = {
 # Options that follow an example: the same work on fewer draws, and without Ray.
 _SHORTER = {
     "bound": "--pool serial --draws 480 --work 0",
+    "compare": "--draws 100 --pool serial",
     "budget": "--draws 50 --bound-draws 0",
     "online": "--draws 2",
     "plan": "--bound-draws 0",

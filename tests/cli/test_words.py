@@ -4,6 +4,7 @@ import pytest
 
 from pfdist.cli.parser import make_parser
 from pfdist.cli.words import unknown_option
+from pfdist.common.number_list import whole_numbers
 
 
 @pytest.mark.parametrize(
@@ -20,7 +21,14 @@ from pfdist.cli.words import unknown_option
 )
 def test_times_may_have_spaces_before_and_after_the_job(line: str) -> None:
     options = make_parser().parse_args(["evaluate", *line.split()])
-    assert (options.job, options.times) == ("a.toml", [0, 3, 6])
+    ((name, times),) = options.times
+    assert (options.job, name, whole_numbers(times)) == ("a.toml", "", [0, 3, 6])
+
+
+def test_times_with_names_may_have_spaces_too() -> None:
+    line = "a.toml --times mine=0 3 6 --times=b=1:3 5 --times regular"
+    options = make_parser().parse_args(["compare", *line.split()])
+    assert options.times == [("mine", "0 3 6"), ("b", "1:3 5"), ("regular", "regular")]
 
 
 def test_measurements_take_the_same_lists() -> None:

@@ -27,7 +27,7 @@ def _one_format() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Run]:
-    """An old run, one with a bound and online times, one for several numbers, one with its why."""
+    """An old run; runs with a bound and online times, several numbers, why, and named sets."""
     folder = tmp_path_factory.mktemp("figures")
     shutil.copytree(ROOT / "assets" / "schema-2", folder / "run")
     job = pfdist.load_job(ROOT / "small.toml", [*EXACT, "problem.horizon=6"])
@@ -39,7 +39,10 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Run]:
     search = ["search=[{method='random', evaluations=3}]", "comparison.draws=20"]
     explained = pfdist.run(ROOT / "small.toml", folder / "why", changes=search, figures=False)
     pfdist.why(explained.path, draws=20, figures=False)
-    return [pfdist.open_run(folder / "run"), proved, several, explained]
+    sets = {"few": [0, 12], "many": "0:12:2"}
+    short = pfdist.load_job(ROOT / "small.toml", EXACT)
+    named = pfdist.compare(short, times=sets, results=folder / "sets", draws=20, figures=False)
+    return [pfdist.open_run(folder / "run"), proved, several, explained, named]
 
 
 @every

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 import pfdist
+from oracles.clocked import times_of, with_clock
 from pfdist import load_job, load_model
 from pfdist.checks.model import check_model
-from pfdist.evaluation.compiling import compile_problem, libm_functions
-from pfdist.evaluation.problem import Problem
+from pfdist.evaluation.compiling import compile_evaluator, libm_functions
+from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation
 from pfdist.filters import plain
 from pfdist.filters.draws import simulate
@@ -41,7 +42,7 @@ def _by_model(cases: Iterable[Any], model_of: Callable[[Any], str]) -> list[Any]
 
 @pytest.mark.parametrize(("name", "resampling"), _by_model(SCHEMES, lambda case: case[0]))
 def test_compiled_and_plain_filter_agree(name: str, resampling: str) -> None:
-    truth = load_model(name)
+    truth = with_clock(load_model(name), 30)
     draws = simulate(truth, 30, range(4), 17)
     model = truth.with_parameters(BELIEVED.get(name, {}))
     arguments = (model, draws, regular(30, 11), 130, 23, resampling)
@@ -52,7 +53,8 @@ def test_compiled_and_plain_filter_agree(name: str, resampling: str) -> None:
 
 @pytest.mark.parametrize("name", _by_model(SHIPPED, str))
 def test_check_model_finds_nothing_wrong(name: str) -> None:
-    checks = list(check_model(name, horizon=30, particles=100))
+    times = times_of(30) if load_model(name).reads_clock else ()
+    checks = list(check_model(name, horizon=30, particles=100, times=times))
     assert [check for check in checks if check.state == "wrong"] == []
     assert checks[-1].name == "an evaluation"
 
@@ -62,9 +64,9 @@ def test_no_function_of_the_c_library_is_called(name: str) -> None:
     # Such a function may round otherwise on another machine; a root, a fused multiplication and
     # a remainder do not.
     estimation = Estimation(1)
-    problem = Problem(load_model(name), 1)
-    compile_problem(problem, estimation)
-    assert libm_functions(problem, estimation) == ()
+    evaluator = Evaluator(with_clock(load_model(name), 1), 1)
+    compile_evaluator(evaluator, estimation)
+    assert libm_functions(evaluator, estimation) == ()
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -87,7 +89,7 @@ def test_a_job_is_evaluated_and_runs(
         for search in job.search
         for key in small.keys() & search.settings.keys()
     )
-    times = job.problem.feasible.regular()
+    times = [job.problem.clock.times[t] for t in job.problem.feasible.regular()]
     assert 0 < pfdist.evaluate(job, times).expected_mse < np.inf
     run = pfdist.run(job, tmp_path / "run", pool="serial")
     assert run.state == "finished"

@@ -17,31 +17,31 @@ import matplotlib.pyplot as plt
 
 from pfdist import load_job
 from pfdist.cli.main import main
-from pfdist.evaluation.problem import Problem
+from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Work
 from pfdist.plots import figures
 from pfdist.runner.build import build
 
 
 def compute(job: str, run: str, log: str) -> int:
-    do = Problem.filtered
+    do = Evaluator.filtered
     with open(log, "a", buffering=1, encoding="ascii") as lines:
 
-        def logged(self: Problem, work: Work) -> Any:
+        def logged(self: Evaluator, work: Work) -> Any:
             start = time.perf_counter()
             result = do(self, work)
             filtered = (work.draws[1] - work.draws[0]) * len(work.measurement_times)
             lines.write(f"{filtered} {time.perf_counter() - start}\n")
             return result
 
-        Problem.filtered = logged  # type: ignore[method-assign]
+        Evaluator.filtered = logged  # type: ignore[method-assign]
         figures.FORMATS = ("svg",)  # they take longer than the rest of a small run
         return main(["run", job, "--results", run, "--pool", "serial"])
 
 
 if __name__ == "__main__":
     job = sys.argv[1]
-    assert build(load_job(job)).problem.engine == "compiled"
+    assert build(load_job(job)).evaluator.engine == "compiled"
     plt.close(plt.figure())
     for line in sys.stdin:
         child = os.fork()

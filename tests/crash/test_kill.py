@@ -21,7 +21,7 @@ from crash.runs import finish, running
 from oracles.bytes_of import hashes
 from pfdist import Job
 from pfdist.cli.main import main
-from pfdist.evaluation.problem import Problem
+from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Work
 
 JOB = """
@@ -302,9 +302,9 @@ def test_a_run_asked_to_end_keeps_what_is_done_and_goes_on(
     whole, run = tmp_path / "whole", tmp_path / "run"
     command = ["run", str(small_job.path), "--results"]
     assert main([*command, str(whole)]) == 0
-    calls, do = itertools.count(1), Problem.filtered
+    calls, do = itertools.count(1), Evaluator.filtered
 
-    def signalled(self: Problem, work: Work) -> Any:
+    def signalled(self: Evaluator, work: Work) -> Any:
         if len(work.measurement_times) == sets and next(calls) == task:
             signal.raise_signal(number)
         return do(self, work)
@@ -312,7 +312,7 @@ def test_a_run_asked_to_end_keeps_what_is_done_and_goes_on(
     # A shell's background jobs, as CI may be, are started with SIGINT ignored.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     with monkeypatch.context() as patch:
-        patch.setattr(Problem, "filtered", signalled)
+        patch.setattr(Evaluator, "filtered", signalled)
         assert main([*command, str(run)]) == code
     signal.signal(signal.SIGINT, before)
     assert "the same command goes on" in capsys.readouterr().err

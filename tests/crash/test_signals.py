@@ -26,7 +26,7 @@ Record = Callable[[str, object], None]
 SLOW_TO_LEAVE = """
 import signal, sys, time
 from pfdist.cli.main import main
-from pfdist.evaluation.problem import Problem
+from pfdist.evaluation.evaluator import Evaluator
 from pfdist.pools.base import SerialPool
 
 def leave(*_):
@@ -38,7 +38,7 @@ def forever(*_):
     time.sleep(600)
 
 signal.signal(signal.SIGINT, signal.default_int_handler)
-SerialPool.__exit__, Problem.filtered = leave, forever
+SerialPool.__exit__, Evaluator.filtered = leave, forever
 sys.exit(main(sys.argv[1:]))
 """
 

@@ -10,7 +10,7 @@ from scipy import stats
 import oracles.kalman
 from pfdist import StateSpaceModel
 from pfdist.errors import MeasurementTimesError, PriorError
-from pfdist.evaluation.problem import Problem
+from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation
 from pfdist.filters import draws as compiled_draws
 from pfdist.filters import kalman, particle_filter, plain
@@ -67,11 +67,11 @@ def test_compiled_and_plain_start_alike(ungm: StateSpaceModel, weighted: bool) -
 
 def test_several_sets_share_prefixes_as_without_a_prior(ungm: StateSpaceModel) -> None:
     prior = Cloud(8, np.random.default_rng(1).normal(0, 10, (1, 300)))
-    problem, estimation = Problem(ungm, HORIZON, prior=prior), Estimation(64, "systematic")
-    draws, sets = problem.draws(range(20), 3), [(8, 11), (9, 11, 17), (9, 12, 17), ()]
-    together = problem.mse_of_sets(draws, sets, [20, 20, 19, 14], 5, estimation)
+    evaluator, estimation = Evaluator(ungm, HORIZON, prior=prior), Estimation(64, "systematic")
+    draws, sets = evaluator.draws(range(20), 3), [(8, 11), (9, 11, 17), (9, 12, 17), ()]
+    together = evaluator.mse_of_sets(draws, sets, [20, 20, 19, 14], 5, estimation)
     for column, times, end in zip(together.T, sets, [20, 20, 19, 14], strict=True):
-        alone = problem.mse_of_sets(draws, [times], [end], 5, estimation)[:, 0]
+        alone = evaluator.mse_of_sets(draws, [times], [end], 5, estimation)[:, 0]
         np.testing.assert_array_equal(column, alone)
 
 
@@ -82,9 +82,9 @@ def test_the_two_filters_of_an_estimator_start_from_particles_of_their_own(
     prior = Cloud(8, np.random.default_rng(1).normal(0, 10, (1, 200)))
     estimation, found = Estimation(40, "systematic", "two_filters"), []
     for engine in ENGINES:
-        problem = Problem(ungm, HORIZON, engine=engine, prior=prior)
-        draws = problem.draws(range(20), 3)
-        found.append(problem.mse_of_sets(draws, [(11,)], [HORIZON], 5, estimation))
+        evaluator = Evaluator(ungm, HORIZON, engine=engine, prior=prior)
+        draws = evaluator.draws(range(20), 3)
+        found.append(evaluator.mse_of_sets(draws, [(11,)], [HORIZON], 5, estimation))
     np.testing.assert_allclose(*found, rtol=1e-9)
 
 
@@ -164,7 +164,7 @@ def test_a_prior_that_does_not_fit_is_refused(ungm: StateSpaceModel) -> None:
     with pytest.raises(PriorError, match=r"an instant in 0..5, got 6"):
         simulate(ungm, 5, range(1), 1, Cloud(6, np.ones((1, 3))))
     with pytest.raises(PriorError, match="got a normal distribution"):
-        Problem(ungm, 5, prior=Gaussian(2, np.ones(1), np.eye(1)))
+        Evaluator(ungm, 5, prior=Gaussian(2, np.ones(1), np.eye(1)))
     draws = simulate(ungm, 5, range(1), 1, Cloud(2, np.ones((1, 3))))
     with pytest.raises(PriorError, match="first instant of its draws, 2, got a prior for 0"):
         particle_filter.filter_draws(ungm, draws, (3,), 10, 1)

@@ -13,7 +13,7 @@ from oracles.figures_under import CORES, figures_under
 from oracles.kalman import SCALAR, THREE, TRACKING, LinearGaussian, riccati_cost
 from pfdist import Job, StateSpaceModel, linear_gaussian, load_model
 from pfdist.errors import ModelError
-from pfdist.evaluation.problem import Problem
+from pfdist.evaluation.evaluator import Evaluator
 from pfdist.filters import kalman
 from pfdist.filters.cloud import Gaussian
 from pfdist.filters.draws import simulate
@@ -147,14 +147,14 @@ def test_what_is_declared_is_checked(case: str) -> None:
     changes, message = NOT_LINEAR[case]
     model = replace(load_model("random_walk"), **changes)
     with pytest.raises(ModelError, match=message):
-        Problem(model, 12, engine="kalman")
+        Evaluator(model, 12, engine="kalman")
 
 
 def test_the_filter_must_know_the_truth() -> None:
     model = load_model("random_walk")
     wrong = model.with_parameters({"step_sd": 2.0})
     with pytest.raises(ModelError, match="knows the truth"):
-        Problem(model, 12, filter_model=wrong, engine="kalman")
+        Evaluator(model, 12, filter_model=wrong, engine="kalman")
 
 
 def test_figures_in_numpy_agree_to_12_digits_under_the_names_of_other_processors():

@@ -13,7 +13,7 @@ from oracles.kalman import TRACKING, riccati_cost
 from pfdist import StateSpaceModel, load_model, where
 from pfdist.errors import ModelError
 from pfdist.evaluation.engines import ENGINES
-from pfdist.evaluation.problem import Problem
+from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation, Work
 from pfdist.filters.draws import Draws, simulate
 from pfdist.filters.particle_filter import filter_draws, filter_sets, filter_streams
@@ -161,10 +161,10 @@ def test_in_line_by_state_the_difference_of_two_sets_has_less_variance() -> None
 
 WRONG = UNGM.with_parameters({"process_sd": 0.5})
 NORM = replace(UNGM, error=lambda z, estimate, t, p: abs(z[0] - estimate[0]))
-REFUSED: list[tuple[Problem, dict[str, Any], str]] = (
+REFUSED: list[tuple[Evaluator, dict[str, Any], str]] = (
     [
         (
-            Problem(UNGM, 5, UNGM.with_parameters({"process_sd": 2.0}), engine=engine),
+            Evaluator(UNGM, 5, UNGM.with_parameters({"process_sd": 2.0}), engine=engine),
             {"estimator": estimator},
             f"^the estimator '{estimator}' needs a filter that knows the truth, .*'squared_er",
         )
@@ -173,7 +173,7 @@ REFUSED: list[tuple[Problem, dict[str, Any], str]] = (
     ]
     + [
         (
-            Problem(NORM, 5),
+            Evaluator(NORM, 5),
             {"estimator": estimator},
             "needs an error that is the squared Euclidean",
         )
@@ -181,12 +181,12 @@ REFUSED: list[tuple[Problem, dict[str, Any], str]] = (
     ]
     + [
         (
-            Problem(UNGM, 5),
+            Evaluator(UNGM, 5),
             {"estimator": "best"},
             "estimator must be one of squared_error, .* 'best'",
         ),
         (
-            Problem(load_model("bearings_only"), 5),
+            Evaluator(load_model("bearings_only"), 5),
             {"resampling": "sorted_systematic"},
             "'sorted_systematic' needs a model with a scalar state, got bearings_only with 4",
         ),
@@ -194,16 +194,16 @@ REFUSED: list[tuple[Problem, dict[str, Any], str]] = (
 )
 
 
-@pytest.mark.parametrize(("problem", "changes", "message"), REFUSED)
+@pytest.mark.parametrize(("evaluator", "changes", "message"), REFUSED)
 def test_what_does_not_fit_is_refused(
-    problem: Problem, changes: dict[str, Any], message: str
+    evaluator: Evaluator, changes: dict[str, Any], message: str
 ) -> None:
     with pytest.raises((ModelError, ValueError), match=message) as error:
-        problem.check(Estimation(10, **changes))
+        evaluator.check(Estimation(10, **changes))
     assert "\n" not in str(error.value)
     work = Work(((1,),), (5,), (1,), 1, (0, 2), Estimation(10, **changes))
     with pytest.raises((ModelError, ValueError), match=message):
-        problem(work)
+        evaluator(work)
 
 
 # --- the filter's own variance ---
@@ -213,10 +213,10 @@ def test_what_does_not_fit_is_refused(
 def test_of_a_filter_that_knows_the_truth_the_own_variance_is_the_filters_variance(
     engine: str,
 ) -> None:
-    problem = Problem(UNGM, HORIZON, engine=engine)
+    evaluator = Evaluator(UNGM, HORIZON, engine=engine)
     work = Work(tuple(SETS), tuple(ENDS), (9,) * len(SETS), 3, (0, 6), Estimation(50))
     own, variance = (
-        problem(replace(work, estimation=Estimation(50, estimator=estimator))).mse
+        evaluator(replace(work, estimation=Estimation(50, estimator=estimator))).mse
         for estimator in ("own_variance", "filter_variance")
     )
     np.testing.assert_array_equal(own, variance)
@@ -225,9 +225,9 @@ def test_of_a_filter_that_knows_the_truth_the_own_variance_is_the_filters_varian
 @pytest.mark.parametrize("engine", ["compiled", "numpy"])
 def test_the_own_variance_is_what_a_wrong_filter_believes(engine: str) -> None:
     """The variance of its particles, however wrong it is about the error."""
-    problem = Problem(UNGM, HORIZON, WRONG, engine=engine)
+    evaluator = Evaluator(UNGM, HORIZON, WRONG, engine=engine)
     estimation = Estimation(70, estimator="own_variance")
-    own = problem(Work(tuple(SETS), tuple(ENDS), (9,) * len(SETS), 3, (0, 6), estimation)).mse
+    own = evaluator(Work(tuple(SETS), tuple(ENDS), (9,) * len(SETS), 3, (0, 6), estimation)).mse
     draws = simulate(UNGM, HORIZON, range(6), 3)
     believed = [
         by_hand(replace(draws, model=WRONG), times, end, "own_variance")
@@ -237,38 +237,38 @@ def test_the_own_variance_is_what_a_wrong_filter_believes(engine: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("problem", "cheapest", "guiding"),
+    ("evaluator", "cheapest", "guiding"),
     [
-        (Problem(UNGM, 5), "filter_variance", "filter_variance"),
-        (Problem(UNGM, 5, WRONG), "squared_error", "own_variance"),
-        (Problem(NORM, 5), "squared_error", "squared_error"),
+        (Evaluator(UNGM, 5), "filter_variance", "filter_variance"),
+        (Evaluator(UNGM, 5, WRONG), "squared_error", "own_variance"),
+        (Evaluator(NORM, 5), "squared_error", "squared_error"),
     ],
     ids=["the truth is known", "wrong filter", "own error"],
 )
 def test_the_estimators_that_a_problem_suggests(
-    problem: Problem, cheapest: str, guiding: str
+    evaluator: Evaluator, cheapest: str, guiding: str
 ) -> None:
-    assert (problem.cheapest_estimator, problem.guiding_estimator) == (cheapest, guiding)
+    assert (evaluator.cheapest_estimator, evaluator.guiding_estimator) == (cheapest, guiding)
 
 
 @pytest.mark.parametrize("engine", ["compiled", "numpy"])
 def test_the_squared_error_alone_is_always_allowed(engine: str) -> None:
-    problem, allowed = Problem(NORM, 5, replace(NORM, name="another"), engine=engine), []
+    evaluator, allowed = Evaluator(NORM, 5, replace(NORM, name="another"), engine=engine), []
     for estimator in ESTIMATORS:
         with contextlib.suppress(ModelError):
-            problem.check(Estimation(10, estimator=estimator))
+            evaluator.check(Estimation(10, estimator=estimator))
             allowed.append(estimator)
     assert allowed == ["squared_error"]
 
 
 @others
 def test_of_an_exact_engine_every_estimate_is_exact(estimator: str) -> None:
-    problem = Problem(load_model("random_walk"), HORIZON, engine="kalman")
+    evaluator = Evaluator(load_model("random_walk"), HORIZON, engine="kalman")
     estimation = Estimation(1, "sorted_systematic", estimator)
-    problem.check(estimation)
+    evaluator.check(estimation)
     sets: Sequence[Times] = ((0, 4, 8), (2, 9))
-    mse = problem(Work(tuple(sets), (12, 9), (1, 1), 1, (0, 3), estimation)).mse
-    np.testing.assert_allclose(mse, [problem.expected_mse(sets, (12, 9))] * 3, rtol=1e-12)
+    mse = evaluator(Work(tuple(sets), (12, 9), (1, 1), 1, (0, 3), estimation)).mse
+    np.testing.assert_allclose(mse, [evaluator.expected_mse(sets, (12, 9))] * 3, rtol=1e-12)
 
 
 def test_two_filters_take_the_work_of_two() -> None:

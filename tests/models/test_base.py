@@ -173,9 +173,52 @@ def test_with_parameters_lists_the_parameters_that_there_are():
         ({"a b": 1.0}, "that of a variable, got 'a b'"),
         ({"_a": 1.0}, "that of a variable, got '_a'"),
         ({"lambda": 1.0}, "that of a variable, got 'lambda'"),
-        ({"scale": "x"}, "scale must be a number, got 'x'"),
+        ({"scale": "x"}, "scale must be a number, or a sequence of .* got 'x'"),
     ],
 )
 def test_a_parameter_is_a_variables_name_and_a_number(parameters, message):
     with pytest.raises(ModelError, match=message):
         dataclasses.replace(GOOD, parameters=parameters, parameter_ranges={})
+
+
+def test_names_of_components_give_columns_labels_and_units():
+    model = dataclasses.replace(
+        GOOD, x_names=("Größe [cm]", "b-2"), z_names=("a", "a  b", "A_B c [1/(µg s)]")
+    )
+    assert [each.suffix for each in model.named("x")] == ["größe", "b_2"]
+    assert [each.suffix for each in model.named("z")] == ["a", "a_b", "a_b_c"]
+    assert [each.label for each in model.named("x")] == ["Größe [cm]", "b-2"]
+    assert model.named("z")[2].unit == "1/(µg s)"
+    assert [each.suffix for each in GOOD.named("z")] == ["0", "1", "2"]
+    assert not any(each.label for each in GOOD.named("z"))
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        ("dose", "z_names: must be a tuple, a name for each component, got 'dose'"),
+        (("a", "b"), "z_names: must have a name for each of 3 components, got 2"),
+        (("a", "b c", "B-c [mg]"), "different columns, got 'b c' and 'B-c', which both end with"),
+        (("a", "b", "1"), "got '1'"),
+        (("a", "b", ""), "got ''"),
+        (("a", "b", 3), "got 3"),
+        (("a", "b", "c [mg"), "got 'c [mg'"),
+        (("a", "b", "c []"), "got 'c []'"),
+        (("a", "b", "c [a\nb]"), "a name must be a letter, then letters, digits"),
+        (("a", "b", f"c [{'m' * 21}]"), "a unit in brackets (at most 20)"),
+        (("a", "b", "c" * 41), "(at most 40 characters)"),
+        (("a", "b", "c.d"), "got 'c.d'"),
+    ],
+)
+def test_wrong_names_are_told_in_one_line(names, words):
+    with pytest.raises(ModelError) as caught:
+        dataclasses.replace(GOOD, z_names=names)
+    assert words in str(caught.value)
+    assert str(caught.value).startswith("model good: z_names: ")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_model_without_names_is_kept_as_older_versions_kept_it():
+    """A formula may reach a model; then these attributes are part of a run's identity."""
+    assert not {name for name in GOOD.__getstate__() if name.endswith("_names")}
+    assert "z_names" in dataclasses.replace(GOOD, z_names=("a", "b", "c")).__getstate__()

@@ -48,6 +48,7 @@ def hashes_under(name: str, cases: Sequence[Case], cache: Path) -> dict[str, str
 
 
 def _hashes(cases: Sequence[Case]) -> dict[str, str]:
+    from oracles.clocked import with_clock
     from pfdist import load_model
     from pfdist.filters.draws import simulate
     from pfdist.filters.particle_filter import filter_draws, filter_sets
@@ -56,7 +57,7 @@ def _hashes(cases: Sequence[Case]) -> dict[str, str]:
 
     found = {}
     for name, resampling, dtype in cases:
-        model = load_model(name)
+        model = with_clock(load_model(name), _HORIZON)
         draws = simulate(model, _HORIZON, range(_DRAWS), 7)
         what = f"{name} {resampling} {dtype}"
         found[f"{name} simulation"] = _hash(draws.x, draws.y, draws.z)

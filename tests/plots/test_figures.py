@@ -24,12 +24,13 @@ from pfdist.plots import (
     worth,
 )
 from pfdist.plots.costs import legend_inches
-from pfdist.plots.draws import components, plot_of, typical_draw
+from pfdist.plots.draws import plot_of, typical_draw
 from pfdist.plots.figures import drawn
 from pfdist.plots.library import styled
 from pfdist.plots.measured_online import measured_at
 from pfdist.plots.online_draw import with_online
 from pfdist.plots.style import COLUMN_INCHES
+from pfdist.store.component_columns import components_in
 
 EVALUATIONS = pd.DataFrame(
     [
@@ -143,7 +144,7 @@ def test_one_draw_shows_every_component_of_z_in_a_panel_of_its_own() -> None:
         trajectory[f"z_{k}"] = [k, k + 0.5]
         for name in ("regular", "genetic"):
             trajectory[f"estimate_{name}_{k}"] = [k, k + 0.25]
-    assert components(trajectory) == 3
+    assert len(components_in(trajectory, "z_")) == 3
     sets = {"regular": [0], "genetic": []}
     panels = drawn(plot_of(trajectory, sets, "draw 3, relative gain 10 %", "Title.")).axes
     assert [axes.get_legend() is not None for axes in panels] == [True, False, False]
@@ -270,6 +271,21 @@ def test_a_profile_shows_the_error_its_band_and_the_instants_measured() -> None:
     assert [list(line.get_markevery()) for line in (regular, found)] == [[0, 2], [1]]
     band = axes.collections[0].get_paths()[0].vertices[:, 1]
     assert (band.min(), band.max()) == pytest.approx((1 - 0.196, 5 + 0.196))
+
+
+def test_the_mean_of_a_profile_is_weighted_as_the_mse_is() -> None:
+    profile = pd.DataFrame(
+        {
+            "name": ["found"] * 3,
+            "t": [0.0, 1.0, 4.0],
+            "measured": [True, False, False],
+            "error": [2.0, 4.0, np.nan],  # an error of weight 0 is not known
+            "standard_error": [0.1] * 3,
+            "weight": [2.25, 0.75, 0.0],
+        }
+    )
+    axes = error_profile(profile, ax=_axes())
+    assert axes.get_lines()[0].get_label() == "found, mean 2.5"
 
 
 def test_a_measurements_worth_is_a_stem_and_its_shifts_are_triangles_with_intervals() -> None:

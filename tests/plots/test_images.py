@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.testing.compare import compare_images
 from matplotlib.text import Text
 
-from pfdist.plots import budget, error_profile, gain, one_draw, times, worth
+from pfdist.plots import budget, error_profile, gain, one_draw, times, windows, worth
 from pfdist.plots.library import styled
 
 BASELINE = Path(__file__).parent / "baseline"
@@ -45,6 +45,22 @@ def _worth() -> pd.DataFrame:
             {"name": name, "t": 4 * k + shift, "removed": value, "removed_error": 0.1}
             for shift, (name, values) in enumerate(rise.items())
             for k, value in enumerate(values)
+        ]
+    )
+
+
+def _windows() -> pd.DataFrame:
+    states = {0: "inside", 1: "inside", 2: "open", 3: "outside"}
+    return pd.DataFrame(
+        [
+            {
+                "t": t,
+                "instant": t + step * k,
+                "within_1": states[k],
+                "within_5": states[max(0, k - 1)],
+            }
+            for t, step in ((2, 1), (7, -1), (12, 1), (19, -1))
+            for k in range(4)
         ]
     )
 
@@ -83,6 +99,7 @@ PICTURES: dict[str, Callable[[Axes], Axes]] = {
     "gain": lambda ax: gain(_comparison(), "found", beside="other", ax=ax),
     "one_draw": lambda ax: one_draw(_trajectory(), SETS, title="draw 3", ax=ax),
     "times": lambda ax: times(SETS, forbidden=[11, 12, 13], ax=ax),
+    "windows": lambda ax: windows(_windows(), ax=ax),
     "worth": lambda ax: worth(_worth(), ax=ax),
 }
 

@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 import pfdist
 from pfdist import plots
 from pfdist.analysis import Run
+from pfdist.common.component_names import numbered_components
 from pfdist.errors import JobError
 from pfdist.plots.figure import FIGURES, Tables
 from pfdist.plots.figures import drawn
@@ -48,7 +49,17 @@ WORTH = pd.DataFrame(
         for t in range(0, 10, 3)
     ]
 )
-WHY = SimpleNamespace(profile=PROFILE, worth=WORTH)  # as what pfdist.why returns
+WINDOWS = pd.DataFrame(
+    [
+        {"name": name, "t": t, "instant": instant, "within_1": strict, "within_5": wide}
+        for name, t in (("regular", 0), ("mine", 3), ("mine", 7))
+        for instant, strict, wide in (
+            (t, "inside", "inside"), (t + 1, "inside", "inside"), (t + 2, "open", "inside"),
+            (t + 3, "outside", "open"),
+        )
+    ]
+)  # fmt: skip
+WHY = SimpleNamespace(profile=PROFILE, worth=WORTH, windows=WINDOWS)  # as what pfdist.why returns
 
 
 @pytest.fixture(autouse=True)
@@ -58,7 +69,9 @@ def _closed() -> Iterator[None]:
 
 
 def _filtered() -> pd.DataFrame:
-    table = pd.DataFrame({name: np.arange(5.0) for name in filtered_schema(2).names})
+    table = pd.DataFrame(
+        {name: np.arange(5.0) for name in filtered_schema(numbered_components(2)).names}
+    )
     return table.assign(t=range(5), measured=[True, False, True, False, False])
 
 
@@ -83,6 +96,10 @@ def _drawings(plain: Run, proved: Run, several: Run) -> dict[str, list[Callable[
         "budget": [
             lambda ax: plots.budget(several, ax=ax),
             lambda ax: plots.budget(several.budget(), ax=ax),
+        ],
+        "comparison": [
+            lambda ax: plots.comparison(plain, ax=ax),
+            lambda ax: plots.comparison(proved.ranks(), ax=ax),
         ],
         "cost": [
             lambda ax: plots.cost(plain, ax=ax),
@@ -126,6 +143,12 @@ def _drawings(plain: Run, proved: Run, several: Run) -> dict[str, list[Callable[
             lambda ax: plots.times(several, ax=ax),
             lambda ax: plots.times(sets, forbidden=[5, 6], ax=ax),
         ],
+        "windows": [
+            lambda ax: plots.windows(proved, ax=ax),
+            lambda ax: plots.windows(WINDOWS, "mine", ax=ax),
+            lambda ax: plots.windows(WHY, ax=ax),
+            lambda ax: plots.windows(WINDOWS.drop(columns="name").head(4), ax=ax),
+        ],
         "worth": [lambda ax: plots.worth(WORTH, ax=ax), lambda ax: plots.worth(WHY, ax=ax)],
     }
 
@@ -140,7 +163,7 @@ every = pytest.mark.parametrize("name", NAMES)
 
 def test_plots_are_found_under_pfdist() -> None:
     assert pfdist.plots is plots
-    assert len(NAMES) == 15
+    assert len(NAMES) == 17
 
 
 @every
@@ -246,6 +269,27 @@ def test_the_effective_sample_size_has_a_point_where_it_is_known() -> None:
         assert "exact filters" in draw(known, ax=Figure().subplots()).texts[0].get_text()
 
 
+def test_bars_are_thick_within_1_percent_thin_within_5_and_hollow_where_it_is_open() -> None:
+    axes = plots.windows(WINDOWS, "mine", ax=Figure().subplots())
+    found = [
+        (np.round(box.min, 2).tolist(), np.round(box.size, 2).tolist(), len(bars.get_facecolor()))
+        for bars in axes.collections[1:]
+        for box in (path.get_extents() for path in bars.get_paths())
+    ]
+    one_row = [
+        ([2.6, -0.14], [2.8, 0.28], 1),  # 3, 4 and 5 within 5 %
+        ([5.6, -0.14], [0.8, 0.28], 0),  # 6 is open
+        ([2.6, -0.36], [1.8, 0.72], 1),  # 3 and 4 within 1 %
+        ([4.6, -0.36], [0.8, 0.72], 0),
+    ]
+    below = [([x + 4, y + 1], size, faces) for (x, y), size, faces in one_row]
+    assert sorted(found, key=str) == sorted(one_row + below, key=str)
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["3", "7"]
+    assert axes.get_ylim()[0] > axes.get_ylim()[1]  # the first measurement is on top
+    gone = WINDOWS.iloc[:0]
+    assert "no measurement" in plots.windows(gone, ax=Figure().subplots()).texts[0].get_text()
+
+
 def test_a_set_or_a_draw_that_does_not_exist_is_named_with_those_that_do(plain: Run) -> None:
     for draw, message in (
         (lambda: plots.gain(plain, "nobody"), "name must be one of genetic, survivors, got 'nob"),
@@ -254,6 +298,7 @@ def test_a_set_or_a_draw_that_does_not_exist_is_named_with_those_that_do(plain: 
         (lambda: plots.one_draw(plain, draw=61), "draw must be one of 0, 1, 2"),
         (lambda: plots.cost(plain, ["nobody"]), "searches must be one of genetic, survivors"),
         (lambda: plots.worth(WORTH, ["nobody"]), "names must be one of regular, mine, got 'nob"),
+        (lambda: plots.windows(WINDOWS, "nobody"), "name must be one of regular, mine, got 'nob"),
         (lambda: plots.cost(plain, ["genetic", "survivors"]), "must estimate costs alike"),
     ):
         with pytest.raises(JobError, match=message):

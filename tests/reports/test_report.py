@@ -10,6 +10,7 @@ import pytest
 
 import pfdist
 from pfdist import Job
+from pfdist.analysis.sampling_windows import sentences, windows_of
 from pfdist.cli.main import main
 from pfdist.errors import StoreError
 from pfdist.store.repair import verify_run
@@ -70,6 +71,23 @@ def test_it_says_what_the_summary_says_in_a_sentence(exact: Job, tmp_path: Path)
     ):
         assert title in seen.text
     assert not list(verify_run(run.path))
+
+
+def test_it_has_the_sampling_windows_of_every_set(exact: Job, tmp_path: Path) -> None:
+    run = pfdist.run(exact, tmp_path / "run", figures=False)
+    assert "sampling window" not in _report(run).text
+    found = pfdist.why(run.path, figures=False)
+    seen = _report(run)
+    assert "A sampling window holds the instants" in seen.text
+    assert "Sampling windows of genetic." in seen.text  # the title of the figure
+    for name, rows in found.windows.groupby("name"):
+        assert f"Sampling windows, times of {name}" in seen.text
+        jitter = found.jitter[found.jitter["name"] == name].to_dict("records")
+        records = rows.to_dict("records")
+        for said in sentences(records, jitter, is_reference=name == "regular"):
+            assert said in seen.text
+        for window in windows_of(records, 1):
+            assert window.text in seen.text
 
 
 def test_it_loads_nothing_and_runs_no_script_but_its_own(exact: Job, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from pfdist import Job
 from pfdist.evaluation.estimate import SEARCH, SearchEvaluation
-from pfdist.evaluation.problem import Problem
+from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation, Result, Work
 from pfdist.pools.base import Outcome, SerialPool
 from pfdist.runner.block_sums import BLOCK, BlockSums, Counted
@@ -59,7 +59,7 @@ def _expected(built: Built, draws: tuple[int, int], stream: int = 5) -> np.ndarr
     """Mean errors over some draws, filtered at once; 0 where they do not count."""
     ends = tuple(COUNTED.ends.tolist())
     work = Work(SETS, ends, (stream,) * len(SETS), stream, draws, ESTIMATION)
-    means = built.problem.sum_errors(work) / (draws[1] - draws[0])
+    means = built.evaluator.sum_errors(work) / (draws[1] - draws[0])
     return np.where(COUNTS, means, 0.0)
 
 
@@ -99,9 +99,9 @@ def test_whatever_order_blocks_come_in_the_means_have_the_same_bytes(
 def test_a_block_with_a_degenerate_draw_is_left_out_for_that_set_alone(
     built: Built, collector: Collector, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real = Problem.filtered
+    real = Evaluator.filtered
 
-    def degenerate(self: Problem, work: Work) -> Result:
+    def degenerate(self: Evaluator, work: Work) -> Result:
         """In the second block with the first set, and in every block with the last."""
         sums = np.full(COUNTS.shape, np.nan)
         sums[COUNTS] = real(self, work).sums
@@ -110,7 +110,7 @@ def test_a_block_with_a_degenerate_draw_is_left_out_for_that_set_alone(
             sums[0] = np.nan
         return Result(np.empty(0), sums=sums[COUNTS])
 
-    monkeypatch.setattr(Problem, "filtered", degenerate)
+    monkeypatch.setattr(Evaluator, "filtered", degenerate)
     found = BlockSums(built, COUNTED, (5, 5), ESTIMATION).means(BLOCKS, collector)
     monkeypatch.undo()
     blocks = [_expected(built, (block * BLOCK, (block + 1) * BLOCK)) for block in range(BLOCKS)]
@@ -183,6 +183,6 @@ def test_an_exact_engine_tells_errors_without_draws(
         collector = Collector(Store(tmp_path / "run"), pool, "session", Pace(1e-9, 1))
         run_phase(phase, collector, Reporter(lambda progress: None, total=1.0))
     assert not handed
-    errors = np.where(COUNTS, exact.problem.expected_errors(SETS), 0.0)
+    errors = np.where(COUNTS, exact.evaluator.expected_errors(SETS), 0.0)
     found = [evaluation.known_errors for evaluation in search.told[1:]]
     np.testing.assert_allclose(found, errors, rtol=1e-12)

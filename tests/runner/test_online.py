@@ -87,13 +87,13 @@ def _work(times: tuple[int, ...], draw: int) -> Work:
 
 
 def test_a_row_has_the_error_of_the_filter_with_these_times_and_keys(job: Job, run: Run) -> None:
-    problem, rows = build(job).problem, run.online()
+    evaluator, rows = build(job).evaluator, run.online()
     assert rows.columns.tolist() == ["draw", "mse", "measurement_times", "estimate"]
     assert rows["draw"].tolist() == list(range(6))
     trajectories = run.trajectories().set_index("draw")
     for row in rows.to_dict("records"):
         times = tuple(row["measurement_times"])
-        assert problem(_work(times, row["draw"])).mse.item() == row["mse"]
+        assert evaluator(_work(times, row["draw"])).mse.item() == row["mse"]
         z = trajectories.loc[row["draw"], "z_0"].to_numpy()
         assert np.mean((z - row["estimate"]) ** 2) == pytest.approx(row["mse"], rel=1e-12)
 

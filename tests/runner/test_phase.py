@@ -17,7 +17,7 @@ from oracles.bytes_of import hashes
 from pfdist import Job
 from pfdist.errors import MeasurementTimesError
 from pfdist.evaluation.estimate import SEARCH, SearchEvaluation
-from pfdist.evaluation.problem import Problem
+from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Work
 from pfdist.pools.base import Outcome, SerialPool
 from pfdist.runner.build import Built, build, make_pool
@@ -97,7 +97,7 @@ def test_what_the_build_has_checked_no_task_checks_again(
 ) -> None:
     """The number of checks depends on the sets alone, not on draws, tasks and filters."""
     calls: list[str] = []
-    for place in ("evaluation.problem", "filters.particle_filter"):
+    for place in ("evaluation.evaluator", "filters.particle_filter"):
         for name in ("check_filter", "validated_from"):
             counted = partial(_counted, calls, resolve_name(f"pfdist.{place}:{name}"))
             monkeypatch.setattr(f"pfdist.{place}.{name}", counted)
@@ -117,23 +117,23 @@ def test_what_the_build_has_checked_no_task_checks_again(
 
 
 def test_a_problem_checks_a_work_that_comes_from_outside(built: Built) -> None:
-    problem: Problem = built.problem
+    evaluator: Evaluator = built.evaluator
     work = Work(((0, 13),), (12,), (1,), 1, (0, 2), built.comparing)
     with pytest.raises(MeasurementTimesError, match=r"must lie in 0\.\.12, got 13"):
-        problem(work)
+        evaluator(work)
 
 
 def test_results_come_back_under_the_ids_of_their_evaluations(built: Built) -> None:
     times = ((0, 4, 8, 12), (1, 2, 3), (0, 4, 9, 12))
     work = Work(times, (12,) * 3, (7,) * 3, 7, (0, 5), built.comparing, ids=("a", "b", "c"))
-    together = work.by_id(built.problem.filtered(work))
+    together = work.by_id(built.evaluator.filtered(work))
     for id_, one_set in zip(work.ids, times, strict=True):
         alone = replace(
             work, measurement_times=(one_set,), ends=(12,), filter_streams=(7,), ids=(id_,)
         )
-        assert (together[id_] == alone.by_id(built.problem.filtered(alone))[id_]).all()
+        assert (together[id_] == alone.by_id(built.evaluator.filtered(alone))[id_]).all()
     with pytest.raises(ValueError, match="zip"):
-        replace(work, ids=("a",)).by_id(built.problem.filtered(work))
+        replace(work, ids=("a",)).by_id(built.evaluator.filtered(work))
 
 
 def test_whatever_order_outcomes_come_in_each_evaluation_has_its_own_results(

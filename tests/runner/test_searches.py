@@ -48,7 +48,7 @@ def costs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, float]:
     with make_pool(built, Execution(pool="serial")) as pool:
         drive(Session.start(built, store, pool))
     sets = store.compared_sets()
-    return dict(zip(sets, built.problem.expected_mse(list(sets.values())), strict=True))
+    return dict(zip(sets, built.evaluator.expected_mse(list(sets.values())), strict=True))
 
 
 def test_a_search_for_errors_of_instants_evaluates_all_on_whole_blocks_of_draws(

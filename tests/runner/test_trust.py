@@ -87,7 +87,7 @@ def _is_near_the_best(times: tuple[int, ...], job: Job) -> bool:
     draws, stream = 5000, REPORT.stream(123)
     built = build(job)
     work = Work((times, GOOD), (14, 14), (stream,) * 2, stream, (0, draws), built.comparing)
-    mse = built.problem(work).mse
+    mse = built.evaluator(work).mse
     apart = mse[:, 0] - 1.05 * mse[:, 1]
     return bool(np.mean(apart) < 4 * np.std(apart) / np.sqrt(draws))
 

@@ -375,7 +375,7 @@ def test_a_measurement_that_nothing_explains_leaves_the_filter_where_it_was() ->
         ({"model": "none"}, ModelError, "a model must be one of .*, got 'none'"),
         ({"prior": np.ones((2, 5))}, PriorError, "as many components of x .* ungm, 1, got 2"),
         ({"prior": [math.nan]}, PriorError, r"finite states, got x\[0\] = nan of particle 0"),
-        ({"prior": "mine"}, PriorError, "a Cloud or an array .*, got 'mine'"),
+        ({"prior": "mine"}, PriorError, "a Cloud, a DataFrame or an array .*, got 'mine'"),
         ({"prior": Gaussian(0, np.zeros(1), np.eye(1))}, PriorError, "got a normal distribution"),
         ({"prior": Cloud(7, np.ones((1, 5))), "horizon": 6}, PriorError, r"in 0\.\.6, got 7"),
     ],

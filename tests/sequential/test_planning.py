@@ -9,7 +9,7 @@ import oracles.kalman
 from pfdist import StateSpaceModel
 from pfdist.errors import ModelError
 from pfdist.evaluation.estimate import SearchEvaluation
-from pfdist.evaluation.problem import Problem
+from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation
 from pfdist.filters.cloud import Cloud
 from pfdist.filters.draws import simulate
@@ -53,10 +53,10 @@ def walk(static: bool = False) -> StateSpaceModel:
 def test_where_measurements_say_nothing_about_times_the_plan_never_changes(name: str) -> None:
     """Covariances of a linear-Gaussian model do not depend on what is measured."""
     model, feasible = EXACT[name].as_model(), Feasible(12, 4)
-    problem = Problem(model, 12, engine="kalman")
-    costs = problem.expected_mse(every := list(feasible.every()))
+    evaluator = Evaluator(model, 12, engine="kalman")
+    costs = evaluator.expected_mse(every := list(feasible.every()))
     best = every[int(np.argmin(costs))]
-    replanner = Replanner(problem, feasible, SEARCHED, 5)
+    replanner = Replanner(evaluator, feasible, SEARCHED, 5)
     draws = simulate(model, 12, range(3), 7)
     for d in range(3):
         filtering, taken, plan = begin(model, FilterSettings(1), 3, d, "kalman"), (), best
@@ -70,15 +70,15 @@ def test_where_measurements_say_nothing_about_times_the_plan_never_changes(name:
 def test_without_a_plan_at_hand_the_exact_search_finds_the_best(  # ties: the first in order
 ) -> None:
     model, feasible = EXACT["scalar"].as_model(), Feasible(12, 4)
-    problem = Problem(model, 12, engine="kalman")
-    found = Replanner(problem, feasible, SEARCHED, 5).plan(Now(), (), ())
-    costs = problem.expected_mse(every := list(feasible.every()))
+    evaluator = Evaluator(model, 12, engine="kalman")
+    found = Replanner(evaluator, feasible, SEARCHED, 5).plan(Now(), (), ())
+    costs = evaluator.expected_mse(every := list(feasible.every()))
     assert costs[every.index(found)] == pytest.approx(costs.min(), rel=1e-12)
 
 
 def test_a_plan_depends_on_its_key_alone(ungm: StateSpaceModel) -> None:
     cloud = Cloud(6, np.random.default_rng(1).normal(0, 8, (1, 200)))
-    replanner = Replanner(Problem(ungm, 20), Feasible(20, 7), QUICK, 5)
+    replanner = Replanner(Evaluator(ungm, 20), Feasible(20, 7), QUICK, 5)
     plans = {
         replanner.plan(Now(cloud, measured=True), (0, 3, 6), (9, 12, 15, 18), draw)
         for draw in (0, 1, 2, 3, 0, 1, 2, 3)
@@ -90,7 +90,7 @@ def test_a_plan_depends_on_its_key_alone(ungm: StateSpaceModel) -> None:
 def test_an_infeasible_plan_at_hand_is_replaced(ungm: StateSpaceModel) -> None:
     cloud = Cloud(6, np.random.default_rng(1).normal(0, 8, (1, 200)))
     feasible = Feasible(20, 5, minimum_spacing=3, forbidden=(9,))
-    plan = Replanner(Problem(ungm, 20), feasible, QUICK, 5).plan(
+    plan = Replanner(Evaluator(ungm, 20), feasible, QUICK, 5).plan(
         Now(cloud, measured=True), (0, 6), (9, 12, 15)
     )
     assert feasible.accepts((0, 6, *plan))
@@ -101,8 +101,8 @@ def test_a_plan_is_replaced_only_where_the_new_plan_is_better_on_fresh_draws(
 ) -> None:
     """Over many clouds the new plans are better than the old, by far more draws."""
     rng, old = np.random.default_rng(3), (9, 12, 15, 18)
-    problem, feasible = Problem(ungm, 20), Feasible(20, 7)
-    replanner = Replanner(problem, feasible, QUICK, 5)
+    evaluator, feasible = Evaluator(ungm, 20), Feasible(20, 7)
+    replanner = Replanner(evaluator, feasible, QUICK, 5)
     gains = []
     for k in range(12):
         now = Now(Cloud(6, rng.normal(rng.normal(0, 8), 3, (1, 200))), measured=True)
@@ -123,8 +123,8 @@ def test_the_expected_error_is_the_realised_error_for_a_static_state() -> None:
     """
     model, times, systems = walk(static=True), (3, 4, 5, 6, 7, 8), 300
     settings = FilterSettings(20, "systematic")
-    draws, problem = simulate(model, 8, range(systems), 7), Problem(model, 8)
-    replanner = Replanner(problem, Feasible(8, 9), QUICK, 5)
+    draws, evaluator = simulate(model, 8, range(systems), 7), Evaluator(model, 8)
+    replanner = Replanner(evaluator, Feasible(8, 9), QUICK, 5)
     planned, with_truth, realised = np.empty((3, systems))
     estimation = Estimation(20, "systematic")
     for d in range(systems):
@@ -140,7 +140,7 @@ def test_the_expected_error_is_the_realised_error_for_a_static_state() -> None:
             squared.append((estimate[-1, 0] - draws.z[d, t, 0]) ** 2)
         after = filtering.at(2)[1][-1, 0]
         realised[d] = np.mean([(after - draws.z[d, 2, 0]) ** 2, *squared])
-        naive = replace(problem, prior=filtering.settings.prior)
+        naive = replace(evaluator, prior=filtering.settings.prior)
         simulated = replace(naive.draws(range(200), 9), origin=None)
         with_truth[d] = naive.mse_of_sets(simulated, [times], [8], 11, estimation).mean()
     error = np.hypot(planned.std(), realised.std()) / np.sqrt(systems)
@@ -152,16 +152,16 @@ def test_the_expected_error_is_the_realised_error_for_a_static_state() -> None:
 def test_exact_costs_never_rise_with_a_heuristic_search(name: str) -> None:
     """The plan at hand is replaced only by one of lower cost, so online is as good or better."""
     model, feasible = EXACT[name].as_model(), Feasible(20, 6)
-    problem = Problem(model, 20, engine="kalman")
-    replanner, first = Replanner(problem, feasible, QUICK, 5), feasible.regular()
+    evaluator = Evaluator(model, 20, engine="kalman")
+    replanner, first = Replanner(evaluator, feasible, QUICK, 5), feasible.regular()
     filtering, taken, plan = begin(model, FilterSettings(1), 3, 0, "kalman"), (), first
     y = simulate(model, 20, range(1), 7).y[0]
-    costs = [problem.expected_mse([first])[0]]
+    costs = [evaluator.expected_mse([first])[0]]
     while plan:
         filtering, *_ = filtering.at(plan[0], y[plan[0]])
         taken = (*taken, plan[0])
         plan = replanner.plan(Now(filtering.settings.prior, measured=True), taken, plan[1:])
-        costs.append(problem.expected_mse([(*taken, *plan)])[0])
+        costs.append(evaluator.expected_mse([(*taken, *plan)])[0])
     assert np.diff(costs).max() <= 1e-9 * costs[0]
     assert feasible.accepts(taken)
 
@@ -172,7 +172,7 @@ def test_a_plan_that_loses_more_draws_never_takes_the_place_of_another(
     """A paired difference knows only the draws that both survive, so lost draws would look good."""
     kept, new, whole = (5, 9), (6, 9), np.arange(64.0)
     costs = {kept: whole, new: np.where(whole < 20, whole - 1, np.nan)}
-    outlook = _Outlook(Replanner(Problem(ungm, 12), Feasible(12, 2), QUICK, 5), Now(), 3)
+    outlook = _Outlook(Replanner(Evaluator(ungm, 12), Feasible(12, 2), QUICK, 5), Now(), 3)
 
     def evaluated(outlook, draws, candidates, estimation):
         return [
@@ -193,4 +193,4 @@ def test_a_filter_with_other_states_cannot_be_planned_for(ungm: StateSpaceModel)
         *(np.eye(2),) * 2, np.array([[1.0, 0.0]]), np.eye(1), np.array([[1.0, 0.0]]), np.eye(2)
     ).as_model()
     with pytest.raises(ModelError, match="as many components of x as the model ungm, 1, got 2"):
-        Replanner(Problem(ungm, 12, filter_model), Feasible(12, 2), QUICK, 5)
+        Replanner(Evaluator(ungm, 12, filter_model), Feasible(12, 2), QUICK, 5)

@@ -14,6 +14,7 @@ from pfdist.errors import MeasurementsError, PriorError
 from pfdist.sequential.measurements import read_measurements
 from pfdist.sequential.user_prior import read_prior
 from pfdist.store import user_tables
+from pfdist.times.clock import Clock
 
 NAN = float("nan")
 
@@ -47,7 +48,7 @@ def test_rows_in_any_order_are_read_in_the_order_of_time(
         frame.to_parquet(path)
     else:
         frame.to_csv(path, index=False)
-    found = read_measurements(path, ship, 10)
+    found = read_measurements(path, ship, Clock.counting(10))
     assert found.t == (0, 3, 7)  # nothing was measured at 5
     np.testing.assert_array_equal(found.y, [[1.5, NAN], [1e-3, 0.1], [2.0, 0.5]])
 
@@ -58,14 +59,16 @@ def test_spaces_a_mark_of_byte_order_and_words_for_missing_are_read(
     (tmp_path / "ship.csv").write_bytes(
         b"\xef\xbb\xbft, y0 ,y1\r\n 3 ,NaN, 1e-1\r\n4,NA,\r\n5.0,-2,null\r\n"
     )
-    found = read_measurements(tmp_path / "ship.csv", ship, 10)
+    found = read_measurements(tmp_path / "ship.csv", ship, Clock.counting(10))
     assert found.t == (3, 5)
     np.testing.assert_array_equal(found.y, [[NAN, 0.1], [-2.0, NAN]])
 
 
 def test_a_table_without_rows_has_no_measurements(tmp_path: Path, ship: StateSpaceModel) -> None:
     for name in ("none.csv", "none.parquet"):
-        found = read_measurements(_written(tmp_path / name, {"t": [], "y0": [], "y1": []}), ship, 9)
+        found = read_measurements(
+            _written(tmp_path / name, {"t": [], "y0": [], "y1": []}), ship, Clock.counting(9)
+        )
         assert (found.t, found.y.shape) == ((), (0, 2))
 
 
@@ -108,7 +111,7 @@ def test_a_wrong_csv_table_is_explained_in_one_line(
     path = tmp_path / "ship.csv"
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(MeasurementsError, match=re.escape(words)) as raised:
-        read_measurements(path, ship, 10, start=1)
+        read_measurements(path, ship, Clock.counting(10), start=1)
     message = str(raised.value)
     assert message.startswith(f"{path}: ")
     assert len(message) < len(str(path)) + 700
@@ -123,36 +126,36 @@ def test_a_wrong_parquet_table_is_explained_in_one_line(
     with pytest.raises(
         MeasurementsError, match=r"a Parquet table was expected, got \"Parquet file size"
     ):
-        read_measurements(path, ship, 10)
+        read_measurements(path, ship, Clock.counting(10))
     _written(path, {"t": [1], "y0": ["high"], "y1": [1.0]})
     with pytest.raises(MeasurementsError, match=r"'y0' must hold numbers, got '.*string'"):
-        read_measurements(path, ship, 10)
+        read_measurements(path, ship, Clock.counting(10))
     _written(path, {"t": [1], "y0": [True], "y1": [1.0]})
     with pytest.raises(MeasurementsError, match="column 'y0' must hold numbers, got 'bool'"):
-        read_measurements(path, ship, 10)
+        read_measurements(path, ship, Clock.counting(10))
     _written(path, {"t": [1, 2], "y0": [1, 2], "y1": [None, None]})
-    assert read_measurements(path, ship, 10).t == (1, 2)
+    assert read_measurements(path, ship, Clock.counting(10)).t == (1, 2)
 
 
 def test_a_file_that_is_none_or_too_large_is_not_read(
     tmp_path: Path, ship: StateSpaceModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with pytest.raises(MeasurementsError, match=r"^cannot read .*none\.csv: No such file"):
-        read_measurements(tmp_path / "none.csv", ship, 10)
+        read_measurements(tmp_path / "none.csv", ship, Clock.counting(10))
     with pytest.raises(MeasurementsError, match="a table must be a file, got something else"):
-        read_measurements(tmp_path, ship, 10)
+        read_measurements(tmp_path, ship, Clock.counting(10))
     rows = {"t": [1, 2], "y0": [1.0, 2.0], "y1": [1.0, 2.0]}
     for name in ("ship.csv", "ship.parquet"):
         path = _written(tmp_path / name, rows)
         with monkeypatch.context() as less:
             less.setattr(user_tables, "MOST_NUMBERS", 5)
             with pytest.raises(MeasurementsError, match="at most 5 numbers, got 2 rows of 3"):
-                read_measurements(path, ship, 10)
+                read_measurements(path, ship, Clock.counting(10))
         with monkeypatch.context() as less:
             less.setattr(user_tables, "MOST_BYTES", 15)
             with pytest.raises(MeasurementsError, match="at most 15 bytes is read, got"):
-                read_measurements(path, ship, 10)
-        assert read_measurements(path, ship, 10).t == (1, 2)
+                read_measurements(path, ship, Clock.counting(10))
+        assert read_measurements(path, ship, Clock.counting(10)).t == (1, 2)
 
 
 # --- priors ---------------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from pfdist.common.component_names import numbered_components
 from pfdist.errors import StoreError
 from pfdist.store import (
     SCHEMA_VERSION,
@@ -221,7 +222,9 @@ def test_cut_rows_keeps_all_rows_in_order(count: int) -> None:
 def test_every_column_says_its_unit_and_every_table_its_version(store: Store) -> None:
     variable = {
         "comparison": comparison_schema(["regular", "genetic"]),
-        "trajectories": trajectories_schema(["regular"], quantities=2, measurements=1),
+        "trajectories": trajectories_schema(
+            ["regular"], numbered_components(2), numbered_components(1)
+        ),
     }
     for table in TABLES:
         columns = variable.get(table) or schema(table)

@@ -8,6 +8,7 @@ from scipy import stats
 
 from pfdist.errors import MeasurementTimesError
 from pfdist.times.measurement_times import nearest, random, regular, validated
+from pfdist.times.spacing import Spacing
 
 
 @pytest.mark.parametrize("horizon", [1, 2, 3, 5, 10, 37, 60, 101])
@@ -106,13 +107,13 @@ def test_the_nearest_times_are_those_of_the_least_sum_of_distances(seed):
         for times in combinations(usable, number)
         if set(required) <= set(times) and all(b - a >= spacing for a, b in pairwise(times))
     ]
-    least = min(map(distance, possible))
+    least, apart = min(map(distance, possible)), Spacing.constant(int(spacing), 11)
     best = [times for times in possible if distance(times) == least]
-    assert nearest(wanted, usable, required, spacing) == min(best, key=lambda times: times[::-1])
+    assert nearest(wanted, usable, required, apart) == min(best, key=lambda times: times[::-1])
 
 
 def test_too_few_usable_times_are_an_error():
     with pytest.raises(
-        MeasurementTimesError, match=r"3 usable times at least 4 apart, got \(1, 2, 9"
+        MeasurementTimesError, match=r"3 usable times far enough apart, got \(1, 2, 9"
     ):
-        nearest((0, 5, 10), (1, 2, 9), (), 4)
+        nearest((0, 5, 10), (1, 2, 9), (), Spacing.constant(4, 10))

@@ -5,6 +5,7 @@ from argparse import ArgumentParser, Namespace
 from pfdist.cli.answers import print_checks
 from pfdist.cli.arguments import add_json, count
 from pfdist.cli.command import command
+from pfdist.cli.words import time_list
 from pfdist.errors import ModelError
 
 _HORIZON, _PARTICLES = 60, 500
@@ -16,12 +17,20 @@ def _add_model(parser: ArgumentParser) -> None:
         metavar="MODEL",
         help="name of a model as a job gives it, for instance path/file.py:object",
     )
-    parser.add_argument(
+    length = parser.add_mutually_exclusive_group()
+    length.add_argument(
         "--horizon",
         type=count,
         default=_HORIZON,
         metavar="T",
         help=f"last instant of the draws (default: {_HORIZON})",
+    )
+    length.add_argument(
+        "--times",
+        type=time_list,
+        metavar="TIMES",
+        help="a clock, for models that read p.time or p.dt: the time of every instant, for "
+        "instance 0:48:0.5, or 0 0.25 0.5 1:48 (default for such models: 0, 1, 2, ..., T)",
     )
     parser.add_argument(
         "--particles",
@@ -39,13 +48,16 @@ def _add_model(parser: ArgumentParser) -> None:
     examples={
         "pfdist check-model mine.py:model": "Check the object `model` in the file mine.py",
         "pfdist check-model ungm --horizon 20": "Check a model that ships, on short draws",
+        "pfdist check-model mine.py:model --times 0:12:0.5 14 18 24": "Check a model on a clock",
     },
 )
 def check_model_command(options: Namespace) -> None:
     """Find what is wrong with a model."""
     from pfdist.checks.model import check_model
+    from pfdist.times.written import clock_of
 
-    checks = check_model(options.name, options.horizon, options.particles)
+    times = clock_of(options.times).times if options.times else ()
+    checks = check_model(options.name, options.horizon, options.particles, times=times)
     wrong = print_checks(checks, options)
     if wrong:
         raise ModelError(f"{options.name}: wrong: {', '.join(wrong)}")

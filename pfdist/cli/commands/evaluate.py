@@ -3,21 +3,25 @@
 import sys
 import time
 from argparse import ArgumentParser, Namespace
+from typing import TYPE_CHECKING, Any
 
 from pfdist.cli.answers import print_json
 from pfdist.cli.arguments import add_job, add_json, whole
 from pfdist.cli.command import command
-from pfdist.cli.words import number_list
+from pfdist.cli.words import add_named_times, sets_by_name
 from pfdist.common.number_list import SPELLING
+
+if TYPE_CHECKING:  # a command that evaluates nothing needs no NumPy
+    from pfdist.evaluation.estimate import ReportEvaluation
 
 
 def _add_times(parser: ArgumentParser) -> None:
-    parser.add_argument(
-        "--times",
-        type=number_list,
+    add_named_times(
+        parser,
+        f"measurement times: {SPELLING}, for instance 0:60:3, or 0,6,12, or 0 6 12; on the clock "
+        "of the job, if it has one; NAME=TIMES, given several times, evaluates several sets on the "
+        "same draws",
         required=True,
-        metavar="TIMES",
-        help=f"measurement times: {SPELLING}, for instance 0:60:3, or 0,6,12, or 0 6 12",
     )
     parser.add_argument(
         "--draws",
@@ -46,37 +50,62 @@ def _add_times(parser: ArgumentParser) -> None:
         "pfdist evaluate jobs/plan.toml --times 0,6,12 20:30 --draws 5000": (
             "Measure at 0, 6, 12 and at each instant from 20 to 30, on more draws"
         ),
+        "pfdist evaluate jobs/plan.toml --times few=0:60:6 --times many=0:60:3": (
+            "Evaluate two sets on the same draws"
+        ),
     },
 )
 def evaluate_command(options: Namespace) -> None:
-    """Estimate the expected MSE of one set of measurement times."""
-    from pfdist.api.evaluate import prepare
-    from pfdist.common.rounding import rounded, with_error
+    """Estimate the expected MSE of a set of measurement times, or of several."""
+    from pfdist.api.evaluate import UNNAMED, prepare
     from pfdist.job.job import load_job
 
     job = load_job(options.job, options.set)
-    compute = prepare(job, options.times, options.draws, options.particles, options.seed)
+    (name, times), *others = options.times
+    is_one = not name and not others
+    written = times if is_one else sets_by_name(options.times)
+    compute = prepare(job, written, options.draws, options.particles, options.seed)
     start = time.perf_counter()  # after the compilation
-    evaluation = compute()
+    evaluations = compute()
     seconds = time.perf_counter() - start
-    broken = job.problem.broken(evaluation.measurement_times)
+    broken = {
+        name: job.problem.broken(evaluation.measurement_times)
+        for name, evaluation in evaluations.items()
+    }
     if options.json:
-        answer = {
-            "expected_mse": evaluation.expected_mse,
-            "standard_error": evaluation.standard_error,
-            "draws": evaluation.draws,
-            "degenerate_draws": evaluation.degenerate_draws,
-            "broken_constraints": broken,
-            "seconds": round(seconds, 3),
-        }
-        print_json(answer, options)
+        answers = {name: _answer(evaluations[name], broken[name]) for name in evaluations}
+        told = answers[UNNAMED] if is_one else {"sets": answers}
+        print_json(told | {"seconds": round(seconds, 3)}, options)
         return
-    for constraint in broken:
-        print(f"pfdist: note: these times break a constraint: {constraint}", file=sys.stderr)
+    for name, constraints in broken.items():
+        these = f"the times of {name}" if name else "these times"
+        for constraint in constraints:
+            print(f"pfdist: note: {these} break a constraint: {constraint}", file=sys.stderr)
+    for name, evaluation in evaluations.items():
+        _print_evaluation(name, evaluation, seconds)
+
+
+def _answer(evaluation: "ReportEvaluation", broken: list[str]) -> dict[str, Any]:
+    return {
+        "expected_mse": evaluation.expected_mse,
+        "standard_error": evaluation.standard_error,
+        "draws": evaluation.draws,
+        "degenerate_draws": evaluation.degenerate_draws,
+        "broken_constraints": broken,
+    }
+
+
+def _print_evaluation(name: str, evaluation: "ReportEvaluation", seconds: float) -> None:
+    """Print two lines about a set without a name, or one line about a set with a name."""
+    from pfdist.common.rounding import rounded, with_error
+
+    start = f"{name}: " if name else ""
     if evaluation.exact is not None:
-        print(f"expected MSE {rounded(evaluation.exact)} (exact)")
+        print(f"{start}expected MSE {rounded(evaluation.exact)} (exact)")
         return
-    print(f"expected MSE {with_error(evaluation.expected_mse, evaluation.standard_error)}")
-    print(
-        f"{evaluation.draws:,} draws, {evaluation.degenerate_draws:,} degenerate, {seconds:.1f} s"
-    )
+    error = with_error(evaluation.expected_mse, evaluation.standard_error)
+    drawn = f"{evaluation.draws:,} draws, {evaluation.degenerate_draws:,} degenerate"
+    if name:
+        print(f"{start}expected MSE {error} ({drawn})")
+    else:
+        print(f"expected MSE {error}\n{drawn}, {seconds:.1f} s")

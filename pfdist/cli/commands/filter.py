@@ -15,6 +15,7 @@ from pfdist.cli.arguments import (
 from pfdist.cli.command import command
 from pfdist.cli.layout import line, wrapped_lines
 from pfdist.common.rounding import rounded
+from pfdist.common.told_times import told_time, told_times
 from pfdist.errors import one_line
 
 _DIGITS = 2  # of a p-value
@@ -78,7 +79,7 @@ def _lines(answer: dict[str, Any]) -> list[str]:
     ]
     most = answer["most_surprising"]
     if most:
-        text = f"t = {most['t']}, p = {rounded(most['surprise'], _DIGITS)}"
+        text = f"t = {told_time(most['t'])}, p = {rounded(most['surprise'], _DIGITS)}"
         among = rounded(answer["surprise_of_all"], _DIGITS)
         lines.append(line("most surprising", f"{text} ({among} among all measurements)"))
     if answer["is_improbable"]:
@@ -92,4 +93,4 @@ def _lines(answer: dict[str, Any]) -> list[str]:
 
 
 def _times(times: Sequence[int]) -> str:
-    return f"t = {', '.join(map(str, times))}" if times else "none"
+    return f"t = {told_times(times)}" if times else "none"

@@ -4,11 +4,12 @@ from argparse import ArgumentParser, Namespace
 from typing import Any
 
 from pfdist.cli.answers import print_json
-from pfdist.cli.arguments import add_json, add_measurements, add_models, add_run, whole
+from pfdist.cli.arguments import add_json, add_measurements, add_models, add_run, decimal
 from pfdist.cli.command import command
 from pfdist.cli.layout import line, wrapped_lines
 from pfdist.common.percent import cost
 from pfdist.common.rounding import with_error
+from pfdist.common.told_times import told_time, told_times
 
 _SHOWN = 4  # planned times that are named
 
@@ -16,9 +17,9 @@ _SHOWN = 4  # planned times that are named
 def _add_now(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--now",
-        type=whole,
+        type=decimal,
         metavar="T",
-        help="the last instant that has passed, if nothing was measured then, for instance 17; "
+        help="the last time that has passed, if nothing was measured then, for instance 17; "
         "times planned up to it are planned again for later",
     )
 
@@ -67,13 +68,14 @@ def _lines(answer: dict[str, Any]) -> list[str]:
         why = "the budget is spent" if answer["left"] == 0 else "no further measurement is possible"
         return [f"{told}: {why}", *_expected(answer, ""), *_warning(answer)]
     following, *later = answer["plan"]
-    text = f"measure next at t = {following}"
+    unit = answer.get("time_unit", "")
+    text = f"measure next at t = {told_times([following], unit)}"
     if later:
-        named = ", ".join(map(str, later[:_SHOWN]))
+        named = told_times(later[:_SHOWN])
         text += f"; then about {named}{', ...' if len(later) > _SHOWN else ''}"
     lines = [text, line("known", told), *_expected(answer, "")]
     if answer["planned_before"] != answer["plan"]:
-        named = ", ".join(map(str, answer["planned_before"])) or "no times"
+        named = told_times(answer["planned_before"]) or "no times"
         possible = answer["expected_mse_before"] is not None
         ending = "" if possible else ", no longer possible"
         lines += wrapped_lines(f"planned by {answer['planned']}", f"t = {named}{ending}")
@@ -92,4 +94,4 @@ def _warning(answer: dict[str, Any]) -> list[str]:
 def _expected(answer: dict[str, Any], plan: str) -> list[str]:
     mse, error = answer[f"expected_mse{plan}"], answer[f"standard_error{plan}"]
     told = with_error(cost(mse), error)
-    return [line("expected MSE", f"{told} from t = {answer['now']} on")]
+    return [line("expected MSE", f"{told} from t = {told_time(answer['now'])} on")]

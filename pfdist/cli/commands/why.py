@@ -1,5 +1,6 @@
 """The command ``pfdist why``."""
 
+import textwrap
 from argparse import ArgumentParser, Namespace
 from typing import Any
 
@@ -8,10 +9,12 @@ from pfdist.cli.arguments import add_json, add_models, add_run, whole
 from pfdist.cli.command import command
 from pfdist.common.percent import cost
 from pfdist.common.rounding import with_error
+from pfdist.common.told_times import told_time
 from pfdist.errors import one_line
 
 _ROUNDING = 1e-12  # relative to the expected MSE: rounding errors of doubles are smaller
 _LEAST_WIDTH = 17  # of a column
+_WIDTH = 80  # of a line
 
 
 def _add_draws(parser: ArgumentParser) -> None:
@@ -38,7 +41,8 @@ def _add_draws(parser: ArgumentParser) -> None:
     },
 )
 def why_command(options: Namespace) -> None:
-    """Show what each measurement of a finished run is worth."""
+    """Show what each measurement of a run is worth, and how exactly it must be kept."""
+    from pfdist.analysis import open_run
     from pfdist.api.display import Display
     from pfdist.api.why import why
 
@@ -56,9 +60,10 @@ def why_command(options: Namespace) -> None:
         return
     drawn = f"on {answer['draws']:,} fresh draws; ± standard error"
     precision = drawn if answer["draws"] else "exact"
-    lines = []
+    lines, found = list[str](), open_run(options.run).found
     for name, examined in answer["sets"].items():
-        lines += [*_set_lines(name, examined, precision), ""]
+        lines += _set_lines(name, examined, precision)
+        lines += [*_window_lines(examined, is_reference=name not in found), ""]
     print("\n".join(lines + [one_line(file) for file in answer["figures"]]))
 
 
@@ -77,9 +82,30 @@ def _set_lines(name: str, examined: dict[str, Any], precision: str) -> list[str]
     return lines
 
 
+def _window_lines(examined: dict[str, Any], *, is_reference: bool) -> list[str]:
+    """Give a line for each measurement with its sampling windows, and what follows from them."""
+    from pfdist.analysis.sampling_windows import STRICT, WIDE, sentences, windows_of
+
+    rows = examined["windows"]
+    if not rows:
+        return []
+    levels = {percent: windows_of(rows, percent) for percent in (STRICT, WIDE)}
+    lines = [f"  instants to which it alone can move at a loss of at most {STRICT} % and {WIDE} %"]
+    for strict, wide in zip(*levels.values(), strict=True):
+        told = f"{STRICT} %: {strict.text}; {WIDE} %: {wide.text}"
+        told = told if strict.can_be_tried else "fixed by the job or by its neighbours"
+        lines += _wrapped(told, f"  t = {told_time(strict.t)}: ")
+    said = sentences(rows, examined["jitter"], is_reference=is_reference)
+    return lines + [line for sentence in said for line in _wrapped(sentence, "  ")]
+
+
+def _wrapped(text: str, start: str) -> list[str]:
+    return textwrap.wrap(text, _WIDTH, initial_indent=start, subsequent_indent=" " * 6)
+
+
 def _row(measurement: dict[str, Any], mse: float) -> list[str]:
     """Give a measurement and its rises as text; the cell of an impossible shift is empty."""
-    cells = [str(measurement["t"])]
+    cells = [told_time(measurement["t"])]
     for change in [key for key in measurement if f"{key}_error" in measurement]:
         rise, error = measurement[change], measurement[f"{change}_error"]
         if error == 0.0 and rise is not None and abs(rise) < _ROUNDING * abs(mse):

@@ -6,7 +6,7 @@ from pfdist.common.gap_sentence import gap_sentence
 from pfdist.common.percent import percent
 from pfdist.reports.parts import Block, Section, Text
 from pfdist.reports.pictures import pictures
-from pfdist.reports.subject import Subject, effect, exact_effect, listed, number_of
+from pfdist.reports.subject import Subject, effect, exact_effect, number_of
 
 _LOOKS_BETTER = (
     "on the same draws. The best of several sets looks better than it is, the more so the more "
@@ -21,7 +21,7 @@ _KNOWN = "by their expected errors, which are known exactly."
 
 def answer(subject: Subject) -> Section | None:
     """Give the answer of a run in sentences, and the times on an axis."""
-    if subject.run.has_budget or not subject.results:
+    if subject.run.has_budget or not subject.found:
         return None
     blocks: list[Block] = []
     for name in [subject.best] if subject.is_compared else subject.found:
@@ -41,7 +41,7 @@ def _blocks(subject: Subject, name: str) -> list[Block]:
             best = f"These are the times of the search {name}, the best of {others + 1} sets"
             known = _KNOWN if subject.is_exact else _LOOKS_BETTER
             blocks.append(Text(f"{best} {known}"))
-    blocks.append(Text(f"Measure at t = {listed(times)}."))
+    blocks.append(Text(f"Measure at t = {subject.listed(times)}."))
     return blocks
 
 

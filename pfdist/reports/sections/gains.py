@@ -24,8 +24,8 @@ def gains(subject: Subject) -> Section | None:
     draws = number_of(subject.summary["draws_compared"], "draw")
     table = Table(f"Expected error on {draws} that took no part in the search", _HEAD, rows)
     broken = [
-        Text(f"The reference breaks a constraint of the job. {constraint}.")
-        for result in subject.results.values()
+        Text(f"{_called(subject, name)} a constraint of the job. {constraint}.")
+        for name, result in subject.results.items()
         for constraint in result.get("broken_constraints", ())
     ]
     texts = _degenerate(subject) + broken
@@ -40,6 +40,11 @@ def gains(subject: Subject) -> Section | None:
             sets_table(subject),
         ],
     )
+
+
+def _called(subject: Subject, name: str) -> str:
+    is_reference = name not in subject.others
+    return "The reference breaks" if is_reference else f"The times of {name} break"
 
 
 def _row(name: str, result: dict[str, Any]) -> list[Cell]:

@@ -3,6 +3,8 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from pfdist.analysis import read_recorded
+from pfdist.common.told_times import told_time, told_times
 from pfdist.reports.parts import Facts, Section, Text
 from pfdist.reports.subject import Subject, number_of, without_folder
 
@@ -25,15 +27,19 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
     yield "system", _model(job["model"])
     if job["model"].get("filter", {}).get("name"):
         yield "model of the filter", _model(job["model"]["filter"])
-    yield "instants", f"t = 0 to {asked['horizon']}"
+    yield from _named_components(read_recorded(subject.run.path)[0].get("model"))
+    yield "instants", _instants(subject)
     yield "measurements", _measurements(job)
     for key, name in (
         ("forbidden", "not measured at"),
         ("required", "always measured at"),
-        ("minimum_spacing", "instants between measurements, at least"),
     ):
         if asked.get(key):
-            yield name, _text(asked[key])
+            yield name, told_spelling(asked[key], subject.unit)
+    if asked.get("minimum_spacing"):
+        what = "time" if subject.run.problem.has_clock else "instants"
+        spacing = told_spelling(asked["minimum_spacing"], subject.unit)
+        yield f"{what} between measurements, at least", spacing
     filtering = job["filter"]
     particles = f"particle filter with {number_of(filtering['particles'], 'particle')}"
     yield "filter", "Kalman filter (exact)" if subject.is_exact else particles
@@ -45,6 +51,13 @@ def _model(section: Mapping[str, Any]) -> str:
     return f"{name} ({changed})" if changed else name
 
 
+def _named_components(meaning: Any) -> Iterator[tuple[str, str]]:
+    """Give the names and units of z and y, where the model of the run has them."""
+    for key, what in (("z_names", "quantity of interest"), ("y_names", "what is measured")):
+        if isinstance(meaning, Mapping) and meaning.get(key):
+            yield what, str(meaning[key])
+
+
 def _measurements(job: Mapping[str, Any]) -> str:
     asked, budget = job["problem"], job.get("budget")
     if budget:
@@ -54,5 +67,19 @@ def _measurements(job: Mapping[str, Any]) -> str:
     return str(asked["measurement_budget"])
 
 
-def _text(value: Any) -> str:
-    return ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+def _instants(subject: Subject) -> str:
+    clock = subject.run.problem.clock
+    ends = f"t = {told_time(clock.times[0])} to {told_times(clock.times[-1:], clock.unit)}"
+    if clock.counts:
+        return ends
+    if clock.is_even:
+        step = told_times([clock.times[1] - clock.times[0]], clock.unit)
+        return f"{ends}, in steps of {step}"
+    return f"{len(clock.times)} instants, {ends}"
+
+
+def told_spelling(value: Any, unit: str) -> str:
+    """Give times as the job spells them, with the unit."""
+    entries = value if isinstance(value, list | tuple) else [value]
+    text = ", ".join(map(str, entries))
+    return f"{text} {unit}" if unit else text

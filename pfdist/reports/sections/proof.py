@@ -25,9 +25,9 @@ _HEAD = (
 
 
 def proof(subject: Subject) -> Section | None:
-    """Give the lower bound of each found set, or why there is none."""
+    """Give the lower bound of each set but the reference, or why there is none."""
     proofs = {
-        name: each["lower_bound"] for name, each in subject.found.items() if "lower_bound" in each
+        name: each["lower_bound"] for name, each in subject.others.items() if "lower_bound" in each
     }
     if subject.run.has_budget or not proofs:
         return None

@@ -10,7 +10,7 @@ import pytest
 from oracles.kalman import SCALAR, TRACKING, LinearGaussian, riccati_cost
 from pfdist import StateSpaceModel
 from pfdist.evaluation.estimate import Evaluation
-from pfdist.evaluation.problem import Problem
+from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation, Work, cut
 from pfdist.times.measurement_times import Times
 
@@ -42,23 +42,23 @@ def test_left_out_a_degenerate_draw_leaves_the_mean_of_the_others() -> None:
 
 
 def test_the_estimate_does_not_depend_on_how_the_draws_are_cut(ungm: StateSpaceModel) -> None:
-    problem = Problem(ungm, 20)
+    evaluator = Evaluator(ungm, 20)
 
     def mse(first: int, last: int) -> np.ndarray:
-        return problem(_work(((3, 7), (1, 2)), 20, 64, (first, last))).mse
+        return evaluator(_work(((3, 7), (1, 2)), 20, 64, (first, last))).mse
 
     np.testing.assert_array_equal(mse(0, 40), np.concatenate([mse(0, 7), mse(7, 40)]))
 
 
 def test_sets_compared_share_their_draws_and_not_their_filters_noise(ungm: StateSpaceModel) -> None:
     same_set = ((3, 7, 11),) * 2
-    mse = Problem(ungm, 20)(_work(same_set, 20, 200, (0, 400))).mse
+    mse = Evaluator(ungm, 20)(_work(same_set, 20, 200, (0, 400))).mse
     assert (mse[:, 0] != mse[:, 1]).all()
     assert np.corrcoef(mse.T)[0, 1] > 0.9
 
 
 def test_trajectories_are_those_of_the_draws(ungm: StateSpaceModel) -> None:
-    result = Problem(ungm, 9)(replace(_work(((3,), (1, 2)), 9, 30, (0, 5)), trajectories=True))
+    result = Evaluator(ungm, 9)(replace(_work(((3,), (1, 2)), 9, 30, (0, 5)), trajectories=True))
     error = (result.z[None] - result.estimates) ** 2  # (S, D, T+1, q)
     np.testing.assert_allclose(error.sum(axis=3).mean(axis=2).T, result.mse)
 
@@ -70,12 +70,12 @@ def test_brute_force_finds_the_set_with_the_least_riccati_cost(
     system: LinearGaussian, horizon: int, budget: int
 ) -> None:
     particles, draws = 200, 1500
-    problem = Problem(system.as_model(), horizon)
+    evaluator = Evaluator(system.as_model(), horizon)
     sets = list(itertools.combinations(range(horizon + 1), budget))
     exact = np.array([riccati_cost(system, horizon, times) for times in sets])
     # Common draws and filter noise for all sets: the comparison is paired.
     estimation, alike = Estimation(particles, "systematic"), (1,) * len(sets)
-    mse = problem(Work(tuple(sets), (horizon,) * len(sets), alike, 2, (0, draws), estimation)).mse
+    mse = evaluator(Work(tuple(sets), (horizon,) * len(sets), alike, 2, (0, draws), estimation)).mse
     assert sets[mse.mean(axis=0).argmin()] == sets[exact.argmin()]
     # The filter's own noise adds a few times 1/particles of the variance to the error.
     standard_error = mse.std(axis=0) / math.sqrt(draws)

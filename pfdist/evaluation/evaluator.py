@@ -31,7 +31,7 @@ _ANY = Estimation(particles=1)
 
 
 @dataclass(frozen=True)
-class Problem:
+class Evaluator:
     """Compute the MSE of sets of measurement times for a model, a horizon and a filter's model.
 
     Parameters
@@ -49,6 +49,8 @@ class Problem:
     prior : Cloud or Gaussian, optional
         The distribution of x(s), in the place of `initial`: draws and filters start at s. A normal
         distribution is for the engine "kalman" alone.
+    weights : tuple of float, (T+1,), optional
+        Weight of each instant's error in the MSE; by default all are equal.
 
     Raises
     ------
@@ -65,6 +67,7 @@ class Problem:
     dtype: str = "float64"
     engine: str = "compiled"
     prior: Prior | None = None
+    weights: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         check_fits(self.believed, self.model)
@@ -88,14 +91,22 @@ class Problem:
         """The first instant: 0, or the instant of the prior."""
         return 0 if self.prior is None else self.prior.t
 
+    @cached_property
+    def instant_weights(self) -> NDArray[np.float64] | None:
+        """Weight of each instant's error from the first instant on, with mean 1; None if equal."""
+        if self.weights is None:
+            return None
+        weights = np.array(self.weights[self.start :])
+        return weights / weights.mean() if weights.any() else weights
+
     @property
     def believed(self) -> StateSpaceModel:
         """The model that the filter uses."""
         return self.filter_model or self.model
 
     @cached_property
-    def truth(self) -> "Problem":
-        """The same problem with a filter that knows the true model."""
+    def truth(self) -> "Evaluator":
+        """The same evaluator with a filter that knows the true model."""
         return self if self.believed == self.model else replace(self, filter_model=None)
 
     @property
@@ -119,19 +130,23 @@ class Problem:
         ends : sequence of int, (S,), optional
             Last instant of each set whose error counts; by default T.
         """
-        return kalman.expected_mse(self.model, self.horizon, sets, ends, self.prior)
+        weights = self.instant_weights
+        return kalman.expected_mse(self.model, self.horizon, sets, ends, self.prior, weights)
 
     def expected_errors(self, sets: Sequence[Times]) -> NDArray[np.float64]:
         """Exact expected error of each instant with each set, (S, T+1), where the engine knows it.
+
+        The errors are weighted: their mean over all instants is the expected MSE.
 
         Parameters
         ----------
         sets : sequence of tuples of int, (S,)
         """
-        return kalman.expected_errors(self.model, self.horizon, sets, self.prior)
+        errors = kalman.expected_errors(self.model, self.horizon, sets, self.prior)
+        return errors if self.instant_weights is None else errors * self.instant_weights
 
     def sum_errors(self, work: Work) -> NDArray[np.float64]:
-        """Sum the errors of each instant over the draws of a work, (S, T+1).
+        """Sum the weighted errors of each instant over the draws of a work, (S, T+1).
 
         All sets of the work have the same filter noise. Values after a set's end mean nothing. A
         set has NaN if a draw is degenerate or infinite with it.
@@ -155,7 +170,7 @@ class Problem:
 
     @property
     def cheapest_estimator(self) -> str:
-        """The estimator with the least variance that this problem allows."""
+        """The estimator with the least variance that the models allow."""
         return self._first_allowed(FILTER_VARIANCE.name)
 
     @property
@@ -167,7 +182,7 @@ class Problem:
         return self._first_allowed(FILTER_VARIANCE.name, OWN_VARIANCE.name)
 
     def _first_allowed(self, *estimators: str) -> str:
-        """The first of some estimators that this problem allows; else the squared error."""
+        """The first of some estimators that the models allow; else the squared error."""
         for estimator in estimators:
             with contextlib.suppress(ModelError):
                 self.check(replace(_ANY, estimator=estimator))
@@ -175,7 +190,7 @@ class Problem:
         return SQUARED_ERROR.name
 
     def check(self, estimation: Estimation) -> None:
-        """Raise an error if this problem does not allow an estimation.
+        """Raise an error if the models do not allow an estimation.
 
         Exact engines ignore the estimator and the number of particles.
 
@@ -225,7 +240,7 @@ class Problem:
         draws: Draws = self.computed_by.simulate(
             self.model, self.horizon, index, stream, self.prior
         )
-        return draws
+        return draws if self.weights is None else replace(draws, weights=self.instant_weights)
 
     def mse_of_sets(
         self,

@@ -1,0 +1,194 @@
+"""Pairs of compared sets on the same draws, and the ranks that follow from all pairs.
+
+References
+----------
+Wilson, "Probable inference, the law of succession, and statistical inference", 1927. Mogstad,
+Romano, Shaikh, Wilhelm, "Inference for ranks with applications to mobility across neighbourhoods
+and academic achievement across countries", Review of Economic Studies 91, 2024 (intervals of ranks
+from simultaneous intervals of all differences; here Bonferroni's).
+"""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy import stats
+
+from pfdist.analysis.streaming_moments import (
+    CONFIDENCE,
+    UNKNOWN,
+    Array,
+    Interval,
+    Moments,
+    Pairs,
+)
+
+_ROUNDING = 1e-12  # relative to the expected MSE: rounding errors of doubles are smaller
+PAIR_COLUMNS = (
+    "first", "second", "draws", "difference", "low", "high", "simultaneous_low",
+    "simultaneous_high", "clear", "gain_of_means", "gain_of_means_low", "gain_of_means_high",
+    "first_wins", "first_wins_low", "first_wins_high",
+)  # fmt: skip
+RANK_COLUMNS = (
+    "name", "expected_mse", "standard_error", "best_rank", "worst_rank", "difference", "low", "high"
+)  # fmt: skip
+
+
+@dataclass
+class Pair:
+    """The errors of two sets on the draws added so far that are degenerate with neither.
+
+    Parameters
+    ----------
+    difference : Moments
+        Moments of the first error less the second.
+    errors : Pairs
+        Moments of the first error (x) and the second (y).
+    first_wins : int
+        Number of draws in which the first error is the lower.
+    """
+
+    difference: Moments = field(default_factory=Moments)
+    errors: Pairs = field(default_factory=Pairs)
+    first_wins: int = 0
+
+    def add(self, first: Array, second: Array) -> None:
+        """Add a block of draws; the same blocks in the same order give the same bits.
+
+        Parameters
+        ----------
+        first, second : array of float64, (D,)
+            Per-draw MSE of both sets on the same draws; NaN marks a degenerate draw.
+        """
+        usable = ~(np.isnan(first) | np.isnan(second))
+        first, second = first[usable], second[usable]
+        with np.errstate(invalid="ignore"):  # infinite errors have no difference
+            self.difference.add(first - second)
+        self.errors.add(first, second)
+        self.first_wins += int(np.sum(first < second))
+
+    def columns(self, confidence: float, exact: tuple[float, float] | None) -> dict[str, Any]:
+        """Give the columns of `PAIR_COLUMNS` without the names.
+
+        Parameters
+        ----------
+        confidence : float
+            Confidence of the simultaneous interval, which all pairs share.
+        exact : (float, float) or None
+            Both expected MSEs, if they are known without draws.
+        """
+        difference, interval = self.difference.mean, self.difference.interval
+        together = self.difference.interval_of(confidence)
+        ratio, ratio_interval = self._ratio, self.errors.ratio_interval
+        if exact is not None:
+            difference = exact[0] - exact[1]
+            if abs(difference) <= _ROUNDING * max(map(abs, exact)):
+                difference = 0.0
+            interval = together = (difference, difference)
+            ratio = exact[0] / exact[1] if exact[1] else math.nan
+            ratio_interval = (ratio, ratio)
+        count = self.difference.count
+        wins = (self.first_wins / count if count else math.nan, *self._wilson(count))
+        values = (
+            count, difference, *interval, *together, together[0] > 0.0 or together[1] < 0.0,
+            1.0 - ratio, 1.0 - ratio_interval[1], 1.0 - ratio_interval[0], *wins,
+        )  # fmt: skip
+        return dict(zip(PAIR_COLUMNS[2:], values, strict=True))
+
+    @property
+    def _ratio(self) -> float:
+        first, second = self.errors.x.mean, self.errors.y.mean
+        return first / second if second else math.nan
+
+    def _wilson(self, count: int) -> Interval:
+        if not count:
+            return UNKNOWN
+        ends = stats.binomtest(self.first_wins, count).proportion_ci(CONFIDENCE, method="wilson")
+        return float(ends.low), float(ends.high)
+
+
+def pairs_table(
+    names: Sequence[str], blocks: Iterable[Array], exact: Mapping[str, float]
+) -> pd.DataFrame:
+    """Give a row for each pair of sets, with the columns of `pfdist.analysis.Run.pairs`.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Names of S sets.
+    blocks : iterable of arrays of float64, (D, S)
+        Per-draw MSE of each set, block by block; NaN marks a degenerate draw.
+    exact : mapping of str to float
+        Expected MSEs that are known without draws, by name.
+    """
+    pairs = {places: Pair() for places in combinations(range(len(names)), 2)}
+    for block in blocks:
+        for (place, other), pair in pairs.items():
+            pair.add(block[:, place], block[:, other])
+    confidence = 1.0 - (1.0 - CONFIDENCE) / max(1, len(pairs))  # Bonferroni
+    rows = []
+    for places, pair in pairs.items():
+        first, second = (names[place] for place in places)
+        known = (exact[first], exact[second]) if first in exact and second in exact else None
+        rows.append({"first": first, "second": second} | pair.columns(confidence, known))
+    return pd.DataFrame(rows, columns=list(PAIR_COLUMNS))
+
+
+def ranks_table(pairs: pd.DataFrame, costs: Mapping[str, tuple[float, float]]) -> pd.DataFrame:
+    """Give a row for each set, the lowest expected MSE first, with its interval of ranks.
+
+    A set is clearly better than another if the simultaneous interval of their difference lies on
+    the same side of 0. The best rank of a set is 1 and the number of sets that are clearly better;
+    the worst rank is the number of all sets less those that are clearly worse, or known to be
+    equal. The true rank is 1 and the number of sets with a lower expected MSE. All simultaneous
+    intervals hold together with 95 %, so the true ranks of all sets lie within these ranks with at
+    least 95 %.
+
+    Parameters
+    ----------
+    pairs : DataFrame
+        As of `pairs_table`.
+    costs : mapping of str to (float, float)
+        Expected MSE and standard error of each set by name.
+
+    Returns
+    -------
+    DataFrame
+        The columns of `pfdist.analysis.Run.ranks`.
+    """
+    order = sorted(costs, key=lambda name: (math.isnan(costs[name][0]), costs[name][0]))
+    better, worse = dict.fromkeys(costs, 0), dict.fromkeys(costs, 0)  # worse, or equal
+    to_best = {order[0]: (0.0, 0.0, 0.0)}
+    for pair in pairs.to_dict("records"):
+        first, second = pair["first"], pair["second"]
+        if pair["clear"]:
+            winner, loser = (first, second) if pair["difference"] < 0 else (second, first)
+            better[loser] += 1
+            worse[winner] += 1
+        elif pair["simultaneous_low"] == pair["simultaneous_high"] == 0.0:  # equal
+            worse[first] += 1
+            worse[second] += 1
+        if second == order[0]:
+            to_best[first] = (pair["difference"], pair["low"], pair["high"])
+        elif first == order[0]:
+            to_best[second] = (-pair["difference"], -pair["high"], -pair["low"])
+    rows = [
+        (name, *costs[name], 1 + better[name], len(costs) - worse[name], *to_best[name])
+        for name in order
+    ]
+    return pd.DataFrame(rows, columns=list(RANK_COLUMNS))
+
+
+def told_ranks(best: int, worst: int) -> str:
+    """Give an interval of ranks as text.
+
+    Examples
+    --------
+    >>> told_ranks(1, 1), told_ranks(2, 3)
+    ('1', '2 to 3')
+    """
+    return str(best) if best == worst else f"{best} to {worst}"

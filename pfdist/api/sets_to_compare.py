@@ -1,0 +1,182 @@
+"""The sets of a comparison: those of runs, and those that a user names."""
+
+import re
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from pfdist.analysis import Run
+from pfdist.errors import JobError, MeasurementTimesError, shown
+from pfdist.job.job import Job
+from pfdist.job.sections import GIVEN, RESERVED
+from pfdist.times.clock import Clock, Time
+from pfdist.times.measurement_times import REGULAR, Times
+from pfdist.times.written import validated_instants
+
+_STRANGE = re.compile(r"[^a-z0-9]+")
+_LONGEST_PREFIX = 20  # characters of a run's folder in the name of a set
+
+
+class SetsToCompare:
+    """Collects named sets for a job that compares them; the first set is the reference.
+
+    Parameters
+    ----------
+    job : Job
+        Gives the problem.
+    """
+
+    def __init__(self, job: Job) -> None:
+        self._job = job
+        self._clock = job.problem.clock
+        self._regular: Times = job.problem.feasible.regular()
+        self._written: dict[str, Any] = {}
+        self._instants: dict[str, Times] = {}
+
+    def add_named(self) -> None:
+        """Add the sets that the job itself names in comparison.sets."""
+        for name, instants in self._job.given_sets.items():
+            if name in self._job.comparison.named:
+                chosen = self._regular if instants is None else instants
+                self._add(name, chosen)
+
+    def add_run(self, run: Run) -> None:
+        """Add the sets of a run, but no set twice.
+
+        A set of the same name and times is the same set. The reference is left out if any set has
+        the same times.
+
+        Parameters
+        ----------
+        run : Run
+
+        Raises
+        ------
+        StoreError
+            The run has times of several numbers of measurements.
+        JobError
+            The run has another clock or a longer horizon than the problem.
+        """
+        sets = run.sets_of_one_number()
+        self._check_clock(run)
+        for position, (name, times) in enumerate(sets.items()):
+            try:
+                instants = validated_instants(times, self._clock)
+            except MeasurementTimesError as error:
+                raise JobError(
+                    f"sets of all runs must have times of the first problem: {error} "
+                    f"({run.path}, set {name})"
+                ) from error
+            is_known = self._instants.get(name) == instants
+            if is_known or (position == 0 and instants in self._instants.values()):
+                continue
+            self._add(self._free_name(name, instants, run), instants)
+
+    def add_times(self, times: Mapping[str, Iterable[Time | str] | str]) -> None:
+        """Add sets that a user names.
+
+        Raises
+        ------
+        MeasurementTimesError
+            Times are not those of the clock.
+        JobError
+            A name is used twice.
+        """
+        if not isinstance(times, Mapping):
+            raise JobError(
+                'times must name sets, as {"mine": [0, 6, 12], "paper": "0:60:3"}, got '
+                f"{shown(times)}",
+                argument="times",
+            )
+        for name, written in times.items():
+            if name in self._written:
+                raise JobError(
+                    f"names of times must differ from each other and from the sets of the runs, "
+                    f"{', '.join(self._written)}, got {name!r}",
+                    argument="times",
+                )
+            instants = self._regular
+            if not (isinstance(written, str) and written == REGULAR):
+                instants = self._read(name, written)
+            if name in RESERVED and not (name == REGULAR and instants == self._regular):
+                raise JobError(
+                    f"names of times must not be {', '.join(map(repr, RESERVED))}, got {name!r}; "
+                    f"only the regular times of the problem are called {REGULAR!r}",
+                    argument="times",
+                )
+            self._add(name, instants)
+
+    def _read(self, name: str, written: Iterable[Time | str] | str) -> Times:
+        if not isinstance(written, Iterable):
+            raise JobError(
+                f"times of {name} must be a list of times, or a text as '0:60:3', got "
+                f"{shown(written)}",
+                argument="times",
+            )
+        told = f"times of {name}"
+        try:
+            return validated_instants(written, self._clock, told, told)
+        except MeasurementTimesError as error:
+            error.argument = "times"
+            raise
+
+    def job(self) -> Job:
+        """Give the job that compares the sets, without a search.
+
+        Raises
+        ------
+        JobError
+            There are fewer than two sets, or a name is not allowed.
+        """
+        if len(self._written) < 2:
+            got = ", ".join(self._written) or "none"
+            raise JobError(
+                f"compare needs at least two sets of times, got {got}: name sets, or give runs",
+                argument="times",
+            )
+        named, (reference, times) = dict(self._written), next(iter(self._written.items()))
+        if reference in (REGULAR, GIVEN):
+            del named[reference]
+            reference = times
+        comparison = self._job.comparison.model_dump(mode="json")
+        return self._job.with_changes(
+            sections={
+                "search": [],
+                "budget": None,
+                "online": None,
+                "comparison": comparison | {"reference": reference, "sets": named},
+            }
+        )
+
+    def _add(self, name: str, instants: Times) -> None:
+        is_regular = name == REGULAR and instants == self._regular
+        times = [self._clock.time(t) for t in instants]
+        self._written[name] = REGULAR if is_regular else times
+        self._instants[name] = instants
+
+    def _free_name(self, name: str, instants: Times, run: Run) -> str:
+        """Give a set's name, with that of the run's folder before it if the name is in use."""
+        is_reserved = name == REGULAR and instants != self._regular
+        is_reserved |= name == GIVEN and bool(self._written)
+        if name not in self._written and not is_reserved:
+            return name
+        folder = _STRANGE.sub("_", run.path.absolute().name.lower()).strip("_")
+        prefix = folder if folder[:1].isalpha() else f"run_{folder}"
+        longer, number = f"{prefix[:_LONGEST_PREFIX]}_{name}", 2
+        found = longer
+        while found in self._written:
+            found, number = f"{longer}_{number}", number + 1
+        return found
+
+    def _check_clock(self, run: Run) -> None:
+        own, first = run.problem.clock, self._clock
+        if (own.counts, own.unit) != (first.counts, first.unit):
+            raise JobError(
+                f"sets of all runs must have times of the first problem, which {_counted(first)}, "
+                f"got a run that {_counted(own)} ({run.path})"
+            )
+
+
+def _counted(clock: Clock) -> str:
+    if clock.counts:
+        return "counts instants"
+    return f"has a clock in {clock.unit}" if clock.unit else "has a clock without a unit"

@@ -1,0 +1,75 @@
+"""Checks of arguments of public functions, with errors in one line."""
+
+from collections.abc import Callable, Iterable
+from numbers import Integral, Real
+from pathlib import Path
+from typing import Any
+
+from pfdist.errors import ArgumentError, shown
+
+
+def whole_argument(name: str, value: Any, least: int, most: int) -> int:
+    """Give an argument as an int, after checking it.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument.
+    value : object
+    least, most : int
+        The allowed values.
+
+    Raises
+    ------
+    ArgumentError
+        It is no integer, or lies outside.
+
+    Examples
+    --------
+    >>> whole_argument("draws", 1, 2, 100)
+    Traceback (most recent call last):
+        ...
+    pfdist.errors.ArgumentError: draws must be at least 2, got 1
+    """
+    if isinstance(value, bool) or not isinstance(value, Integral):
+        raise ArgumentError(f"{name} must be an integer, got {shown(value)}", argument=name)
+    number = int(value)
+    if not least <= number <= most:
+        allowed = f"at least {least:,}" if number < least else f"at most {most:,}"
+        raise ArgumentError(f"{name} must be {allowed}, got {shown(number)}", argument=name)
+    return number
+
+
+def number_argument(name: str, value: Any) -> float:
+    """Give an argument as a float; an `ArgumentError` if it is no number."""
+    if isinstance(value, bool) or not isinstance(value, Real):
+        raise ArgumentError(f"{name} must be a number, got {shown(value)}", argument=name)
+    return float(value)
+
+
+def path_argument(name: str, value: Any) -> Path:
+    """Give an argument as a path; an `ArgumentError` if it is neither a text nor a path."""
+    if not isinstance(value, str | Path):
+        raise ArgumentError(f"{name} must be a path, got {shown(value)}", argument=name)
+    return Path(value)
+
+
+def texts_argument(name: str, value: Any) -> list[str]:
+    """Give an argument as a list of texts; a single text is a list of one.
+
+    Raises
+    ------
+    ArgumentError
+        It is no iterable of texts.
+    """
+    texts = [value] if isinstance(value, str) else value
+    if not isinstance(texts, Iterable) or not all(isinstance(each, str) for each in texts):
+        raise ArgumentError(f"{name} must be a list of texts, got {shown(value)}", argument=name)
+    return list(texts)
+
+
+def called_argument(name: str, value: Any) -> Callable[..., Any]:
+    """Give an argument that is to be called; an `ArgumentError` if it is no function."""
+    if not callable(value):
+        raise ArgumentError(f"{name} must be a function, got {shown(value)}", argument=name)
+    return value  # type: ignore[no-any-return]

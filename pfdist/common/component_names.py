@@ -1,0 +1,110 @@
+"""Names and units of components of x, y and z, and the endings that they give to columns."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from pfdist.errors import JobError, shown
+
+_LONGEST_NAME, _LONGEST_UNIT = 40, 20  # characters
+_TEXT = re.compile(r"([^\W\d_][\w -]*?) *(?:\[ *([^\[\] ][^\[\]]*)\])?")
+_ALLOWED = (
+    f"a letter, then letters, digits, _, - and spaces (at most {_LONGEST_NAME} characters), and on "
+    f"request a unit in brackets (at most {_LONGEST_UNIT}), such as 'concentration [mg/l]'"
+)
+
+
+@dataclass(frozen=True)
+class Component:
+    """A component of x, y or z, as columns, figures and reports call it.
+
+    Parameters
+    ----------
+    suffix : str
+        The end of the names of the columns: the name with ``_`` between words, or the number.
+    name, unit : str
+        Empty if the model does not give them.
+
+    Examples
+    --------
+    >>> dose = named_component("Daily dose [mg/l]")
+    >>> dose.suffix, dose.name, dose.unit, dose.label
+    ('daily_dose', 'Daily dose', 'mg/l', 'Daily dose [mg/l]')
+    """
+
+    suffix: str
+    name: str = ""
+    unit: str = ""
+
+    @property
+    def label(self) -> str:
+        """The name with the unit in brackets; empty without a name."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+
+def named_component(text: str) -> Component:
+    """Give the component that a name such as ``concentration [mg/l]`` describes.
+
+    Raises
+    ------
+    ValueError
+        The text is no such name.
+    """
+    found = _TEXT.fullmatch(text) if isinstance(text, str) and text.isprintable() else None
+    if not found or len(found[1]) > _LONGEST_NAME or len(found[2] or "") > _LONGEST_UNIT:
+        raise ValueError(f"a name must be {_ALLOWED}, got {shown(text)}")
+    name, unit = found[1], (found[2] or "").strip()
+    return Component(re.sub(r"[\W_]+", "_", name.lower()).strip("_"), name, unit)
+
+
+def named_components(names: Sequence[str], count: int) -> tuple[Component, ...]:
+    """Give the components that these names describe; without names, numbered components.
+
+    Raises
+    ------
+    ValueError
+        The names are no tuple of this many names that give different columns.
+    """
+    if not isinstance(names, tuple):
+        raise ValueError(f"must be a tuple, a name for each component, got {shown(names)}")
+    if not names:
+        return numbered_components(count)
+    if len(names) != count:
+        raise ValueError(f"must have a name for each of {count} components, got {len(names)}")
+    components = tuple(map(named_component, names))
+    known = dict[str, str]()
+    for component in components:
+        if component.suffix in known:
+            raise ValueError(
+                f"must give different columns, got {known[component.suffix]!r} and "
+                f"{component.name!r}, which both end with _{component.suffix}"
+            )
+        known[component.suffix] = component.name
+    return components
+
+
+def numbered_components(count: int) -> tuple[Component, ...]:
+    """Give components without names, whose columns end with 0, 1, ..."""
+    return tuple(Component(str(number)) for number in range(count))
+
+
+def check_estimate_columns(sets: Sequence[str], components: Sequence[Component]) -> None:
+    """Raise an error if the estimates of two sets would have columns of one name.
+
+    Raises
+    ------
+    JobError
+        The set ``a`` with the component ``b c`` and the set ``a_b`` with the component ``c``, say.
+    """
+    known = dict[str, tuple[str, str]]()
+    for name in sets:
+        for each in components:
+            column = f"estimate_{name}_{each.suffix}"
+            if column in known:
+                other, other_suffix = known[column]
+                raise JobError(
+                    "estimates must have different columns, got the column "
+                    f"{column!r} for {other_suffix!r} of the set {other!r} and for {each.suffix!r} "
+                    f"of the set {name!r}: give the search another name"
+                )
+            known[column] = name, each.suffix

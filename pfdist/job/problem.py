@@ -1,0 +1,250 @@
+"""A problem, as a user hands it over in Python: a model, and what may be measured when."""
+
+import inspect
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from pydantic import ValidationError
+
+from pfdist.common.cards import Card, Shown
+from pfdist.common.explained import explained
+from pfdist.common.nearest import did_you_mean
+from pfdist.common.section import Section
+from pfdist.errors import JobError, ModelError, shown
+from pfdist.job.job import Job, Origin
+from pfdist.job.problem_section import ProblemSection
+from pfdist.job.sections import Filter
+from pfdist.meaning.given import GivenModel, given_model
+from pfdist.models import PYTHON, StateSpaceModel, find_model
+
+_SECTIONS: dict[str, type[Section]] = {"problem": ProblemSection, "filter": Filter}
+_OWN = ("seed", "model", *_SECTIONS)
+_STRANGE = re.compile(r"[^\w. -]+")
+
+
+class Problem(Shown):
+    """A model, and how often and when it may be measured: what a job file says, in Python.
+
+    The keys are those of the sections [problem] and [filter] of a job file. All of them are checked
+    at once. A model that was defined in a notebook or a script travels to the workers by value, as
+    it is now; later changes of a constant need a new problem.
+
+    Parameters
+    ----------
+    model : StateSpaceModel or str
+        The model; or a name as in a job file: "ungm", or "path/file.py:object".
+    filter_model : StateSpaceModel or str, optional
+        The model that the filter uses, if it differs from the truth.
+    horizon : int or float
+        T: the instants are 0..T. With a clock, the time of the last instant.
+    time_step, time_unit, times : float, str and sequence of float, optional
+        The clock: the time from an instant to the next, the name of the unit, and in the place of
+        the horizon the time of every instant. With a clock, all times are times on the clock.
+    instant_weights : sequence of float, optional
+        Weight of the error of each instant in the MSE.
+    measurement_budget : int, optional
+        The number of measurements.
+    forbidden, required : sequence of int, float, str and range, optional
+        Instants without a measurement, and with one: ``range(20, 31)`` or ``[0, "20-30"]``.
+    minimum_spacing : int or float, optional
+        Smallest difference of two measurement times.
+    cost : sequence of int, or mapping of str to int, optional
+        Cost of a measurement at each instant, or in each range, as in ``{"0-30": 1, "31-60": 2}``.
+    total_cost : int, optional
+        Largest sum of costs, in the place of the measurement budget.
+    particles : int
+    resampling, dtype, engine : str
+        The filter, as in the section [filter] of a job file.
+
+    Raises
+    ------
+    JobError
+        A value is wrong, values contradict each other, or a key is unknown.
+    ModelError
+        The model cannot be found, or it cannot be sent to workers.
+
+    Examples
+    --------
+    >>> import pfdist
+    >>> problem = pfdist.Problem("ungm", horizon=60, measurement_budget=21)
+    >>> problem
+    <problem ungm: horizon 60, measurement_budget 21>
+    >>> problem.with_changes(forbidden=range(20, 31)).job(seed=3).problem.forbidden
+    ('20-30',)
+    >>> pfdist.Problem("ungm", horizon=0, measurement_budget=21)
+    Traceback (most recent call last):
+        ...
+    pfdist.errors.JobError: horizon must be at least 1, got 0
+    """
+
+    __signature__: ClassVar[inspect.Signature]
+
+    def __init__(
+        self,
+        model: StateSpaceModel | str,
+        *,
+        filter_model: StateSpaceModel | str | None = None,
+        **keys: Any,
+    ) -> None:
+        self._model, self._filter_model = _given(model, "model"), None
+        if filter_model is not None and filter_model is not model:
+            self._filter_model = _given(filter_model, "filter_model")
+        self._arguments = {"model": model, "filter_model": filter_model, **keys}
+        self._keys = _by_section({key: _plain(value) for key, value in keys.items()})
+        self.job()
+
+    @property
+    def name(self) -> str:
+        """The model's name, which is also the name of the folder of the problem's run."""
+        name = self._model.name.removeprefix(PYTHON)
+        if ".py:" in name:
+            name = Path(name.rpartition(":")[0]).stem
+        return _STRANGE.sub("-", name).strip(" .") or "model"
+
+    def with_changes(self, **arguments: Any) -> "Problem":
+        """Give a problem with some arguments changed; parameters and errors as of the class."""
+        return Problem(**{**self._arguments, **arguments})
+
+    def job(self, seed: int = 0, **sections: Any) -> Job:
+        """Give the job of this problem.
+
+        Parameters
+        ----------
+        seed : int
+        **sections
+            Other sections of a job file, for instance ``search=[{"method": "genetic"}]`` and
+            ``comparison={"draws": 4000}``.
+
+        Raises
+        ------
+        JobError
+            A value is wrong, or a section is unknown or belongs to the problem.
+        """
+        allowed = [name for name in Job.model_fields if name not in _OWN]
+        for name in sections:
+            if name not in allowed:
+                raise JobError(
+                    f"sections must be {', '.join(allowed)}, got {shown(name)}: all else is an "
+                    f"argument of pfdist.Problem{did_you_mean(name, allowed)}"
+                )
+        given = {"model": self._model, "filter_model": self._filter_model}
+        models = {part: each.chosen for part, each in given.items() if each and each.chosen}
+        origin = Origin(
+            Path(f"{self.name}.toml"), "search" in sections, "online" in sections, models, False
+        )
+        filled = {name: section for name, section in sections.items() if section is not None}
+        data = {"seed": _plain(seed), "model": self._models(), **self._keys, **filled}
+        return Job(origin, **data)
+
+    def _models(self) -> dict[str, Any]:
+        """The section [model] of the job."""
+        section = _named(self._model)
+        if self._filter_model is not None and self._filter_model != self._model:
+            section["filter"] = _named(self._filter_model)
+        return section
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if hasattr(self, "_keys"):
+            raise AttributeError(f"a problem is frozen: use with_changes({name}=...)")
+        super().__setattr__(name, value)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Problem) and self.job() == other.job()
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def _card(self) -> Card:
+        keys = {**self._keys["problem"], **self._keys["filter"]}
+        first = ("horizon", "measurement_budget", "total_cost")
+        about = ", ".join(f"{key} {keys[key]}" for key in first if key in keys)
+        models = {"model": self._model, "filter_model": self._filter_model}
+        rows = {key: each.name for key, each in models.items() if each} | keys
+        texts = [
+            (key, each if isinstance(each, str) else shown(each)) for key, each in rows.items()
+        ]
+        return Card(f"problem {self.name}: {about}", ("key", "value"), texts)
+
+
+def _given(model: StateSpaceModel | str, argument: str) -> GivenModel:
+    try:
+        given = given_model(model)
+        if isinstance(model, str):
+            find_model(model)
+    except ModelError as error:
+        raise ModelError(f"{argument}: {error}", argument=argument) from error
+    return given
+
+
+def _named(given: GivenModel) -> dict[str, Any]:
+    return {"name": given.name, "parameters": dict(given.parameters)}
+
+
+def _by_section(keys: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Give the keys of each section of a job, after checking each section alone."""
+    allowed = [key for section in _SECTIONS.values() for key in section.model_fields]
+    for key in keys:
+        if key not in allowed:
+            names = ["filter_model", *allowed]
+            raise JobError(
+                f"unknown argument {shown(key)} of Problem, allowed: {', '.join(names)}"
+                f"{did_you_mean(key, names)}"
+            )
+    found = {}
+    for name, section in _SECTIONS.items():
+        found[name] = {key: keys[key] for key in section.model_fields if keys.get(key) is not None}
+        try:
+            section(**found[name])
+        except ValidationError as error:
+            text = explained(error, section)  # written in Python, a key has no section
+            raise JobError(text.replace(f"{name}.", "")) from error
+    return found
+
+
+def _plain(value: Any) -> Any:
+    """Give a value as a job file could hold it: NumPy's numbers and arrays, ranges and sets."""
+    if isinstance(value, np.generic | np.ndarray) or hasattr(value, "tolist"):
+        return value.tolist()
+    if isinstance(value, range):
+        return [_text_of(value)] if _is_stretch(value) else list(value)
+    if isinstance(value, Mapping):
+        return {str(_plain(key)): _plain(each) for key, each in value.items()}
+    if isinstance(value, set | frozenset):
+        return sorted(value)
+    if isinstance(value, tuple | list):
+        entries = [_plain(each) for each in value]
+        ranges = [isinstance(each, range) for each in value]
+        return [
+            each
+            for entry, is_range in zip(entries, ranges, strict=True)
+            for each in (entry if is_range else [entry])
+        ]
+    return value
+
+
+def _is_stretch(times: range) -> bool:
+    return len(times) > 1 and times.step == 1
+
+
+def _text_of(times: range) -> str:
+    return f"{times[0]}-{times[-1]}"
+
+
+def _signature() -> inspect.Signature:
+    """The arguments with the defaults that the sections declare, for help and completion."""
+    own = list(inspect.signature(Problem.__init__).parameters.values())[1:-1]
+    keys = [
+        inspect.Parameter(
+            key,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=inspect.Parameter.empty if about.is_required() else about.default,
+        )
+        for section in _SECTIONS.values()
+        for key, about in section.model_fields.items()
+    ]
+    return inspect.Signature([*own, *keys])
+
+
+Problem.__signature__ = _signature()

@@ -1,0 +1,74 @@
+"""How named sets of times compare: their ranks, and all pairs on the same draws."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from pfdist.analysis.pairs import told_ranks
+from pfdist.common.percent import cost, range_of
+from pfdist.common.rounding import with_error, with_interval
+from pfdist.reports.parts import Block, Cell, Section, Table, Text, without_empty_columns
+from pfdist.reports.pictures import pictures
+from pfdist.reports.subject import Subject, number_of, percent_cell
+
+_RANKS_HEAD = ("rank", "times", "number", "expected error", "above the best by", "breaks")
+_PAIRS_HEAD = (
+    "first", "second", "first less second", "clear", "first is lower by, %",
+    "draws where first is lower, %",
+)  # fmt: skip
+_MEANING = (
+    "All sets filter the same draws, so differences are far more exact than the errors. Intervals "
+    "in brackets hold with 95 % for one pair alone. A difference is clear if its sign holds with "
+    "95 % for all pairs together. The best rank of a set counts the sets that are clearly better, "
+    "the worst rank all that are not clearly worse."
+)
+_EXACT = (
+    "The filter is exact, so the expected errors, their differences and the ranks are exact. Only "
+    "the shares of draws are estimated."
+)
+_MOST_OPEN = 28
+"""Pairs of 8 sets; a table of more pairs is folded away."""
+
+
+def compared(subject: Subject) -> Section | None:
+    """Give the ranks and the pairs of a run whose job names sets."""
+    ranks, pairs = (subject.summary.get(table) for table in ("ranks", "pairs"))
+    if not ranks:
+        return None
+    draws = number_of(subject.summary["draws_compared"], "draw")
+    sets = Table(f"Ranks on {draws}", _RANKS_HEAD, [_set_row(subject, row) for row in ranks])
+    rows = [_pair_row(pair) for pair in pairs or ()]
+    blocks: list[Block] = [
+        without_empty_columns(sets),
+        Text(_EXACT if subject.is_exact else _MEANING),
+        *pictures(subject.tables, ["compared"] if subject.found else ["compared", "times"]),
+        Table("Pairs of sets", _PAIRS_HEAD, rows, folded=len(rows) > _MOST_OPEN),
+    ]
+    return Section("How the sets compare", blocks)
+
+
+def _set_row(subject: Subject, row: Mapping[str, Any]) -> list[Cell]:
+    result, mse = subject.results[row["name"]], cost(row["expected_mse"])
+    number = len(result["measurement_times"])
+    return [
+        Cell(told_ranks(row["best_rank"], row["worst_rank"]), row["best_rank"]),
+        Cell(row["name"]),
+        Cell(str(number), number),
+        Cell(with_error(mse, row["standard_error"]), mse),
+        _difference(row) if row["difference"] else Cell(""),
+        Cell("; ".join(result.get("broken_constraints", ()))),
+    ]
+
+
+def _pair_row(pair: Mapping[str, Any]) -> list[Cell]:
+    shares = [
+        percent_cell(pair[key], [pair[f"{key}_low"], pair[f"{key}_high"]])
+        for key in ("gain_of_means", "first_wins")
+    ]
+    names = [Cell(pair["first"]), Cell(pair["second"])]
+    return [*names, _difference(pair), Cell("yes" if pair["clear"] else "no"), *shares]
+
+
+def _difference(row: Mapping[str, Any]) -> Cell:
+    value, low, high = with_interval(row["difference"], row["low"], row["high"])
+    exact = row["low"] == row["high"] and row["low"] is not None
+    return Cell(value if exact else f"{value} ({range_of(low, high)})", row["difference"])

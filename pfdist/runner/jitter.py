@@ -1,0 +1,183 @@
+"""The loss when all measurements are jittered at random within their sampling windows.
+
+The draws and the noise are fresh: the draws that chose the windows would flatter them.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pfdist.analysis.relative_loss import RelativeLoss
+from pfdist.evaluation.work import Work, cut
+from pfdist.kernels.noise import generator
+from pfdist.runner.build import Built
+from pfdist.runner.pace import MOST_SECONDS
+from pfdist.runner.progress import Reporter
+from pfdist.runner.worth import WHY
+from pfdist.times.feasible import Feasible
+from pfdist.times.measurement_times import Times
+
+MOST_EXACT = 2000
+"""Most random sets of times for which an exact engine computes the expected MSE."""
+_BLOCK = 200  # sets of times whose exact errors are computed at a time
+_ATTEMPTS = 200  # to draw times that the job allows, all at once
+
+Windows = Sequence[Times]
+Row = dict[str, Any]
+
+
+def jitter(
+    built: Built,
+    name: str,
+    times: Times,
+    windows: Mapping[int, Windows],
+    draws: int,
+    reporter: Reporter,
+) -> list[Row]:
+    """Compute the loss of random times within the windows, for each level.
+
+    Each draw has random times of its own, and the kept times beside them.
+
+    Parameters
+    ----------
+    built : Built
+    name : str
+        Name of the set; keys the noise and the random times.
+    times : tuple of int
+        The kept times.
+    windows : mapping of int to sequence of tuples of int
+        For each level, the instants to which each of the times may move, itself among them.
+    draws : int
+    reporter : Reporter
+
+    Returns
+    -------
+    list of dict
+        Rows of the table ``jitter``, without position and name. Levels at which nothing can move
+        have no draws.
+    """
+    start, losses = reporter.progress.done, {percent: RelativeLoss() for percent in windows}
+    moving = {
+        percent: instants
+        for percent, instants in windows.items()
+        if any(len(window) > 1 for window in instants)
+    }
+    if moving:
+        draws = min(draws, MOST_EXACT) if built.evaluator.exact else draws
+        jittering = _Jittering(built, name, times, moving)
+        for first, last in jittering.pieces(draws):
+            kept, *jittered = jittering.mse(range(first, last)).T
+            for percent, mse in zip(moving, jittered, strict=True):
+                losses[percent].add(mse, kept)
+            reporter.reach(start + last / draws, evaluations=last)
+    reporter.reach(start + 1)
+    return [_row(percent, losses[percent], draws * (percent in moving)) for percent in windows]
+
+
+def jittered(times: Times, windows: Windows, feasible: Feasible, *key: Any) -> Times:
+    """Give random times within windows: a pure function of the key.
+
+    Each measurement takes an instant of its window, all with the same probability and independently
+    of the others. If the job does not allow the times together, or two of them are equal, all are
+    drawn anew. If the job still does not allow them after 200 attempts, the kept times move in
+    random order, each to an instant of its window that the job allows beside the others.
+
+    Parameters
+    ----------
+    times : tuple of int
+        The kept times, which the job allows.
+    windows : sequence of tuples of int
+        The instants to which each of the times may move, itself among them.
+    feasible : Feasible
+    *key : JSON values
+    """
+    rng, sizes = generator(*key), [len(window) for window in windows]
+    for _ in range(_ATTEMPTS):
+        picked = {window[k] for window, k in zip(windows, rng.integers(sizes), strict=True)}
+        if len(picked) == len(times) and feasible.allows(picked):
+            return tuple(sorted(picked))
+    present = list(times)
+    for place in rng.permutation(len(times)):
+        others = {*present} - {present[place]}
+        free = [
+            t
+            for t in windows[place]
+            if t == present[place] or (t not in others and feasible.allows(others | {t}))
+        ]
+        present[place] = free[rng.integers(len(free))]
+    return tuple(sorted(present))
+
+
+class _Jittering:
+    """Errors of the kept times and of random times for each level, on the same draws."""
+
+    def __init__(
+        self, built: Built, name: str, times: Times, windows: Mapping[int, Windows]
+    ) -> None:
+        self._built, self._name, self._times, self._windows = built, name, times, windows
+
+    def pieces(self, draws: int) -> list[tuple[int, int]]:
+        """Cut the draws into ranges that take about as long as a task each."""
+        evaluator = self._built.evaluator
+        if evaluator.exact:
+            return cut(range(draws), _BLOCK)
+        seconds = MOST_SECONDS / (1 + len(self._windows))
+        pieces = evaluator.pieces(self._work((0, draws), (self._times,)), seconds)
+        return [piece.draws for piece in pieces]
+
+    def mse(self, draws: range) -> NDArray[np.float64]:
+        """MSE of each draw with the kept times, and with random times for each level."""
+        evaluator = self._built.evaluator
+        sets = [self._sets(draw) for draw in draws]
+        if not evaluator.exact:
+            works = (
+                self._work((draw, draw + 1), of_a_draw)
+                for draw, of_a_draw in zip(draws, sets, strict=True)
+            )
+            return np.concatenate([evaluator.filtered(work).mse for work in works])
+        different = list(dict.fromkeys(times for of_a_draw in sets for times in of_a_draw))
+        known = dict(zip(different, evaluator.expected_mse(different).tolist(), strict=True))
+        return np.array([[known[times] for times in of_a_draw] for of_a_draw in sets])
+
+    def _sets(self, draw: int) -> tuple[Times, ...]:
+        """Give the kept times, and the random times of a draw for each level."""
+        problem, seed = self._built.job.problem, self._built.job.seed
+        random_sets = (
+            jittered(
+                self._times,
+                windows,
+                problem.feasible,
+                WHY.stream(seed, "jitter times", self._name, percent, draw),
+            )
+            for percent, windows in self._windows.items()
+        )
+        return (self._times, *random_sets)
+
+    def _work(self, draws: tuple[int, int], sets: tuple[Times, ...]) -> Work:
+        seed = self._built.job.seed
+        return Work(
+            measurement_times=sets,
+            ends=(self._built.evaluator.horizon,) * len(sets),
+            filter_streams=(WHY.stream(seed, "jitter filter", self._name),) * len(sets),
+            draws_stream=WHY.stream(seed, "jitter draws"),
+            draws=draws,
+            estimation=self._built.comparing,
+        )
+
+
+def _row(percent: int, loss: RelativeLoss, draws: int) -> Row:
+    if not draws:  # nothing moves
+        still = dict.fromkeys(("loss", "loss_error", "low", "high"), 0.0)
+        return {"percent": percent, "draws": 0, "degenerate_draws": 0} | still
+    low, high = loss.interval
+    return {
+        "percent": percent,
+        "draws": draws,
+        "loss": loss.mean,
+        "loss_error": loss.standard_error,
+        "degenerate_draws": loss.degenerate_draws,
+        "low": low,
+        "high": high,
+    }

@@ -1,0 +1,196 @@
+"""Sampling windows: the instants to which a measurement alone can be moved at a small loss.
+
+Everything is computed on the draws, and with the noise, of the worth of measurements. So the loss
+of a move by one instant agrees with the table of the worth.
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from pfdist.analysis.relative_loss import INSIDE, OPEN, OUTSIDE, RelativeLoss
+from pfdist.evaluation.work import Work
+from pfdist.runner.build import Built
+from pfdist.runner.pace import MOST_SECONDS
+from pfdist.runner.progress import Reporter
+from pfdist.runner.worth import WHY
+from pfdist.store import WINDOW_PERCENTS
+from pfdist.times.feasible import Feasible
+from pfdist.times.measurement_times import Times
+from pfdist.times.moves import moved
+
+FIRST_REACH = 4
+"""Feasible instants on each side of a measurement that are filtered first; then twice as many."""
+
+Row = dict[str, Any]
+Move = tuple[int, int]  # the instant of a measurement, and the instant to which it is moved
+
+
+@dataclass(frozen=True)
+class _Side:
+    """The feasible instants between a measurement and a neighbour, outwards, with the moved sets.
+
+    Parameters
+    ----------
+    t : int
+        The measurement.
+    sets : list of (int, tuple of int)
+        Each instant, and the set whose measurement is moved to it.
+    """
+
+    t: int
+    sets: list[tuple[int, Times]]
+
+    def part(self, first: int, stop: int) -> dict[Move, Times]:
+        """Give some of the moves."""
+        return {(self.t, instant): times for instant, times in self.sets[first:stop]}
+
+
+def sampling_windows(
+    built: Built, name: str, times: Times, draws: int, reporter: Reporter
+) -> list[Row]:
+    """Compute the loss of moving each measurement alone, and whether it is within the levels.
+
+    The instants lie strictly between the neighbouring measurements, and the job allows them. They
+    are tried outwards from the measurement. A side ends with the first instant that is clearly
+    beyond the largest level: the one-sided 95 % lower limit of its loss is above it.
+
+    Parameters
+    ----------
+    built : Built
+    name : str
+        Name of the set; keys the noise.
+    times : tuple of int
+    draws : int
+        Number of draws.
+    reporter : Reporter
+
+    Returns
+    -------
+    list of dict
+        Rows of the table ``windows``, without position, name and draws. The measurement's own
+        instant is a row, too.
+    """
+    start, first, size, share = reporter.progress.done, 0, FIRST_REACH, 0.5
+    sides, rows = _sides(times, built.job.problem.feasible), list[Row]()
+    while not first or sides:
+        asked = {move: moved for side in sides for move, moved in side.part(first, size).items()}
+        found = _rows(built, name, (times, *asked.values()), draws, (reporter, share))
+        kept, known = found[0], dict(zip(asked, found[1:], strict=True))
+        if not first:
+            rows += [{"t": t, "instant": t, "place": t} | kept for t in times]
+        for side in list(sides):
+            tried, ended = _up_to_the_first_beyond(side.part(first, size), known)
+            rows += tried
+            if ended or len(side.sets) <= size:
+                sides.remove(side)
+        first, size, share = size, 2 * size, share / 2
+    reporter.reach(start + 1)
+    return sorted(rows, key=lambda row: (row["t"], row["instant"]))
+
+
+def windows_by_percent(rows: Sequence[Row], times: Times) -> dict[int, list[Times]]:
+    """Give the instants inside the windows of all measurements, for each level in per cent.
+
+    A measurement's own instant always belongs to its window.
+    """
+    return {
+        percent: [
+            tuple(
+                row["instant"]
+                for row in rows
+                if row["t"] == t and (row["instant"] == t or row[f"within_{percent}"] == INSIDE)
+            )
+            for t in times
+        ]
+        for percent in WINDOW_PERCENTS
+    }
+
+
+def _sides(times: Times, feasible: Feasible) -> list[_Side]:
+    """Give both sides of every measurement that have a feasible instant."""
+    ends = (-1, *times, feasible.horizon + 1)
+    sides = []
+    for before, t, after in zip(ends, times, ends[2:], strict=False):
+        for instants in (range(t - 1, before, -1), range(t + 1, after)):
+            sets = ((to, moved(times, t, to, feasible)) for to in instants)
+            side = _Side(t, [(to, changed) for to, changed in sets if changed is not None])
+            sides += [side] if side.sets else []
+    return sides
+
+
+def _up_to_the_first_beyond(
+    moves: Mapping[Move, Times], known: Mapping[Move, Row]
+) -> tuple[list[Row], bool]:
+    """Give the rows up to the first instant beyond the largest level, and whether there is one."""
+    rows = list[Row]()
+    for t, instant in moves:
+        rows.append({"t": t, "instant": instant, "place": instant} | known[t, instant])
+        if rows[-1][f"within_{max(WINDOW_PERCENTS)}"] == OUTSIDE:
+            return rows, True
+    return rows, False
+
+
+def _rows(
+    built: Built,
+    name: str,
+    sets: tuple[Times, ...],
+    draws: int,
+    progress: tuple[Reporter, float],
+) -> list[Row]:
+    """Give the columns of the loss of each set against the first, which loses nothing."""
+    if built.evaluator.exact:
+        kept, *_ = mse = built.evaluator.expected_mse(sets).tolist()
+        return [_exact_row((changed - kept) / kept if kept > 0.0 else math.nan) for changed in mse]
+    losses = [RelativeLoss() for _ in sets]
+    for mse in _filtered(built, name, sets, draws, progress):
+        for loss, changed in zip(losses, mse.T, strict=True):
+            loss.add(changed, mse[:, 0])
+    return [_row(loss) for loss in losses]
+
+
+def _filtered(
+    built: Built,
+    name: str,
+    sets: tuple[Times, ...],
+    draws: int,
+    progress: tuple[Reporter, float],
+) -> Iterator[Any]:
+    """Filter the draws with all sets under the same noise, piece by piece: (D, S) each time."""
+    seed, (reporter, share) = built.job.seed, progress
+    work = Work(
+        measurement_times=sets,
+        ends=(built.evaluator.horizon,) * len(sets),
+        filter_streams=(WHY.stream(seed, "filter", name),) * len(sets),
+        draws_stream=WHY.stream(seed, "draws"),
+        draws=(0, draws),
+        estimation=built.comparing,
+    )
+    start = reporter.progress.done
+    for piece in built.evaluator.pieces(work, MOST_SECONDS):
+        yield built.evaluator.filtered(piece).mse
+        _, last = piece.draws
+        reporter.reach(start + share * last / draws, evaluations=last)
+
+
+def _row(loss: RelativeLoss) -> Row:
+    low, high = loss.limits
+    return {
+        "loss": loss.mean,
+        "loss_error": loss.standard_error,
+        "degenerate_draws": loss.degenerate_draws,
+        "lower_limit": low,
+        "upper_limit": high,
+    } | {f"within_{percent}": loss.state(percent / 100) for percent in WINDOW_PERCENTS}
+
+
+def _exact_row(loss: float) -> Row:
+    states = {
+        f"within_{percent}": INSIDE if loss <= percent / 100 else OUTSIDE
+        for percent in WINDOW_PERCENTS
+    }
+    if math.isnan(loss):
+        states = dict.fromkeys(states, OPEN)
+    exact = {"loss": loss, "loss_error": 0.0, "degenerate_draws": 0}
+    return exact | {"lower_limit": loss, "upper_limit": loss} | states

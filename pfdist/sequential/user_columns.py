@@ -1,0 +1,18 @@
+"""Names of the columns of components in tables that users bring."""
+
+from pfdist.models import StateSpaceModel
+
+
+def user_columns(kind: str, model: StateSpaceModel) -> list[list[str]]:
+    """Give the lists of columns that a table may have: x0, x1, ..., or those with names.
+
+    Parameters
+    ----------
+    kind : {"x", "y"}
+    model : StateSpaceModel
+        If it names these components, there is a second list.
+    """
+    components = model.named(kind)
+    numbered = [f"{kind}{number}" for number in range(len(components))]
+    named = [f"{kind}_{each.suffix}" for each in components if each.name]
+    return [numbered, named] if named else [numbered]

@@ -1,0 +1,200 @@
+"""The clock of a problem: the time of each instant, in a unit that the user names.
+
+Everything below the job counts instants, 0..T. Times are turned into instants where a user hands
+them over, and instants into times where a user reads them.
+"""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from pfdist.errors import MeasurementTimesError, shown
+from pfdist.times.measurement_times import Times
+
+Time = int | float
+
+_RELATIVE = 1e-9
+"""A time means an instant if it differs from the time of the instant by so little at most."""
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The time of each instant 0..T.
+
+    Parameters
+    ----------
+    times : tuple of float, (T+1,)
+        In ascending order. Whole numbers 0..T are a clock that counts instants.
+    unit : str
+        The unit as the user names it, such as "h"; empty if there is none.
+    counts : bool
+        Whether the problem has no clock: the time of an instant is its number.
+
+    Raises
+    ------
+    MeasurementTimesError
+        The times are not finite, or not in ascending order.
+    """
+
+    times: tuple[Time, ...]
+    unit: str = ""
+    counts: bool = False
+
+    def __post_init__(self) -> None:
+        for time in self.times:
+            if not math.isfinite(time):
+                raise MeasurementTimesError(f"times must be finite numbers, got {time}")
+        for time, later in pairwise(self.times):
+            if not time < later:
+                raise MeasurementTimesError(
+                    f"times must be in ascending order, got {time:g} before {later:g}"
+                )
+
+    @classmethod
+    def counting(cls, horizon: int) -> "Clock":
+        """Give the clock of a problem without a clock: the time of an instant is its number."""
+        return cls(tuple(range(horizon + 1)), counts=True)
+
+    @classmethod
+    def regular(cls, horizon: float, step: float, unit: str = "") -> "Clock":
+        """Give a clock whose instants lie one step apart, from 0 to the horizon.
+
+        Raises
+        ------
+        MeasurementTimesError
+            The horizon is no multiple of the step.
+        """
+        steps = round(horizon / step)
+        if steps < 1 or not _is_same(steps * step, horizon):
+            below = max(1, math.floor(horizon / step)) * step
+            raise MeasurementTimesError(
+                f"horizon must be a multiple of time_step = {step:g}, got {shown(horizon)}; the "
+                f"nearest are {below:.10g} and {below + step:.10g}"
+            )
+        times = (_rounded(t * step) for t in range(steps + 1))
+        return cls(tuple(times), unit)
+
+    @property
+    def horizon(self) -> int:
+        """T."""
+        return len(self.times) - 1
+
+    @cached_property
+    def is_even(self) -> bool:
+        """Whether all steps are equal."""
+        steps = np.diff(self.times)
+        return bool(np.allclose(steps, steps[0], rtol=_RELATIVE, atol=0.0))
+
+    @cached_property
+    def trapezoids(self) -> tuple[float, ...]:
+        """The part of the clock's time that stands for each instant, by the trapezoidal rule."""
+        steps = np.diff(self.times)
+        parts = np.append(steps, 0.0) / 2 + np.append(0.0, steps) / 2
+        return tuple(parts.tolist())
+
+    def instant(self, time: Time, name: str = "measurement_times") -> int:
+        """Give the instant of a time.
+
+        Parameters
+        ----------
+        time : int or float
+        name : str
+            The name of the value, for an error.
+
+        Raises
+        ------
+        MeasurementTimesError
+            No instant has this time; the error names the nearest.
+        """
+        if isinstance(time, bool) or not isinstance(time, (int, float, np.integer, np.floating)):
+            raise MeasurementTimesError(f"{name} must be times, got {shown(time)}")
+        after = int(np.searchsorted(self.times, time))
+        near = [t for t in (after - 1, after) if 0 <= t <= self.horizon]
+        nearest = min(near, key=lambda t: abs(self.times[t] - time))
+        if _is_same(self.times[nearest], time):
+            return nearest
+        self.check_is_within(time, name)
+        raise MeasurementTimesError(
+            f"{name} must be times of the clock, got {time:.10g}; the nearest are "
+            f"{' and '.join(f'{self.times[t]:.10g}' for t in near)}{self._suffix}"
+        )
+
+    def check_is_within(self, time: Time, name: str) -> None:
+        """Raise a `MeasurementTimesError` if a time lies before the first or after the last."""
+        first, last = self.times[0], self.times[-1]
+        if not first - _RELATIVE <= time <= last * (1 + _RELATIVE) + _RELATIVE:
+            raise MeasurementTimesError(
+                f"{name} must lie in {first:.10g}..{self.told(self.horizon)}, got {time:.10g}"
+            )
+
+    def between(self, first: Time, last: Time) -> range:
+        """Give the instants from a time to another, both included if they are on the clock."""
+        low, high = (self.times[0], self.times[-1])
+        slack = _RELATIVE * max(abs(low), abs(high), 1.0)
+        start = int(np.searchsorted(self.times, first - slack))
+        return range(start, int(np.searchsorted(self.times, last + slack, side="right")))
+
+    def instants(self, times: Iterable[Time]) -> Times:
+        """Give the instants of some times, in the same order; errors as of `instant`."""
+        return tuple(int(t) if self.counts else self.instant(t) for t in times)
+
+    def time(self, instant: int) -> Time:
+        """Give the time of an instant."""
+        return self.times[instant]
+
+    def times_of(self, instants: Iterable[int]) -> list[Time]:
+        """Give the times of some instants, in the same order."""
+        return [self.times[t] for t in instants]
+
+    def told(self, instant: int) -> str:
+        """Give the time of an instant as text, with the unit."""
+        return f"{self.times[instant]:.10g}{self._suffix}"
+
+    def successors(self, spacing: float) -> tuple[int, ...]:
+        """For each instant, the first later instant that is at least a time apart.
+
+        T+1 stands for an instant after the last.
+        """
+        after = np.array(self.times) + spacing * (1 - _RELATIVE)
+        found = np.searchsorted(self.times, after).tolist()
+        return tuple(max(t + 1, later) for t, later in enumerate(found))
+
+    def regular_times(self, number: int) -> Times:
+        """Give N instants whose times are as evenly spaced as the clock allows.
+
+        These are the instants nearest to N times that are evenly spaced from the first to the last.
+        Where two of them would be the same instant, the later takes the next.
+
+        Parameters
+        ----------
+        number : int
+            N, 2..T+1.
+        """
+        wanted = np.linspace(self.times[0], self.times[-1], number)
+        chosen = list[int]()
+        for left, time in zip(range(number - 1, -1, -1), wanted, strict=True):
+            first = chosen[-1] + 1 if chosen else 0
+            open_ones = np.array(self.times[first : self.horizon + 1 - left])
+            chosen.append(first + int(np.abs(open_ones - time).argmin()))
+        return tuple(chosen)
+
+    def since(self, first: int) -> "Clock":
+        """Give the clock of the instants from one on."""
+        return Clock(self.times[first:], self.unit)
+
+    @property
+    def _suffix(self) -> str:
+        return f" {self.unit}" if self.unit else ""
+
+
+def _is_same(time: float, other: float) -> bool:
+    return math.isclose(time, other, rel_tol=_RELATIVE, abs_tol=_RELATIVE)
+
+
+def _rounded(time: float) -> float:
+    """Give a multiple of a step as a person would write it: 3 * 0.1 is 0.3."""
+    return float(f"{time:.12g}")

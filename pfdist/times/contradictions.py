@@ -1,0 +1,104 @@
+"""Constraints that contradict each other, or that no set of measurement times satisfies."""
+
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+from pfdist.errors import MeasurementTimesError
+
+if TYPE_CHECKING:
+    from pfdist.times.constraints import Constraints
+
+_MOST_UNITS = 10_000  # of money; the memory of the searches grows with their number
+
+
+def check_times(constraints: "Constraints") -> None:
+    """Refuse forbidden and required times that are outside, both, or too near to each other."""
+    for name in ("forbidden", "required"):
+        times, last = getattr(constraints, name), constraints.horizon
+        outside = [time for time in times if not 0 <= time <= last]
+        if outside:
+            raise MeasurementTimesError(f"{name} must lie in 0..{last}, got {outside[0]}")
+    both = {*constraints.forbidden} & {*constraints.required}
+    if both:
+        raise MeasurementTimesError(
+            f"forbidden and required must have no time in common, got {min(both)} in both"
+        )
+    for time, later in pairwise(constraints.required):
+        if not constraints.spacing.apart((time, later)):
+            raise MeasurementTimesError(
+                "required must have times that differ by at least minimum_spacing = "
+                f"{constraints.minimum_spacing}, got {constraints.told(time)} and "
+                f"{constraints.told(later)}"
+            )
+
+
+def check_budget_or_cost(constraints: "Constraints") -> None:
+    """Refuse a budget beside costs, and costs without a sum or of a wrong number."""
+    given = (constraints.measurement_budget, constraints.cost, constraints.total_cost)
+    if given == (None, None, None):
+        raise MeasurementTimesError(
+            "measurement_budget must be given, or cost and total_cost in its place"
+        )
+    if constraints.counted and given[1:] != (None, None):
+        name = "cost" if constraints.total_cost is None else "total_cost"
+        raise MeasurementTimesError(
+            "measurement_budget must be given without cost and total_cost, "
+            f"got measurement_budget and {name}"
+        )
+    if None in given[1:] and not constraints.counted:
+        got, lacks = (
+            ("cost", "total_cost") if constraints.cost is not None else ("total_cost", "cost")
+        )
+        raise MeasurementTimesError(f"{lacks} must be given with {got}")
+    cost, instants = constraints.cost, constraints.horizon + 1
+    if cost is not None and len(cost) != instants:
+        raise MeasurementTimesError(
+            f"cost must have a number for each of {instants} instants, got {len(cost)}"
+        )
+    if cost is not None and min(cost) < 1:
+        raise MeasurementTimesError(f"cost must be at least 1, got {min(cost)}")
+
+
+def check_that_a_set_exists(constraints: "Constraints") -> None:
+    """Refuse constraints that no set satisfies."""
+    if constraints.measurement_budget is None:
+        _check_money(constraints)
+        return
+    budget, instants = constraints.measurement_budget, constraints.horizon + 1
+    if budget > instants:
+        raise MeasurementTimesError(
+            f"measurement_budget must be at most the number of instants, {instants}, got {budget}"
+        )
+    required = len(constraints.required)
+    if budget < required:
+        raise MeasurementTimesError(
+            f"measurement_budget must be at least {required}, the number of required times, got "
+            f"{budget}"
+        )
+    capacity = constraints.capacity(())
+    if budget > capacity:
+        raise MeasurementTimesError(
+            f"measurement_budget must be at most {capacity}, the number of times that fit with "
+            f"forbidden, required and minimum_spacing = {constraints.minimum_spacing}, got {budget}"
+        )
+
+
+def _check_money(constraints: "Constraints") -> None:
+    unit, money = constraints.unit, constraints.total_cost or 0
+    required = constraints.spent(constraints.required) * unit
+    if money < required:
+        raise MeasurementTimesError(
+            f"total_cost must pay for the required times, which cost {required}, got {money}"
+        )
+    if not constraints.allowed:
+        raise MeasurementTimesError("forbidden must leave a time, got all times")
+    least = min(constraints.price[time] for time in constraints.allowed) * unit
+    if money < least:
+        raise MeasurementTimesError(
+            f"total_cost must pay for a measurement, and the cheapest costs {least}, got {money}"
+        )
+    if constraints.total > _MOST_UNITS:
+        raise MeasurementTimesError(
+            f"total_cost must be at most {_MOST_UNITS:,} times the largest unit in which every "
+            f"cost is whole, {unit}, got {money}: give costs in larger units"
+        )

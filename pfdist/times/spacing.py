@@ -1,0 +1,71 @@
+"""How far apart the measurement times of a set must be, counted in instants."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+
+@dataclass(frozen=True)
+class Spacing:
+    """Which instants are far enough apart to be measured both.
+
+    Parameters
+    ----------
+    successors : tuple of int, (T+1,)
+        For each instant, the first later instant that is far enough apart, at least t + 1. An
+        instant after T stands for none.
+
+    Examples
+    --------
+    >>> spacing = Spacing.constant(3, horizon=5)
+    >>> spacing.successors
+    (3, 4, 5, 6, 7, 8)
+    >>> spacing.before(4)
+    1
+    """
+
+    successors: tuple[int, ...]
+
+    @classmethod
+    def constant(cls, difference: int, horizon: int) -> "Spacing":
+        """Give the spacing of times whose difference is at least a number of instants."""
+        return cls(tuple(t + difference for t in range(horizon + 1)))
+
+    @cached_property
+    def is_free(self) -> bool:
+        """Whether any two instants are far enough apart."""
+        return all(later == t + 1 for t, later in enumerate(self.successors))
+
+    def after(self, time: int) -> int:
+        """Give the first instant that is far enough after a time.
+
+        A time below 0 stands for nothing measured, so the first instant is far enough.
+        """
+        if time < 0:
+            return 0
+        return self.successors[time] if time < len(self.successors) else time + 1
+
+    def before(self, time: int) -> int:
+        """Give the last instant that is far enough before a time; -1 if there is none.
+
+        A time above T stands for nothing measured, so T is far enough.
+        """
+        return self._predecessors[time] if time < len(self.successors) else time - 1
+
+    def apart(self, times: Iterable[int]) -> bool:
+        """Whether each of some times in ascending order is far enough from the next."""
+        return all(later >= self.after(time) for time, later in pairwise(times))
+
+    def near(self, time: int) -> range:
+        """Give the instants that are not far enough from a time, with the time itself."""
+        return range(self.before(time) + 1, min(self.after(time), len(self.successors)))
+
+    @cached_property
+    def _predecessors(self) -> tuple[int, ...]:
+        found, last = list[int](), -1
+        for time in range(len(self.successors)):
+            while last + 1 < time and self.successors[last + 1] <= time:
+                last += 1
+            found.append(last)
+        return tuple(found)

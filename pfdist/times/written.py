@@ -1,0 +1,146 @@
+"""Times as users write them: numbers, ranges such as ``20:30``, and lists of these."""
+
+import re
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from pfdist.common.number_list import ranges, whole_numbers
+from pfdist.common.parsing import finite_number
+from pfdist.errors import MeasurementTimesError, shown
+from pfdist.times.clock import Clock, Time
+from pfdist.times.measurement_times import Times, validated
+
+RANGES = "'20:30', '0:60:3' or '20-30'"
+"""Examples of ranges, for errors and help."""
+_WITH_HYPHEN = re.compile(r"(\d{1,6}(?:\.\d+)?)-(\d{1,6}(?:\.\d+)?)")
+_WHOLE = (int, np.integer)
+_NUMBER = (*_WHOLE, float, np.floating)
+
+
+def instants_of(written: Any, clock: Clock, name: str = "measurement_times") -> list[int]:
+    """Give the instants of a number, of a text, or of several of these.
+
+    Parameters
+    ----------
+    written : int, float, str or iterable of these
+        Times on the clock. A text has numbers and ranges, with commas or spaces between them.
+        ``FIRST:LAST`` and ``FIRST-LAST`` stand for all instants from FIRST to LAST, and
+        ``FIRST:LAST:STEP`` for the times FIRST, FIRST + STEP, ...
+    clock : Clock
+        If it counts instants, only whole numbers are times. They may lie outside 0..T.
+    name : str
+        The name of the value, for errors.
+
+    Returns
+    -------
+    list of int
+        In the order in which they are written.
+
+    Raises
+    ------
+    MeasurementTimesError
+        Something else is written, or no instant has such a time; the error names the nearest.
+
+    Examples
+    --------
+    >>> instants_of([1, "2.5:4"], Clock.regular(6, 0.5, "h"))
+    [2, 5, 6, 7, 8]
+    """
+    if isinstance(written, str):
+        return list(_instants_of_text(written, clock, name))
+    if isinstance(written, Iterable):
+        return [t for entry in written for t in instants_of(entry, clock, name)]
+    allowed = _WHOLE if clock.counts else _NUMBER
+    if isinstance(written, bool) or not isinstance(written, allowed):
+        raise MeasurementTimesError(
+            f"{name} must name times, as 20, and ranges, as {RANGES}, got {shown(written)}"
+        )
+    return [int(written) if clock.counts else clock.instant(float(written), name)]
+
+
+def validated_instants(
+    written: Iterable[Time | str] | str,
+    clock: Clock,
+    name: str = "measurement_times",
+    where: str = "",
+) -> Times:
+    """Give a set of measurement times on a clock as sorted instants, after checking it.
+
+    Raises
+    ------
+    MeasurementTimesError
+        As `instants_of` and `pfdist.times.measurement_times.validated` raise.
+    """
+    if not isinstance(written, Iterable):
+        raise MeasurementTimesError(f"{name} must be a sequence of times, got {shown(written)}")
+    entries: list[Any] = [written] if isinstance(written, str) else list(written)
+    if not clock.counts or any(isinstance(entry, str) for entry in entries):
+        entries = instants_of(entries, clock, name)
+    return validated(entries, clock.horizon, where)
+
+
+def clock_of(text: str) -> Clock:
+    """Give the clock whose instants a text lists.
+
+    Parameters
+    ----------
+    text : str
+        Times and ranges in ascending order. ``FIRST:LAST`` has an instant at each unit of time, and
+        ``FIRST:LAST:STEP`` at each step.
+
+    Raises
+    ------
+    MeasurementTimesError
+        Something else is written, or fewer than two times, or times in another order.
+
+    Examples
+    --------
+    >>> clock_of("0 0.25 0.5 1:3").times
+    (0.0, 0.25, 0.5, 1.0, 2.0, 3.0)
+    """
+    try:
+        entries = ranges(text, finite_number)
+    except ValueError as error:
+        raise MeasurementTimesError(f"times {error}") from error
+    times = [
+        float(f"{first + k * (step or 1.0):.12g}")  # as a person writes it: 3 * 0.1 is 0.3
+        for first, last, step in entries
+        for k in range(int((last - first) / (step or 1.0) * (1 + 1e-12)) + 1)
+    ]
+    if len(times) < 2:
+        raise MeasurementTimesError(f"times must be at least two, got {shown(text)}")
+    return Clock(tuple(times))
+
+
+def _instants_of_text(text: str, clock: Clock, name: str) -> Sequence[int]:
+    with_hyphen = _WITH_HYPHEN.fullmatch(text)
+    spelt = f"{with_hyphen[1]}:{with_hyphen[2]}" if with_hyphen else text
+    try:
+        if clock.counts:
+            return whole_numbers(spelt)
+        entries = ranges(spelt, finite_number)
+        return [t for entry in entries for t in _instants_between(entry, clock, name)]
+    except MeasurementTimesError:
+        raise
+    except ValueError as error:
+        if ":" in text:
+            raise MeasurementTimesError(f"{name} {error}") from error
+        what = f"name times, as 20, and ranges, as {RANGES}"
+        if with_hyphen:
+            what = "have ranges from a time to a later one"
+        raise MeasurementTimesError(f"{name} must {what}, got {shown(text)}") from error
+
+
+def _instants_between(entry: tuple[float, float, float], clock: Clock, name: str) -> Sequence[int]:
+    """Give the instants of a range of times; the step is 0 if all instants are meant."""
+    first, last, step = entry
+    if first == last:
+        return [clock.instant(first, name)]
+    if not step:
+        for end in (first, last):
+            clock.check_is_within(end, name)
+        return clock.between(first, last)
+    steps = int((last - first) / step * (1 + 1e-12))
+    return [clock.instant(first + k * step, name) for k in range(steps + 1)]

@@ -1,0 +1,299 @@
+"""Jobs with a clock: formulas read it, errors are weighted by it, and people read it.
+
+The oracle is an Ornstein-Uhlenbeck process, whose transition over any time is known exactly.
+"""
+
+import json
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.typing import NDArray
+
+import pfdist
+from pfdist.cli.main import main
+from pfdist.errors import MeasurementTimesError, PfdistError
+from pfdist.evaluation.evaluator import Evaluator
+from pfdist.evaluation.work import Estimation, Work
+from pfdist.kernels.estimators import ESTIMATORS
+from pfdist.runner.build import build
+from pfdist.times.clock import Clock
+
+pytestmark = pytest.mark.usefixtures("no_figures")
+
+MODEL = """
+import numpy as np
+from pfdist import StateSpaceModel
+
+
+def transition(x, t, w, p):
+    kept = np.exp(-p.rate * p.dt[t])
+    return (kept * x[0] + p.sd * np.sqrt(1 - kept**2) * w[0],)
+
+
+model = StateSpaceModel(
+    name="ornstein_uhlenbeck",
+    initial=lambda w, p: (p.sd * w[0],),
+    transition=transition,
+    measurement=lambda x, t, v, p: (x[0] + p.noise * v[0],),
+    log_likelihood=lambda y, x, t, p: -0.5 * ((y[0] - x[0]) / p.noise) ** 2,
+    quantity_of_interest=lambda x, t, p: (x[0],),
+    initial_noise=("normal",),
+    process_noise=("normal",),
+    measurement_noise=("normal",),
+    parameters={"rate": 0.3, "sd": 2.0, "noise": 0.5},
+    linear_gaussian=True,
+)
+"""
+TIMES = (0.0, 0.5, 1.0, 2.0, 3.0, 5.0, 8.0, 12.0)
+JOB = f"""
+seed = 1
+[model]
+name = "ou.py:model"
+[problem]
+times = {list(TIMES)}
+time_unit = "h"
+measurement_budget = 3
+forbidden = ["2:3"]
+[filter]
+particles = 60
+[evaluation]
+draws = 60
+[[search]]
+method = "exhaustive"
+[comparison]
+draws = 200
+[execution]
+pool = "serial"
+"""
+
+
+@pytest.fixture
+def job(tmp_path: Path) -> Path:
+    (tmp_path / "ou.py").write_text(MODEL)
+    path = tmp_path / "ou.toml"
+    path.write_text(JOB)
+    return path
+
+
+def exact_errors(times: NDArray[np.float64], measured: tuple[int, ...]) -> NDArray[np.float64]:
+    """Variance of x at each time given the measurements up to it, by the scalar Kalman filter."""
+    rate, sd, noise, variance, errors = 0.3, 2.0, 0.5, 4.0, []
+    for t, step in enumerate(np.diff(times, append=times[-1])):
+        if t in measured:
+            variance = 1 / (1 / variance + 1 / noise**2)
+        errors.append(variance)
+        kept = np.exp(-rate * step)
+        variance = kept**2 * variance + sd**2 * (1 - kept**2)
+    return np.array(errors)
+
+
+def weighted(errors: NDArray[np.float64], times: tuple[float, ...] = TIMES) -> float:
+    """The mean over time by the trapezoidal rule."""
+    return float(np.trapezoid(errors, times) / (times[-1] - times[0]))
+
+
+def test_on_an_irregular_grid_the_error_is_weighted_by_trapezoids(job: Path) -> None:
+    """The exact expected MSE is the integral of the Kalman filter's variance over time."""
+    found = pfdist.evaluate(pfdist.load_job(job, ["filter.engine=kalman"]), [0.5, 5, 8])
+    assert found.expected_mse == pytest.approx(weighted(exact_errors(np.array(TIMES), (1, 5, 6))))
+    assert found.measurement_times == (0.5, 5.0, 8.0)
+
+
+def test_particles_agree_with_the_exact_error_on_an_irregular_grid(job: Path) -> None:
+    found = pfdist.evaluate(job, "0.5, 5:8", draws=4000, particles=2000)
+    exact = weighted(exact_errors(np.array(TIMES), (1, 5, 6)))
+    assert abs(found.expected_mse - exact) < 4 * found.standard_error
+    assert found.standard_error < 0.03 * exact
+
+
+def test_given_weights_take_the_place_of_the_clocks(job: Path) -> None:
+    changes = ["filter.engine=kalman", "problem.instant_weights=[0, 0, 0, 0, 0, 0, 0, 1]"]
+    found = pfdist.evaluate(pfdist.load_job(job, changes), [0.5, 5, 8])
+    assert found.expected_mse == pytest.approx(exact_errors(np.array(TIMES), (1, 5, 6))[-1])
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+def test_engines_weigh_instants_alike(job: Path, estimator: str) -> None:
+    """The compiled filter and the plain filter, for whole sets, for prefixes and for sums."""
+    source = build(pfdist.load_job(job)).source
+    made = source.make()
+    sets, ends, estimation = ((1, 5, 6), (1, 5)), (7, 5), Estimation(30, "systematic", estimator)
+    work = Work(sets, ends, (3, 3), 4, (0, 6), estimation)
+    plain, compiled = (
+        Evaluator(made.model, 7, made.believed, engine=engine, weights=source.weights)
+        for engine in ("numpy", "compiled")
+    )
+    np.testing.assert_allclose(plain(work).mse, compiled(work).mse, rtol=1e-9)
+    sums = compiled.sum_errors(work)
+    np.testing.assert_allclose(plain.sum_errors(work)[0], sums[0], rtol=1e-9)
+    np.testing.assert_allclose(sums[0].sum() / 8, compiled(work).mse[:, 0].sum(), rtol=1e-9)
+    alone = Evaluator(made.model, 7, made.believed, weights=(1.0,) * 8)
+    without = Evaluator(made.model, 7, made.believed)
+    assert (alone(work).mse == without(work).mse).all()
+    assert not np.allclose(alone(work).mse, compiled(work).mse)
+
+
+def test_a_clock_of_one_step_an_instant_changes_no_figure(small_job: pfdist.Job) -> None:
+    with_clock = small_job.with_changes(['problem.time_unit="s"', "problem.minimum_spacing=2"])
+    without = small_job.with_changes(["problem.minimum_spacing=2"])
+    found = [pfdist.evaluate(job, [0, 4, 8, 12]) for job in (with_clock, without)]
+    assert (found[0].mse == found[1].mse).all()
+    assert with_clock.problem.feasible.size == without.problem.feasible.size
+
+
+def test_a_run_speaks_of_the_clock(job: Path, tmp_path: Path) -> None:
+    """Summary, tables and the sets of a run have times in hours; nothing has instants."""
+    run = pfdist.run(job, tmp_path / "run")
+    (regular, exhaustive), allowed = run.sets().values(), set(TIMES) - {2.0, 3.0}
+    assert set(regular) | set(exhaustive) <= allowed
+    assert run.summary()["time_unit"] == "h"
+    assert run.summary()["results"]["exhaustive"]["measurement_times"] == list(exhaustive)
+    rows = run.trajectories()
+    assert rows["t"].tolist()[: len(TIMES)] == list(TIMES)
+    assert rows.attrs["time_unit"] == "h"
+    table = pd.read_parquet(run.path / "tables" / "evaluations")
+    assert {time for times in table["measurement_times"] for time in times} <= allowed
+    again = pfdist.run(job, tmp_path / "run")  # a finished run is read, not computed
+    assert again.sets() == run.sets()
+    more = pfdist.run(pfdist.load_job(job, ["comparison.draws=300"]), tmp_path / "run")
+    assert (more.sets(), more.draws_compared) == (run.sets(), 300)
+
+
+def test_why_speaks_of_the_clock_and_its_profile_is_not_weighted(job: Path, tmp_path: Path) -> None:
+    """The profile has the error of each instant; its weighted mean is the expected MSE."""
+    run = pfdist.run(pfdist.load_job(job, ["filter.engine=kalman"]), tmp_path / "run")
+    found = pfdist.why(run.path, figures=False)
+    profile = found.profile[found.profile["name"] == "exhaustive"]
+    assert profile["t"].tolist() == list(TIMES)
+    measured = tuple(TIMES.index(time) for time in run.sets()["exhaustive"])
+    np.testing.assert_allclose(profile["error"], exact_errors(np.array(TIMES), measured))
+    cost = found.sets.set_index("name").loc["exhaustive", "expected_mse"]
+    assert weighted(profile["error"].to_numpy()) == pytest.approx(cost)
+    assert set(found.worth["t"]) <= set(TIMES)
+    assert not {2.0, 3.0} & set(found.windows["instant"])
+    summary = run.summary()["results"]["exhaustive"]
+    assert summary["exact_mse"] == pytest.approx(cost)
+
+
+def test_the_bound_holds_on_an_irregular_grid(job: Path, tmp_path: Path) -> None:
+    """With an exact engine and windows long enough the bound is the optimum of brute force."""
+    changes = pfdist.load_job(job, ["filter.engine=kalman", "problem.minimum_spacing=1.5"])
+    run = pfdist.run(changes, tmp_path / "run")
+    (gap,) = [gap for gap in pfdist.bound(run.path).gaps if gap.name == "exhaustive"]
+    errors = {
+        times: weighted(exact_errors(np.array(TIMES), times))
+        for times in changes.problem.feasible.every()
+    }
+    assert run.sets()["exhaustive"] == tuple(TIMES[t] for t in min(errors, key=lambda t: errors[t]))
+    assert gap.bound.value <= min(errors.values()) * (1 + 1e-12)
+    assert gap.gap < 0.05
+
+
+def test_commands_read_and_write_hours(
+    job: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(shlex.split(f"run {job} --results {tmp_path / 'run'}")) == 0
+    text = capsys.readouterr().out
+    times = pfdist.open_run(tmp_path / "run").sets()["exhaustive"]
+    assert f"measure at t = {', '.join(f'{time:g}' for time in times)} h" in text
+    assert main(shlex.split(f"evaluate {job} --times 0.5:8 --json")) == 0
+    broken = json.loads(capsys.readouterr().out)["broken_constraints"]
+    assert "problem.forbidden: 2, 3 are measured" in broken
+    assert main(shlex.split(f"evaluate {job} --times 0.7")) == 1
+    assert "got 0.7; the nearest are 0.5 and 1 h (--times)" in capsys.readouterr().err
+
+
+WRONG = [
+    ("problem.horizon=12", r"problem\.horizon must be left out, because times say every instant"),
+    ("problem.time_step=1", r"problem\.time_step must be left out"),
+    ("problem.forbidden=[4]", r"problem\.forbidden must be times .* nearest are 3 and 5 h"),
+    ("problem.minimum_spacing=0", r"problem\.minimum_spacing must be above 0, got 0"),
+    ("problem.instant_weights=[1, 2]", r"a number for each of 8 instants, got 2"),
+    ("problem.times=[0, 2, 1]", r"problem\.times must be in ascending order, got 2 before 1"),
+    ("comparison.reference=[0, 4, 8]", r"comparison\.reference must be times of the clock, got 4"),
+    ('problem.cost={"0:12" = 2}', r"measurement_budget must be given without cost"),
+]
+
+
+@pytest.mark.parametrize(("change", "message"), WRONG)
+def test_a_wrong_clock_is_told_in_one_line(job: Path, change: str, message: str) -> None:
+    with pytest.raises(PfdistError, match=message):
+        pfdist.load_job(job, [change])
+
+
+def test_a_horizon_that_is_no_multiple_of_the_step_is_refused(small_job: pfdist.Job) -> None:
+    with pytest.raises(PfdistError, match=r"multiple of time_step = 5, got 12; .* 10 and 15"):
+        small_job.with_changes(["problem.time_step=5"])
+
+
+def test_a_model_that_reads_the_clock_needs_one(job: Path) -> None:
+    text = job.read_text().replace(f"times = {list(TIMES)}", "horizon = 7")
+    job.write_text(text.replace('time_unit = "h"', ""))
+    with pytest.raises(PfdistError, match=r"problem\.time_step, problem\.time_unit or"):
+        pfdist.evaluate(job, [1])
+
+
+def test_a_parameter_may_not_have_a_name_of_the_clock(job: Path) -> None:
+    source = job.with_name("ou.py")
+    source.write_text(source.read_text().replace('"sd": 2.0', '"sd": 2.0, "time": 1.0'))
+    with pytest.raises(PfdistError, match=r"p\.time is the clock's"):
+        pfdist.evaluate(job, [1])
+
+
+def test_a_parameter_that_varies_has_a_number_for_each_instant(job: Path) -> None:
+    source = job.with_name("ou.py")
+    source.write_text(
+        source.read_text()
+        .replace("p.rate * p.dt[t]", "p.rate[t] * p.dt[t]")
+        .replace('"rate": 0.3', '"rate": [0.3] * 8')
+    )
+    exact = weighted(exact_errors(np.array(TIMES), (1, 5, 6)))
+    found = pfdist.evaluate(pfdist.load_job(job, ["filter.engine=kalman"]), [0.5, 5, 8])
+    assert found.expected_mse == pytest.approx(exact)
+    change = ["model.parameters.rate=[0.3, 0.2]"]
+    with pytest.raises(PfdistError, match=r"rate must have a number for each of 8 instants, got 2"):
+        pfdist.evaluate(pfdist.load_job(job, change), [0.5])
+
+
+def test_a_typed_time_is_one_of_the_clock() -> None:
+    with pytest.raises(MeasurementTimesError, match="nearest are 0 and 1"):
+        Clock((0.0, 1.0)).instant(0.4)
+
+
+def test_measurements_and_the_next_time_speak_of_the_clock(job: Path, tmp_path: Path) -> None:
+    """`filter`, `next` and a planner read and write hours; a planner repeats what `next` says."""
+    run = pfdist.run(job, tmp_path / "run")
+    planned = run.sets()["exhaustive"]
+    measured = pd.DataFrame({"t": [planned[0], 12.0], "y0": [0.3, -1.0]})
+    found = pfdist.filter_measurements(run, measured, out=tmp_path, report=False)
+    assert found.table["t"].tolist() == list(TIMES)
+    assert found.measured == (planned[0], 12.0)
+    assert set(found.missing) == set(planned) - {planned[0], 12.0}
+    assert found.as_json()["time_unit"] == "h"
+    written = pd.read_csv(tmp_path / "measurements.filtered.csv")
+    assert written["t"].tolist() == list(TIMES)
+    after = pfdist.next_time(run, measured[:1], now=planned[0])
+    planner = pfdist.Planner(pfdist.load_job(job), planned)
+    assert planner.next_time() == planned[0]
+    assert planner.update(0.3).t == planned[0]
+    assert (planner.plan(), planner.measured) == (after.plan, after.measured)
+    assert set(after.plan) <= set(TIMES)
+    with pytest.raises(PfdistError, match=r"t must be times of the clock, got 4; .* 3 and 5 h"):
+        pfdist.filter_measurements(run, pd.DataFrame({"t": [4.0], "y0": [0.0]}))
+    with pytest.raises(PfdistError, match=r"now must be times of the clock, got 6"):
+        pfdist.next_time(run, measured[:1], now=6)
+
+
+def test_a_problem_in_python_has_the_clock_of_a_job_file(job: Path) -> None:
+    source = {"model": f"{job.with_name('ou.py')}:model", "particles": 60}
+    problem = pfdist.Problem(
+        **source, times=np.array(TIMES), time_unit="h", measurement_budget=3, forbidden=["2:3"]
+    )
+    assert problem.job().problem == pfdist.load_job(job).problem
+    draws = pfdist.simulate(problem, draws=2)
+    assert draws["t"].tolist() == [*TIMES, *TIMES]
+    checks = pfdist.check_model(problem)
+    assert "wrong" not in set(checks["state"])

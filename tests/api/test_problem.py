@@ -1,0 +1,377 @@
+"""A problem that is handed over in Python is the problem of a job file."""
+
+import hashlib
+import inspect
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import pfdist
+from pfdist import Problem, Run, StateSpaceModel
+from pfdist.errors import JobError, ModelError, RunMismatchError, StoreError
+from pfdist.job.job import job_toml, load_job
+from pfdist.job.problem_section import ProblemSection
+from pfdist.job.sections import Filter
+
+ROOT = Path(__file__).parents[2]
+ROBOT = '''
+import numpy as np
+import pfdist
+from pfdist import StateSpaceModel
+
+WIND = np.array([0.1, 0.3])
+
+def steered(x):
+    """Give the heading after the wind."""
+    return {slope} * x + WIND[1] * np.sin(x)
+
+robot = StateSpaceModel(
+    name="robot",
+    initial=lambda w, p: (w[0],),
+    transition=lambda x, t, w, p: (steered(x[0]) + p.sd * w[0],),
+    measurement=lambda x, t, v, p: (x[0] + 0.5 * v[0],),
+    log_likelihood=lambda y, x, t, p: -2.0 * (y[0] - x[0]) ** 2,
+    quantity_of_interest=lambda x, t, p: (x[0],),
+    initial_noise=("normal",),
+    process_noise=("normal",),
+    measurement_noise=("normal",),
+    parameters={{"sd": 0.7}},
+)
+'''
+IN_NUMPY = {"horizon": 10, "measurement_budget": 3, "particles": 30, "engine": "numpy"}
+"""For tests in which the engine makes no difference: nothing is compiled."""
+SHORT = {"horizon": 10, "measurement_budget": 3, "particles": 30}
+RUN = """
+SECTIONS = {"search": [{"method": "random", "evaluations": 3}], "comparison": {"draws": 40}}
+if __name__ == "__main__":
+    import sys
+    problem = pfdist.Problem(robot, horizon=10, measurement_budget=3, particles=30, engine="numpy")
+    job = problem.job(seed=4, **SECTIONS)
+    try:
+        print(pfdist.run(job, sys.argv[1], sys.argv[2], workers=1, figures=False).state)
+    except pfdist.PfdistError as error:
+        sys.exit(f"{type(error).__name__}: {error}")
+"""
+FILES = ("table", "figure", "report")
+SECTIONS: dict[str, Any] = {
+    "search": [{"method": "random", "evaluations": 3}],
+    "comparison": {"draws": 40},
+}
+
+
+def robot_of(gain: float, sd: float = 0.7) -> StateSpaceModel:
+    """A model whose formulas are closures over an array and a function."""
+    table = np.array([gain, 0.3])
+
+    def steered(x: Any) -> Any:
+        return table[0] * x + table[1] * np.sin(x)
+
+    return StateSpaceModel(
+        name="robot",
+        initial=lambda w, p: (w[0],),
+        transition=lambda x, t, w, p: (steered(x[0]) + p.sd * w[0],),
+        measurement=lambda x, t, v, p: (x[0] + 0.5 * v[0],),
+        log_likelihood=lambda y, x, t, p: -2.0 * (y[0] - x[0]) ** 2,
+        quantity_of_interest=lambda x, t, p: (x[0],),
+        initial_noise=("normal",),
+        process_noise=("normal",),
+        measurement_noise=("normal",),
+        parameters={"sd": sd},
+    )
+
+
+def digests(run: Path) -> dict[str, str]:
+    """Hash of job.toml and of every table, without timings."""
+    files = [run / "job.toml", *sorted((run / "tables").rglob("*.parquet"))]
+    return {
+        str(file.relative_to(run)): hashlib.sha256(file.read_bytes()).hexdigest()
+        for file in files
+        if "timings" not in file.parts
+    }
+
+
+def finished(problem: Problem, path: Path) -> Run:
+    return pfdist.run(problem.job(**SECTIONS), path, pool="serial", figures=False)
+
+
+def script(folder: Path, text: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    file = folder / "script.py"
+    file.write_text(text)
+    command = [sys.executable, str(file), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False, cwd=folder)
+
+
+def test_a_shipped_model_makes_the_run_of_the_job_file(tmp_path: Path) -> None:
+    (tmp_path / "same.toml").write_text(
+        'seed = 3\nmodel = {name = "ungm", parameters = {process_sd = 2.0}}\n'
+        'problem = {horizon = 10, measurement_budget = 3, forbidden = ["4-6", 9]}\n'
+        "filter = {particles = 30}\ncomparison = {draws = 40}\n"
+        'search = [{method = "random", evaluations = 3}]\n'
+    )
+    of_file = load_job(tmp_path / "same.toml")
+    model = pfdist.load_model("ungm").with_parameters({"process_sd": 2.0})
+    problem = Problem(model, **SHORT, forbidden=[range(4, 7), np.int64(9)])
+    job = problem.job(seed=3, **SECTIONS)
+    assert job_toml(job.identity()) == job_toml(of_file.identity())
+    here, there = tmp_path / "here", tmp_path / "there"
+    pfdist.run(job, here, pool="serial", figures=False)
+    pfdist.run(of_file, there, pool="serial", figures=False)
+    assert digests(here) == digests(there)
+    assert pfdist.run(of_file, here, pool="serial", figures=False).state == "finished"
+
+
+def test_every_key_of_the_sections_is_an_argument() -> None:
+    arguments = set(inspect.signature(Problem).parameters)
+    keys = {*ProblemSection.model_fields, *Filter.model_fields}
+    assert arguments == keys | {"model", "filter_model"}
+    doc = inspect.getdoc(Problem)
+    assert doc is not None
+    assert all(key in doc for key in keys)
+
+
+@pytest.mark.parametrize(
+    ("forbidden", "section"),
+    [
+        (range(4, 7), ("4-6",)),
+        ([4, 5], (4, 5)),
+        (np.array([4, 5]), (4, 5)),
+        (pd.Series([4, 5]), (4, 5)),
+        ({5, 4}, (4, 5)),
+        (range(0, 6, 2), (0, 2, 4)),
+        (["4-6", range(8, 10)], ("4-6", "8-9")),
+        (None, None),
+    ],
+)
+def test_times_may_be_ranges_arrays_and_lists(forbidden: Any, section: Any) -> None:
+    assert Problem("ungm", **SHORT, forbidden=forbidden).job().problem.forbidden == section
+
+
+def test_costs_may_be_an_array_or_a_mapping() -> None:
+    arguments = {"horizon": 3, "total_cost": 4}
+    assert Problem("ungm", **arguments, cost=np.ones(4, int)).job().problem.cost == (1, 1, 1, 1)
+    by_range = Problem("ungm", **arguments, cost={0: 1, "1-3": 2}).job().problem
+    assert by_range.feasible.cost == (1, 2, 2, 2)
+
+
+def test_a_problem_is_shown_in_a_line_and_a_table() -> None:
+    problem = Problem(robot_of(0.8), **SHORT)
+    assert repr(problem) == "<problem robot: horizon 10, measurement_budget 3>"
+    assert "<td>python:robot</td>" in problem._repr_html_()
+
+
+def test_a_problem_is_frozen_and_can_be_changed_into_another() -> None:
+    problem = Problem("ungm", **SHORT)
+    with pytest.raises(AttributeError, match="frozen"):
+        problem.horizon = 3  # type: ignore[attr-defined]
+    longer = problem.with_changes(horizon=20)
+    assert (problem.job().problem.horizon, longer.job().problem.horizon) == (10, 20)
+    assert problem == longer.with_changes(horizon=10) != longer
+
+
+def test_a_section_of_the_problem_is_not_given_twice() -> None:
+    with pytest.raises(JobError, match="got 'filter': all else is an argument"):
+        Problem("ungm", **SHORT).job(filter={"particles": 3})
+
+
+def test_a_filters_model_may_be_an_object(tmp_path: Path) -> None:
+    true, believed = robot_of(0.8), robot_of(0.5)
+    problem = Problem(true, **IN_NUMPY, filter_model=believed)
+    wrong, right = (
+        pfdist.evaluate(each, [0, 5], draws=200).expected_mse
+        for each in (problem, problem.with_changes(filter_model=None))
+    )
+    assert wrong > right
+    run = finished(problem, tmp_path / "run")
+    assert set(run.models) == {"model", "filter_model"}
+    with pytest.raises(StoreError, match=r"pfdist.why\(run, filter_model=robot\)"):
+        pfdist.why(run.path, draws=20, model=true)
+    again = pfdist.why(run.path, draws=20, model=true, filter_model=believed, figures=False)
+    of_run = pfdist.why(run, draws=20, figures=False)
+    pd.testing.assert_frame_equal(again.worth, of_run.worth)
+
+
+def test_equal_objects_for_truth_and_filter_are_the_true_model() -> None:
+    alike = Problem(robot_of(0.8), **SHORT, filter_model=robot_of(0.8))
+    assert alike.job().model.filter.name == ""
+
+
+def test_a_run_of_an_object_goes_on_with_the_object_alone(tmp_path: Path) -> None:
+    run = finished(Problem(robot_of(0.8), **IN_NUMPY), tmp_path / "run")
+    assert 'name = "python:robot"' in (run.path / "job.toml").read_text()
+    for file in run.path.rglob("*"):
+        assert not file.is_file() or b"cloudpickle" not in file.read_bytes()
+    with pytest.raises(StoreError, match=r"given as an object in Python \('python:robot'\)") as bad:
+        pfdist.why(run.path)
+    assert "pfdist.why(run, model=robot)" in str(bad.value)
+    assert "model = FILE.py:OBJECT" in str(bad.value)
+    with pytest.raises(RunMismatchError, match=r"model\.transition: \w+ -> \w+$"):
+        pfdist.why(run.path, model=robot_of(0.9))
+    with pytest.raises(RunMismatchError, match=r"model\.parameters\.sd: 0\.7 -> 0\.6$"):
+        pfdist.why(run.path, model=robot_of(0.8, sd=0.6))
+    with pytest.raises(RunMismatchError, match=r"model\.transition"):
+        finished(Problem(robot_of(0.9), **IN_NUMPY), run.path)
+    found = pfdist.next_time(run.path, pd.DataFrame({"t": [0], "y0": [0.3]}), model=robot_of(0.8))
+    assert found.measured == (0,)
+
+
+def test_the_bound_of_an_objects_run_is_proved(tmp_path: Path) -> None:
+    linear = replace(
+        robot_of(0.8),
+        transition=lambda x, t, w, p: (0.8 * x[0] + p.sd * w[0],),
+        linear_gaussian=True,
+    )
+    problem = Problem(linear, horizon=10, measurement_budget=3, engine="kalman")
+    run = finished(problem, tmp_path / "run")
+    for proved in (pfdist.bound(run), pfdist.bound(run.path, model=linear)):
+        assert {gap.name for gap in proved.gaps} == {"regular", "random"}
+        assert all(gap.bound.value <= gap.expected_mse.value for gap in proved.gaps)
+
+
+def test_a_job_file_cannot_name_an_object(tmp_path: Path) -> None:
+    (tmp_path / "job.toml").write_text(
+        'seed = 3\nmodel.name = "python:robot"\nproblem = {horizon = 10, measurement_budget = 3}\n'
+    )
+    with pytest.raises(ModelError, match="'python:robot' was given as an object in Python"):
+        pfdist.evaluate(tmp_path / "job.toml", [0])
+
+
+def test_questions_about_a_problem_first_make_its_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    problem = Problem(robot_of(0.8), **IN_NUMPY)
+    job = problem.job(**SECTIONS, execution={"pool": "serial"})
+    found = pfdist.why(job, draws=20, figures=False)
+    assert found.run == Path("results/robot")
+    assert set(found.sets["name"]) == {"regular", "random"}
+    made = (found.run / "run.json").stat().st_mtime_ns
+    pfdist.why(job, draws=20, figures=False)
+    assert (found.run / "run.json").stat().st_mtime_ns == made
+
+
+@pytest.mark.usefixtures("ray_cluster")
+def test_closures_give_the_same_bytes_on_ray(tmp_path: Path) -> None:
+    problem = Problem(robot_of(0.8), **SHORT)
+    finished(problem, tmp_path / "serial")
+    pfdist.run(problem.job(**SECTIONS), tmp_path / "ray", pool="ray", workers=1, figures=False)
+    assert digests(tmp_path / "serial") == digests(tmp_path / "ray")
+
+
+@pytest.mark.usefixtures("ray_cluster")
+def test_a_module_beside_a_script_gives_the_same_bytes_on_ray(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "winds.py").write_text("import numpy as np\nWIND = np.array([0.1, 0.3])\n")
+    helper = "import winds\ndef steered(x):\n    return 0.8 * x + winds.WIND[1]\n"
+    (tmp_path / "steering.py").write_text(helper)
+    monkeypatch.syspath_prepend(tmp_path)
+    import steering  # type: ignore[import-not-found]
+
+    model = StateSpaceModel(
+        **{
+            **{name: getattr(robot_of(0.8), name) for name in StateSpaceModel.__annotations__},
+            "transition": lambda x, t, w, p: (steering.steered(x[0]) + p.sd * w[0],),
+        }
+    )
+    problem = Problem(model, **IN_NUMPY)
+    finished(problem, tmp_path / "serial")
+    pfdist.run(problem.job(**SECTIONS), tmp_path / "ray", pool="ray", workers=1, figures=False)
+    assert digests(tmp_path / "serial") == digests(tmp_path / "ray")
+
+
+def test_a_script_resumes_its_run_in_another_process(tmp_path: Path) -> None:
+    text = ROBOT.format(slope=0.8) + RUN
+    done = script(tmp_path, text, "run", "serial")
+    assert done.stdout == "finished\n", done.stderr
+    before = digests(tmp_path / "run")
+    more = text.replace('"draws": 40', '"draws": 60').replace("heading after", "course behind")
+    done = script(tmp_path, more, "run", "serial")
+    assert done.stdout == "finished\n", done.stderr
+    assert len(pfdist.open_run(tmp_path / "run").comparison()) == 60
+    changed = script(tmp_path, ROBOT.format(slope=0.9) + RUN.replace("40", "60"), "run", "serial")
+    assert "RunMismatchError" in changed.stderr
+    assert "model.__main__.steered" in changed.stderr
+    assert before.keys() == digests(tmp_path / "run").keys()
+
+
+def test_a_script_gives_the_same_bytes_on_ray_and_in_a_file(tmp_path: Path) -> None:
+    text = ROBOT.format(slope=0.8) + RUN
+    for pool in ("serial", "ray"):
+        done = script(tmp_path, text, pool, pool)
+        assert done.stdout == "finished\n", done.stderr
+    assert digests(tmp_path / "serial") == digests(tmp_path / "ray")
+    (tmp_path / "robot.py").write_text(ROBOT.format(slope=0.8))
+    (tmp_path / "robot.toml").write_text(
+        'seed = 4\nmodel.name = "robot.py:robot"\ncomparison.draws = 40\n'
+        'filter = {particles = 30, engine = "numpy"}\n'
+        "problem = {horizon = 10, measurement_budget = 3}\n"
+        'search = [{method = "random", evaluations = 3}]\n'
+    )
+    of_file = pfdist.run(tmp_path / "robot.toml", tmp_path / "file", "serial", figures=False)
+    of_script = pfdist.open_run(tmp_path / "serial")
+    pd.testing.assert_frame_equal(of_file.comparison(), of_script.comparison())
+    found = pfdist.why(of_script, draws=20, model=f"{tmp_path}/robot.py:robot", figures=False)
+    pd.testing.assert_frame_equal(
+        found.worth, pfdist.why(of_file, draws=20, figures=False).worth, check_exact=True
+    )
+
+
+def test_simulated_draws_are_a_tidy_table_and_begin_alike() -> None:
+    problem = Problem(robot_of(0.8), **IN_NUMPY)
+    many, few = (pfdist.simulate(problem, draws=draws) for draws in (50, 20))
+    assert list(many) == ["draw", "t", "x_0", "y_0", "z_0"]
+    assert many.groupby("draw")["t"].apply(list).map(lambda t: t == list(range(11))).all()
+    pd.testing.assert_frame_equal(many[many["draw"] < 20], few)
+    assert (many["x_0"] == many["z_0"]).all()
+    noise = pfdist.simulate(problem, draws=2000)
+    error = (noise["y_0"] - noise["x_0"]).std()
+    assert error == pytest.approx(0.5, abs=5 * 0.5 / np.sqrt(2 * len(noise)))
+    assert not many.equals(pfdist.simulate(problem, draws=50, seed=1))
+
+
+def test_a_model_is_checked_as_a_table() -> None:
+    problem = Problem(robot_of(0.8), **SHORT, filter_model=robot_of(0.5))
+    checks = pfdist.check_model(problem)
+    assert list(checks) == ["check", "state", "text"]
+    assert not (checks["state"] == "wrong").any()
+    assert {"load", "compile", "filter: load", "filter: compile"} <= set(checks["check"])
+    assert "10 instants" not in " ".join(checks["text"])
+    alone = pfdist.check_model(robot_of(0.8), horizon=10, particles=30)
+    assert set(alone["check"]) == {
+        name for name in checks["check"] if not name.startswith("filter: ")
+    }
+
+
+def test_a_wrong_model_is_a_row_of_the_checks() -> None:
+    diverging = replace(robot_of(0.8), transition=lambda x, t, w, p: (x[0] / 0.0 + w[0],))
+    checks = pfdist.check_model(diverging, horizon=10)
+    assert checks["state"].tolist()[-1] == "wrong"
+
+
+def test_measurements_and_priors_may_be_data_frames(tmp_path: Path) -> None:
+    run = finished(Problem("ungm", **SHORT), tmp_path / "run")
+    table = pd.DataFrame({"t": [0, 4], "y0": [0.3, 1.2]})
+    table.to_csv(tmp_path / "mine.csv", index=False)
+    prior = pd.DataFrame({"x0": [0.1, 0.2, 0.4]})
+    prior.to_csv(tmp_path / "prior.csv", index=False)
+    for question in (pfdist.filter_measurements, pfdist.next_time):
+        of_frame = question(run, table, prior=prior)
+        of_file = question(run, tmp_path / "mine.csv", prior=tmp_path / "prior.csv")
+        answers = [each.as_json() for each in (of_frame, of_file)]
+        for answer in answers:
+            answer.pop("measurements", None)
+        files = [[answer.pop(name, None) for name in FILES] for answer in answers]
+        assert files[0] == [None, None, None]
+        assert answers[0] == answers[1]
+    named = pfdist.filter_measurements(run, table.set_index("t"), out=tmp_path, prior=prior)
+    assert [file.name for file in named.files] == [
+        f"measurements.filtered.{ending}" for ending in ("csv", "png", "html")
+    ]
+    means = [pfdist.Filter("ungm", 3, prior=each).now.mean for each in (prior, prior.T.to_numpy())]
+    assert means[0] == means[1]

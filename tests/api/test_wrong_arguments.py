@@ -1,0 +1,158 @@
+"""Wrong arguments of each public function end in one line of one tree of exceptions."""
+
+import inspect
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import pfdist
+from pfdist import PfdistError
+
+PROBLEM = pfdist.Problem("ungm", horizon=12, measurement_budget=4, particles=20)
+FINISHED = "finished"  # stands for the folder of a finished run
+MEASURED = pd.DataFrame({"t": [0], "y0": [0.1]})
+CASES: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = [
+    ("Problem", (5,), {"horizon": 12, "measurement_budget": 4}),
+    ("Problem", ("ungmm",), {"horizon": 12, "measurement_budget": 4}),
+    ("Problem", ("ungm",), {"horizon": "long", "measurement_budget": 4}),
+    ("Problem", ("ungm",), {"horizon": 12, "measurement_budget": 4, "forbidden": 3}),
+    ("Problem", ("ungm",), {"horizon": 12, "measurement_budget": 4, "particle": 3}),
+    ("Problem", ("ungm",), {"horizon": 12, "measurement_budget": 4, "filter_model": 7}),
+    ("run", (5,), {}),
+    ("run", (PROBLEM,), {"results": 5}),
+    ("run", (PROBLEM,), {"pool": "slurm"}),
+    ("run", (PROBLEM,), {"workers": "two"}),
+    ("run", (PROBLEM,), {"changes": [3]}),
+    ("run", (PROBLEM,), {"changes": 3}),
+    ("run", (PROBLEM,), {"bound_draws": "many"}),
+    ("run", (PROBLEM,), {"progress": 5}),
+    ("run", (PROBLEM,), {"say": 5}),
+    ("run", (PROBLEM,), {"fork": 5}),
+    ("plan", (5,), {}),
+    ("plan", (PROBLEM,), {"search": 5}),
+    ("plan", (PROBLEM,), {"search": "genetc"}),
+    ("plan", (PROBLEM,), {"bound_draws": -3}),
+    ("online", (5,), {}),
+    ("online", (PROBLEM,), {"draws": "many"}),
+    ("budget", (PROBLEM, 3), {}),
+    ("budget", (PROBLEM, "3:5"), {}),
+    ("budget", (PROBLEM, (3, "x")), {}),
+    ("budget", (PROBLEM, {3, "x"}), {}),
+    ("budget", (PROBLEM, (5, 3)), {}),
+    ("budget", (PROBLEM, (3, 5)), {"draws": "many"}),
+    ("budget", (PROBLEM, (3, 5)), {"target": "low"}),
+    ("evaluate", (5, [0, 3]), {}),
+    ("evaluate", (PROBLEM, "abc"), {}),
+    ("evaluate", (PROBLEM, 7), {}),
+    ("evaluate", (PROBLEM, [0, 99]), {}),
+    ("evaluate", (PROBLEM, [0.5]), {}),
+    ("evaluate", (PROBLEM, [0]), {"draws": "many"}),
+    ("evaluate", (PROBLEM, [0]), {"seed": -1}),
+    ("compare", (5,), {}),
+    ("compare", (PROBLEM, 5), {}),
+    ("compare", (PROBLEM,), {}),
+    ("compare", (PROBLEM,), {"times": {"a": [0, 4]}}),
+    ("compare", (PROBLEM,), {"times": [0, 4]}),
+    ("compare", (PROBLEM,), {"times": {"a": 4, "b": [0]}}),
+    ("compare", (PROBLEM,), {"times": {"a": [0], "b": [99]}}),
+    ("compare", (PROBLEM,), {"times": {"a": [0], "b": [4]}, "draws": "many"}),
+    ("compare", (PROBLEM,), {"times": {"a": [0], "b": [4]}, "results": 5}),
+    ("simulate", (5,), {}),
+    ("simulate", (PROBLEM,), {"draws": 0}),
+    ("simulate", (PROBLEM,), {"draws": 2.5}),
+    ("simulate", (PROBLEM,), {"draws": 9_999_999}),
+    ("simulate", (PROBLEM,), {"seed": "x"}),
+    ("check_model", (5,), {}),
+    ("check_model", ("ungm",), {"horizon": 0}),
+    ("check_model", ("ungm",), {"particles": "many"}),
+    ("check_model", (Path("lacking.toml"),), {}),
+    ("why", (5,), {}),
+    ("why", ("lacking",), {}),
+    ("why", (FINISHED,), {"draws": "many"}),
+    ("why", (FINISHED,), {"draws": 1}),
+    ("why", (FINISHED,), {"model": 5}),
+    ("bound", (5,), {}),
+    ("bound", (FINISHED, 5), {}),
+    ("bound", (FINISHED,), {"pool": "slurm"}),
+    ("bound", (FINISHED,), {"model": 5}),
+    ("BoundSettings", ("many",), {}),
+    ("BoundSettings", (), {"within": "low"}),
+    ("BoundSettings", (), {"window": None}),
+    ("BoundSettings", (), {"memory": 1.5}),
+    ("filter_measurements", (5, MEASURED), {}),
+    ("filter_measurements", (FINISHED, 5), {}),
+    ("filter_measurements", (FINISHED, MEASURED), {"planned": 5}),
+    ("filter_measurements", (FINISHED, MEASURED), {"prior": "lacking.csv"}),
+    ("filter_measurements", (FINISHED, MEASURED), {"prior": {"x0": 3}}),
+    ("filter_measurements", (FINISHED, MEASURED), {"out": 5}),
+    ("filter_measurements", (FINISHED, pd.DataFrame({"t": [0], "y0": ["high"]})), {}),
+    ("filter_measurements", (FINISHED, pd.DataFrame({"time": [0], "y": [1.0]})), {}),
+    ("next_time", (FINISHED, 5), {}),
+    ("next_time", (FINISHED, MEASURED), {"now": "late"}),
+    ("next_time", (FINISHED, MEASURED), {"now": 99}),
+    ("Planner", (5,), {}),
+    ("Planner", (PROBLEM,), {"times": 5}),
+    ("Planner", (PROBLEM,), {"times": [0, 1, 2, 99]}),
+    ("Planner", (PROBLEM,), {"times": [0, 4, 8, 12], "prior": "all"}),
+    ("Planner", (PROBLEM,), {"times": [0, 4, 8, 12], "draw": "first"}),
+    ("Filter", (5,), {}),
+    ("Filter", ("ungm",), {"particles": "many"}),
+    ("Filter", ("ungm",), {"seed": "x"}),
+    ("Filter", ("ungm",), {"resampling": 5}),
+    ("Filter", ("ungm",), {"engine": 5}),
+    ("Filter", ("ungm",), {"dtype": np.float64}),
+    ("Filter", ("ungm",), {"horizon": -1}),
+    ("Cloud", (0, [[1.0]]), {}),
+    ("Cloud", ("first", np.ones((1, 2))), {}),
+    ("report", (5,), {}),
+    ("open_run", (5,), {}),
+    ("load_job", (5,), {}),
+    ("load_model", (5,), {}),
+]
+NO_CASES = {"Run", "Job", "Evaluation", "StateSpaceModel", "PfdistError", "plots"}
+NO_CASES |= {"clip", "where", "linear_gaussian"}  # formulas, and what makes models
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("finished") / "run"
+    job = PROBLEM.job(search=[{"method": "random", "evaluations": 2}], comparison={"draws": 20})
+    pfdist.run(job, path, pool="serial", figures=False)
+    return path
+
+
+@pytest.mark.parametrize(("name", "arguments", "options"), CASES)
+def test_a_wrong_argument_ends_in_one_line(
+    name: str,
+    arguments: tuple[Any, ...],
+    options: dict[str, Any],
+    finished: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    given = [finished if each is FINISHED else each for each in arguments]
+    function: Callable[..., Any] = getattr(pfdist, name)
+    with pytest.raises(PfdistError) as caught:
+        function(*given, **options)
+    text = str(caught.value)
+    assert text
+    assert "\n" not in text
+    assert "Traceback" not in text
+    assert not list(tmp_path.iterdir()), "a wrong argument left a file"
+
+
+def test_every_public_name_has_a_case() -> None:
+    assert {*pfdist.__all__} - NO_CASES == {name for name, _, _ in CASES}
+
+
+def test_all_errors_are_in_one_tree() -> None:
+    from pfdist import errors
+
+    for _, error in inspect.getmembers(errors, inspect.isclass):
+        if issubclass(error, Exception) and not issubclass(error, Warning):
+            assert issubclass(error, PfdistError)

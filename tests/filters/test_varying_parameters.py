@@ -1,0 +1,78 @@
+"""Parameters that vary with t: compiled formulas read nothing that is not there, at full speed."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pfdist import load_model
+from pfdist.errors import ModelError
+from pfdist.filters import plain
+from pfdist.filters.draws import simulate
+from pfdist.filters.particle_filter import filter_draws
+from pfdist.kernels.formulas import formula
+
+HORIZON = 6
+RATES = tuple(0.5 + 0.1 * t for t in range(HORIZON + 1))
+WALK = replace(
+    load_model("random_walk"),
+    transition=lambda x, t, w, p: (p.rate[t] * x[0] + w[0],),
+    parameters={"initial_sd": 1.0, "step_sd": 1.0, "measurement_sd": 1.0, "rate": RATES},
+    linear_gaussian=False,
+)
+
+
+def _reassigned(x: Any, t: Any, w: Any, p: Any) -> Any:
+    if t > 2:
+        t = t + 100  # another t than the formula's
+    return (x[0] + p.rate[t],)
+
+
+def _in_a_loop(x: Any, t: Any, w: Any, p: Any) -> Any:
+    (t,) = (3 * t,)
+    return (x[0] + p.rate[t],)
+
+
+def test_a_parameter_at_t_is_that_of_numpy() -> None:
+    draws = simulate(WALK, HORIZON, range(5), 1)
+    fast, slow = (f(WALK, draws, (1, 4), 50, 2) for f in (filter_draws, plain.filter_draws))
+    np.testing.assert_allclose(fast.mse, slow.mse, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("transition", "index"),
+    [
+        (lambda x, t, w, p: (x[0] + p.rate[t + 2],), 7),
+        (lambda x, t, w, p: (x[0] + p.rate[2 * t],), 8),
+        (_reassigned, 103),
+        (_in_a_loop, 9),
+    ],
+)
+def test_another_index_is_checked(transition: Callable[..., Any], index: int) -> None:
+    model = replace(WALK, transition=transition)
+    with pytest.raises(ModelError, match=f"IndexError: index {index} is out of bounds"):
+        simulate(model, HORIZON, range(2), 1)
+
+
+def test_a_parameter_that_is_too_short_is_refused() -> None:
+    draws = simulate(WALK, HORIZON, range(2), 1)
+    short = WALK.with_parameters({"rate": RATES[:4]})
+    for compute in (
+        lambda: simulate(short, HORIZON, range(2), 1),
+        lambda: filter_draws(short, draws, (1, 4), 50, 2),
+    ):
+        with pytest.raises(ModelError, match="rate must have a number for each of 7 instants"):
+            compute()
+
+
+def test_a_parameter_at_t_needs_no_check_and_another_entry_does() -> None:
+    # A check in the loop over particles ends vectorisation: such formulas took 8 times the time.
+    # The text of a check is in the compiled code.
+    at_t = formula(lambda x, t, p: x + p.rate[t], "transition")
+    later = formula(lambda x, t, p: x + p.rate[t + 1], "transition")
+    for compiled, is_checked in ((at_t, False), (later, True)):
+        assert compiled(1.0, 2, WALK.p) == 1 + RATES[3 if is_checked else 2]
+        (text,) = compiled._standing.inspect_llvm().values()
+        assert ("out of bounds" in text) is is_checked

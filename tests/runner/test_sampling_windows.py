@@ -1,0 +1,199 @@
+"""Sampling windows against exact losses, and against filters with particles."""
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pfdist
+from pfdist import Job, StateSpaceModel
+from pfdist.analysis.sampling_windows import is_flat, windows_of
+from pfdist.filters import kalman
+from pfdist.runner import sampling_windows as module
+from pfdist.runner.build import Built, build
+from pfdist.runner.jitter import jitter
+from pfdist.runner.progress import Progress, Reporter
+from pfdist.runner.sampling_windows import sampling_windows, windows_by_percent
+from pfdist.runner.worth import worth_of
+from pfdist.times.measurement_times import Times
+
+KALMAN = ["model.name=random_walk", "filter.engine=kalman"]
+COMPILED = ["model.name=random_walk", "filter.engine=compiled"]
+NOTHING = Reporter(lambda progress: None)
+# Measurements are precise at t = 5 alone.
+SHARP = """
+from pfdist.models.linear_gaussian import linear_gaussian
+model = linear_gaussian("sharp", initial_noise=[[3]], transition=[[1]], process_noise=[[0.1]],
+    measurement=[[1]], measurement_noise=lambda t: ((0.1 + 50 * (t != 5),),),
+    quantity_of_interest=[[1]])
+"""
+
+
+def _windows(built: Built, times: Times, draws: int = 2) -> list[dict[str, Any]]:
+    return sampling_windows(built, "mine", times, draws, NOTHING)
+
+
+def _brute_force(built: Built, times: Times) -> dict[tuple[int, int], float]:
+    """Exact loss of every feasible move between the neighbours, up to the first above 5 %."""
+    model, feasible = built.evaluator.model, set(built.job.problem.feasible.every())
+    horizon = built.evaluator.horizon
+    (kept,) = kalman.expected_mse(model, horizon, [times])
+    losses = {(t, t): 0.0 for t in times}
+    for before, t, after in zip((-1, *times), times, (*times[1:], horizon + 1), strict=False):
+        for side in (range(t - 1, before, -1), range(t + 1, after)):
+            for instant in side:
+                other = tuple(sorted({*times} - {t} | {instant}))
+                if other not in feasible:
+                    continue
+                (mse,) = kalman.expected_mse(model, horizon, [other])
+                losses[t, instant] = mse / kept - 1
+                if losses[t, instant] > 0.05:
+                    break
+    return losses
+
+
+CONSTRAINED = ["problem.forbidden=[7, 9]", "problem.required=[4]", "problem.minimum_spacing=2"]
+PRICED = ["problem.cost=[1,1,2,1,1,1,1,3,1,1,1,1,1]", "problem.total_cost=4"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "times"),
+    [
+        ([], (0, 4, 8, 12)),
+        ([], (2, 3, 9, 11)),
+        (CONSTRAINED, (1, 4, 8, 11)),
+        ([*PRICED, "problem.measurement_budget="], (1, 5, 8, 11)),
+    ],
+)
+def test_exact_losses_are_those_of_brute_force(
+    small_job: Job, changes: list[str], times: Times
+) -> None:
+    text = small_job.path.read_text()
+    if "problem.measurement_budget=" in changes:
+        small_job.path.write_text(text.replace("measurement_budget = 4\n", ""))
+        changes = PRICED
+    built = build(pfdist.load_job(small_job.path, [*KALMAN, *changes]))
+    found, exact = _windows(built, times), _brute_force(built, times)
+    assert [(row["t"], row["instant"]) for row in found] == sorted(exact)
+    assert len(found) > len(times)
+    for row in found:
+        loss = exact[row["t"], row["instant"]]
+        assert row["loss"] == pytest.approx(loss, abs=1e-12)
+        assert (row["lower_limit"], row["upper_limit"]) == (row["loss"], row["loss"])
+        assert row["loss_error"] == 0.0
+        states = ("inside" if loss <= level else "outside" for level in (0.01, 0.05))
+        assert (row["within_1"], row["within_5"]) == tuple(states)
+
+
+@pytest.mark.parametrize("changes", [KALMAN, COMPILED])
+def test_windows_do_not_depend_on_how_many_instants_are_tried_at_once(
+    small_job: Job, changes: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    built, found = build(small_job.with_changes(changes)), []
+    for reach in (1, 3, 100):
+        monkeypatch.setattr(module, "FIRST_REACH", reach)
+        found.append(_windows(built, (0, 6), 50))
+    assert found[0] == found[1] == found[2]
+
+
+def test_losses_of_particles_are_the_exact_losses_within_their_errors(small_job: Job) -> None:
+    particles, times = 200, (1, 4, 7, 10)
+    job = small_job.with_changes([*COMPILED, f"filter.particles={particles}"])
+    rows = _windows(build(job), times, 4000)
+    exact = _brute_force(build(small_job.with_changes(KALMAN)), times)
+    states = set[str]()
+    for row in rows:
+        if (row["t"], row["instant"]) not in exact:
+            continue  # beyond an instant that the draws do not know to be beyond 5 %
+        loss, error = exact[row["t"], row["instant"]], row["loss_error"]
+        # beside the error of the draws, that of the filter, of order 1/particles
+        assert abs(row["loss"] - loss) <= 4 * error + 2 * abs(loss) / particles
+        assert error < 0.02
+        states |= {row["within_1"], row["within_5"]}
+        assert row["upper_limit"] - row["loss"] == pytest.approx(1.645 * error, rel=0.02, abs=1e-12)
+    assert states >= {"inside", "outside"}
+
+
+def test_moves_by_one_instant_lose_what_the_worth_says(small_job: Job) -> None:
+    built, times = build(small_job.with_changes(COMPILED)), (0, 4, 8, 12)
+    worth = worth_of(built, "mine", times, 60, [np.zeros((4, 1))], NOTHING)
+    rows = {(row["t"], row["instant"]): row for row in _windows(built, times, 60)}
+    for row in worth.worth:
+        for change, step in (("earlier", -1), ("later", 1)):
+            if not np.isnan(row[change]):
+                loss = row[change] / worth.summary["expected_mse"]
+                assert rows[row["t"], row["t"] + step]["loss"] == pytest.approx(loss)
+
+
+@pytest.mark.parametrize("engine", ["kalman", "compiled"])
+def test_where_measurements_tell_little_the_optimum_is_flat(small_job: Job, engine: str) -> None:
+    changes = ["model.name=random_walk", f"filter.engine={engine}", "problem.horizon=30"]
+    # The walk is known to 0.02 from the start, and a measurement has an error of 1.
+    changes += ["model.parameters.initial_sd=0.02", "model.parameters.step_sd=0.002"]
+    changes += ["filter.particles=1000", "filter.resampling=systematic"]
+    built, times, draws = build(small_job.with_changes(changes)), (3, 10, 17, 24), 2000
+    rows = _windows(built, times, draws)
+    by_percent = windows_by_percent(rows, times)
+    strict, wide = jitter(built, "mine", times, by_percent, draws, NOTHING)
+    assert is_flat(windows_of(rows, 1), strict)
+    assert is_flat(windows_of(rows, 5), wide)
+    # All instants between the neighbours are within 1 %.
+    assert [(window[0], window[-1], len(window)) for window in by_percent[1]] == [
+        (0, 9, 10), (4, 16, 13), (11, 23, 13), (18, 30, 13),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("engine", ["kalman", "compiled"])
+def test_a_measurement_at_the_only_precise_instant_has_a_window_of_it_alone(
+    small_job: Job, engine: str
+) -> None:
+    (small_job.path.parent / "sharp.py").write_text(SHARP)
+    job = small_job.with_changes(["model.name=sharp.py:model", f"filter.engine={engine}"])
+    rows = _windows(build(job), (1, 5, 9, 11), 300)
+    windows = windows_of(rows, 1)
+    assert [window.t for window in windows if window.is_single] == [5]
+    assert not is_flat(windows, {"percent": 1, "high": 0.0})
+    # Both sides end with their first instant, which is clearly beyond 5 %.
+    assert [row["instant"] for row in rows if row["t"] == 5] == [4, 5, 6]
+    others = [window for window in windows if window.t != 5]
+    assert all(window.is_wide for window in others) or engine == "compiled"
+
+
+def test_a_filter_that_does_not_know_the_truth_has_windows(small_job: Job) -> None:
+    job = small_job.with_changes([*COMPILED, "model.filter.parameters.step_sd=2.0"])
+    rows = _windows(build(job), (0, 4, 8, 12), 100)
+    assert {row["t"] for row in rows if row["within_5"] == "inside"} == {0, 4, 8, 12}
+    assert all(np.isfinite(row["loss"]) for row in rows)
+
+
+def test_draws_that_only_the_moved_set_loses_keep_an_instant_open(small_job: Job) -> None:
+    (small_job.path.parent / "cut.py").write_text(
+        "from dataclasses import replace\n"
+        "import numpy as np\n"
+        "from pfdist import load_model, where\n"
+        "walk = load_model('random_walk')\n"
+        "model = replace(walk, log_likelihood=lambda y, x, t, p:\n"
+        "    where((t == 5) | (abs(y[0] - x[0]) > 20.0), -np.inf, -0.5 * (y[0] - x[0]) ** 2))\n"
+    )
+    changes = ["model.name=random_walk", "model.filter.name=cut.py:model"]
+    rows = _windows(build(small_job.with_changes(changes)), (0, 4, 8, 12), 50)
+    impossible = [row for row in rows if row["instant"] == 5]
+    assert impossible
+    for row in impossible:
+        assert row["degenerate_draws"] == 50
+        assert np.isnan([row["loss"], row["lower_limit"], row["upper_limit"]]).all()
+        assert (row["within_1"], row["within_5"]) == ("open", "open")
+
+
+def test_no_measurements_have_no_windows_and_progress_grows(
+    small_job: Job, ungm: StateSpaceModel
+) -> None:
+    seen = list[Progress]()
+    reporter = Reporter(seen.append, 6)
+    built = build(small_job)
+    assert sampling_windows(built, "none", (), 5, reporter) == []
+    assert sampling_windows(built, "one", (3,), 300, reporter)
+    done = [progress.done for progress in seen]
+    assert all(later >= earlier for earlier, later in pairwise(done))
+    assert done[-1] == 2
