@@ -19,6 +19,7 @@ from benchmarks import (
     prefixes,
     scaling,
     search,
+    sweep,
 )
 from benchmarks.machine import provenance
 from benchmarks.peers import PeerDisagreesError
@@ -34,6 +35,7 @@ BENCHMARKS: dict[str, Benchmark] = {
     "search": search,
     "genetic": genetic,
     "online": online,
+    "sweep": sweep,
     "peers": peers,
 }
 FOLDER = Path(__file__).parent / "results"

@@ -52,7 +52,7 @@ class Counting:
     def __init__(self, pool: Pool) -> None:
         self._pool, self.workers, self.steps = pool, pool.workers, 0
 
-    def run(self, tasks: Iterable[Task]) -> Iterator[Outcome]:
+    def run(self, tasks: Iterable[Task | None]) -> Iterator[Outcome]:
         """Give the outcomes as they come."""
         for outcome in self._pool.run(tasks):
             if outcome.task.key.startswith(_TABLES):

@@ -7,6 +7,7 @@ from .api.check_model import check_model as check_model
 from .api.compare import compare as compare
 from .api.evaluate import evaluate as evaluate
 from .api.filter_measurements import filter_measurements as filter_measurements
+from .api.list_runs import list_runs as list_runs
 from .api.next_time import next_time as next_time
 from .api.online import online as online
 from .api.plan import plan as plan
@@ -14,6 +15,9 @@ from .api.planner import Planner as Planner
 from .api.report import report as report
 from .api.run import run as run
 from .api.simulate import simulate as simulate
+from .api.sweep import Sweep as Sweep
+from .api.sweep import sweep as sweep
+from .api.table import table as table
 from .api.why import why as why
 from .elementwise import clip as clip
 from .elementwise import where as where

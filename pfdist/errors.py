@@ -13,6 +13,7 @@
     ├── StoreError                  a run's folder cannot be read or written
     │   └── RunMismatchError        the folder holds the run of another job
     ├── SearchError                 a search ended without a result
+    ├── SweepError                  some points of a sweep failed; the others are finished
     └── PoolError                   workers cannot be started
         └── TaskError               a task failed in its worker; carries the traceback
 
@@ -102,7 +103,7 @@ class JobError(PfdistError):
 
 
 class ArgumentError(PfdistError, ValueError):
-    """An argument of a function, which no job has, is wrong."""
+    """An argument of a function that is not a key of a job is wrong."""
 
 
 class ModelError(PfdistError):
@@ -148,6 +149,22 @@ class RunMismatchError(StoreError):
 
 class SearchError(PfdistError):
     """A search ended without a result."""
+
+
+class SweepError(PfdistError):
+    """Some points of a sweep failed; the others are finished.
+
+    Parameters
+    ----------
+    message : str
+        The first failures, each with the name of the point.
+    failed : dict of str to str
+        Why each point failed, by its name.
+    """
+
+    def __init__(self, message: str, failed: dict[str, str]) -> None:
+        super().__init__(message)
+        self.failed = failed
 
 
 class PoolError(PfdistError):

@@ -27,6 +27,7 @@ PROMISES = (
     "a report that fails spoils neither the run nor the earlier report",
 )
 QUICK = ("analysis", "common", "job", "search", "times")  # folders of tests
+SLOW = set((Path(__file__).parent / "slow.txt").read_text().splitlines())
 SMALL_JOB = (Path(__file__).parent / "small.toml").read_text()
 
 
@@ -61,9 +62,11 @@ def ray_cluster() -> Iterator[None]:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark the quick tests; let `pytest -m crash` run the whole table of faults."""
+    """Mark the quick and the slow tests; let `pytest -m crash` run the whole table of faults."""
     quick = [ROOT / "tests" / folder for folder in QUICK]
     for item in items:
+        if f"{item.path.relative_to(ROOT)}::{item.name}" in SLOW:
+            item.add_marker("slow")
         if any(map(item.path.is_relative_to, quick)):
             item.add_marker("quick")
     if config.option.markexpr == "crash":

@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import pandas as pd
 
 from pfdist.evaluation.engines import is_exact
@@ -31,9 +30,10 @@ def exact_costs(run: "Run") -> dict[str, float]:
         given = rows[rows["exact_mse"].notna()]
         costs |= dict(zip(given["name"], given["exact_mse"], strict=True))
     if run.has("profile"):
-        profile, weights = run.profile(), run.problem.weights
-        if weights is not None:
-            profile["error"] *= np.tile(weights, len(profile) // len(weights))
+        profile = run.profile()
+        if "weight" in profile:  # else an older run
+            counts = profile["weight"] != 0.0  # an error that does not count may be infinite
+            profile["error"] = (profile["error"] * profile["weight"]).where(counts, 0.0)
         costs |= profile.groupby("name")["error"].mean().to_dict()
     if run.has("bound"):
         proved = run.bounds().drop_duplicates("name", keep="last")

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from pfdist.analysis.gains import Gain
 from pfdist.analysis.streaming_moments import Array, Moments
+from pfdist.times.clock import Clock
 from pfdist.times.measurement_times import Times
 
 if TYPE_CHECKING:
@@ -32,12 +33,15 @@ class OnlineDraws:
     rows : DataFrame
         A row for each draw: draw, measurement_times, estimate, mse_online, and mse_<name> for the
         reference and the plan.
+    clock : Clock or None
+        The clock of all these times; None if they count instants.
     """
 
     reference: str
     plan: str
     planned_times: Times
     rows: pd.DataFrame
+    clock: Clock | None = None
 
     def mse(self, name: str) -> Array:
         """Per-draw MSE on the draws that are degenerate with none of the three."""
@@ -98,9 +102,9 @@ def online_draws(run: "Run") -> OnlineDraws:
     run : Run
         It has rows of the tables ``online`` and ``comparison``.
     """
-    reference, plan, *_ = run.names
+    reference, plan = run.names[0], str(run.job["search"][0]["name"])
     chosen = run.online().rename(columns={"mse": "mse_online"})
     compared = run.comparison(int(chosen["draw"].max()) + 1)
     columns = ["draw", f"mse_{reference}", f"mse_{plan}"]
     rows = chosen.merge(compared[columns], on="draw")
-    return OnlineDraws(reference, plan, run.sets()[plan], rows)
+    return OnlineDraws(reference, plan, run.sets()[plan], rows, run.problem.clock)

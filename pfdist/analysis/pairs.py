@@ -142,9 +142,9 @@ def ranks_table(pairs: pd.DataFrame, costs: Mapping[str, tuple[float, float]]) -
     """Give a row for each set, the lowest expected MSE first, with its interval of ranks.
 
     A set is clearly better than another if the simultaneous interval of their difference lies on
-    the same side of 0. The best rank of a set is 1 and the number of sets that are clearly better;
+    the same side of 0. The best rank of a set is 1 plus the number of sets that are clearly better;
     the worst rank is the number of all sets less those that are clearly worse, or known to be
-    equal. The true rank is 1 and the number of sets with a lower expected MSE. All simultaneous
+    equal. The true rank is 1 plus the number of sets with a lower expected MSE. All simultaneous
     intervals hold together with 95 %, so the true ranks of all sets lie within these ranks with at
     least 95 %.
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pfdist.job.problem_section import ProblemSection
-from pfdist.job.sections import GIVEN
+from pfdist.job.sections import REFERENCE
 from pfdist.times.clock import Time
 from pfdist.times.measurement_times import REGULAR
 
@@ -50,4 +50,4 @@ def label(name: str) -> str:
     """The reference of this name as figures and summaries call it."""
     if name == REGULAR:
         return "regular times"
-    return f"the {name}" if name == GIVEN else f"the times of {name}"
+    return f"the {name}" if name == REFERENCE else f"the times of {name}"

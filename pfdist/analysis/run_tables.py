@@ -82,9 +82,9 @@ class RunTables(Shown):
         """
         return self._store.read("worth")
 
-    def windows(self) -> pd.DataFrame:
+    def sampling_windows(self) -> pd.DataFrame:
         """A row for each measurement and instant to which it alone is moved, by ``pfdist why``."""
-        return self._store.read("windows")
+        return self._store.read("sampling_windows")
 
     def jitter(self) -> pd.DataFrame:
         """A row for each set and level: the loss of random times within the sampling windows."""

@@ -1,6 +1,7 @@
 """Sampling windows as readers want them: instants, which measurements matter, and how flat it is.
 
-The functions take rows of the tables ``windows`` and ``jitter``, also those of a JSON answer.
+The functions take rows of the tables ``sampling_windows`` and ``jitter``, also those of a JSON
+answer.
 """
 
 import math
@@ -48,7 +49,7 @@ class SamplingWindow:
 
     @property
     def is_single(self) -> bool:
-        """Whether every other instant is known to lose more."""
+        """Whether every other instant that was tried is known to lose more."""
         return self.can_be_tried and not self.is_wide and not self.open
 
     @property
@@ -72,21 +73,25 @@ def windows_of(rows: Rows, percent: int) -> list[SamplingWindow]:
     Parameters
     ----------
     rows : iterable of mappings
-        Rows of the table ``windows`` of one set.
+        Rows of the table ``sampling_windows`` of one set.
     percent : int
         The level: the largest loss, in per cent.
     """
     tried: dict[Time, list[Mapping[Hashable, Any]]] = {}
-    for row in sorted(rows, key=lambda row: row["instant"]):
+    for row in sorted(rows, key=lambda row: row["moved_to"]):
         tried.setdefault(row["t"], []).append(row)
     windows = []
     for t, known in sorted(tried.items()):
         states = [
-            (row["instant"], int(row.get("place", row["instant"])), row[f"within_{percent}"])
+            (
+                row["moved_to"],
+                int(row.get("moved_to_instant", row["moved_to"])),
+                row[f"within_{percent}"],
+            )
             for row in known
         ]
-        inside = {to: place for to, place, state in states if to == t or state == INSIDE}
-        left_open = {to: place for to, place, state in states if to != t and state == OPEN}
+        inside = {to: instant for to, instant, state in states if to == t or state == INSIDE}
+        left_open = {to: instant for to, instant, state in states if to != t and state == OPEN}
         windows.append(SamplingWindow(t, inside, left_open, len(known) > 1))
     return windows
 
@@ -137,20 +142,20 @@ def is_flat(windows: Sequence[SamplingWindow], jitter: Mapping[Hashable, Any]) -
     return bool(movable) and all(window.is_wide for window in movable) and is_small
 
 
-def sentences(rows: Rows, jitter: Rows, *, is_reference: bool = False) -> list[str]:
+def sentences(rows: Rows, jitter: Rows, *, is_found: bool = True) -> list[str]:
     """Say which measurements must be kept exactly, which need not, and whether the optimum is flat.
 
     Parameters
     ----------
     rows, jitter : iterable of mappings
-        Rows of the tables ``windows`` and ``jitter`` of one set.
-    is_reference : bool
-        Whether the set is the reference, which is no optimum.
+        Rows of the tables ``sampling_windows`` and ``jitter`` of one set.
+    is_found : bool
+        Whether a search has found the set; other sets are no optimum.
     """
     rows, jitter = list(rows), list(jitter)
     windows = {int(row["percent"]): windows_of(rows, int(row["percent"])) for row in jitter}
     flat = [row for row in jitter if is_flat(windows[int(row["percent"])], row)]
-    flat = [] if is_reference else flat[:1]
+    flat = flat[:1] if is_found else []
     said = [_flat_sentence(row) for row in flat] + _measurements(windows.get(STRICT, []))
     return said + [_jitter_sentence(row) for row in jitter if row["draws"] and row not in flat]
 
@@ -184,7 +189,7 @@ def _measurements(windows: Sequence[SamplingWindow]) -> list[str]:
     single = [window for window in movable if window.is_single]
     undecided = [window for window in movable if not window.is_wide and window.open]
     parts = (
-        (single, "Keep exactly (every other instant loses more than {} %): t = {}."),
+        (single, "Keep exactly (every other instant that was tried loses more than {} %): t = {}."),
         (wide, "Can move at a loss of at most {} %: t = {}."),
         (undecided, "The draws leave open whether these can move within {} %: t = {}."),
     )

@@ -68,17 +68,17 @@ class Run(RunTables):
     @cached_property
     def names(self) -> list[str]:
         """Names of the compared sets, the reference first."""
-        return [str(name) for name in self.compared()["name"]]
+        return self._store.compared_names()
 
     @property
-    def given(self) -> list[str]:
+    def named(self) -> list[str]:
         """Names of the sets that the job gives by name; the reference may be among them."""
         return [name for name in self.names if name in self.job["comparison"].get("sets", {})]
 
     @property
     def found(self) -> list[str]:
         """Names of the sets that searches have found."""
-        return [name for name in self.names[1:] if name not in self.given]
+        return [name for name in self.names[1:] if name not in self.named]
 
     @cached_property
     def problem(self) -> ProblemSection:
@@ -117,8 +117,7 @@ class Run(RunTables):
 
     def blocks(self) -> Iterator[pa.Table]:
         """The comparison in tables of as many draws each, so that memory does not grow."""
-        last = self._store.present("comparison", "draw").size
-        return self._store.blocks("comparison", "draw", BLOCK, last)
+        return self._store.blocks("comparison", "draw", BLOCK)
 
     def sets(self) -> dict[str, Times]:
         """All compared sets by name, the reference first; times on the clock of the job."""
@@ -206,7 +205,7 @@ class Run(RunTables):
     def ranks(self) -> pd.DataFrame:
         """A row for each compared set, the lowest expected MSE first.
 
-        The columns are name; expected_mse and standard_error; best_rank (1 and the number of sets
+        The columns are name; expected_mse and standard_error; best_rank (1 plus the number of sets
         that are clearly better) and worst_rank (the number of sets less those that are clearly
         worse), as `pairs` defines clear; difference (expected MSE less that of the first row) with
         low and high (95 %, of this pair alone). With 95 % the true ranks of all sets lie from
@@ -231,6 +230,11 @@ class Run(RunTables):
 
     def __repr__(self) -> str:
         return f"<{title_of(self)}>"
+
+    @property
+    def version(self) -> str:
+        """Version of pfdist that started the run; empty if an older version did not record it."""
+        return str(self._about.get("pfdist", ""))
 
     @property
     def knows_estimations(self) -> bool:

@@ -28,8 +28,10 @@ def summary_of(run: "Run", kind: Results) -> dict[str, Any]:
         ``state``, ``run``, ``evaluations`` (copies counted), ``draws_compared``, ``is_exact``
         (whether the engine knows expected MSEs without draws), ``is_constrained`` (whether the job
         excludes some times, beside their number or cost), ``time_unit`` if the job has a clock,
-        ``results`` by name, and ``online`` if there is such a table. Times are those of the clock.
-        Fractions are not in per cent; an infinite or unknown value is None. Each result has:
+        ``instant_weights`` (the weight of each instant's error in the MSE, with mean 1) if there
+        are weights, ``results`` by name, and ``online`` if there is such a table. Times are those
+        of the clock. Fractions are not in per cent; an infinite or unknown value is None. Each
+        result has:
 
         - measurement_times, expected_mse, standard_error, degenerate_draws, search_cost and
           search_standard_error.
@@ -84,9 +86,10 @@ def summary_of(run: "Run", kind: Results) -> dict[str, Any]:
         "is_exact": is_exact(run.job["filter"]["engine"]),
         "is_constrained": run.problem.is_constrained,
         **({"time_unit": run.problem.clock.unit} if run.problem.has_clock else {}),
+        **({"instant_weights": [*run.problem.weights]} if run.problem.weights else {}),
         "results": finite(results),
         **online,
-        **(_pairs_and_ranks(run) if run.has("comparison") and run.given else {}),
+        **(_pairs_and_ranks(run) if run.has("comparison") and run.named else {}),
     }
 
 

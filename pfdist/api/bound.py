@@ -34,7 +34,8 @@ class Bound(Shown):
     ----------
     run : Path
     window, longest_gap, windows : int
-        Windows of the relaxation at first, and how many it knows in the end.
+        Measurements of a window at first; the number of instants for which the error of a window
+        counts at most (also on a clock); and how many windows the relaxation knows in the end.
     particles, draws : int
         Settings of the bound's filter; 0 where the engine is exact.
     confidence : float
@@ -108,7 +109,8 @@ def bound(
         An object or ``path/file.py:object``: replaces what the run names for the model or for the
         filter's model. It is run without question, and must mean the same as the run's model.
     figures : bool
-        Whether to draw the figure of the bound against work.
+        Whether to draw the figure of the bound against work, and all figures of a run that is
+        computed first.
     progress : callable or bool
         Whether to show progress and messages, or what receives each
         `pfdist.runner.progress.Progress`.
@@ -136,7 +138,7 @@ def bound(
         raise ArgumentError(
             f"settings must be a pfdist.BoundSettings, got {shown(settings)}", argument="settings"
         )
-    proved = finished_run(run, **execution, progress=progress, say=say)
+    proved = finished_run(run, **execution, figures=figures, progress=progress, say=say)
     if is_exact(proved.job["filter"]["engine"]):
         given = {"pool": "serial"}  # there is nothing to compute in a pool
     with following(progress, say) as (show, tell):

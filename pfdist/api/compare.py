@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from pfdist.analysis import Run
+from pfdist.analysis import Run, read_recorded
 from pfdist.api.finished_run import Model, built_as, finished_run
 from pfdist.api.following import Say, following, silent
 from pfdist.api.run import Ending, run_built
@@ -12,7 +12,9 @@ from pfdist.api.sets_to_compare import SetsToCompare
 from pfdist.common.arguments import path_argument
 from pfdist.errors import JobError
 from pfdist.job.asked import Asked, as_job
-from pfdist.runner.build import build, check_pool
+from pfdist.job.job import Job
+from pfdist.runner.build import Built, build, check_pool
+from pfdist.runner.identity import changed_meanings
 from pfdist.runner.named_by_a_run import files_named
 from pfdist.runner.progress import Show
 from pfdist.times.clock import Time
@@ -48,8 +50,8 @@ def compare(
     ----------
     job : Problem, Job, Run, str or Path
         A problem, a job, a job file, or a finished run or its folder. It gives the problem. Sets
-        that a job names in [comparison.sets] are compared, too, and all sets of a run: its
-        reference first.
+        that a job gives are compared, too: a list of times as comparison.reference, and
+        [comparison.sets]. So are all sets of a run: its reference first.
     runs : Run, str or Path
         Finished runs whose found sets are compared, too, and their references if they differ. A
         name that is already in use gets the name of the run's folder before it.
@@ -77,7 +79,8 @@ def compare(
         Whether to show progress and messages, or what receives each
         `pfdist.runner.progress.Progress`.
     say : callable, optional
-        Receives lines: each model file before it is run, and when the pool is ready.
+        Receives lines: each difference of a further run's model, horizon, weights of instants or
+        costs from the first problem, each model file before it is run, and when the pool is ready.
 
     Returns
     -------
@@ -86,8 +89,8 @@ def compare(
     Raises
     ------
     JobError, MeasurementTimesError
-        There are fewer than two sets, a name is used twice, or times are not those of the first
-        problem.
+        There are fewer than two sets, a name is used twice, times are not those of the first
+        problem, or `changes` change the sets of a run.
     PfdistError
         As `pfdist.run` raises. A folder that compares other sets is refused.
     """
@@ -98,13 +101,14 @@ def compare(
     }
     first, source = _problem_of(job)
     asked = as_job(source, changes, settings=settings)
-    sets = SetsToCompare(asked)
+    sets, others = SetsToCompare(asked), [finished_run(run) for run in runs]
     if first is None:
         sets.add_named()
     else:
+        _check_that_sets_are_kept(asked, as_job(source))
         sets.add_run(first)
-    for run in runs:
-        sets.add_run(finished_run(run))
+    for run in others:
+        sets.add_run(run)
     sets.add_times(times or {})
     compared = sets.job()
     check_pool(compared.execution)
@@ -121,8 +125,34 @@ def compare(
             for file in files_named(compared):
                 tell(f"runs the model file {file}, which your job names")
             built = build(compared)
+        for sentence in [*sets.differences, *_other_models(others, built)]:
+            tell(sentence)
         ending = Ending(figures, figures if report is None else report)
         return run_built(built, path, ending, show, tell)
+
+
+def _check_that_sets_are_kept(asked: Job, job_of_run: Job) -> None:
+    """Refuse changes of the sets that a job gives where a run gives the sets."""
+    for key in ("reference", "sets"):
+        if getattr(asked.comparison, key) != getattr(job_of_run.comparison, key):
+            raise JobError(
+                f"changes must leave comparison.{key} as it is where a run gives the problem and "
+                "its sets, got another value: name sets with times",
+                argument="changes",
+            )
+
+
+def _other_models(runs: Iterable[Run], built: Built) -> list[str]:
+    """Say which runs have other models than the first problem."""
+    found = []
+    for run in runs:
+        changes = changed_meanings(read_recorded(run.path)[0], built)
+        if changes:
+            found.append(
+                f"{run.path} has another problem than the first: its model differs in "
+                f"{', '.join(changes)}"
+            )
+    return found
 
 
 def _problem_of(job: Asked | Run) -> tuple[Run | None, Asked]:

@@ -134,6 +134,8 @@ class Display:
 
 def _position(state: State) -> list[str]:
     """Give the phase, the position in the phase, and what the phase has found so far."""
+    if state.doing:
+        return [state.doing]
     if not state.generations:
         found = [_gain(found) for found in state.found[:1]]
         return [state.phase, f"{state.evaluations:,} draws", *found]

@@ -62,10 +62,10 @@ def evaluate(
     job : Problem, Job, str or Path
         A problem, a job, or the path of a job file.
     measurement_times : iterable of int or float, or str; or mapping of str to these
-        Any number of times in 0..T, or on the clock of the job, or a text such as "0:60:3". They
-        may break the job's constraints: ``load_job(path).problem.broken(times)`` lists the broken
-        ones. Sets with names share their draws and the noise of their filters; "regular" stands
-        for the regular times of the job.
+        Any number of times in 0..T, or on the clock of the job, or a text such as "0:60:3";
+        "regular" stands for the regular times of the job. They may break the job's constraints:
+        ``load_job(path).problem.broken(times)`` lists the broken ones. Sets with names share their
+        draws and the noise of their filters.
     draws, particles, seed : int, optional
         Replace the job's evaluation.draws, filter.particles and seed.
 
@@ -127,7 +127,7 @@ def prepare(
 
 def _instants(job: Job, name: str, written: Iterable[Time | str] | str) -> Times:
     """Give the instants of a set; the error names the option, and the set if it has a name."""
-    if name and isinstance(written, str) and written == REGULAR:
+    if isinstance(written, str) and written == REGULAR:
         return job.problem.feasible.regular()
     try:
         return validated_instants(written, job.problem.clock, where=name and f"times of {name}")

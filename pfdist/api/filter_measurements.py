@@ -15,7 +15,7 @@ from pfdist.analysis import finite
 from pfdist.api.filter_of import filter_of
 from pfdist.api.finished_run import AskedRun, Model
 from pfdist.api.planned_run import planned_run
-from pfdist.api.table import Table, table_argument
+from pfdist.api.user_table import Table, table_argument
 from pfdist.common.arguments import path_argument
 from pfdist.common.cards import Card, Shown
 from pfdist.common.component_names import Component

@@ -14,7 +14,7 @@ from pfdist.api.filter_measurements import IMPROBABLE
 from pfdist.api.finished_run import AskedRun, Model
 from pfdist.api.planned_run import planned_run
 from pfdist.api.planner import Planner
-from pfdist.api.table import Table, table_argument
+from pfdist.api.user_table import Table, table_argument
 from pfdist.common.cards import Card, Shown
 from pfdist.common.rounding import with_error
 from pfdist.common.told_times import told_time, told_times

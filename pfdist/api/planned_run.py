@@ -10,7 +10,6 @@ from pfdist.api.finished_run import AskedRun, Model, built_again, finished_run
 from pfdist.common.nearest import did_you_mean
 from pfdist.errors import JobError, shown
 from pfdist.filters.cloud import Prior
-from pfdist.models import StateSpaceModel
 from pfdist.runner.build import Built
 from pfdist.sequential.user_prior import as_prior, read_prior
 from pfdist.times.measurement_times import Times
@@ -69,14 +68,15 @@ def planned_run(
     name, times = planned_set(opened, planned)
     built = built_again(opened, instead, say)
     times = built.job.problem.clock.instants(times)
-    return PlannedRun(opened, name, times, built, _known(prior, built.evaluator.believed))
+    return PlannedRun(opened, name, times, built, _known(prior, built))
 
 
-def _known(prior: Any, model: StateSpaceModel) -> Prior | None:
+def _known(prior: Any, built: Built) -> Prior | None:
     """The knowledge from which a filter starts: a table's, a prior, or None for an empty name."""
+    model, clock = built.evaluator.believed, built.job.problem.clock
     if isinstance(prior, str | Path):
-        return read_prior(Path(prior), model) if str(prior) else None
-    return as_prior(prior, model)
+        return read_prior(Path(prior), model, clock) if str(prior) else None
+    return as_prior(prior, model, clock)
 
 
 def planned_set(run: Run, name: str = "") -> tuple[str, Times]:

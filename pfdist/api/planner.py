@@ -1,6 +1,6 @@
 """Choose when to measure one real system next, from all that was measured so far."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -48,8 +48,9 @@ class Planner:
         set of the job, or of one of its measurement budgets. By default a short search finds some.
     prior : Cloud, Gaussian, array or DataFrame, optional
         The knowledge of x(s), in the place of the model's `initial`; the system then starts at s.
-        An array (n, M) holds M particles of x(0); a DataFrame has a row for each. Planned times
-        before s count as measured.
+        An array (n, M) holds M particles of x(0); a DataFrame has a row for each, and its t is a
+        time on the clock. The t of a `Cloud` is an instant. Planned times before s count as
+        measured.
     draw : int
         Number of the system, which keys the noise: give each system a number of its own.
 
@@ -79,7 +80,8 @@ class Planner:
         draw: int = 0,
     ) -> None:
         built = build(as_job(job))
-        known = None if prior is None else as_prior(prior, built.evaluator.believed)
+        believed, clock = built.evaluator.believed, built.job.problem.clock
+        known = None if prior is None else as_prior(prior, believed, clock)
         self._begin(built, times, known, draw)
 
     @classmethod
@@ -208,7 +210,11 @@ class Planner:
                     f"times that are left must be at least {least}, got {got}"
                 )
         estimation = self._built.comparing
-        return self._replanner.expected(self._now, wanted, draws, estimation, self._draw)
+        found = self._replanner.expected(self._now, wanted, draws, estimation, self._draw)
+        times: Iterator[Any] = (tuple(self.clock.times_of(plan)) for plan in wanted)
+        return [
+            replace(each, measurement_times=plan) for each, plan in zip(found, times, strict=True)
+        ]
 
     def _begin(
         self, built: Built, times: Iterable[Time] | None, prior: Prior | None, draw: int

@@ -1,14 +1,16 @@
-"""The report of a run, once or again and again while the run goes on."""
+"""The report of a run or a sweep, once or again and again while a run goes on."""
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from pfdist.analysis import Run, open_run
 from pfdist.api.following import Say, silent
 from pfdist.common.arguments import path_argument
-from pfdist.errors import PfdistError, StoreError, one_line, shown_text
-from pfdist.reports import write_report
-from pfdist.store import check_not_held
+from pfdist.errors import ArgumentError, PfdistError, StoreError, one_line, shown_text
+from pfdist.reports import write_report, write_sweep_report
+from pfdist.store import check_not_held, holds_run
+from pfdist.store.runs_below import runs_below
 from pfdist.store.shown_files import REPORT
 
 SECONDS = 5.0
@@ -21,31 +23,40 @@ def report(
     watch: bool = False,
     say: Say = silent,
 ) -> Path:
-    """Write the report of a run: one HTML file that loads nothing and can be sent.
+    """Write the report of a run or a sweep: one HTML file that loads nothing and can be sent.
 
-    The report is made from the run's tables alone; no model is run.
+    The report is made from the tables of the run alone; no model is run.
 
     Parameters
     ----------
     run : Run, str or Path
-        A run or its folder; it need not be finished.
+        A run or its folder; it need not be finished. A folder that is no run but has runs in it is
+        a sweep, whose report has all these runs and links to their reports.
     watch : bool
         Whether to write the report again every few seconds while the run goes on. The page then
-        reloads itself, too.
+        reloads itself, too. This is for runs alone.
     say : callable, optional
         Receives a line if the report is to be written again.
 
     Returns
     -------
     Path
-        The file ``report.html`` in the run's folder.
+        The file ``report.html`` in the folder.
 
     Raises
     ------
     StoreError
         The folder holds no run, a table cannot be read, or the file cannot be written.
+    ArgumentError
+        The folder of a sweep is to be watched.
     """
     path = run.path if isinstance(run, Run) else path_argument("run", run)
+    if is_sweep(path):
+        if watch:
+            raise ArgumentError(
+                f"only the report of a run can be watched, but {path} is a sweep", argument="watch"
+            )
+        return write_sweep_report(path)
     opened = open_run(path)
     if watch and opened.state != "finished":
         _watch(path, say)
@@ -78,6 +89,13 @@ def is_computed(path: Path) -> bool:
     return False
 
 
+def is_sweep(path: Path) -> bool:
+    """Whether a folder is no run but has runs in it."""
+    if holds_run(path) or not path.is_dir():
+        return False
+    return next(runs_below(path, 1), path) != path
+
+
 def try_report(run: Run, say: Say) -> None:
     """Write the report of a run whose results stand, whatever becomes of the report.
 
@@ -90,13 +108,30 @@ def try_report(run: Run, say: Say) -> None:
     say : callable
         Receives a line if there is no report.
     """
+    _try(lambda: write_report(run), run.path, say)
+
+
+def try_sweep_report(path: Path, say: Say) -> None:
+    """Write the report of a sweep whose results stand, as `try_report` does for a run.
+
+    Parameters
+    ----------
+    path : Path
+        Folder of the sweep.
+    say : callable
+        Receives a line if there is no report.
+    """
+    _try(lambda: write_sweep_report(path), path, say)
+
+
+def _try(write: Callable[[], object], path: Path, say: Say) -> None:
     try:
-        write_report(run)
+        write()
     except PfdistError as error:
         say(f"there is no report: {error}")
     except Exception as error:
         told = one_line(shown_text(f"{type(error).__name__}: {error}"))
-        say(f"there is no report: {told} (`pfdist report {run.path} --debug` shows where)")
+        say(f"there is no report: {told} (`pfdist report {path} --debug` shows where)")
 
 
 def renew_report(path: Path, say: Say) -> None:

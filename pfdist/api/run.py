@@ -5,16 +5,19 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pfdist.analysis import Run, open_run
-from pfdist.api.at_work import at_work
+from pfdist.api.at_work import AtWork, at_work
 from pfdist.api.following import Say, following, silent
 from pfdist.api.report import try_report
 from pfdist.common.arguments import path_argument
 from pfdist.errors import JobError, ModelError, TaskError
 from pfdist.job.asked import Asked, as_job
+from pfdist.meaning.chosen import ChosenModel
+from pfdist.meaning.model_value import ModelValue
 from pfdist.plots import draw_figures, figure_files, remove_figures
 from pfdist.reports import remove_report
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built, build, check_pool
+from pfdist.runner.comparison_phase import COMPARISON, comparison_steps
 from pfdist.runner.driver import FORKED, drive
 from pfdist.runner.identity import opened
 from pfdist.runner.named_by_a_run import files_named
@@ -25,7 +28,7 @@ from pfdist.runner.session import Session
 from pfdist.store import Store
 from pfdist.store.shown_files import has_report
 
-_PATIENCE = 10  # minutes of one core that a bound may take where nobody asked for it alone
+_PATIENCE = 4  # minutes of one core that a bound may take where nobody asked for it alone
 
 
 def run(
@@ -88,7 +91,7 @@ def run(
     """
     execution = {"pool": pool, "workers": workers, "address": address}
     given = {key: value for key, value in execution.items() if value is not None}
-    settings = _bound_settings(bound_draws)
+    settings = bound_settings(bound_draws)
     job = as_job(job, changes, settings={"execution": given} if given else {})
     check_pool(job.execution)
     path = Path("results") / job.path.stem
@@ -122,7 +125,13 @@ class Ending:
 
 
 def run_built(
-    built: Built, path: Path, ending: Ending, show: Show, say: Say, origin: Store | None = None
+    built: Built,
+    path: Path,
+    ending: Ending,
+    show: Show,
+    say: Say,
+    origin: Store | None = None,
+    work: AtWork = at_work,
 ) -> Run:
     """Compute what a run in a folder lacks, and make its figures and its report.
 
@@ -136,6 +145,8 @@ def run_built(
         Receive the progress and the messages.
     origin : Store or None
         The store of a run whose evaluations a new run takes.
+    work : callable, optional
+        Gives the session that computes; see `pfdist.api.at_work`.
 
     Raises
     ------
@@ -143,9 +154,9 @@ def run_built(
         As `run` raises.
     """
     with opened(path, built, say) as store:
-        computed = _compute(built, store, origin, ending.bound, show, say)
+        computed = _compute(built, store, origin, ending.bound, show, say, work)
         finished = open_run(path)
-        finished.models = built.job.models
+        finished.models = _given_models(built)
         if ending.figures and not all(file.exists() for file in figure_files(finished)):
             draw_figures(finished)
         if computed:
@@ -155,6 +166,14 @@ def run_built(
     return finished
 
 
+def _given_models(built: Built) -> dict[str, ChosenModel]:
+    """Give the models that are objects by value, whether the job or another run gave them."""
+    models = {"model": built.source.model}
+    if built.job.model.filter.name:
+        models["filter_model"] = built.source.filter_model
+    return {part: each for part, each in models.items() if isinstance(each.source, ModelValue)}
+
+
 def _compute(
     built: Built,
     store: Store,
@@ -162,13 +181,14 @@ def _compute(
     settings: BoundSettings | None,
     show: Show,
     say: Say,
+    work: AtWork,
 ) -> bool:
     """Compute what the run lacks, with its lower bound; False if it lacks nothing."""
     path = store.path
     prover, unfinished = _prover(built, settings, say), open_run(path).state != "finished"
-    if prover is not None and not unfinished and prover.has_proved(open_run(path)):
-        prover = None
-    if not unfinished and prover is None:
+    if not unfinished and (
+        prover is None or prover.has_proved(open_run(path)) or _is_long(prover, built, path, say)
+    ):
         return False
     remove_report(path)
     if unfinished:
@@ -176,16 +196,16 @@ def _compute(
         if origin is not None:
             store.adopt(origin, FORKED)
     note_processor(path, built, say)
-    with at_work(built, store, show, say) as session:
+    with work(built, store, show, say) as session:
         if prover is not None:
             session.reporter.foresee(prover.steps)
         drive(session)
-        if prover is not None:
+        if prover is not None and not _is_long(prover, built, path, say):
             _prove(prover, session)
     return True
 
 
-def _bound_settings(draws: int) -> BoundSettings | None:
+def bound_settings(draws: int) -> BoundSettings | None:
     """Settings of the run's lower bound; None if no bound is wanted."""
     try:
         return None if draws == 0 else BoundSettings(draws)
@@ -203,12 +223,27 @@ def _prover(built: Built, settings: BoundSettings | None, say: Say) -> Prover | 
         hint = "; try pfdist bound --window 1, or more --memory"
         say(f"there is no lower bound: {error}{hint * (error.argument == 'window')}")
         return None
-    minutes = prover.steps * built.evaluator.seconds_a_step / 60
+    return prover
+
+
+def _is_long(prover: Prover, built: Built, path: Path, say: Say) -> bool:
+    """Whether a bound takes longer than somebody waits who did not ask for it; if so, say it."""
+    minutes = prover.steps * _seconds_a_step(built, path) / 60
     if minutes > _PATIENCE:
         say(f"there is no lower bound yet: pfdist bound would take about {minutes:.0f} minutes of "
             "one core")  # fmt: skip
-        return None
-    return prover
+    return minutes > _PATIENCE
+
+
+def _seconds_a_step(built: Built, path: Path) -> float:
+    """Seconds that a particle-step of the comparison has taken; a guess if there was none."""
+    run = open_run(path)
+    timings = run.timings() if run.has("timings") else None
+    steps = comparison_steps(built) * run.draws_compared / built.job.comparison.draws
+    if timings is None or not steps:
+        return built.evaluator.seconds_a_step
+    compared = timings["task"].str.startswith(f"{COMPARISON}:")
+    return float(timings.loc[compared, "seconds"].sum()) / steps or built.evaluator.seconds_a_step
 
 
 def _prove(prover: Prover, session: Session) -> None:

@@ -1,5 +1,6 @@
 """The sets of a comparison: those of runs, and those that a user names."""
 
+import math
 import re
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -7,12 +8,14 @@ from typing import Any
 from pfdist.analysis import Run
 from pfdist.errors import JobError, MeasurementTimesError, shown
 from pfdist.job.job import Job
-from pfdist.job.sections import GIVEN, RESERVED
+from pfdist.job.problem_section import ProblemSection
+from pfdist.job.sections import LONGEST_SET_NAME, REFERENCE, RESERVED
 from pfdist.times.clock import Clock, Time
 from pfdist.times.measurement_times import REGULAR, Times
 from pfdist.times.written import validated_instants
 
 _STRANGE = re.compile(r"[^a-z0-9]+")
+_SAME = 1e-9  # times that differ by so little are the same
 _LONGEST_PREFIX = 20  # characters of a run's folder in the name of a set
 
 
@@ -23,19 +26,25 @@ class SetsToCompare:
     ----------
     job : Job
         Gives the problem.
+
+    Attributes
+    ----------
+    differences : list of str
+        Sentences that say how the problems of other runs differ from that of the job.
     """
 
     def __init__(self, job: Job) -> None:
         self._job = job
+        self.differences: list[str] = []
         self._clock = job.problem.clock
         self._regular: Times = job.problem.feasible.regular()
         self._written: dict[str, Any] = {}
         self._instants: dict[str, Times] = {}
 
     def add_named(self) -> None:
-        """Add the sets that the job itself names in comparison.sets."""
+        """Add the sets that the job gives: a list as comparison.reference, and comparison.sets."""
         for name, instants in self._job.given_sets.items():
-            if name in self._job.comparison.named:
+            if name == REFERENCE or name in self._job.comparison.named:
                 chosen = self._regular if instants is None else instants
                 self._add(name, chosen)
 
@@ -58,14 +67,9 @@ class SetsToCompare:
         """
         sets = run.sets_of_one_number()
         self._check_clock(run)
+        self.differences += _differences(run, self._job.problem)
         for position, (name, times) in enumerate(sets.items()):
-            try:
-                instants = validated_instants(times, self._clock)
-            except MeasurementTimesError as error:
-                raise JobError(
-                    f"sets of all runs must have times of the first problem: {error} "
-                    f"({run.path}, set {name})"
-                ) from error
+            instants = self._clock.instants(times)
             is_known = self._instants.get(name) == instants
             if is_known or (position == 0 and instants in self._instants.values()):
                 continue
@@ -134,7 +138,7 @@ class SetsToCompare:
                 argument="times",
             )
         named, (reference, times) = dict(self._written), next(iter(self._written.items()))
-        if reference in (REGULAR, GIVEN):
+        if reference in (REGULAR, REFERENCE):
             del named[reference]
             reference = times
         comparison = self._job.comparison.model_dump(mode="json")
@@ -156,24 +160,51 @@ class SetsToCompare:
     def _free_name(self, name: str, instants: Times, run: Run) -> str:
         """Give a set's name, with that of the run's folder before it if the name is in use."""
         is_reserved = name == REGULAR and instants != self._regular
-        is_reserved |= name == GIVEN and bool(self._written)
+        is_reserved |= name == REFERENCE and bool(self._written)
         if name not in self._written and not is_reserved:
             return name
         folder = _STRANGE.sub("_", run.path.absolute().name.lower()).strip("_")
         prefix = folder if folder[:1].isalpha() else f"run_{folder}"
-        longer, number = f"{prefix[:_LONGEST_PREFIX]}_{name}", 2
-        found = longer
-        while found in self._written:
-            found, number = f"{longer}_{number}", number + 1
+        longer, ending, number = f"{prefix[:_LONGEST_PREFIX]}_{name}", "", 2
+        while (found := longer[: LONGEST_SET_NAME - len(ending)] + ending) in self._written:
+            ending, number = f"_{number}", number + 1
         return found
 
     def _check_clock(self, run: Run) -> None:
         own, first = run.problem.clock, self._clock
+        must = f"sets of all runs must have times of the first problem, which {_counted(first)}"
         if (own.counts, own.unit) != (first.counts, first.unit):
+            raise JobError(f"{must}, got a run that {_counted(own)} ({run.path})")
+        for t, (time, time_of_run) in enumerate(zip(first.times, own.times, strict=False)):
+            if not math.isclose(time, time_of_run, rel_tol=_SAME, abs_tol=_SAME):
+                raise JobError(
+                    f"{must} whose instant {t} is {first.told(t)}, got a run whose instant {t} is "
+                    f"{own.told(t)} ({run.path})"
+                )
+        if own.horizon > first.horizon:
             raise JobError(
-                f"sets of all runs must have times of the first problem, which {_counted(first)}, "
-                f"got a run that {_counted(own)} ({run.path})"
+                f"{must} and ends at {first.told(first.horizon)}, got a run that ends at "
+                f"{own.told(own.horizon)} ({run.path})"
             )
+
+
+def _differences(run: Run, first: ProblemSection) -> list[str]:
+    """Say how the problem of a run differs from the first, of the same clock."""
+    own, found = run.problem, []
+    if own.clock.horizon != first.clock.horizon:
+        ends = [each.clock.told(each.clock.horizon) for each in (own, first)]
+        found.append(f"its horizon is {ends[0]}, not {ends[1]}")
+    if _weights(own) != _weights(first):
+        found.append("its errors have other weights of instants")
+    if any(getattr(own, key) != getattr(first, key) for key in ("cost", "total_cost")):
+        found.append("its measurements have other costs")
+    return [f"{run.path} has another problem than the first: {each}" for each in found]
+
+
+def _weights(problem: ProblemSection) -> tuple[float, ...] | None:
+    """Give the weights of instants; None if all are equal."""
+    weights = problem.weights
+    return None if weights is None or len({*weights}) == 1 else weights
 
 
 def _counted(clock: Clock) -> str:

@@ -37,7 +37,8 @@ def simulate(problem: Asked, draws: int = DRAWS, seed: int | None = None) -> pd.
         A row for each draw and instant: draw, t (on the clock, if there is one), the states x_0,
         x_1, ..., the measurements y_0, ... that could be made at every instant, and the quantities
         of interest z_0, ... If the model names components, columns have the names in the place of
-        the numbers, and the attribute ``labels`` has names and units.
+        the numbers, and the attribute ``labels`` has names and units. With a clock, the attribute
+        ``time_unit`` has its unit.
 
     Raises
     ------
@@ -78,4 +79,6 @@ def _table(draws: Draws, model: StateSpaceModel, clock: Clock) -> pd.DataFrame:
     table = pd.DataFrame(columns)
     if labels:
         table.attrs[LABELS] = labels
+    if not clock.counts:
+        table.attrs["time_unit"] = clock.unit
     return table

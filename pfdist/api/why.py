@@ -33,8 +33,8 @@ from pfdist.store.component_columns import components_in
 from pfdist.times.measurement_times import Times, validated
 
 DRAWS = 2000
-FIGURES = ("why", "windows", "filters")
-_PARTS = ("profile", "worth", "windows", "jitter")
+FIGURES = ("why", "sampling_windows", "filters")
+_PARTS = ("profile", "worth", "sampling_windows", "jitter")
 _STEPS = 3  # for each set: worth, windows, jitter
 MOST_DRAWS = 100_000_000  # as many as a comparison may have
 
@@ -55,17 +55,19 @@ class Why(Shown):
         A row for each set and instant: position and name of the set, t, measured, draws, error (the
         expected error at t), standard_error, degenerate_draws (up to t) and effective_sample_size
         (after the measurement at t, mean over the draws with trajectories; NaN if t is not
-        measured, or if the engine is exact). The mean of a set's errors is the expected MSE of the
-        set.
+        measured, or if the engine is exact), and weight (of the instant's error in the MSE; 1 if
+        all weights are equal). The mean of a set's errors with these weights is the expected MSE of
+        the set. An error of weight 0 is NaN.
     worth : DataFrame
         A row for each set and measurement: position, name, t, draws, and the rise of the expected
         MSE if the measurement is removed, or made one instant earlier or later: removed, earlier,
         later. NaN if another measurement is made at that instant, or if the job does not allow the
         instant. The standard errors are removed_error, earlier_error and later_error.
-    windows : DataFrame
+    sampling_windows : DataFrame
         A row for each set, measurement and instant to which it alone is moved: position, name, t,
-        instant, draws, loss (the rise of the expected MSE over that of the set), loss_error (its
-        standard error), degenerate_draws, lower_limit and upper_limit (one-sided, 95 %). The states
+        moved_to (the instant, or on a clock its time), moved_to_instant (its number), draws, loss
+        (the expected MSE over that of the kept set, less 1), loss_error (its standard error),
+        degenerate_draws, lower_limit and upper_limit (one-sided, 95 %). The states
         within_1 and within_5 are "inside" if the upper limit is at most 1 % or 5 %, "outside" if
         the lower limit is above, and else "open". The instants lie between the neighbouring
         measurements, and end on each side with the first that is outside within_5.
@@ -82,7 +84,7 @@ class Why(Shown):
     sets: pd.DataFrame
     profile: pd.DataFrame
     worth: pd.DataFrame
-    windows: pd.DataFrame
+    sampling_windows: pd.DataFrame
     jitter: pd.DataFrame
     figures: list[Path]
 
@@ -112,7 +114,7 @@ class Why(Shown):
         )
         windows = {
             (name, window.t): window.text
-            for name, rows in self.windows.groupby("name")
+            for name, rows in self.sampling_windows.groupby("name")
             for window in windows_of(rows.to_dict("records"), STRICT)
         }
         rows = [
@@ -139,11 +141,10 @@ def why(
 ) -> Why:
     """Compute what each measurement of a finished run is worth, and how exactly it must be kept.
 
-    The function runs the model, writes the tables ``profile``, ``worth``, ``windows`` and
-    ``jitter`` of the run, and draws the figures ``why-<search>`` and ``windows-<search>`` into its
-    folder. It runs a model file that the run's folder names
-    only if the file is unchanged since the run, and if the user has run the file on this machine
-    before.
+    The function runs the model, writes the tables ``profile``, ``worth``, ``sampling_windows`` and
+    ``jitter`` of the run, and draws the figures ``why-<set>``, ``sampling_windows-<set>`` and
+    ``filters`` into its folder. It runs a model file that the run's folder names only if the file
+    is unchanged since the run, and if the user has run the file on this machine before.
 
     Parameters
     ----------
@@ -156,7 +157,7 @@ def why(
         An object or ``path/file.py:object``: replaces what the run names for the model or for the
         filter's model. It is run without question, and must mean the same as the run's model.
     figures : bool
-        Whether to draw the figures.
+        Whether to draw the figures, also of a run that is computed first.
     progress : callable or bool
         Whether to show progress and messages, or what receives each
         `pfdist.runner.progress.Progress`.
@@ -176,7 +177,7 @@ def why(
         There are too few draws, or the model cannot be loaded.
     """
     draws = whole_argument("draws", draws, 2, MOST_DRAWS)
-    opened = finished_run(run, progress=progress, say=say)
+    opened = finished_run(run, figures=figures, progress=progress, say=say)
     sets = opened.sets_of_one_number()
     with following(progress, say) as (show, tell):
         built = built_again(opened, {"model": model, "filter_model": filter_model}, tell)
@@ -217,7 +218,7 @@ def _of_a_set(
     windows = sampling_windows(built, name, times, draws, reporter)
     by_percent = windows_by_percent(windows, times)
     drawn = {"draws": 0 if built.evaluator.exact else draws}
-    rows = {"profile": found.profile, "worth": found.worth, "windows": windows}
+    rows = {"profile": found.profile, "worth": found.worth, "sampling_windows": windows}
     rows = {part: [drawn | row for row in of_a_part] for part, of_a_part in rows.items()}
     rows["jitter"] = jitter(built, name, times, by_percent, draws, reporter)
     return found.summary, rows

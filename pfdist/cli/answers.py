@@ -3,15 +3,20 @@
 import dataclasses
 import json
 from argparse import Namespace
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from pfdist.cli.summary import print_summary
 from pfdist.errors import one_line
 
 if TYPE_CHECKING:  # a command that checks nothing needs no module of the checks
+    import pandas as pd
+
     from pfdist.checks.model import Check
+
+_NONE: Mapping[str, Any] = MappingProxyType({})
 
 
 def print_json(answer: dict[str, Any], options: Namespace) -> None:
@@ -20,6 +25,32 @@ def print_json(answer: dict[str, Any], options: Namespace) -> None:
     from pfdist.analysis import finite  # noqa: PLC0415
 
     print(json.dumps(finite(answer), indent=2, allow_nan=False), file=options.answers)
+
+
+def print_records(
+    name: str, frame: "pd.DataFrame", options: Namespace, facts: Mapping[str, Any] = _NONE
+) -> None:
+    """Print a table as one JSON object, with its rows under a name.
+
+    Parameters
+    ----------
+    name : str
+    frame : DataFrame
+        Moments become texts as of ISO 8601, and missing values null.
+    options : Namespace
+        The parsed arguments.
+    facts : mapping, optional
+        Stands before the rows.
+    """
+    cells = frame.astype(object).where(frame.notna(), None)
+    rows = [
+        {str(key): _plain(value) for key, value in row.items()} for row in cells.to_dict("records")
+    ]
+    print_json({**facts, name: rows}, options)
+
+
+def _plain(value: Any) -> Any:
+    return value.isoformat(timespec="seconds") if hasattr(value, "isoformat") else value
 
 
 def print_run(summary: dict[str, Any], options: Namespace) -> None:

@@ -98,7 +98,9 @@ def pool_options(pool: str, workers: str, address: str) -> Callable[[ArgumentPar
     return add
 
 
-def computing(results: str, *, fork: bool = True) -> Callable[[ArgumentParser], None]:
+def computing(
+    results: str, *, fork: bool = True, what: str = "run"
+) -> Callable[[ArgumentParser], None]:
     """Give a function that adds what a command needs to compute a run.
 
     Parameters
@@ -107,11 +109,13 @@ def computing(results: str, *, fork: bool = True) -> Callable[[ArgumentParser], 
         Describes the folder of the run if ``--results`` is not given.
     fork : bool
         Whether the run may take evaluations from another run.
+    what : str
+        A noun for what lies in the folder.
     """
 
     def add(parser: ArgumentParser) -> None:
         parser.add_argument(
-            "--results", metavar="DIR", help=f"folder of the run (default: {results})"
+            "--results", metavar="DIR", help=f"folder of the {what} (default: {results})"
         )
         sections = (f"execution.{key} of the job" for key in ("pool", "workers", "address"))
         pool_options(*sections)(parser)
@@ -150,7 +154,7 @@ def decimal(text: str) -> int | float:
         The text is no such number.
     """
     try:
-        return finite_number(text) if "." in text else whole_number(text)
+        return whole_number(text) if text.lstrip("+-").isdigit() else finite_number(text)
     except ValueError as error:
         raise ArgumentTypeError(str(error)) from error
 
@@ -191,8 +195,9 @@ def add_measurements(parser: ArgumentParser) -> None:
     parser.add_argument(
         "measurements",
         metavar="MEASUREMENTS",
-        help="table with the columns t, y0, y1, ..., in CSV or Parquet, for instance patient.csv; "
-        "an empty cell is a component that is missing, a row without any value a missed time",
+        help="table with the columns t, y0, y1, ... (or y_ and the model's name of the component), "
+        "in CSV or Parquet, for instance patient.csv; an empty cell is a missing component, "
+        "a row without any value a missed time",
     )
     parser.add_argument(
         "--planned",
@@ -206,5 +211,6 @@ def add_measurements(parser: ArgumentParser) -> None:
         default="",
         metavar="FILE",
         help="particles from which the filter starts, in Parquet or CSV, for instance "
-        "prior.parquet: columns x0, x1, ..., if wanted weight, and t, their instant (default: 0)",
+        "prior.parquet: columns x0, x1, ... (or x_ and a name), if wanted weight, and t, their "
+        "time (default: the first)",
     )

@@ -40,6 +40,7 @@ _VALUES: dict[str, Any] = {
     "DIR": shtab.DIRECTORY,
     "NEW": shtab.DIRECTORY,
     "FILE": _files("*.parquet", "*.csv"),
+    "TABLE": _files("*.csv", "*.parquet", "*.tex"),
     "MEASUREMENTS": _files("*.csv", "*.parquet"),
     "FILE.py:OBJECT": _files("*.py"),
 }

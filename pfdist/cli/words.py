@@ -1,6 +1,7 @@
 """The words of a command line before argparse takes them: lists with spaces, unknown options."""
 
 import argparse
+import os
 import re
 from collections.abc import Iterable, Sequence
 
@@ -8,7 +9,8 @@ from pfdist.common.number_list import ranges, whole_numbers
 from pfdist.common.parsing import finite_number
 from pfdist.errors import JobError, shown
 
-_GOES_ON = re.compile(r"[0-9.:,]+")  # a word after a list of numbers that belongs to the list
+_GOES_ON = re.compile(r",|[0-9.:,]*[0-9][0-9.:,]*([eE][+-]?[0-9]+)?,?")
+"""A word after a list of numbers that belongs to the list, unless a folder has this name."""
 _OPTION = re.compile(r"-[^0-9. ][^ ]*")  # argparse takes other words for values
 
 
@@ -116,7 +118,8 @@ def joined(words: Iterable[str], actions: Iterable[argparse.Action]) -> list[str
     """Give a command line in which each list of numbers is one word.
 
     ``--times 0 6 12 JOB`` becomes ``--times "0 6 12" JOB``. argparse itself would take JOB for one
-    of the times.
+    of the times. A word that is the name of a folder is never joined to a list: ``2024`` may be a
+    run.
 
     Parameters
     ----------
@@ -130,7 +133,7 @@ def joined(words: Iterable[str], actions: Iterable[argparse.Action]) -> list[str
     found: list[str] = []
     begins = goes_on = False  # whether a list is expected, or may go on
     for word in words:
-        if goes_on and _GOES_ON.fullmatch(word):
+        if goes_on and _GOES_ON.fullmatch(word) and not os.path.isdir(word):
             found[-1] += f" {word}"
             continue
         found.append(word)

@@ -4,7 +4,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from pfdist.errors import JobError, shown
+from pfdist.errors import shown
 
 _LONGEST_NAME, _LONGEST_UNIT = 40, 20  # characters
 _TEXT = re.compile(r"([^\W\d_][\w -]*?) *(?:\[ *([^\[\] ][^\[\]]*)\])?")
@@ -86,25 +86,3 @@ def named_components(names: Sequence[str], count: int) -> tuple[Component, ...]:
 def numbered_components(count: int) -> tuple[Component, ...]:
     """Give components without names, whose columns end with 0, 1, ..."""
     return tuple(Component(str(number)) for number in range(count))
-
-
-def check_estimate_columns(sets: Sequence[str], components: Sequence[Component]) -> None:
-    """Raise an error if the estimates of two sets would have columns of one name.
-
-    Raises
-    ------
-    JobError
-        The set ``a`` with the component ``b c`` and the set ``a_b`` with the component ``c``, say.
-    """
-    known = dict[str, tuple[str, str]]()
-    for name in sets:
-        for each in components:
-            column = f"estimate_{name}_{each.suffix}"
-            if column in known:
-                other, other_suffix = known[column]
-                raise JobError(
-                    "estimates must have different columns, got the column "
-                    f"{column!r} for {other_suffix!r} of the set {other!r} and for {each.suffix!r} "
-                    f"of the set {name!r}: give the search another name"
-                )
-            known[column] = name, each.suffix

@@ -31,13 +31,15 @@ def whole_numbers(text: str) -> list[int]:
     >>> whole_numbers("8:5")
     Traceback (most recent call last):
         ...
-    ValueError: must have ranges from a number to a larger one in steps of at least 1, got '8:5'
+    ValueError: must have ranges from a number to a larger one in steps above 0, got '8:5'
     """
-    entries = ranges(text, whole_number)
+    entries = ranges(text, whole_number, by_ones=True)
     return [number for first, last, step in entries for number in range(first, last + 1, step or 1)]
 
 
-def ranges(text: str, number: Callable[[str], Any]) -> list[tuple[Any, Any, Any]]:
+def ranges(
+    text: str, number: Callable[[str], Any], *, by_ones: bool = False
+) -> list[tuple[Any, Any, Any]]:
     """Give the first and the last number, and the step, of each entry of a text.
 
     Parameters
@@ -46,6 +48,9 @@ def ranges(text: str, number: Callable[[str], Any]) -> list[tuple[Any, Any, Any]
         As for `whole_numbers`.
     number : callable
         Reads one number; raises ValueError for any other text.
+    by_ones : bool
+        Whether a range without a step lists numbers in steps of 1. Else it stands for whatever lies
+        between its ends, and lists nothing itself.
 
     Returns
     -------
@@ -59,7 +64,10 @@ def ranges(text: str, number: Callable[[str], Any]) -> list[tuple[Any, Any, Any]
     """
     entries = _SEPARATOR.split(text.strip().removesuffix(",").rstrip())
     found = [_ends(entry, text, number) for entry in entries]
-    if sum(1 + (last - first) // (step or 1) for first, last, step in found) > MOST_NUMBERS:
+    listed = sum(
+        1 + ((last - first) // (step or 1) if step or by_ones else 0) for first, last, step in found
+    )
+    if listed > MOST_NUMBERS:
         raise ValueError(f"must be at most {MOST_NUMBERS:,} numbers, got more: {shown(text)}")
     return found
 
@@ -74,6 +82,6 @@ def _ends(entry: str, text: str, number: Callable[[str], Any]) -> tuple[Any, Any
     has_step = len(others) > 1
     if last < first or (has_step and step <= 0):
         raise ValueError(
-            f"must have ranges from a number to a larger one in steps of at least 1, got {got}"
+            f"must have ranges from a number to a larger one in steps above 0, got {got}"
         )
     return first, last, step

@@ -16,7 +16,7 @@ from pfdist.errors import shown
 MOST_BYTES = 16_000_000  # of a file: a job that names every time takes less than one million
 MOST_LEVELS = 16  # a job has four
 _INTEGER = re.compile(r"[+-]?[0-9]{1,40}")
-_DECIMAL = re.compile(r"[+-]?[0-9]{1,40}(\.[0-9]{1,40})?")
+_DECIMAL = re.compile(r"[+-]?[0-9]{1,40}(\.[0-9]{1,40})?([eE][+-]?[0-9]{1,2})?")
 _LONGEST = 80  # characters of a key that an error shows
 
 
@@ -119,12 +119,17 @@ def whole_number(text: str) -> int:
 
 
 def finite_number(text: str) -> float:
-    """Give the number that a text spells with digits and a decimal point.
+    """Give the number that a text spells with digits, a decimal point and perhaps an exponent.
 
     Raises
     ------
     ValueError
         It spells no number, or spells it otherwise.
+
+    Examples
+    --------
+    >>> finite_number("0.25"), finite_number("1.7e+12")
+    (0.25, 1700000000000.0)
     """
     if not _DECIMAL.fullmatch(text):
         raise ValueError(f"must be a number, with the digits 0-9 and a point, got {shown(text)}")

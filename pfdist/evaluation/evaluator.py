@@ -18,7 +18,7 @@ from pfdist.evaluation.work import Estimation, Result, Work, columns, cut
 from pfdist.filters import kalman
 from pfdist.filters.cloud import Gaussian, Prior
 from pfdist.filters.draws import Draws, check_prior
-from pfdist.filters.interface import validated_from
+from pfdist.filters.interface import validated_from, weighed
 from pfdist.filters.matrices import known_matrices
 from pfdist.filters.settings import FilterSettings, check_filter, check_fits
 from pfdist.kernels.estimators import FILTER_VARIANCE, OWN_VARIANCE, SQUARED_ERROR
@@ -143,7 +143,7 @@ class Evaluator:
         sets : sequence of tuples of int, (S,)
         """
         errors = kalman.expected_errors(self.model, self.horizon, sets, self.prior)
-        return errors if self.instant_weights is None else errors * self.instant_weights
+        return errors if self.instant_weights is None else weighed(errors, self.instant_weights)
 
     def sum_errors(self, work: Work) -> NDArray[np.float64]:
         """Sum the weighted errors of each instant over the draws of a work, (S, T+1).

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,3 +121,16 @@ def validated_from(start: int, measurement_times: Iterable[int], end: int) -> Ti
     if times and times[0] < start:
         raise MeasurementTimesError(f"measurement_times must lie in {start}..{end}, got {times[0]}")
     return times
+
+
+def weighed(errors: NDArray[np.float64], weights: Any) -> NDArray[np.float64]:
+    """Weigh errors; an instant of weight 0 does not count, even if its error is infinite.
+
+    Parameters
+    ----------
+    errors : array of float64, (..., T+1)
+    weights : array of float64, (T+1,), or float
+    """
+    weighted: NDArray[np.float64] = np.zeros_like(errors)
+    np.multiply(errors, weights, out=weighted, where=np.not_equal(weights, 0.0))
+    return weighted

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pfdist.filters.cloud import Gaussian, Prior
 from pfdist.filters.draws import Draws
-from pfdist.filters.interface import Filtered, checking, validated_from
+from pfdist.filters.interface import Filtered, checking, validated_from, weighed
 from pfdist.filters.matrices import Affine, LinearGaussian, known_matrices, matrices_of
 from pfdist.filters.one_by_one import one_by_one
 from pfdist.filters.settings import FilterSettings
@@ -49,7 +49,7 @@ def expected_mse(
     start = horizon + 1 - errors.shape[1]
     last = [horizon - start] * len(sets) if ends is None else [end - start for end in ends]
     if weights is not None:
-        errors *= weights
+        errors = weighed(errors, weights)
     mse: Array = np.cumsum(errors, axis=1)[range(len(sets)), last] / errors.shape[1]
     return mse
 
@@ -119,7 +119,7 @@ def filter_checked_draws(
             mean = step.offset + _times(step.matrix[:, : mean.shape[1]], mean)
             covariance = _propagated(covariance, step)
     errors = np.sum((draws.z - estimate) ** 2, axis=2)
-    mse = np.mean(draws.instant_weights * errors, axis=1)
+    mse = np.mean(weighed(errors, draws.instant_weights), axis=1)
     if not trajectories:
         return Filtered(mse)
     last = tuple(Gaussian(instants[-1], row, covariance) for row in mean)

@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.filters.draws import Draws
-from pfdist.filters.interface import Filtered
+from pfdist.filters.interface import Filtered, weighed
 from pfdist.filters.particle_filter import filter_streams
 from pfdist.filters.settings import FilterSettings
 from pfdist.kernels.estimators import ESTIMATORS, ErrorWeights, Estimator
@@ -146,7 +146,8 @@ def errors_by_variance(estimates: Array, variances: Array, weights: ErrorWeights
 def _errors(filters: Sequence[Filtered], draws: Draws, estimator: Estimator) -> Array:
     """Estimate the error of each draw at each instant, (D, T+1)."""
     if not estimator.for_any_filter:
-        return draws.instant_weights * errors_by_variance(*_moments(filters), estimator.weights)
+        by_variance = errors_by_variance(*_moments(filters), estimator.weights)
+        return weighed(by_variance, draws.instant_weights)
     (estimate,), _ = _moments(filters)
     model = draws.model
     errors = [
@@ -156,8 +157,7 @@ def _errors(filters: Sequence[Filtered], draws: Draws, estimator: Estimator) -> 
     shape = len(draws.index), 1
     columns = [np.broadcast_to(np.reshape(error, (-1, 1)), shape) for error in errors]
     weights = estimator.weights.squared_error * draws.instant_weights
-    weighted: Array = weights * np.concatenate(columns, axis=1)
-    return weighted
+    return weighed(np.concatenate(columns, axis=1), weights)
 
 
 def _mse(filters: Sequence[Filtered], draws: Draws, estimator: Estimator) -> Array:
@@ -168,7 +168,8 @@ def _mse(filters: Sequence[Filtered], draws: Draws, estimator: Estimator) -> Arr
         return weights.squared_error * mse
     estimates, variances = _moments(filters)
     with np.errstate(all="ignore"):
-        errors = draws.instant_weights * errors_by_variance(estimates, variances, weights)
+        errors = errors_by_variance(estimates, variances, weights)
+        errors = weighed(errors, draws.instant_weights)
         mean = np.mean(errors, axis=1)
         if weights.squared_error:
             mean += weights.squared_error * mse

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pfdist.filters.cloud import Cloud
 from pfdist.filters.draws import Draws, begun, check_finite
-from pfdist.filters.interface import Filtered, checking
+from pfdist.filters.interface import Filtered, checking, weighed
 from pfdist.filters.one_by_one import one_by_one, summed_one_by_one
 from pfdist.filters.settings import FilterSettings
 from pfdist.kernels.formulas import formulas_of
@@ -121,7 +121,7 @@ def _filter(
             variance[:, k, c] = np.sum(share * (counted - mean[:, k, c, None]) ** 2, axis=1)
         error = draws.model.error(tuple(draws.z[:, k].T), tuple(mean[:, k].T), t, draws.model.p)
         mean[~alive, k], variance[~alive, k] = np.nan, np.nan
-        total[alive] += draws.instant_weights[k] * _like(error, (count,))[alive]
+        total += np.where(alive, weighed(_like(error, (count,)), draws.instant_weights[k]), 0.0)
         infinite = alive & ~(total < np.inf)
         total[infinite], alive[infinite] = np.inf, False
         if t in times:

@@ -145,6 +145,8 @@ class Job(Section):
             raise ValueError("online needs a search, whose times are the plan, got search = []")
         if any(search.name == ONLINE for search in self.search):
             raise ValueError(f"online needs searches of other names, got a search {ONLINE!r}")
+        if ONLINE in self.comparison.named:
+            raise ValueError(f"online needs sets of other names, got comparison.sets.{ONLINE}")
         if self.online.draws > self.comparison.draws:
             raise ValueError(
                 f"online.draws must be at most comparison.draws = {self.comparison.draws}, got "
@@ -243,15 +245,18 @@ def load_job(
     try:
         data = parse_toml(read_text(path))
     except OSError as error:
-        meant = did_you_mean_path(path, (path.parent, Path("jobs")), _is_job)
+        meant = did_you_mean_path(path, (path.parent, Path("jobs")), is_job_file)
         raise JobError(f"cannot read the job file {path}: {error.strerror}{meant}") from error
     except ValueError as error:
         raise JobError(f"the job file must be TOML, got an error: {error} ({path})") from error
+    if "job" in data:
+        raise JobError(f"{path} is a sweep file, not a job: run it by `pfdist sweep {path}`")
     origin = Origin(path, "search" in data, "online" in data)
     return _validated(data | dict(sections), origin, overrides, settings)
 
 
-def _is_job(path: Path) -> bool:
+def is_job_file(path: Path) -> bool:
+    """Whether a path may be that of a job file or a sweep file."""
     return path.suffix == ".toml"
 
 

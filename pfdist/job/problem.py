@@ -48,7 +48,8 @@ class Problem(Shown):
     measurement_budget : int, optional
         The number of measurements.
     forbidden, required : sequence of int, float, str and range, optional
-        Instants without a measurement, and with one: ``range(20, 31)`` or ``[0, "20-30"]``.
+        Times without a measurement, and with one: ``range(20, 31)`` or ``[0, "20-30"]``. A range of
+        Python lists whole numbers; a text means all instants from the first to the last.
     minimum_spacing : int or float, optional
         Smallest difference of two measurement times.
     cost : sequence of int, or mapping of str to int, optional
@@ -89,11 +90,12 @@ class Problem(Shown):
         filter_model: StateSpaceModel | str | None = None,
         **keys: Any,
     ) -> None:
-        self._model, self._filter_model = _given(model, "model"), None
-        if filter_model is not None and filter_model is not model:
-            self._filter_model = _given(filter_model, "filter_model")
-        self._arguments = {"model": model, "filter_model": filter_model, **keys}
-        self._keys = _by_section({key: _plain(value) for key, value in keys.items()})
+        self._model, known = _given(model, "model"), None
+        if filter_model is not None:
+            known = self._model if filter_model is model else _given(filter_model, "filter_model")
+        self._filter_model = None if known is self._model else known
+        self._arguments = {"model": self._model, "filter_model": known, **keys}
+        self._keys = _by_section(_plain_keys(keys))
         self.job()
 
     @property
@@ -105,7 +107,10 @@ class Problem(Shown):
         return _STRANGE.sub("-", name).strip(" .") or "model"
 
     def with_changes(self, **arguments: Any) -> "Problem":
-        """Give a problem with some arguments changed; parameters and errors as of the class."""
+        """Give a problem with some arguments changed; parameters and errors as of the class.
+
+        A model that is not changed stays as it was when this problem was made.
+        """
         return Problem(**{**self._arguments, **arguments})
 
     def job(self, seed: int = 0, **sections: Any) -> Job:
@@ -168,7 +173,9 @@ class Problem(Shown):
         return Card(f"problem {self.name}: {about}", ("key", "value"), texts)
 
 
-def _given(model: StateSpaceModel | str, argument: str) -> GivenModel:
+def _given(model: StateSpaceModel | str | GivenModel, argument: str) -> GivenModel:
+    if isinstance(model, GivenModel):  # of a problem that is changed
+        return model
     try:
         given = given_model(model)
         if isinstance(model, str):
@@ -203,16 +210,38 @@ def _by_section(keys: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     return found
 
 
+def _plain_keys(keys: Mapping[str, Any]) -> dict[str, Any]:
+    """Give all arguments as a job file could hold them.
+
+    Without a clock, a range of forbidden or required times is the text that a person would write.
+    On a clock, such a text would name the instants between whole numbers, too.
+    """
+    counts = all(keys.get(name) is None for name in ("time_step", "time_unit", "times"))
+    texts = ("forbidden", "required") if counts else ()
+    return {
+        key: _plain(_with_texts(value) if key in texts else value) for key, value in keys.items()
+    }
+
+
+def _with_texts(value: Any) -> Any:
+    """Give times with texts such as "20-30" in the place of ranges in steps of 1."""
+    if isinstance(value, range):
+        return [_text_of(value)] if _is_stretch(value) else value
+    if isinstance(value, tuple | list):
+        return [_text_of(each) if _is_stretch(each) else each for each in value]
+    return value
+
+
 def _plain(value: Any) -> Any:
     """Give a value as a job file could hold it: NumPy's numbers and arrays, ranges and sets."""
     if isinstance(value, np.generic | np.ndarray) or hasattr(value, "tolist"):
         return value.tolist()
     if isinstance(value, range):
-        return [_text_of(value)] if _is_stretch(value) else list(value)
+        return list(value)
     if isinstance(value, Mapping):
         return {str(_plain(key)): _plain(each) for key, each in value.items()}
     if isinstance(value, set | frozenset):
-        return sorted(value)
+        return sorted(_plain(list(value)), key=_order)
     if isinstance(value, tuple | list):
         entries = [_plain(each) for each in value]
         ranges = [isinstance(each, range) for each in value]
@@ -224,8 +253,15 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _is_stretch(times: range) -> bool:
-    return len(times) > 1 and times.step == 1
+def _order(entry: Any) -> tuple[bool, Any, str]:
+    """Sort the entries of a set: numbers first."""
+    is_number = isinstance(entry, int | float)
+    return not is_number, entry if is_number else 0, str(entry)
+
+
+def _is_stretch(times: Any) -> bool:
+    is_range = isinstance(times, range) and times.step == 1
+    return is_range and len(times) > 1 and times[0] >= 0
 
 
 def _text_of(times: range) -> str:

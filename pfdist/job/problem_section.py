@@ -13,7 +13,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from pfdist.common.section import Section
 from pfdist.errors import MeasurementTimesError, shown
-from pfdist.times.clock import Clock, Time
+from pfdist.times.clock import Clock, Time, plain_time
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 from pfdist.times.written import RANGES, instants_of
@@ -47,7 +47,7 @@ class ProblemSection(Section):
     def _is_number(cls, value: Any, info: ValidationInfo) -> Any:
         if value is not None and type(value) not in (int, float):
             raise ValueError(f"problem.{info.field_name} must be a number, got {shown(value)}")
-        return value
+        return value if value is None else plain_time(value)
 
     @field_validator("times", "instant_weights", mode="before")
     @classmethod
@@ -61,7 +61,7 @@ class ProblemSection(Section):
             raise ValueError(
                 f"problem.{info.field_name} must be a list of numbers, got {shown(value)}"
             )
-        return tuple(value)
+        return tuple(map(plain_time, value))
 
     @field_validator("forbidden", "required", mode="before")
     @classmethod
@@ -77,7 +77,7 @@ class ProblemSection(Section):
                     f"problem.{info.field_name} must name times, as 20, and ranges, as {RANGES}, "
                     f"got {shown(entry)}"
                 )
-        return None if value is None else tuple(value)
+        return None if value is None else tuple(map(plain_time, value))
 
     @field_validator("cost", mode="before")
     @classmethod
@@ -206,9 +206,10 @@ class ProblemSection(Section):
         ends = f"{clock.times[0]:.10g}..{clock.times[-1]:.10g}"
         for key, cost in self.cost.items():
             for t in instants_of(key, clock, "cost"):
-                if t in costs or t > clock.horizon:
+                is_instant = 0 <= t <= clock.horizon
+                if t in costs or not is_instant:
                     what = "twice" if t in costs else f"for a horizon of {clock.horizon}"
-                    told = t if t > clock.horizon else f"{clock.times[t]:.10g}"
+                    told = f"{clock.times[t]:.10g}" if is_instant else t
                     raise MeasurementTimesError(
                         f"cost must name every time in {ends} once, got {told} {what}"
                     )

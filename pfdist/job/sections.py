@@ -13,15 +13,15 @@ from pfdist.evaluation.engines import AUTO, ENGINES
 from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.pools.kinds import POOLS
 from pfdist.search.section import Estimator, Resampling
-from pfdist.times.clock import Time
+from pfdist.times.clock import Time, plain_time
 from pfdist.times.measurement_times import REGULAR
 
-GIVEN: Final = "reference"  # name of a reference that the job gives, in tables and figures
+REFERENCE: Final = "reference"  # name of a reference that the job gives, in tables and figures
 MOST_SETS: Final = 100
 """Sets that a job may give by name: there are almost 5000 pairs of them."""
-_LONGEST_SET_NAME = 64  # characters, as a name of a table's column may have
-_SET_NAME = re.compile(rf"[a-z][a-z0-9_]{{0,{_LONGEST_SET_NAME - 1}}}")
-RESERVED: Final = (REGULAR, GIVEN, "comparison")
+LONGEST_SET_NAME = 64  # characters, as a name of a table's column may have
+_SET_NAME = re.compile(rf"[a-z][a-z0-9_]{{0,{LONGEST_SET_NAME - 1}}}")
+RESERVED: Final = (REGULAR, REFERENCE, "comparison")
 """Names that no search may have, and no given set; only regular times may be called "regular"."""
 _LONGEST_TEXT = 4096  # characters of a path
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def _checked_set_name(name: Any) -> str:
     if not (isinstance(name, str) and _SET_NAME.fullmatch(name)):
         raise ValueError(
             "names of comparison.sets must be lower-case letters, digits and underscores, a letter "
-            f"first and at most {_LONGEST_SET_NAME}, got {shown(name)}"
+            f"first and at most {LONGEST_SET_NAME}, got {shown(name)}"
         )
     return name
 
@@ -82,7 +82,7 @@ def _written_times(name: str, written: Any) -> str | tuple[Any, ...]:
             f"comparison.sets.{name} must be {REGULAR!r}, or times, as [0, 3, 6], and ranges, as "
             f"'0:60:3', got {shown(written)}"
         )
-    return tuple(written)
+    return tuple(map(plain_time, entries))
 
 
 Parameter = float | tuple[float, ...]
@@ -164,7 +164,7 @@ class Comparison(Section):
                 f"comparison.reference must be {REGULAR!r} or a list of times, for instance "
                 f"[0, 3, 6], got {shown(value)}"
             )
-        return tuple(sorted(value))
+        return tuple(sorted(map(plain_time, value)))
 
     @field_validator("sets", mode="before")
     @classmethod
@@ -183,7 +183,7 @@ class Comparison(Section):
     @property
     def reference_name(self) -> str:
         """Name of the reference in tables and figures."""
-        return self.reference if isinstance(self.reference, str) else GIVEN
+        return self.reference if isinstance(self.reference, str) else REFERENCE
 
 
 class Budget(Section):

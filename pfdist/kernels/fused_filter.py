@@ -225,14 +225,15 @@ def _filter_draw(
                     fill_squares(cloud, here, instant, p, weight, row, mean, terms)
                     variances = mean_of(terms, total)
                     record(results, d, t, mean, variances)
-                    known = request.instant_weights[t] * error_by_variance(
+                    variance = error_by_variance(
                         weights, first_means, filter_number, s, t, mean, variances, truth, instant
                     )
+                    known = _weighed(variance, request.instant_weights[t])
                     error += known
                     _add(results.errors, s, t, known)
                 z = read_z(request.z, d, t)
                 squared = error_of(z, mean, instant, truth) if by_error else 0.0
-                squared *= request.instant_weights[t] * weights.squared_error
+                squared = _weighed(squared, request.instant_weights[t] * weights.squared_error)
                 error += squared
                 _add(results.errors, s, t, squared)
                 if not error < np.inf:
@@ -244,6 +245,12 @@ def _filter_draw(
         return _mean(error, measured.shape[1], saved.errors, slots, s, stop)
 
     return filter_draw
+
+
+@melted
+def _weighed(error, weight):
+    """Weigh an error; an instant of weight 0 does not count, even if its error is infinite."""
+    return weight * error if weight != 0.0 else 0.0
 
 
 @melted

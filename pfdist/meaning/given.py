@@ -6,11 +6,11 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from pfdist.errors import ModelError, shown
-from pfdist.meaning import meaning_of
+from pfdist.meaning import differences, meaning_of
 from pfdist.meaning.chosen import ChosenModel
 from pfdist.meaning.model_value import value_of
 from pfdist.meaning.origins import home_of
-from pfdist.models import StateSpaceModel, installed_models, load_model
+from pfdist.models import StateSpaceModel, find_model, installed_models, load_model
 from pfdist.models.parameters import Parameter
 
 
@@ -47,7 +47,8 @@ def given_model(model: StateSpaceModel | str) -> GivenModel:
     Raises
     ------
     ModelError
-        The model is neither an object nor a name, or it cannot be sent to workers.
+        The model is neither an object nor a name, or it cannot be sent to workers, or it is an
+        installed model whose constants this process has changed.
     """
     if isinstance(model, str):
         return GivenModel(model, {})
@@ -94,8 +95,27 @@ def _installed(model: StateSpaceModel) -> StateSpaceModel | None:
         return None
     known = load_model(model.name)
     imported = getattr(sys.modules.get(module), attribute, None)
-    alike = any(_differ_in_parameters_alone(model, each) for each in (known, imported))
-    return known if alike else None
+    if not any(_differ_in_parameters_alone(model, each) for each in (known, imported)):
+        return None
+    _check_is_as_installed(model, known)
+    return known
+
+
+def _check_is_as_installed(model: StateSpaceModel, known: StateSpaceModel) -> None:
+    """Refuse an installed model whose constants this process has changed: workers load the file."""
+    _, source = find_model(model.name).record()
+    here, there = (
+        meaning_of(each, source, str(home_of(each.transition))) for each in (model, known)
+    )
+    changed = [label for label in differences(here, there) if not label.startswith("parameters.")]
+    if changed:
+        label = max(changed, key=lambda label: "." in label)  # a formula differs by a constant
+        raise ModelError(
+            f"model {model.name} must be as installed, because workers load its file, got another "
+            f"{label.rpartition('.')[2]} in this process: copy the file and change the copy "
+            f"({source.path})",
+            argument="model",
+        )
 
 
 def _differ_in_parameters_alone(model: StateSpaceModel, known: Any) -> bool:

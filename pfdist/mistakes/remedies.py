@@ -15,10 +15,11 @@ _MATRIX = (
     "write each component out, for instance A[0, 0] * x[0] + A[0, 1] * x[1], or give np.array as "
     "many entries as the matrix has columns, all of them components"
 )
-_CLOCK = (
-    "p.time[t] and p.dt[t] are the clock's, and this job has no clock: give problem.time_step, "
-    "problem.time_unit or problem.times"
+NO_CLOCK = (
+    "p.time[t] and p.dt[t] are the clock's, and there is no clock: give a job problem.time_step, "
+    "problem.time_unit or problem.times, and without a job take model.on_clock(times)"
 )
+"""What is wrong where a formula reads the clock of a job that has none."""
 _ONE_NUMBER = "a component may be an array: np.sin in the place of math.sin, np.int64 of int"
 _REMEDIES = {
     "truth value of an array": _BRANCH,
@@ -31,8 +32,8 @@ _REMEDIES = {
     "concatenate tuple": _COMPONENTS,
     "'tuple' object has no attribute": f"{_COMPONENTS}; parameters are p.name",
     "'tuple' object does not support item assignment": "give a new tuple, for instance (a, b)",
-    "'Parameters' object has no attribute 'time'": _CLOCK,
-    "'Parameters' object has no attribute 'dt'": _CLOCK,
+    "'Parameters' object has no attribute 'time'": NO_CLOCK,
+    "'Parameters' object has no attribute 'dt'": NO_CLOCK,
     "tuple indices must be integers or slices, not str": "a parameter is read as p.name",
     "only integers, slices": "an index is an integer: t // 2 in the place of t / 2",
     "must be real number, not": _ONE_NUMBER,

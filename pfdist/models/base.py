@@ -146,13 +146,14 @@ class StateSpaceModel:
             self.named(kind)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Give the attributes as they were before the fields of `_LATER`, where these are unset.
+        """Give the fields, without those of `_LATER` that are unset, and without cached values.
 
-        A formula may reach a model. Then the meaning of the run's model has these attributes, and
-        it stays what it was.
+        A formula may reach a model. Then the meaning of the run's model has these fields: it stays
+        what it was before there were those of `_LATER`, and does not depend on what a process has
+        computed.
         """
-        unset = {name for name in _LATER if not getattr(self, name)}
-        return {name: value for name, value in self.__dict__.items() if name not in unset}
+        about = {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
+        return {name: value for name, value in about.items() if value or name not in _LATER}
 
     @cached_property
     def p(self) -> Any:

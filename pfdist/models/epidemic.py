@@ -112,4 +112,7 @@ model = StateSpaceModel(
         "sensitivity": LIKELY,
         "specificity": LIKELY,
     },
+    x_names=("susceptible", "infectious", "log transmission rate"),
+    y_names=("positive tests",),
+    z_names=("prevalence [%]",),
 )

@@ -112,4 +112,12 @@ model = StateSpaceModel(
         "process_sd": NOT_NEGATIVE,
         "measurement_sd": ABOVE_0,
     },
+    x_names=(
+        "central amount [mg]",
+        "peripheral amount [mg]",
+        "clearance [L/h]",
+        "central volume [L]",
+    ),
+    y_names=("log concentration",),
+    z_names=("log concentration",),
 )

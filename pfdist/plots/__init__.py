@@ -2,8 +2,9 @@
 
 The functions `belief`, `bound`, `budget`, `comparison`, `cost`, `degenerate_draws`,
 `effective_sample_size`, `error_profile`, `gain`, `one_draw`, `online_gain`, `online_raster`,
-`online_shares`, `shifts`, `times`, `windows` and `worth` each draw one panel: of a run, or of
-tables, into ``ax``, or into a new figure of pyplot. They return the axes.
+`online_shares`, `sampling_windows`, `shifts`, `times` and `worth` each draw one panel: of a run, or
+of tables, into ``ax``, or into a new figure of pyplot. They return the axes. So do `against`,
+`heat_map` and `found_times`, which draw a table of many runs.
 ``plt.style.use("pfdist.plots.print")`` gives the look of printed figures, and
 ``pfdist.plots.screen`` that of figures on a screen.
 """
@@ -21,10 +22,14 @@ from pfdist.plots.gain_histogram import gain
 from pfdist.plots.measured_online import online_raster, online_shares
 from pfdist.plots.measurements import shifts, worth
 from pfdist.plots.online_histogram import online_gain
-from pfdist.plots.sampling_windows import windows
+from pfdist.plots.sampling_windows import sampling_windows
+from pfdist.plots.study_lines import against
+from pfdist.plots.study_map import heat_map
+from pfdist.plots.study_times import found_times
 from pfdist.plots.times_axis import times
 
 __all__ = [
+    "against",
     "belief",
     "bound",
     "budget",
@@ -39,14 +44,16 @@ __all__ = [
     "error_profile",
     "figure_files",
     "filtered_plot",
+    "found_times",
     "gain",
+    "heat_map",
     "one_draw",
     "online_gain",
     "online_raster",
     "online_shares",
     "remove_figures",
+    "sampling_windows",
     "shifts",
     "times",
-    "windows",
     "worth",
 ]

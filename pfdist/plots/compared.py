@@ -18,7 +18,7 @@ _MOST_ROWS = 40  # rows up to which a new figure grows
 
 
 def _names_sets(run: Run) -> bool:
-    return bool(run.given)
+    return bool(run.named)
 
 
 @figure("compared", applies=_names_sets)

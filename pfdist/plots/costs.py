@@ -59,8 +59,8 @@ def cost_figure(tables: Tables) -> Plot:
 
 def _title(tables: Tables) -> str:
     run, mse = tables.run, tables.statistics.mse
-    reference, *found = run.names
-    best = min(found, key=lambda name: _known(mse[name].mean))
+    reference = run.names[0]
+    best = min(run.found, key=lambda name: _known(mse[name].mean))
     cost_of_best, cost_of_reference = (f"{mse[name].mean:.4g}" for name in (best, reference))
     return (
         f"The times of {best} have an expected MSE of {cost_of_best} on fresh draws; "

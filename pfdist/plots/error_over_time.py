@@ -64,8 +64,9 @@ def error_profile(
         return write_instead(ax, "there is no table of errors over time")
     for name, rows, style in sets:
         t, error = rows["t"].to_numpy(), rows["error"].to_numpy()
-        weights = rows["weight"] if "weight" in rows else np.ones(len(rows))
-        mean = np.average(np.nan_to_num(error), weights=weights)  # an error of weight 0 is unknown
+        weights = rows["weight"].to_numpy() if "weight" in rows else np.ones(len(rows))
+        counts = weights > 0  # an error of weight 0 may be unknown
+        mean = np.average(error[counts], weights=weights[counts])
         half = BAND * rows["standard_error"].to_numpy()
         ax.fill_between(t, error - half, error + half, color=style["color"], alpha=0.2, lw=0)
         told = f"{verbatim(name)}, mean {mean:.4g}"

@@ -90,7 +90,7 @@ class Figure:
     applies : callable
         Says whether a run has the figure.
     each_set : bool
-        Whether there is a file ``<name>-<set>`` for each found set of measurement times.
+        Whether there is a file ``<name>-<set>`` for each compared set but the reference.
     """
 
     name: str
@@ -113,7 +113,7 @@ class Figure:
         if not self.applies(run):
             return {}
         if self.each_set:
-            return {f"{self.name}-{found}": (found,) for found in run.names[1:]}
+            return {f"{self.name}-{name}": (name,) for name in run.names[1:]}
         return {self.name: ()}
 
 
@@ -152,7 +152,7 @@ def figure(
     applies : callable
         Says whether a run has the figure.
     each_set : bool
-        Whether there is a file ``<name>-<set>`` for each found set of measurement times. The
+        Whether there is a file ``<name>-<set>`` for each compared set but the reference. The
         function is then called with the name of a set, too.
     """
 

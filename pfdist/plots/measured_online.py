@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pfdist.analysis import Run
 from pfdist.analysis.online import OnlineDraws, online_draws
+from pfdist.common.arguments import whole_argument
 from pfdist.plots.figure import Plot, Tables, figure, has_online
 from pfdist.plots.panel import (
     axes_for,
@@ -25,6 +26,7 @@ from pfdist.plots.style import BLUE, RED
 from pfdist.times.clock import Clock
 from pfdist.times.measurement_times import Times
 
+_MOST_INSTANTS = 32_001
 MOST_ROWS = 200  # draws in the raster: more could not be told apart
 Source = Run | OnlineDraws | pd.DataFrame
 
@@ -32,16 +34,16 @@ Source = Run | OnlineDraws | pd.DataFrame
 @figure("online_times", applies=has_online)
 def online_times_figure(tables: Tables) -> Plot:
     """Share of the draws that online times measure at each instant, and a raster of the times."""
-    draws, horizon = tables.online, tables.run.job["problem"]["horizon"]
+    draws = tables.online
     differ = 100 * float(np.mean(draws.differ)) if len(draws.rows) else 0.0
     title = f"In {differ:.0f} % of the draws, online times differ from the plan, {draws.plan}."
-    return Plot(4.2, partial(_draw, draws, horizon), panels=2, share_x=True, title=title)
+    return Plot(4.2, partial(_draw, draws), panels=2, share_x=True, title=title)
 
 
-def _draw(draws: OnlineDraws, horizon: int, panels: Sequence[Axes]) -> None:
+def _draw(draws: OnlineDraws, panels: Sequence[Axes]) -> None:
     above, below = panels
-    online_shares(draws, horizon=horizon, ax=above)
-    online_raster(draws, horizon=horizon, ax=below)
+    online_shares(draws, ax=above)
+    online_raster(draws, ax=below)
     stack(panels)
 
 
@@ -73,7 +75,8 @@ def online_shares(
     plan : str
         Name of the plan; a run has one.
     horizon : int, optional
-        The last instant T; by default that of the run, or else the last measurement time.
+        The last instant T of a table, whose times must count instants; otherwise the last
+        measurement time. A table has no clock; a run and its draws have one.
     ax : matplotlib Axes, optional
         By default those of a new figure.
 
@@ -111,7 +114,7 @@ def online_raster(
     planned : tuple of int
         The times of the plan, marked above the rows; a run has them.
     horizon : int, optional
-        The last instant T; by default that of the run, or else the last measurement time.
+        As of `online_shares`.
     ax : matplotlib Axes, optional
         By default those of a new figure.
 
@@ -154,14 +157,15 @@ def _measured(
     check_kind(source, (Run, OnlineDraws, pd.DataFrame), "source")
     clock: Clock | None = None
     if isinstance(source, Run):
-        clock, source = source.problem.clock, online_draws(source)
+        source = online_draws(source)
     if isinstance(source, OnlineDraws):
+        clock = source.clock
         planned, plan, source = planned or source.planned_times, plan or source.plan, source.rows
     times = list(source["measurement_times"])
     if clock is None:
-        if horizon is None:
-            horizon = max((int(t) for chosen in [*times, planned] for t in chosen), default=0)
-        clock = Clock.counting(horizon)
+        last = int(max((t for chosen in [*times, planned] for t in chosen), default=0))
+        horizon = last if horizon is None else horizon
+        clock = Clock.counting(whole_argument("horizon", horizon, last, _MOST_INSTANTS))
     instants = [clock.instants(chosen) for chosen in times]
     return measured_at(instants, clock.horizon), clock, planned, plan
 

@@ -106,6 +106,17 @@ def verbatim(name: object) -> str:
     return str(name).replace("$", r"\$")
 
 
+def clipped(text: str, letters: int) -> str:
+    """Give the start of a text, with an ellipsis in the place of the rest.
+
+    Examples
+    --------
+    >>> clipped("regular", 7), clipped("regular times", 7)
+    ('regular', 'regula…')
+    """
+    return text if len(text) <= letters else f"{text[: letters - 1]}…"
+
+
 def chosen(name: T, among: Collection[T], argument: str) -> T:
     """Give back a name, if it is among some names.
 

@@ -40,18 +40,18 @@ _BARS = ((WIDE, BLUE, 0.28), (STRICT, RED, 0.72))  # level, colour and height ov
 
 
 def _has_windows(run: Run) -> bool:
-    return run.has("windows") and run.has("jitter")
+    return run.has("sampling_windows") and run.has("jitter")
 
 
-@figure("windows", applies=_has_windows, each_set=True)
-def windows_figure(tables: Tables, name: str) -> Plot:
+@figure("sampling_windows", applies=_has_windows, each_set=True)
+def sampling_windows_figure(tables: Tables, name: str) -> Plot:
     """Sampling windows: instants to which each measurement alone can move at a small loss."""
-    table, jitter = tables.run.windows(), tables.run.jitter()
-    rows = table[table["name"] == name]
+    table, jitter = tables.run.sampling_windows(), tables.run.jitter()
+    rows, is_found = table[table["name"] == name], name in tables.run.found
     return Plot(
         _height(rows["t"].nunique()),
-        lambda panels: windows(table, name, ax=panels[0]),
-        title=_title(name, rows, jitter[jitter["name"] == name]),
+        lambda panels: sampling_windows(table, name, ax=panels[0]),
+        title=_title(name, rows, jitter[jitter["name"] == name], is_found=is_found),
     )
 
 
@@ -59,13 +59,13 @@ def _height(rows: int) -> float:
     return min(_EDGES + _ROW * max(rows, 3), _TALLEST)
 
 
-def _title(name: str, rows: pd.DataFrame, jitter: pd.DataFrame) -> str:
+def _title(name: str, rows: pd.DataFrame, jitter: pd.DataFrame, *, is_found: bool) -> str:
     """Say whether the optimum is flat, or else which measurements must be kept exactly."""
-    said = sentences(rows.to_dict("records"), jitter.to_dict("records"))
+    said = sentences(rows.to_dict("records"), jitter.to_dict("records"), is_found=is_found)
     return f"Sampling windows of {name}. {said[0] if said else 'Nothing can move.'}"
 
 
-def windows(table: object, name: str = "", *, ax: Axes | None = None) -> Axes:
+def sampling_windows(table: object, name: str = "", *, ax: Axes | None = None) -> Axes:
     """Draw the instants to which each measurement alone can move at a loss of at most 1 and 5 %.
 
     Each measurement is a row. A thick bar covers the instants within 1 %, a thin bar those within
@@ -75,8 +75,9 @@ def windows(table: object, name: str = "", *, ax: Axes | None = None) -> Axes:
     Parameters
     ----------
     table : DataFrame or object
-        A table with the columns t, instant, within_1 and within_5, and name if there are several
-        sets. Or an object that has it as ``windows``, such as a run or the result of `pfdist.why`.
+        A table with the columns t, moved_to, within_1 and within_5, and name if there are several
+        sets. Or an object that has it as ``sampling_windows``, such as a run or the result of
+        `pfdist.why`.
     name : str
         The set that is drawn; by default the last set.
     ax : matplotlib Axes, optional
@@ -91,12 +92,12 @@ def windows(table: object, name: str = "", *, ax: Axes | None = None) -> Axes:
     JobError
         The table has no set of this name.
     """
-    rows = _of_a_set(table_of(table, "table", "windows"), name)
+    rows = _of_a_set(table_of(table, "table", "sampling_windows"), name)
     if rows.empty:
         return write_instead(axes_for(ax), "there is no measurement that can be moved")
     measurements = rows["t"].nunique()
     ax = axes_for(ax, _height(measurements))
-    tried = rows.groupby("t")["instant"].agg(["min", "max"])
+    tried = rows.groupby("t")["moved_to"].agg(["min", "max"])
     places = range(measurements)
     ax.hlines(places, tried["min"], tried["max"], color=GREY, lw=thin(0.6), zorder=1)
     records, length = rows.to_dict("records"), _LENGTH * _step(rows)
@@ -114,7 +115,7 @@ def _of_a_set(table: pd.DataFrame, name: str) -> pd.DataFrame:
     if "name" in table and not table.empty:
         known = list(dict.fromkeys(map(str, table["name"])))
         table = table[table["name"] == (chosen(name, known, "name") if name else known[-1])]
-    return table.sort_values(["t", "instant"])
+    return table.sort_values(["t", "moved_to"])
 
 
 def _draw_bars(
@@ -145,7 +146,7 @@ def _spans(instants: Mapping[Time, int], length: float) -> list[tuple[float, flo
 
 def _step(rows: pd.DataFrame) -> float:
     """Give the least difference of two instants in the table; 1 where instants are counted."""
-    known = np.unique(rows["instant"].to_numpy())
+    known = np.unique(rows["moved_to"].to_numpy())
     return float(np.diff(known).min()) if known.dtype.kind == "f" and known.size > 1 else 1.0
 
 

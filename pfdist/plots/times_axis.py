@@ -27,7 +27,8 @@ _AXIS_INCHES = 0.9  # height of all but the rows
 _ROW_INCHES, _SMALL_ROW_INCHES = 0.2, 0.13  # heights of the first rows, and of the others
 _MOST_LARGE = 15  # first rows
 _MOST_NAMED = 40  # rows up to which a new figure grows, so that each has its name and its line
-_MOST_IN_TITLE = 3  # found sets that the title names
+_MOST_IN_TITLE = 3  # sets that the title names
+_MARGIN = 0.03  # part of the axis beside times that are not whole
 _LEADING = 1.25  # distance of two names over the size of their font
 
 
@@ -46,17 +47,21 @@ def _height(rows: int) -> float:
 
 
 def _title(run: Run) -> str:
-    """Say how many instants found times share with regular times."""
+    """Say how many instants each compared set shares with the reference."""
     if run.has_budget:
         numbers = sorted({len(chosen) for chosen in run.sets().values()})
         return f"Regular times and found times, from {numbers[0]} to {numbers[-1]} measurements."
-    (reference, regular), *found = run.sets().items()
-    shared = {name: len({*chosen} & {*regular}) for name, chosen in found}
+    (reference, first), *others = run.sets().items()
+    shared = {name: len({*chosen} & {*first}) for name, chosen in others}
+    what = "other times" if run.named else "found times"
     if len(shared) > _MOST_IN_TITLE:
         least, most = min(shared.values()), max(shared.values())
-        return f"Found times share {least} to {most} of their instants with {label(reference)}."
-    parts = [f"{name} {shared[name]} of {len(chosen)}" for name, chosen in found]
-    return f"Instants that found times share with {label(reference)}: {', '.join(parts)}."
+        return (
+            f"{what.capitalize()} share {least} to {most} of their instants with "
+            f"{label(reference)}."
+        )
+    parts = [f"{name} {shared[name]} of {len(chosen)}" for name, chosen in others]
+    return f"Instants that {what} share with {label(reference)}: {', '.join(parts)}."
 
 
 def times(
@@ -79,7 +84,8 @@ def times(
         The last instant T, or time of the clock; by default that of the run, or else the last
         measurement time.
     forbidden : iterable of int or float
-        Instants that may not be measured; a run adds its own.
+        Instants or times that may not be measured; a run adds its own. Without a run, times that
+        are not whole are shaded halfway to the next given time.
     ax : matplotlib Axes, optional
         By default those of a new figure.
 
@@ -94,7 +100,7 @@ def times(
     """
     check_kind(sets, (Run, Mapping), "sets")
     barred, references, clock = set[float](forbidden), set[str](), None
-    if isinstance(sets, Run):
+    if is_of_run := isinstance(sets, Run):
         run, problem = sets, sets.problem
         clock = problem.clock
         barred.update(clock.times_of(problem.feasible.forbidden))
@@ -103,8 +109,8 @@ def times(
     for name, chosen in sets.items():
         check_kind(chosen, (Sequence, np.ndarray), f"sets[{shown(name)}]")
     if clock is None:
-        last = max((t for chosen in sets.values() for t in chosen), default=0)
-        clock = Clock.counting(int(last) if horizon is None else int(horizon))
+        given = {t for chosen in sets.values() for t in chosen} or {0}
+        clock = _clock_of(given | barred, max(given) if horizon is None else horizon)
     ax = axes_for(ax, _height(len(sets)))
     size = (_height(len(sets)) - _AXIS_INCHES) / (_ROW_INCHES * max(1, len(sets)))
     for row, (name, chosen) in enumerate(sets.items()):
@@ -116,6 +122,8 @@ def times(
     _shade(ax, barred, clock)
     first, last = clock.times[0], clock.times[-1] if horizon is None else horizon
     beside = 0.75 * (last - first) / max(1, clock.horizon) or 0.75
+    if not (is_of_run or clock.counts):  # the steps of this clock are those of the given times
+        beside = min(beside, _MARGIN * (last - first))
     ax.set_xlim(first - beside, last + beside)
     ax.set_ylim(len(sets) - 0.5, -0.5)  # the first set on top
     step = max(1, -(-len(sets) // _room_for_names(ax)))
@@ -128,6 +136,14 @@ def times(
     if barred:
         legend_above(ax, ax.patches[:1])
     return ax
+
+
+def _clock_of(times: Iterable[float], last: float) -> Clock:
+    """Give the clock of times without a run: whole numbers from 0 on, or else the times alone."""
+    instants = {0, last, *(t for t in times if t <= last)}
+    if all(t == int(t) for t in instants):
+        return Clock.counting(int(last))
+    return Clock(tuple(sorted(map(float, instants))))
 
 
 def _room_for_names(ax: Axes) -> int:
@@ -151,7 +167,7 @@ def _shade(ax: Axes, forbidden: Iterable[float], clock: Clock) -> None:
     known = set(forbidden)
     instants = np.array([t for t, time in enumerate(clock.times) if time in known], np.int64)
     times = np.array(clock.times)
-    steps = np.diff(times)
+    steps = np.diff(times) if times.size > 1 else np.ones(1)
     before, after = np.append(steps[:1], steps) / 2, np.append(steps, steps[-1:]) / 2
     for stretch in np.split(instants, np.flatnonzero(np.diff(instants) > 1) + 1):
         if stretch.size:

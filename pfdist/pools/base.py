@@ -63,8 +63,12 @@ class Pool(Protocol):
 
     workers: int
 
-    def run(self, tasks: Iterable[Task]) -> Iterator[Outcome]:
-        """Give the outcomes in any order; tasks are taken from the iterable only as needed."""
+    def run(self, tasks: Iterable[Task | None]) -> Iterator[Outcome]:
+        """Give the outcomes in any order; tasks are taken from the iterable only as needed.
+
+        None in the place of a task says that there is none at the moment. The pool asks again while
+        a task is in flight, and ends when none is.
+        """
 
     def __enter__(self) -> Self: ...
 
@@ -110,9 +114,11 @@ class SerialPool:
     def __exit__(self, *_: object) -> None:
         self._function = None
 
-    def run(self, tasks: Iterable[Task]) -> Iterator[Outcome]:
+    def run(self, tasks: Iterable[Task | None]) -> Iterator[Outcome]:
         """Do the tasks one after another."""
         if self._function is None:
             raise RuntimeError("a pool runs tasks inside its with statement only")
         for task in tasks:
+            if task is None:  # and none is in flight
+                return
             yield do(self._function, task)

@@ -20,8 +20,10 @@ from pfdist.pools.ray_worker import IN_FLIGHT, Worker, silent
 DEATHS = 3  # of workers that had a task and no other, before the task is given up
 SILENCES = 2  # likewise, of workers that did not answer
 LOOK_SECONDS = 1.0  # between two looks for those that are silent
+PAUSE_SECONDS = 0.01  # before tasks are asked for again, where there were none at the moment
 STILL_SECONDS = 5.0  # without a look: this process itself was stopped, or had other things to do
 FETCH_SECONDS = 10.0
+_END = Task("", None)  # there are no more tasks
 
 
 class RayPool:
@@ -56,7 +58,8 @@ class RayPool:
         self._address = address
         self._cluster = contextlib.ExitStack()
         self._members: list[Worker] = []
-        self._todo: Iterator[Task] = iter(())
+        self._todo: Iterator[Task | None] = iter(())
+        self._pauses = False  # there was no task at the moment
         self._again: deque[Task] = deque()  # tasks of lost workers, each of which is done alone
         self._lost: Counter[str] = Counter()
         self._last_loss = ""
@@ -105,7 +108,7 @@ class RayPool:
                     raise
                 self._members[self._members.index(worker)] = Worker(self._make_function)
 
-    def run(self, tasks: Iterable[Task]) -> Iterator[Outcome]:
+    def run(self, tasks: Iterable[Task | None]) -> Iterator[Outcome]:
         """Give the outcomes as the workers finish tasks, with a bounded number in flight.
 
         A worker that dies or is silent for too long is replaced, and its tasks are done again. A
@@ -122,7 +125,8 @@ class RayPool:
         for worker in self._members:
             worker.forget_tasks()  # there may have been a run that was broken off
         while self._hand_out() or any(worker.tasks for worker in self._members):
-            ready, _ = ray.wait(self._calls, num_returns=1, timeout=LOOK_SECONDS)
+            patience = PAUSE_SECONDS if self._pauses else LOOK_SECONDS
+            ready, _ = ray.wait(self._calls, num_returns=1, timeout=patience)
             if ready:
                 yield from self._take(ready[0])
             yield from self._give_up_the_silent()
@@ -135,8 +139,9 @@ class RayPool:
                 if worker.about is not None or held > depth or depth >= worker.room:
                     continue
                 alone = not held and bool(self._again)
-                task = self._again.popleft() if alone else next(self._todo, None)
-                if task is None:
+                task = self._again.popleft() if alone else next(self._todo, _END)
+                self._pauses = task is None
+                if task is None or task is _END:
                     return False
                 worker.hand(task, alone)
         return True

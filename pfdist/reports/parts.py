@@ -6,6 +6,7 @@ from itertools import compress
 from typing import ClassVar
 
 Value = float | str | None
+_SHORT = 14  # letters of a text that needs no wide column
 
 
 @dataclass(frozen=True)
@@ -49,10 +50,16 @@ class Cell:
     text : str
     value : float, str or None
         The key of the row in its column; by default the text.
+    link : str
+        Address of a file beside the page, percent-encoded; empty for none.
+    linked : str
+        Says what the link leads to, for those who hear links without their rows.
     """
 
     text: str
     value: Value = None
+    link: str = ""
+    linked: str = ""
 
     @property
     def key(self) -> Value:
@@ -63,6 +70,11 @@ class Cell:
     def is_number(self) -> bool:
         """Whether the cell holds a number, or is empty."""
         return not self.text or isinstance(self.value, float | int)
+
+    @property
+    def is_short(self) -> bool:
+        """Whether the text needs no wide column."""
+        return len(self.text) <= _SHORT
 
 
 @dataclass(frozen=True)
@@ -164,6 +176,8 @@ class Page:
         After so many seconds the page reloads itself; 0 for never.
     source : str
         Says from what the page is made, in its last line.
+    links : str
+        Says where links of the page lead; empty for a page without links.
     """
 
     title: str
@@ -172,3 +186,4 @@ class Page:
     warnings: Sequence[str] = field(default_factory=tuple)
     seconds: int = 0
     source: str = "from tables alone"
+    links: str = ""

@@ -8,6 +8,7 @@ bytes, and a later start goes on with the blocks that are committed.
 from collections.abc import Generator, Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import pyarrow as pa
@@ -170,7 +171,10 @@ class BlockSums:
             A task failed, no worker answers, or a file cannot be read or written.
         """
         found = dict(self.known(blocks, collector.store)) if collector.resumed else {}
+        if collector.claims.claim([self.id]):
+            self._take(blocks, found, collector)
         found.update(self.fill(blocks, collector, set(found), more_follows=True))
+        collector.later(partial(collector.claims.settle, [self.id]))
         sums, usable = np.zeros(self._mask.shape), np.zeros(len(self._mask))
         for _, errors in sorted(found.items()):
             spread = np.zeros(self._mask.shape)
@@ -182,11 +186,23 @@ class BlockSums:
             means: Array = np.where(usable > 0, sums.T / (BLOCK * usable), np.nan).T
         return means
 
+    def _take(self, blocks: int, found: dict[int, Array], collector: Collector) -> None:
+        """Take the sums that another run has computed, and commit them here, too."""
+        collector.flush()  # others may wait for what is claimed here
+        store = collector.claims.stores_of([self.id])[self.id]
+        for block, sums in self.known(blocks, store):
+            if block not in found:
+                found[block] = sums
+                rows = self._row(block, sums)
+                collector.keep(self._phase, _TABLE, f"{self.id}-{block}", rows)
+
     def wanted(self, blocks: int) -> list[int]:
         """Give those of the first blocks that belong to the groups."""
         return [block for block in range(blocks) if block % GROUPS < self._groups]
 
     def _rows(self, work: Work, result: Result) -> pa.Table:
-        block = work.draws[0] // BLOCK
-        row = {"evaluation": self.id, "block": block, "sums": result.sums}
+        return self._row(work.draws[0] // BLOCK, result.sums)
+
+    def _row(self, block: int, sums: Array) -> pa.Table:
+        row = {"evaluation": self.id, "block": block, "sums": sums}
         return pa.Table.from_pylist([row], schema=schema(_TABLE))

@@ -7,138 +7,25 @@ from functools import cached_property, partial
 from typing import Any
 
 from pfdist.checks.contract import check_compiled, check_formulas, few_draws
-from pfdist.common.component_names import check_estimate_columns
-from pfdist.common.streams import stream_key
 from pfdist.errors import CompileError, EngineWarning, JobError, ModelError
-from pfdist.evaluation.compiling import compile_evaluator, libm_functions
 from pfdist.evaluation.engines import AUTO, COMPILED, NUMPY, NUMPY_TIMES_SLOWER
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation
 from pfdist.filters.draws import Draws
-from pfdist.filters.particle_filter import KERNEL_VERSION
-from pfdist.filters.settings import check_fits, check_lengths
-from pfdist.job.job import Job
+from pfdist.job.job import ONLINE, Job
 from pfdist.job.sections import Execution
 from pfdist.meaning.chosen import Choose, ChosenModel
 from pfdist.pools.base import Pool
 from pfdist.pools.kinds import POOLS
 from pfdist.runner.chooser import chooser_of, models_of
+from pfdist.runner.estimate_columns import check_estimate_columns
+from pfdist.runner.evaluator_source import EvaluatorSource
 from pfdist.runner.online_planning import planning_of
 from pfdist.runner.searches import NamedSearch, Settings, named_search
 from pfdist.runner.study import Study, study_of
 from pfdist.sequential.planning import check_plannable
 from pfdist.times.clock import Time
 from pfdist.times.measurement_times import Times
-
-
-@dataclass(frozen=True)
-class EvaluatorSource:
-    """An evaluator as data, from which each worker makes the evaluator itself.
-
-    Parameters
-    ----------
-    model, filter_model : ChosenModel
-    horizon : int
-    dtype, engine : str
-    estimations : tuple of Estimation
-        Estimations that the run uses; the comparison's first.
-    clock : tuple of float, (T+1,), optional
-        The time of each instant, which formulas read; None if the job has no clock.
-    weights : tuple of float, (T+1,), optional
-        Weight of each instant's error in the MSE, with mean 1; None if all are 1.
-    """
-
-    model: ChosenModel
-    filter_model: ChosenModel
-    horizon: int
-    dtype: str
-    engine: str
-    estimations: tuple[Estimation, ...]
-    clock: tuple[float, ...] | None = None
-    weights: tuple[float, ...] | None = None
-
-    @property
-    def truth(self) -> "EvaluatorSource":
-        """The same evaluator with a filter that knows the true model."""
-        return replace(self, filter_model=self.model)
-
-    def make(self) -> Evaluator:
-        """The evaluator with its models loaded and every estimation checked."""
-        try:
-            model = self.model.load()
-        except ModelError as error:
-            if error.argument:  # the key of the job that is wrong
-                raise ModelError(f"model.{error.argument}: {error}") from error
-            raise
-        try:
-            filter_model = self.filter_model.load()
-        except ModelError as error:
-            raise ModelError(f"model.filter: {error}") from error
-        if self.clock is not None:
-            model, filter_model = model.on_clock(self.clock), filter_model.on_clock(self.clock)
-        for each in (model, filter_model):
-            check_lengths(each, self.horizon)
-        check_fits(filter_model, model)
-        filter_model = filter_model.named_as(model)
-        evaluator = Evaluator(
-            model, self.horizon, filter_model, self.dtype, self.engine, weights=self.weights
-        )
-        for estimation in self.estimations:
-            evaluator.check(estimation)
-        return evaluator
-
-    def compiled(self) -> Evaluator:
-        """The evaluator with everything compiled that the estimations need."""
-        evaluator = self.make()
-        if self.engine != NUMPY.name:
-            for estimation in self.estimations:
-                compile_evaluator(evaluator, estimation)
-        return evaluator
-
-    def libm_functions(self) -> tuple[str, ...]:
-        """Functions of the C library that the compiled formulas call."""
-        if self.engine == NUMPY.name:
-            return ()
-        evaluator = self.compiled()
-        found = (libm_functions(evaluator, estimation) for estimation in self.estimations)
-        return tuple(sorted(set().union(*found)))
-
-    def evaluation_id(self, times: Times, end: int, stream: int, estimation: Estimation) -> str:
-        """Id of an evaluation: a hash of everything on which its per-draw MSE depends."""
-        return self._id(estimation, times, end, stream)
-
-    def sums_id(
-        self,
-        sets: Sequence[Times],
-        instants: Sequence[tuple[int, int]],
-        stream: int,
-        estimation: Estimation,
-    ) -> str:
-        """Id of sums of errors: a hash of everything on which they depend but their draws.
-
-        Parameters
-        ----------
-        sets : sequence of tuples of int
-        instants : sequence of pairs of int
-            First and last instant at which the errors of each set count.
-        stream : int
-        estimation : Estimation
-        """
-        return self._id(estimation, sets, instants, stream, "sums")
-
-    def _id(self, estimation: Estimation, *parts: Any) -> str:
-        key = stream_key(
-            KERNEL_VERSION,
-            self.model.content,
-            self.filter_model.content,
-            self.horizon,
-            self.dtype,
-            self.engine,
-            vars(estimation),
-            *(part for part in (self.clock, self.weights) if part is not None),
-            *parts,
-        )
-        return f"{key:016x}"
 
 
 @dataclass(frozen=True)
@@ -174,15 +61,12 @@ class Built:
     def names(self) -> list[str]:
         """Names of the compared sets: those that the job gives, then those that searches find."""
         found = [name for search in self.searches for name in self.study.names(search.name)]
-        return [*self.study.given, *found]
+        return [*self.study.unsearched, *found]
 
     @property
     def unjudged(self) -> Collection[str]:
-        """Names of the sets whose gaps may be large: given sets, or the references alone.
-
-        In a run without a search, the given sets take the place of the found sets.
-        """
-        return self.study.given if self.searches else self.study.references
+        """Sets that the demanded gap ignores: all given sets with searches, else the references."""
+        return self.study.unsearched if self.searches else self.study.references
 
 
 def build(job: Job, choose: Choose | None = None) -> Built:
@@ -229,7 +113,8 @@ def build(job: Job, choose: Choose | None = None) -> Built:
     if draws and source.engine == "compiled":
         check_compiled(draws.model, draws)
     built = Built(job, study, source, searches)
-    check_estimate_columns(built.names, evaluator.model.named("z"))
+    sets = built.names if job.online is None else [*built.names, ONLINE]
+    check_estimate_columns(sets, evaluator.model.named("z"))
     return built
 
 
@@ -304,5 +189,9 @@ def check_pool(execution: Execution) -> None:
 
 def make_pool(built: Built, execution: Execution) -> Pool:
     """The pool that [execution] names; the pool starts when the caller enters it."""
-    make_function = partial(_worker, built.source)
+    return pool_of(partial(_worker, built.source), execution)
+
+
+def pool_of(make_function: Callable[[], Callable[[Any], Any]], execution: Execution) -> Pool:
+    """The pool that [execution] names, for another function; see `make_pool`."""
     return POOLS[execution.pool].make(make_function, execution.workers, execution.address)

@@ -10,6 +10,7 @@ from pfdist.common.streams import stream_key
 from pfdist.errors import TaskError
 from pfdist.evaluation.work import Result, Work
 from pfdist.pools.base import Outcome, Pool, Task
+from pfdist.runner.claims import ALONE, Claims
 from pfdist.runner.pace import Pace, bundles
 from pfdist.store import Store, schema
 
@@ -19,10 +20,11 @@ COMMIT_ROWS = 100_000  # at most so many rows wait in memory, however fast a mod
 
 @dataclass
 class _Waiting:
-    """Outcomes of a phase's tasks, and their rows, that are not committed yet."""
+    """Outcomes of a phase's tasks, and rows, that are not committed yet; keys name the rows."""
 
     outcomes: list[Outcome] = field(default_factory=list)
     rows: list[pa.Table] = field(default_factory=list)
+    keys: list[str] = field(default_factory=list)
 
 
 class Collector:
@@ -40,6 +42,8 @@ class Collector:
         How many tasks may fail; each is computed again.
     resumed : bool
         Whether the store held rows when the session began.
+    claims : Claims, optional
+        Evaluations that this run shares with others; by default there are no others.
     """
 
     def __init__(
@@ -50,8 +54,9 @@ class Collector:
         pace: Pace,
         failures: int = 0,
         resumed: bool = True,
+        claims: Claims = ALONE,
     ) -> None:
-        self.store, self.resumed = store, resumed
+        self.store, self.resumed, self.claims = store, resumed, claims
         self._pool, self._session, self._pace = pool, session, pace
         self._most_failures, self._failures = failures, 0
         self._commits = 0
@@ -98,6 +103,7 @@ class Collector:
                 for outcome in self._pool.run(todo):
                     waiting = self._waiting.setdefault((phase, table), _Waiting())
                     waiting.outcomes.append(outcome)
+                    waiting.keys.append(outcome.task.key)
                     if outcome.error is not None:
                         self._count_failure(phase, outcome.error)
                         failed.append(outcome.task)
@@ -129,6 +135,12 @@ class Collector:
             steps[key] = bundle.steps
             yield Task(key, bundle.works, self._pace.seconds * bundle.steps)
 
+    def keep(self, phase: str, table: str, key: str, rows: pa.Table) -> None:
+        """Commit rows that another run has computed, as if they were computed here."""
+        waiting = self._waiting.setdefault((phase, table), _Waiting())
+        waiting.rows.append(rows)
+        waiting.keys.append(key)
+
     def later(self, write: Callable[[], None]) -> None:
         """Write something after the next commit, while the workers are busy."""
         self._later.append(write)
@@ -138,9 +150,11 @@ class Collector:
         later, self._later = self._later, []
         done, self._waiting = self._waiting, {}
         for (phase, table), waiting in done.items():
-            key = f"{stream_key([outcome.task.key for outcome in waiting.outcomes]):016x}"
+            key = f"{stream_key(waiting.keys):016x}"
             if waiting.rows:
                 self.store.commit(table, phase, key, pa.concat_tables(waiting.rows))
+            if not waiting.outcomes:
+                continue
             timings = self._timings(phase, waiting.outcomes)
             self._commits += 1  # a task that fails again has the same key and other timings
             self.store.commit("timings", phase, f"{key}-{self._session}-{self._commits}", timings)

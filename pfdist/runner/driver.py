@@ -40,8 +40,7 @@ def drive(session: Session) -> None:
         session.collector,
         session.reporter,
     )
-    searched = sum(search_steps(built, search) for search in built.searches)
-    reporter.foresee(searched + comparison_steps(built) + online_steps(built))
+    reporter.foresee(foreseen_steps(built))
     try:
         lost = store.lost()  # they are computed again
         has = store.has("compared") and not store.has_parts("compared")
@@ -49,7 +48,7 @@ def drive(session: Session) -> None:
             sets = _search(session)
         else:
             sets = built.instants(store.compared_sets())
-            reporter.note(done=searched)
+            reporter.note(done=_searching_steps(built))
         run_comparison(built, sets, collector, reporter)
         if built.job.online is not None:
             run_online(built, sets, collector, reporter)
@@ -60,6 +59,15 @@ def drive(session: Session) -> None:
         collector.flush()
         for phase in (*built.phases, COMPARISON, CHOOSING):
             store.settle("timings", phase)
+
+
+def foreseen_steps(built: Built) -> float:
+    """About how many particle-steps a whole run takes."""
+    return _searching_steps(built) + comparison_steps(built) + online_steps(built)
+
+
+def _searching_steps(built: Built) -> float:
+    return sum(search_steps(built, search) for search in built.searches)
 
 
 def _search(session: Session) -> dict[str, Times]:
@@ -97,7 +105,7 @@ def _search(session: Session) -> dict[str, Times]:
 
 def _given_rows(built: Built) -> list[dict[str, Any]]:
     """Rows of the sets that no search finds; with an exact engine, the costs of named sets."""
-    sets = built.study.given
+    sets = built.study.unsearched
     rows: list[dict[str, Any]] = [
         {"name": name, "measurement_times": times} for name, times in sets.items()
     ]

@@ -1,23 +1,20 @@
 """The identity of a run, and whether a folder holds the run of this identity."""
 
 import contextlib
-import os
-import platform
+import json
 import re
-import subprocess
-import sys
 from collections.abc import Callable, Iterator, Mapping
-from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from pfdist.analysis import read_recorded
+from pfdist.common.leaves import leaves
 from pfdist.errors import RunMismatchError, StoreError, shown_text
 from pfdist.filters.particle_filter import KERNEL_VERSION
 from pfdist.job.job import Job, job_toml
 from pfdist.runner.build import Built
-from pfdist.runner.processor import processor
+from pfdist.runner.provenance import provenance
 from pfdist.store import (
     ABOUT,
     SCHEMA_VERSION,
@@ -31,13 +28,11 @@ from pfdist.store import (
     holds_run,
     key_of,
     own_key,
-    read_run,
     write_job,
     write_run,
 )
 
 _HASH = re.compile("[0-9a-f]{16,64}")
-_LIBRARIES = ("numpy", "scipy", "numba", "ray", "pandas", "pyarrow", "matplotlib")
 
 
 @contextlib.contextmanager
@@ -113,7 +108,7 @@ def _write_about(path: Path, built: Built, identity: dict[str, Any], key: str) -
     job = built.job
     if not holds_run(path):
         write_job(path, job_toml(job.identity()))
-        write_run(path, {**identity, "provenance": _provenance(built)}, key)
+        write_run(path, {**identity, "provenance": provenance(built)}, key)
     elif not (path / "job.toml").exists() or read_recorded(path)[1] != job.identity():
         write_job(path, job_toml(job.identity()))
     confirm(path, key)
@@ -205,10 +200,10 @@ def _check_same(store: Store, built: Built, identity: dict[str, Any], committed:
 
 def _changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any]]:
     """Yield the key and both values of every leaf that differs."""
-    before, after = dict(_flat(old)), dict(_flat(new))
+    before, after = dict(leaves(old)), dict(leaves(new))
     for key in sorted(before.keys() | after.keys()):
         was, is_now = before.get(key, "nothing"), after.get(key, "nothing")
-        if was != is_now:
+        if json.dumps(was) != json.dumps(is_now):  # the key tells 1 from 1.0, and 0.0 from -0.0
             yield key, was, is_now
 
 
@@ -242,71 +237,3 @@ def _may_change(key: str, was: Any, is_now: Any, committed: int) -> bool:
     if key == "job.online.draws":
         return bool(is_now >= was)
     return bool(key == "job.comparison.draws" and is_now >= committed)
-
-
-def _flat(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the leaves of nested mappings and lists with their dotted keys."""
-    if isinstance(value, Mapping):
-        for name, inner in value.items():
-            yield from _flat(inner, f"{key}.{name}" if key else str(name))
-    elif isinstance(value, list) and any(isinstance(inner, Mapping) for inner in value):
-        names = [inner.get("name") for inner in value if isinstance(inner, Mapping)]
-        yield f"{key}.order", ", ".join(map(str, names))
-        for index, inner in enumerate(value):
-            name = inner.get("name", index) if isinstance(inner, Mapping) else index
-            yield from _flat(inner, f"{key}.{name}")
-    else:
-        yield key, value
-
-
-def _provenance(built: Built) -> dict[str, Any]:
-    job = built.job
-    return {
-        "started": datetime.now(UTC).isoformat(timespec="seconds"),
-        "command": sys.argv,
-        "folder": _folder_of_models(job.path.parent),  # paths of models are relative to it
-        "files": {  # the files of each model, by their paths relative to the model's folder
-            "model": built.source.model.source.sha256,
-            "filter_model": built.source.filter_model.source.sha256,
-        },
-        "python": platform.python_version(),
-        "libraries": {name: version(name) for name in _LIBRARIES},
-        "machine": {
-            "node": platform.node(),
-            "system": platform.platform(),
-            "cores": len(os.sched_getaffinity(0)),
-        },
-        "processor": processor(),
-        # Compiled code that calls no function of the C library gives the same bytes everywhere.
-        "libm_functions": list(built.source.libm_functions()),
-        "git": _git(job.path.parent),
-        "execution": job.execution.model_dump(mode="json"),
-    }
-
-
-def _folder_of_models(folder: Path) -> str:
-    """Give the folder of a job file; for the job in a run's folder, what that run records."""
-    if not holds_run(folder):
-        return str(folder.absolute())
-    provenance = read_run(folder)[0].get("provenance")
-    recorded = provenance.get("folder") if isinstance(provenance, Mapping) else None
-    return recorded if isinstance(recorded, str) else str(folder.absolute())
-
-
-def _git(folder: Path) -> dict[str, Any] | None:
-    """Commit of the repository that holds the job file, and whether the files have changes."""
-    try:
-        commit, changes = (
-            subprocess.run(  # noqa: S603
-                ["git", *arguments],  # noqa: S607  the git on the user's path
-                cwd=folder,
-                capture_output=True,
-                text=True,
-                timeout=10,
-                check=True,
-            ).stdout.strip()
-            for arguments in (["rev-parse", "HEAD"], ["status", "--porcelain"])
-        )
-    except (OSError, subprocess.SubprocessError):
-        return None  # no git, or no repository: the provenance records None
-    return {"commit": commit, "dirty": bool(changes)}

@@ -3,8 +3,6 @@
 import math
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import closing
-from dataclasses import dataclass
 from functools import partial
 from typing import Any, Generic, TypeVar
 
@@ -12,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.evaluation.estimate import Evaluation, Purpose
-from pfdist.evaluation.work import BLOCK, Estimation, Work, cut
+from pfdist.evaluation.work import BLOCK
 from pfdist.kernels.noise import generator
 from pfdist.runner.block_sums import BlockSums, Counted
 from pfdist.runner.build import Built
 from pfdist.runner.collect import Collector
-from pfdist.runner.evaluation_rows import draw_rows, evaluation_rows
+from pfdist.runner.evaluation_rows import evaluation_rows
 from pfdist.runner.progress import Reporter
+from pfdist.runner.requests import Request, known
 from pfdist.runner.search_tables import commit_generation, committed_generations, publish_search
 from pfdist.runner.searches import Settings
 from pfdist.runner.window_errors import evaluated_by_errors
@@ -76,7 +75,7 @@ class Phase(Generic[E]):
         a_draw = settings.estimation.steps_an_instant * instants
         return self.optimiser.evaluations * settings.draws * a_draw
 
-    def request(self, candidate: Candidate, generation: int) -> "_Request":
+    def request(self, candidate: Candidate, generation: int) -> Request:
         """Request of an evaluation for a candidate of a generation.
 
         Raises
@@ -94,7 +93,17 @@ class Phase(Generic[E]):
         source = self.built.source.truth if self.knows_truth else self.built.source
         id_ = source.evaluation_id(times, last, stream, estimation)
         mse = np.full(draws or self.settings.draws, np.nan)
-        return _Request(id_, candidate, last, stream, estimation, mse, np.isnan(mse))
+        return Request(
+            self.name,
+            id_,
+            candidate,
+            last,
+            stream,
+            estimation,
+            self.knows_truth,
+            mse,
+            missing=np.isnan(mse),
+        )
 
     def stream(self, *keyed_by: Any) -> int:
         """Key of the draws and of the filters' noise."""
@@ -108,28 +117,11 @@ class Phase(Generic[E]):
             self.built, counted, streams, estimation, knows_truth=truth, phase=self.name
         )
 
-    def evaluation(self, request: "_Request", exact: float | None = None) -> E:
+    def evaluation(self, request: Request, exact: float | None = None) -> E:
         """The evaluation that was requested."""
         times, end, *_ = request.candidate
         policy = self.settings.degenerate_policy
         return self.purpose.evaluation(times, request.mse, policy, exact, end)
-
-
-@dataclass
-class _Request:
-    """An evaluation that is asked for, and the draws that are known of it."""
-
-    id: str
-    candidate: Candidate
-    end: int
-    stream: int  # key of draws and filter noise: their roles keep them apart
-    estimation: Estimation
-    mse: NDArray[np.float64]
-    missing: NDArray[np.bool_]
-
-    def learn(self, draws: Any, mse: Any) -> None:
-        """Store the MSE of some draws."""
-        self.mse[draws], self.missing[draws] = mse, False
 
 
 def run_phase(phase: Phase[E], collector: Collector, reporter: Reporter) -> Sequence[E]:
@@ -206,7 +198,7 @@ def _whole_costs(evaluations: Iterable[Evaluation]) -> list[float]:
 
 
 def _evaluate(
-    phase: Phase[E], requests: list[_Request], windows: list[Candidate], collector: Collector
+    phase: Phase[E], requests: list[Request], windows: list[Candidate], collector: Collector
 ) -> Iterator[tuple[Candidate, E]]:
     """Yield the evaluation of each request; known draws come from the store and this session.
 
@@ -222,13 +214,15 @@ def _evaluate(
             request.mse = np.empty(0)
             yield request.candidate, phase.evaluation(request, float(cost))
         return
-    same = defaultdict[str, list[_Request]](list)  # a prefix up to T is a whole set, too
+    same = defaultdict[str, list[Request]](list)  # a prefix up to T is a whole set, too
     for request in requests:
         same[request.id].append(request)
     longest = [max(alike, key=lambda request: request.mse.size) for alike in same.values()]
-    for known in _known(phase, longest, collector):
-        for request in same[known.id]:
-            request.mse = known.mse[: request.mse.size]
+    # With fresh noise no evaluation is asked for twice.
+    evaluated = phase.evaluated if phase.settings.common_noise else None
+    for finished in known(longest, evaluated, collector):
+        for request in same[finished.id]:
+            request.mse = finished.mse[: request.mse.size]
             yield request.candidate, phase.evaluation(request)
 
 
@@ -240,57 +234,3 @@ def _errors(
     blocks = math.ceil((windows[0].draws or phase.settings.draws) / BLOCK)
     evaluations, _ = evaluated_by_errors(windows, kind, phase.built, phase.sums, blocks, collector)
     yield from zip(windows, evaluations, strict=True)
-
-
-def _known(phase: Phase[E], requests: list[_Request], collector: Collector) -> Iterator[_Request]:
-    """Yield each request as soon as all its draws are known."""
-    _recall(phase, requests, collector)
-    wanted = {request.id: request for request in requests if request.missing.any()}
-    yield from (request for request in requests if request.id not in wanted)
-    works = _works(list(wanted.values()), phase.knows_truth)
-    run = collector.run(phase.name, "draws", works, draw_rows, more_follows=True)
-    with closing(run) as pieces:
-        for work, result in pieces:
-            for id_, mse in work.by_id(result).items():
-                request = wanted[id_]
-                request.learn(slice(*work.draws), mse)
-                if not request.missing.any():
-                    yield request
-
-
-def _recall(phase: Phase[E], requests: list[_Request], collector: Collector) -> None:
-    """Learn the draws that were evaluated before, in this session or in the store."""
-    by_id = {request.id: request for request in requests}
-    for id_ in by_id.keys() & phase.evaluated.keys():
-        known = phase.evaluated[id_][: by_id[id_].mse.size]
-        by_id[id_].learn(slice(known.size), known)
-    lacking = [id_ for id_, request in by_id.items() if request.missing.any()]
-    if collector.resumed and lacking:
-        for id_, rows in collector.store.per_draw(lacking).to_pandas().groupby("evaluation"):
-            request = by_id[str(id_)]
-            wanted = rows[rows["draw"] < request.mse.size]
-            request.learn(wanted["draw"], wanted["mse"])
-    if phase.settings.common_noise:  # with fresh noise no evaluation is asked for twice
-        for id_, request in by_id.items():
-            if id_ not in phase.evaluated or phase.evaluated[id_].size < request.mse.size:
-                phase.evaluated[id_] = request.mse
-
-
-def _works(requests: list[_Request], knows_truth: bool) -> Iterator[Work]:
-    """Works for the missing draws; sets that lack the same draws of a stream go together."""
-    together: dict[Any, list[_Request]] = defaultdict(list)
-    for request in requests:
-        together[request.stream, request.estimation, request.missing.tobytes()].append(request)
-    for (stream, estimation, _), group in together.items():
-        lacking = group[0].missing
-        for draws in cut(np.flatnonzero(lacking), lacking.size):
-            yield Work(
-                measurement_times=tuple(request.candidate.measurement_times for request in group),
-                ends=tuple(request.end for request in group),
-                filter_streams=(stream,) * len(group),
-                draws_stream=stream,
-                draws=draws,
-                estimation=estimation,
-                ids=tuple(request.id for request in group),
-                knows_truth=knows_truth,
-            )

@@ -50,6 +50,8 @@ class Progress:
         Mean cost of the last finished generation.
     found : tuple of Found
         The comparison's gains: for each set but the reference.
+    doing : str
+        In a sweep: how many points are finished, and what the others do.
     """
 
     phase: str
@@ -61,6 +63,7 @@ class Progress:
     best: float | None = None
     mean: float | None = None
     found: tuple[Found, ...] = ()
+    doing: str = ""
 
 
 Show = Callable[[Progress], Any]

@@ -69,8 +69,8 @@ def sampling_windows(
     Returns
     -------
     list of dict
-        Rows of the table ``windows``, without position, name and draws. The measurement's own
-        instant is a row, too.
+        Rows of the table ``sampling_windows``, without position, name and draws. The measurement's
+        own instant is a row, too.
     """
     start, first, size, share = reporter.progress.done, 0, FIRST_REACH, 0.5
     sides, rows = _sides(times, built.job.problem.feasible), list[Row]()
@@ -79,7 +79,7 @@ def sampling_windows(
         found = _rows(built, name, (times, *asked.values()), draws, (reporter, share))
         kept, known = found[0], dict(zip(asked, found[1:], strict=True))
         if not first:
-            rows += [{"t": t, "instant": t, "place": t} | kept for t in times]
+            rows += [{"t": t, "moved_to": t, "moved_to_instant": t} | kept for t in times]
         for side in list(sides):
             tried, ended = _up_to_the_first_beyond(side.part(first, size), known)
             rows += tried
@@ -87,7 +87,7 @@ def sampling_windows(
                 sides.remove(side)
         first, size, share = size, 2 * size, share / 2
     reporter.reach(start + 1)
-    return sorted(rows, key=lambda row: (row["t"], row["instant"]))
+    return sorted(rows, key=lambda row: (row["t"], row["moved_to"]))
 
 
 def windows_by_percent(rows: Sequence[Row], times: Times) -> dict[int, list[Times]]:
@@ -98,9 +98,9 @@ def windows_by_percent(rows: Sequence[Row], times: Times) -> dict[int, list[Time
     return {
         percent: [
             tuple(
-                row["instant"]
+                row["moved_to"]
                 for row in rows
-                if row["t"] == t and (row["instant"] == t or row[f"within_{percent}"] == INSIDE)
+                if row["t"] == t and (row["moved_to"] == t or row[f"within_{percent}"] == INSIDE)
             )
             for t in times
         ]
@@ -126,7 +126,7 @@ def _up_to_the_first_beyond(
     """Give the rows up to the first instant beyond the largest level, and whether there is one."""
     rows = list[Row]()
     for t, instant in moves:
-        rows.append({"t": t, "instant": instant, "place": instant} | known[t, instant])
+        rows.append({"t": t, "moved_to": instant, "moved_to_instant": instant} | known[t, instant])
         if rows[-1][f"within_{max(WINDOW_PERCENTS)}"] == OUTSIDE:
             return rows, True
     return rows, False

@@ -8,6 +8,7 @@ from typing import Any
 
 from pfdist.pools.base import Pool
 from pfdist.runner.build import Built
+from pfdist.runner.claims import ALONE, Claims
 from pfdist.runner.collect import Collector
 from pfdist.runner.pace import Pace
 from pfdist.runner.progress import Reporter, Show
@@ -40,11 +41,12 @@ class Session:
         pool: Pool,
         show: Show = lambda progress: None,
         say: Callable[[str], Any] = lambda line: None,
+        claims: Claims = ALONE,
     ) -> "Session":
         """Start with a store and a pool that the caller has entered; nothing is computed yet."""
         pace = Pace(built.evaluator.seconds_a_step, pool.workers)
         failures, resumed = built.job.execution.failures, store.has("draws")
-        collector = Collector(store, pool, _name(), pace, failures, resumed)
+        collector = Collector(store, pool, _name(), pace, failures, resumed, claims)
         return cls(built, collector, Reporter(show), say)
 
     @property

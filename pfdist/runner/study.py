@@ -45,7 +45,7 @@ class Study(Protocol):
         """Measurement times with which the found times are compared, by name."""
 
     @property
-    def given(self) -> dict[str, Times]:
+    def unsearched(self) -> dict[str, Times]:
         """All compared sets that no search finds, by name: the references first."""
 
     @property
@@ -111,10 +111,10 @@ class TimesStudy:
     def references(self) -> dict[str, Times]:
         """The reference of the job, under its name."""
         name = self.job.comparison.reference_name
-        return {name: self.given[name]}
+        return {name: self.unsearched[name]}
 
     @cached_property
-    def given(self) -> dict[str, Times]:
+    def unsearched(self) -> dict[str, Times]:
         """The reference, and the sets that comparison.sets names."""
         regular = self.job.problem.feasible.regular
         sets = self.job.given_sets
@@ -190,7 +190,7 @@ class BudgetStudy:
         }
 
     @property
-    def given(self) -> dict[str, Times]:
+    def unsearched(self) -> dict[str, Times]:
         """The references: a job of several budgets names no sets."""
         return self.references
 

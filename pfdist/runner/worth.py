@@ -92,8 +92,8 @@ def worth_of(
         {
             "t": t,
             "measured": t in times,
-            "error": mean / weights[t] if weights[t] else math.nan,
-            "standard_error": error / weights[t] if weights[t] else math.nan,
+            "error": mean,
+            "standard_error": error,
             "weight": weights[t],
             "degenerate_draws": degenerate[t],
             "effective_sample_size": sizes.get(t, math.nan),
@@ -142,15 +142,15 @@ def _means(
     """Mean and standard error of each column of `_columns`, and degenerate draws up to each t."""
     instants, (_, draws), start = evaluator.horizon + 1, work.draws, reporter.progress.done
     if evaluator.exact:
-        known = evaluator.expected_mse(work.measurement_times, work.ends)
+        known = _columns(*_mse(evaluator, work))
         reporter.reach(start + 1, evaluations=draws)
-        return [(float(mean), 0.0) for mean in _columns(known[None], instants)[0]], [0] * instants
+        return [(float(mean), 0.0) for mean in known[0]], [0] * instants
     columns = [Moments() for _ in range(1 + len(work.ends))]
     degenerate = np.zeros(instants, np.int64)
     for piece in evaluator.pieces(work, MOST_SECONDS):
-        mse = evaluator.filtered(piece).mse
-        degenerate += np.isnan(mse[:, :instants]).sum(axis=0)
-        for moments, values in zip(columns, _columns(mse, instants).T, strict=True):
+        mse, alike = _mse(evaluator, piece)
+        degenerate += np.isnan(alike).sum(axis=0)
+        for moments, values in zip(columns, _columns(mse, alike).T, strict=True):
             moments.add(values[~np.isnan(values)])
         _, compared = piece.draws
         reporter.reach(start + compared / draws, evaluations=compared)
@@ -158,24 +158,47 @@ def _means(
     return means, degenerate.tolist()
 
 
-def _columns(mse: NDArray[np.float64], instants: int) -> NDArray[np.float64]:
+def _mse(evaluator: Evaluator, work: Work) -> tuple[Array, Array]:
+    """MSE of each set of a work, and of its first T+1 sets with all instants weighted alike."""
+    mse, instants = _mse_of_sets(evaluator, work), evaluator.horizon + 1
+    if evaluator.weights is None:
+        return mse, mse[:, :instants]
+    prefixes = replace(
+        work,
+        measurement_times=work.measurement_times[:instants],
+        ends=work.ends[:instants],
+        filter_streams=work.filter_streams[:instants],
+    )
+    return mse, _mse_of_sets(replace(evaluator, weights=None), prefixes)
+
+
+def _mse_of_sets(evaluator: Evaluator, work: Work) -> Array:
+    """MSE of each set of a work for each draw, (D, S); for an exact engine (1, S)."""
+    if evaluator.exact:
+        return evaluator.expected_mse(work.measurement_times, work.ends)[None]
+    return evaluator.filtered(work).mse
+
+
+def _columns(mse: Array, alike: Array) -> Array:
     """MSE, error at every instant, and rise of the MSE by each change, for each draw.
 
     Parameters
     ----------
     mse : array of float64, (D, T+1+V)
-        Sum of the errors up to every instant over T+1, then the MSE of each of V changed sets.
-    instants : int
-        T+1.
+        Sum of the weighted errors up to every instant over T+1, then the MSE of each of V changed
+        sets.
+    alike : array of float64, (D, T+1)
+        The same sum up to every instant of the errors without weights.
 
     Returns
     -------
     array of float64, (D, 1+T+1+V)
         NaN where the unchanged set is degenerate.
     """
+    instants = alike.shape[1]
     whole = mse[:, instants - 1 : instants]
     with np.errstate(invalid="ignore"):  # infinite errors have no difference
-        errors = np.diff(mse[:, :instants], axis=1, prepend=0.0) * instants
+        errors = np.diff(alike, axis=1, prepend=0.0) * instants
         rises = mse[:, instants:] - whole
     errors[np.isnan(whole[:, 0])] = np.nan  # also before the instant of the degeneracy
     return np.concatenate([whole, errors, rises], axis=1)

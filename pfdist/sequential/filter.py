@@ -37,6 +37,7 @@ from pfdist.sequential.beliefs import (
 from pfdist.sequential.estimate import Estimate, estimate_of
 from pfdist.sequential.measurements import checked_instant, checked_measurement
 from pfdist.sequential.one_filter import OneFilter, begin
+from pfdist.sequential.told_instant import told_instant
 from pfdist.sequential.user_prior import as_prior
 
 Array = NDArray[np.float64]
@@ -54,7 +55,8 @@ class Filter:
     Parameters
     ----------
     model : StateSpaceModel or str
-        The model, or a name that `pfdist.load_model` takes.
+        The model, or a name that `pfdist.load_model` takes. If formulas read ``p.time`` or
+        ``p.dt``, give ``model.on_clock(times)``. The filter counts instants.
     particles : int
         The engine "kalman" has none.
     seed : int
@@ -184,9 +186,9 @@ class Filter:
             after = "after" if self._filter.measured else "not before"
             raise MeasurementsError(
                 f"measurements must be given in the order of time, each instant once: t must be "
-                f"{after} {self._filter.t}, got {t}"
+                f"{after} {self._told(self._filter.t)}, got {self._told(t)}"
             )
-        measurement = checked_measurement(y, self.model, t)
+        measurement = checked_measurement(y, self.model, self._told(t))
         predicted, mean, variance = self._moved(t)
         if measurement is None:
             self._filter = self._ahead = predicted
@@ -218,11 +220,15 @@ class Filter:
         """
         t = checked_instant(t, 0, self.horizon)
         if t < self._filter.t:
-            raise MeasurementsError(f"t must not be before {self._filter.t}, got {t}")
+            first = self._told(self._filter.t)
+            raise MeasurementsError(f"t must not be before {first}, got {self._told(t)}")
         if t == self._now.t:
             return self._now
         self._ahead, mean, variance = self._moved(t)
         return self._estimate(mean[-1], variance[-1], self._ahead)
+
+    def _told(self, t: int) -> str:
+        return told_instant(self.model, t)
 
     def _moved(self, t: int) -> tuple[OneFilter, Array, Array]:
         """Predict up to t, from the last prediction if this lies on the way."""

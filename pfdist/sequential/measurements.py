@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from pfdist.common.told_times import told_time
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.models import StateSpaceModel
 from pfdist.sequential.user_columns import user_columns
@@ -72,11 +74,12 @@ def read_measurements(
         times = [instant_on(clock, t, start) for t in columns["t"].tolist()]
         for t, following in pairwise(sorted(times)):
             if t == following:
-                raise MeasurementsError(f"a time must stand in one row, got t = {t} twice")
+                told = told_time(clock.time(t))
+                raise MeasurementsError(f"a time must stand in one row, got t = {told} twice")
         table = np.stack([columns[name] for name in wanted[1:]], axis=1)
         rows = [
-            (times[row], checked_measurement(table[row], model, times[row]))
-            for row in np.argsort(times, kind="stable")
+            (t, checked_measurement(table[row], model, told_time(clock.time(t))))
+            for row, t in sorted(enumerate(times), key=itemgetter(1))
         ]
     except (MeasurementsError, ValueError) as error:
         where = "measurements" if isinstance(path, pd.DataFrame) else path
@@ -107,7 +110,8 @@ def instant_on(clock: Clock, t: Any, start: int = 0) -> int:
         raise MeasurementsError(str(error)) from error
     if instant < start:
         raise MeasurementsError(
-            f"t must lie in {clock.times[start]:g}..{clock.told(clock.horizon)}, got {t:g}"
+            f"t must lie in {told_time(clock.times[start])}..{clock.told(clock.horizon)}, got "
+            f"{told_time(t)}"
         )
     return instant
 
@@ -129,9 +133,16 @@ def checked_instant(t: Any, start: int, horizon: int) -> int:
 
 
 def checked_measurement(
-    y: float | Sequence[float] | Array, model: StateSpaceModel, t: int
+    y: float | Sequence[float] | Array, model: StateSpaceModel, t: str
 ) -> Array | None:
     """Give a measurement as an array (m,), after checking it; None if every component is missing.
+
+    Parameters
+    ----------
+    y : float or sequence of float, (m,)
+    model : StateSpaceModel
+    t : str
+        The time as errors name it.
 
     Raises
     ------

@@ -14,6 +14,7 @@ from pfdist.filters.cloud import Cloud, Gaussian
 from pfdist.filters.draws import Draws
 from pfdist.filters.settings import FilterSettings
 from pfdist.models import StateSpaceModel, squared_error
+from pfdist.sequential.told_instant import told_instant
 
 Array = NDArray[np.float64]
 
@@ -91,13 +92,14 @@ class OneFilter:
         )
         if np.isnan(filtered.mse[0]):
             raise MeasurementsError(
-                f"no particle of {self.settings.particles} explains the measurement at t = {t}: "
+                f"no particle of {self.settings.particles} explains the measurement at t = "
+                f"{told_instant(self.model, t)}: "
                 "more particles help, or the model is wrong about this system"
             )
         if np.isinf(filtered.mse[0]):
             raise MeasurementsError(
                 f"the states of the filter's particles must stay finite, got an infinite one up "
-                f"to t = {t} (model {self.model.name})"
+                f"to t = {told_instant(self.model, t)} (model {self.model.name})"
             )
         (last,) = filtered.last
         prior = last if isinstance(last, Gaussian) else Cloud(t, last)

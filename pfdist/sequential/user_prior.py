@@ -8,20 +8,23 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from pfdist.errors import PriorError, shown
+from pfdist.common.told_times import told_time
+from pfdist.errors import MeasurementTimesError, PriorError, shown
 from pfdist.filters.cloud import Cloud, Gaussian, Prior
 from pfdist.models import StateSpaceModel
 from pfdist.sequential.user_columns import user_columns
 from pfdist.store.user_tables import read_user_table
+from pfdist.times.clock import Clock
 
 Array = NDArray[np.float64]
 
 
-def as_prior(prior: Any, model: StateSpaceModel) -> Prior:
+def as_prior(prior: Any, model: StateSpaceModel, clock: Clock | None = None) -> Prior:
     """Give a prior of a model from what a user has: a prior, particles in an array, or a table.
 
-    An array holds particles of x(0), a row a component and a column a particle. A DataFrame holds a
-    particle in each row, as `read_prior` reads it.
+    An array holds particles of x at the first instant, a row a component and a column a particle. A
+    DataFrame holds a particle in each row, as `read_prior` reads it. The t of a `Cloud` or a
+    `Gaussian` is an instant, also if there is a clock.
 
     Raises
     ------
@@ -31,7 +34,7 @@ def as_prior(prior: Any, model: StateSpaceModel) -> Prior:
     if isinstance(prior, Cloud | Gaussian):
         return prior
     if isinstance(prior, pd.DataFrame):
-        return read_prior(prior, model)
+        return read_prior(prior, model, clock)
     try:
         x = np.array(prior, np.float64)
     except (TypeError, ValueError) as error:
@@ -42,18 +45,22 @@ def as_prior(prior: Any, model: StateSpaceModel) -> Prior:
     return Cloud(0, x[None] if x.ndim == 1 else x)
 
 
-def read_prior(path: Path | pd.DataFrame, model: StateSpaceModel) -> Cloud:
+def read_prior(
+    path: Path | pd.DataFrame, model: StateSpaceModel, clock: Clock | None = None
+) -> Cloud:
     """Read particles from a table in Parquet or CSV, a row a particle.
 
     The columns are x0, x1, ..., or x_ with the names that the model gives to the states, and on
-    request weight (in any unit; else all are equal) and t, the instant of the states, the same in
-    all rows (else 0).
+    request weight (in any unit; else all are equal) and t, the time of the states, the same in all
+    rows (else the first).
 
     Parameters
     ----------
     path : Path or DataFrame
     model : StateSpaceModel
         The model that has these states.
+    clock : Clock, optional
+        The column t has times on it; by default instants.
 
     Raises
     ------
@@ -65,7 +72,7 @@ def read_prior(path: Path | pd.DataFrame, model: StateSpaceModel) -> Cloud:
         columns = read_user_table(path, partial(_check_header, allowed))
         states = next(names for names in allowed if names[0] in columns)
         x = np.stack([columns[name] for name in states])
-        return Cloud(_instant(columns.get("t")), x, columns.get("weight"))
+        return Cloud(_instant(columns.get("t"), clock), x, columns.get("weight"))
     except (PriorError, ValueError) as error:
         where = "prior" if isinstance(path, pd.DataFrame) else path
         raise PriorError(f"{where}: {error}") from error
@@ -81,11 +88,18 @@ def _check_header(allowed: list[list[str]], header: list[str]) -> None:
         )
 
 
-def _instant(column: Array | None) -> int:
+def _instant(column: Array | None, clock: Clock | None) -> int:
     if column is None or not column.size:
         return 0
     t = float(column[0])
-    if not t.is_integer() or (column != t).any():
-        other = column[np.argmax(column != t)] if t.is_integer() else t
-        raise PriorError(f"t must be one integer for all particles, got {other:g}")
-    return int(t)
+    counts = clock is None or clock.counts
+    if (counts and not t.is_integer()) or (column != t).any():
+        kind = "integer" if counts else "time"
+        other = column[np.argmax(column != t)] if t.is_integer() or not counts else t
+        raise PriorError(f"t must be one {kind} for all particles, got {told_time(other)}")
+    if clock is None or clock.counts:
+        return int(t)
+    try:
+        return clock.instant(t, "t")
+    except MeasurementTimesError as error:
+        raise PriorError(str(error)) from error

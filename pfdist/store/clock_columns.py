@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pfdist.store.component_columns import LABELS
 
-_INSTANTS: Final = ("t", "instant", "end", "measurement_times", "path")
+_INSTANTS: Final = ("t", "moved_to", "end", "measurement_times", "path")
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ KEYS: dict[str, list[str]] = {
     "error_sums": ["evaluation", "block"],
     "profile": ["position", "t"],
     "worth": ["position", "t"],
-    "windows": ["position", "t", "instant"],
+    "sampling_windows": ["position", "t", "moved_to"],
     "jitter": ["position", "percent"],
 }
 """What identifies a row of each table."""
@@ -87,7 +87,7 @@ _OF_A_SET = (
 _TIMES = _column("measurement_times", pa.list_(pa.int16()), "t", "the set M, sorted")
 
 _LOSS = (
-    _column("loss", pa.float64(), "", "rise of the expected MSE over that of the kept set"),
+    _column("loss", pa.float64(), "", "expected MSE over that of the kept set, less 1"),
     _column("loss_error", pa.float64(), "", "standard error of loss"),
     _column("degenerate_draws", pa.int64(), "", "with the moved measurements"),
 )
@@ -196,11 +196,11 @@ _SCHEMAS = {
         *_estimate("earlier", "rise if it is made one instant earlier; null: impossible"),
         *_estimate("later", "rise if it is made one instant later; null: impossible"),
     ],
-    "windows": [
+    "sampling_windows": [
         *_OF_A_SET,
-        _column("t", pa.int32(), "t", "instant of the measurement"),
-        _column("instant", pa.int32(), "t", "to which it alone is moved; t itself is a row, too"),
-        _column("place", pa.int32(), "", "number of this instant, counted from 0"),
+        _column("t", pa.int32(), "t", "the measurement that is moved"),
+        _column("moved_to", pa.int32(), "t", "to which it alone is moved; t itself is a row, too"),
+        _column("moved_to_instant", pa.int32(), "", "number of the instant moved_to, from 0"),
         _column("draws", pa.int64(), "", "fresh draws; 0: exact"),
         *_LOSS,
         _column("lower_limit", pa.float64(), "", "one-sided 95 % limit of loss"),

@@ -5,6 +5,7 @@ them over, and instants into times where a user reads them.
 """
 
 import math
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,13 +13,18 @@ from itertools import pairwise
 
 import numpy as np
 
+from pfdist.common.told_times import told_time
 from pfdist.errors import MeasurementTimesError, shown
 from pfdist.times.measurement_times import Times
 
 Time = int | float
 
-_RELATIVE = 1e-9
-"""A time means an instant if it differs from the time of the instant by so little at most."""
+_ROUNDING = 1e-11
+"""Rounding to 12 digits changes a time by less than this part of it."""
+_FLOAT_ROUNDING = 1e-15
+"""A sum of floats differs from the true sum by about this part of it."""
+_EXACT = 2**53
+"""Whole floats below this are exact."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +57,8 @@ class Clock:
         for time, later in pairwise(self.times):
             if not time < later:
                 raise MeasurementTimesError(
-                    f"times must be in ascending order, got {time:g} before {later:g}"
+                    f"times must be in ascending order, got {told_time(time)} before "
+                    f"{told_time(later)}"
                 )
 
     @classmethod
@@ -69,13 +76,13 @@ class Clock:
             The horizon is no multiple of the step.
         """
         steps = round(horizon / step)
-        if steps < 1 or not _is_same(steps * step, horizon):
+        if steps < 1 or not math.isclose(steps * step, horizon, rel_tol=1e-9):
             below = max(1, math.floor(horizon / step)) * step
             raise MeasurementTimesError(
                 f"horizon must be a multiple of time_step = {step:g}, got {shown(horizon)}; the "
                 f"nearest are {below:.10g} and {below + step:.10g}"
             )
-        times = (_rounded(t * step) for t in range(steps + 1))
+        times = (_rounded(t * horizon / steps) for t in range(steps + 1))
         return cls(tuple(times), unit)
 
     @property
@@ -87,7 +94,19 @@ class Clock:
     def is_even(self) -> bool:
         """Whether all steps are equal."""
         steps = np.diff(self.times)
-        return bool(np.allclose(steps, steps[0], rtol=_RELATIVE, atol=0.0))
+        return bool(np.abs(steps - steps.mean()).max() <= self.slack)
+
+    @cached_property
+    def slack(self) -> float:
+        """How far a time may lie from an instant that it means.
+
+        It is a billionth of the shortest step, or what rounding to 12 digits changes, if this is
+        more; but at most a millionth of the step, unless floats cannot tell times so near apart.
+        """
+        step = min((later - time for time, later in pairwise(self.times)), default=1.0)
+        far = max(map(abs, self.times))
+        most = max(1e-6 * step, _FLOAT_ROUNDING * far)
+        return min(max(1e-9 * step, _ROUNDING * far), most)
 
     @cached_property
     def trapezoids(self) -> tuple[float, ...]:
@@ -112,10 +131,10 @@ class Clock:
         """
         if isinstance(time, bool) or not isinstance(time, (int, float, np.integer, np.floating)):
             raise MeasurementTimesError(f"{name} must be times, got {shown(time)}")
-        after = int(np.searchsorted(self.times, time))
+        after = bisect_left(self.times, time)
         near = [t for t in (after - 1, after) if 0 <= t <= self.horizon]
         nearest = min(near, key=lambda t: abs(self.times[t] - time))
-        if _is_same(self.times[nearest], time):
+        if abs(self.times[nearest] - time) <= self.slack:
             return nearest
         self.check_is_within(time, name)
         raise MeasurementTimesError(
@@ -126,21 +145,22 @@ class Clock:
     def check_is_within(self, time: Time, name: str) -> None:
         """Raise a `MeasurementTimesError` if a time lies before the first or after the last."""
         first, last = self.times[0], self.times[-1]
-        if not first - _RELATIVE <= time <= last * (1 + _RELATIVE) + _RELATIVE:
+        if not first - self.slack <= time <= last + self.slack:
             raise MeasurementTimesError(
                 f"{name} must lie in {first:.10g}..{self.told(self.horizon)}, got {time:.10g}"
             )
 
     def between(self, first: Time, last: Time) -> range:
         """Give the instants from a time to another, both included if they are on the clock."""
-        low, high = (self.times[0], self.times[-1])
-        slack = _RELATIVE * max(abs(low), abs(high), 1.0)
-        start = int(np.searchsorted(self.times, first - slack))
-        return range(start, int(np.searchsorted(self.times, last + slack, side="right")))
+        start = bisect_left(self.times, first - self.slack)
+        return range(start, bisect_right(self.times, last + self.slack))
 
     def instants(self, times: Iterable[Time]) -> Times:
-        """Give the instants of some times, in the same order; errors as of `instant`."""
-        return tuple(int(t) if self.counts else self.instant(t) for t in times)
+        """Give the instants of some times, in the same order; errors as of `instant`.
+
+        Without a clock, whole numbers may lie outside 0..T: no instant is looked up.
+        """
+        return tuple(_counted(t) if self.counts else self.instant(t) for t in times)
 
     def time(self, instant: int) -> Time:
         """Give the time of an instant."""
@@ -155,11 +175,11 @@ class Clock:
         return f"{self.times[instant]:.10g}{self._suffix}"
 
     def successors(self, spacing: float) -> tuple[int, ...]:
-        """For each instant, the first later instant that is at least a time apart.
+        """For each instant, the first later instant whose time is at least `spacing` later.
 
         T+1 stands for an instant after the last.
         """
-        after = np.array(self.times) + spacing * (1 - _RELATIVE)
+        after = np.array(self.times) + spacing - self.slack
         found = np.searchsorted(self.times, after).tolist()
         return tuple(max(t + 1, later) for t, later in enumerate(found))
 
@@ -191,8 +211,24 @@ class Clock:
         return f" {self.unit}" if self.unit else ""
 
 
-def _is_same(time: float, other: float) -> bool:
-    return math.isclose(time, other, rel_tol=_RELATIVE, abs_tol=_RELATIVE)
+def plain_time(time: Time) -> Time:
+    """Give a time as a job keeps it: 48.0 and -0.0 as the integers 48 and 0, others unchanged.
+
+    The identity of a run depends on how a number is written, so equal times must be written alike.
+    """
+    is_whole = isinstance(time, float) and time.is_integer() and abs(time) < _EXACT
+    return int(time) if is_whole else time
+
+
+def _counted(time: Time) -> int:
+    """Give a time that counts instants as an integer."""
+    if isinstance(time, bool) or not isinstance(time, (int, float, np.integer, np.floating)):
+        raise MeasurementTimesError(f"measurement_times must be times, got {shown(time)}")
+    if not float(time).is_integer():
+        raise MeasurementTimesError(
+            f"measurement_times must be whole numbers without a clock, got {time:.10g}"
+        )
+    return int(time)
 
 
 def _rounded(time: float) -> float:

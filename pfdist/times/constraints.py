@@ -12,11 +12,6 @@ from itertools import pairwise
 from math import gcd
 
 from pfdist.times.clock import Clock
-from pfdist.times.contradictions import (
-    check_budget_or_cost,
-    check_that_a_set_exists,
-    check_times,
-)
 from pfdist.times.measurement_times import Times
 from pfdist.times.spacing import Spacing
 
@@ -24,6 +19,9 @@ from pfdist.times.spacing import Spacing
 @dataclass(frozen=True)
 class Constraints:
     """The constraints on a set of N times in 0..T, or of as many times as a sum of money buys.
+
+    They are not checked here: `pfdist.times.feasible.Feasible` refuses constraints that contradict
+    each other, or that no set satisfies.
 
     Parameters
     ----------
@@ -42,12 +40,6 @@ class Constraints:
         `measurement_budget`.
     clock : Clock, optional
         The time of each instant. By default instants are counted.
-
-    Raises
-    ------
-    MeasurementTimesError
-        The constraints contradict each other, or no set satisfies them. The message begins with
-        the name of the wrong parameter.
     """
 
     horizon: int
@@ -58,11 +50,6 @@ class Constraints:
     cost: tuple[int, ...] | None = None
     total_cost: int | None = None
     clock: Clock | None = None
-
-    def __post_init__(self) -> None:
-        check_times(self)
-        check_budget_or_cost(self)
-        check_that_a_set_exists(self)
 
     @property
     def counted(self) -> bool:

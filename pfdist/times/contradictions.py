@@ -1,17 +1,27 @@
 """Constraints that contradict each other, or that no set of measurement times satisfies."""
 
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 from pfdist.errors import MeasurementTimesError
-
-if TYPE_CHECKING:
-    from pfdist.times.constraints import Constraints
+from pfdist.times.constraints import Constraints
 
 _MOST_UNITS = 10_000  # of money; the memory of the searches grows with their number
 
 
-def check_times(constraints: "Constraints") -> None:
+def check(constraints: Constraints) -> None:
+    """Refuse constraints that contradict each other, or that no set satisfies.
+
+    Raises
+    ------
+    MeasurementTimesError
+        The message begins with the name of the wrong value.
+    """
+    _check_times(constraints)
+    _check_budget_or_cost(constraints)
+    _check_that_a_set_exists(constraints)
+
+
+def _check_times(constraints: Constraints) -> None:
     """Refuse forbidden and required times that are outside, both, or too near to each other."""
     for name in ("forbidden", "required"):
         times, last = getattr(constraints, name), constraints.horizon
@@ -32,7 +42,7 @@ def check_times(constraints: "Constraints") -> None:
             )
 
 
-def check_budget_or_cost(constraints: "Constraints") -> None:
+def _check_budget_or_cost(constraints: Constraints) -> None:
     """Refuse a budget beside costs, and costs without a sum or of a wrong number."""
     given = (constraints.measurement_budget, constraints.cost, constraints.total_cost)
     if given == (None, None, None):
@@ -59,7 +69,7 @@ def check_budget_or_cost(constraints: "Constraints") -> None:
         raise MeasurementTimesError(f"cost must be at least 1, got {min(cost)}")
 
 
-def check_that_a_set_exists(constraints: "Constraints") -> None:
+def _check_that_a_set_exists(constraints: Constraints) -> None:
     """Refuse constraints that no set satisfies."""
     if constraints.measurement_budget is None:
         _check_money(constraints)
@@ -83,7 +93,7 @@ def check_that_a_set_exists(constraints: "Constraints") -> None:
         )
 
 
-def _check_money(constraints: "Constraints") -> None:
+def _check_money(constraints: Constraints) -> None:
     unit, money = constraints.unit, constraints.total_cost or 0
     required = constraints.spent(constraints.required) * unit
     if money < required:

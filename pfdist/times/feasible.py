@@ -2,6 +2,7 @@
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from heapq import merge
 from itertools import chain, combinations, pairwise
@@ -12,9 +13,11 @@ import numpy as np
 from pfdist.times.affordable import Affordable
 from pfdist.times.completions import Completions
 from pfdist.times.constraints import Constraints
-from pfdist.times.measurement_times import Times, nearest, random, regular
+from pfdist.times.contradictions import check
+from pfdist.times.measurement_times import Times, nearest, random, random_below, regular
 
 
+@dataclass(frozen=True)
 class Feasible(Constraints):
     """The feasible sets: N times, or as many times as a sum of money pays for.
 
@@ -22,7 +25,16 @@ class Feasible(Constraints):
     does no harm, in expectation, to a filter that knows the truth, so a best set is among them. If
     the filter is wrong about the truth, a smaller set might be better, but none is searched. The
     parameters are those of `Constraints`. All sets are sorted.
+
+    Raises
+    ------
+    MeasurementTimesError
+        The constraints contradict each other, or no set satisfies them. The message begins with
+        the name of the wrong parameter.
     """
+
+    def __post_init__(self) -> None:
+        check(self)
 
     def accepts(self, times: Times) -> bool:
         """Whether a set is feasible."""
@@ -56,7 +68,7 @@ class Feasible(Constraints):
             number = self.total - len(self.required)
             rows = random(len(self.optional) - 1, number, sets, rng).tolist()
             return [self.with_required(self.optional[index] for index in row) for row in rows]
-        return [self._at(_below(self.size, rng)) for _ in range(sets)]
+        return [self._at(random_below(self.size, rng)) for _ in range(sets)]
 
     def regular(self) -> Times:
         """Give the regular times, or in their place a feasible set like them.
@@ -293,12 +305,3 @@ class Feasible(Constraints):
         while leaving and not self.allows({*others, new}):
             others = others - {leaving.pop()}
         return self.filled({*others, new}) if self.allows({*others, new}) else None
-
-
-def _below(bound: int, rng: np.random.Generator) -> int:
-    """Draw an integer in 0..bound-1; all have the same probability. The bound may be huge."""
-    bits = (bound - 1).bit_length()
-    while True:
-        number = int.from_bytes(rng.bytes(-(-bits // 8)), "little") >> (-bits % 8)
-        if number < bound:
-            return number

@@ -196,3 +196,12 @@ def nearest(wanted: Times, usable: Times, required: Times, spacing: Spacing) -> 
     for previous in reversed(before):
         indices.append(previous[indices[-1]])
     return tuple(int(times[index]) for index in reversed(indices))
+
+
+def random_below(bound: int, rng: np.random.Generator) -> int:
+    """Draw an integer in 0..bound-1; all have the same probability. The bound may be huge."""
+    bits = (bound - 1).bit_length()
+    while True:
+        number = int.from_bytes(rng.bytes(-(-bits // 8)), "little") >> (-bits % 8)
+        if number < bound:
+            return number

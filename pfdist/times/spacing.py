@@ -8,7 +8,7 @@ from itertools import pairwise
 
 @dataclass(frozen=True)
 class Spacing:
-    """Which instants are far enough apart to be measured both.
+    """Which instants are far enough apart for both to be measured.
 
     Parameters
     ----------

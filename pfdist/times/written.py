@@ -1,7 +1,9 @@
 """Times as users write them: numbers, ranges such as ``20:30``, and lists of these."""
 
+import math
 import re
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -78,6 +80,13 @@ def validated_instants(
     entries: list[Any] = [written] if isinstance(written, str) else list(written)
     if not clock.counts or any(isinstance(entry, str) for entry in entries):
         entries = instants_of(entries, clock, name)
+    if not clock.counts:
+        twice = [t for t, following in pairwise(sorted(entries)) if t == following]
+        if twice:
+            raise MeasurementTimesError(
+                f"{name} must differ from each other, got {clock.told(twice[0])} twice"
+                f"{f' ({where})' if where not in ('', name) else ''}"
+            )
     return validated(entries, clock.horizon, where)
 
 
@@ -93,7 +102,8 @@ def clock_of(text: str) -> Clock:
     Raises
     ------
     MeasurementTimesError
-        Something else is written, or fewer than two times, or times in another order.
+        Something else is written, or fewer than two times, or times in another order, or no step
+        leads to the end of a range.
 
     Examples
     --------
@@ -101,17 +111,26 @@ def clock_of(text: str) -> Clock:
     (0.0, 0.25, 0.5, 1.0, 2.0, 3.0)
     """
     try:
-        entries = ranges(text, finite_number)
+        entries = ranges(text, finite_number, by_ones=True)
     except ValueError as error:
         raise MeasurementTimesError(f"times {error}") from error
-    times = [
-        float(f"{first + k * (step or 1.0):.12g}")  # as a person writes it: 3 * 0.1 is 0.3
-        for first, last, step in entries
-        for k in range(int((last - first) / (step or 1.0) * (1 + 1e-12)) + 1)
-    ]
+    times = [time for entry in entries for time in _stepped(*entry, text)]
     if len(times) < 2:
         raise MeasurementTimesError(f"times must be at least two, got {shown(text)}")
     return Clock(tuple(times))
+
+
+def _stepped(first: float, last: float, step: float, text: str) -> list[float]:
+    """Give the times of a range; a step of 0 means 1."""
+    step = step or 1.0
+    steps = round((last - first) / step)
+    if not math.isclose(first + steps * step, last, rel_tol=1e-12, abs_tol=1e-9 * step):
+        raise MeasurementTimesError(
+            f"times must have ranges FIRST:LAST:STEP (STEP is 1 if there is none) whose steps lead "
+            f"from FIRST to LAST, got {first:.10g} to {last:.10g} in steps of {step:.10g}: "
+            f"{shown(text)}"
+        )
+    return [float(f"{first + k * step:.12g}") for k in range(steps + 1)]  # 3 * 0.1 is 0.3
 
 
 def _instants_of_text(text: str, clock: Clock, name: str) -> Sequence[int]:
@@ -142,5 +161,5 @@ def _instants_between(entry: tuple[float, float, float], clock: Clock, name: str
         for end in (first, last):
             clock.check_is_within(end, name)
         return clock.between(first, last)
-    steps = int((last - first) / step * (1 + 1e-12))
+    steps = int((last - first + clock.slack) / step)
     return [clock.instant(first + k * step, name) for k in range(steps + 1)]

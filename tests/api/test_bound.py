@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 import pfdist
-from pfdist import Job, load_job
+from pfdist import Job, Run, load_job
 from pfdist.api.bound import Bound
 from pfdist.api.bound import bound as bound_of
 from pfdist.bounds.relaxation import Window
@@ -475,6 +475,28 @@ def test_a_plan_whose_windows_would_grow_for_long_has_no_bound_yet(
     run = pfdist.plan(job, tmp_path / "plan", figures=False, pool="serial", say=said.append)
     assert not run.has("bound")
     assert any(line.startswith("there is no lower bound yet: ") for line in said)
+    said.clear()
+    pfdist.plan(job, tmp_path / "plan", figures=False, pool="serial", say=said.append)
+    assert len(said) == 1  # no pool was started
+    assert said[0].startswith("there is no lower bound yet: pfdist bound would take about ")
+
+
+def test_a_run_whose_comparison_was_slow_has_no_bound_yet(
+    walk: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The speed is that of the run's own comparison, not a guess for all models."""
+    timings = Run.timings
+
+    def slow(run: Run) -> pd.DataFrame:
+        return timings(run).assign(seconds=lambda rows: 1e7 * rows["seconds"])
+
+    said = list[str]()
+    again = {"figures": False, "pool": "serial", "bound_draws": LEAST_DRAWS, "say": said.append}
+    with monkeypatch.context() as patched:
+        patched.setattr(Run, "timings", slow)
+        assert not pfdist.run(walk / "job.toml", walk, **again).has("bound")
+    assert said[0].startswith("there is no lower bound yet: pfdist bound would take about ")
+    assert pfdist.run(walk / "job.toml", walk, **again).has("bound")
 
 
 def test_it_takes_draws_until_the_gaps_are_within_what_is_demanded(walk: Path) -> None:

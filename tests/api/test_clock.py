@@ -4,7 +4,9 @@ The oracle is an Ornstein-Uhlenbeck process, whose transition over any time is k
 """
 
 import json
+import re
 import shlex
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +16,14 @@ from numpy.typing import NDArray
 
 import pfdist
 from pfdist.cli.main import main
-from pfdist.errors import MeasurementTimesError, PfdistError
+from pfdist.errors import MeasurementsError, MeasurementTimesError, PfdistError, PriorError
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation, Work
+from pfdist.filters.interface import weighed
 from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.runner.build import build
+from pfdist.sequential.measurements import read_measurements
+from pfdist.sequential.user_prior import as_prior
 from pfdist.times.clock import Clock
 
 pytestmark = pytest.mark.usefixtures("no_figures")
@@ -150,6 +155,11 @@ def test_a_run_speaks_of_the_clock(job: Path, tmp_path: Path) -> None:
     (regular, exhaustive), allowed = run.sets().values(), set(TIMES) - {2.0, 3.0}
     assert set(regular) | set(exhaustive) <= allowed
     assert run.summary()["time_unit"] == "h"
+    weights = np.array(run.summary()["instant_weights"])
+    assert np.average(np.arange(8.0), weights=weights) == pytest.approx(weighted(np.arange(8.0)))
+    page = pfdist.report(run).read_text()
+    assert "weights of instants in the MSE" in page
+    assert "by the trapezoidal rule, because the steps differ, from 0.1667 to 2.333" in page
     assert run.summary()["results"]["exhaustive"]["measurement_times"] == list(exhaustive)
     rows = run.trajectories()
     assert rows["t"].tolist()[: len(TIMES)] == list(TIMES)
@@ -173,9 +183,57 @@ def test_why_speaks_of_the_clock_and_its_profile_is_not_weighted(job: Path, tmp_
     cost = found.sets.set_index("name").loc["exhaustive", "expected_mse"]
     assert weighted(profile["error"].to_numpy()) == pytest.approx(cost)
     assert set(found.worth["t"]) <= set(TIMES)
-    assert not {2.0, 3.0} & set(found.windows["instant"])
+    assert not {2.0, 3.0} & set(found.sampling_windows["moved_to"])
     summary = run.summary()["results"]["exhaustive"]
     assert summary["exact_mse"] == pytest.approx(cost)
+
+
+@pytest.mark.parametrize("engine", ["kalman", "compiled"])
+def test_why_keeps_the_exact_cost_where_instants_do_not_count(
+    engine: str, job: Path, tmp_path: Path
+) -> None:
+    """An instant of weight 0 has an error too, but no part in the mean over time."""
+    given = [1, 0, 2, 0, 0, 0, 0, 5]
+    changes = [f"filter.engine={engine}", f"problem.instant_weights={given}"]
+    run = pfdist.run(pfdist.load_job(job, changes), tmp_path / "run")
+    before = run.summary()["results"]["exhaustive"].get("exact_mse")
+    found = pfdist.why(run.path, draws=300, figures=False)
+    profile = found.profile[found.profile["name"] == "exhaustive"]
+    cost = found.sets.set_index("name").loc["exhaustive", "expected_mse"]
+    assert np.average(profile["error"], weights=given) == pytest.approx(cost)
+    measured = tuple(TIMES.index(time) for time in run.sets()["exhaustive"])
+    exact = exact_errors(np.array(TIMES), measured)
+    apart = np.abs(profile["error"] - exact)
+    after = pfdist.open_run(run.path).summary()["results"]["exhaustive"].get("exact_mse")
+    if engine == "kalman":
+        assert apart.max() < 1e-9
+        assert before == pytest.approx(np.average(exact, weights=given))
+    else:  # 60 particles have their own error beside
+        assert (apart < 5 * profile["standard_error"] + 0.1 * exact).all()
+        assert before is None
+    assert after == (None if before is None else pytest.approx(before, rel=1e-12))
+
+
+@pytest.mark.parametrize("engine", ["numpy", "compiled"])
+def test_an_infinite_error_of_weight_0_does_not_count(job: Path, engine: str) -> None:
+    model = build(pfdist.load_job(job)).source.make().model
+    infinite = replace(model, error=lambda z, e, t, p: np.where(t == 2, np.inf, (z[0] - e[0]) ** 2))
+    work = Work(((1, 5), (1,)), (7, 7), (3, 3), 4, (0, 6), Estimation(30))
+    weights = (2.0, 1.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0)
+    found, without = (
+        Evaluator(each, 7, engine=engine, weights=weights) for each in (infinite, model)
+    )
+    np.testing.assert_allclose(found(work).mse, without(work).mse, rtol=1e-12)
+    np.testing.assert_allclose(found.sum_errors(work), without.sum_errors(work), rtol=1e-12)
+    counted = Evaluator(infinite, 7, engine=engine)
+    assert np.isinf(counted(work).mse).all()
+
+
+def test_weights_of_0_weigh_infinite_errors_to_0() -> None:
+    errors = np.array([[1.0, np.inf, np.nan, np.inf]])
+    np.testing.assert_array_equal(
+        weighed(errors, np.array([2.0, 0.0, 0.0, 1.0])), [[2.0, 0.0, 0.0, np.inf]]
+    )
 
 
 def test_the_bound_holds_on_an_irregular_grid(job: Path, tmp_path: Path) -> None:
@@ -234,6 +292,11 @@ def test_a_model_that_reads_the_clock_needs_one(job: Path) -> None:
     job.write_text(text.replace('time_unit = "h"', ""))
     with pytest.raises(PfdistError, match=r"problem\.time_step, problem\.time_unit or"):
         pfdist.evaluate(job, [1])
+    model = pfdist.load_model(f"{job.with_name('ou.py')}:model")
+    with pytest.raises(PfdistError, match=r"without a job take model\.on_clock\(times\)"):
+        pfdist.Filter(model, particles=20, engine="numpy").update(1, 0.3)
+    filtering = pfdist.Filter(model.on_clock([0.0, 0.5, 2.0]), particles=20, engine="numpy")
+    assert np.isfinite(filtering.update(2, 0.3).mean).all()
 
 
 def test_a_parameter_may_not_have_a_name_of_the_clock(job: Path) -> None:
@@ -263,6 +326,21 @@ def test_a_typed_time_is_one_of_the_clock() -> None:
         Clock((0.0, 1.0)).instant(0.4)
 
 
+def test_the_command_filter_tells_times_with_their_unit(
+    job: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = pfdist.run(job, tmp_path / "run", figures=False)
+    planned = run.sets()["exhaustive"]
+    table = tmp_path / "one.csv"
+    table.write_text(f"t,y0\n{planned[0]},0.3\n12,0.1\n")
+    capsys.readouterr()
+    assert main(["filter", str(run.path), str(table), "--no-report"]) == 0
+    out = capsys.readouterr().out
+    for start in ("planned, missing", "most surprising"):
+        (line,) = (line for line in out.splitlines() if line.strip().startswith(start))
+        assert re.search(r"t = [\d., ]+ h", line)
+
+
 def test_measurements_and_the_next_time_speak_of_the_clock(job: Path, tmp_path: Path) -> None:
     """`filter`, `next` and a planner read and write hours; a planner repeats what `next` says."""
     run = pfdist.run(job, tmp_path / "run")
@@ -287,6 +365,62 @@ def test_measurements_and_the_next_time_speak_of_the_clock(job: Path, tmp_path: 
         pfdist.next_time(run, measured[:1], now=6)
 
 
+def test_a_planner_expects_errors_at_times_of_the_clock(job: Path) -> None:
+    planner = pfdist.Planner(pfdist.load_job(job), [0.5, 5, 8])
+    assert [each.measurement_times for each in planner.expected(draws=20)] == [(0.5, 5.0, 8.0)]
+    planner.update(0.3)
+    found = planner.expected([5, 12], [8], draws=20)
+    assert [each.measurement_times for each in found] == [(5.0, 12.0), (8.0,)]
+
+
+def test_the_t_of_a_table_of_particles_is_a_time_on_the_clock(job: Path, tmp_path: Path) -> None:
+    """A `Cloud` has an instant; a table has a time, as the measurements beside it."""
+    x = np.linspace(-1.0, 1.0, 50)
+    table = pd.DataFrame({"x0": x, "t": 0.5})
+    loaded = pfdist.load_job(job)
+    planners = [
+        pfdist.Planner(loaded, [1.0, 5.0, 8.0], prior=prior)
+        for prior in (table, pfdist.Cloud(1, x[None]))
+    ]
+    for planner in planners:
+        assert planner.estimate().t == 0.5
+        assert planner.update(0.2).t == 1.0
+    assert planners[0].estimate().mean == planners[1].estimate().mean
+    clock = loaded.problem.clock
+    for wrong, message in [
+        (0.75, r"t must be times of the clock, got 0\.75; the nearest are 0\.5 and 1 h$"),
+        (np.where(x > 0, 0.5, 1.0), r"t must be one time for all particles, got 0\.5$"),
+    ]:
+        with pytest.raises(PriorError, match=message):
+            as_prior(table.assign(t=wrong), planners[0]._filter.model, clock)
+    path = tmp_path / "prior.csv"
+    table.to_csv(path, index=False)
+    run = pfdist.run(loaded, tmp_path / "run")
+    measured = pd.DataFrame({"t": [1.0], "y0": [0.2]})
+    found = pfdist.filter_measurements(run, measured, prior=path, out=tmp_path, report=False)
+    assert found.table["t"].tolist() == list(TIMES[1:])
+
+
+def test_errors_about_measurements_tell_times_of_the_clock(job: Path) -> None:
+    planner = pfdist.Planner(pfdist.load_job(job), [0.5, 5, 8])
+    with pytest.raises(MeasurementsError, match=r"must be finite.* at t = 0\.5$"):
+        planner.update(np.inf)
+    with pytest.raises(MeasurementsError, match=r"no particle .* explains .* at t = 0\.5: more"):
+        planner.update(1e200)
+    planner.update(0.3, 1.0)
+    with pytest.raises(MeasurementsError, match=r"t must not be before 1, got 0\.5$"):
+        planner.estimate(0.5)
+    clock, model = planner.clock, planner._filter.model
+    for rows, message in [
+        ({"t": [0.5, 0.5], "y0": [1.0, 2.0]}, r"one row, got t = 0\.5 twice$"),
+        ({"t": [12.0, 0.5], "y0": [1.0, np.inf]}, r"must be finite.* at t = 0\.5$"),
+    ]:
+        with pytest.raises(MeasurementsError, match=message):
+            read_measurements(pd.DataFrame(rows), model, clock)
+    with pytest.raises(MeasurementTimesError, match=r"must differ from each other, got 0\.5 h twi"):
+        pfdist.evaluate(job, [0.5, 5, "0.5"])
+
+
 def test_a_problem_in_python_has_the_clock_of_a_job_file(job: Path) -> None:
     source = {"model": f"{job.with_name('ou.py')}:model", "particles": 60}
     problem = pfdist.Problem(
@@ -295,5 +429,6 @@ def test_a_problem_in_python_has_the_clock_of_a_job_file(job: Path) -> None:
     assert problem.job().problem == pfdist.load_job(job).problem
     draws = pfdist.simulate(problem, draws=2)
     assert draws["t"].tolist() == [*TIMES, *TIMES]
+    assert draws.attrs["time_unit"] == "h"
     checks = pfdist.check_model(problem)
     assert "wrong" not in set(checks["state"])

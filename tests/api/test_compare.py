@@ -1,6 +1,7 @@
 """Named sets compared on common draws: exact differences, the same bytes again, what is refused."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +54,24 @@ def compared(job: Job, folder: Path) -> Run:
 def exact(job: Job, folder: Path) -> Run:
     kalman = job.with_changes(["filter.engine=kalman", "comparison.draws=40"])
     return pfdist.compare(kalman, times=SETS, results=folder / "exact", figures=False)
+
+
+def test_a_comparison_of_the_sets_of_a_run_of_an_object_knows_the_object(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Questions about the comparison need no model either: this process made the run."""
+    monkeypatch.chdir(folder)
+    model = replace(pfdist.load_model("random_walk"), name="my_walk")
+    problem = pfdist.Problem(model, horizon=12, measurement_budget=4, engine="kalman")
+    run = pfdist.run(
+        problem.job(search=[{"method": "random", "evaluations": 3}], comparison={"draws": 40}),
+        folder / "object",
+        "serial",
+        figures=False,
+    )
+    found = pfdist.compare(run, times={"late": "6:12:2"}, pool="serial", figures=False)
+    assert found.models.keys() == run.models.keys() == {"model"}
+    assert pfdist.why(found, draws=2, figures=False).sets["name"].tolist() == found.names
 
 
 def _bytes(run: Path) -> dict[str, bytes]:
@@ -183,8 +202,68 @@ def test_a_run_on_a_longer_horizon_is_refused_by_its_name(job: Job, folder: Path
     run = pfdist.compare(
         longer, times={"a": [20], "b": [0]}, results=folder / "long", figures=False
     )
-    with pytest.raises(JobError, match=r"lie in 0\.\.12, got 20 \(.*long, set a\)"):
+    with pytest.raises(JobError, match=r"and ends at 12, got a run that ends at 20 \(.*long\)"):
         pfdist.compare(job, run)
+
+
+def test_a_run_on_another_clock_of_the_same_unit_is_refused(job: Job, folder: Path) -> None:
+    hours = {"problem": {"time_unit": "h", "horizon": 12}}
+    hourly = job.with_changes(["comparison.draws=2"], settings=hours)
+    halves = hourly.with_changes(["problem.time_step=0.5"])
+    run = pfdist.compare(
+        halves, times={"a": [0], "b": [1]}, results=folder / "halves", figures=False
+    )
+    with pytest.raises(JobError, match=r"instant 1 is 1 h, got .* instant 1 is 0\.5 h \(.*halves"):
+        pfdist.compare(hourly, run)
+
+
+def test_each_difference_of_the_problem_of_a_run_is_said(job: Job, folder: Path) -> None:
+    few = job.with_changes(["comparison.draws=2"])
+    other = few.with_changes(
+        ["problem.horizon=6", "model.parameters.step_sd=2"],
+        settings={"problem": {"instant_weights": [1, 1, 1, 1, 1, 1, 2]}},
+    )
+    times = {"a": [0], "b": [1]}
+    same = pfdist.compare(few, times=times, results=folder / "same", figures=False)
+    run = pfdist.compare(other, times=times, results=folder / "other", figures=False)
+    lines: list[str] = []
+    options: dict[str, Any] = {"figures": False, "say": lines.append, "results": folder / "all"}
+    pfdist.compare(few, same, run, **options)
+    differs = " has another problem than the first: "
+    said = [line.partition(differs) for line in lines if differs in line]
+    assert {path for path, _, _ in said} == {str(run.path)}
+    assert [what for _, _, what in said] == [
+        "its horizon is 6, not 12",
+        "its errors have other weights of instants",
+        "its model differs in model.parameters.step_sd",
+    ]
+
+
+def test_a_reference_that_the_job_lists_is_compared(job: Job, folder: Path) -> None:
+    listed = job.with_changes(["comparison.draws=2", "comparison.reference=[0, 3, 6]"])
+    run = pfdist.compare(listed, times={"a": [0]}, results=folder / "listed", figures=False)
+    assert run.sets() == {"reference": (0, 3, 6), "a": (0,)}
+    for change in ("comparison.reference=[1]", "comparison.sets.c=[1]"):
+        with pytest.raises(JobError, match=r"^changes must leave comparison\.\w+ as it is"):
+            pfdist.compare(run, times={"b": [1]}, changes=[change])
+
+
+def test_the_name_of_a_set_fits_a_column_however_long_its_parts_are(job: Job, folder: Path) -> None:
+    few, long = job.with_changes(["comparison.draws=2"]), "s" * 64
+    times = {long: [0], "b": [1]}
+    runs = [
+        pfdist.compare(
+            few,
+            times=times | {long: [t]},
+            results=folder / f"{'a_long_folder_name' * 2}{t}",
+            figures=False,
+        )
+        for t in (2, 3, 4)
+    ]
+    both = pfdist.compare(*runs, results=folder / "cut", figures=False)
+    names = [*both.sets()]
+    assert len({*names}) == len(names) == 4
+    assert max(map(len, names)) == 64
 
 
 def test_a_runs_folder_alone_never_makes_a_model_file_run(
@@ -216,10 +295,10 @@ def test_a_run_that_nobody_finished_is_refused(job: Job, folder: Path) -> None:
 
 def test_a_job_may_have_searches_and_given_sets(small_job: Job, tmp_path: Path) -> None:
     changes = ["comparison.draws=30", "search=[{method='random', evaluations=3}]"]
-    changes += ["comparison.sets.mine=[0, 1, 2]", "comparison.sets.even='0:12:4'"]
+    changes += ["comparison.sets.mine=[0, 1, 2]", "comparison.sets.every='0:12'"]
     run = pfdist.run(small_job.with_changes(changes), tmp_path / "both", report=True)
-    assert run.names == ["regular", "mine", "even", "random"]
-    assert (run.given, run.found) == (["mine", "even"], ["random"])
+    assert run.names == ["regular", "mine", "every", "random"]
+    assert (run.named, run.found) == (["mine", "every"], ["random"])
     results = run.summary()["results"]
     assert "search_cause" in results["random"]
     assert results["mine"]["broken_constraints"] == ["problem.measurement_budget is 4, got 3 times"]
@@ -227,6 +306,8 @@ def test_a_job_may_have_searches_and_given_sets(small_job: Job, tmp_path: Path) 
     page = (tmp_path / "both" / "report.html").read_text()
     assert "How the sets compare" in page
     assert "The times of mine break a constraint of the job." in page
+    assert "The times of random have an expected MSE of" in page  # the best of the searches
+    assert results["every"]["expected_mse"] < results["random"]["expected_mse"]
 
 
 def test_the_report_of_a_comparison_names_ranks_pairs_and_broken_constraints(
@@ -234,6 +315,8 @@ def test_the_report_of_a_comparison_names_ranks_pairs_and_broken_constraints(
 ) -> None:
     page = pfdist.report(compared).read_text()
     assert "How the sets compare" in page
+    assert "took no part in the search" not in page
+    assert "found times" not in page
     assert "problem.measurement_budget is 4, got 2 times" in page
     assert "The answer" not in page
     assert "How the times were found" not in page
@@ -304,6 +387,7 @@ def test_sets_that_are_evaluated_together_share_draws_and_noise(job: Job) -> Non
     sets = pfdist.evaluate(job, {"a": [0, 6], "same": "0:6:6", "regular": "regular"}, draws=50)
     np.testing.assert_array_equal(sets["a"].mse, sets["same"].mse)
     assert sets["regular"].measurement_times == (0, 4, 8, 12)
+    assert pfdist.evaluate(job, "regular", draws=50).measurement_times == (0, 4, 8, 12)
     alone = pfdist.evaluate(job, {"a": [0, 6]}, draws=50)["a"]
     np.testing.assert_array_equal(alone.mse, sets["a"].mse)
     assert isinstance(pfdist.evaluate(job, [0, 6], draws=50), pfdist.Evaluation)

@@ -18,6 +18,7 @@ from pfdist.errors import JobError, ModelError, RunMismatchError, StoreError
 from pfdist.job.job import job_toml, load_job
 from pfdist.job.problem_section import ProblemSection
 from pfdist.job.sections import Filter
+from pfdist.models import epidemic
 
 ROOT = Path(__file__).parents[2]
 ROBOT = '''
@@ -145,6 +146,8 @@ def test_every_key_of_the_sections_is_an_argument() -> None:
         ({5, 4}, (4, 5)),
         (range(0, 6, 2), (0, 2, 4)),
         (["4-6", range(8, 10)], ("4-6", "8-9")),
+        ({5, "7-8", np.int64(4), range(1, 3)}, (1, 2, 4, 5, "7-8")),
+        (range(1), (0,)),
         (None, None),
     ],
 )
@@ -152,11 +155,43 @@ def test_times_may_be_ranges_arrays_and_lists(forbidden: Any, section: Any) -> N
     assert Problem("ungm", **SHORT, forbidden=forbidden).job().problem.forbidden == section
 
 
+@pytest.mark.parametrize(
+    ("forbidden", "times"),
+    [
+        (range(2, 5), {2, 3, 4}),
+        (range(2, 6, 2), {2, 4}),
+        ([range(2, 4), 7], {2, 3, 7}),
+        ({3, "6-7", np.int64(2)}, {2, 3, 6, 6.5, 7}),
+    ],
+)
+def test_on_a_clock_a_range_of_python_means_the_numbers_that_it_lists(
+    forbidden: Any, times: set[float]
+) -> None:
+    """The text "2-4" would mean the half hours between them, too."""
+    problem = Problem("ungm", **SHORT, time_step=0.5, forbidden=forbidden).job().problem
+    assert set(problem.clock.times_of(problem.feasible.forbidden)) == times
+
+
+def test_ranges_of_python_may_stand_for_numbers() -> None:
+    short: dict[str, Any] = {"measurement_budget": 3}
+    assert Problem("ungm", **short, times=range(25)).job().problem.clock.times == tuple(range(25))
+    weights = Problem("ungm", **short, horizon=3, instant_weights=range(4)).job().problem.weights
+    assert weights == (0.0, 2 / 3, 4 / 3, 2.0)
+    costs = Problem("ungm", horizon=3, total_cost=9, cost=range(1, 5)).job().problem
+    assert costs.feasible.cost == (1, 2, 3, 4)
+    with pytest.raises(JobError, match=r"forbidden must lie in 0\.\.10, got -5"):
+        Problem("ungm", horizon=10, measurement_budget=3, forbidden=range(-5, 0))
+
+
 def test_costs_may_be_an_array_or_a_mapping() -> None:
     arguments = {"horizon": 3, "total_cost": 4}
     assert Problem("ungm", **arguments, cost=np.ones(4, int)).job().problem.cost == (1, 1, 1, 1)
     by_range = Problem("ungm", **arguments, cost={0: 1, "1-3": 2}).job().problem
     assert by_range.feasible.cost == (1, 2, 2, 2)
+    with pytest.raises(
+        JobError, match=r"name every time in 0\.\.3 once, got -1 for a horizon of 3"
+    ):
+        Problem("ungm", **arguments, cost={-1: 1, "0-3": 1})
 
 
 def test_a_problem_is_shown_in_a_line_and_a_table() -> None:
@@ -172,6 +207,19 @@ def test_a_problem_is_frozen_and_can_be_changed_into_another() -> None:
     longer = problem.with_changes(horizon=20)
     assert (problem.job().problem.horizon, longer.job().problem.horizon) == (10, 20)
     assert problem == longer.with_changes(horizon=10) != longer
+
+
+def test_a_changed_problem_keeps_the_model_as_it_was() -> None:
+    gain = 0.5
+    table = np.array([gain, 0.3])
+    model = replace(robot_of(gain), transition=lambda x, t, w, p: (table[0] * x[0] + w[0],))
+    problem = Problem(model, filter_model=model, **IN_NUMPY)
+    first = problem.job().models["model"].meaning
+    table[0] = 0.9
+    assert problem.with_changes(measurement_budget=4).job().models["model"].meaning == first
+    assert Problem(model, **IN_NUMPY).job().models["model"].meaning != first
+    changed = problem.with_changes(model=robot_of(0.8))
+    assert changed.job().models["filter_model"].meaning == first
 
 
 def test_a_section_of_the_problem_is_not_given_twice() -> None:
@@ -250,6 +298,7 @@ def test_questions_about_a_problem_first_make_its_run(
     found = pfdist.why(job, draws=20, figures=False)
     assert found.run == Path("results/robot")
     assert set(found.sets["name"]) == {"regular", "random"}
+    assert {path.name for path in found.run.iterdir()}.isdisjoint({"figures", "report.html"})
     made = (found.run / "run.json").stat().st_mtime_ns
     pfdist.why(job, draws=20, figures=False)
     assert (found.run / "run.json").stat().st_mtime_ns == made
@@ -261,6 +310,23 @@ def test_closures_give_the_same_bytes_on_ray(tmp_path: Path) -> None:
     finished(problem, tmp_path / "serial")
     pfdist.run(problem.job(**SECTIONS), tmp_path / "ray", pool="ray", workers=1, figures=False)
     assert digests(tmp_path / "serial") == digests(tmp_path / "ray")
+
+
+def test_an_installed_model_whose_constants_have_changed_is_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Workers load the file of the model, in which the constant is as it was."""
+    keys: dict[str, Any] = {"horizon": 12, "time_unit": "d", "measurement_budget": 3}
+    fewer = replace(
+        epidemic.model, parameters={**epidemic.model.parameters, "infectious_days": 5.0}
+    )
+    for model in (epidemic.model, fewer, pfdist.load_model("epidemic")):
+        assert Problem(model, **keys).job().model.name == "epidemic"
+    monkeypatch.setattr(epidemic, "SUBSTEPS", 16)
+    for model in (epidemic.model, fewer):
+        with pytest.raises(ModelError, match=r"as installed, .* got another SUBSTEPS in this proc"):
+            Problem(model, **keys)
+    assert Problem("epidemic", **keys).job().model.name == "epidemic"
 
 
 @pytest.mark.usefixtures("ray_cluster")

@@ -148,14 +148,20 @@ def test_the_command_answers_in_json_draws_a_figure_a_search_and_leaves_the_run_
     assert [row["t"] for row in regular["worth"]] == [0, 4, 8, 12]
     assert regular["worth"][0]["earlier"] is None
     assert [row["t"] for row in regular["profile"] if row["measured"]] == [0, 4, 8, 12]
-    windows, jitter = regular["windows"], regular["jitter"]
+    windows, jitter = regular["sampling_windows"], regular["jitter"]
     assert {row["t"] for row in windows} == {0, 4, 8, 12}
-    assert [row["loss"] for row in windows if row["instant"] == row["t"]] == [0.0] * 4
+    assert [row["loss"] for row in windows if row["moved_to"] == row["t"]] == [0.0] * 4
     assert [row["percent"] for row in jitter] == [1, 5]
     assert all(row["low"] <= row["loss"] <= row["high"] for row in jitter)
     names = [
         f"{name}.{kind}"
-        for name in ("why-genetic", "why-random", "windows-genetic", "windows-random", "filters")
+        for name in (
+            "why-genetic",
+            "why-random",
+            "sampling_windows-genetic",
+            "sampling_windows-random",
+            "filters",
+        )
         for kind in ("png", "svg")
     ]
     assert [Path(file).name for file in answer["figures"]] == names
@@ -169,7 +175,7 @@ def test_the_command_answers_in_json_draws_a_figure_a_search_and_leaves_the_run_
     assert run.state == "finished"
     assert run.profile()["error"].tolist()[:13] == [row["error"] for row in regular["profile"]]
     assert run.worth()["removed"].tolist()[:4] == [row["removed"] for row in regular["worth"]]
-    stored = run.windows()
+    stored = run.sampling_windows()
     assert stored["loss"].tolist()[: len(windows)] == [row["loss"] for row in windows]
     assert run.jitter()["loss"].tolist()[:2] == [row["loss"] for row in jitter]
     assert not list(verify_run(run.path))
@@ -186,7 +192,7 @@ def test_the_command_answers_in_json_draws_a_figure_a_search_and_leaves_the_run_
     strict, wide = (windows_of(windows, percent)[1].text for percent in (1, 5))
     assert f"  t = 4: 1 %: {strict}; 5 %: {wide}\n" in text
     unwrapped = " ".join(text.split())
-    assert all(said in unwrapped for said in sentences(windows, jitter, is_reference=True))
+    assert all(said in unwrapped for said in sentences(windows, jitter, is_found=False))
     assert all(len(line) <= 80 for line in text.splitlines() if str(run.path) not in line)
 
 

@@ -53,16 +53,18 @@ def _small(job: Path) -> str:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A folder with the files that examples name, and the run of jobs/plan.toml."""
+    """A folder with the files that examples name, the run of jobs/plan.toml, and a sweep."""
     folder = tmp_path_factory.mktemp("examples")
     (folder / "jobs").mkdir()
     for job in ("plan", "quick", "online"):
         (folder / "jobs" / f"{job}.toml").write_text(_small(JOBS / f"{job}.toml"))
+    shutil.copy(JOBS / "budgets.toml", folder / "jobs")
     (folder / "mine.py").write_text("from pfdist.models.ungm import model\n")
     (folder / "patient.csv").write_text("t,y0\n1,0.3\n4,5.1\n9,2.2\n")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         assert main(["plan", "jobs/plan.toml", "--bound-draws", "0"]) == 0
+        shutil.copytree("results/plan", "results/budgets/seed=1")
         yield folder
 
 

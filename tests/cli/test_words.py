@@ -1,5 +1,7 @@
 """Lists of numbers with spaces, wherever the option stands, and options that nobody knows."""
 
+from pathlib import Path
+
 import pytest
 
 from pfdist.cli.parser import make_parser
@@ -29,6 +31,22 @@ def test_times_with_names_may_have_spaces_too() -> None:
     line = "a.toml --times mine=0 3 6 --times=b=1:3 5 --times regular"
     options = make_parser().parse_args(["compare", *line.split()])
     assert options.times == [("mine", "0 3 6"), ("b", "1:3 5"), ("regular", "regular")]
+
+
+def test_a_folder_is_no_part_of_a_list(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "2024").mkdir()
+    monkeypatch.chdir(tmp_path)
+    for folder in (".", "..", "2024"):
+        words = ["compare", "--times", "m=0:60:3", "5", folder, "a", "--times=n=1", ",", "2e0"]
+        options = make_parser().parse_args(words)
+        assert options.times == [("m", "0:60:3 5"), ("n", "1 , 2e0")]
+        assert (options.first, options.runs) == (folder, ["a"])
+
+
+def test_a_long_word_belongs_to_a_list() -> None:
+    long = ",".join(map(str, range(1, 200)))
+    options = make_parser().parse_args(["evaluate", "a.toml", "--times", "0", long])
+    assert options.times == [("", f"0 {long}")]
 
 
 def test_measurements_take_the_same_lists() -> None:

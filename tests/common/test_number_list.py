@@ -2,7 +2,7 @@
 
 import pytest
 
-from pfdist.common.number_list import MOST_NUMBERS, whole_numbers
+from pfdist.common.number_list import MOST_NUMBERS, ranges, whole_numbers
 
 
 @pytest.mark.parametrize(
@@ -38,3 +38,6 @@ def test_no_range_is_too_long_for_memory() -> None:
     for text in (f"0:{MOST_NUMBERS}", "0:" + "9" * 40, f"1:{MOST_NUMBERS} 1"):
         with pytest.raises(ValueError, match="at most 1,000,000 numbers"):
             whole_numbers(text)
+    assert ranges("0:5000000 7", float) == [(0.0, 5_000_000.0, 0.0), (7.0, 7.0, 0.0)]
+    with pytest.raises(ValueError, match="at most 1,000,000 numbers"):
+        ranges("0:5000000:1", float)

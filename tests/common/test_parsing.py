@@ -5,11 +5,13 @@ import pytest
 from pfdist.common.parsing import (
     MOST_BYTES,
     MOST_LEVELS,
+    finite_number,
     parse_json,
     parse_toml,
     read_text,
     whole_number,
 )
+from pfdist.common.told_times import told_time
 from pfdist.errors import one_line, shown
 
 
@@ -67,6 +69,17 @@ def test_a_file_of_any_size_is_read_up_to_a_limit(tmp_path) -> None:
     path.write_bytes(b"seed = 1 # \xff")
     with pytest.raises(ValueError, match="UTF-8, got byte 0xff at 11"):
         read_text(path)
+
+
+@pytest.mark.parametrize("number", [0.0, -3.5, 1e-7, 0.1, 1.7e12, 1.25e40, -2.5e-20])
+def test_numbers_that_pfdist_prints_are_read_again(number: float) -> None:
+    assert finite_number(told_time(number)) == finite_number(repr(number)) == number
+
+
+@pytest.mark.parametrize("text", ["1e", "e3", "1e999", ".5", "nan", "inf", "1e1.5"])
+def test_other_texts_are_no_numbers(text: str) -> None:
+    with pytest.raises(ValueError, match="must be a number"):
+        finite_number(text)
 
 
 @pytest.mark.parametrize("text", ["1_0", "\u0663", "\u00b2", "", " 1", "1.0", "+", "9" * 5000])

@@ -10,6 +10,7 @@ import pytest
 import pfdist
 from oracles.clocked import times_of, with_clock
 from pfdist import load_job, load_model
+from pfdist.api.sweep import foreseen
 from pfdist.checks.model import check_model
 from pfdist.evaluation.compiling import compile_evaluator, libm_functions
 from pfdist.evaluation.evaluator import Evaluator
@@ -22,7 +23,9 @@ from pfdist.plots import figures
 from pfdist.times.measurement_times import regular
 
 SHIPPED = sorted(name for name, (module, _) in installed_models().items() if "pfdist." in module)
-JOBS = sorted((Path(__file__).parents[2] / "jobs").glob("*.toml"))
+FILES = sorted((Path(__file__).parents[2] / "jobs").glob("*.toml"))
+SWEEPS = [path for path in FILES if path.read_text().count("\njob = ")]
+JOBS = [path for path in FILES if path not in SWEEPS]
 STEMS = [path.stem for path in JOBS]
 SCHEMES = sorted({(job.model.name, job.filter.resampling) for job in map(load_job, JOBS)})
 QUICK = {"ungm", "ungm_gordon", "tumour"}  # the others are compiled by `pytest -m zoo`
@@ -94,3 +97,10 @@ def test_a_job_is_evaluated_and_runs(
     run = pfdist.run(job, tmp_path / "run", pool="serial")
     assert run.state == "finished"
     assert np.isfinite(run.comparison()).all(axis=None)
+
+
+@pytest.mark.parametrize("path", SWEEPS, ids=lambda path: path.stem)
+def test_every_point_of_a_sweep_file_can_be_built(path: Path) -> None:
+    points = foreseen(path)
+    assert len(points) > 1
+    assert (points["steps"] > 0).all()

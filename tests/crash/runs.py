@@ -29,13 +29,15 @@ GONE_SECONDS = 10.0  # after which nothing of a program that has ended may live
 
 
 class Running:
-    """``pfdist run`` in a process of its own, whose processes are known.
+    """``pfdist run`` or another command in a process of its own, whose processes are known.
 
     It does not outlive the test, nor do its workers.
     """
 
-    def __init__(self, job: Path, run: Path, *options: str, **environment: str) -> None:
-        command = [sys.executable, "-c", PROGRAM, "run", job, "--results", run, *options]
+    def __init__(
+        self, job: Path, run: Path, *options: str, word: str = "run", **environment: str
+    ) -> None:
+        command = [sys.executable, "-c", PROGRAM, word, job, "--results", run, *options]
         self.run, self._errors = run, run.with_name(f"{run.name}.stderr")
         with self._errors.open("ab") as errors:
             self.process = subprocess.Popen(
@@ -79,9 +81,11 @@ class Running:
 
 
 @contextmanager
-def running(job: Path, run: Path, *options: str, **environment: str) -> Iterator[Running]:
+def running(
+    job: Path, run: Path, *options: str, word: str = "run", **environment: str
+) -> Iterator[Running]:
     """Start a run; when the test is over, whatever way, nothing of it is left."""
-    driver = Running(job, run, *options, **environment)
+    driver = Running(job, run, *options, word=word, **environment)
     try:
         yield driver
     finally:

@@ -23,6 +23,6 @@ def test_a_model_is_written_planned_compared_and_plotted_without_a_file(tmp_path
     assert sum("image/png" in data for data in outputs) == 4
     tables = [data["text/html"] for data in outputs if "text/html" in data]
     assert any("relaxation" in table for table in tables)
-    assert any("meals" in table and "first_wins" in table for table in tables)
+    assert any("six_hours" in table and "first_wins" in table for table in tables)
     assert not list(tmp_path.glob("*.py")) + list(tmp_path.glob("*.toml"))
     assert (tmp_path / "results" / "tank" / "tables").is_dir()

@@ -140,7 +140,7 @@ MISTAKES = [
     (
         "budget = 3",
         "budget = 3\nforbidden = ['0:9:0']",
-        r"problem\.forbidden must .* steps of at least 1, got '0:9:0' ",
+        r"problem\.forbidden must .* steps above 0, got '0:9:0' ",
     ),
     (
         "budget = 3",

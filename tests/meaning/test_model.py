@@ -441,3 +441,12 @@ def test_fields_that_came_later_leave_the_meaning_of_older_models(means: Means) 
     for field in fields:
         changed = means(base.format(f", {field}=True"), formula)
         assert differences(meaning, changed) == ["mine.base"]
+
+
+def test_a_model_that_a_formula_reaches_has_one_meaning_whatever_was_computed_of_it(
+    means: Means,
+) -> None:
+    """The model of an installed module is shared: the driver may have used it, a worker not."""
+    formula = "x[0] * len(base.name)"
+    unused = "from pfdist.models import ungm\nbase = dataclasses.replace(ungm.model)\n"
+    assert means(unused + "base.p\n", formula) == means(unused, formula)

@@ -35,7 +35,8 @@ def names() -> list[str]:
 def hashes_under(name: str, cases: Sequence[Case], cache: Path) -> dict[str, str]:
     """Hash what each case computes, in another process."""
     done = subprocess.run(
-        [sys.executable, __file__, json.dumps(cases)],
+        [sys.executable, "-m", "oracles.bytes_under", json.dumps(cases)],
+        cwd=Path(__file__).parents[1],
         env={**os.environ, "NUMBA_CPU_NAME": name, "PFDIST_CACHE_DIR": str(cache)},
         capture_output=True,
         text=True,

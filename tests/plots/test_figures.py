@@ -11,7 +11,8 @@ from matplotlib.patches import StepPatch
 import pfdist
 from pfdist import Job
 from pfdist.analysis import Gain, Run
-from pfdist.errors import JobError
+from pfdist.analysis.online import OnlineDraws
+from pfdist.errors import ArgumentError, JobError, MeasurementTimesError
 from pfdist.plots import (
     budget,
     cost,
@@ -31,6 +32,7 @@ from pfdist.plots.measured_online import measured_at
 from pfdist.plots.online_draw import with_online
 from pfdist.plots.style import COLUMN_INCHES
 from pfdist.store.component_columns import components_in
+from pfdist.times.clock import Clock
 
 EVALUATIONS = pd.DataFrame(
     [
@@ -243,6 +245,26 @@ def test_the_raster_has_a_dark_cell_for_each_time_and_like_rows_are_neighbours()
     assert [bar.get_height() for bar in axes.patches] == [75, 25, 50, 50, 0]
     planned = _lines(axes)["the plan, survivors"][0]
     assert planned == [0, 3]
+
+
+@pytest.mark.parametrize("times", [(0.0, 0.5, 1.0, 1.5), (0.0, 0.5, 1.0, 2.4)])
+def test_online_times_on_a_clock_stand_at_their_times(times: tuple[float, ...]) -> None:
+    clock = Clock(times, "h")
+    rows = pd.DataFrame({"measurement_times": [(0.0, 0.5), (0.5, times[-1])]})
+    draws = OnlineDraws("regular", "survivors", (0.0, 1.0), rows, clock)  # type: ignore[arg-type]
+    axes = online_shares(draws, ax=_axes())
+    middles = [bar.get_x() + bar.get_width() / 2 for bar in axes.patches]
+    np.testing.assert_allclose(middles, times)
+    assert [bar.get_height() for bar in axes.patches] == [50, 100, 0, 50]
+    (image,) = online_raster(draws, ax=_axes()).get_images()
+    dark = np.asarray(image.get_array())
+    assert [dark[0, 0], dark[0, 1], dark[1, 1], dark[1, -1]] == [True] * 4
+    assert dark.sum() == 4
+    with pytest.raises(MeasurementTimesError, match=r"whole numbers without a clock, got 0\.5"):
+        online_shares(rows, ax=_axes())
+    whole = pd.DataFrame({"measurement_times": [(0.0, 2.0)]})
+    with pytest.raises(ArgumentError, match=r"horizon must be an integer, got 2\.4"):
+        online_shares(whole, horizon=2.4, ax=_axes())  # type: ignore[arg-type]
 
 
 def test_the_estimate_of_online_times_has_a_column_for_each_component() -> None:

@@ -19,7 +19,19 @@ from matplotlib.figure import Figure
 from matplotlib.testing.compare import compare_images
 from matplotlib.text import Text
 
-from pfdist.plots import budget, error_profile, gain, one_draw, times, windows, worth
+from pfdist.analysis.runs_table import RESULTS
+from pfdist.plots import (
+    against,
+    budget,
+    error_profile,
+    found_times,
+    gain,
+    heat_map,
+    one_draw,
+    sampling_windows,
+    times,
+    worth,
+)
 from pfdist.plots.library import styled
 
 BASELINE = Path(__file__).parent / "baseline"
@@ -55,7 +67,7 @@ def _windows() -> pd.DataFrame:
         [
             {
                 "t": t,
-                "instant": t + step * k,
+                "moved_to": t + step * k,
                 "within_1": states[k],
                 "within_5": states[max(0, k - 1)],
             }
@@ -92,14 +104,34 @@ def _trajectory() -> pd.DataFrame:
     return pd.DataFrame({"t": T, "z_0": z, **estimates})
 
 
+def _study() -> pd.DataFrame:
+    rows = []
+    for row_number, (name, number, size, seed) in enumerate(
+        (name, number, size, seed)
+        for name in ("genetic", "random")
+        for number in (3, 5, 9)
+        for size in (20, 40)
+        for seed in (1, 2, 3)
+    ):
+        mse = 90.0 / (number + 2) + size / 20 + seed**2 / 3 + 2 * (name == "random")
+        row = dict.fromkeys(RESULTS, 0.0) | {"set": name, "expected_mse": mse, "reference": "a"}
+        row |= {"reference_mse": 100.0 / (number + 1), "measurement_times": (0, seed + number, 14)}
+        keys = {"run": f"{row_number}", "seed": seed, "N": number, "size": size}
+        rows.append(keys | row)
+    return pd.DataFrame(rows)
+
+
 SETS = {"regular": [0, 5, 10, 15, 20], "found": [1, 4, 8, 9, 17]}
 PICTURES: dict[str, Callable[[Axes], Axes]] = {
+    "against": lambda ax: against(_study(), "N", ax=ax),
     "budget": lambda ax: budget(_budget(), target=8.0, ax=ax),
     "error_profile": lambda ax: error_profile(_profile(), draws=500, ax=ax),
+    "found_times": lambda ax: found_times(_study(), horizon=15, ax=ax),
     "gain": lambda ax: gain(_comparison(), "found", beside="other", ax=ax),
+    "heat_map": lambda ax: heat_map(_study().iloc[3:18], "N", "size", "expected_mse", ax=ax),
     "one_draw": lambda ax: one_draw(_trajectory(), SETS, title="draw 3", ax=ax),
     "times": lambda ax: times(SETS, forbidden=[11, 12, 13], ax=ax),
-    "windows": lambda ax: windows(_windows(), ax=ax),
+    "sampling_windows": lambda ax: sampling_windows(_windows(), ax=ax),
     "worth": lambda ax: worth(_worth(), ax=ax),
 }
 

@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 import pfdist
 from pfdist import plots
 from pfdist.analysis import Run
+from pfdist.analysis.runs_table import RESULTS
 from pfdist.common.component_names import numbered_components
 from pfdist.errors import JobError
 from pfdist.plots.figure import FIGURES, Tables
@@ -51,7 +52,7 @@ WORTH = pd.DataFrame(
 )
 WINDOWS = pd.DataFrame(
     [
-        {"name": name, "t": t, "instant": instant, "within_1": strict, "within_5": wide}
+        {"name": name, "t": t, "moved_to": instant, "within_1": strict, "within_5": wide}
         for name, t in (("regular", 0), ("mine", 3), ("mine", 7))
         for instant, strict, wide in (
             (t, "inside", "inside"), (t + 1, "inside", "inside"), (t + 2, "open", "inside"),
@@ -59,7 +60,23 @@ WINDOWS = pd.DataFrame(
         )
     ]
 )  # fmt: skip
-WHY = SimpleNamespace(profile=PROFILE, worth=WORTH, windows=WINDOWS)  # as what pfdist.why returns
+STUDY = pd.DataFrame(
+    [
+        dict.fromkeys(RESULTS, 0.5)
+        | {
+            "run": f"{name}-{budget}-{particles}", "problem.measurement_budget": budget,
+            "filter.particles": particles, "set": name, "expected_mse": 40.0 - budget,
+            "reference": "regular", "measurement_times": (0, budget),
+        }
+        for budget in (3, 5)
+        for particles in (20, 40)
+        for name in SETS
+    ]
+)[["run", "problem.measurement_budget", "filter.particles", *RESULTS]]  # fmt: skip
+MINE = STUDY[STUDY["set"] == "mine"]
+WHY = SimpleNamespace(
+    profile=PROFILE, worth=WORTH, sampling_windows=WINDOWS
+)  # as what pfdist.why returns
 
 
 @pytest.fixture(autouse=True)
@@ -75,6 +92,48 @@ def _filtered() -> pd.DataFrame:
     return table.assign(t=range(5), measured=[True, False, True, False, False])
 
 
+def test_only_a_found_set_is_called_an_optimum_in_a_title() -> None:
+    table = pd.DataFrame(
+        [
+            {"name": name, "t": 3, "moved_to": to, "within_1": "inside", "within_5": "inside"}
+            for name in ("given", "found")
+            for to in (3, 4)
+        ]
+    )
+    loss = {"draws": 9, "loss": 0.0, "low": 0.0, "high": 0.001}
+    jitter = pd.DataFrame([{"name": name, "percent": 1} | loss for name in ("given", "found")])
+    run = SimpleNamespace(sampling_windows=lambda: table, jitter=lambda: jitter, found=["found"])
+    titles = [
+        FIGURES["sampling_windows"].plot(SimpleNamespace(run=run), name).title
+        for name in ("given", "found")
+    ]
+    assert ["optimum is flat" in title for title in titles] == [False, True]
+
+
+def test_times_that_are_not_whole_are_shown_without_a_run() -> None:
+    axes = plots.times({"mine": [0.5, 12.9]}, ax=Figure().subplots())
+    low, high = axes.get_xlim()
+    assert low < 0.0
+    assert 12.9 < high < 14.0
+    shaded = plots.times({"mine": [0.5, 2.0]}, horizon=2.5, forbidden=[1.5], ax=Figure().subplots())
+    assert shaded.get_xlim()[1] == pytest.approx(2.5 * 1.03)
+    (patch,) = shaded.patches
+    assert (patch.get_x(), patch.get_x() + patch.get_width()) == (1.0, 1.75)
+
+
+def test_the_error_of_an_instant_is_unknown_only_if_it_weighs_nothing() -> None:
+    table = PROFILE[PROFILE["name"] == "mine"].copy()
+    table.loc[table["t"] == 4, "error"] = np.nan
+
+    def told(table: pd.DataFrame) -> str:
+        legend = plots.error_profile(table, ax=Figure().subplots()).get_legend()
+        assert legend is not None
+        return str(legend.get_texts()[0].get_text())
+
+    assert told(table) == "mine, mean nan"
+    assert told(table.assign(weight=np.where(table["t"] == 4, 0.0, 1.0))) == "mine, mean 1.889"
+
+
 def _trajectory() -> pd.DataFrame:
     columns = {f"estimate_{name}_0": np.arange(10) + 0.5 for name in SETS}
     return pd.DataFrame({"draw": 3, "t": range(10), "z_0": np.arange(10.0), **columns})
@@ -85,6 +144,11 @@ def _drawings(plain: Run, proved: Run, several: Run) -> dict[str, list[Callable[
     filtered = SimpleNamespace(table=_filtered(), missing=(1,), extra=(2,), to_come=(4,))
     sets = {"regular": [0, 3], "mine": [1]}
     return {
+        "against": [
+            lambda ax: plots.against(STUDY, ax=ax),
+            lambda ax: plots.against(STUDY, "filter.particles", "gain_of_means", ax=ax),
+            lambda ax: plots.against(SimpleNamespace(table=lambda: MINE), group="set", ax=ax),
+        ],
         "belief": [
             lambda ax: plots.belief(_filtered(), component=1, ax=ax),
             lambda ax: plots.belief(filtered, ax=ax),
@@ -118,10 +182,18 @@ def _drawings(plain: Run, proved: Run, several: Run) -> dict[str, list[Callable[
             lambda ax: plots.error_profile(PROFILE, ax=ax),
             lambda ax: plots.error_profile(WHY, SETS, ax=ax),
         ],
+        "found_times": [
+            lambda ax: plots.found_times(STUDY, ax=ax),
+            lambda ax: plots.found_times(MINE, horizon=9, ax=ax),
+        ],
         "gain": [
             lambda ax: plots.gain(plain, "survivors", ax=ax),
             lambda ax: plots.gain(plain, beside="survivors", ax=ax),
             lambda ax: plots.gain(plain.comparison(), "genetic", reference="survivors", ax=ax),
+        ],
+        "heat_map": [
+            lambda ax: plots.heat_map(MINE, ax=ax),
+            lambda ax: plots.heat_map(MINE.iloc[1:], value="expected_mse", ax=ax),
         ],
         "one_draw": [
             lambda ax: plots.one_draw(plain, ax=ax),
@@ -143,11 +215,11 @@ def _drawings(plain: Run, proved: Run, several: Run) -> dict[str, list[Callable[
             lambda ax: plots.times(several, ax=ax),
             lambda ax: plots.times(sets, forbidden=[5, 6], ax=ax),
         ],
-        "windows": [
-            lambda ax: plots.windows(proved, ax=ax),
-            lambda ax: plots.windows(WINDOWS, "mine", ax=ax),
-            lambda ax: plots.windows(WHY, ax=ax),
-            lambda ax: plots.windows(WINDOWS.drop(columns="name").head(4), ax=ax),
+        "sampling_windows": [
+            lambda ax: plots.sampling_windows(proved, ax=ax),
+            lambda ax: plots.sampling_windows(WINDOWS, "mine", ax=ax),
+            lambda ax: plots.sampling_windows(WHY, ax=ax),
+            lambda ax: plots.sampling_windows(WINDOWS.drop(columns="name").head(4), ax=ax),
         ],
         "worth": [lambda ax: plots.worth(WORTH, ax=ax), lambda ax: plots.worth(WHY, ax=ax)],
     }
@@ -163,7 +235,7 @@ every = pytest.mark.parametrize("name", NAMES)
 
 def test_plots_are_found_under_pfdist() -> None:
     assert pfdist.plots is plots
-    assert len(NAMES) == 17
+    assert len(NAMES) == 20
 
 
 @every
@@ -270,7 +342,7 @@ def test_the_effective_sample_size_has_a_point_where_it_is_known() -> None:
 
 
 def test_bars_are_thick_within_1_percent_thin_within_5_and_hollow_where_it_is_open() -> None:
-    axes = plots.windows(WINDOWS, "mine", ax=Figure().subplots())
+    axes = plots.sampling_windows(WINDOWS, "mine", ax=Figure().subplots())
     found = [
         (np.round(box.min, 2).tolist(), np.round(box.size, 2).tolist(), len(bars.get_facecolor()))
         for bars in axes.collections[1:]
@@ -287,7 +359,9 @@ def test_bars_are_thick_within_1_percent_thin_within_5_and_hollow_where_it_is_op
     assert [label.get_text() for label in axes.get_yticklabels()] == ["3", "7"]
     assert axes.get_ylim()[0] > axes.get_ylim()[1]  # the first measurement is on top
     gone = WINDOWS.iloc[:0]
-    assert "no measurement" in plots.windows(gone, ax=Figure().subplots()).texts[0].get_text()
+    assert (
+        "no measurement" in plots.sampling_windows(gone, ax=Figure().subplots()).texts[0].get_text()
+    )
 
 
 def test_a_set_or_a_draw_that_does_not_exist_is_named_with_those_that_do(plain: Run) -> None:
@@ -298,7 +372,10 @@ def test_a_set_or_a_draw_that_does_not_exist_is_named_with_those_that_do(plain: 
         (lambda: plots.one_draw(plain, draw=61), "draw must be one of 0, 1, 2"),
         (lambda: plots.cost(plain, ["nobody"]), "searches must be one of genetic, survivors"),
         (lambda: plots.worth(WORTH, ["nobody"]), "names must be one of regular, mine, got 'nob"),
-        (lambda: plots.windows(WINDOWS, "nobody"), "name must be one of regular, mine, got 'nob"),
+        (
+            lambda: plots.sampling_windows(WINDOWS, "nobody"),
+            "name must be one of regular, mine, got 'nob",
+        ),
         (lambda: plots.cost(plain, ["genetic", "survivors"]), "must estimate costs alike"),
     ):
         with pytest.raises(JobError, match=message):
@@ -357,13 +434,18 @@ def _with_costly_names() -> dict[str, Callable[[Any], Axes]]:
     profile, worth = (table.replace({"mine": COSTLY}) for table in (PROFILE, WORTH))
     trajectory = _trajectory().rename(columns={"estimate_mine_0": f"estimate_{COSTLY}_0"})
     both = {"regular": [0, 3], COSTLY: [1]}
+    study = STUDY.replace({"mine": COSTLY})
+    of_models = MINE.assign(**{"filter.particles": [COSTLY, "a$b"] * 2})
     return {
+        "against": lambda ax: plots.against(study, ax=ax),
         "bound": lambda ax: plots.bound(bounds, ax=ax),
         "cost": lambda ax: plots.cost(evaluations, reference=(COSTLY, 2.0), ax=ax),
         "degenerate_draws": lambda ax: plots.degenerate_draws(profile, ax=ax),
         "effective_sample_size": lambda ax: plots.effective_sample_size(profile, ax=ax),
         "error_profile": lambda ax: plots.error_profile(profile, ax=ax),
         "gain": lambda ax: plots.gain(comparison, COSTLY, reference="a$b", beside="$", ax=ax),
+        "found_times": lambda ax: plots.found_times(study, ax=ax),
+        "heat_map": lambda ax: plots.heat_map(of_models, ax=ax),
         "one_draw": lambda ax: plots.one_draw(trajectory, both, ax=ax),
         "online_shares": lambda ax: plots.online_shares(rows, planned=(1,), plan=COSTLY, ax=ax),
         "shifts": lambda ax: plots.shifts(worth, ax=ax),

@@ -17,7 +17,7 @@ from pfdist import load_job
 pytestmark = pytest.mark.browser
 
 WIDTHS = (400, 1200)
-KINDS = ("plan", "budget", "online", "unfinished")
+KINDS = ("plan", "budget", "online", "unfinished", "sweep")
 SMALL = ("model.name=random_walk", "filter.engine=kalman", "comparison.draws=60")
 
 
@@ -46,6 +46,11 @@ def reports(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     pfdist.why(plan.path)
     pfdist.budget(job, (3, 5), folder / "budget", draws=60)
     pfdist.online(job, folder / "online", draws=20)
+
+    over = {"problem.measurement_budget": [3, 4], "filter.particles": [20, 40], "seed": [1, 2]}
+    pfdist.sweep(file, over, results=folder / "sweep", changes=["comparison.draws=60"])
+    (folder / "sweep" / "damaged").mkdir()
+    (folder / "sweep" / "damaged" / "run.json").write_text("{")
 
     def stop(progress: Any) -> None:
         if progress.phase == "comparison":
@@ -118,6 +123,25 @@ def test_a_click_on_a_head_sorts_a_table_and_another_turns_it_round(
     assert table.locator("thead th").first.get_attribute("aria-sort") == "descending"
 
 
+@LOOKS
+def test_the_links_of_a_sweep_lead_to_its_points_and_its_table_sorts(
+    page: Any, reports: dict[str, Path]
+) -> None:
+    page.goto(reports["sweep"].as_uri())
+    first = page.locator("table").first.locator("tbody th")
+    assert [*first.all_inner_texts()] == ["3"] * 8 + ["4"] * 8
+    head = page.locator("table").first.get_by_role("button", name="measurement_budget")
+    head.click()
+    head.click()
+    assert first.all_inner_texts()[0] == "4"
+    link = first.first.locator("a")
+    name = link.get_attribute("title").removeprefix("report of ")
+    assert "measurement_budget=4" in name
+    link.click()
+    page.wait_for_load_state()
+    assert page.locator(".subtitle").inner_text() == f"Run {name}"
+
+
 @pytest.mark.parametrize("page", [(1200, "dark")], indirect=True)
 def test_it_prints_in_black_on_white(page: Any, reports: dict[str, Path]) -> None:
     page.goto(reports["plan"].as_uri())
@@ -133,8 +157,8 @@ def test_it_prints_in_black_on_white(page: Any, reports: dict[str, Path]) -> Non
 def test_what_is_folded_away_is_printed(page: Any, reports: dict[str, Path]) -> None:
     heights = """[...document.querySelectorAll('details')].map(folded =>
         folded.offsetHeight - folded.querySelector('summary').offsetHeight)"""
-    for path in reports.values():
-        page.goto(path.as_uri())
+    for kind in {*KINDS} - {"sweep"}:  # which folds nothing away
+        page.goto(reports[kind].as_uri())
         page.emulate_media(media="screen")
         folded = page.evaluate(heights)
         assert folded

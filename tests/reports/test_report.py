@@ -80,11 +80,11 @@ def test_it_has_the_sampling_windows_of_every_set(exact: Job, tmp_path: Path) ->
     seen = _report(run)
     assert "A sampling window holds the instants" in seen.text
     assert "Sampling windows of genetic." in seen.text  # the title of the figure
-    for name, rows in found.windows.groupby("name"):
+    for name, rows in found.sampling_windows.groupby("name"):
         assert f"Sampling windows, times of {name}" in seen.text
         jitter = found.jitter[found.jitter["name"] == name].to_dict("records")
         records = rows.to_dict("records")
-        for said in sentences(records, jitter, is_reference=name == "regular"):
+        for said in sentences(records, jitter, is_found=name != "regular"):
             assert said in seen.text
         for window in windows_of(records, 1):
             assert window.text in seen.text

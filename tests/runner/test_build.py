@@ -227,6 +227,19 @@ def test_the_engine_is_part_of_what_a_run_is(tmp_path: Path) -> None:
         pfdist.run(job.with_changes(["filter.engine=numpy"]), tmp_path / "run", figures=False)
 
 
+@pytest.mark.parametrize("name", ["epidemic", "pharmacokinetics"])
+def test_a_model_that_reads_the_clock_needs_one_before_anything_is_compiled(name: str) -> None:
+    problem = {"horizon": 12, "measurement_budget": 3}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # no word about Numba
+        with pytest.raises(
+            ModelError, match=r"^model: .* reads the clock: p\.time.* there is no clock: g"
+        ):
+            build(Job(seed=1, model={"name": name}, problem=problem))
+        with pytest.raises(ModelError, match=r"^model\.filter: .* reads the clock: "):
+            build(Job(seed=1, model={"filter": {"name": name}}, problem=problem))
+
+
 def test_the_command_line_says_it_in_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

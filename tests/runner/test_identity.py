@@ -11,6 +11,7 @@ import pytest
 import pfdist
 from pfdist import Job
 from pfdist.api.why import why
+from pfdist.cli.main import main
 from pfdist.errors import ModelError, RunMismatchError, StoreError
 from pfdist.evaluation.work import Estimation
 from pfdist.runner.build import build
@@ -83,6 +84,52 @@ def test_a_run_goes_on_where_words_alone_have_changed(small_job: Job, tmp_path: 
     stopped_in_the_comparison(written(small_job), tmp_path / "run")
     other = written(small_job, helper='def f(x):\n    """Pull."""\n    return (0.9 * x)  # so\n')
     assert pfdist.run(other, tmp_path / "run", figures=False).state == "finished"
+
+
+@pytest.mark.parametrize(
+    ("first", "again"),
+    [
+        (["problem.minimum_spacing=2"], ["problem.minimum_spacing=2.0"]),
+        (
+            ["problem.time_step=1", "problem.forbidden=[3]", "comparison.reference=[0, 1, 2, 5]"],
+            [
+                "problem.time_step=1.0",
+                "problem.horizon=12.0",
+                "problem.forbidden=[3.0]",
+                "comparison.reference=[0.0, 1, 2.0, 5]",
+            ],
+        ),
+        (
+            [f"problem.instant_weights={[1] * 13}", "comparison.sets.mine=[0, 1, 2, 3]"],
+            [f"problem.instant_weights={[1.0] * 13}", "comparison.sets.mine=[-0.0, 1.0, 2, 3]"],
+        ),
+    ],
+    ids=["spacing", "clock", "weights"],
+)
+def test_a_run_goes_on_where_whole_times_are_written_as_floats(
+    small_job: Job, tmp_path: Path, first: list[str], again: list[str]
+) -> None:
+    stopped_in_the_comparison(small_job.with_changes(first), tmp_path / "run")
+    assert small_job.with_changes(first) == small_job.with_changes(again)
+    run = pfdist.run(small_job.with_changes(again), tmp_path / "run", figures=False)
+    assert pfdist.open_run(run.path).state == "finished"
+    assert main(["verify", str(run.path)]) == 0
+
+
+def test_a_value_that_changes_the_key_alone_is_refused_by_its_name(
+    small_job: Job, tmp_path: Path
+) -> None:
+    """The key of a run tells -0.0 from 0.0, although they are equal."""
+    job = written(small_job)
+    text = job.path.with_name("mine.py").read_text()
+    job.path.with_name("mine.py").write_text(
+        text.replace('name="mine",', 'name="mine", parameters={"a": 1.0},')
+    )
+    stopped_in_the_comparison(job.with_changes(["model.parameters.a=0.0"]), tmp_path / "run")
+    with pytest.raises(RunMismatchError, match=r"model\.parameters\.a: 0\.0 -> -0\.0$"):
+        pfdist.run(job.with_changes(["model.parameters.a=-0.0"]), tmp_path / "run", figures=False)
+    run = pfdist.run(job.with_changes(["model.parameters.a=0"]), tmp_path / "run", figures=False)
+    assert pfdist.open_run(run.path).state == "finished"
 
 
 def test_evaluations_of_models_that_mean_something_else_are_told_apart(small_job: Job) -> None:

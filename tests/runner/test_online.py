@@ -20,6 +20,8 @@ from pfdist.cli.main import main
 from pfdist.errors import JobError, RunMismatchError
 from pfdist.evaluation.estimate import REPORT
 from pfdist.evaluation.work import Estimation, Work
+from pfdist.plots.figure import FIGURES, Tables
+from pfdist.plots.figures import drawn
 from pfdist.pools.base import Outcome, SerialPool
 from pfdist.runner.build import build
 from pfdist.runner.pace import Pace
@@ -128,6 +130,39 @@ def test_with_costs_as_much_is_spent_as_may_be(job: Job, tmp_path: Path) -> None
         assert feasible.accepts(tuple(times))
 
 
+def test_the_plan_is_the_first_search_also_beside_sets_that_the_job_names(
+    job: Job, tmp_path: Path
+) -> None:
+    """Draws that keep the plan keep its error; a set that the job names is no plan."""
+    named = job.with_changes(["comparison.sets.mine=[0, 1, 2, 3]"])
+    run = pfdist.run(named, tmp_path / "run", figures=False)
+    assert run.names == ["regular", "mine", "survivors"]
+    summary, draws = run.summary()["online"], online_draws(run)
+    assert (summary["reference"]["name"], summary["plan"]["name"]) == ("regular", "survivors")
+    assert draws.planned_times == run.sets()["survivors"] != run.sets()["mine"]
+    kept = draws.rows[~draws.differ]
+    assert 0 < len(kept) < len(draws.rows)
+    assert (kept["mse_online"] == kept["mse_survivors"]).all()
+
+
+@pytest.mark.parametrize(
+    "clock", ["times = [0, 0.5, 1, 2, 3, 5, 8, 12, 13, 14, 15, 16, 20]", "time_step = 0.5"]
+)
+def test_a_job_with_a_clock_has_the_figure_of_online_times(clock: str, tmp_path: Path) -> None:
+    horizon = "" if "times" in clock else "horizon = 6"
+    path = tmp_path / "clock.toml"
+    path.write_text(JOB.replace(f"horizon = {HORIZON}", f"{clock}\n{horizon}"))
+    run = pfdist.run(path, tmp_path / "run", figures=False)
+    (plot,) = (plot for _, plot in FIGURES["online_times"].plots(Tables(run)))
+    shares, _ = drawn(plot).axes
+    times = run.problem.clock.times
+    middles = [bar.get_x() + bar.get_width() / 2 for bar in shares.patches]  # type: ignore[attr-defined]
+    np.testing.assert_allclose(middles, times)
+    counts = [sum(time in chosen for chosen in run.online()["measurement_times"]) for time in times]
+    heights = [bar.get_height() for bar in shares.patches]  # type: ignore[attr-defined]
+    np.testing.assert_allclose(heights, 100 * np.array(counts) / len(run.online()))
+
+
 def test_two_workers_of_ray_give_the_same_bytes(
     job: Job, run: Run, tmp_path: Path, ray_cluster: None
 ) -> None:
@@ -193,6 +228,10 @@ def test_a_table_that_is_lost_is_made_again(job: Job, run: Run, tmp_path: Path) 
         (["budget.least=2", "budget.most=4", "search.survivors.polish=false"], "a budget section"),
         (["comparison.until.half_width=0.1"], r"needs comparison\.until\.half_width = 0, got 0\.1"),
         (["search.survivors.name=online"], "online needs searches of other names, got .* 'online'"),
+        (
+            ["comparison.sets.online=[0, 1]"],
+            "online needs sets of other names, got comparison.sets.on",
+        ),
         (["online.draws=1"], r"online\.draws must be at least 2, got 1"),
         (["online.search.rounds=0"], r"online\.search.*rounds must be at least 1, got 0"),
     ],

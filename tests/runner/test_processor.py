@@ -7,7 +7,8 @@ import pytest
 
 import pfdist
 from pfdist import Job, load_job
-from pfdist.runner import identity, processor
+from pfdist.runner import processor
+from pfdist.runner import provenance as provenance_module
 
 HERE = {"compiled_for": "haswell", "model": "A processor"}
 THERE = {"compiled_for": "znver3", "model": "Another processor"}
@@ -33,7 +34,7 @@ def lines_when_it_goes_on(
     job: Job, path: Path, monkeypatch: pytest.MonkeyPatch, *elsewhere: dict[str, str]
 ) -> list[str]:
     """Give what a run says as it goes on with more draws, on each processor in turn."""
-    for module in (identity, processor):
+    for module in (provenance_module, processor):
         monkeypatch.setattr(module, "processor", lambda: HERE)
     pfdist.run(job, path, figures=False)
     said: list[str] = []

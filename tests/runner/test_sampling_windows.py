@@ -75,10 +75,10 @@ def test_exact_losses_are_those_of_brute_force(
         changes = PRICED
     built = build(pfdist.load_job(small_job.path, [*KALMAN, *changes]))
     found, exact = _windows(built, times), _brute_force(built, times)
-    assert [(row["t"], row["instant"]) for row in found] == sorted(exact)
+    assert [(row["t"], row["moved_to"]) for row in found] == sorted(exact)
     assert len(found) > len(times)
     for row in found:
-        loss = exact[row["t"], row["instant"]]
+        loss = exact[row["t"], row["moved_to"]]
         assert row["loss"] == pytest.approx(loss, abs=1e-12)
         assert (row["lower_limit"], row["upper_limit"]) == (row["loss"], row["loss"])
         assert row["loss_error"] == 0.0
@@ -104,9 +104,9 @@ def test_losses_of_particles_are_the_exact_losses_within_their_errors(small_job:
     exact = _brute_force(build(small_job.with_changes(KALMAN)), times)
     states = set[str]()
     for row in rows:
-        if (row["t"], row["instant"]) not in exact:
+        if (row["t"], row["moved_to"]) not in exact:
             continue  # beyond an instant that the draws do not know to be beyond 5 %
-        loss, error = exact[row["t"], row["instant"]], row["loss_error"]
+        loss, error = exact[row["t"], row["moved_to"]], row["loss_error"]
         # beside the error of the draws, that of the filter, of order 1/particles
         assert abs(row["loss"] - loss) <= 4 * error + 2 * abs(loss) / particles
         assert error < 0.02
@@ -118,7 +118,7 @@ def test_losses_of_particles_are_the_exact_losses_within_their_errors(small_job:
 def test_moves_by_one_instant_lose_what_the_worth_says(small_job: Job) -> None:
     built, times = build(small_job.with_changes(COMPILED)), (0, 4, 8, 12)
     worth = worth_of(built, "mine", times, 60, [np.zeros((4, 1))], NOTHING)
-    rows = {(row["t"], row["instant"]): row for row in _windows(built, times, 60)}
+    rows = {(row["t"], row["moved_to"]): row for row in _windows(built, times, 60)}
     for row in worth.worth:
         for change, step in (("earlier", -1), ("later", 1)):
             if not np.isnan(row[change]):
@@ -155,7 +155,7 @@ def test_a_measurement_at_the_only_precise_instant_has_a_window_of_it_alone(
     assert [window.t for window in windows if window.is_single] == [5]
     assert not is_flat(windows, {"percent": 1, "high": 0.0})
     # Both sides end with their first instant, which is clearly beyond 5 %.
-    assert [row["instant"] for row in rows if row["t"] == 5] == [4, 5, 6]
+    assert [row["moved_to"] for row in rows if row["t"] == 5] == [4, 5, 6]
     others = [window for window in windows if window.t != 5]
     assert all(window.is_wide for window in others) or engine == "compiled"
 
@@ -178,7 +178,7 @@ def test_draws_that_only_the_moved_set_loses_keep_an_instant_open(small_job: Job
     )
     changes = ["model.name=random_walk", "model.filter.name=cut.py:model"]
     rows = _windows(build(small_job.with_changes(changes)), (0, 4, 8, 12), 50)
-    impossible = [row for row in rows if row["instant"] == 5]
+    impossible = [row for row in rows if row["moved_to"] == 5]
     assert impossible
     for row in impossible:
         assert row["degenerate_draws"] == 50

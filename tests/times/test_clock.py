@@ -10,7 +10,7 @@ from pfdist.times.clock import Clock
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import regular
 from pfdist.times.spacing import Spacing
-from pfdist.times.written import instants_of
+from pfdist.times.written import clock_of, instants_of
 
 UNEVEN = Clock((0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 12.0), "h")
 
@@ -23,6 +23,66 @@ def test_the_times_of_a_regular_clock_are_multiples_of_the_step() -> None:
 @pytest.mark.parametrize("off", [0.0, 4e-10, -4e-10])
 def test_a_time_means_an_instant_if_it_differs_by_at_most_a_billionth(off: float) -> None:
     assert UNEVEN.instant(4.0 + off) == 4
+
+
+@pytest.mark.parametrize(
+    ("horizon", "steps"), [(24, 1440), (200, 600), (240, 2880), (1.0, 32_000), (1e-8, 10)]
+)
+def test_a_clock_of_equal_steps_is_even_and_every_multiple_is_an_instant(
+    horizon: float, steps: int
+) -> None:
+    """The times are rounded to 12 digits: neither the steps nor typed times notice it."""
+    clock = Clock.regular(horizon, horizon / steps)
+    assert clock.is_even
+    assert clock.since(1).is_even
+    assert clock.instants(k * horizon / steps for k in range(steps + 1)) == tuple(range(steps + 1))
+    assert clock.successors(2 * horizon / steps)[:-1] == (*range(2, steps + 1), steps + 1)
+    assert len(Clock.regular(24, 0.0166666666667).times) == 1441  # as a person types 1/60
+    assert not Clock((0.0, 1.0, 2.0, 3.001)).is_even
+
+
+FAR = [(1.7e9, 1.0), (1.7e9, 0.25), (2_460_000.5, 1 / 86_400), (0.0, 1e-9)]
+
+
+@pytest.mark.parametrize(("begin", "step"), FAR)
+def test_the_tolerance_is_a_part_of_the_step_and_not_of_the_time(begin: float, step: float) -> None:
+    """Seconds since 1970, Julian dates in steps of a second, and steps of a nanosecond."""
+    clock = Clock(tuple(begin + k * step for k in range(20)))
+    for k in (0, 1, 10, 19):
+        assert clock.instant(begin + k * step) == k
+    assert clock.between(clock.times[5], clock.times[9]) == range(5, 10)
+    with pytest.raises(MeasurementTimesError, match="the nearest are"):
+        clock.instant(begin + 5.01 * step)
+    with pytest.raises(MeasurementTimesError, match="must lie in"):
+        clock.instant(begin + 19.01 * step)
+    assert clock.successors(step)[:3] == (1, 2, 3)
+
+
+def test_whole_numbers_alone_count_instants() -> None:
+    clock = Clock.counting(12)
+    assert clock.instants([3, 4.0, np.int64(20), np.float64(5)]) == (3, 4, 20, 5)
+    for wrong in (0.7, np.nan, np.inf):
+        with pytest.raises(MeasurementTimesError, match="must be whole numbers without a clock"):
+            clock.instants([wrong])
+    with pytest.raises(MeasurementTimesError, match="must be times, got '3'"):
+        clock.instants(["3"])  # type: ignore[list-item]
+
+
+def test_a_range_of_a_clock_may_span_many_units_but_no_clock_has_so_many_instants() -> None:
+    clock = Clock.regular(5_000_000, 1_000_000, "s")
+    assert instants_of("0:5000000", clock) == [0, 1, 2, 3, 4, 5]
+    with pytest.raises(MeasurementTimesError, match="at most 1,000,000 numbers"):
+        clock_of("0:5000000")
+
+
+@pytest.mark.parametrize("text", ["0:2.5", "0:1:0.3"])
+def test_the_end_of_a_range_is_a_time_of_the_clock(text: str) -> None:
+    with pytest.raises(
+        MeasurementTimesError, match=r"^times must have ranges .* steps lead from F"
+    ):
+        clock_of(text)
+    assert clock_of("0:0.3:0.1").times == (0.0, 0.1, 0.2, 0.3)
+    assert clock_of("0.5:2.5").times == (0.5, 1.5, 2.5)
 
 
 WRONG = [
@@ -65,12 +125,19 @@ def test_times_are_written_as_numbers_and_ranges(written: object, instants: list
 def test_the_horizon_must_be_a_multiple_of_the_step() -> None:
     with pytest.raises(MeasurementTimesError, match=r"0\.25, got 1\.1; .* 1 and 1\.25$"):
         Clock.regular(1.1, 0.25)
+    with pytest.raises(MeasurementTimesError, match="must be a multiple of time_step = 3e-09"):
+        Clock.regular(1e-8, 3e-9)
 
 
 @pytest.mark.parametrize("times", [(0.0, 2.0, 1.0), (0.0, 1.0, 1.0), (0.0, np.nan)])
 def test_the_times_of_a_clock_ascend(times: tuple[float, ...]) -> None:
     with pytest.raises(MeasurementTimesError, match=r"^times must be"):
         Clock(times)
+
+
+def test_an_error_tells_long_times_in_full() -> None:
+    with pytest.raises(MeasurementTimesError, match=r"got 1700000060 before 1700000030$"):
+        Clock((1.7e9, 1.7e9 + 60, 1.7e9 + 30))
 
 
 clocks = st.lists(st.integers(1, 12), min_size=1, max_size=12).map(

@@ -15,7 +15,7 @@ from pfdist.cli.arguments import (
 from pfdist.cli.command import command
 from pfdist.cli.layout import line, wrapped_lines
 from pfdist.common.rounding import rounded
-from pfdist.common.told_times import told_time, told_times
+from pfdist.common.told_times import told_times
 from pfdist.errors import one_line
 
 _DIGITS = 2  # of a p-value
@@ -70,16 +70,16 @@ def filter_command(options: Namespace) -> None:
 
 def _lines(answer: dict[str, Any]) -> list[str]:
     """Give the text that says which measurements there are, and how well they fit the model."""
-    number = len(answer["measured"])
+    number, unit = len(answer["measured"]), answer.get("time_unit", "")
     lines = [
         f"{number} measurement{'s' * (number != 1)}; planned: {answer['planned']}",
-        *wrapped_lines("planned, missing", _times(answer["missing"])),
-        *wrapped_lines("planned, to come", _times(answer["to_come"])),
-        *wrapped_lines("measured, not planned", _times(answer["extra"])),
+        *wrapped_lines("planned, missing", _times(answer["missing"], unit)),
+        *wrapped_lines("planned, to come", _times(answer["to_come"], unit)),
+        *wrapped_lines("measured, not planned", _times(answer["extra"], unit)),
     ]
     most = answer["most_surprising"]
     if most:
-        text = f"t = {told_time(most['t'])}, p = {rounded(most['surprise'], _DIGITS)}"
+        text = f"t = {told_times([most['t']], unit)}, p = {rounded(most['surprise'], _DIGITS)}"
         among = rounded(answer["surprise_of_all"], _DIGITS)
         lines.append(line("most surprising", f"{text} ({among} among all measurements)"))
     if answer["is_improbable"]:
@@ -92,5 +92,5 @@ def _lines(answer: dict[str, Any]) -> list[str]:
     return [*lines, "", *(one_line(answer[file]) for file in files if answer[file])]
 
 
-def _times(times: Sequence[int]) -> str:
-    return f"t = {told_times(times)}" if times else "none"
+def _times(times: Sequence[float], unit: str) -> str:
+    return f"t = {told_times(times, unit)}" if times else "none"

@@ -2,9 +2,12 @@
 
 from argparse import ArgumentParser, Namespace
 
-from pfdist.cli.arguments import add_run
 from pfdist.cli.command import command
 from pfdist.errors import one_line
+
+
+def _add_run(parser: ArgumentParser) -> None:
+    parser.add_argument("run", metavar="RUN", help="folder of a run, or of a sweep")
 
 
 def _add_watch(parser: ArgumentParser) -> None:
@@ -18,15 +21,16 @@ def _add_watch(parser: ArgumentParser) -> None:
 
 @command(
     "report",
-    add_run,
+    _add_run,
     _add_watch,
     examples={
         "pfdist report results/plan": "Write report.html into the folder of the run",
         "pfdist report results/plan --watch": "Write it again and again while the run goes on",
+        "pfdist report results/budgets": "Write that of a sweep, with links to the points",
     },
 )
 def report_command(options: Namespace) -> None:
-    """Write the report of a run: one HTML file that can be sent to anybody."""
+    """Write the report of a run or a sweep: one HTML file that can be sent to anybody."""
     from pfdist.api.display import Display
     from pfdist.api.report import report
 

@@ -63,7 +63,7 @@ def why_command(options: Namespace) -> None:
     lines, found = list[str](), open_run(options.run).found
     for name, examined in answer["sets"].items():
         lines += _set_lines(name, examined, precision)
-        lines += [*_window_lines(examined, is_reference=name not in found), ""]
+        lines += [*_window_lines(examined, is_found=name in found), ""]
     print("\n".join(lines + [one_line(file) for file in answer["figures"]]))
 
 
@@ -82,11 +82,11 @@ def _set_lines(name: str, examined: dict[str, Any], precision: str) -> list[str]
     return lines
 
 
-def _window_lines(examined: dict[str, Any], *, is_reference: bool) -> list[str]:
+def _window_lines(examined: dict[str, Any], *, is_found: bool) -> list[str]:
     """Give a line for each measurement with its sampling windows, and what follows from them."""
     from pfdist.analysis.sampling_windows import STRICT, WIDE, sentences, windows_of
 
-    rows = examined["windows"]
+    rows = examined["sampling_windows"]
     if not rows:
         return []
     levels = {percent: windows_of(rows, percent) for percent in (STRICT, WIDE)}
@@ -95,7 +95,7 @@ def _window_lines(examined: dict[str, Any], *, is_reference: bool) -> list[str]:
         told = f"{STRICT} %: {strict.text}; {WIDE} %: {wide.text}"
         told = told if strict.can_be_tried else "fixed by the job or by its neighbours"
         lines += _wrapped(told, f"  t = {told_time(strict.t)}: ")
-    said = sentences(rows, examined["jitter"], is_reference=is_reference)
+    said = sentences(rows, examined["jitter"], is_found=is_found)
     return lines + [line for sentence in said for line in _wrapped(sentence, "  ")]
 
 

@@ -1,4 +1,4 @@
-"""The gains of the found times: a row for each set, the histogram of gains, and one draw."""
+"""The gains of all compared times: a row for each set, the histogram of gains, and one draw."""
 
 from typing import Any
 
@@ -22,7 +22,8 @@ def gains(subject: Subject) -> Section | None:
         return None
     rows = [_row(name, result) for name, result in subject.results.items()]
     draws = number_of(subject.summary["draws_compared"], "draw")
-    table = Table(f"Expected error on {draws} that took no part in the search", _HEAD, rows)
+    fresh = " that took no part in the search" if subject.run.found else ""
+    table = Table(f"Expected error on {draws}{fresh}", _HEAD, rows)
     broken = [
         Text(f"{_called(subject, name)} a constraint of the job. {constraint}.")
         for name, result in subject.results.items()

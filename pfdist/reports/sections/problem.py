@@ -5,6 +5,7 @@ from typing import Any
 
 from pfdist.analysis import read_recorded
 from pfdist.common.told_times import told_time, told_times
+from pfdist.job.problem_section import ProblemSection
 from pfdist.reports.parts import Facts, Section, Text
 from pfdist.reports.subject import Subject, number_of, without_folder
 
@@ -29,6 +30,7 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
         yield "model of the filter", _model(job["model"]["filter"])
     yield from _named_components(read_recorded(subject.run.path)[0].get("model"))
     yield "instants", _instants(subject)
+    yield from _weights(asked, subject.run.problem)
     yield "measurements", _measurements(job)
     for key, name in (
         ("forbidden", "not measured at"),
@@ -76,6 +78,19 @@ def _instants(subject: Subject) -> str:
         step = told_times([clock.times[1] - clock.times[0]], clock.unit)
         return f"{ends}, in steps of {step}"
     return f"{len(clock.times)} instants, {ends}"
+
+
+def _weights(asked: Mapping[str, Any], section: ProblemSection) -> Iterator[tuple[str, str]]:
+    """Say how the errors of instants are weighted in the MSE, if they are."""
+    weights = section.weights
+    if weights is None:
+        return
+    least, most = (f"{weight:.4g}" for weight in (min(weights), max(weights)))
+    if asked.get("instant_weights"):
+        told = f"given by the job, from {least} to {most}; their mean is 1"
+    else:
+        told = f"by the trapezoidal rule, because the steps differ, from {least} to {most}"
+    yield "weights of instants in the MSE", told
 
 
 def told_spelling(value: Any, unit: str) -> str:

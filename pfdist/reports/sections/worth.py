@@ -38,7 +38,7 @@ def worth(subject: Subject) -> Section | None:
         "measurement whose loss changes little may be left out; the others should be kept. A value "
         "below 0 means that the change would lower the error."
     )
-    figures = pictures(subject.tables, ["why", "windows", "filters"], subject.shown)
+    figures = pictures(subject.tables, ["why", "sampling_windows", "filters"], subject.shown)
     blocks = [Text(meaning), *figures, *tables, *_windows(subject)]
     return Section("What each measurement is worth", blocks)
 
@@ -46,13 +46,13 @@ def worth(subject: Subject) -> Section | None:
 def _windows(subject: Subject) -> list[Block]:
     """Give the sampling windows of each set, and what follows from them."""
     run = subject.run
-    if not (run.has("windows") and run.has("jitter")):
+    if not (run.has("sampling_windows") and run.has("jitter")):
         return []  # computed before there were sampling windows
     jitter, blocks = run.jitter(), list[Block]([Text(_WINDOWS)])
-    for name, group in run.windows().groupby("name", sort=False):
+    for name, group in run.sampling_windows().groupby("name", sort=False):
         rows = group.to_dict("records")
         of_set = jitter[jitter["name"] == name].to_dict("records")
-        said = sentences(rows, of_set, is_reference=name not in run.found)
+        said = sentences(rows, of_set, is_found=name in run.found)
         levels = (windows_of(rows, STRICT), windows_of(rows, WIDE))
         cells = [
             [Cell(told_time(strict.t), strict.t), Cell(strict.text), Cell(wide.text)]

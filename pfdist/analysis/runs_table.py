@@ -1,0 +1,194 @@
+"""Many runs as one table: the keys in which they differ, and a row for each set."""
+
+import math
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from pfdist.analysis.differing_keys import differing_keys
+from pfdist.analysis.gains import Gain
+from pfdist.analysis.stored_run import Run
+from pfdist.common.percent import cost
+
+_GAINS = ("gain_of_means", "mean_relative_gain", "positive_fraction")
+_PROOF = {"bound": "bound", "bound_gap": "gap", "bound_gap_at_most": "gap_at_most"}
+RESULTS = (
+    "set", "state", "draws",
+    "expected_mse", "standard_error",
+    "reference", "reference_mse", "reference_standard_error",
+    *(f"{gain}{end}" for gain in _GAINS for end in ("", "_low", "_high")),
+    *_PROOF,
+    "measurements", "measurement_times",
+    "evaluations", "worker_seconds", "path",
+)  # fmt: skip
+"""Columns of a table of runs that follow the run and the differing keys."""
+_NUMBERS = {
+    "standard_error", "worker_seconds", *(name for name in RESULTS if "mse" in name),
+    *(name for name in RESULTS if name.startswith((*_GAINS, "bound"))), "reference_standard_error",
+}  # fmt: skip
+Row = dict[str, Any]
+
+
+def runs_table(runs: Sequence[Run]) -> pd.DataFrame:
+    """Give a row for each run and each compared set other than the reference.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Each folder once.
+
+    Returns
+    -------
+    DataFrame
+        As `pfdist.table` gives it.
+
+    Raises
+    ------
+    StoreError
+        A table of a run cannot be read.
+    """
+    keys = differing_keys([run.job for run in runs])
+    versions = [run.version or None for run in runs]
+    if len(set(versions)) > 1:
+        keys["pfdist"] = versions
+    names = _told_apart([run.path for run in runs])
+    rows, units = list[Row](), set[str]()
+    for number, run in enumerate(runs):
+        summary = run.summary()
+        units.add(summary.get("time_unit", ""))
+        head = {"run": names[number], **{key: values[number] for key, values in keys.items()}}
+        rows += [head | row for row in _rows(run, summary)]
+    columns = ("run", *keys, *RESULTS)
+    frame = pd.DataFrame({name: _column(name, [row[name] for row in rows]) for name in columns})
+    if len(units) == 1 and "" not in units:
+        frame.attrs["time_unit"] = units.pop()
+    return frame
+
+
+def _rows(run: Run, summary: Mapping[str, Any]) -> Iterator[Row]:
+    """Yield the rows of a run; one if nothing is known of any set but the reference."""
+    results = summary["results"]
+    shared = dict.fromkeys(RESULTS) | {
+        "state": summary["state"],
+        "draws": summary["draws_compared"],
+        "evaluations": summary["evaluations"],
+        "worker_seconds": _seconds(run),
+        "path": str(run.path),
+    }
+    references = _references(results)
+    if not references:
+        known = next(iter(results), None)
+        yield shared | ({} if known is None else _reference(known, results[known]))
+    gains = (
+        _gains_of_budget(run, references) if run.has_budget and summary["draws_compared"] else {}
+    )
+    for name, reference in references.items():
+        result = results[name] | gains.get(name, {})
+        yield (
+            shared
+            | _reference(reference, results[reference])
+            | _set(name, result)
+            | _gains(result, results[reference])
+        )
+
+
+def _references(results: Mapping[str, Row]) -> dict[str, str]:
+    """Give the reference of each other set: that of the same number of measurements, if any."""
+    regular = {
+        each["measurements"]: name
+        for name, each in results.items()
+        if each.get("kind") == "regular"
+    }
+    first = next(iter(results), "")
+    return {
+        name: regular.get(len(each["measurement_times"]), first)
+        for name, each in results.items()
+        if name != first and name not in regular.values()
+    }
+
+
+def _set(name: str, result: Row) -> Row:
+    """Give the values of a set alone."""
+    error, standard_error = _error(result)
+    proof = result.get("lower_bound", {})
+    return {
+        "set": name,
+        "expected_mse": error,
+        "standard_error": standard_error,
+        **{column: proof.get(key) for column, key in _PROOF.items()},
+        "measurements": len(result["measurement_times"]),
+        "measurement_times": tuple(result["measurement_times"]),
+    }
+
+
+def _reference(name: str, result: Row) -> Row:
+    error, standard_error = _error(result)
+    values = {"reference_mse": error, "reference_standard_error": standard_error}
+    return {"reference": name, **values}
+
+
+def _error(result: Row) -> tuple[float | None, float | None]:
+    """Give the expected MSE and the standard error; if an engine knows it exactly, with 0."""
+    if result.get("exact_mse") is not None:
+        return result["exact_mse"], 0.0
+    if "expected_mse" not in result:  # the comparison has not begun
+        return None, None
+    return cost(result["expected_mse"]), result["standard_error"]
+
+
+def _gains(result: Row, reference: Row) -> Row:
+    """Give the gains over the reference with the ends of their intervals."""
+    found = Row()
+    for gain in _GAINS:
+        low, high = result.get(f"{gain}_interval", (None, None))
+        found |= {gain: result.get(gain), f"{gain}_low": low, f"{gain}_high": high}
+    exact = result.get("exact_mse"), reference.get("exact_mse")
+    if None not in exact and exact[1]:
+        gain_of_means = result.get("exact_gain", 1 - exact[0] / exact[1])
+        found |= dict.fromkeys(
+            ("gain_of_means", "gain_of_means_low", "gain_of_means_high"), gain_of_means
+        )
+    return found
+
+
+def _gains_of_budget(run: Run, references: Mapping[str, str]) -> dict[str, Row]:
+    """Give the gains of found times over the regular times of the same number."""
+    gains = defaultdict[str, Gain](Gain)
+    for block in run.blocks():
+        for name, reference in references.items():
+            mse, other = (block[f"mse_{each}"].to_numpy() for each in (name, reference))
+            gains[name].add(mse, other)
+    return {name: gain.summary().columns() for name, gain in gains.items()}
+
+
+def _seconds(run: Run) -> float | None:
+    return float(run.timings()["seconds"].sum()) if run.has("timings") else None
+
+
+def _told_apart(paths: Sequence[Path]) -> list[str]:
+    """Give the name of each folder, after as much of the path as tells equal names apart."""
+    parts = [path.absolute().parts for path in paths]
+    depths = [1] * len(parts)
+    while True:
+        names = ["/".join(own[-depth:]) for own, depth in zip(parts, depths, strict=True)]
+        again = [number for number, name in enumerate(names) if names.count(name) > 1]
+        again = [number for number in again if depths[number] < len(parts[number])]
+        if not again:
+            return names
+        for number in again:
+            depths[number] += 1
+
+
+def _column(name: str, values: list[Any]) -> "pd.Series[Any]":
+    """Give a column whose values keep their types, also beside missing ones."""
+    if name in _NUMBERS:
+        return pd.Series([math.nan if value is None else value for value in values], dtype=float)
+    known = [value for value in values if value is not None]
+    if known and len(known) < len(values) and all(type(value) is int for value in known):
+        return pd.Series(values, dtype="Int64")
+    column = pd.Series(values, dtype=object)
+    # A column of texts stays as it is: a path need not be UTF-8, as the texts of pandas must be.
+    return column if any(isinstance(value, str) for value in known) else column.infer_objects()

@@ -1,0 +1,271 @@
+"""Run a job at many points: every point is a run of its own, and all share the same workers."""
+
+import contextlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import perf_counter
+
+import pandas as pd
+
+from pfdist.analysis import Run, open_run
+from pfdist.api.at_work import say_ready
+from pfdist.api.following import Say, following, silent
+from pfdist.api.points_at_work import PointsAtWork
+from pfdist.api.report import try_report, try_sweep_report
+from pfdist.api.run import bound_settings
+from pfdist.api.table import table
+from pfdist.common.arguments import path_argument
+from pfdist.errors import ArgumentError, SweepError, one_line
+from pfdist.job.asked import Asked
+from pfdist.job.judging import judged_sets, judging
+from pfdist.job.points import Values
+from pfdist.job.sweep import SweepJob, read_sweep
+from pfdist.pools.base import Pool
+from pfdist.pools.shared import SharedPool
+from pfdist.runner.build import build, check_pool, pool_of
+from pfdist.runner.driver import foreseen_steps
+from pfdist.runner.named_by_a_run import files_named
+from pfdist.runner.progress import Show
+from pfdist.runner.work_of_runs import worker_of_runs
+from pfdist.store.shown_files import has_report
+from pfdist.times.clock import Time
+
+JUDGED = "judged"
+"""Folder, in that of a sweep, of the runs that judge."""
+_SHOWN = 3  # failures in an error
+_NOTHING: Mapping[str, object] = {}
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """The runs of a finished sweep.
+
+    Parameters
+    ----------
+    path : Path
+        The folder of the sweep, in which each run has its folder.
+    runs : dict of str to Run
+        The run of each point, by the point's name.
+    judges : dict of str to Run
+        The run that compares, at each point, the times found at all points, by the point's name;
+        empty if the sweep does not judge.
+    """
+
+    path: Path
+    runs: Mapping[str, Run] = field(repr=False)
+    judges: Mapping[str, Run] = field(default_factory=dict, repr=False)
+
+    def table(self) -> pd.DataFrame:
+        """Give all runs as one tidy table; see `pfdist.table`."""
+        return table(*self.runs.values())
+
+    def judged(self) -> pd.DataFrame:
+        """Give how good the times found at each point are at every point.
+
+        Returns
+        -------
+        DataFrame
+            As `pfdist.table`, and the column ``found_at``: the point at which the set was found.
+            The column ``run`` is the point at which it is judged.
+
+        Raises
+        ------
+        ArgumentError
+            The sweep does not judge.
+        """
+        if not self.judges:
+            raise ArgumentError("judged needs a sweep that judges, got one with judge = false")
+        judged = table(*self.judges.values())
+        names = judged_sets(_found(self.runs))
+        points = [names[name][0] if name in names else None for name in judged["set"]]
+        before = list(judged.columns).index("set")
+        judged.insert(before, "found_at", points)
+        return judged
+
+
+def sweep(
+    job: Asked,
+    over: Values = _NOTHING,
+    *,
+    parallel: Sequence[Values] = (),
+    points: Sequence[Values] = (),
+    results: str | Path | None = None,
+    pool: str | None = None,
+    workers: int | None = None,
+    address: str | None = None,
+    changes: Iterable[str] = (),
+    bound_draws: int = 0,
+    judge: bool | None = None,
+    report: bool = True,
+    progress: Show | bool = False,
+    say: Say = silent,
+) -> Sweep:
+    """Run a job at every point of a sweep, or resume the sweep where it stopped.
+
+    Every point is an ordinary run in its own folder, with the same bytes as if it were run alone.
+    All points share the workers, so that no worker idles while the last tasks of a point are done.
+    The first points go first. Evaluations that several points need are computed once.
+
+    Parameters
+    ----------
+    job : Problem, Job, str or Path
+        A sweep file, or a problem, a job or the path of a job file.
+    over : mapping of str to sequence
+        Values of keys of the job, as ``{"seed": range(1, 11)}``; every combination is a point.
+    parallel : sequence of mappings of str to sequence
+        Groups of keys whose values change together.
+    points : sequence of mappings of str to object
+        Further points, with a value for each key.
+    results : str or Path, optional
+        The folder of the sweep; by default ``results/<the sweep file's stem>``, or
+        ``results/<the job file's stem>-sweep``.
+    pool : str, optional
+        As for `pfdist.run`, and so are the next three; all points share the workers.
+    workers : int, optional
+    address : str, optional
+    changes : iterable of str, optional
+    bound_draws : int
+        Number of draws of the lower bound that is proved at each point; 0 for no bound.
+    judge : bool, optional
+        Whether the times found at each point are judged at every point, too, by comparisons in the
+        folder ``judged``; by default as the sweep file says.
+    report : bool
+        Whether every run has a report, and the sweep has one with links to them.
+    progress : callable or bool
+        As for `pfdist.run`; the progress is that of the whole sweep.
+    say : callable, optional
+        Receives lines: messages of the points, and when a point has finished or failed.
+
+    Returns
+    -------
+    Sweep
+
+    Raises
+    ------
+    SweepError
+        Some points failed. All others are finished, and the same call tries the failed again.
+    PfdistError
+        The sweep is wrong, or no worker answers. The same call resumes the sweep.
+    """
+    asked = _asked(job, over, parallel, points, changes, pool, workers, address)
+    path = Path("results") / asked.name
+    if results is not None:
+        path = path_argument("results", results)
+    bound = bound_settings(bound_draws)
+    with following(progress, say) as (show, tell):
+        files = {file for each in asked.jobs.values() for file in files_named(each)}
+        for file in sorted(files):
+            tell(f"runs the model file {file}, which your job names")
+        failed = _compute(PointsAtWork(asked, path, bound, show, tell), asked, tell)
+        runs = {name: open_run(path / name) for name in asked.jobs if name not in failed}
+        judges = dict[str, Run]()
+        if not failed and (asked.judge if judge is None else judge):
+            judging_jobs = judging(asked, _found(runs))
+            judged = path / JUDGED
+            failed = _compute(
+                PointsAtWork(judging_jobs, judged, None, show, tell), judging_jobs, tell
+            )
+            judges = {name: open_run(judged / name) for name in asked.jobs if name not in failed}
+        if report:
+            _report(runs, asked, tell)
+            try_sweep_report(path, tell)
+    if failed:
+        first = "; ".join(f"{name}: {reason}" for name, reason in [*failed.items()][:_SHOWN])
+        more = f"; {len(failed) - _SHOWN} more" * (len(failed) > _SHOWN)
+        raise SweepError(
+            f"{len(failed)} of {len(asked.points)} points failed, the others are finished in "
+            f"{path}: {first}{more}",
+            failed,
+        )
+    return Sweep(path, runs, judges)
+
+
+def _found(runs: Mapping[str, Run]) -> dict[str, dict[str, tuple[Time, ...]]]:
+    """The times that the searches of each run have found."""
+    return {
+        name: {each: run.sets()[each] for each in run.found if each in run.sets()}
+        for name, run in runs.items()
+    }
+
+
+def _report(runs: Mapping[str, Run], asked: SweepJob, say: Say) -> None:
+    """Write the reports that runs lack."""
+    for position, (name, run) in enumerate(runs.items(), 1):
+        run.models = asked.jobs[name].models
+        if not has_report(run.path):
+            say(f"writes report {position} of {len(runs)}")
+            try_report(run, say)
+
+
+def foreseen(
+    job: Asked,
+    over: Values = _NOTHING,
+    *,
+    parallel: Sequence[Values] = (),
+    points: Sequence[Values] = (),
+    results: str | Path | None = None,
+    changes: Iterable[str] = (),
+) -> pd.DataFrame:
+    """Give the points of a sweep and about how much work each is; nothing is computed.
+
+    Parameters
+    ----------
+    job, over, parallel, points, results, changes
+        As for `sweep`.
+
+    Returns
+    -------
+    DataFrame
+        A row for each point: its name, its values, the state of its run ("none" if it has not
+        begun), and ``steps``, the particle-steps that the whole run takes.
+
+    Raises
+    ------
+    PfdistError
+        The sweep is wrong, or the model of a point.
+    """
+    asked = _asked(job, over, parallel, points, changes)
+    path = Path("results") / asked.name if results is None else path_argument("results", results)
+    rows = []
+    for point in asked.points:
+        folder = path / point.name
+        state = open_run(folder).state if (folder / "run.json").exists() else "none"
+        steps = foreseen_steps(build(asked.jobs[point.name]))
+        rows.append({"point": point.name, **point.chosen, "state": state, "steps": steps})
+    return pd.DataFrame(rows)
+
+
+def _asked(
+    job: Asked,
+    over: Values,
+    parallel: Sequence[Values],
+    points: Sequence[Values],
+    changes: Iterable[str],
+    pool: str | None = None,
+    workers: int | None = None,
+    address: str | None = None,
+) -> SweepJob:
+    execution = {"pool": pool, "workers": workers, "address": address}
+    given = {key: value for key, value in execution.items() if value is not None}
+    settings = {"execution": given} if given else {}
+    return read_sweep(job, over, parallel, points, changes, settings)
+
+
+def _compute(points: PointsAtWork, asked: SweepJob, say: Callable[[str], object]) -> dict[str, str]:
+    """Compute what the points lack in shared workers; say why each point failed, by its name."""
+    execution = next(iter(asked.jobs.values())).execution
+    check_pool(execution)
+    shared = SharedPool(_said(pool_of(worker_of_runs, execution), execution.pool, say))
+    with contextlib.closing(points.start(shared)):
+        shared.serve(points.are_over)
+    return {name: one_line(reason) for name, reason in points.failed.items()}
+
+
+@contextlib.contextmanager
+def _said(pool: Pool, name: str, say: Callable[[str], object]) -> Iterator[Pool]:
+    """Enter a pool, and say when it is ready."""
+    start = perf_counter()
+    with pool:
+        say_ready(pool, name, perf_counter() - start, say)
+        yield pool

@@ -1,0 +1,83 @@
+"""The command ``pfdist sweep``."""
+
+from argparse import ArgumentParser, Namespace
+
+from pfdist.cli.arguments import add_changes, add_json, computing, whole
+from pfdist.cli.command import command
+
+
+def _add_sweep(parser: ArgumentParser) -> None:
+    parser.add_argument(
+        "job",
+        metavar="SWEEP_OR_JOB",
+        help="sweep file, which names a job and values of its keys; or a job file, with --over",
+    )
+    parser.add_argument(
+        "--over",
+        action="append",
+        default=[],
+        metavar="KEY=VALUES",
+        help="a key of the job with its values, as seed=1:10 or problem.measurement_budget=10,15; "
+        "give --over once for each key: every combination is a point",
+    )
+    parser.add_argument(
+        "--bound-draws",
+        type=whole,
+        default=0,
+        metavar="K",
+        help="number of draws of the lower bound that is proved at each point (default: 0, no "
+        "bound)",
+    )
+    parser.add_argument(
+        "--judge",
+        action="store_true",
+        default=None,
+        help="also judge the times found at each point at every other point, in the folder "
+        "judged of the sweep (default: judge of the sweep file)",
+    )
+    parser.add_argument(
+        "--dry-run",
+        action="store_true",
+        help="print the points and their work, and compute nothing",
+    )
+
+
+@command(
+    "sweep",
+    _add_sweep,
+    add_changes,
+    computing(
+        "results/<name of the sweep file>, or results/<name of the job>-sweep",
+        fork=False,
+        what="sweep",
+    ),
+    add_json,
+    goes_on=True,
+    examples={
+        "pfdist sweep jobs/plan.toml --over seed=1:3": (
+            "Plan with three seeds, with the same workers"
+        ),
+        "pfdist sweep jobs/plan.toml --over seed=1:2 --over filter.particles=100,500": (
+            "Run every combination of two keys"
+        ),
+        "pfdist sweep jobs/budgets.toml --dry-run": "List the points of a sweep file",
+    },
+)
+def sweep_command(options: Namespace) -> None:
+    """Run a job at many values of its keys, with the same workers."""
+    from pfdist.api.display import Display
+    from pfdist.api.sweep import foreseen, sweep
+    from pfdist.cli.computing import settings
+    from pfdist.cli.sweep_lines import print_foreseen, print_sweep
+    from pfdist.job.points import values_by_key
+
+    over = values_by_key(options.over)
+    asked = {"results": options.results, "changes": options.set}
+    if options.dry_run:
+        print_foreseen(foreseen(options.job, over, **asked), options)
+        return
+    with Display() as display:
+        chosen = {**settings(options, display), **asked}
+        chosen |= {"bound_draws": options.bound_draws, "judge": options.judge}
+        finished = sweep(options.job, over, **chosen)
+    print_sweep(finished, options)

@@ -1,0 +1,26 @@
+"""Short names of dotted keys, for tables and folders."""
+
+from collections.abc import Sequence
+
+_VAGUE = {"name", "order", "method", "draws"}  # words that need the word before them
+
+
+def short_names(keys: Sequence[str]) -> dict[str, str]:
+    """Give each dotted key without as many of the first words as it can lack.
+
+    Examples
+    --------
+    >>> short_names(["seed", "model.name", "model.filter.name", "filter.particles"])
+    {'seed': 'seed', 'model.name': 'model.name', 'model.filter.name': 'filter.name', \
+'filter.particles': 'particles'}
+    """
+    return {key: _short_name(key, keys) for key in keys}
+
+
+def _short_name(key: str, keys: Sequence[str]) -> str:
+    words, others = key.split("."), [f".{other}" for other in keys if other != key]
+    for first in reversed(range(len(words))):
+        tail = ".".join(words[first:])
+        if tail not in _VAGUE and not any(other.endswith(f".{tail}") for other in others):
+            return tail
+    return key

@@ -1,0 +1,239 @@
+"""The points of a sweep: the changes of a job that each run of the sweep makes, and its name."""
+
+import hashlib
+import itertools
+import json
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pfdist.common.number_list import whole_numbers
+from pfdist.common.parsing import parse_toml
+from pfdist.common.short_names import short_names
+from pfdist.errors import JobError, shown, shown_text
+
+MOST_POINTS = 10_000
+_LONGEST_VALUE, _LONGEST_NAME = 40, 150  # characters; a folder's name has at most 255
+_STRANGE = re.compile(r"[^A-Za-z0-9.+-]+")  # what a value in a folder's name does not hold
+_RANGE = re.compile(r"[-+0-9:,\s]*:[-+0-9:,\s]*")
+
+Values = Mapping[str, Any]
+"""A value for each key of a job; keys have dots, as in ``problem.measurement_budget``."""
+
+
+class Point(NamedTuple):
+    """A point of a sweep.
+
+    Parameters
+    ----------
+    name : str
+        Name of the run's folder, made of the values: ``seed=1,measurement_budget=10``.
+    chosen : mapping of str to object
+        The value of each key that differs between points.
+    """
+
+    name: str
+    chosen: Values
+
+    @property
+    def changes(self) -> list[str]:
+        """The changes of the job, as `pfdist.load_job` takes them."""
+        return [f"{key}={_text(key, value)}" for key, value in self.chosen.items()]
+
+
+def points_of(
+    over: Values, parallel: Sequence[Values] = (), points: Sequence[Values] = ()
+) -> tuple[Point, ...]:
+    """Give the points of a sweep, in the order in which they are computed.
+
+    Parameters
+    ----------
+    over : mapping of str to sequence
+        Values of each key. Every combination is a point; the last key changes fastest.
+    parallel : sequence of mappings of str to sequence
+        Groups of keys with equally many values, which change together. Each group is combined with
+        all other keys.
+    points : sequence of mappings of str to object
+        Further points, with a value for each key.
+
+    Raises
+    ------
+    JobError
+        Values are no list, lists that change together have different lengths, a point or a key
+        stands twice, or there are no points or too many.
+
+    Examples
+    --------
+    >>> [point.name for point in points_of({"seed": [1, 2], "filter.particles": [50]})]
+    ['seed=1,particles=50', 'seed=2,particles=50']
+    """
+    for name, each in (("parallel", parallel), ("points", points)):
+        if not isinstance(each, list | tuple):
+            raise JobError(f"{name} must be a list of mappings, got {shown(each)}")
+    groups = [{key: values} for key, values in dotted(over).items()]
+    groups += [dotted(group) for group in parallel]
+    _check_keys([key for group in groups for key in group])
+    number = math.prod(map(_length, groups)) if groups else 0
+    if not 1 <= number + len(points) <= MOST_POINTS:
+        raise JobError(
+            f"a sweep must have 1..{MOST_POINTS} points, got {number + len(points)}: give values "
+            "of keys, for instance seed=1:10"
+        )
+    products = itertools.product(*map(_together, groups)) if groups else iter(())
+    chosen = [dict(itertools.chain.from_iterable(each)) for each in products]
+    chosen += [dict(dotted(point)) for point in points]
+    return tuple(_named(chosen))
+
+
+def values_by_key(texts: Iterable[str]) -> dict[str, list[Any]]:
+    """Give the values of each key from texts such as ``seed=1:10``; see `values_in`.
+
+    Raises
+    ------
+    JobError
+        A text is no key with values, or a key stands twice.
+    """
+    pairs = [values_in(text) for text in texts]
+    _check_keys([key for key, _ in pairs])
+    return dict(pairs)
+
+
+def values_in(text: str) -> tuple[str, list[Any]]:
+    """Give the key and the values of ``seed=1:10`` or ``problem.measurement_budget=10,15,21``.
+
+    Raises
+    ------
+    JobError
+        The text is no key with values.
+    """
+    key, equals, values = text.partition("=")
+    if not equals or not key.strip() or not values.strip():
+        raise JobError(
+            "a sweep goes over KEY=VALUES, for instance seed=1:10 or "
+            f"problem.measurement_budget=10,15,21, got {shown(text)}",
+            argument="over",
+        )
+    return key.strip(), _listed(key, values.strip())
+
+
+def _listed(key: str, text: str) -> list[Any]:
+    if _RANGE.fullmatch(text):
+        return _numbers(key, text)
+    try:
+        found: list[Any] = parse_toml(f"values = [{text}]")["values"]
+    except ValueError:  # bare words: filter.resampling=systematic,stratified
+        return [word.strip() for word in text.split(",")]
+    return found
+
+
+def _numbers(key: str, text: str) -> list[int]:
+    try:
+        return whole_numbers(text)
+    except ValueError as error:
+        raise JobError(f"values of {key} {error}", argument="over") from error
+
+
+def dotted(values: Values, before: str = "") -> dict[str, Any]:
+    """Join the keys of sections with dots: TOML reads ``filter.particles`` as a section.
+
+    Examples
+    --------
+    >>> dotted({"seed": 1, "filter": {"particles": 100}})
+    {'seed': 1, 'filter.particles': 100}
+    """
+    if not isinstance(values, Mapping):
+        raise JobError(
+            "a sweep must go over a mapping of keys to values, for instance "
+            f"{{'seed': [1, 2]}}, got {shown(values)}"
+        )
+    found: dict[str, Any] = {}
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            found |= dotted(value, f"{before}{key}.")
+        else:
+            found[f"{before}{key}"] = value
+    return found
+
+
+def _length(group: Values) -> int:
+    """Give how many values each key of a group has."""
+    lengths = {key: len(_values(key, values)) for key, values in group.items()}
+    if len(set(lengths.values())) != 1:
+        got = ", ".join(f"{count} of {key}" for key, count in lengths.items()) or "no key"
+        raise JobError(f"keys that change together must have equally many values, got {got}")
+    return next(iter(lengths.values()))
+
+
+def _together(group: Values) -> list[list[tuple[str, Any]]]:
+    """Give the choices of keys that change together: the pairs of key and value of each."""
+    return [
+        [(key, _values(key, values)[position]) for key, values in group.items()]
+        for position in range(_length(group))
+    ]
+
+
+def _values(key: str, values: Any) -> Sequence[Any]:
+    if isinstance(values, str) and _RANGE.fullmatch(values):
+        return _numbers(key, values)
+    is_list = isinstance(values, Sequence | np.ndarray) and not isinstance(values, str | bytes)
+    if not is_list or not len(values):
+        raise JobError(
+            f"values of {key} must be a list, or a range such as '1:10', got {shown(values)}"
+        )
+    found: Sequence[Any] = values
+    return found
+
+
+def _check_keys(keys: Sequence[str]) -> None:
+    for position, key in enumerate(keys):
+        if key in keys[:position]:
+            raise JobError(f"a key of a sweep must stand once, got {shown(key)} twice")
+        if key.partition(".")[0] == "execution":
+            raise JobError(
+                f"a sweep must go over keys that change results, got {shown(key)}: all points "
+                "share the workers of the job"
+            )
+
+
+def _named(chosen: Sequence[Values]) -> Iterator[Point]:
+    """Give the points their names, in which keys are as short as they can be."""
+    keys = list(dict.fromkeys(key for values in chosen for key in values))
+    short = short_names(keys)
+    known = dict[str, Values]()
+    for values in chosen:
+        _check_keys(list(values))
+        told = {key: _text(key, value) for key, value in values.items()}
+        if told in known.values():
+            raise JobError(f"a point of a sweep must stand once, got {shown_text(str(told))} twice")
+        name = ",".join(f"{short[key]}={_slug(told[key])}" for key in values)
+        if name in known or len(name) > _LONGEST_NAME:
+            name = f"{name[:_LONGEST_NAME]}-{_hash(str(told))}"
+        known[name] = told
+        yield Point(name, dict(values))
+
+
+def _text(key: str, value: Any) -> str:
+    """Give a value as a job file spells it."""
+    plain = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+    if isinstance(plain, tuple | list):
+        return f"[{', '.join(_text(key, each) for each in plain)}]"
+    if not isinstance(plain, str | int | float):
+        raise JobError(
+            f"a value of {key} must be a number, a text, true, false or a list, got {shown(value)}"
+        )
+    if isinstance(plain, str):
+        return json.dumps(plain, ensure_ascii=False)
+    return json.dumps(plain).replace("Infinity", "inf").replace("NaN", "nan")
+
+
+def _slug(text: str) -> str:
+    """Give a value as the name of a folder holds it."""
+    slug = _STRANGE.sub("_", text.strip('"[]')) or "empty"
+    return slug if len(slug) <= _LONGEST_VALUE else f"{slug[:_LONGEST_VALUE]}-{_hash(text)}"
+
+
+def _hash(text: str) -> str:
+    return hashlib.blake2b(text.encode(), digest_size=4).hexdigest()

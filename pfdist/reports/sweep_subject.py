@@ -1,0 +1,212 @@
+"""The runs of a sweep that a report is about, and which of them is best."""
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote_from_bytes
+
+import pandas as pd
+
+from pfdist.analysis import Run, open_run
+from pfdist.analysis.listed_run import DAMAGED, ListedRun, listed_run
+from pfdist.analysis.runs_table import RESULTS, runs_table
+from pfdist.analysis.studies import (
+    SEED,
+    SET,
+    Average,
+    averages,
+    in_order,
+    is_numeric,
+    not_told_by,
+    selected,
+    told_at,
+    values_of,
+)
+from pfdist.analysis.table_cells import keys_of
+from pfdist.common.short_names import short_names
+from pfdist.errors import one_line, shown_text
+from pfdist.reports.subject import without_folder
+from pfdist.store.runs_below import runs_below
+from pfdist.store.shown_files import REPORT, has_report
+
+_SAFE = "=,+"  # characters of a folder's name that a link holds as they are
+
+
+@dataclass(frozen=True)
+class Point:
+    """A run of a sweep.
+
+    Parameters
+    ----------
+    path : Path
+    listed : ListedRun
+        How far it is.
+    fault : str
+        Why it cannot be read; empty if it can.
+    """
+
+    path: Path
+    listed: ListedRun
+    fault: str = ""
+
+    @property
+    def state(self) -> str:
+        """How far it is, as `pfdist.list_runs` says it; damaged if a table cannot be read."""
+        return DAMAGED if self.fault else self.listed.state
+
+    @property
+    def name(self) -> str:
+        """Name of the folder, on one line."""
+        return one_line(self.path.name)
+
+    @property
+    def link(self) -> str:
+        """Address of the point's report, from the folder of the sweep; empty if there is none."""
+        if not has_report(self.path):
+            return ""
+        return f"{quote_from_bytes(os.fsencode(self.path.name), safe=_SAFE)}/{REPORT}"
+
+
+class SweepSubject:
+    """The runs in the folder of a sweep, and their table.
+
+    Parameters
+    ----------
+    path : Path
+
+    Attributes
+    ----------
+    points : list of Point
+        In the order of their names.
+    runs : list of Run
+        Those that can be read.
+    frame : DataFrame
+        As `pfdist.table` gives it of these runs.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        folders = list(runs_below(path, 1))
+        listed = [listed_run(folder, folder.name) for folder in folders]
+        self.points = [
+            Point(folder, line, line.fault or "")
+            for folder, line in zip(folders, listed, strict=True)
+        ]
+        self.runs, self.frame = self._read()
+
+    @cached_property
+    def by_path(self) -> Mapping[str, Point]:
+        """The points by their folders, as the table names them."""
+        return {str(point.path): point for point in self.points}
+
+    @cached_property
+    def keys(self) -> list[str]:
+        """Keys in which the jobs differ."""
+        return keys_of(self.frame)
+
+    @cached_property
+    def short(self) -> Mapping[str, str]:
+        """The short name of each key."""
+        return short_names(self.keys)
+
+    @cached_property
+    def varying(self) -> list[str]:
+        """Keys in which the jobs differ, other than the seed and those that change with others."""
+        found = list[str]()
+        for name in self.keys:
+            if name != SEED and name in not_told_by(self.frame, found):
+                found.append(name)
+        return found
+
+    @cached_property
+    def columns(self) -> list[str]:
+        """The varying keys, and the set if it tells rows apart, too."""
+        return [*self.varying, *({SET} & {*not_told_by(self.frame, self.varying)})]
+
+    @property
+    def models(self) -> list[str]:
+        """Names of the models, without folders of this machine."""
+        return list(dict.fromkeys(without_folder(run.job["model"]["name"]) for run in self.runs))
+
+    @property
+    def rows(self) -> list[dict[Any, Any]]:
+        """The rows of the table in the order of their values, the seed last."""
+        return in_order(self.frame, [*self.varying, SET, *({SEED} & {*self.keys})])
+
+    def count(self, state: str) -> int:
+        """Give the number of points in a state."""
+        return sum(point.state == state for point in self.points)
+
+    def ranked(self, value: str, *, is_best_low: bool) -> list[Average]:
+        """Give the averages over seeds of a result that are known and finite, the best first."""
+        known = [
+            each for each in averages(self.frame, self.columns, value) if math.isfinite(each.mean)
+        ]
+        return sorted(known, key=lambda each: each.mean if is_best_low else -each.mean)
+
+    def best(self) -> dict[str, Any]:
+        """Give the values of the columns with the least expected MSE; if unknown, the first."""
+        ranked = self.ranked("expected_mse", is_best_low=True)
+        if ranked:
+            return dict(zip(self.columns, ranked[0].point, strict=True))
+        return {name: values_of(self.frame, name)[0] for name in self.columns}
+
+    def told(self, names: Sequence[str], values: Sequence[Any]) -> str:
+        """Give values of columns as a phrase."""
+        return told_at(names, tuple(values), self.keys, " = ")
+
+    def held(self, free: Sequence[str], most: int) -> tuple[pd.DataFrame, dict[str, Any]]:
+        """Give the rows for a figure, with the last columns held at their best values.
+
+        Parameters
+        ----------
+        free : sequence of str
+            Columns that are not held.
+        most : int
+            Most combinations of values of the others.
+
+        Returns
+        -------
+        (DataFrame, dict of str to object)
+            The rows, and the values that are held.
+        """
+        frame, held, best = self.frame, dict[str, Any](), self.best()
+        others = [name for name in (SET, *self.varying) if name in self.columns]
+        others = [name for name in others if name not in free]
+        while others and len(averages(frame.assign(_any=0.0), others, "_any")) > most:
+            name = others.pop()
+            held[name] = best[name]
+            frame = selected(self.frame, held)
+        return frame, held
+
+    def numeric(self, name: str) -> bool:
+        """Whether all values of a column are numbers."""
+        return is_numeric(values_of(self.frame, name))
+
+    def _read(self) -> tuple[list[Run], pd.DataFrame]:
+        """Read all runs; those that cannot be read become damaged points."""
+        runs = [open_run(point.path) for point in self.points if not point.fault]
+        try:
+            return runs, _table(runs)
+        except Exception:  # a report of many runs must not fail because of one of them
+            self.points = [point if point.fault else _tried(point) for point in self.points]
+            runs = [open_run(point.path) for point in self.points if not point.fault]
+            return runs, _table(runs)
+
+
+def _table(runs: Sequence[Run]) -> pd.DataFrame:
+    return runs_table(runs) if runs else pd.DataFrame(columns=["run", *RESULTS])
+
+
+def _tried(point: Point) -> Point:
+    """Give a point with the reason why it cannot be read, if it cannot."""
+    try:
+        runs_table([open_run(point.path)])
+    except Exception as error:
+        fault = one_line(shown_text(str(error).replace(f"{point.path}/", "")))
+        return Point(point.path, point.listed, fault or type(error).__name__)
+    return point

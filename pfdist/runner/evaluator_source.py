@@ -1,0 +1,136 @@
+"""An evaluator as data, which travels to the workers."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from pfdist.common.streams import stream_key
+from pfdist.errors import ModelError
+from pfdist.evaluation.compiling import compile_evaluator, libm_functions
+from pfdist.evaluation.engines import NUMPY
+from pfdist.evaluation.evaluator import Evaluator
+from pfdist.evaluation.work import Estimation
+from pfdist.filters.particle_filter import KERNEL_VERSION
+from pfdist.filters.settings import check_fits, check_lengths
+from pfdist.meaning.chosen import ChosenModel
+from pfdist.mistakes.remedies import NO_CLOCK
+from pfdist.times.measurement_times import Times
+
+
+@dataclass(frozen=True)
+class EvaluatorSource:
+    """An evaluator as data, from which each worker makes the evaluator itself.
+
+    Parameters
+    ----------
+    model, filter_model : ChosenModel
+    horizon : int
+    dtype, engine : str
+    estimations : tuple of Estimation
+        Estimations that the run uses; the comparison's first.
+    clock : tuple of float, (T+1,), optional
+        The time of each instant, which formulas read; None if the job has no clock.
+    weights : tuple of float, (T+1,), optional
+        Weight of each instant's error in the MSE, with mean 1; None if all are 1.
+    """
+
+    model: ChosenModel
+    filter_model: ChosenModel
+    horizon: int
+    dtype: str
+    engine: str
+    estimations: tuple[Estimation, ...]
+    clock: tuple[float, ...] | None = None
+    weights: tuple[float, ...] | None = None
+
+    @property
+    def truth(self) -> "EvaluatorSource":
+        """The same evaluator with a filter that knows the true model."""
+        return replace(self, filter_model=self.model)
+
+    def make(self) -> Evaluator:
+        """The evaluator with its models loaded and every estimation checked.
+
+        Raises
+        ------
+        ModelError
+            A model cannot be loaded, reads a clock that the job lacks, or does not fit the job.
+        """
+        try:
+            model = self.model.load()
+        except ModelError as error:
+            if error.argument:  # the key of the job that is wrong
+                raise ModelError(f"model.{error.argument}: {error}") from error
+            raise
+        try:
+            filter_model = self.filter_model.load()
+        except ModelError as error:
+            raise ModelError(f"model.filter: {error}") from error
+        for part, each in (("model", model), ("model.filter", filter_model)):
+            if self.clock is None and each.reads_clock:
+                raise ModelError(f"{part}: model {each.name} reads the clock: {NO_CLOCK}")
+        if self.clock is not None:
+            model, filter_model = model.on_clock(self.clock), filter_model.on_clock(self.clock)
+        for each in (model, filter_model):
+            check_lengths(each, self.horizon)
+        check_fits(filter_model, model)
+        filter_model = filter_model.named_as(model)
+        evaluator = Evaluator(
+            model, self.horizon, filter_model, self.dtype, self.engine, weights=self.weights
+        )
+        for estimation in self.estimations:
+            evaluator.check(estimation)
+        return evaluator
+
+    def compiled(self) -> Evaluator:
+        """The evaluator with everything compiled that the estimations need."""
+        evaluator = self.make()
+        if self.engine != NUMPY.name:
+            for estimation in self.estimations:
+                compile_evaluator(evaluator, estimation)
+        return evaluator
+
+    def libm_functions(self) -> tuple[str, ...]:
+        """Functions of the C library that the compiled formulas call."""
+        if self.engine == NUMPY.name:
+            return ()
+        evaluator = self.compiled()
+        found = (libm_functions(evaluator, estimation) for estimation in self.estimations)
+        return tuple(sorted(set().union(*found)))
+
+    def evaluation_id(self, times: Times, end: int, stream: int, estimation: Estimation) -> str:
+        """Id of an evaluation: a hash of everything on which its per-draw MSE depends."""
+        return self._id(estimation, times, end, stream)
+
+    def sums_id(
+        self,
+        sets: Sequence[Times],
+        instants: Sequence[tuple[int, int]],
+        stream: int,
+        estimation: Estimation,
+    ) -> str:
+        """Id of sums of errors: a hash of everything on which they depend but their draws.
+
+        Parameters
+        ----------
+        sets : sequence of tuples of int
+        instants : sequence of pairs of int
+            First and last instant at which the errors of each set count.
+        stream : int
+        estimation : Estimation
+        """
+        return self._id(estimation, sets, instants, stream, "sums")
+
+    def _id(self, estimation: Estimation, *parts: Any) -> str:
+        key = stream_key(
+            KERNEL_VERSION,
+            self.model.content,
+            self.filter_model.content,
+            self.horizon,
+            self.dtype,
+            self.engine,
+            vars(estimation),
+            *(part for part in (self.clock, self.weights) if part is not None),
+            *parts,
+        )
+        return f"{key:016x}"

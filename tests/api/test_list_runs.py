@@ -1,0 +1,145 @@
+"""The runs below a folder: what each has found, and no damaged folder that ends the list."""
+
+import os
+import shutil
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import pfdist
+from pfdist.errors import StoreError
+from pfdist.store import held
+
+SMALL = (Path(__file__).parents[1] / "small.toml").read_text()
+SHORT = ["comparison.draws=60", "search.genetic.generations=1", "filter.particles=10"]
+KALMAN = ["model.name=random_walk", "filter.engine=kalman"]
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Finished runs, two levels deep."""
+    folder = tmp_path_factory.mktemp("list")
+    (folder / "small.toml").write_text(SMALL)
+    for name, changes in {"plain": [], "sweep/n-10": ["seed=2"], "sweep/n-9": KALMAN}.items():
+        job = pfdist.load_job(folder / "small.toml", [*SHORT, *changes])
+        pfdist.run(job, folder / "results" / name, figures=False)
+    return folder / "results"
+
+
+def _row(folder: Path) -> dict[Any, Any]:
+    (row,) = pfdist.list_runs(folder).to_dict("records")
+    return row
+
+
+def test_the_best_set_and_its_gain_are_those_of_the_summary(runs: Path) -> None:
+    frame = pfdist.list_runs(runs)
+    assert frame["run"].tolist() == ["plain", "sweep/n-9", "sweep/n-10"]
+    assert set(frame["state"]) == {"finished"}
+    for row in frame.to_dict("records"):
+        summary = pfdist.open_run(runs / row["run"]).summary()
+        results, key = summary["results"], "exact_mse" if summary["is_exact"] else "expected_mse"
+        best = min(("genetic", "random"), key=lambda name: results[name][key])
+        assert (row["best"], row["reference"]) == (best, "regular")
+        assert row["gain_of_means"] == results[best]["gain_of_means"]
+        assert row["draws"] == row["draws_wanted"] == 60
+
+
+def test_size_and_age_are_those_of_the_files(runs: Path, tmp_path: Path) -> None:
+    run = shutil.copytree(runs / "plain", tmp_path / "run")
+    for path in [run, *run.rglob("*")]:
+        os.utime(path, (0, 1000.0))
+    newest = run / "tables" / "compared"
+    os.utime(newest, (0, 3000.0))
+    row = _row(tmp_path)
+    assert row["bytes"] == sum(path.stat().st_size for path in run.rglob("*") if path.is_file())
+    assert row["changed"] == datetime.fromtimestamp(3000.0, UTC)
+
+
+def test_links_hidden_folders_and_what_lies_deeper_are_left_out(runs: Path, tmp_path: Path) -> None:
+    for name in ("a/b/c", "a/b/d/e", ".hidden", "a/.trash/run", "run"):
+        shutil.copytree(runs / "plain", tmp_path / name)
+    shutil.copytree(runs / "plain", tmp_path / "run" / "inside")
+    (tmp_path / "link").symlink_to(runs)
+    (tmp_path / "loop").symlink_to(tmp_path)
+    (tmp_path / "notes.txt").touch()
+    assert pfdist.list_runs(tmp_path)["run"].tolist() == ["a/b/c", "run"]
+    assert _row(runs / "plain")["run"] == "."
+
+
+def test_a_run_is_running_while_its_lock_is_held(runs: Path, tmp_path: Path) -> None:
+    run = shutil.copytree(runs / "plain", tmp_path / "run")
+    with held(run):
+        assert _row(tmp_path)["state"] == "running"
+    assert _row(tmp_path)["state"] == "finished"
+
+
+def test_an_unfinished_run_says_how_many_draws_it_has(runs: Path, tmp_path: Path) -> None:
+    run = shutil.copytree(runs / "plain", tmp_path / "run")
+    serial = {"execution": {"pool": "serial"}}
+    job = pfdist.load_job(run / "job.toml", ["comparison.draws=500"], sections=serial)
+    with pytest.raises(KeyboardInterrupt):
+        pfdist.run(job, run, figures=False, progress=_stop)
+    row = _row(tmp_path)
+    assert (row["state"], row["draws_wanted"]) == ("unfinished", 500)
+    assert 60 <= row["draws"] < 500
+    for table in ("tables/comparison", "parts"):
+        shutil.rmtree(run / table, ignore_errors=True)
+    row = _row(tmp_path)
+    assert (row["state"], row["draws"], row["best"]) == ("unfinished", 0, None)
+
+
+def _stop(progress: Any) -> None:
+    raise KeyboardInterrupt
+
+
+def _write(name: str, content: bytes) -> Any:
+    return lambda run: (run / name).write_bytes(content)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (_write("run.json", b"{}"), "cannot read run.json: schema_version must be given"),
+        (_write("run.json", b"[" * 9999), "cannot read run.json"),
+        (_write("job.toml", b"\xff"), "cannot read job.toml: text must be UTF-8"),
+        (_write("job.toml", b"seed = 1"), "cannot read job.toml: problem must be given"),
+        (_write("tables/comparison/comparison-00000.parquet", b""), "cannot read tables"),
+        (_write("tables/compared/search-00000.parquet", b"x"), "cannot read tables"),
+        (lambda run: (run / "run.json").unlink(), "there is no run.json in it"),
+        (lambda run: (run / "job.toml").unlink(), "there is no job.toml in it"),
+        (lambda run: shutil.rmtree(run / "manifest"), "has lost its folder manifest"),
+        (lambda run: (run / "figures").symlink_to("/etc"), "figures is a link"),
+        (lambda run: os.mkfifo(run / "report.html"), "report.html is neither a file"),
+    ],
+)
+def test_a_damaged_run_is_a_row_that_says_what_is_wrong(
+    spoil: Any, words: str, runs: Path, tmp_path: Path
+) -> None:
+    for name in ("bad", "good"):
+        shutil.copytree(runs / "plain", tmp_path / name)
+    (tmp_path / "bad" / ".lock").unlink(missing_ok=True)
+    spoil(tmp_path / "bad")
+    bad, good = pfdist.list_runs(tmp_path).to_dict("records")
+    assert (bad["run"], bad["state"], bad["best"]) == ("bad", "damaged", None)
+    assert words in bad["fault"]
+    assert str(tmp_path) not in bad["fault"]
+    assert "\n" not in bad["fault"]
+    assert (good["state"], good["fault"]) == ("finished", None)
+
+
+def test_a_folder_without_runs_gives_an_empty_table_and_a_missing_folder_an_error(
+    tmp_path: Path,
+) -> None:
+    frame = pfdist.list_runs(tmp_path)
+    assert frame.empty
+    assert "gain_of_means" in frame
+    with pytest.raises(StoreError, match=r"cannot list .*lacking: No such file"):
+        pfdist.list_runs(tmp_path / "lacking")
+
+
+def test_any_name_of_a_folder_is_listed(runs: Path, tmp_path: Path) -> None:
+    for name in ("a\nb", "\x1b[2J", "a\udcffb"):
+        shutil.copytree(runs / "plain", tmp_path / name)
+    assert set(pfdist.list_runs(tmp_path)["run"]) == {"a\nb", "\x1b[2J", "a\udcffb"}

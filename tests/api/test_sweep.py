@@ -1,0 +1,280 @@
+"""A sweep is the same as its runs, started one by one."""
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import pfdist
+from oracles.bytes_of import hashes
+from pfdist import Job
+from pfdist.api.sweep import foreseen
+from pfdist.errors import JobError, RunMismatchError, SweepError
+from pfdist.evaluation.evaluator import Evaluator
+from pfdist.evaluation.work import Result, Work
+from pfdist.runner.progress import Progress
+
+SWEEP = """
+job = "small.toml"
+[change]
+comparison.draws = 60
+[over]
+seed = [1, 2]
+problem.measurement_budget = "4:5"
+[[parallel]]
+model.parameters.process_sd = [1.0]
+model.filter.parameters.process_sd = [2.0]
+[[point]]
+seed = 7
+"""
+
+
+@pytest.fixture
+def sweep_file(small_job: Job) -> Path:
+    path = small_job.path.with_name("study.toml")
+    path.write_text(SWEEP)
+    return path
+
+
+def alone(small_job: Job, path: Path, changes: list[str]) -> dict[str, str]:
+    pfdist.run(small_job.path, path, changes=changes, figures=False)
+    return hashes(path)
+
+
+def test_every_point_has_the_bytes_of_its_own_run(
+    sweep_file: Path, small_job: Job, tmp_path: Path
+) -> None:
+    sweep = pfdist.sweep(sweep_file, results=tmp_path / "sweep", report=False)
+    assert sweep.path == tmp_path / "sweep"
+    assert len(sweep.runs) == 5
+    for name, run in sweep.runs.items():
+        assert run.path == tmp_path / "sweep" / name
+        assert run.state == "finished"
+    changes = [
+        "seed=2",
+        "problem.measurement_budget=5",
+        "comparison.draws=60",
+        "model.parameters.process_sd=1.0",
+        "model.filter.parameters.process_sd=2.0",
+    ]
+    name = (
+        "seed=2,measurement_budget=5,model.parameters.process_sd=1.0,"
+        "filter.parameters.process_sd=2.0"
+    )
+    assert hashes(sweep.path / name) == alone(small_job, tmp_path / "one", changes)
+    last = alone(small_job, tmp_path / "last", ["seed=7", "comparison.draws=60"])
+    assert hashes(sweep.path / "seed=7") == last
+
+
+ALIKE = {"comparison.draws": [60, 100, 80]}
+"""Points with the same searches."""
+
+
+@pytest.fixture
+def filtered(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Numbers of filters that searches have run: sets times draws of each task."""
+    numbers: list[int] = []
+    filtered = Evaluator.filtered
+
+    def counting(evaluator: Evaluator, work: Work) -> Result:
+        if all(len(id_.partition(":")[0]) == 16 for id_ in work.ids):  # no set of a comparison
+            numbers.append((work.draws[1] - work.draws[0]) * len(work.measurement_times))
+        return filtered(evaluator, work)
+
+    monkeypatch.setattr(Evaluator, "filtered", counting)
+    return numbers
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        [],
+        ["search.genetic.share_copies=true"],
+        ['search=[{method="relaxation"}]'],
+        ['search=[{method="greedy_forward"}, {method="relaxation", name="again"}]'],
+    ],
+)
+def test_an_evaluation_that_several_points_need_is_computed_once(
+    changes: list[str], small_job: Job, tmp_path: Path, filtered: list[int]
+) -> None:
+    """Three points that differ in their comparison alone cost one search."""
+    whole = {}
+    for draws in ALIKE["comparison.draws"]:
+        filtered.clear()
+        all_changes = [*changes, f"comparison.draws={draws}"]
+        whole[f"comparison.draws={draws}"] = alone(small_job, tmp_path / f"{draws}", all_changes)
+    once = sum(filtered)
+    assert once > 0
+    filtered.clear()
+    sweep = pfdist.sweep(
+        small_job, ALIKE, changes=changes, results=tmp_path / "sweep", report=False
+    )
+    assert sum(filtered) == once
+    assert {name: hashes(run.path) for name, run in sweep.runs.items()} == whole
+
+
+def test_points_on_ray_have_the_same_bytes(
+    small_job: Job, tmp_path: Path, ray_cluster: None
+) -> None:
+    sweep = pfdist.sweep(small_job, ALIKE, pool="ray", results=tmp_path / "sweep", report=False)
+    for draws in ALIKE["comparison.draws"]:
+        whole = alone(small_job, tmp_path / f"{draws}", [f"comparison.draws={draws}"])
+        assert hashes(sweep.path / f"comparison.draws={draws}") == whole
+
+
+def test_a_sweep_that_is_finished_needs_no_workers(
+    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = pfdist.sweep(small_job, {"seed": [1, 2]}, results=tmp_path / "sweep", report=False)
+    before = {name: hashes(run.path) for name, run in first.runs.items()}
+
+    def refuse(*_: Any) -> None:
+        raise AssertionError("workers were started")
+
+    monkeypatch.setattr("pfdist.pools.base.SerialPool.__enter__", refuse)
+    again = pfdist.sweep(small_job, {"seed": [1, 2]}, results=tmp_path / "sweep", report=False)
+    assert {name: hashes(run.path) for name, run in again.runs.items()} == before
+
+
+def test_a_point_that_fails_is_said_and_the_others_go_on(small_job: Job, tmp_path: Path) -> None:
+    said: list[str] = []
+    over = {"model.parameters.process_sd": [1.0, -1.0, 2.0]}
+    with pytest.raises(SweepError) as caught:
+        pfdist.sweep(small_job, over, results=tmp_path / "sweep", report=False, say=said.append)
+    assert list(caught.value.failed) == ["process_sd=-1.0"]
+    assert str(caught.value).startswith("1 of 3 points failed, the others are finished in ")
+    assert "process_sd must be a finite number" in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert sum("process_sd=-1.0: failed: " in line for line in said) == 1
+    for name in ("process_sd=1.0", "process_sd=2.0"):
+        assert pfdist.open_run(tmp_path / "sweep" / name).state == "finished"
+
+
+def test_a_folder_of_another_run_fails_its_point_alone(small_job: Job, tmp_path: Path) -> None:
+    folder = tmp_path / "sweep"
+    pfdist.run(small_job, folder / "seed=1", changes=["filter.particles=20"], figures=False)
+    with pytest.raises(SweepError) as caught:
+        pfdist.sweep(small_job, {"seed": [1, 2]}, results=folder, report=False)
+    assert RunMismatchError.__name__ not in str(caught.value)
+    assert "holds another run" in caught.value.failed["seed=1"]
+    assert pfdist.open_run(folder / "seed=2").state == "finished"
+
+
+def test_a_wrong_point_is_told_before_anything_is_computed(small_job: Job, tmp_path: Path) -> None:
+    with pytest.raises(JobError) as caught:
+        pfdist.sweep(small_job, {"filter.particles": [10, 0]}, results=tmp_path / "sweep")
+    assert str(caught.value).startswith("the point particles=0 of the sweep: filter.particles must")
+    assert not (tmp_path / "sweep").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("job = 3", "job must be a string, got 3"),
+        ('job = "small.toml"\novr = {seed = [1]}', "unknown key 'ovr', allowed: job, change, over"),
+        ('job = "small.toml"\nover = 3', "over must be a section, got 3"),
+        ('job = "nothing.toml"\n[over]\nseed = [1]', "nothing.toml"),
+        (
+            'job = "study.toml"\n[over]\nseed = [1]',
+            "is a sweep file, not a job: run it by",
+        ),
+        ('job = "small.toml"', "a sweep must have 1..10000 points, got 0"),
+        ('job = "small.toml"\n[over]\nsede = [1]', "unknown key 'sede'"),
+    ],
+)
+def test_a_wrong_sweep_file_is_told_in_one_line(
+    text: str, words: str, sweep_file: Path, tmp_path: Path
+) -> None:
+    sweep_file.write_text(text)
+    with pytest.raises(JobError) as caught:
+        pfdist.sweep(sweep_file, results=tmp_path / "sweep")
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "sweep").exists()
+
+
+def test_progress_is_that_of_the_whole(small_job: Job, tmp_path: Path) -> None:
+    seen: list[Progress] = []
+    pfdist.sweep(
+        small_job,
+        {"seed": [1, 2, 3]},
+        results=tmp_path / "sweep",
+        report=False,
+        progress=seen.append,
+    )
+    assert {state.total for state in seen} == {3}
+    shares = [state.done for state in seen]
+    assert all(0 <= share <= 3 for share in shares)
+    assert seen[-1].done == 3
+    assert seen[-1].doing.startswith("3 of 3 points finished")
+    assert any("seed=2: genetic" in state.doing for state in seen)
+
+
+def test_points_can_be_listed_without_computing(sweep_file: Path, tmp_path: Path) -> None:
+    points = foreseen(sweep_file, results=tmp_path / "sweep")
+    assert list(points["state"]) == ["none"] * 5
+    assert (points["steps"] > 0).all()
+    assert not (tmp_path / "sweep").exists()
+    pfdist.sweep(sweep_file, results=tmp_path / "sweep", report=False)
+    assert set(foreseen(sweep_file, results=tmp_path / "sweep")["state"]) == {"finished"}
+
+
+def test_a_problem_with_an_object_is_swept(tmp_path: Path, ungm: pfdist.StateSpaceModel) -> None:
+    mine = dataclasses.replace(
+        ungm, name="mine", transition=lambda x, t, w, p: (0.9 * x[0] + w[0],)
+    )
+    problem = pfdist.Problem(mine, horizon=12, measurement_budget=4, particles=30)
+    sweep = pfdist.sweep(
+        problem,
+        {"seed": [1, 2]},
+        pool="serial",
+        results=tmp_path / "sweep",
+        changes=["evaluation.draws=20", "comparison.draws=60"],
+    )
+    assert all((run.path / "report.html").exists() for run in sweep.runs.values())
+
+
+def test_results_have_the_name_of_the_sweep_file(
+    sweep_file: Path, small_job: Job, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    few: Callable[..., pfdist.Sweep] = pfdist.sweep
+    assert few(sweep_file, report=False).path == Path("results/study")
+    assert few(small_job, {"seed": [3]}, report=False).path == Path("results/small-sweep")
+
+
+def test_times_found_at_each_point_are_judged_at_every_point(
+    small_job: Job, tmp_path: Path
+) -> None:
+    """As `pfdist.compare` judges them: the same draws, filters and figures."""
+    over = {"model.parameters.process_sd": [1.0, 2.0], "seed": [1, 2]}
+    changes = ['search=[{method="greedy_forward"}]']
+    sweep = pfdist.sweep(
+        small_job, over, changes=changes, results=tmp_path / "sweep", judge=True, report=False
+    )
+    judged = sweep.judged()
+    assert len(judged) == 16
+    assert set(judged["found_at"]) == set(sweep.runs)
+    assert judged["run"].nunique() == 4
+    point = "process_sd=2.0,seed=1"
+    times = {
+        f"point_{k}": run.sets()["greedy_forward"] for k, run in enumerate(sweep.runs.values(), 1)
+    }
+    compared = pfdist.compare(
+        small_job,
+        times=times,
+        changes=["model.parameters.process_sd=2.0", "seed=1"],
+        results=tmp_path / "compared",
+        figures=False,
+    )
+    expected = compared.comparison().mean()
+    for row in judged[judged["run"] == point].itertuples():
+        assert row.expected_mse == pytest.approx(expected[f"mse_{row.set}"], rel=1e-12)
+
+
+def test_a_sweep_that_does_not_judge_says_so(small_job: Job, tmp_path: Path) -> None:
+    sweep = pfdist.sweep(small_job, {"seed": [1]}, results=tmp_path / "sweep", report=False)
+    with pytest.raises(pfdist.PfdistError, match="judged needs a sweep that judges"):
+        sweep.judged()

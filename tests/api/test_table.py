@@ -1,0 +1,232 @@
+"""Many runs as one table: its numbers are those of each run's own summary."""
+
+import csv
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import pfdist
+from pfdist.analysis import Run
+from pfdist.errors import ArgumentError, StoreError
+
+SMALL = (Path(__file__).parents[1] / "small.toml").read_text()
+ASSETS = Path(__file__).parents[1] / "assets"
+SHORT = ["comparison.draws=60", "search.genetic.generations=1", "filter.particles=10"]
+KALMAN = ["model.name=random_walk", "filter.engine=kalman"]
+GAINS = ("gain_of_means", "mean_relative_gain", "positive_fraction")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder as of a sweep over two keys, and other runs beside it."""
+    folder = tmp_path_factory.mktemp("table")
+    (folder / "small.toml").write_text(SMALL)
+    for name, changes in {
+        "sweep/n-4": [],
+        "sweep/n-10": ["seed=2", "problem.measurement_budget=10"],
+        "kalman": KALMAN,
+    }.items():
+        _run(folder, name, changes)
+    return folder
+
+
+def _run(folder: Path, name: str, changes: list[str], **options: Any) -> Run:
+    job = pfdist.load_job(folder / "small.toml", [*SHORT, *changes])
+    return pfdist.run(job, folder / name, figures=False, **options)
+
+
+def test_each_row_has_the_numbers_of_the_summary(folder: Path) -> None:
+    frame = pfdist.table(folder / "sweep")
+    assert frame["run"].tolist() == ["n-4"] * 2 + ["n-10"] * 2  # numbers as numbers
+    for row in frame.to_dict("records"):
+        run = pfdist.open_run(row["path"])
+        summary = run.summary()
+        result, regular = (summary["results"][row[name]] for name in ("set", "reference"))
+        assert row["reference"] == "regular"
+        for key in ("expected_mse", "standard_error", *GAINS):
+            assert row[key] == result[key]
+        for gain in GAINS:
+            assert [row[f"{gain}_low"], row[f"{gain}_high"]] == result[f"{gain}_interval"]
+        assert row["reference_mse"] == regular["expected_mse"]
+        assert row["reference_standard_error"] == regular["standard_error"]
+        assert row["measurement_times"] == tuple(result["measurement_times"])
+        assert row["measurements"] == len(result["measurement_times"])
+        for key in ("state", "evaluations"):
+            assert row[key] == summary[key]
+        assert row["draws"] == summary["draws_compared"] == 60
+        assert row["worker_seconds"] == run.timings()["seconds"].sum()
+        assert np.isnan([row["bound"], row["bound_gap"], row["bound_gap_at_most"]]).all()
+
+
+def test_the_keys_that_differ_are_columns_and_no_others(folder: Path) -> None:
+    frame = pfdist.table(folder / "sweep")
+    columns = frame.columns.tolist()
+    assert columns[: columns.index("set")] == ["run", "seed", "problem.measurement_budget"]
+    assert frame["seed"].tolist() == [1, 1, 2, 2]
+    assert frame["problem.measurement_budget"].dtype == np.int64
+    alone = pfdist.table(folder / "kalman")
+    assert alone.columns.tolist()[:2] == ["run", "set"]
+
+
+def test_an_exact_engine_has_exact_errors_and_a_proof_has_its_gap(folder: Path) -> None:
+    run = _run(folder, "proved", KALMAN, bound_draws=480)
+    summary = run.summary()["results"]
+    for row in pfdist.table(run).to_dict("records"):
+        result = summary[row["set"]]
+        assert (row["expected_mse"], row["standard_error"]) == (result["exact_mse"], 0.0)
+        assert row["gain_of_means"] == result["exact_gain"]
+        assert row["gain_of_means_low"] == row["gain_of_means_high"] == result["exact_gain"]
+        assert row["reference_mse"] == summary["regular"]["exact_mse"]
+        assert row["bound"] == result["lower_bound"]["bound"] <= row["expected_mse"] * (1 + 1e-9)
+        assert row["bound_gap"] == result["lower_bound"]["gap"]
+
+
+def test_runs_lists_and_folders_are_the_same_and_count_once(folder: Path) -> None:
+    paths = [folder / "sweep" / "n-4", folder / "sweep" / "n-10"]
+    frame = pfdist.table(folder / "sweep")
+    for runs in (paths, [paths], [pfdist.open_run(paths[0]), str(paths[1]), paths[0] / "."]):
+        pd.testing.assert_frame_equal(pfdist.table(*runs), frame)
+
+
+def test_names_that_clash_are_told_apart_by_their_paths(folder: Path) -> None:
+    for name in ("a/run", "b/run", "b/other"):
+        shutil.copytree(folder / "kalman", folder / name)
+    names = pfdist.table(*(folder / name for name in ("a/run", "b/run", "b/other")))["run"]
+    assert names.unique().tolist() == ["a/run", "b/run", "other"]
+
+
+def test_a_run_without_results_has_a_row_with_its_state(folder: Path) -> None:
+    def stop(progress: Any) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        _run(folder, "stopped", ["seed=7"], progress=stop)
+    row, *others = pfdist.table(folder / "stopped", folder / "sweep" / "n-4").to_dict("records")
+    assert [other["seed"] for other in others] == [1, 1]
+    assert (row["run"], row["seed"], row["state"]) == ("stopped", 7, "searching")
+    assert pd.isna([row["set"], row["expected_mse"], row["gain_of_means"]]).all()
+    assert row["measurement_times"] is None
+
+
+def test_found_times_of_several_numbers_are_compared_with_regular_times_of_the_same(
+    folder: Path,
+) -> None:
+    run = pfdist.budget(
+        folder / "small.toml", (3, 4), folder / "curve", 50, bound_draws=0, figures=False,
+        changes=["filter.particles=10"],
+    )  # fmt: skip
+    frame, mse = pfdist.table(run), run.comparison()
+    assert frame["measurements"].tolist() == [3, 4]
+    for row in frame.to_dict("records"):
+        found, regular = (mse[f"mse_{row[name]}"] for name in ("set", "reference"))
+        assert row["reference"].startswith("regular")
+        assert row["reference_mse"] == pytest.approx(regular.mean())
+        assert row["gain_of_means"] == pytest.approx(1 - found.mean() / regular.mean())
+        assert row["mean_relative_gain"] == pytest.approx((1 - found / regular).mean())
+
+
+@pytest.mark.parametrize("old", ["schema-1", "schema-2", "schema-3"])
+def test_old_runs_have_rows(old: str) -> None:
+    frame = pfdist.table(ASSETS / old)
+    summary = pfdist.open_run(ASSETS / old).summary()["results"]
+    assert {*frame["set"]} == {*summary} - {"regular"}
+    assert np.isfinite(frame["gain_of_means"]).all()
+
+
+def test_versions_that_differ_are_a_column(folder: Path) -> None:
+    frame = pfdist.table(folder / "kalman", ASSETS / "schema-2")
+    assert frame["pfdist"].nunique() == 2
+
+
+def test_a_csv_file_and_a_parquet_file_hold_the_table(folder: Path) -> None:
+    frame = pfdist.table(folder / "kalman", folder / "sweep", out=folder / "t.parquet")
+    read = pd.read_parquet(folder / "t.parquet")
+    assert read.columns.tolist() == frame.columns.tolist()
+    assert [tuple(times) for times in read["measurement_times"]] == frame[
+        "measurement_times"
+    ].tolist()
+    pfdist.table(folder / "kalman", folder / "sweep", out=folder / "t.csv")
+    text = pd.read_csv(folder / "t.csv")
+    assert text["measurement_times"].tolist() == [
+        " ".join(map(str, times)) for times in frame["measurement_times"]
+    ]
+    for column in frame.columns:
+        if pd.api.types.is_numeric_dtype(frame[column]):
+            assert pd.api.types.is_numeric_dtype(read[column])
+            for file in (read, text):
+                np.testing.assert_array_equal(
+                    file[column].to_numpy(float, na_value=np.nan),
+                    frame[column].to_numpy(float, na_value=np.nan),
+                )
+
+
+def test_a_table_for_latex_is_balanced_and_escaped(folder: Path) -> None:
+    hostile = folder / "[50%_{x}&#$^~\\"
+    shutil.copytree(folder / "kalman", hostile)
+    pfdist.table(hostile, folder / "kalman", out=folder / "t.tex")
+    text = (folder / "t.tex").read_text().partition("\n")[2]  # after the comment
+    assert text.count(r"\begin{tabular}") == text.count(r"\end{tabular}") == 1
+    assert [text.count(rf"\{rule}rule") for rule in ("top", "mid", "bottom")] == [1, 1, 1]
+    rows = [line for line in text.splitlines() if line.endswith(r" \\")]
+    columns = re.findall(r"(?<!\\)\{([lr]+)\}", text)[0]
+    assert len(rows) == 1 + 4
+    for row in rows:
+        assert len(re.findall(r"(?<!\\)&", row)) == len(columns) - 1
+        assert row.count("$") % 2 == row.count(r"\$") % 2
+        assert not re.search(r"(?<!\\)[%#_]", row)
+        assert not row.startswith("[")
+    plain = re.sub(r"\\[{}]", "", text)
+    assert plain.count("{") == plain.count("}")
+    assert r"{}[50\%\_\{x\}\&\#\$\textasciicircum{}\textasciitilde{}\textbackslash{}" in text
+
+
+def test_earlier_tables_are_replaced_and_no_other_file(folder: Path) -> None:
+    for ending in ("csv", "parquet", "tex"):
+        out = folder / f"again.{ending}"
+        pfdist.table(folder / "kalman", out=out)
+        pfdist.table(folder / "sweep", out=out)  # with other columns
+        out.write_text("run,mine\n")
+        with pytest.raises(StoreError, match="exists and is no earlier result"):
+            pfdist.table(folder / "kalman", out=out)
+        assert out.read_text() == "run,mine\n"
+
+
+def test_values_of_different_types_are_text_in_parquet_and_csv(folder: Path) -> None:
+    given = _run(folder, "given", ["comparison.reference=[0, 3]"])
+    runs = [given, folder / "sweep" / "n-4"]
+    frame = pfdist.table(*runs, out=folder / "mixed.parquet")
+    assert frame["comparison.reference"].tolist() == [(0, 3), (0, 3), "regular", "regular"]
+    read = pd.read_parquet(folder / "mixed.parquet")
+    assert read["comparison.reference"].tolist() == ["0 3", "0 3", "regular", "regular"]
+    pfdist.table(*runs, out=folder / "mixed.csv")
+    with (folder / "mixed.csv").open(newline="") as file:
+        assert next(csv.DictReader(file))["comparison.reference"] == "0 3"
+
+
+@pytest.mark.parametrize("name", ["a,b\nc", "\x1b[2J", "a\udcffb", "x" * 200])
+def test_any_name_of_a_folder_is_written(name: str, folder: Path, tmp_path: Path) -> None:
+    shutil.copytree(folder / "kalman", tmp_path / name)
+    for ending in ("csv", "parquet", "tex"):
+        pfdist.table(tmp_path / name, out=tmp_path / f"t.{ending}")
+    with (tmp_path / "t.csv").open(newline="", errors="surrogateescape") as file:
+        assert [row["run"] for row in csv.DictReader(file)] == [name] * 2
+    assert len(pd.read_parquet(tmp_path / "t.parquet")) == 2
+
+
+def test_what_is_no_run_or_no_table_is_one_line(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(StoreError, match="empty holds no run"):
+        pfdist.table(folder / "kalman", tmp_path / "empty")
+    with pytest.raises(ArgumentError, match=r"must end in one of \.csv, \.parquet, \.tex, got"):
+        pfdist.table(folder / "kalman", out=tmp_path / "t.xlsx")
+    with pytest.raises(ArgumentError, match="at least one run"):
+        pfdist.table([])
+    shutil.copytree(folder / "kalman", tmp_path / "linked")
+    (tmp_path / "linked" / "tables" / "out").symlink_to("/etc")
+    with pytest.raises(StoreError, match="is a link"):
+        pfdist.table(tmp_path / "linked")
