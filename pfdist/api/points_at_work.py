@@ -56,7 +56,7 @@ class PointsAtWork:
         self, asked: SweepJob, path: Path, bound: BoundSettings | None, show: Show, say: Say
     ) -> None:
         self.failed: dict[str, str] = {}
-        self._asked, self._path, self._bound = asked, path, bound
+        self._asked, self._path = asked, path
         self._show, self._say = show, say
         self._todo = iter(enumerate(asked.points))
         self._ending = Ending(figures=False, report=False, bound=bound)

@@ -2,7 +2,8 @@
 
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation
-from pfdist.filters.draws import libm_of_simulation, simulate, simulation_makes_arrays
+from pfdist.filters.compiled_simulation import libm_of_simulation, simulation_makes_arrays
+from pfdist.filters.draws import simulate
 from pfdist.filters.particle_filter import filter_draws, filter_makes_arrays, libm_of_filter
 
 

@@ -1,25 +1,19 @@
 """Simulate draws: realisations of x(0..T), y(0..T) and z(0..T) (paper, equations 1 to 4)."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any, SupportsIndex
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from pfdist.errors import ModelError, PriorError
 from pfdist.filters.cloud import Cloud, Indices, Prior
-from pfdist.kernels.components import naming, reader, writer
-from pfdist.kernels.disk_cache import kept_on_disk
-from pfdist.kernels.formulas import formula, formulas_of
-from pfdist.kernels.libm import libm_functions, makes_arrays
-from pfdist.kernels.noise import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, filler, variates
-from pfdist.kernels.scratch import WithScratch
+from pfdist.filters.compiled_simulation import compiled_simulation
+from pfdist.kernels.formulas import formulas_of
+from pfdist.kernels.noise import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, variates
 from pfdist.mistakes.places import place_of, place_of_function
 from pfdist.models import StateSpaceModel
-from pfdist.models.parameters import flat_parameters, parameter_names
+from pfdist.models.parameters import flat_parameters
 
 _FORMULAS = ("initial", "transition", "measurement", "quantity_of_interest")
 _TOGETHER = 64  # draws that are simulated side by side, with a few vectors of noise
@@ -113,7 +107,7 @@ def simulate(
     with formulas_of(model.name, model.formulas):
         flat = flat_parameters(model.parameters, horizon + 1)
         given = np.uint64(stream), index.start, draws.start, prior is not None, flat
-        _compiled(model)(*given, draws.x, draws.y, draws.z)
+        compiled_simulation(model)(*given, draws.x, draws.y, draws.z)
     check_finite(model, draws, stream)
     return draws
 
@@ -233,72 +227,3 @@ def _given(
         return "initial", (noise(model.initial_noise, 0, TRUTH_INITIAL), model.p)
     w = noise(model.process_noise, t - 1, TRUTH_PROCESS)
     return "transition", (before, t - 1, w, model.p)
-
-
-def libm_of_simulation(model: StateSpaceModel) -> tuple[str, ...]:
-    """Functions of the C library that the compiled simulation calls; see `libm_functions`.
-
-    The simulation must have been called before.
-    """
-    return libm_functions(_compiled(model).compiled)
-
-
-def simulation_makes_arrays(model: StateSpaceModel) -> bool:
-    """Whether the compiled simulation, which was called before, makes arrays for each particle."""
-    return makes_arrays(_compiled(model).compiled)
-
-
-def _compiled(model: StateSpaceModel) -> WithScratch:
-    return _compile(
-        (model.initial, model.transition, model.measurement, model.quantity_of_interest),
-        (model.initial_noise, model.process_noise, model.measurement_noise),
-        model.components,
-        parameter_names(model.parameters),
-    )
-
-
-@lru_cache(maxsize=32)
-def _compile(
-    functions: tuple[Callable[..., Any], ...],
-    noise: tuple[tuple[str, ...], ...],
-    components: tuple[int, int, int],
-    parameters: tuple[str, ...],
-) -> WithScratch:
-    initial, transition, measurement, quantity = map(formula, functions, _FORMULAS)
-    fill_w0, fill_w, fill_v = (filler(kinds, of_draws=True) for kinds in noise)
-    read_w0, read_w, read_v = (reader(len(kinds), "c, i") for kinds in noise)
-    read_x = reader(components[0], "d, t, c")
-    write_x, write_y, write_z = (writer(count, "d, t, c") for count in components)
-    rows = max(map(len, noise))
-    named = naming(parameters)
-
-    @njit(nogil=True, error_model="numpy", _nrt=False)
-    def simulate_draws(stream, first, start, begun, parameters, noise, x, y, z):  # type: ignore[no-untyped-def]
-        p = named(parameters)
-        for begin in range(0, x.shape[0], _TOGETHER):
-            draw, count = first + begin, min(_TOGETHER, x.shape[0] - begin)
-            if not begun:
-                fill_w0(noise, count, stream, draw, np.int64(0), TRUTH_INITIAL)
-                for i in range(count):
-                    write_x(x, begin + i, 0, initial(read_w0(noise, i), p))
-            for k in range(x.shape[1]):
-                t = start + k
-                fill_v(noise, count, stream, draw, t, TRUTH_MEASUREMENT)
-                for i in range(count):
-                    state = read_x(x, begin + i, k)
-                    write_y(y, begin + i, k, measurement(state, t, read_v(noise, i), p))
-                    write_z(z, begin + i, k, quantity(state, t, p))
-                if k + 1 == x.shape[1]:
-                    break
-                fill_w(noise, count, stream, draw, t, TRUTH_PROCESS)
-                for i in range(count):
-                    following = transition(read_x(x, begin + i, k), t, read_w(noise, i), p)
-                    write_x(x, begin + i, k + 1, following)
-
-    compiled = kept_on_disk(simulate_draws, functions, noise, components, parameters)
-
-    def with_scratch(*arguments: Any) -> None:
-        *given, x, y, z = arguments
-        compiled(*given, np.empty((rows, _TOGETHER), np.float32), x, y, z)
-
-    return WithScratch(compiled, with_scratch)

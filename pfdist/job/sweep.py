@@ -9,12 +9,10 @@ from pydantic import Field, ValidationError
 
 from pfdist.common.arguments import path_argument, texts_argument
 from pfdist.common.explained import explained
-from pfdist.common.nearest import did_you_mean_path
-from pfdist.common.parsing import parse_toml, read_text
 from pfdist.common.section import Section
 from pfdist.errors import JobError
 from pfdist.job.asked import Asked, as_job
-from pfdist.job.job import Job, is_job_file
+from pfdist.job.job import Job, toml_of_file
 from pfdist.job.points import Point, Values, dotted, points_of
 
 
@@ -118,13 +116,7 @@ def _sweep_file(asked: Any) -> SweepFile | None:
     if not isinstance(asked, str | Path):
         return None
     path = path_argument("job", asked)
-    try:
-        data = parse_toml(read_text(path))
-    except OSError as error:
-        meant = did_you_mean_path(path, (path.parent, Path("jobs")), is_job_file)
-        raise JobError(f"cannot read {path}: {error.strerror}{meant}") from error
-    except ValueError as error:
-        raise JobError(f"{path} must be TOML, got an error: {error}") from error
+    data = toml_of_file(path, "job file")
     if "job" not in data:
         return None
     try:

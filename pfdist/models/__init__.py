@@ -3,7 +3,8 @@
 A model consists of formulas. It knows neither filters nor simulations.
 """
 
-from pfdist.models.base import StateSpaceModel, is_in_folder, squared_error
+from pfdist.models.base import StateSpaceModel, squared_error
+from pfdist.models.checked_fields import is_in_folder
 from pfdist.models.loader import PYTHON, ModelSource, find_model, installed_models, load_model
 
 __all__ = [

@@ -1,32 +1,26 @@
 """The state-space model: a handful of pure formulas (paper, equations 1 to 4)."""
 
 import dataclasses
-import inspect
-import keyword
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
-from pathlib import PurePosixPath
 from typing import Any
 
 from pfdist.common.component_names import Component, named_components
 from pfdist.common.nearest import did_you_mean
-from pfdist.errors import ModelError, shown
+from pfdist.errors import ModelError
 from pfdist.jitted import guard_what_it_calls
-from pfdist.mistakes.places import place_of_function
+from pfdist.models.checked_fields import check_fields
 from pfdist.models.parameters import (
     CLOCK,
     Parameter,
     fixed_parameter,
     named_parameters,
     trial_parameters,
-    values_of_parameter,
 )
 from pfdist.models.trial_calls import ARGUMENTS, count_components
 
-NOISE_KINDS = ("normal", "uniform")
 _NAMES = {"x": "x_names", "y": "y_names", "z": "z_names"}
 _LATER = ("normalised", "missing_components", *_NAMES.values())
 """Fields that older runs do not know."""
@@ -124,19 +118,7 @@ class StateSpaceModel:
     z_names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        for name, arguments in ARGUMENTS.items():
-            self._check_signature(name, arguments)
-        for name in ("initial_noise", "process_noise", "measurement_noise"):
-            self._check_noise(name)
-        self._check_data_files()
-        for name in self.parameter_ranges:
-            if name not in self.parameters:
-                raise ModelError(
-                    f"model {self.name}: parameter_ranges must name parameters, got {name!r}; "
-                    f"parameters: {', '.join(self.parameters) or 'none'}"
-                )
-        for name, value in self.parameters.items():
-            self._check_parameter(name, value)
+        check_fields(self)
         fixed = {name: fixed_parameter(value) for name, value in self.parameters.items()}
         object.__setattr__(self, "parameters", fixed)
         for function in self.formulas.values():
@@ -249,61 +231,3 @@ class StateSpaceModel:
         except ModelError as error:
             error.argument = "parameters"
             raise
-
-    def _check_signature(self, name: str, arguments: tuple[str, ...]) -> None:
-        function = getattr(self, name)
-        expected = f"model {self.name}: {name} must be a function of ({', '.join(arguments)})"
-        if not inspect.isfunction(function):
-            raise ModelError(f"{expected}, got {function!r}")
-        signature = inspect.signature(function)
-        try:
-            signature.bind(*arguments)
-        except TypeError as error:
-            place = place_of_function(function)
-            raise ModelError(f"{expected}, got {signature}{place}") from error
-
-    def _check_noise(self, name: str) -> None:
-        kinds = getattr(self, name)
-        if not isinstance(kinds, tuple) or any(kind not in NOISE_KINDS for kind in kinds):
-            allowed = " or ".join(map(repr, NOISE_KINDS))
-            raise ModelError(
-                f"model {self.name}: {name} must be a tuple of {allowed}, an entry for each "
-                f"component, got {kinds!r}"
-            )
-
-    def _check_data_files(self) -> None:
-        files = self.data_files
-        if not isinstance(files, tuple) or not all(map(is_in_folder, files)):
-            raise ModelError(
-                f"model {self.name}: data_files must be a tuple of names relative to the folder of "
-                f"the model's file, and in it, got {files!r}"
-            )
-
-    def _check_parameter(self, name: str, value: Parameter) -> None:
-        if not name.isidentifier() or name.startswith("_") or keyword.iskeyword(name):
-            raise ModelError(
-                f"model {self.name}: the name of a parameter must be that of a variable, "
-                f"got {name!r}"
-            )
-        low, high = self.parameter_ranges.get(name, (-math.inf, math.inf))
-        for number in values_of_parameter(value):
-            if isinstance(number, bool) or not isinstance(number, int | float):
-                raise ModelError(
-                    f"model {self.name}: parameter {name} must be a number, or a sequence of "
-                    f"numbers, one for each instant, got {shown(value)}"
-                )
-            if not (math.isfinite(number) and low <= number <= high):
-                raise ModelError(
-                    f"model {self.name}: parameter {name} must be a finite number in "
-                    f"{low:g}..{high:g}, got {number!r}"
-                )
-
-
-def is_in_folder(name: Any) -> bool:
-    """Whether a name is a path relative to a folder that stays in this folder."""
-    if not isinstance(name, str):
-        return False
-    path = PurePosixPath(name)
-    return (
-        bool(path.parts) and "\0" not in name and not path.is_absolute() and ".." not in path.parts
-    )

@@ -27,7 +27,14 @@ from pfdist.models.beside import Beside, Files, FilesOnDisk
 PYTHON = "python:"
 """Before the name of a model that was given as an object in Python, in the job of its run."""
 _GROUP = "pfdist.models"
-_NOT_MODELS = ("base", "beside", "loader", "parameters", "trial_calls")  # modules of this package
+_NOT_MODELS = (
+    "base",
+    "beside",
+    "checked_fields",
+    "loader",
+    "parameters",
+    "trial_calls",
+)  # modules of this package
 _recordings = itertools.count()
 
 

@@ -1,6 +1,5 @@
 """A problem that is handed over in Python is the problem of a job file."""
 
-import hashlib
 import inspect
 import subprocess
 import sys
@@ -13,6 +12,7 @@ import pandas as pd
 import pytest
 
 import pfdist
+from oracles.bytes_of import hashes
 from pfdist import Problem, Run, StateSpaceModel
 from pfdist.errors import JobError, ModelError, RunMismatchError, StoreError
 from pfdist.job.job import job_toml, load_job
@@ -87,16 +87,6 @@ def robot_of(gain: float, sd: float = 0.7) -> StateSpaceModel:
     )
 
 
-def digests(run: Path) -> dict[str, str]:
-    """Hash of job.toml and of every table, without timings."""
-    files = [run / "job.toml", *sorted((run / "tables").rglob("*.parquet"))]
-    return {
-        str(file.relative_to(run)): hashlib.sha256(file.read_bytes()).hexdigest()
-        for file in files
-        if "timings" not in file.parts
-    }
-
-
 def finished(problem: Problem, path: Path) -> Run:
     return pfdist.run(problem.job(**SECTIONS), path, pool="serial", figures=False)
 
@@ -123,7 +113,7 @@ def test_a_shipped_model_makes_the_run_of_the_job_file(tmp_path: Path) -> None:
     here, there = tmp_path / "here", tmp_path / "there"
     pfdist.run(job, here, pool="serial", figures=False)
     pfdist.run(of_file, there, pool="serial", figures=False)
-    assert digests(here) == digests(there)
+    assert hashes(here) == hashes(there)
     assert pfdist.run(of_file, here, pool="serial", figures=False).state == "finished"
 
 
@@ -309,7 +299,7 @@ def test_closures_give_the_same_bytes_on_ray(tmp_path: Path) -> None:
     problem = Problem(robot_of(0.8), **SHORT)
     finished(problem, tmp_path / "serial")
     pfdist.run(problem.job(**SECTIONS), tmp_path / "ray", pool="ray", workers=1, figures=False)
-    assert digests(tmp_path / "serial") == digests(tmp_path / "ray")
+    assert hashes(tmp_path / "serial") == hashes(tmp_path / "ray")
 
 
 def test_an_installed_model_whose_constants_have_changed_is_refused(
@@ -348,14 +338,14 @@ def test_a_module_beside_a_script_gives_the_same_bytes_on_ray(
     problem = Problem(model, **IN_NUMPY)
     finished(problem, tmp_path / "serial")
     pfdist.run(problem.job(**SECTIONS), tmp_path / "ray", pool="ray", workers=1, figures=False)
-    assert digests(tmp_path / "serial") == digests(tmp_path / "ray")
+    assert hashes(tmp_path / "serial") == hashes(tmp_path / "ray")
 
 
 def test_a_script_resumes_its_run_in_another_process(tmp_path: Path) -> None:
     text = ROBOT.format(slope=0.8) + RUN
     done = script(tmp_path, text, "run", "serial")
     assert done.stdout == "finished\n", done.stderr
-    before = digests(tmp_path / "run")
+    before = hashes(tmp_path / "run")
     more = text.replace('"draws": 40', '"draws": 60').replace("heading after", "course behind")
     done = script(tmp_path, more, "run", "serial")
     assert done.stdout == "finished\n", done.stderr
@@ -363,7 +353,7 @@ def test_a_script_resumes_its_run_in_another_process(tmp_path: Path) -> None:
     changed = script(tmp_path, ROBOT.format(slope=0.9) + RUN.replace("40", "60"), "run", "serial")
     assert "RunMismatchError" in changed.stderr
     assert "model.__main__.steered" in changed.stderr
-    assert before.keys() == digests(tmp_path / "run").keys()
+    assert before.keys() == hashes(tmp_path / "run").keys()
 
 
 def test_a_script_gives_the_same_bytes_on_ray_and_in_a_file(tmp_path: Path) -> None:
@@ -371,7 +361,7 @@ def test_a_script_gives_the_same_bytes_on_ray_and_in_a_file(tmp_path: Path) -> N
     for pool in ("serial", "ray"):
         done = script(tmp_path, text, pool, pool)
         assert done.stdout == "finished\n", done.stderr
-    assert digests(tmp_path / "serial") == digests(tmp_path / "ray")
+    assert hashes(tmp_path / "serial") == hashes(tmp_path / "ray")
     (tmp_path / "robot.py").write_text(ROBOT.format(slope=0.8))
     (tmp_path / "robot.toml").write_text(
         'seed = 4\nmodel.name = "robot.py:robot"\ncomparison.draws = 40\n'

@@ -28,7 +28,7 @@ number = 3
 """
 FOLDER = Path(pfdist.models.__file__).parent
 SHIPPED = {file.stem for file in FOLDER.glob("*.py")} - {
-    "__init__", "base", "beside", "loader", "parameters", "trial_calls",
+    "__init__", "base", "beside", "checked_fields", "loader", "parameters", "trial_calls",
 }  # fmt: skip
 
 

@@ -66,12 +66,17 @@ def test_each_member_gets_the_outcomes_of_its_own_tasks() -> None:
 
 
 def test_the_pool_of_members_without_tasks_is_never_entered() -> None:
-    @contextmanager
-    def refused() -> Iterator[Pool]:
-        raise AssertionError
-        yield
+    entered, ended = list[str](), list[int]()
 
-    served(SharedPool(refused()), lambda rank: None, lambda rank: None)
+    @contextmanager
+    def noted() -> Iterator[Pool]:
+        entered.append("pool")
+        with serial() as pool:
+            yield pool
+
+    served(SharedPool(noted()), ended.append, ended.append)
+    assert sorted(ended) == [0, 1]
+    assert entered == []
 
 
 def test_tasks_of_the_first_member_go_first() -> None:
