@@ -52,9 +52,9 @@ def measure(quick: bool, say: Say) -> Tables:
     -------
     dict of DataFrames
         sweep: a row for the sweep and a row for the runs one by one, with points, seconds (of all
-        but reports), worker_seconds (of all tasks), and first (seconds until the first point was
-        finished); sweep_tasks: a row for each task of the sweep, with the seconds at which it
-        ended since the start, and the seconds that it took.
+        but reports), worker_seconds (of all tasks), begun (seconds until the first task began) and
+        first (seconds until the first point was finished); sweep_tasks: a row for each task of the
+        sweep, with the seconds at which it ended since the start, and the seconds that it took.
     """
     over = {key: values[: 2 if quick else None] for key, values in OVER.items()}
     rows = []
@@ -73,6 +73,7 @@ def measure(quick: bool, say: Say) -> Tables:
                 "points": points,
                 "seconds": seconds,
                 "worker_seconds": sum(took for _, took in _outcomes),
+                "begun": min(end - took for end, took in _outcomes) - start,
                 "first": first - start,
             }
         )
@@ -128,18 +129,24 @@ def summary(tables: Tables) -> str:
             f"{row['points']}",
             f"{row['seconds']:.1f}",
             f"{row['worker_seconds'] / WORKERS:.1f}",
-            f"{row['seconds'] * WORKERS / row['worker_seconds']:.2f}",
+            f"{row['begun']:.1f}",
             f"{row['first']:.1f}",
         ]
         for _, row in tables["sweep"].iterrows()
     ]
-    header = ["", "points", "seconds", "seconds of tasks a worker", "ratio", "first point after, s"]
+    header = [
+        *("", "points", "seconds", "seconds of tasks a worker"),
+        *("first task after, s", "first point after, s"),
+    ]
+    sweep, alone = tables["sweep"].iloc[0], tables["sweep"].iloc[1]["worker_seconds"] / WORKERS
+    ratio = (sweep["seconds"] - sweep["begun"]) / alone
     return "\n\n".join(
         [
             f"`jobs/budgets.toml` without reports, on {WORKERS} workers.",
             markdown(header, rows),
             "From the end of the first point to the last task of the sweep, the workers had tasks "
-            f"in {100 * busy(tables):.0f} % of the time.",
+            f"in {100 * busy(tables):.0f} % of the time. From its first task to its end, the sweep "
+            f"took {ratio:.2f} times the task time per worker of the separate runs.",
         ]
     )
 
@@ -158,5 +165,5 @@ def plot(tables: Tables) -> Figure:
     axes.axvline(tables["sweep"].iloc[0]["first"], color=RED, lw=0.8, label="first point finished")
     axes.set_xlabel("seconds")
     axes.set_ylabel("workers with a task")
-    axes.legend(loc="lower right")
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0))
     return figure

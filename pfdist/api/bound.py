@@ -133,16 +133,15 @@ def bound(
         A task failed, or no worker answers. All committed sums are kept.
     """
     execution = {"pool": pool, "workers": workers, "address": address}
-    given = {key: value for key, value in execution.items() if value is not None}
     if not isinstance(settings, BoundSettings):
         raise ArgumentError(
             f"settings must be a pfdist.BoundSettings, got {shown(settings)}", argument="settings"
         )
     proved = finished_run(run, **execution, figures=figures, progress=progress, say=say)
     if is_exact(proved.job["filter"]["engine"]):
-        given = {"pool": "serial"}  # there is nothing to compute in a pool
+        execution = {"pool": "serial"}  # there is nothing to compute in a pool
     with following(progress, say) as (show, tell):
-        built = built_again(proved, {"model": model, "filter_model": filter_model}, tell, given)
+        built = built_again(proved, {"model": model, "filter_model": filter_model}, tell, execution)
         check_pool(built.job.execution)
         prover, within = _prover(built, settings), settings.within
         with own_store(proved, built, tell) as store, at_work(built, store, show, tell) as session:

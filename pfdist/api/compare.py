@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
 
 from pfdist.analysis import Run, read_recorded
 from pfdist.api.finished_run import Model, built_as, finished_run
@@ -95,10 +94,7 @@ def compare(
         As `pfdist.run` raises. A folder that compares other sets is refused.
     """
     execution = {"pool": pool, "workers": workers, "address": address}
-    settings: dict[str, Any] = {
-        "execution": {key: value for key, value in execution.items() if value is not None},
-        "comparison": {} if draws is None else {"draws": draws},
-    }
+    settings = {"execution": execution, "comparison": {"draws": draws}}
     first, source = _problem_of(job)
     asked = as_job(source, changes, settings=settings)
     sets, others = SetsToCompare(asked), [finished_run(run) for run in runs]

@@ -95,9 +95,7 @@ def prepare(
 
     The name of a set without a name is empty.
     """
-    settings: dict[str, Any] = {} if seed is None else {"seed": seed}
-    settings |= {} if draws is None else {"evaluation": {"draws": draws}}
-    settings |= {} if particles is None else {"filter": {"particles": particles}}
+    settings = {"evaluation": {"draws": draws}, "filter": {"particles": particles}, "seed": seed}
     job = as_job(job, settings=settings)
     written, are_named = {UNNAMED: measurement_times}, False
     if isinstance(measurement_times, Mapping):

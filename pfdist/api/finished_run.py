@@ -88,8 +88,8 @@ def built_again(
     ModelError
         The model cannot be loaded.
     """
-    settings = {"execution": dict(execution)} if execution else {}
-    return built_as(load_job(run.path / "job.toml", settings=settings), run, instead, say)
+    job = load_job(run.path / "job.toml", settings={"execution": execution})
+    return built_as(job, run, instead, say)
 
 
 def built_as(job: Job, run: Run, instead: Mapping[str, Model], say: Callable[[str], Any]) -> Built:

@@ -6,19 +6,22 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from pfdist.analysis import Run, open_run
+from pfdist.analysis.listed_run import FINISHED
 from pfdist.api.following import Say
 from pfdist.api.run import Ending, run_built
-from pfdist.errors import PfdistError
+from pfdist.errors import PfdistError, StoreError, one_line
 from pfdist.job.sweep import SweepJob
 from pfdist.pools.cores import usable_cores
 from pfdist.pools.shared import SharedPool
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built, build
 from pfdist.runner.claims import ClaimsOfRun, SharedClaims
+from pfdist.runner.processor import CONTINUED, processor
 from pfdist.runner.progress import Progress, Show
 from pfdist.runner.session import Session
 from pfdist.runner.work_of_runs import of_run
-from pfdist.store import Store
+from pfdist.store import Store, holds_run, read_run
 
 _MORE = 2  # points at work than workers: the driver of a point works while it has no task
 _MOST = 16  # points at work: each needs memory
@@ -45,17 +48,12 @@ class PointsAtWork:
         Settings of the lower bound of every point; None for no bound.
     show, say : callable
         Receive the progress of the whole sweep, and messages.
-
-    Attributes
-    ----------
-    failed : dict of str to str
-        Why each point failed, by its name.
     """
 
     def __init__(
         self, asked: SweepJob, path: Path, bound: BoundSettings | None, show: Show, say: Say
     ) -> None:
-        self.failed: dict[str, str] = {}
+        self._failed: dict[str, str] = {}
         self._asked, self._path = asked, path
         self._show, self._say = show, say
         self._todo = iter(enumerate(asked.points))
@@ -64,27 +62,65 @@ class PointsAtWork:
         self._shares: dict[str, _Share] = {}
         self._finished = 0
         self._lock, self._building = threading.RLock(), threading.Lock()
-        self._threads: list[threading.Thread] = []
 
-    def start(self, shared: SharedPool) -> "PointsAtWork":
-        """Start the threads; they use a pool that the caller serves until they are over."""
-        execution = next(iter(self._asked.jobs.values())).execution
-        number = min(len(self._asked.points), (execution.workers or usable_cores()) + _MORE, _MOST)
-        self._threads = [
+    def run(self, shared: SharedPool) -> tuple[dict[str, Run], dict[str, str]]:
+        """Compute what the points lack.
+
+        Parameters
+        ----------
+        shared : SharedPool
+            The workers.
+
+        Returns
+        -------
+        runs : dict of str to Run
+            The finished run of each point, by the point's name.
+        failed : dict of str to str
+            In a line, why each other point failed, by its name.
+
+        Raises
+        ------
+        PoolError
+            No worker answers.
+        """
+        self._remember_earlier_starts()
+        workers = self._asked.execution.workers or usable_cores()
+        number = min(len(self._asked.points), workers + _MORE, _MOST)
+        threads = [
             threading.Thread(target=self._work, args=[shared], daemon=True) for _ in range(number)
         ]
-        for thread in self._threads:
+        for thread in threads:
             thread.start()
-        return self
+        try:
+            shared.serve(lambda: not any(thread.is_alive() for thread in threads))
+        finally:  # every thread commits what it has: the pool's failure ends them
+            for thread in threads:
+                thread.join(_END_SECONDS)
+        names = [name for name in self._asked.jobs if name not in self._failed]
+        failed = {name: one_line(reason) for name, reason in self._failed.items()}
+        return {name: open_run(self._path / name) for name in names}, failed
 
-    def are_over(self) -> bool:
-        """Whether no point is at work any more."""
-        return not any(thread.is_alive() for thread in self._threads)
+    def _remember_earlier_starts(self) -> None:
+        """Let searches take the evaluations that points have committed before.
 
-    def close(self) -> None:
-        """Wait until every thread has committed what it has; the pool's failure ends them."""
-        for thread in self._threads:
-            thread.join(_END_SECONDS)
+        Points that another processor has begun are left out: the last digits may differ.
+        """
+        if not any(job.search for job in self._asked.jobs.values()):
+            return
+        here, begun, finished = processor(), list[Path](), 0
+        for path in (self._path / name for name in self._asked.jobs):
+            # The point itself says what is wrong with its folder.
+            with contextlib.suppress(StoreError, OSError):
+                if holds_run(path):
+                    finished += open_run(path).state == FINISHED
+                    provenance = read_run(path)[0].get("provenance", {})
+                    if provenance.get("processor") == here and CONTINUED not in provenance:
+                        begun.append(path)
+        if finished == len(self._asked.jobs):
+            return
+        for path in begun:
+            with contextlib.suppress(StoreError, OSError):
+                self._claims.remember(Store(path))
 
     def _work(self, shared: SharedPool) -> None:
         """Run one point after another."""
@@ -133,7 +169,7 @@ class PointsAtWork:
 
     def _fail(self, name: str, error: PfdistError) -> None:
         with self._lock:
-            self.failed[name] = str(error)
+            self._failed[name] = str(error)
             self._shares.pop(name, None)
             self._say(f"{name}: failed: {error}; the other points go on")
 
@@ -145,7 +181,7 @@ class PointsAtWork:
 
     def _tell(self) -> None:
         total = len(self._asked.points)
-        ended = self._finished + len(self.failed)
+        ended = self._finished + len(self._failed)
         doing = ", ".join(f"{name}: {share.phase}" for name, share in self._shares.items())
         self._show(
             Progress(

@@ -90,9 +90,8 @@ def run(
         Anything went wrong. All committed results are kept, and the same call resumes the run.
     """
     execution = {"pool": pool, "workers": workers, "address": address}
-    given = {key: value for key, value in execution.items() if value is not None}
     settings = bound_settings(bound_draws)
-    job = as_job(job, changes, settings={"execution": given} if given else {})
+    job = as_job(job, changes, settings={"execution": execution})
     check_pool(job.execution)
     path = Path("results") / job.path.stem
     if results is not None:

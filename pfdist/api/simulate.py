@@ -48,7 +48,7 @@ def simulate(problem: Asked, draws: int = DRAWS, seed: int | None = None) -> pd.
         There are fewer than 1 draws, or more than fit into a table.
     """
     count = whole_argument("draws", draws, 1, 10_000_000)
-    job = as_job(problem, settings={} if seed is None else {"seed": seed})
+    job = as_job(problem, settings={"seed": seed})
     built = build(job)
     model, horizon = built.evaluator.model, built.evaluator.horizon
     numbers = count * (horizon + 1) * (2 + sum(model.components))

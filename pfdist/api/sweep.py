@@ -9,6 +9,7 @@ from time import perf_counter
 import pandas as pd
 
 from pfdist.analysis import Run, open_run
+from pfdist.analysis.judged import JUDGED, judged_table, times_by_search
 from pfdist.api.at_work import say_ready
 from pfdist.api.following import Say, following, silent
 from pfdist.api.points_at_work import PointsAtWork
@@ -16,23 +17,21 @@ from pfdist.api.report import try_report, try_sweep_report
 from pfdist.api.run import bound_settings
 from pfdist.api.table import table
 from pfdist.common.arguments import path_argument
-from pfdist.errors import ArgumentError, SweepError, one_line
+from pfdist.errors import ArgumentError, JobError, SweepError
 from pfdist.job.asked import Asked
-from pfdist.job.judging import judged_sets, judging
+from pfdist.job.judging import check_comparable, judging
 from pfdist.job.points import Values
 from pfdist.job.sweep import SweepJob, read_sweep
 from pfdist.pools.base import Pool
 from pfdist.pools.shared import SharedPool
 from pfdist.runner.build import build, check_pool, pool_of
+from pfdist.runner.comparison_phase import comparison_steps
 from pfdist.runner.driver import foreseen_steps
 from pfdist.runner.named_by_a_run import files_named
 from pfdist.runner.progress import Show
 from pfdist.runner.work_of_runs import worker_of_runs
 from pfdist.store.shown_files import has_report
-from pfdist.times.clock import Time
 
-JUDGED = "judged"
-"""Folder, in that of a sweep, of the runs that judge."""
 _SHOWN = 3  # failures in an error
 _NOTHING: Mapping[str, object] = {}
 
@@ -66,8 +65,12 @@ class Sweep:
         Returns
         -------
         DataFrame
-            As `pfdist.table`, and the column ``found_at``: the point at which the set was found.
-            The column ``run`` is the point at which it is judged.
+            A row for each point and each set of times found at any point. The columns are those of
+            `pfdist.table`; ``run`` is the point at which the times are judged, and ``set`` the
+            search that found them. Further columns are ``found_at``, the point where they were
+            found, and ``loss`` with ``loss_low`` and ``loss_high``, its 95 % interval: how much
+            higher the expected MSE is than with the times that this search found at the judging
+            point, as a fraction.
 
         Raises
         ------
@@ -76,12 +79,7 @@ class Sweep:
         """
         if not self.judges:
             raise ArgumentError("judged needs a sweep that judges, got one with judge = false")
-        judged = table(*self.judges.values())
-        names = judged_sets(_found(self.runs))
-        points = [names[name][0] if name in names else None for name in judged["set"]]
-        before = list(judged.columns).index("set")
-        judged.insert(before, "found_at", points)
-        return judged
+        return judged_table(self.runs, self.judges)
 
 
 def sweep(
@@ -149,6 +147,9 @@ def sweep(
         The sweep is wrong, or no worker answers. The same call resumes the sweep.
     """
     asked = _asked(job, over, parallel, points, changes, pool, workers, address)
+    judges_points = asked.judge if judge is None else judge
+    if judges_points:
+        check_comparable(asked)
     path = Path("results") / asked.name
     if results is not None:
         path = path_argument("results", results)
@@ -157,19 +158,23 @@ def sweep(
         files = {file for each in asked.jobs.values() for file in files_named(each)}
         for file in sorted(files):
             tell(f"runs the model file {file}, which your job names")
-        failed = _compute(PointsAtWork(asked, path, bound, show, tell), asked, tell)
-        runs = {name: open_run(path / name) for name in asked.jobs if name not in failed}
-        judges = dict[str, Run]()
-        if not failed and (asked.judge if judge is None else judge):
-            judging_jobs = judging(asked, _found(runs))
-            judged = path / JUDGED
-            failed = _compute(
-                PointsAtWork(judging_jobs, judged, None, show, tell), judging_jobs, tell
-            )
-            judges = {name: open_run(judged / name) for name in asked.jobs if name not in failed}
+        judges, refused = dict[str, Run](), None
+        with _shared_pool(asked, tell) as shared:
+            runs, failed = PointsAtWork(asked, path, bound, show, tell).run(shared)
+            if not failed and judges_points:
+                try:
+                    judged = judging(asked, times_by_search(runs))
+                except JobError as error:  # the points are finished, and get their reports
+                    refused = error
+                else:
+                    tell(f"judges the found times at all {len(asked.points)} points")
+                    judging_points = PointsAtWork(judged, path / JUDGED, None, show, tell)
+                    judges, failed = judging_points.run(shared)
         if report:
             _report(runs, asked, tell)
             try_sweep_report(path, tell)
+    if refused is not None:
+        raise refused
     if failed:
         first = "; ".join(f"{name}: {reason}" for name, reason in [*failed.items()][:_SHOWN])
         more = f"; {len(failed) - _SHOWN} more" * (len(failed) > _SHOWN)
@@ -179,14 +184,6 @@ def sweep(
             failed,
         )
     return Sweep(path, runs, judges)
-
-
-def _found(runs: Mapping[str, Run]) -> dict[str, dict[str, tuple[Time, ...]]]:
-    """The times that the searches of each run have found."""
-    return {
-        name: {each: run.sets()[each] for each in run.found if each in run.sets()}
-        for name, run in runs.items()
-    }
 
 
 def _report(runs: Mapping[str, Run], asked: SweepJob, say: Say) -> None:
@@ -206,19 +203,21 @@ def foreseen(
     points: Sequence[Values] = (),
     results: str | Path | None = None,
     changes: Iterable[str] = (),
+    judge: bool | None = None,
 ) -> pd.DataFrame:
     """Give the points of a sweep and about how much work each is; nothing is computed.
 
     Parameters
     ----------
-    job, over, parallel, points, results, changes
+    job, over, parallel, points, results, changes, judge
         As for `sweep`.
 
     Returns
     -------
     DataFrame
         A row for each point: its name, its values, the state of its run ("none" if it has not
-        begun), and ``steps``, the particle-steps that the whole run takes.
+        begun), and ``steps``, the particle-steps that the whole run takes. If the sweep judges,
+        ``judging_steps`` are those that judge all found times there, if all differ.
 
     Raises
     ------
@@ -227,13 +226,19 @@ def foreseen(
     """
     asked = _asked(job, over, parallel, points, changes)
     path = Path("results") / asked.name if results is None else path_argument("results", results)
-    rows = []
+    judges = asked.judge if judge is None else judge
+    rows, steps_a_set, found = [], [], 0
     for point in asked.points:
-        folder = path / point.name
+        folder, built = path / point.name, build(asked.jobs[point.name])
         state = open_run(folder).state if (folder / "run.json").exists() else "none"
-        steps = foreseen_steps(build(asked.jobs[point.name]))
+        steps = foreseen_steps(built)
         rows.append({"point": point.name, **point.chosen, "state": state, "steps": steps})
-    return pd.DataFrame(rows)
+        steps_a_set.append(comparison_steps(built) // len(built.names))
+        found += len(built.names) - len(built.study.unsearched)
+    points_of_sweep = pd.DataFrame(rows)
+    if judges:
+        points_of_sweep["judging_steps"] = [steps * (found + 1) for steps in steps_a_set]
+    return points_of_sweep
 
 
 def _asked(
@@ -247,19 +252,14 @@ def _asked(
     address: str | None = None,
 ) -> SweepJob:
     execution = {"pool": pool, "workers": workers, "address": address}
-    given = {key: value for key, value in execution.items() if value is not None}
-    settings = {"execution": given} if given else {}
-    return read_sweep(job, over, parallel, points, changes, settings)
+    return read_sweep(job, over, parallel, points, changes, {"execution": execution})
 
 
-def _compute(points: PointsAtWork, asked: SweepJob, say: Callable[[str], object]) -> dict[str, str]:
-    """Compute what the points lack in shared workers; say why each point failed, by its name."""
-    execution = next(iter(asked.jobs.values())).execution
+def _shared_pool(asked: SweepJob, say: Callable[[str], object]) -> SharedPool:
+    """Give the pool of all points; it is entered as soon as a point has a task."""
+    execution = asked.execution
     check_pool(execution)
-    shared = SharedPool(_said(pool_of(worker_of_runs, execution), execution.pool, say))
-    with contextlib.closing(points.start(shared)):
-        shared.serve(points.are_over)
-    return {name: one_line(reason) for name, reason in points.failed.items()}
+    return SharedPool(_said(pool_of(worker_of_runs, execution), execution.pool, say))
 
 
 @contextlib.contextmanager

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.bounds.relaxation import START, Indices, Relaxation
+from pfdist.bounds.relaxation import START, Indices, Moves, Relaxation
 from pfdist.times.measurement_times import Times
 
 Array = NDArray[np.float64]
@@ -132,14 +132,15 @@ class Programme:
         rest = self._between(every, self.relaxation.horizon + 1)
         return np.where(self.relaxation.may_end, rest, np.inf)
 
-    def _between(self, windows: Indices, until: int) -> Array:
+    def _between(self, windows: Indices, until: Indices | int) -> Array:
         """Sum the errors from the last measurement of each window to the instant before another."""
-        relaxation = self.relaxation
+        relaxation, until = self.relaxation, np.broadcast_to(until, windows.shape)
         own = np.minimum(until, relaxation.ends[windows] + 1)
         total, beyond = self._before(windows, own), own < until
         alone = relaxation.alone[windows]
         known = beyond & relaxation.passable[alone]
-        total[known] += self._before(alone[known], until) - self._before(alone[known], own[known])
+        rest = self._before(alone[known], until[known])
+        total[known] += rest - self._before(alone[known], own[known])
         total[beyond & ~known] = np.inf
         return total
 
@@ -165,35 +166,33 @@ class Programme:
     def _prices(self) -> tuple[int, ...]:
         return self.relaxation.prices
 
+    @cached_property
+    def _moves_by_time(self) -> dict[int, Moves]:
+        return {moves.time: moves for moves in self.relaxation.moves}
+
     def _path_to(self, window: int, spent: int) -> Times:
         """Follow the programme back from a window."""
         relaxation, times = self.relaxation, list[int]()
-        moves_by = {moves.time: moves for moves in relaxation.moves}
         while window != relaxation.index[START]:
             time = int(relaxation.last[window])
             spent -= self._prices[time]
-            before = moves_by[time].leading_to(window)
+            before = self._moves_by_time[time].leading_to(window)
             window = int(before[np.argmin(self._between(before, time) + self._to[before, spent])])
             times.append(time)
         return tuple(reversed(times))
 
     def _path_from(self, window: int, spent: int) -> Times:
         """Follow the programme from a window to the end of the horizon."""
-        relaxation, times = self.relaxation, list[int]()
+        relaxation, times, prices = self.relaxation, list[int](), np.array(self._prices)
         while True:
-            here, after = np.array([window]), relaxation.after[window]
-            affordable = (
-                (time, int(after[time]), spent - price)
-                for time, price in enumerate(self._prices)
-                if after[time] >= 0 and price <= spent
-            )
-            onward = [
-                (float(self._between(here, time)[0] + self._from[next_, left]), time, next_, left)
-                for time, next_, left in affordable
-            ]
+            after = relaxation.after[window]
+            affordable = np.flatnonzero((after >= 0) & (prices <= spent))
+            between = self._between(np.full(affordable.size, window), affordable)
+            onward = between + self._from[after[affordable], spent - prices[affordable]]
             may_end = spent == 0 or not relaxation.constraints.counted
             ended = self._at_the_end[window] if may_end else np.inf
-            if not onward or ended <= min(onward)[0]:
+            if not onward.size or ended <= onward.min():
                 return tuple(times)
-            _, time, window, spent = min(onward)
+            time = int(affordable[np.argmin(onward)])
+            window, spent = int(after[time]), spent - self._prices[time]
             times.append(time)

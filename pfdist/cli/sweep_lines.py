@@ -38,7 +38,10 @@ def print_foreseen(points: pd.DataFrame, options: Namespace) -> None:
     ]
     print("\n".join(aligned(columns)))
     left = points.loc[points["state"] != "finished", "steps"].sum() / _BILLION
-    print(f"\n{len(points)} points; about {left:.3f} billion particle-steps are left to do")
+    told = f"{len(points)} points; about {left:.3f} billion particle-steps are left to do"
+    if "judging_steps" in points:
+        told += f", and at most {points['judging_steps'].sum() / _BILLION:.3f} billion to judge"
+    print(f"\n{told}")
 
 
 def print_sweep(finished: "Sweep", options: Namespace) -> None:

@@ -15,9 +15,6 @@ from pfdist.mistakes.places import place_of, place_of_function
 from pfdist.models import StateSpaceModel
 from pfdist.models.parameters import flat_parameters
 
-_FORMULAS = ("initial", "transition", "measurement", "quantity_of_interest")
-_TOGETHER = 64  # draws that are simulated side by side, with a few vectors of noise
-
 
 @dataclass(frozen=True)
 class Draws:

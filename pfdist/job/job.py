@@ -230,7 +230,7 @@ def load_job(
         Whole sections that replace those of the file, before the overrides.
     settings : mapping of str to object, optional
         Values that replace those of the file, after the overrides: by section and key, as in
-        ``{"filter": {"particles": 100}, "seed": 3}``.
+        ``{"filter": {"particles": 100}, "seed": 3}``. None leaves the value as it is.
 
     Returns
     -------
@@ -242,21 +242,15 @@ def load_job(
         The file cannot be read or is no TOML, a value is wrong, or values contradict each other.
     """
     path = path_argument("path", path)
-    data = toml_of_file(path, "job file")
+    data = toml_of_file(path)
     if "job" in data:
         raise JobError(f"{path} is a sweep file, not a job: run it by `pfdist sweep {path}`")
     origin = Origin(path, "search" in data, "online" in data)
     return _validated(data | dict(sections), origin, overrides, settings)
 
 
-def toml_of_file(path: Path, what: str) -> dict[str, Any]:
+def toml_of_file(path: Path) -> dict[str, Any]:
     """Give the data of a job file or a sweep file.
-
-    Parameters
-    ----------
-    path : Path
-    what : str
-        Kind of file, for errors.
 
     Raises
     ------
@@ -267,9 +261,9 @@ def toml_of_file(path: Path, what: str) -> dict[str, Any]:
         return parse_toml(read_text(path))
     except OSError as error:
         meant = did_you_mean_path(path, (path.parent, Path("jobs")), is_job_file)
-        raise JobError(f"cannot read the {what} {path}: {error.strerror}{meant}") from error
+        raise JobError(f"cannot read the job file {path}: {error.strerror}{meant}") from error
     except ValueError as error:
-        raise JobError(f"the {what} must be TOML, got an error: {error} ({path})") from error
+        raise JobError(f"the job file must be TOML, got an error: {error} ({path})") from error
 
 
 def is_job_file(path: Path) -> bool:

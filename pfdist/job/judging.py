@@ -10,8 +10,8 @@ from pfdist.times.clock import Time
 
 MOST_JUDGED = 64
 
-Found = Mapping[str, Mapping[str, Sequence[Time]]]
-"""The times that the searches of each point have found: by the point's name and the set's."""
+Found = Mapping[str, Mapping[str, tuple[Time, ...]]]
+"""The times that the searches of each point have found: by the point's name and the search's."""
 
 
 def judging(asked: SweepJob, found: Found) -> SweepJob:
@@ -26,20 +26,19 @@ def judging(asked: SweepJob, found: Found) -> SweepJob:
     Returns
     -------
     SweepJob
-        Its jobs have no search. Their sets have the names of `judged_sets`.
+        Its jobs have no search. They compare the sets of `judged_sets`.
 
     Raises
     ------
     JobError
         There are too many sets, or a point's times are no times of another point.
     """
-    names = judged_sets(found)
-    if len(names) > MOST_JUDGED:
+    sets = judged_sets(found)
+    if len(sets) > MOST_JUDGED:
         raise JobError(
-            f"a sweep can judge at most {MOST_JUDGED} sets of times, got {len(names)}: sweep over "
+            f"a sweep can judge at most {MOST_JUDGED} sets of times, got {len(sets)}: sweep over "
             "fewer points"
         )
-    sets = {name: list(found[point][own]) for name, (point, own) in names.items()}
     jobs = {}
     for name, job in asked.jobs.items():
         try:
@@ -51,29 +50,53 @@ def judging(asked: SweepJob, found: Found) -> SweepJob:
     return SweepJob(asked.name, asked.points, jobs)
 
 
-def judged_sets(found: Found) -> dict[str, tuple[str, str]]:
-    """Give each name of a judged set, with its point and its name there.
+def check_comparable(asked: SweepJob) -> None:
+    """Refuse a sweep whose points have different clocks: times of a point mean nothing elsewhere.
+
+    Raises
+    ------
+    JobError
+        Two points have different horizons or clocks.
+    """
+    first, *others = asked.jobs.items()
+    for name, job in others:
+        if job.problem.clock != first[1].problem.clock:
+            raise JobError(
+                "a sweep that judges must have the same horizon and clock at all points, but "
+                f"{first[0]} and {name} differ",
+                argument="judge",
+            )
+
+
+def judged_sets(found: Found) -> dict[str, tuple[Time, ...]]:
+    """Give different times, named after the first point where they were found.
 
     Examples
     --------
-    >>> judged_sets({"seed=1": {"relaxation": [1, 2]}, "seed=2": {"relaxation": [1, 3]}})
-    {'point_1': ('seed=1', 'relaxation'), 'point_2': ('seed=2', 'relaxation')}
+    >>> found = {"seed=1": {"race": (1, 2)}, "seed=2": {"race": (1, 2)}, "seed=3": {"race": (2, 3)}}
+    >>> judged_sets(found)
+    {'point_1': (1, 2), 'point_3': (2, 3)}
     """
     several = any(len(sets) > 1 for sets in found.values())
-    return {
-        f"point_{number}_{own}" if several else f"point_{number}": (point, own)
-        for number, (point, sets) in enumerate(found.items(), 1)
-        for own in sets
-    }
+    names = dict[tuple[Time, ...], str]()
+    for number, sets in enumerate(found.values(), 1):
+        for search, times in sets.items():
+            names.setdefault(times, f"point_{number}_{search}" if several else f"point_{number}")
+    return {name: times for times, name in names.items()}
 
 
 def _comparing(job: Job, sets: Mapping[str, Sequence[Time]]) -> Job:
     comparison: dict[str, Any] = job.comparison.model_dump(mode="json")
+    named = {
+        name: times
+        for name, times in job.comparison.named.items()
+        if name == job.comparison.reference
+    }
     return job.with_changes(
         sections={
             "search": [],
             "budget": None,
             "online": None,
-            "comparison": comparison | {"sets": dict(sets)},
+            "comparison": comparison | {"sets": named | {name: list(sets[name]) for name in sets}},
         }
     )

@@ -62,7 +62,8 @@ def set_values(data: dict[str, Any], settings: Mapping[str, Any]) -> list[str]:
     data : dict
         The data of a job file.
     settings : mapping of str to object
-        A value for each key, or a mapping of keys to values for each section.
+        A value for each key, or a mapping of keys to values for each section; an empty mapping
+        makes a section. None leaves the value as it is.
 
     Returns
     -------
@@ -72,10 +73,12 @@ def set_values(data: dict[str, Any], settings: Mapping[str, Any]) -> list[str]:
     changes = []
     for name, value in settings.items():
         if isinstance(value, Mapping):
-            section = data.get(name)
-            section = data[name] = dict(section) if isinstance(section, dict) else {}
-            changes += [f"{name}.{change}" for change in set_values(section, value)]
-        else:
+            section = data.get(name, {})
+            given = {key: each for key, each in value.items() if each is not None}
+            if isinstance(section, dict) and (given or not value):  # others are refused later
+                section = data[name] = dict(section)
+                changes += [f"{name}.{change}" for change in set_values(section, given)]
+        elif value is not None:
             is_index = isinstance(value, Integral) and not isinstance(value, bool)
             data[name] = int(value) if is_index else value  # a section takes no NumPy integer
             changes.append(f"{name}={value if isinstance(value, str) else shown(data[name])}")

@@ -14,6 +14,7 @@ from pfdist.errors import JobError
 from pfdist.job.asked import Asked, as_job
 from pfdist.job.job import Job, toml_of_file
 from pfdist.job.points import Point, Values, dotted, points_of
+from pfdist.job.sections import Execution
 
 
 class SweepFile(Section):
@@ -63,6 +64,11 @@ class SweepJob:
     points: tuple[Point, ...]
     jobs: Mapping[str, Job]
     judge: bool = False
+
+    @property
+    def execution(self) -> Execution:
+        """How all points are computed: they share the workers."""
+        return next(iter(self.jobs.values())).execution
 
 
 def read_sweep(
@@ -116,7 +122,7 @@ def _sweep_file(asked: Any) -> SweepFile | None:
     if not isinstance(asked, str | Path):
         return None
     path = path_argument("job", asked)
-    data = toml_of_file(path, "job file")
+    data = toml_of_file(path)
     if "job" not in data:
         return None
     try:

@@ -42,7 +42,9 @@ def libm_functions(compiled: Any) -> tuple[str, ...]:
     found = set()
     for result in compiled.overloads.values():
         # Numba shows no text of what was loaded from disk; the module is there all the same.
-        found |= named_in(str(result.library._get_module_for_linking()))
+        module = result.library._get_module_for_linking()
+        declared = (str(each).strip() for each in module.functions if each.is_declaration)
+        found |= named_in("\n".join(declared))
     return tuple(sorted(found))
 
 
@@ -55,7 +57,7 @@ def makes_arrays(compiled: Any) -> bool:
 
 
 def named_in(module: str) -> set[str]:
-    """Such functions that the text of an LLVM module declares."""
+    """Names of these functions in the declarations of an LLVM module."""
     libraries = {"xx": "BLAS", "ez_": "LAPACK"}
     names = {f"{name} ({libraries[kind]})" for kind, name in _LINEAR_ALGEBRA.findall(module)}
     for symbol in _DECLARED.findall(module):

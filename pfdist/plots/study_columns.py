@@ -13,6 +13,7 @@ _PER_CENT = {
     "gain_of_means": "gain of means [%]",
     "mean_relative_gain": "mean relative gain [%]",
     "positive_fraction": "draws with a gain [%]",
+    "loss": "loss [%]",
     "bound_gap": "gap to the lower bound [%]",
     "bound_gap_at_most": "gap to the lower bound, at most [%]",
 }

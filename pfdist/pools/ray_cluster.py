@@ -10,6 +10,7 @@ import logging
 import os
 import platform
 import secrets
+import sys
 import warnings
 from collections.abc import Iterator
 from importlib.metadata import version
@@ -165,6 +166,9 @@ def _read_environment() -> None:
 
 def _leave(guard: Guard) -> None:
     """Leave a cluster, and end the servers of a local cluster, in whatever state they are."""
+    if sys.is_finalizing():  # a pool was never left: no thread can start any more
+        guard.end()
+        return
     shutdown = within(STOP_SECONDS, ray.shutdown)
     guard.end()
     shutdown.join(STOP_SECONDS)

@@ -6,6 +6,7 @@ last one.
 """
 
 import contextlib
+import sys
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
@@ -89,7 +90,7 @@ class RayPool:
     def __exit__(self, *_: object) -> None:
         workers, self._members = self._members, []
         self._cluster.close()  # the workers go with a cluster that was joined or started here
-        if ray.is_initialized():
+        if ray.is_initialized() and not sys.is_finalizing():
             deadline = time.monotonic() + STOP_SECONDS
             for ending in [worker.end() for worker in workers]:
                 ending.join(max(0.0, deadline - time.monotonic()))

@@ -8,7 +8,7 @@ import queue
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import replace
 from types import TracebackType
 from typing import Any, Self
@@ -20,22 +20,36 @@ _QUEUED = 2  # tasks of a member for each worker: the one it does and the one th
 
 
 class SharedPool:
-    """A pool whose workers serve several members.
+    """A pool whose workers serve several members; a context manager.
 
     Parameters
     ----------
     pool : context manager
-        Gives an entered pool. It is entered when the first member needs it.
+        Gives an entered pool. It is entered when the first member needs it, and left with the
+        shared pool.
     """
 
     def __init__(self, pool: AbstractContextManager[Pool]) -> None:
-        self._pool = pool
+        self._to_enter = pool
+        self._entered = ExitStack()
+        self._pool: Pool | None = None
         self._workers = 0
         self._wanted, self._ready = False, threading.Event()
         self._members: list[Member] = []
         self._owners: dict[str, Member] = {}  # of the tasks in flight, by their keys
         self._changed = threading.Condition()
         self._failure: BaseException | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._entered.__exit__(kind, error, trace)
 
     def join(self, rank: int, wrapped: Callable[[Any], Any]) -> "Member":
         """Let a thread have tasks done, after those of members with a lower rank.
@@ -63,7 +77,7 @@ class SharedPool:
         return member
 
     def serve(self, is_over: Callable[[], bool]) -> None:
-        """Hand out tasks of all members, as they come.
+        """Hand out tasks of all members, as they come; it may be called again for other members.
 
         Parameters
         ----------
@@ -77,15 +91,14 @@ class SharedPool:
         """
         try:
             self._wait(lambda: self._wanted or is_over())
-            if is_over():
-                return
-            with self._pool as pool:
-                self._workers = pool.workers
+            if self._pool is None and not is_over():
+                self._pool = self._entered.enter_context(self._to_enter)
+                self._workers = self._pool.workers
                 self._ready.set()
-                while not is_over():
-                    for outcome in pool.run(self._tasks()):
-                        self._deliver(outcome)
-                    self._wait(lambda: any(each.queued for each in self._members) or is_over())
+            while self._pool is not None and not is_over():
+                for outcome in self._pool.run(self._tasks()):
+                    self._deliver(outcome)
+                self._wait(lambda: any(each.queued for each in self._members) or is_over())
         except BaseException as error:
             self.fail(error)
             raise

@@ -6,6 +6,7 @@ no script but its own.
 
 import base64
 import hashlib
+import re
 from importlib.resources import files
 from pathlib import Path
 
@@ -32,6 +33,7 @@ def as_html(page: Page) -> str:
         lstrip_blocks=True,
         finalize=_unbroken,
     )
+    environment.filters["words"] = _words
     style, script = (_text(name) for name in ("style.css", "sort.js"))
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     return environment.from_string(_text("page.html")).render(
@@ -42,6 +44,11 @@ def as_html(page: Page) -> str:
 def _unbroken(value: object) -> object:
     """Keep a number and its sign of per cent on one line."""
     return value.replace(" %", "\xa0%") if type(value) is str else value
+
+
+def _words(name: str) -> list[str]:
+    """Split a name after each point and underscore, where a line may break."""
+    return re.split(r"(?<=[._])(?=\S)", name)
 
 
 def write_page(page: Page, path: Path) -> None:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from pfdist.analysis.listed_run import DAMAGED, FINISHED
 from pfdist.errors import one_line
+from pfdist.reports.judged_section import judged
 from pfdist.reports.parts import Page
 from pfdist.reports.render import write_page
 from pfdist.reports.subject import number_of
@@ -11,7 +12,7 @@ from pfdist.reports.sweep_sections import answer, computed, figures, points
 from pfdist.reports.sweep_subject import SweepSubject
 from pfdist.store.shown_files import REPORT
 
-_SECTIONS = (answer, points, figures, computed)
+_SECTIONS = (answer, points, judged, figures, computed)
 _LINKS = "Its links lead to the reports of the points, in the folders beside it."
 
 
@@ -57,4 +58,6 @@ def _warnings(subject: SweepSubject) -> list[str]:
         warnings.append(f"Not finished: {unfinished:,} of {told}. Results may change.")
     if damaged:
         warnings.append(f"Cannot be read: {damaged:,} of {told}. The table says why.")
+    if subject.judged_fault:
+        warnings.append(f"The judged times cannot be read: {subject.judged_fault}.")
     return warnings

@@ -12,7 +12,8 @@ from urllib.parse import quote_from_bytes
 import pandas as pd
 
 from pfdist.analysis import Run, open_run
-from pfdist.analysis.listed_run import DAMAGED, ListedRun, listed_run
+from pfdist.analysis.judged import JUDGED, NOTHING_JUDGED, judged_table
+from pfdist.analysis.listed_run import DAMAGED, FINISHED, ListedRun, listed_run
 from pfdist.analysis.runs_table import RESULTS, runs_table
 from pfdist.analysis.studies import (
     SEED,
@@ -28,8 +29,9 @@ from pfdist.analysis.studies import (
 )
 from pfdist.analysis.table_cells import keys_of
 from pfdist.common.short_names import short_names
-from pfdist.errors import one_line, shown_text
+from pfdist.errors import PfdistError, one_line, shown_text
 from pfdist.reports.subject import without_folder
+from pfdist.store import holds_run
 from pfdist.store.runs_below import runs_below
 from pfdist.store.shown_files import REPORT, has_report
 
@@ -86,6 +88,10 @@ class SweepSubject:
         Those that can be read.
     frame : DataFrame
         As `pfdist.table` gives it of these runs.
+    judged : DataFrame
+        As `Sweep.judged` gives it of the finished comparisons; empty if there is none.
+    judged_fault : str
+        Why the comparisons cannot be read; empty if they can.
     """
 
     def __init__(self, path: Path) -> None:
@@ -97,6 +103,11 @@ class SweepSubject:
             for folder, line in zip(folders, listed, strict=True)
         ]
         self.runs, self.frame = self._read()
+        self.judged_fault = ""
+        try:
+            self.judged = self._read_judged()
+        except Exception as error:  # a report of many runs must not fail because of one of them
+            self.judged, self.judged_fault = NOTHING_JUDGED, _reason(error)
 
     @cached_property
     def by_path(self) -> Mapping[str, Point]:
@@ -187,6 +198,14 @@ class SweepSubject:
         """Whether all values of a column are numbers."""
         return is_numeric(values_of(self.frame, name))
 
+    def _read_judged(self) -> pd.DataFrame:
+        """Read the finished comparisons of finished points."""
+        runs = {run.path.name: run for run in self.runs if run.state == FINISHED}
+        judges = {name: self.path / JUDGED / name for name in runs}
+        opened = {name: open_run(path) for name, path in judges.items() if holds_run(path)}
+        finished = {name: run for name, run in opened.items() if run.state == FINISHED}
+        return judged_table(runs if finished else {}, finished)
+
     def _read(self) -> tuple[list[Run], pd.DataFrame]:
         """Read all runs; those that cannot be read become damaged points."""
         runs = [open_run(point.path) for point in self.points if not point.fault]
@@ -207,6 +226,11 @@ def _tried(point: Point) -> Point:
     try:
         runs_table([open_run(point.path)])
     except Exception as error:
-        fault = one_line(shown_text(str(error).replace(f"{point.path}/", "")))
-        return Point(point.path, point.listed, fault or type(error).__name__)
+        return Point(point.path, point.listed, _reason(error).replace(f"{point.path}/", ""))
     return point
+
+
+def _reason(error: Exception) -> str:
+    """Give an error on one line; an error that pfdist does not expect has the name of its type."""
+    text = str(error) if isinstance(error, PfdistError) else f"{type(error).__name__}: {error}"
+    return one_line(shown_text(text))

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from pfdist.evaluation.work import BLOCK, Estimation, Result, Work
 from pfdist.runner.build import Built
+from pfdist.runner.claims import Wanted
 from pfdist.runner.collect import Collector
 from pfdist.store import BOUND_PHASE, Store, schema
 from pfdist.times.measurement_times import Times
@@ -171,10 +172,13 @@ class BlockSums:
             A task failed, no worker answers, or a file cannot be read or written.
         """
         found = dict(self.known(blocks, collector.store)) if collector.resumed else {}
-        if collector.claims.claim([self.id]):
-            self._take(blocks, found, collector)
+        shared = Wanted(self.id, self.id, len(self.wanted(blocks)))
+        if collector.claims.claim([shared]):
+            collector.flush()  # others may wait for what is claimed here
+            store = collector.claims.stores_of([shared])[shared]
+            self._take(blocks, store, found, collector)
         found.update(self.fill(blocks, collector, set(found), more_follows=True))
-        collector.later(partial(collector.claims.settle, [self.id]))
+        collector.later(partial(collector.claims.settle, [shared]))
         sums, usable = np.zeros(self._mask.shape), np.zeros(len(self._mask))
         for _, errors in sorted(found.items()):
             spread = np.zeros(self._mask.shape)
@@ -186,10 +190,10 @@ class BlockSums:
             means: Array = np.where(usable > 0, sums.T / (BLOCK * usable), np.nan).T
         return means
 
-    def _take(self, blocks: int, found: dict[int, Array], collector: Collector) -> None:
+    def _take(
+        self, blocks: int, store: Store, found: dict[int, Array], collector: Collector
+    ) -> None:
         """Take the sums that another run has computed, and commit them here, too."""
-        collector.flush()  # others may wait for what is claimed here
-        store = collector.claims.stores_of([self.id])[self.id]
         for block, sums in self.known(blocks, store):
             if block not in found:
                 found[block] = sums

@@ -35,21 +35,28 @@ def evaluation_rows(
 
     A column holds the value of that name from the first record of the row that has the name.
     """
-    table, copies, rows = schema("evaluations"), Counter(asked), []
-    for request in requests:
-        candidate = request.candidate
-        place = SimpleNamespace(
-            evaluation=request.id,
-            phase=phase,
-            generation=generation,
-            individual=asked.index(candidate),
-            copies=copies[candidate],
-            end=request.end,
+    table, copies = schema("evaluations"), Counter(asked)
+    individuals = {candidate: place for place, candidate in reversed([*enumerate(asked)])}
+    records = [
+        (
+            SimpleNamespace(
+                evaluation=request.id,
+                phase=phase,
+                generation=generation,
+                individual=individuals[request.candidate],
+                copies=copies[request.candidate],
+                end=request.end,
+            ),
+            evaluations[request.candidate],
+            request.estimation,
         )
-        records = (place, evaluations[candidate], request.estimation)
-        rows.append({name: _value(name, records) for name in table.names})
-    return pa.Table.from_pylist(rows, schema=table)
+        for request in requests
+    ]
+    columns = {name: _column(name, records) for name in table.names}
+    return pa.Table.from_pydict(columns, schema=table)
 
 
-def _value(name: str, records: Sequence[Any]) -> Any:
-    return next(getattr(record, name) for record in records if hasattr(record, name))
+def _column(name: str, records: Sequence[tuple[Any, ...]]) -> list[Any]:
+    """Give the values of a name, from the first record of each row that has the name."""
+    owner = next(place for place, record in enumerate(records[0]) if hasattr(record, name))
+    return [getattr(row[owner], name) for row in records]  # all rows have the same records

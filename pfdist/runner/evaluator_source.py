@@ -1,7 +1,9 @@
 """An evaluator as data, which travels to the workers."""
 
+import pickle
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 from pfdist.common.streams import stream_key
@@ -92,11 +94,7 @@ class EvaluatorSource:
 
     def libm_functions(self) -> tuple[str, ...]:
         """Functions of the C library that the compiled formulas call."""
-        if self.engine == NUMPY.name:
-            return ()
-        evaluator = self.compiled()
-        found = (libm_functions(evaluator, estimation) for estimation in self.estimations)
-        return tuple(sorted(set().union(*found)))
+        return () if self.engine == NUMPY.name else _libm_functions(pickle.dumps(self))
 
     def evaluation_id(self, times: Times, end: int, stream: int, estimation: Estimation) -> str:
         """Id of an evaluation: a hash of everything on which its per-draw MSE depends."""
@@ -134,3 +132,11 @@ class EvaluatorSource:
             *parts,
         )
         return f"{key:016x}"
+
+
+@lru_cache(maxsize=32)  # the points of a sweep often have the same formulas
+def _libm_functions(content: bytes) -> tuple[str, ...]:
+    source: EvaluatorSource = pickle.loads(content)  # noqa: S301  pickled in this process
+    evaluator = source.compiled()
+    found = (libm_functions(evaluator, estimation) for estimation in source.estimations)
+    return tuple(sorted(set().union(*found)))

@@ -2,7 +2,8 @@
 
 Each task gets a share of the remaining work, so that all workers end together, whatever their
 number and speed. A task takes at most a fraction of a second, because a kill loses unfinished
-tasks. It takes at least ten times what its transport costs. The speed is learnt as tasks end.
+tasks. It takes at least ten times what its transport costs; more where several runs share the
+workers. The speed is learnt as tasks end.
 
 References
 ----------
@@ -18,6 +19,7 @@ from pfdist.evaluation.work import Work
 
 MOST_SECONDS = 0.3
 LEAST_SECONDS = 0.015  # ten times what the transport of a task costs
+LEAST_SHARED_SECONDS = 0.05  # where workers seldom wait for the last tasks: other runs have tasks
 MOST_ROWS = 50_000  # per-draw errors of a task, which lie in memory however fast a model is
 _SHARE = 2  # so many tasks for each worker: two are queued at each worker at any time
 
@@ -32,6 +34,8 @@ class Pace:
     workers : int
     learnt : bool
         Whether the seconds are known, and not a guess.
+    is_shared : bool
+        Whether other runs have tasks for the same workers.
 
     Attributes
     ----------
@@ -39,8 +43,11 @@ class Pace:
         Seconds of a particle-step.
     """
 
-    def __init__(self, seconds: float, workers: int, *, learnt: bool = False) -> None:
+    def __init__(
+        self, seconds: float, workers: int, *, learnt: bool = False, is_shared: bool = False
+    ) -> None:
         self.seconds = seconds
+        self._least_learnt = LEAST_SHARED_SECONDS if is_shared else LEAST_SECONDS
         self._workers, self._learnt = workers, learnt
 
     def learn(self, steps: int, seconds: float) -> None:
@@ -53,8 +60,11 @@ class Pace:
 
         The first tasks are short, because a model may be a hundred times slower than the guess.
         """
-        share = remaining * self.seconds / (_SHARE * self._workers) if self._learnt else 0.0
-        return max(1, round(min(MOST_SECONDS, max(LEAST_SECONDS, share)) / self.seconds))
+        share, least = 0.0, LEAST_SECONDS
+        if self._learnt:
+            share = remaining * self.seconds / (_SHARE * self._workers)
+            least = self._least_learnt
+        return max(1, round(min(MOST_SECONDS, max(least, share)) / self.seconds))
 
 
 class Bundle(NamedTuple):

@@ -156,11 +156,12 @@ def run_phase(phase: Phase[E], collector: Collector, reporter: Reporter) -> Sequ
         windows = [each for each in copies if each.since is not None]
         found = optimiser.finalists(state)
         evaluations: dict[Candidate, E] = {}
+        least = math.inf
         for candidate, evaluation in _evaluate(phase, requests, windows, collector):
             evaluations[candidate] = evaluation
-            if not found:  # nothing better to show yet
-                costs = _whole_costs(evaluations.values())
-                reporter.note(best=min(costs, default=None))
+            if not found and (costs := _whole_costs([evaluation])):  # nothing better to show yet
+                least = min(least, *costs)
+                reporter.note(best=least)
             part = min(generation + len(evaluations) / len(copies), optimiser.generations)
             reporter.reach(
                 start + share * part,
@@ -193,7 +194,7 @@ def _whole_costs(evaluations: Iterable[Evaluation]) -> list[float]:
     return [
         evaluation.cost
         for evaluation in evaluations
-        if evaluation.end is None and np.isfinite(evaluation.cost)
+        if evaluation.end is None and math.isfinite(evaluation.cost)
     ]
 
 

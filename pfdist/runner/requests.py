@@ -12,6 +12,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from pfdist.evaluation.work import Estimation, Work, cut
+from pfdist.runner.claims import Wanted
 from pfdist.runner.collect import Collector
 from pfdist.runner.evaluation_rows import draw_rows
 from pfdist.search import Candidate
@@ -55,9 +56,9 @@ class Request:
     missing: NDArray[np.bool_]
 
     @property
-    def claimed(self) -> str:
-        """Name of the evaluation among several runs: the same set may be asked for more draws."""
-        return f"{self.id}:{self.mse.size}"
+    def wanted(self) -> Wanted:
+        """The evaluation for several runs: the same set may be asked for more draws."""
+        return Wanted(f"{self.id}:{self.mse.size}", self.id, self.mse.size)
 
     def learn(self, draws: Any, mse: Any) -> None:
         """Store the MSE of some draws."""
@@ -85,16 +86,16 @@ def known(
     _recall(requests, evaluated, collector)
     wanted = {request.id: request for request in requests if request.missing.any()}
     yield from (request for request in requests if request.id not in wanted)
-    claimed = {request.claimed: request for request in wanted.values()}
-    theirs = set(collector.claims.claim(claimed))
-    others = [claimed[name] for name in claimed if name in theirs]
-    yield from _filtered([claimed[name] for name in claimed if name not in theirs], collector)
+    theirs = set(collector.claims.claim(request.wanted for request in wanted.values()))
+    own = [request for request in wanted.values() if request.wanted not in theirs]
+    others = [request for request in wanted.values() if request.wanted in theirs]
+    yield from _filtered(own, collector)
     if not theirs:
         return
     collector.flush()  # others may wait for what is claimed here
     stores = collector.claims.stores_of(theirs)
     for request in others:
-        _take(request, stores[request.claimed], collector)
+        _take(request, stores[request.wanted], collector)
         if not request.missing.any():
             yield request
     yield from _filtered([each for each in others if each.missing.any()], collector)
@@ -113,7 +114,7 @@ def _filtered(requests: list[Request], collector: Collector) -> Iterator[Request
                 request.learn(slice(*work.draws), mse)
                 if not request.missing.any():
                     yield request
-    collector.later(partial(collector.claims.settle, [each.claimed for each in requests]))
+    collector.later(partial(collector.claims.settle, [each.wanted for each in requests]))
 
 
 def _take(request: Request, store: Store, collector: Collector) -> None:
@@ -123,7 +124,7 @@ def _take(request: Request, store: Store, collector: Collector) -> None:
     lacking = np.isin(draws, np.flatnonzero(request.missing))
     request.learn(draws[lacking], rows["mse"].to_numpy()[lacking])
     if lacking.any():
-        collector.keep(request.phase, "draws", request.claimed, rows.filter(pa.array(lacking)))
+        collector.keep(request.phase, "draws", request.wanted.name, rows.filter(pa.array(lacking)))
 
 
 def _recall(requests: list[Request], evaluated: Evaluated | None, collector: Collector) -> None:

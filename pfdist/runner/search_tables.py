@@ -20,10 +20,9 @@ def commit_generation(
 
 def committed_generations(store: Store, phase: str) -> set[int]:
     """Generations of a phase that are committed."""
-    if not store.has("evaluations"):
+    if not store.has("evaluations", phase):
         return set()
-    rows = store.read("evaluations")
-    return set(rows.loc[rows["phase"] == phase, "generation"])
+    return set(store.read("evaluations", phase=phase)["generation"])
 
 
 def unpublished(store: Store, phases: Iterable[str]) -> bool:
@@ -36,8 +35,7 @@ def publish_search(store: Store, phase: str) -> None:
     if not unpublished(store, [phase]):
         return
     store.settle("error_sums", phase)
-    rows = store.read("evaluations")
-    rows = rows[rows["phase"] == phase]
+    rows = store.read("evaluations", phase=phase)
     most = rows.groupby("evaluation", sort=False)["draws"].max()
     wanted = {str(id_): int(draws) for id_, draws in most.items()}
     store.publish("draws", phase, _draws_of(store, wanted))

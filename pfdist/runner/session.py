@@ -44,7 +44,7 @@ class Session:
         claims: Claims = ALONE,
     ) -> "Session":
         """Start with a store and a pool that the caller has entered; nothing is computed yet."""
-        pace = Pace(built.evaluator.seconds_a_step, pool.workers)
+        pace = Pace(built.evaluator.seconds_a_step, pool.workers, is_shared=claims is not ALONE)
         failures, resumed = built.job.execution.failures, store.has("draws")
         collector = Collector(store, pool, _name(), pace, failures, resumed, claims)
         return cls(built, collector, Reporter(show), say)

@@ -1,6 +1,7 @@
 """Reads the tables of one run, parts and published files as one."""
 
 import time
+from collections import Counter
 from collections.abc import Callable, Container, Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -50,10 +51,19 @@ class Reader:
             )
         )
 
-    def read(self, table: str, draws: int | None = None) -> pd.DataFrame:
-        """Read a table, parts and published files as one, sorted by key; or its first draws."""
+    def read(self, table: str, draws: int | None = None, phase: str = "") -> pd.DataFrame:
+        """Read a table, parts and published files as one, sorted by key.
+
+        Parameters
+        ----------
+        table : str
+        draws : int, optional
+            Only so many first draws.
+        phase : str, optional
+            Only the rows of a phase.
+        """
         wanted = None if draws is None else pc.field("draw") < draws
-        pieces = self._load(table, filters=wanted)
+        pieces = self._load(table, phase, filters=wanted)
         if not pieces:
             raise self._lacking(table)
         frame: pd.DataFrame = pd.concat([frame_of(piece) for piece in pieces])
@@ -91,9 +101,9 @@ class Reader:
             for name, times in zip(rows["name"], rows["measurement_times"], strict=True)
         }
 
-    def has(self, table: str) -> bool:
-        """Whether anything of a table was committed."""
-        return bool(self._files(table))
+    def has(self, table: str, phase: str = "") -> bool:
+        """Whether anything of a table, or of a phase in it, was committed."""
+        return bool(self._files(table, phase))
 
     def has_parts(self, table: str = "*", phase: str = "*", without: tuple[str, ...] = ()) -> bool:
         """Whether a phase, or the run without some phases, has rows that are not published yet."""
@@ -179,6 +189,19 @@ class Reader:
         draw = rows["draw"].to_numpy()
         order = np.lexsort((draw, place))
         return rows.take(order[first_occurrences(place[order], draw[order])])
+
+    def evaluations(self) -> dict[str, int]:
+        """Number of committed rows of each evaluation; a row that is found twice counts twice."""
+
+        def look() -> dict[str, int]:
+            rows = Counter[str]()
+            for table in ("draws", "error_sums"):
+                for piece in self.pieces(table, ["evaluation"]):
+                    counted = piece["evaluation"].value_counts().to_pylist()
+                    rows.update({each["values"]: each["counts"] for each in counted})
+            return rows
+
+        return self._again(look)
 
     def look_again(self) -> None:
         """Find the files of the draws table that another driver has written since."""

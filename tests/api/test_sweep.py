@@ -1,6 +1,7 @@
 """A sweep is the same as its runs, started one by one."""
 
 import dataclasses
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,10 +11,12 @@ import pytest
 import pfdist
 from oracles.bytes_of import hashes
 from pfdist import Job
+from pfdist.analysis.judged import times_by_search
 from pfdist.api.sweep import foreseen
-from pfdist.errors import JobError, RunMismatchError, SweepError
+from pfdist.errors import JobError, PfdistError, RunMismatchError, SweepError
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Result, Work
+from pfdist.job.judging import judged_sets
 from pfdist.runner.progress import Progress
 
 SWEEP = """
@@ -115,6 +118,84 @@ def test_an_evaluation_that_several_points_need_is_computed_once(
     assert {name: hashes(run.path) for name, run in sweep.runs.items()} == whole
 
 
+def test_a_finished_point_saves_points_that_are_added_its_search(
+    small_job: Job, tmp_path: Path, filtered: list[int]
+) -> None:
+    few, path = {"comparison.draws": [60]}, tmp_path / "sweep"
+    first = pfdist.sweep(small_job, few, results=path, report=False)
+    before = hashes(first.runs["comparison.draws=60"].path)
+    filtered.clear()
+    sweep = pfdist.sweep(small_job, ALIKE, results=path, report=False)
+    assert sum(filtered) == 0
+    for draws in ALIKE["comparison.draws"][1:]:
+        whole = alone(small_job, tmp_path / f"{draws}", [f"comparison.draws={draws}"])
+        assert hashes(sweep.path / f"comparison.draws={draws}") == whole
+    assert hashes(sweep.path / "comparison.draws=60") == before
+
+
+@pytest.mark.parametrize("method", ["genetic", "relaxation"])
+def test_an_unfinished_point_saves_the_others_what_it_has_computed(
+    method: str,
+    small_job: Job,
+    tmp_path: Path,
+    filtered: list[int],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    changes = [f'search=[{{method="{method}"}}]']
+    alone(small_job, tmp_path / "whole", [*changes, "comparison.draws=60"])
+    once = sum(filtered)
+    filtered.clear()
+
+    def stop(*_: Any) -> None:
+        raise PfdistError("the search is over")
+
+    with monkeypatch.context() as patched:
+        patched.setattr("pfdist.runner.driver.run_comparison", stop)
+        with pytest.raises(SweepError):
+            pfdist.sweep(
+                small_job, {"comparison.draws": [60]}, changes=changes,
+                results=tmp_path / "sweep", report=False,
+            )  # fmt: skip
+    assert sum(filtered) == once
+    sweep = pfdist.sweep(
+        small_job, ALIKE, changes=changes, results=tmp_path / "sweep", report=False
+    )
+    assert sum(filtered) == once
+    first = sweep.path / "comparison.draws=60"
+    assert hashes(first) == hashes(tmp_path / "whole")
+
+
+def test_a_point_of_another_processor_gives_other_points_nothing(
+    small_job: Job, tmp_path: Path, filtered: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The last digits of its evaluations may differ."""
+    path = tmp_path / "sweep"
+    with monkeypatch.context() as patched:
+        patched.setattr(
+            "pfdist.runner.provenance.processor", lambda: {"model": "x", "compiled_for": "y"}
+        )
+        pfdist.sweep(small_job, {"comparison.draws": [60]}, results=path, report=False)
+    once = sum(filtered)
+    pfdist.sweep(small_job, ALIKE, results=path, report=False)
+    assert sum(filtered) == 2 * once
+
+
+def test_a_damaged_point_gives_other_points_nothing(
+    small_job: Job, tmp_path: Path, filtered: list[int]
+) -> None:
+    path = tmp_path / "sweep"
+    pfdist.sweep(small_job, {"comparison.draws": [60]}, results=path, report=False)
+    once = sum(filtered)
+    damaged = next((path / "comparison.draws=60" / "tables" / "draws").glob("*.parquet"))
+    damaged.write_bytes(damaged.read_bytes()[:-1] + b"?")
+    filtered.clear()
+    sweep = pfdist.sweep(small_job, ALIKE, results=path, report=False)
+    assert sum(filtered) == once
+    for draws in ALIKE["comparison.draws"]:
+        whole = alone(small_job, tmp_path / f"{draws}", [f"comparison.draws={draws}"])
+        assert hashes(sweep.path / f"comparison.draws={draws}") == whole
+
+
 def test_points_on_ray_have_the_same_bytes(
     small_job: Job, tmp_path: Path, ray_cluster: None
 ) -> None:
@@ -212,10 +293,17 @@ def test_progress_is_that_of_the_whole(small_job: Job, tmp_path: Path) -> None:
     assert any("seed=2: genetic" in state.doing for state in seen)
 
 
-def test_points_can_be_listed_without_computing(sweep_file: Path, tmp_path: Path) -> None:
+def test_points_can_be_listed_without_computing(
+    sweep_file: Path, small_job: Job, tmp_path: Path
+) -> None:
     points = foreseen(sweep_file, results=tmp_path / "sweep")
     assert list(points["state"]) == ["none"] * 5
     assert (points["steps"] > 0).all()
+    assert "judging_steps" not in points
+    judging = foreseen(sweep_file, results=tmp_path / "sweep", judge=True)["judging_steps"]
+    job = pfdist.load_job(small_job.path, ["comparison.draws=60"])
+    filtered = 60 * job.filter.particles * (job.problem.feasible.horizon + 1)
+    assert set(judging) == {filtered * (1 + 5 * len(job.search))}  # the reference and all found
     assert not (tmp_path / "sweep").exists()
     pfdist.sweep(sweep_file, results=tmp_path / "sweep", report=False)
     assert set(foreseen(sweep_file, results=tmp_path / "sweep")["state"]) == {"finished"}
@@ -258,20 +346,77 @@ def test_times_found_at_each_point_are_judged_at_every_point(
     assert len(judged) == 16
     assert set(judged["found_at"]) == set(sweep.runs)
     assert judged["run"].nunique() == 4
+    assert set(judged["set"]) == {"greedy_forward"}
     point = "process_sd=2.0,seed=1"
-    times = {
-        f"point_{k}": run.sets()["greedy_forward"] for k, run in enumerate(sweep.runs.values(), 1)
-    }
+    sets = judged_sets(times_by_search(sweep.runs))
     compared = pfdist.compare(
         small_job,
-        times=times,
+        times=sets,
         changes=["model.parameters.process_sd=2.0", "seed=1"],
         results=tmp_path / "compared",
         figures=False,
     )
-    expected = compared.comparison().mean()
+    expected = {sets[name]: compared.comparison()[f"mse_{name}"].mean() for name in sets}
+    own = expected[sweep.runs[point].sets()["greedy_forward"]]
     for row in judged[judged["run"] == point].itertuples():
-        assert row.expected_mse == pytest.approx(expected[f"mse_{row.set}"], rel=1e-12)
+        assert row.measurement_times == sweep.runs[row.found_at].sets()["greedy_forward"]
+        mse = expected[row.measurement_times]
+        assert row.expected_mse == pytest.approx(mse, rel=1e-12)
+        assert row.loss == pytest.approx(mse / own - 1, rel=1e-9, abs=1e-12)
+        assert row.loss_low <= row.loss <= row.loss_high
+    assert (judged.loc[judged["found_at"] == judged["run"], "loss"] == 0).all()
+
+
+def test_times_found_at_several_points_are_judged_once(small_job: Job, tmp_path: Path) -> None:
+    """Points that differ in their comparison alone find the same times."""
+    sweep = pfdist.sweep(small_job, ALIKE, results=tmp_path / "sweep", judge=True, report=False)
+    for name, judge in sweep.judges.items():
+        assert list(judge.sets()) == ["regular", "point_1_genetic", "point_1_random"]
+        assert judge.sets()["point_1_genetic"] == sweep.runs[name].sets()["genetic"]
+    judged = sweep.judged()
+    assert len(judged) == 18
+    assert (judged["loss"] == 0).all()
+
+
+EXACT = ["model.name=random_walk", "filter.engine=kalman", "comparison.draws=30"]
+
+
+def test_losses_of_an_exact_engine_are_exact(small_job: Job, tmp_path: Path) -> None:
+    """Times of another number of measurements have no loss."""
+    changes = [*EXACT, 'search=[{method="exhaustive"}]']
+    over = {"model.parameters.step_sd": [0.2, 3.0], "problem.measurement_budget": [2, 3]}
+    sweep = pfdist.sweep(
+        small_job, over, changes=changes, results=tmp_path / "sweep", judge=True, report=False
+    )
+    judged = sweep.judged()
+    assert len(judged) == 16
+    assert judged["loss"].notna().sum() == 8
+    for row in judged.itertuples():
+        own = sweep.runs[row.run]
+        if len(row.measurement_times) != own.problem.measurement_budget:
+            assert math.isnan(row.loss)
+            continue
+        exact = own.summary()["results"]["exhaustive"]["exact_mse"]
+        assert row.loss == pytest.approx(row.expected_mse / exact - 1, abs=1e-12)
+        assert row.loss_low == row.loss == row.loss_high
+
+
+def test_times_of_other_methods_have_losses_too(small_job: Job, tmp_path: Path) -> None:
+    """Where a point has no search of that name, its first search counts."""
+    over = {"search.exhaustive.method": ["exhaustive", "greedy_forward"]}
+    changes = [*EXACT, 'search=[{method="exhaustive"}]']
+    sweep = pfdist.sweep(
+        small_job, over, changes=changes, results=tmp_path / "sweep", judge=True, report=False
+    )
+    losses = sweep.judged().set_index(["found_at", "run"])["loss"].unstack()
+    best, other = sweep.runs
+    assert losses.loc[best, other] <= 0 <= losses.loc[other, best]
+
+
+def test_points_with_other_clocks_are_not_judged(small_job: Job, tmp_path: Path) -> None:
+    with pytest.raises(JobError, match="must have the same horizon and clock at all points"):
+        pfdist.sweep(small_job, {"problem.horizon": [12, 13]}, results=tmp_path / "x", judge=True)
+    assert not (tmp_path / "x").exists()
 
 
 def test_a_sweep_that_does_not_judge_says_so(small_job: Job, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from pfdist.errors import JobError
 from pfdist.evaluation.estimate import DEGENERATE_POLICIES
-from pfdist.job.job import job_toml, load_job
+from pfdist.job.job import Job, job_toml, load_job
 from pfdist.job.sections import EvaluationSection
 from pfdist.search.methods import METHODS
 from pfdist.times.feasible import Feasible
@@ -424,3 +424,17 @@ def test_online_search_keeps_the_defaults_of_keys_that_are_not_given(write):
     other = "search = { method = 'survivors' }"
     survivors = load_job(write("[execution]", f"[online]\n{other}\n[execution]")).online
     assert survivors.search == METHODS["survivors"].section()
+
+
+def test_settings_of_none_leave_the_job_as_it_is(small_job: Job) -> None:
+    settings = {"execution": {"pool": None, "workers": None}, "filter": {"particles": None}}
+    assert small_job.with_changes(settings=settings | {"seed": None}) == small_job
+
+
+@pytest.mark.parametrize("wrong", ['execution = "serial"', "execution = 3"])
+def test_settings_hide_no_section_that_is_wrong(wrong: str, small_job: Job) -> None:
+    path, text = small_job.path, small_job.path.read_text()
+    path.write_text(f"{wrong}\n{text.partition('[execution]')[0]}")
+    for settings in ({"execution": {"pool": None}}, {"execution": {"pool": "serial"}}):
+        with pytest.raises(JobError, match="execution must be"):
+            load_job(path, settings=settings)

@@ -123,3 +123,24 @@ def test_a_module_is_not_looked_for_in_the_working_directory(
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert "must be host:port" in done.stdout
     assert "planted" not in done.stdout + done.stderr
+
+
+LEFT_OPEN = """
+import time
+from pfdist.pools.ray_pool import RayPool
+
+if __name__ == "__main__":
+    pool = RayPool(lambda: time.sleep, 1).__enter__()
+    raise RuntimeError("never left")
+"""
+
+
+def test_a_script_that_never_leaves_its_pool_ends(tmp_path: Path) -> None:
+    """Python then leaves it while it ends, when no thread can start any more."""
+    script = tmp_path / "script.py"
+    script.write_text(LEFT_OPEN)
+    ended = subprocess.run(
+        [sys.executable, script], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert ended.returncode == 1
+    assert ended.stderr.rstrip().endswith("RuntimeError: never left")

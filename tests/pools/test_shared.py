@@ -163,6 +163,36 @@ def test_a_pool_that_fails_ends_every_member() -> None:
     assert errors == dict.fromkeys(range(2), "no worker has answered")
 
 
+def test_members_that_come_later_have_the_same_pool_which_is_left_once() -> None:
+    happened, found = list[str](), dict[int, int]()
+
+    @contextmanager
+    def noted() -> Iterator[Pool]:
+        happened.append("entered")
+        with serial() as pool:
+            yield pool
+        happened.append("left")
+
+    def member(rank: int) -> None:
+        with shared.join(rank, named(rank)) as pool:
+            found[len(found)] = len(list(pool.run(tasks(20))))
+
+    with SharedPool(noted()) as shared:
+        served(shared, member, member)
+        served(shared, member)
+        assert happened == ["entered"]
+    assert happened == ["entered", "left"]
+    assert list(found.values()) == [20] * 3
+
+
+def test_the_error_of_a_thread_that_never_joined_ends_serving() -> None:
+    def fails(rank: int) -> None:
+        shared.fail(OSError("no such disk"))
+
+    with SharedPool(serial()) as shared, pytest.raises(OSError, match="no such disk"):
+        served(shared, fails)
+
+
 def test_an_interrupt_ends_every_member() -> None:
     @contextmanager
     def interrupted() -> Iterator[Pool]:

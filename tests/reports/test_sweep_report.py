@@ -13,6 +13,7 @@ from scipy import stats
 
 import pfdist
 from pfdist import Job
+from pfdist.analysis.judged import judged_table
 from pfdist.cli.main import main
 from pfdist.common.rounding import rounded, with_interval
 from pfdist.errors import ArgumentError, StoreError, SweepError
@@ -285,3 +286,39 @@ def test_the_command_line_writes_it_and_no_report_means_none(
     assert seen(folder).links == []
     with pytest.raises(ArgumentError, match="only the report of a run can be watched"):
         pfdist.report(folder, watch=True)
+
+
+@pytest.fixture(scope="module")
+def judged(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a sweep over two process noises that judges."""
+    folder = tmp_path_factory.mktemp("judged")
+    job = folder / "small.toml"
+    job.write_text((Path(__file__).parents[1] / "small.toml").read_text())
+    over = {"model.parameters.process_sd": [0.5, 5.0]}
+    changes = ["search=[{method='greedy_forward'}]"]
+    return pfdist.sweep(job, over, results=folder / "mine", changes=changes, judge=True).path
+
+
+def test_it_says_which_times_lose_least(judged: Path) -> None:
+    points = ["process_sd=0.5", "process_sd=5.0"]
+    runs = {name: pfdist.open_run(judged / name) for name in points}
+    judges = {name: pfdist.open_run(judged / "judged" / name) for name in points}
+    largest = judged_table(runs, judges).groupby("found_at")["loss"].max()
+    page = seen(judged)
+    told = re.search(
+        r"The safest times are those found at process_sd = (\S+): their largest loss is (\S+) ",
+        page.text,
+    )
+    assert told is not None
+    assert f"process_sd={told[1]}" == largest.idxmin()
+    assert float(told[2]) == pytest.approx(100 * largest.min(), rel=0.1, abs=0.05)
+
+
+def test_judged_times_that_cannot_be_read_leave_the_points(judged: Path, tmp_path: Path) -> None:
+    copy = shutil.copytree(judged, tmp_path / "mine")
+    damaged = next((copy / "judged" / "process_sd=5.0" / "tables" / "comparison").iterdir())
+    damaged.write_text("<b>")
+    page = seen(copy)
+    assert "The judged times cannot be read: " in page.text
+    assert "safest times" not in page.text
+    assert len(page.rows) == 3

@@ -32,7 +32,7 @@ def _add_sweep(parser: ArgumentParser) -> None:
         "--judge",
         action="store_true",
         default=None,
-        help="also judge the times found at each point at every other point, in the folder "
+        help="also judge the times found at each point at every point, in the folder "
         "judged of the sweep (default: judge of the sweep file)",
     )
     parser.add_argument(
@@ -74,7 +74,8 @@ def sweep_command(options: Namespace) -> None:
     over = values_by_key(options.over)
     asked = {"results": options.results, "changes": options.set}
     if options.dry_run:
-        print_foreseen(foreseen(options.job, over, **asked), options)
+        points = foreseen(options.job, over, **asked, judge=options.judge)
+        print_foreseen(points, options)
         return
     with Display() as display:
         chosen = {**settings(options, display), **asked}

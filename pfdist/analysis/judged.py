@@ -1,0 +1,127 @@
+"""How good the times found at each point of a sweep are at every point."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from pfdist.analysis.gains import Gain, relative_gain
+from pfdist.analysis.runs_table import RESULTS, runs_table
+from pfdist.analysis.stored_run import Run
+from pfdist.times.measurement_times import Times
+
+JUDGED = "judged"
+"""Folder, in that of a sweep, of the comparisons that judge."""
+LOSS = ("loss", "loss_low", "loss_high")
+NOTHING_JUDGED = pd.DataFrame(columns=["run", "found_at", *RESULTS, *LOSS])
+
+
+class FoundSet(NamedTuple):
+    """Times that a search has found at a point of a sweep, on the clock of the job."""
+
+    point: str
+    search: str
+    times: Times
+
+
+def times_by_search(runs: Mapping[str, Run]) -> dict[str, dict[str, Times]]:
+    """Give the times that the searches of each run have found, by name of the run and search."""
+    return {
+        name: {search: run.sets()[search] for search in run.found} for name, run in runs.items()
+    }
+
+
+def judged_table(runs: Mapping[str, Run], judges: Mapping[str, Run]) -> pd.DataFrame:
+    """Give a row for each point, and each set of times found at any point.
+
+    Parameters
+    ----------
+    runs, judges : mapping of str to Run
+        The run of each point, and the comparison that judges there, by the name of the point, if
+        there is one.
+
+    Returns
+    -------
+    DataFrame
+        As `pfdist.table` gives it of the judges, but ``set`` is the name of the search. Further
+        columns are ``found_at``, the point at which the times were found, and ``loss`` with
+        ``loss_low`` and ``loss_high``, its 95 % interval: by how much the expected MSE is higher
+        than with the times that the same search, or else the first search, has found at the
+        judging point, as a fraction. It is NaN for times that are not feasible there.
+
+    Raises
+    ------
+    StoreError
+        A table of a run cannot be read.
+    """
+    found = [
+        FoundSet(point, search, times)
+        for point, sets in times_by_search(runs).items()
+        for search, times in sets.items()
+    ]
+    if not judges:
+        return NOTHING_JUDGED
+    frame = runs_table(list(judges.values()))
+    points = {str(judge.path): point for point, judge in judges.items()}
+    losses = {point: _losses(judge, found, point) for point, judge in judges.items()}
+    rows = [
+        row
+        | {"found_at": each.point, "set": each.search}
+        | dict(zip(LOSS, losses[points[row["path"]]][each.times, each.search], strict=True))
+        for row in frame.to_dict("records")
+        for each in found
+        if each.times == row["measurement_times"]
+    ]
+    before = list(frame.columns).index("set")
+    columns = [*frame.columns[:before], "found_at", *frame.columns[before:], *LOSS]
+    kinds = {name: frame[name].dtype for name in frame.columns}
+    judged = pd.DataFrame(rows, columns=columns).astype(kinds | dict.fromkeys(LOSS, float))
+    judged.attrs.update(frame.attrs)
+    return judged
+
+
+def _losses(
+    judge: Run, found: Sequence[FoundSet], point: str
+) -> dict[tuple[Times, str], tuple[float, float, float]]:
+    """Give the loss with its interval of all times that each search has found, at a point."""
+    names = {times: name for name, times in judge.sets().items()}
+    own = {each.search: each.times for each in found if each.point == point}
+    losses = dict.fromkeys(((each.times, each.search) for each in found), (math.nan,) * 3)
+    if not own:
+        return losses
+    first = next(iter(own.values()))
+    pairs = {(times, search): own.get(search, first) for times, search in losses}
+    compared = {
+        about: best
+        for about, best in pairs.items()
+        if {about[0], best} <= names.keys() and _are_comparable(judge, about[0], best)
+    }
+    results = judge.summary()["results"]
+    if all(result.get("exact_mse") is not None for result in results.values()):
+        for about, best in compared.items():
+            exact = (results[names[times]]["exact_mse"] for times in (about[0], best))
+            losses[about] = (0.0 - float(relative_gain(*map(np.array, exact))),) * 3
+        return losses
+    gains = {about: Gain() for about in compared}
+    for block in judge.blocks():
+        for about, best in compared.items():
+            columns = (f"mse_{names[times]}" for times in (about[0], best))
+            gains[about].add(*(block[column].to_numpy() for column in columns))
+    return losses | {about: _loss(gain) for about, gain in gains.items()}
+
+
+def _are_comparable(judge: Run, times: Times, own: Times) -> bool:
+    """Whether times are feasible at a point, and as many as those that were found there."""
+    problem = judge.problem
+    feasible = problem.feasible
+    if feasible.counted:
+        feasible = replace(feasible, measurement_budget=len(own))
+    return feasible.accepts(problem.clock.instants(times))
+
+
+def _loss(gain: Gain) -> tuple[float, float, float]:
+    low, high = gain.of_means_interval
+    return 0.0 - gain.of_means, 0.0 - high, 0.0 - low  # 0, not -0, for the same times
