@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -14,9 +14,13 @@ from pfdist.analysis.stored_run import Run
 from pfdist.times.measurement_times import Times
 
 JUDGED = "judged"
-"""Folder, in that of a sweep, of the comparisons that judge."""
+"""Folder, in that of a sweep, with a folder of comparisons for each choice of judged sets."""
 LOSS = ("loss", "loss_low", "loss_high")
+UNKNOWN = (math.nan,) * 3
 NOTHING_JUDGED = pd.DataFrame(columns=["run", "found_at", *RESULTS, *LOSS])
+
+Loss = tuple[float, float, float]
+"""A loss, and its 95 % interval."""
 
 
 class FoundSet(NamedTuple):
@@ -49,8 +53,8 @@ def judged_table(runs: Mapping[str, Run], judges: Mapping[str, Run]) -> pd.DataF
         As `pfdist.table` gives it of the judges, but ``set`` is the name of the search. Further
         columns are ``found_at``, the point at which the times were found, and ``loss`` with
         ``loss_low`` and ``loss_high``, its 95 % interval: by how much the expected MSE is higher
-        than with the times that the same search, or else the first search, has found at the
-        judging point, as a fraction. It is NaN for times that are not feasible there.
+        than with the best times that were found at the judging point, as a fraction. It is NaN for
+        times that are not feasible there.
 
     Raises
     ------
@@ -70,7 +74,7 @@ def judged_table(runs: Mapping[str, Run], judges: Mapping[str, Run]) -> pd.DataF
     rows = [
         row
         | {"found_at": each.point, "set": each.search}
-        | dict(zip(LOSS, losses[points[row["path"]]][each.times, each.search], strict=True))
+        | dict(zip(LOSS, losses[points[row["path"]]].get(each.times, UNKNOWN), strict=True))
         for row in frame.to_dict("records")
         for each in found
         if each.times == row["measurement_times"]
@@ -83,34 +87,34 @@ def judged_table(runs: Mapping[str, Run], judges: Mapping[str, Run]) -> pd.DataF
     return judged
 
 
-def _losses(
-    judge: Run, found: Sequence[FoundSet], point: str
-) -> dict[tuple[Times, str], tuple[float, float, float]]:
-    """Give the loss with its interval of all times that each search has found, at a point."""
+def _losses(judge: Run, found: Sequence[FoundSet], point: str) -> dict[Times, Loss]:
+    """Give the loss with its interval of all times that can be compared at a point."""
     names = {times: name for name, times in judge.sets().items()}
-    own = {each.search: each.times for each in found if each.point == point}
-    losses = dict.fromkeys(((each.times, each.search) for each in found), (math.nan,) * 3)
-    if not own:
-        return losses
-    first = next(iter(own.values()))
-    pairs = {(times, search): own.get(search, first) for times, search in losses}
-    compared = {
-        about: best
-        for about, best in pairs.items()
-        if {about[0], best} <= names.keys() and _are_comparable(judge, about[0], best)
-    }
     results = judge.summary()["results"]
+    mse = {times: _mse(results[name]) for times, name in names.items()}
+    own = {each.times for each in found if each.point == point and each.times in names}
+    best = dict[Times, Times]()  # of those found at the point, for each set of times
+    for times in {each.times for each in found if each.times in names}:
+        comparable = [each for each in own if _are_comparable(judge, times, each)]
+        if comparable:
+            best[times] = min(comparable, key=lambda each: (mse[each], each))
     if all(result.get("exact_mse") is not None for result in results.values()):
-        for about, best in compared.items():
-            exact = (results[names[times]]["exact_mse"] for times in (about[0], best))
-            losses[about] = (0.0 - float(relative_gain(*map(np.array, exact))),) * 3
-        return losses
-    gains = {about: Gain() for about in compared}
+        exact = {times: np.array(mse[times]) for times in names}
+        gains = {times: float(relative_gain(exact[times], exact[best[times]])) for times in best}
+        return {times: (0.0 - gain,) * 3 for times, gain in gains.items()}
+    drawn = {times: Gain() for times in best}
     for block in judge.blocks():
-        for about, best in compared.items():
-            columns = (f"mse_{names[times]}" for times in (about[0], best))
-            gains[about].add(*(block[column].to_numpy() for column in columns))
-    return losses | {about: _loss(gain) for about, gain in gains.items()}
+        for times, gain in drawn.items():
+            columns = (f"mse_{names[each]}" for each in (times, best[times]))
+            gain.add(*(block[column].to_numpy() for column in columns))
+    return {times: _loss(gain) for times, gain in drawn.items()}
+
+
+def _mse(result: Mapping[str, Any]) -> float:
+    """Give the expected MSE of a set; inf if it is unknown."""
+    exact = result.get("exact_mse")
+    known = result.get("expected_mse") if exact is None else exact
+    return math.inf if known is None or math.isnan(known) else float(known)
 
 
 def _are_comparable(judge: Run, times: Times, own: Times) -> bool:
@@ -122,6 +126,6 @@ def _are_comparable(judge: Run, times: Times, own: Times) -> bool:
     return feasible.accepts(problem.clock.instants(times))
 
 
-def _loss(gain: Gain) -> tuple[float, float, float]:
+def _loss(gain: Gain) -> Loss:
     low, high = gain.of_means_interval
     return 0.0 - gain.of_means, 0.0 - high, 0.0 - low  # 0, not -0, for the same times

@@ -182,12 +182,13 @@ class PointsAtWork:
     def _tell(self) -> None:
         total = len(self._asked.points)
         ended = self._finished + len(self._failed)
-        doing = ", ".join(f"{name}: {share.phase}" for name, share in self._shares.items())
+        phases = [f"{name}: {share.phase}" for name, share in self._shares.items()]
+        doing = f"; {', '.join(phases)}" if phases else ""
         self._show(
             Progress(
                 phase="sweep",
                 done=ended + sum(share.done for share in self._shares.values()),
                 total=total,
-                doing=f"{self._finished} of {total} points finished; {doing}",
+                doing=f"{self._finished} of {total} points finished{doing}",
             )
         )

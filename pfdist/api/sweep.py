@@ -8,7 +8,7 @@ from time import perf_counter
 
 import pandas as pd
 
-from pfdist.analysis import Run, open_run
+from pfdist.analysis import Run, open_run, read_recorded
 from pfdist.analysis.judged import JUDGED, judged_table, times_by_search
 from pfdist.api.at_work import say_ready
 from pfdist.api.following import Say, following, silent
@@ -19,6 +19,7 @@ from pfdist.api.table import table
 from pfdist.common.arguments import path_argument
 from pfdist.errors import ArgumentError, JobError, SweepError
 from pfdist.job.asked import Asked
+from pfdist.job.job import Job
 from pfdist.job.judging import check_comparable, judging
 from pfdist.job.points import Values
 from pfdist.job.sweep import SweepJob, read_sweep
@@ -30,6 +31,7 @@ from pfdist.runner.driver import foreseen_steps
 from pfdist.runner.named_by_a_run import files_named
 from pfdist.runner.progress import Show
 from pfdist.runner.work_of_runs import worker_of_runs
+from pfdist.store import holds_run
 from pfdist.store.shown_files import has_report
 
 _SHOWN = 3  # failures in an error
@@ -147,12 +149,7 @@ def sweep(
         The sweep is wrong, or no worker answers. The same call resumes the sweep.
     """
     asked = _asked(job, over, parallel, points, changes, pool, workers, address)
-    judges_points = asked.judge if judge is None else judge
-    if judges_points:
-        check_comparable(asked)
-    path = Path("results") / asked.name
-    if results is not None:
-        path = path_argument("results", results)
+    path, judges_points = _checked(asked, results, judge)
     bound = bound_settings(bound_draws)
     with following(progress, say) as (show, tell):
         files = {file for each in asked.jobs.values() for file in files_named(each)}
@@ -161,14 +158,17 @@ def sweep(
         judges, refused = dict[str, Run](), None
         with _shared_pool(asked, tell) as shared:
             runs, failed = PointsAtWork(asked, path, bound, show, tell).run(shared)
-            if not failed and judges_points:
+            if failed and judges_points:
+                tell("the found times are not judged, because not all points are finished")
+            elif judges_points:
                 try:
                     judged = judging(asked, times_by_search(runs))
                 except JobError as error:  # the points are finished, and get their reports
                     refused = error
                 else:
                     tell(f"judges the found times at all {len(asked.points)} points")
-                    judging_points = PointsAtWork(judged, path / JUDGED, None, show, tell)
+                    folder = path / JUDGED / judged.name
+                    judging_points = PointsAtWork(judged, folder, None, show, tell)
                     judges, failed = judging_points.run(shared)
         if report:
             _report(runs, asked, tell)
@@ -216,8 +216,9 @@ def foreseen(
     -------
     DataFrame
         A row for each point: its name, its values, the state of its run ("none" if it has not
-        begun), and ``steps``, the particle-steps that the whole run takes. If the sweep judges,
-        ``judging_steps`` are those that judge all found times there, if all differ.
+        begun, "other run" if another run is in the way), and ``steps``, the particle-steps that
+        the whole run takes. If the sweep judges, ``judging_steps`` are those that judge all found
+        times there, if all differ.
 
     Raises
     ------
@@ -225,12 +226,11 @@ def foreseen(
         The sweep is wrong, or the model of a point.
     """
     asked = _asked(job, over, parallel, points, changes)
-    path = Path("results") / asked.name if results is None else path_argument("results", results)
-    judges = asked.judge if judge is None else judge
+    path, judges = _checked(asked, results, judge)
     rows, steps_a_set, found = [], [], 0
     for point in asked.points:
         folder, built = path / point.name, build(asked.jobs[point.name])
-        state = open_run(folder).state if (folder / "run.json").exists() else "none"
+        state = _state(folder, asked.jobs[point.name])
         steps = foreseen_steps(built)
         rows.append({"point": point.name, **point.chosen, "state": state, "steps": steps})
         steps_a_set.append(comparison_steps(built) // len(built.names))
@@ -239,6 +239,38 @@ def foreseen(
     if judges:
         points_of_sweep["judging_steps"] = [steps * (found + 1) for steps in steps_a_set]
     return points_of_sweep
+
+
+def _checked(asked: SweepJob, results: str | Path | None, judge: bool | None) -> tuple[Path, bool]:
+    """Give the folder of a sweep, and whether it judges.
+
+    Raises
+    ------
+    ArgumentError
+        The folder is a file or holds a run.
+    JobError
+        Points that are to be judged have different clocks.
+    """
+    path = Path("results") / asked.name if results is None else path_argument("results", results)
+    wrong = "a run" if holds_run(path) else "a file" if path.is_file() else ""
+    if wrong:
+        raise ArgumentError(
+            f"results must be a folder for the runs of the sweep, got {wrong}: {path}",
+            argument="results",
+        )
+    judges = asked.judge if judge is None else judge
+    if judges:
+        check_comparable(asked)
+    return path, judges
+
+
+def _state(folder: Path, job: Job) -> str:
+    """Give how far the run of a point is."""
+    if not holds_run(folder):
+        return "none"
+    recorded, wanted = read_recorded(folder)[1], job.identity()
+    recorded["comparison"] |= {"draws": wanted["comparison"]["draws"]}  # a run may get more draws
+    return open_run(folder).state if recorded == wanted else "other run"
 
 
 def _asked(

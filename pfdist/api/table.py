@@ -16,6 +16,8 @@ from pfdist.store.runs_below import runs_below
 Runs = Run | str | Path | list["Runs"] | tuple["Runs", ...]
 """A run, its folder, a folder with runs in it, or several of these."""
 
+_DEPTH = 2  # a folder with sweeps in it; comparisons that judge the points of sweeps lie deeper
+
 
 def table(*runs: Runs, out: str | Path | None = None) -> pd.DataFrame:
     """Give many runs as one tidy table: what differs between them, and what they found.
@@ -25,9 +27,9 @@ def table(*runs: Runs, out: str | Path | None = None) -> pd.DataFrame:
     Parameters
     ----------
     runs : Run, str, Path, or list of these
-        Runs or their folders, finished or not. A folder that is no run but has runs in it stands
-        for these runs, in the order of their names; numbers in names are ordered as numbers. A run
-        that is given twice counts once.
+        Runs or their folders, finished or not. A folder that is no run but has runs or sweeps in
+        it stands for all these runs, in the order of their names; numbers in names are ordered as
+        numbers. A run that is given twice counts once.
     out : str or Path, optional
         Also write the table to this file, whose name ends in ``.csv``, ``.parquet`` or ``.tex``.
         An earlier table of runs is replaced; another file is not.
@@ -86,4 +88,4 @@ def _folders(run: str | Path) -> list[Path]:
     """Give the folder of a run, or those of the runs in a folder."""
     if not isinstance(run, str | Path) or holds_run(Path(run)) or not Path(run).is_dir():
         return [run]  # type: ignore[list-item]  # whatever it is, open_run says what is wrong
-    return list(runs_below(Path(run), 1)) or [Path(run)]
+    return list(runs_below(Path(run), _DEPTH)) or [Path(run)]

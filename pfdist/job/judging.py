@@ -3,12 +3,14 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from pfdist.common.streams import stream_key
 from pfdist.errors import JobError
 from pfdist.job.job import Job
 from pfdist.job.sweep import SweepJob
 from pfdist.times.clock import Time
 
 MOST_JUDGED = 64
+_DIGITS = 8  # of the name
 
 Found = Mapping[str, Mapping[str, tuple[Time, ...]]]
 """The times that the searches of each point have found: by the point's name and the search's."""
@@ -26,7 +28,8 @@ def judging(asked: SweepJob, found: Found) -> SweepJob:
     Returns
     -------
     SweepJob
-        Its jobs have no search. They compare the sets of `judged_sets`.
+        Its jobs have no search. They compare the sets of `judged_sets`, and other sets give it
+        another name.
 
     Raises
     ------
@@ -47,7 +50,8 @@ def judging(asked: SweepJob, found: Found) -> SweepJob:
             raise JobError(
                 f"times found at other points cannot be judged at {name}: {error}"
             ) from error
-    return SweepJob(asked.name, asked.points, jobs)
+    key = stream_key([[name, list(times)] for name, times in sets.items()])
+    return SweepJob(f"{key:016x}"[:_DIGITS], asked.points, jobs)
 
 
 def check_comparable(asked: SweepJob) -> None:

@@ -207,7 +207,8 @@ def _named(chosen: Sequence[Values]) -> Iterator[Point]:
         _check_keys(list(values))
         told = {key: _text(key, value) for key, value in values.items()}
         if told in known.values():
-            raise JobError(f"a point of a sweep must stand once, got {shown_text(str(told))} twice")
+            twice = shown_text(", ".join(f"{key}={value}" for key, value in told.items()))
+            raise JobError(f"a point of a sweep must stand once, got {twice} twice")
         name = ",".join(f"{short[key]}={_slug(told[key])}" for key in values)
         if name in known or len(name) > _LONGEST_NAME:
             name = f"{name[:_LONGEST_NAME]}-{_hash(str(told))}"

@@ -10,7 +10,7 @@ from pydantic import Field, ValidationError
 from pfdist.common.arguments import path_argument, texts_argument
 from pfdist.common.explained import explained
 from pfdist.common.section import Section
-from pfdist.errors import JobError
+from pfdist.errors import JobError, shown_text
 from pfdist.job.asked import Asked, as_job
 from pfdist.job.job import Job, toml_of_file
 from pfdist.job.points import Point, Values, dotted, points_of
@@ -107,6 +107,13 @@ def read_sweep(
         parallel, points = [*file.parallel, *parallel], [*file.point, *points]
     job = as_job(asked, changes, settings=settings)
     found = points_of(over, parallel, points)
+    given = {change.partition("=")[0].strip() for change in changes}
+    for key in dict.fromkeys(key for point in found for key in point.chosen):
+        if key in given:
+            raise JobError(
+                f"a key of a sweep must not be changed at all points, too, got {shown_text(key)}",
+                argument="changes",
+            )
     jobs = {}
     for point in found:
         try:

@@ -12,8 +12,8 @@ from pfdist.reports.parts import Block, Cell, Section, Table, Text, without_empt
 from pfdist.reports.sweep_subject import SweepSubject
 
 _LOSS = (
-    "The loss is how much higher the expected MSE is than with the times found at the judging "
-    "point itself, on the same draws. A negative loss means that the search at that point found "
+    "The loss is how much higher the expected MSE is at another point than with the best times "
+    "found at that point, on the same draws. A negative loss means that the searches there found "
     "worse times. Times that are not feasible at a point, or have another number of measurements, "
     "have no loss there. The largest of several losses looks larger than it is."
 )
@@ -21,7 +21,7 @@ Row = Mapping[Any, Any]
 
 
 class _Losses(NamedTuple):
-    """The losses of times that a search found at a point."""
+    """The losses of times that a search found at a point, at all other points."""
 
     found_at: str
     search: str
@@ -44,7 +44,7 @@ def judged(subject: SweepSubject) -> Section | None:
         return None
     points = subject.judged["run"].nunique()
     blocks: list[Block] = []
-    if points > 1 and (answer := _answer(subject, losses, points)):
+    if answer := _answer(subject, losses):
         blocks.append(Text(answer))
     if points < len(subject.points):
         total = len(subject.points)
@@ -55,9 +55,10 @@ def judged(subject: SweepSubject) -> Section | None:
     )
 
 
-def _answer(subject: SweepSubject, losses: list[_Losses], points: int) -> str:
+def _answer(subject: SweepSubject, losses: list[_Losses]) -> str:
     """Say which times have the smallest largest loss; empty if none has losses at all points."""
-    everywhere = [each for each in losses if each.points == points]
+    runs = set(subject.judged["run"])
+    everywhere = [each for each in losses if each.points == len(runs - {each.found_at})]
     if not everywhere:
         return ""
     values = _values_by_run(subject)
@@ -84,13 +85,14 @@ def _table(subject: SweepSubject, losses: list[_Losses]) -> Table:
         for each in losses
     ]
     head = [*keys, "set", "mean loss %", "largest loss % (95 %)", "at"]
-    return Table("Losses of the times found at each point", head, rows)
+    return Table("Losses of the times found at each point, at the other points", head, rows)
 
 
 def _losses_of(subject: SweepSubject) -> Iterator[_Losses]:
     """Yield the losses of all times whose losses are known, in the order of the table."""
     for (point, search), rows in subject.judged.groupby(["found_at", "set"], sort=False):
-        known = [row for row in rows.to_dict("records") if math.isfinite(row["loss"])]
+        others = [row for row in rows.to_dict("records") if row["run"] != point]
+        known = [row for row in others if math.isfinite(row["loss"])]
         if known:
             worst = max(known, key=lambda row: row["loss"])
             mean = sum(row["loss"] for row in known) / len(known)

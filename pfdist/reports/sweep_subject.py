@@ -12,7 +12,7 @@ from urllib.parse import quote_from_bytes
 import pandas as pd
 
 from pfdist.analysis import Run, open_run
-from pfdist.analysis.judged import JUDGED, NOTHING_JUDGED, judged_table
+from pfdist.analysis.judged import JUDGED, NOTHING_JUDGED, judged_table, times_by_search
 from pfdist.analysis.listed_run import DAMAGED, FINISHED, ListedRun, listed_run
 from pfdist.analysis.runs_table import RESULTS, runs_table
 from pfdist.analysis.studies import (
@@ -199,12 +199,18 @@ class SweepSubject:
         return is_numeric(values_of(self.frame, name))
 
     def _read_judged(self) -> pd.DataFrame:
-        """Read the finished comparisons of finished points."""
+        """Read the finished comparisons of finished points; if points were added, the latest."""
         runs = {run.path.name: run for run in self.runs if run.state == FINISHED}
-        judges = {name: self.path / JUDGED / name for name in runs}
-        opened = {name: open_run(path) for name, path in judges.items() if holds_run(path)}
-        finished = {name: run for name, run in opened.items() if run.state == FINISHED}
-        return judged_table(runs if finished else {}, finished)
+        found = {times for sets in times_by_search(runs).values() for times in sets.values()}
+        best, most = dict[str, Run](), (0, 0)
+        for folder in sorted(self.path.glob(f"{JUDGED}/*/")):
+            judges = {name: folder / name for name in runs if holds_run(folder / name)}
+            opened = {name: open_run(path) for name, path in judges.items()}
+            finished = {name: run for name, run in opened.items() if run.state == FINISHED}
+            sets = set(next(iter(finished.values())).sets().values()) if finished else set()
+            if (len(found & sets), len(finished)) > most:
+                best, most = finished, (len(found & sets), len(finished))
+        return judged_table(runs, best)
 
     def _read(self) -> tuple[list[Run], pd.DataFrame]:
         """Read all runs; those that cannot be read become damaged points."""

@@ -93,6 +93,15 @@ def test_runs_lists_and_folders_are_the_same_and_count_once(folder: Path) -> Non
         pd.testing.assert_frame_equal(pfdist.table(*runs), frame)
 
 
+def test_a_folder_with_sweeps_stands_for_their_points_but_not_for_judging_runs(
+    folder: Path, tmp_path: Path
+) -> None:
+    for name in ("alone", "sweep/first", "sweep/second", "sweep/judged/5aa5e1e6/first"):
+        shutil.copytree(folder / "kalman", tmp_path / name)
+    assert set(pfdist.table(tmp_path)["run"]) == {"alone", "first", "second"}
+    assert set(pfdist.table(tmp_path / "sweep")["run"]) == {"first", "second"}
+
+
 def test_names_that_clash_are_told_apart_by_their_paths(folder: Path) -> None:
     for name in ("a/run", "b/run", "b/other"):
         shutil.copytree(folder / "kalman", folder / name)

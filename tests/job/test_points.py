@@ -100,7 +100,7 @@ def test_numbers_of_numpy_are_numbers() -> None:
         ({"seed": []}, [], [], "values of seed must be a list, or a range such as '1:10', got []"),
         ({"seed": 3}, [], [], "values of seed must be a list, or a range such as '1:10', got 3"),
         ({"seed": "3:1"}, [], [], "values of seed must have ranges from a number to a larger one"),
-        ({"seed": [1, 1]}, [], [], "a point of a sweep must stand once, got {'seed': '1'} twice"),
+        ({"seed": [1, 1]}, [], [], "a point of a sweep must stand once, got seed=1 twice"),
         ({"seed": [1]}, [{"seed": [2]}], [], "a key of a sweep must stand once, got 'seed' twice"),
         ({}, [{"a": [1, 2], "b": [1]}], [], "equally many values, got 2 of a, 1 of b"),
         ({}, [{}], [], "equally many values, got no key"),

@@ -11,7 +11,8 @@ def _add_runs(parser: ArgumentParser) -> None:
         "runs",
         nargs="+",
         metavar="RUN",
-        help="folders of runs, finished or not; a folder with runs in it stands for these runs",
+        help="folders of runs, finished or not; a folder with runs or sweeps in it stands for all "
+        "these runs",
     )
     parser.add_argument(
         "--out",
