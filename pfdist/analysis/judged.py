@@ -67,7 +67,7 @@ def judged_table(runs: Mapping[str, Run], judges: Mapping[str, Run]) -> pd.DataF
         for search, times in sets.items()
     ]
     if not judges:
-        return NOTHING_JUDGED
+        return NOTHING_JUDGED.copy()
     frame = runs_table(list(judges.values()))
     points = {str(judge.path): point for point, judge in judges.items()}
     losses = {point: _losses(judge, found, point) for point, judge in judges.items()}

@@ -8,7 +8,7 @@ from time import perf_counter
 
 import pandas as pd
 
-from pfdist.analysis import Run, open_run, read_recorded
+from pfdist.analysis import Run
 from pfdist.analysis.judged import JUDGED, judged_table, times_by_search
 from pfdist.api.at_work import say_ready
 from pfdist.api.following import Say, following, silent
@@ -19,15 +19,12 @@ from pfdist.api.table import table
 from pfdist.common.arguments import path_argument
 from pfdist.errors import ArgumentError, JobError, SweepError
 from pfdist.job.asked import Asked
-from pfdist.job.job import Job
 from pfdist.job.judging import check_comparable, judging
 from pfdist.job.points import Values
 from pfdist.job.sweep import SweepJob, read_sweep
 from pfdist.pools.base import Pool
 from pfdist.pools.shared import SharedPool
-from pfdist.runner.build import build, check_pool, pool_of
-from pfdist.runner.comparison_phase import comparison_steps
-from pfdist.runner.driver import foreseen_steps
+from pfdist.runner.build import check_pool, pool_of
 from pfdist.runner.named_by_a_run import files_named
 from pfdist.runner.progress import Show
 from pfdist.runner.work_of_runs import worker_of_runs
@@ -148,8 +145,8 @@ def sweep(
     PfdistError
         The sweep is wrong, or no worker answers. The same call resumes the sweep.
     """
-    asked = _asked(job, over, parallel, points, changes, pool, workers, address)
-    path, judges_points = _checked(asked, results, judge)
+    asked = asked_sweep(job, over, parallel, points, changes, pool, workers, address)
+    path, judges_points = checked_folder(asked, results, judge)
     bound = bound_settings(bound_draws)
     with following(progress, say) as (show, tell):
         files = {file for each in asked.jobs.values() for file in files_named(each)}
@@ -195,53 +192,9 @@ def _report(runs: Mapping[str, Run], asked: SweepJob, say: Say) -> None:
             try_report(run, say)
 
 
-def foreseen(
-    job: Asked,
-    over: Values = _NOTHING,
-    *,
-    parallel: Sequence[Values] = (),
-    points: Sequence[Values] = (),
-    results: str | Path | None = None,
-    changes: Iterable[str] = (),
-    judge: bool | None = None,
-) -> pd.DataFrame:
-    """Give the points of a sweep and about how much work each is; nothing is computed.
-
-    Parameters
-    ----------
-    job, over, parallel, points, results, changes, judge
-        As for `sweep`.
-
-    Returns
-    -------
-    DataFrame
-        A row for each point: its name, its values, the state of its run ("none" if it has not
-        begun, "other run" if another run is in the way), and ``steps``, the particle-steps that
-        the whole run takes. If the sweep judges, ``judging_steps`` are those that judge all found
-        times there, if all differ.
-
-    Raises
-    ------
-    PfdistError
-        The sweep is wrong, or the model of a point.
-    """
-    asked = _asked(job, over, parallel, points, changes)
-    path, judges = _checked(asked, results, judge)
-    rows, steps_a_set, found = [], [], 0
-    for point in asked.points:
-        folder, built = path / point.name, build(asked.jobs[point.name])
-        state = _state(folder, asked.jobs[point.name])
-        steps = foreseen_steps(built)
-        rows.append({"point": point.name, **point.chosen, "state": state, "steps": steps})
-        steps_a_set.append(comparison_steps(built) // len(built.names))
-        found += len(built.names) - len(built.study.unsearched)
-    points_of_sweep = pd.DataFrame(rows)
-    if judges:
-        points_of_sweep["judging_steps"] = [steps * (found + 1) for steps in steps_a_set]
-    return points_of_sweep
-
-
-def _checked(asked: SweepJob, results: str | Path | None, judge: bool | None) -> tuple[Path, bool]:
+def checked_folder(
+    asked: SweepJob, results: str | Path | None, judge: bool | None
+) -> tuple[Path, bool]:
     """Give the folder of a sweep, and whether it judges.
 
     Raises
@@ -264,16 +217,7 @@ def _checked(asked: SweepJob, results: str | Path | None, judge: bool | None) ->
     return path, judges
 
 
-def _state(folder: Path, job: Job) -> str:
-    """Give how far the run of a point is."""
-    if not holds_run(folder):
-        return "none"
-    recorded, wanted = read_recorded(folder)[1], job.identity()
-    recorded["comparison"] |= {"draws": wanted["comparison"]["draws"]}  # a run may get more draws
-    return open_run(folder).state if recorded == wanted else "other run"
-
-
-def _asked(
+def asked_sweep(
     job: Asked,
     over: Values,
     parallel: Sequence[Values],
@@ -283,6 +227,7 @@ def _asked(
     workers: int | None = None,
     address: str | None = None,
 ) -> SweepJob:
+    """Give the sweep that somebody asks for; parameters and errors as of `sweep`."""
     execution = {"pool": pool, "workers": workers, "address": address}
     return read_sweep(job, over, parallel, points, changes, {"execution": execution})
 

@@ -66,9 +66,8 @@ class Moves(NamedTuple):
     def leading_to(self, window: int) -> Indices:
         """Give the windows from which the measurement leads to a window."""
         place = int(np.searchsorted(self.after, window))
-        is_last = place + 1 == self.starts.size
-        stop = self.before.size if is_last else self.starts[place + 1]
-        return self.before[self.starts[place] : stop]
+        stops = np.append(self.starts[1:], self.before.size)
+        return self.before[self.starts[place] : stops[place]]
 
 
 @dataclass(frozen=True)

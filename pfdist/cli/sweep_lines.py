@@ -23,7 +23,7 @@ def print_foreseen(points: pd.DataFrame, options: Namespace) -> None:
     Parameters
     ----------
     points : DataFrame
-        As `pfdist.api.sweep.foreseen` gives it.
+        As `pfdist.api.foreseen.foreseen` gives it.
     options : Namespace
         The parsed arguments.
     """

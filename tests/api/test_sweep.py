@@ -12,7 +12,7 @@ import pfdist
 from oracles.bytes_of import hashes
 from pfdist import Job
 from pfdist.analysis.judged import times_by_search
-from pfdist.api.sweep import foreseen
+from pfdist.api.foreseen import foreseen
 from pfdist.errors import ArgumentError, JobError, PfdistError, RunMismatchError, SweepError
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Result, Work

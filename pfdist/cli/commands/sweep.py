@@ -66,7 +66,8 @@ def _add_sweep(parser: ArgumentParser) -> None:
 def sweep_command(options: Namespace) -> None:
     """Run a job at many values of its keys, with the same workers."""
     from pfdist.api.display import Display
-    from pfdist.api.sweep import foreseen, sweep
+    from pfdist.api.foreseen import foreseen
+    from pfdist.api.sweep import sweep
     from pfdist.cli.computing import settings
     from pfdist.cli.sweep_lines import print_foreseen, print_sweep
     from pfdist.job.points import values_by_key
