@@ -93,16 +93,11 @@ def with_bounds(table: pd.DataFrame, proofs: Mapping[str, Mapping[str, Any]]) ->
 
 
 def _limit(proof: Mapping[str, Any], numbers: int) -> float:
-    """Give the one-sided lower limit of a bound.
-
-    The limits of all numbers of measurements hold together (Bonferroni). The limit allows for the
-    fall of the bound with more particles; it is NaN in tables of older runs, which lack the fall.
-    """
+    """The one-sided lower limit of a bound; those of all numbers hold together (Bonferroni)."""
     if not proof["particles"]:  # the engine is exact
         return float(proof["bound"])
-    fall = proof.get("fall", math.nan)
     quantile = stats.t.isf((1 - proof["confidence"]) / numbers, BOUND_DEGREES)
-    return float(proof["bound"] * (1 - fall) - quantile * proof["bound_error"])
+    return float(proof["bound"] - quantile * proof["bound_error"])
 
 
 def _worse(table: pd.DataFrame, blocks: Iterable[Any]) -> dict[str, int]:

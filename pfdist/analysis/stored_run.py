@@ -149,9 +149,8 @@ class Run(RunTables):
 
         For found times, three columns more say what any feasible times of this number can reach:
         bound (lower bound of the expected MSE), bound_error (standard error), and bound_low
-        (one-sided limit of the bound). The limits of all numbers hold together with 95 %, and
-        allow for the fall of the bound with more particles that the guard has seen. Exact engines
-        have no error. The three are NaN where there is no bound, and for regular times.
+        (one-sided limit of the bound). The limits of all numbers hold together with 95 %. Exact
+        engines have no error. The three are NaN where there is no bound, and for regular times.
 
         Raises
         ------

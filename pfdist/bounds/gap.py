@@ -1,6 +1,7 @@
 """The gap between a set's expected MSE and the lower bound of all sets of so many times."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,7 +21,8 @@ class SetAlone:
     expected_mse : Estimate
         With the job's own filter. It is NaN if a draw is degenerate or infinite.
     estimate : Estimate
-        Expected MSE with the true model, less the expected variance of the particles.
+        Expected MSE with the true model, less the expected variance of particles among which the
+        truth stands. This is at least what the number of particles costs.
     filter_model : Estimate
         Expected MSE with the filter's model, less that with the true model.
     both : Estimate
@@ -57,10 +59,7 @@ class Gap:
         The sum of the three parts below over the expected MSE, at least 0. Each part is a
         difference on common draws, so the gap has a smaller error than 1 - bound / expected_mse.
     gap_at_most : float
-        One-sided limit of the gap, and what the bound falls with four times the particles.
-    fall : float
-        Relative fall of the bound with four times the particles; 0 if it rises. NaN where no guard
-        has looked at the gap.
+        One-sided limit of the gap.
     relaxation, estimate, filter_model : Estimate
         The parts of the difference: relaxation and chance; number of particles and bias of the
         estimate; wrong model of the filter.
@@ -75,7 +74,6 @@ class Gap:
     path: Times = ()
     gap: float = math.nan
     gap_at_most: float = math.nan
-    fall: float = math.nan
     relaxation: Estimate = UNKNOWN
     estimate: Estimate = UNKNOWN
     filter_model: Estimate = UNKNOWN
@@ -94,7 +92,7 @@ class Gap:
 def gap_of(
     name: str, times: Times, alone: SetAlone, proof: Proof, place: int, confidence: float
 ) -> Gap:
-    """Give the gap of a feasible set, before the guard has looked at it.
+    """The gap of a feasible set; `consistent` compares it with those of other sets.
 
     Parameters
     ----------
@@ -123,9 +121,42 @@ def gap_of(
         budget,
         proof.bounds[budget],
         proof.paths[budget],
-        max(0.0, total.value * scale),
-        max(0.0, at_most * scale),
+        min(max(0.0, total.value * scale), 1.0),
+        min(max(0.0, at_most * scale), 1.0),  # no error is negative
         relaxation=slack,
         estimate=alone.estimate,
         filter_model=alone.filter_model,
     )
+
+
+def consistent(gaps: Mapping[str, Gap]) -> dict[str, Gap]:
+    """The gaps, without those that a wrong likelihood must have caused.
+
+    With the likelihood of the noise, the variance is at most the squared error, and no set costs
+    less than the bound.
+
+    Parameters
+    ----------
+    gaps : mapping of str to Gap
+        All known sets.
+    """
+    everywhere = ""
+    if any(gap.estimate.is_negative for gap in gaps.values()):
+        everywhere = "the variance of the particles exceeds their squared error"
+    checked = {}
+    for name, gap in gaps.items():
+        reason = gap.reason or everywhere or _contradicted(gap, gaps)
+        checked[name] = (
+            Gap(name, gap.measurement_times, gap.expected_mse, reason) if reason else gap
+        )
+    return checked
+
+
+def _contradicted(gap: Gap, gaps: Mapping[str, Gap]) -> str:
+    """Why a known set contradicts the bound; empty if none does."""
+    for other in gaps.values():
+        error = math.hypot(other.expected_mse.standard_error, gap.bound.standard_error)
+        difference = Estimate(gap.bound.value - other.expected_mse.value, error)
+        if other.budget == gap.budget and difference.is_positive:
+            return f"the set {other.name} costs less than the bound"
+    return ""

@@ -1,5 +1,7 @@
 """The proof: how far the expected MSE of known sets can lie above that of any feasible set.
 
+Errors are the variances of particles among which the truth stands. Their expectation is at most
+the error of the exact filter, for any number of particles (`pfdist.kernels.schemes.CONDITIONAL`).
 The bound is the least of many estimated costs. Its expectation is at most the least expected cost,
 so it is too low on average, and the gap too large: this is the safe direction.
 
@@ -81,10 +83,6 @@ class Sums(NamedTuple):
     own: Array
     draws: Array
 
-    def first(self, groups: int) -> "Sums":
-        """Give the sums of the first groups alone."""
-        return Sums(*(part[:groups] for part in self))
-
     def means(self) -> tuple[Array, Array]:
         """Give the means over all groups, and over all groups but each, (1+G, ...).
 
@@ -148,38 +146,6 @@ def prove(relaxation: Relaxation, sums: Sums, sets: Sequence[Times], most: int) 
         [_jackknifed(own[:, i] - found.mse[:, budget]) for i, budget in enumerate(budgets)],
         len(sums.draws) if len(sums.draws) > 1 else 0,
     )
-
-
-def falls(
-    relaxation: Relaxation, coarse: Sums, fine: Sums, most: int
-) -> tuple[list[Estimate], list[Estimate]]:
-    """Give how far bounds and own errors fall with more particles, on the same draws.
-
-    Parameters
-    ----------
-    relaxation : Relaxation
-    coarse, fine : Sums
-        With few and with many particles.
-    most : int
-        As for `prove`.
-
-    Returns
-    -------
-    list of Estimate, (most+1,)
-        Relative fall of each bound.
-    list of Estimate, (C,)
-        Relative fall of each known set's own expected error.
-    """
-    both = [sums.means() for sums in (coarse, fine)]
-    bounds = [least(relaxation, relaxed, most).mse for relaxed, _ in both]
-    own = [own for _, own in both]
-    return tuple(_relative_falls(*pair) for pair in (bounds, own))  # type: ignore[return-value]
-
-
-def _relative_falls(coarse: Array, fine: Array) -> list[Estimate]:
-    with np.errstate(invalid="ignore"):
-        share = np.where(coarse > 0.0, 1 - fine / np.where(coarse > 0.0, coarse, 1.0), 0.0)
-    return [_jackknifed(column) for column in share.T]
 
 
 def _resampled(sums: Array, draws: Array) -> Array:

@@ -1,10 +1,16 @@
 """The compiled code of an evaluator: compile it, and tell what it calls."""
 
+from dataclasses import replace
+
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation
 from pfdist.filters.compiled_simulation import libm_of_simulation, simulation_makes_arrays
 from pfdist.filters.draws import simulate
-from pfdist.filters.particle_filter import filter_draws, filter_makes_arrays, libm_of_filter
+from pfdist.filters.particle_filter import (
+    filter_checked_draws,
+    filter_makes_arrays,
+    libm_of_filter,
+)
 
 
 def compile_evaluator(evaluator: Evaluator, estimation: Estimation) -> None:
@@ -17,9 +23,8 @@ def compile_evaluator(evaluator: Evaluator, estimation: Estimation) -> None:
     """
     draws = simulate(evaluator.model, 1, range(1), 0)
     if not evaluator.exact:
-        filter_draws(
-            evaluator.believed, draws, (0,), 1, 0, estimation.resampling, dtype=evaluator.dtype
-        )
+        settings = evaluator.settings(replace(estimation, particles=1))
+        filter_checked_draws(evaluator.believed, draws, (0,), 0, settings)
 
 
 def libm_functions(evaluator: Evaluator, estimation: Estimation) -> tuple[str, ...]:

@@ -22,6 +22,7 @@ from pfdist.filters.interface import validated_from, weighed
 from pfdist.filters.matrices import known_matrices
 from pfdist.filters.settings import FilterSettings, check_filter, check_fits
 from pfdist.kernels.estimators import FILTER_VARIANCE, OWN_VARIANCE, SQUARED_ERROR
+from pfdist.kernels.schemes import ALL_SCHEMES, CONDITIONAL, MULTINOMIAL
 from pfdist.models import StateSpaceModel
 from pfdist.times.measurement_times import Times
 
@@ -164,7 +165,7 @@ class Evaluator:
             work.measurement_times,
             work.ends,
             stream,
-            self._settings(work.estimation),
+            self.settings(work.estimation),
         )
         return sums
 
@@ -204,7 +205,10 @@ class Evaluator:
                 self.believed,
                 self.model,
                 estimation.particles,
-                estimation.resampling,
+                # No public door takes the scheme of the bound, which resamples as this one does.
+                MULTINOMIAL.name
+                if estimation.resampling == CONDITIONAL.name
+                else estimation.resampling,
                 self.dtype,
                 estimation.estimator,
             )
@@ -262,7 +266,7 @@ class Evaluator:
         ModelError
             A formula failed.
         """
-        settings = self._settings(estimation)
+        settings = self.settings(estimation)
         mse: NDArray[np.float64] = self.computed_by.filter_checked_sets(
             self.believed, draws, sets, ends, stream, settings
         )
@@ -295,7 +299,7 @@ class Evaluator:
             first, ends = np.array([work.since, work.ends])[:, :, None]
             t = np.arange(self.start, self.horizon + 1)
             return Result(np.empty(0), sums=self.sum_errors(work)[(first <= t) & (t <= ends)])
-        engine, settings = self.computed_by, self._settings(work.estimation)
+        engine, settings = self.computed_by, self.settings(work.estimation)
         draws = self.draws(range(*work.draws), work.draws_stream)
         if work.trajectories:
             filtered = [
@@ -315,11 +319,13 @@ class Evaluator:
             values[:, same_noise] = self.mse_of_sets(draws, sets, ends, stream, work.estimation)
         return Result(values)
 
-    def _settings(self, estimation: Estimation) -> FilterSettings:
+    def settings(self, estimation: Estimation) -> FilterSettings:
+        """Settings of the filter of an estimation; beside the truth all states are float64."""
+        holds_truth = ALL_SCHEMES[estimation.resampling].holds_truth
         return FilterSettings(
             estimation.particles,
             estimation.resampling,
-            self.dtype,
+            "float64" if holds_truth else self.dtype,
             estimation.estimator,
             self.prior,
         )

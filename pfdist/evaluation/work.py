@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pfdist.filters.particle_filter import filter_streams
-from pfdist.kernels.estimators import SQUARED_ERROR
+from pfdist.kernels.estimators import FILTER_VARIANCE, SQUARED_ERROR
 from pfdist.kernels.prefixes import plan
+from pfdist.kernels.schemes import CONDITIONAL
 from pfdist.times.measurement_times import Times
 
 if TYPE_CHECKING:
@@ -47,6 +48,14 @@ class Estimation:
     def steps_an_instant(self) -> int:
         """Particle-steps of one instant, over all filters of the estimator."""
         return self.particles * len(filter_streams(0, self.estimator))
+
+
+def with_truth(particles: int) -> Estimation:
+    """Estimation by the variance of so many particles, one of which is the truth.
+
+    The expectation is at most the error of the exact filter, for any number of particles.
+    """
+    return Estimation(particles, CONDITIONAL.name, FILTER_VARIANCE.name)
 
 
 @dataclass(frozen=True)

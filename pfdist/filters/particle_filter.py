@@ -200,6 +200,7 @@ def _filter(
         draws.index.start,
         draws.start,
         _prior(draws, stream, settings),
+        draws.x,
         draws.y,
         draws.z,
         settings.particles,

@@ -25,7 +25,7 @@ from pfdist.kernels.noise import (
     variates,
 )
 from pfdist.kernels.plain_resampling import plain_ancestors
-from pfdist.kernels.schemes import SCHEMES
+from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.kernels.sorting import plain_order
 from pfdist.kernels.weights import plain_weights
 from pfdist.models import StateSpaceModel
@@ -91,6 +91,7 @@ def _filter(
 ) -> tuple[Array, Array, Array, Array]:
     """Filter D draws; their MSE (D,), mean and variance of z (D, T+1, q), last x (D, n, P)."""
     particles, dtype = settings.particles, settings.dtype
+    scheme = ALL_SCHEMES[settings.resampling]
     count, instants, _ = draws.z.shape
     cloud = (count, particles)
     mean, variance = np.full_like(draws.z, np.nan), np.full_like(draws.z, np.nan)
@@ -105,12 +106,15 @@ def _filter(
         if k > 0:
             w = _noise(model.process_noise, particles, stream, draws.index, t - 1, FILTER_PROCESS)
             x = _kept(model.transition(_flat(x), t - 1, _flat(w), model.p), cloud, dtype)
+        if scheme.holds_truth:
+            for component, true in zip(x, draws.x[:, k].T, strict=True):
+                component[:, 0] = true
         weight = np.ones(cloud)
         if t in times:
             y = tuple(np.repeat(values, particles) for values in draws.y[:, k].T)
             log_weight = model.log_likelihood(y, _flat(x), t, model.p)
             weight = plain_weights(_of_cloud(log_weight, cloud))
-            if SCHEMES[settings.resampling].sorts:
+            if scheme.sorts:
                 x, weight = _in_line(x, weight)
             degenerate = alive & ~weight.any(axis=1)
             total[degenerate], alive[degenerate] = np.nan, False

@@ -13,13 +13,14 @@ from numba import njit
 from numpy.typing import NDArray
 
 from pfdist.kernels.cloud import Prior, cloud_steps, copy_cloud
-from pfdist.kernels.components import naming, reader
+from pfdist.kernels.components import naming, reader, writer
 from pfdist.kernels.disk_cache import kept_on_disk
 from pfdist.kernels.estimators import ErrorWeights
 from pfdist.kernels.formulas import formula
 from pfdist.kernels.measuring import measuring
 from pfdist.kernels.melting import melted
 from pfdist.kernels.moments import moments, recorders
+from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.kernels.scratch import EQUAL, WEIGHTED, WithScratch, filter_scratch, with_sizes
 
 
@@ -35,8 +36,9 @@ class Request(NamedTuple):
     start : int
         The first instant, 0 unless there is a prior. Sets, plans and arrays count from it.
     prior : Prior
-    y, z : arrays of float64, (D, T+1, m) and (D, T+1, q)
-        Measurements and quantities of interest of the draws. T+1 is the number of instants.
+    x, y, z : arrays of float64, (D, T+1, n), (D, T+1, m) and (D, T+1, q)
+        States, measurements and quantities of interest of the draws. T+1 is the number of
+        instants. A filter reads no states unless its scheme holds the truth.
     particles : int
     weights : ErrorWeights
         Weights of the estimator.
@@ -50,6 +52,7 @@ class Request(NamedTuple):
     first_draw: int
     start: int
     prior: Prior
+    x: NDArray[np.float64]
     y: NDArray[np.float64]
     z: NDArray[np.float64]
     particles: int
@@ -191,21 +194,20 @@ def _filter_draw(
     fill_terms, fill_squares, mean_of = moments(functions[3], components)
     read_z, error_of = reader(components[2], "d, t, c"), formula(functions[4], "error")
     record, error_by_variance = recorders(functions[4], components[2])
+    put_truth = _truth_put(components[0]) if ALL_SCHEMES[resampling].holds_truth else _put_nothing
 
     @melted
     def filter_draw(at, request, models, plan, results, scratch):
         stream, filter_number, draw, d, s = at
         particles, p, truth = request.particles, models.p, models.truth
         cloud, noise, weight, terms = scratch.cloud, scratch.noise, scratch.weight, scratch.terms
-        saved, first_means = scratch.saved, scratch.first_means
+        weights, saved, first_means = request.weights, scratch.saved, scratch.first_means
         measured, begins, ends, sources, stops, slots = plan
-        weights = request.weights
         by_error = weights.squared_error != 0.0
         by_error_alone = weights[1:] == (0.0, 0.0) and results.estimate.size == 0
         goes_on = slots[s, ends[s]] >= 0 or results.cloud.size > 0  # behind its last instant
-        here, stop = np.int64(0), begins[s]
-        source = sources[s] if stop > 0 else np.int64(-1)
-        error = begin(at, request, p, scratch, source)
+        source = sources[s] if begins[s] > 0 else np.int64(-1)
+        here, stop, error = np.int64(0), begins[s], begin(at, request, p, scratch, source)
         while stop < ends[s] and error < np.inf:
             first, stop = stop, stops[s, stop]
             for t in range(first, stop):
@@ -213,6 +215,7 @@ def _filter_draw(
                 if t > 0:
                     propagate(cloud, here, noise, particles, p, stream, draw, instant - 1)
                     here = 1 - here
+                put_truth(cloud, here, request.x, d, t)
                 row, total = EQUAL, float(particles)
                 if measured[s, t]:
                     here, total = weigh_cloud(scratch, here, request, p, d, t)
@@ -245,6 +248,22 @@ def _filter_draw(
         return _mean(error, measured.shape[1], saved.errors, slots, s, stop)
 
     return filter_draw
+
+
+def _truth_put(states: int) -> Callable[..., None]:
+    """Compile what gives particle 0 the true state of a draw at t."""
+    read_truth, write_x = reader(states, "d, t, c"), writer(states, "half, c, i")
+
+    @melted
+    def put_truth(cloud, here, x, d, t):
+        write_x(cloud, here, 0, read_truth(x, d, t))
+
+    return put_truth
+
+
+@melted
+def _put_nothing(cloud, here, x, d, t):
+    """Leave all particles as they are; see `_truth_put`."""
 
 
 @melted

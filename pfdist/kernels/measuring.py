@@ -7,7 +7,7 @@ from pfdist.kernels.cloud import copy_ancestors
 from pfdist.kernels.components import reader
 from pfdist.kernels.melting import melted
 from pfdist.kernels.resampling import RESAMPLE
-from pfdist.kernels.schemes import SCHEMES
+from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.kernels.scratch import WEIGHTED
 from pfdist.kernels.sorting import sort_by_state
 from pfdist.kernels.weights import cumulate, weigh
@@ -35,7 +35,7 @@ def measuring(
         ``resample_cloud(scratch, here, particles, stream, draw, instant) -> here``
     """
     read_y, resample = reader(measurements, "d, t, c"), RESAMPLE[resampling]
-    sort = sort_by_state if SCHEMES[resampling].sorts else _leave_unsorted
+    sort = sort_by_state if ALL_SCHEMES[resampling].sorts else _leave_unsorted
 
     @melted
     def weigh_cloud(scratch, here, request, p, d, t):

@@ -59,6 +59,11 @@ def _plain_multinomial(weight, stream, draw, t):
     return _found(weight, _plain_ascending(weight.size, stream, draw, t))
 
 
+def _plain_conditional(weight, stream, draw, t):
+    others = _found(weight, _plain_ascending(weight.size - 1, stream, draw, t))
+    return np.concatenate([[0], others])
+
+
 def _plain_stratified(weight, stream, draw, t):
     places = variates("uniform", weight.size, stream, draw, t, RESAMPLING, 0)
     return _found(weight, (np.arange(weight.size) + places) / weight.size)
@@ -83,4 +88,5 @@ _PLAIN: dict[str, Callable[..., NDArray[np.intp]]] = {
     "systematic": _plain_systematic,
     "residual": _plain_residual,
     "sorted_systematic": _plain_systematic,
+    "conditional": _plain_conditional,
 }

@@ -198,6 +198,15 @@ def _multinomial(scratch, particles, stream, draw, t):
 
 
 @melted
+def _conditional(scratch, particles, stream, draw, t):
+    # Points for the others alone: of P sorted points, that of a given slot is no random one.
+    ancestor, others = scratch.ancestor, particles - 1
+    _ascending_points(scratch, stream, draw, t, others)
+    _merge(scratch, scratch.cumulative[particles - 1], particles, others, ancestor[1:])
+    ancestor[0] = 0
+
+
+@melted
 def _stratified(scratch, particles, stream, draw, t):
     _stratified_points(scratch, stream, draw, t, particles)
     total = scratch.cumulative[particles - 1]
@@ -241,6 +250,7 @@ RESAMPLE: dict[str, Callable[..., Any]] = {
     schemes.SYSTEMATIC.name: _systematic,
     schemes.RESIDUAL.name: _residual,
     schemes.SORTED_SYSTEMATIC.name: _systematic,
+    schemes.CONDITIONAL.name: _conditional,
 }
 """For each scheme, compiled ``resample(scratch, particles, stream, draw, t)``, which fills the
 ancestors of a `ResamplingScratch`."""

@@ -1,4 +1,4 @@
-"""The resampling schemes that a job can name. Data only: this imports no Numba."""
+"""The resampling schemes. Data only: this imports no Numba."""
 
 from dataclasses import dataclass
 
@@ -15,11 +15,14 @@ class Scheme:
         The scheme in one line.
     sorts : bool
         Whether the particles are sorted by their states first.
+    holds_truth : bool
+        Whether one particle follows the true states of the draw; see `CONDITIONAL`.
     """
 
     name: str
     description: str
     sorts: bool = False
+    holds_truth: bool = False
 
 
 MULTINOMIAL = Scheme("multinomial", "Independent ancestors, as in the paper.")
@@ -29,7 +32,26 @@ RESIDUAL = Scheme("residual", "The whole part of each expected number; the rest 
 SORTED_SYSTEMATIC = Scheme(
     "sorted_systematic", "Systematic, with the particles sorted by their states.", sorts=True
 )
+CONDITIONAL = Scheme(
+    "conditional", "Multinomial, with the true state among the particles.", holds_truth=True
+)
+"""The scheme of the lower bound. Particle 0 has the true state x(t) of the draw at each t, and
+remains its own ancestor; the other P - 1 particles choose independent ancestors among all P. Given
+y and the cloud as a set, the truth is then distributed as the weights. So the expected squared
+error of the weighted mean is the expected weighted variance, and this variance is at most the
+error of the exact filter, for any P. A real filter does not know the truth: no job can name the
+scheme.
+
+References
+----------
+Andrieu, Doucet, Holenstein, "Particle Markov chain Monte Carlo methods", Journal of the Royal
+Statistical Society B 72, 2010 (conditional sequential Monte Carlo).
+"""
+
 SCHEMES = {
     scheme.name: scheme
     for scheme in (MULTINOMIAL, STRATIFIED, SYSTEMATIC, RESIDUAL, SORTED_SYSTEMATIC)
 }
+"""The schemes that a job can name."""
+
+ALL_SCHEMES = SCHEMES | {CONDITIONAL.name: CONDITIONAL}

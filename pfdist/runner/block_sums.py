@@ -63,8 +63,6 @@ class BlockSums:
         Whether the filter uses the true model.
     phase : str
         Phase of the sums in the store; by default a phase of the bound for these sums alone.
-    groups : int
-        Only the draws of the first groups are filtered.
 
     Attributes
     ----------
@@ -81,9 +79,8 @@ class BlockSums:
         *,
         knows_truth: bool = True,
         phase: str = "",
-        groups: int = GROUPS,
     ) -> None:
-        self._groups, sets = groups, counted.sets
+        sets = counted.sets
         since, ends = tuple(counted.first.tolist()), tuple(counted.ends.tolist())
         noise, draws = streams
         source = built.source.truth if knows_truth else built.source
@@ -102,14 +99,9 @@ class BlockSums:
             knows_truth=knows_truth,
         )
 
-    @property
-    def particles(self) -> int:
-        """Particles of each filter."""
-        return self._work.estimation.particles
-
     def steps(self, blocks: int) -> int:
         """Particle-steps of the first blocks."""
-        return len(self.wanted(blocks)) * BLOCK * self._work.steps_a_draw
+        return blocks * BLOCK * self._work.steps_a_draw
 
     def known(self, blocks: int, store: Store) -> Iterator[tuple[int, Array]]:
         """Yield those of the first blocks that the store has, with their sums, in their order.
@@ -119,11 +111,9 @@ class BlockSums:
         StoreError
             A file cannot be read.
         """
-        rows, wanted = store.sums(self.id, blocks), self.wanted(blocks)
+        rows = store.sums(self.id, blocks)
         for block, sums in zip(rows["block"].to_pylist(), rows["sums"], strict=True):
-            # A bound with as many particles as a guard has its id, and blocks of all groups.
-            if block in wanted:
-                yield block, sums.values.to_numpy()
+            yield block, sums.values.to_numpy()
 
     def fill(
         self, blocks: int, collector: Collector, known: set[int], *, more_follows: bool = False
@@ -137,7 +127,7 @@ class BlockSums:
         """
         works = (
             replace(self._work, draws=(block * BLOCK, (block + 1) * BLOCK))
-            for block in self.wanted(blocks)
+            for block in range(blocks)
             if block not in known
         )
         run = collector.run(self._phase, _TABLE, works, self._rows, more_follows=more_follows)
@@ -153,8 +143,7 @@ class BlockSums:
         StoreError
             A file cannot be read.
         """
-        sums = np.zeros((self._groups, int(self._mask.sum())))
-        draws = np.zeros(self._groups)
+        sums, draws = np.zeros((GROUPS, int(self._mask.sum()))), np.zeros(GROUPS)
         for block, errors in self.known(blocks, store):
             sums[block % GROUPS] += errors
             draws[block % GROUPS] += BLOCK
@@ -172,7 +161,7 @@ class BlockSums:
             A task failed, no worker answers, or a file cannot be read or written.
         """
         found = dict(self.known(blocks, collector.store)) if collector.resumed else {}
-        shared = Wanted(self.id, self.id, len(self.wanted(blocks)))
+        shared = Wanted(self.id, self.id, blocks)
         if collector.claims.claim([shared]):
             collector.flush()  # others may wait for what is claimed here
             store = collector.claims.stores_of([shared])[shared]
@@ -199,10 +188,6 @@ class BlockSums:
                 found[block] = sums
                 rows = self._row(block, sums)
                 collector.keep(self._phase, _TABLE, f"{self.id}-{block}", rows)
-
-    def wanted(self, blocks: int) -> list[int]:
-        """Give those of the first blocks that belong to the groups."""
-        return [block for block in range(blocks) if block % GROUPS < self._groups]
 
     def _rows(self, work: Work, result: Result) -> pa.Table:
         return self._row(work.draws[0] // BLOCK, result.sums)

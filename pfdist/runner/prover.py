@@ -1,28 +1,28 @@
-"""The proof of a run's sets: the filters of the relaxation, of its guard, and of the sets alone."""
+"""The proof of a run's sets: the filters of the relaxation, and of the sets alone."""
 
 import math
 from collections.abc import Collection, Iterator, Mapping
+from contextlib import closing
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 
 from pfdist.analysis import Run
 from pfdist.bounds.first_windows import relaxation_for
-from pfdist.bounds.gap import Gap, SetAlone, gap_of
-from pfdist.bounds.guard import Falls, guarded
-from pfdist.bounds.proof import CONFIDENCE, Proof, falls, prove
+from pfdist.bounds.gap import Gap, SetAlone, consistent, gap_of
+from pfdist.bounds.proof import CONFIDENCE, Sums, prove
 from pfdist.bounds.relaxation import Relaxation
 from pfdist.errors import ModelError
 from pfdist.evaluation.compiling import compile_evaluator
 from pfdist.evaluation.engines import ENGINES
-from pfdist.evaluation.work import BLOCK, Estimation
-from pfdist.kernels.estimators import FILTER_VARIANCE
-from pfdist.runner.block_sums import GROUPS
+from pfdist.evaluation.estimate import BOUND
+from pfdist.evaluation.work import BLOCK, with_truth
+from pfdist.runner.block_sums import GROUPS, BlockSums, Counted
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built
-from pfdist.runner.proof_sums import FINER, GUARDED, ProofSums
 from pfdist.runner.session import Session
 from pfdist.runner.sets_alone import sets_alone, steps_of_sets
 from pfdist.runner.window_growth import grown
@@ -46,7 +46,7 @@ class Look:
     draws : int
         0 where the engine is exact.
     steps : float
-        Particle-steps of the windows, the bound and its guard so far.
+        Particle-steps of the windows and the bound so far.
     gaps : list of Gap
         One for each proved set.
     """
@@ -89,7 +89,7 @@ class Prover:
         self._built, self._settings = built, settings
         # The relaxation filters with the truth's model: a bound for the filter of any model.
         count = settings.particles or built.job.filter.particles
-        self._estimation = Estimation(count, "systematic", FILTER_VARIANCE.name)
+        self._estimation = with_truth(count)
         truth = built.evaluator.truth
         truth.check(self._estimation)
         if ENGINES[built.source.engine].compiled:  # before the first task, whose time is limited
@@ -111,7 +111,7 @@ class Prover:
     def _steps_of_windows(self) -> float:
         """Particle-steps foreseen for windows: to let them grow, then to filter the first ones."""
         growth = self._most_steps if self.particles else 0.0
-        return growth + self._sums(()).steps(self._blocks[-1])
+        return growth + self._steps((), self._blocks[-1])
 
     def prove(self, session: Session, run: Run) -> Look:
         """Prove the sets of a run, and write the table ``bound``.
@@ -162,19 +162,21 @@ class Prover:
         foreseen, growth = self._steps_of_windows, 0.0
         if feasible and self._most_steps > 0:
             self.relaxation, growth = self._grown(session, known)
-        sums = self._sums(known)
-        session.reporter.foresee(growth + sums.steps(self._blocks[-1]) - foreseen)
+        steps = self._steps(known, self._blocks[-1])
+        session.reporter.foresee(growth + steps - foreseen)
+        start = session.reporter.progress.done
         for blocks in self._blocks:
             reason = ""
             try:
-                gaps = self._gaps(session, blocks, feasible, alone, sums) if feasible else {}
-            except ModelError as error:  # a draw is degenerate
+                sums = self._sums(session, known, blocks, start) if feasible else None
+                gaps = self._gaps(feasible, alone, sums) if sums else {}
+            except ModelError as error:
                 reason, gaps = str(error), {}
             for name in sets.keys() - gaps.keys():
                 why = reason if name in feasible else "the set is not feasible"
                 gaps[name] = Gap(name, sets[name], alone[name].expected_mse, why)
             found = [gaps[name] for name in sets]
-            yield Look(blocks * BLOCK, growth + sums.steps(blocks), found)
+            yield Look(blocks * BLOCK, growth + self._steps(known, blocks), found)
             if reason:  # more draws do not help
                 return
 
@@ -200,44 +202,77 @@ class Prover:
         """Particle-steps after which no window grows; by default twice those of the first."""
         if self._settings.work is not None:
             return self._settings.work
-        return 2.0 * self._sums(()).steps_without_guard(GROUPS)
+        return 2.0 * self._steps((), GROUPS) if self.particles else math.inf
 
     def _gaps(
-        self,
-        session: Session,
-        blocks: int,
-        sets: Mapping[str, Times],
-        alone: Mapping[str, SetAlone],
-        sums: ProofSums,
+        self, sets: Mapping[str, Times], alone: Mapping[str, SetAlone], sums: Sums
     ) -> dict[str, Gap]:
-        """Give the gaps of feasible sets after so many blocks of draws.
+        """The gaps of feasible sets that follow from sums of errors."""
+        known = tuple(sets.values())
+        most = max(map(self.relaxation.spent, known))
+        proof = prove(self.relaxation, sums, known, most)
+        gaps = {
+            name: gap_of(name, times, alone[name], proof, place, self.confidence)
+            for place, (name, times) in enumerate(sets.items())
+        }
+        return consistent(gaps) if self.particles else gaps
+
+    def _sums(self, session: Session, known: tuple[Times, ...], blocks: int, start: float) -> Sums:
+        """Sums of the errors of all windows and of known sets over the first blocks of draws.
+
+        Parameters
+        ----------
+        session : Session
+        known : tuple of tuples of int, (C,)
+        blocks : int
+        start : float
+            Particle-steps of the progress before the first block.
 
         Raises
         ------
         ModelError
-            A draw is degenerate with a set, or with a window that has to be known.
+            A draw is degenerate or infinite.
+        TaskError, PoolError, StoreError
+            A task failed, no worker answers, or a file cannot be read or written.
         """
-        known, relaxation = tuple(sets.values()), self.relaxation
-        most = max(map(relaxation.spent, known))
+        relaxation, evaluator = self.relaxation, self._built.evaluator
+        instants = evaluator.horizon + 1
         if not self.particles:
-            return self._proved(sets, alone, prove(relaxation, sums.exact(), known, most))
-        kept, coarse, fine = sums.estimated(blocks, session)
-        gaps = self._proved(sets, alone, prove(kept, coarse, known, most))
-        pair = falls(kept, coarse.first(GUARDED), fine, most)
-        particles = f"{FINER * self.particles} particles in the place of {self.particles}"
-        return guarded(gaps, Falls(*pair, particles))
+            counted = Counted(tuple(relaxation.sets), relaxation.first, relaxation.ends)
+            relaxed = evaluator.expected_errors(counted.sets)[counted.at(evaluator.horizon)]
+            return Sums(relaxed[None], evaluator.expected_errors(known)[None], np.ones(1))
+        sums, reporter = self._block_sums(known), session.reporter
+        present, a_block = {block for block, _ in sums.known(blocks, session.store)}, sums.steps(1)
+        done = len(present)
+        reporter.note(done=start + done * a_block)
+        reporter.begin("lower bound", evaluations=done * BLOCK)
+        with closing(sums.fill(blocks, session.collector, present)) as filled:
+            for _ in filled:
+                done += 1
+                reporter.reach(start + done * a_block, evaluations=done * BLOCK)
+        errors, draws = sums.by_group(blocks, session.store)
+        if not np.isfinite(errors).all():
+            raise ModelError(
+                "a draw is degenerate or infinite although a particle has its true state: "
+                "log_likelihood must be finite at the state that made the measurement"
+            )
+        relaxed, own = np.split(errors, [relaxation.offsets[-1]], axis=1)
+        return Sums(relaxed, own.reshape(len(own), -1, instants), draws)
 
-    def _proved(
-        self, sets: Mapping[str, Times], alone: Mapping[str, SetAlone], proof: Proof
-    ) -> dict[str, Gap]:
-        """Give the gaps of a proof, before the guard has looked at them."""
-        return {
-            name: gap_of(name, times, alone[name], proof, place, self.confidence)
-            for place, (name, times) in enumerate(sets.items())
-        }
+    def _steps(self, known: tuple[Times, ...], blocks: int) -> float:
+        """Particle-steps of the first blocks of draws."""
+        return float(self._block_sums(known).steps(blocks)) if self.particles else 0.0
 
-    def _sums(self, known: tuple[Times, ...]) -> ProofSums:
-        return ProofSums(self._built, self.relaxation, known, self._estimation)
+    def _block_sums(self, known: tuple[Times, ...]) -> BlockSums:
+        """Sums of the errors of all windows, and of known sets at all instants."""
+        relaxation, every = self.relaxation, np.zeros(len(known), np.int64)
+        counted = Counted(
+            (*relaxation.sets, *known),
+            np.concatenate([relaxation.first, every]),
+            np.concatenate([relaxation.ends, every + relaxation.horizon]),
+        )
+        noise, draws = (BOUND.stream(self._built.job.seed, role) for role in ("filter", "draws"))
+        return BlockSums(self._built, counted, (noise, draws), self._estimation)
 
     def _columns(self, compared_draws: int) -> dict[str, Any]:
         """The columns that all rows of one proof share."""

@@ -122,7 +122,7 @@ def test_however_it_is_cut_it_ends_with_the_same_bytes_and_grows(
 ) -> None:
     few = small_job.with_changes(["problem.horizon=8", "filter.particles=10"])
     whole = pfdist.budget(few, (2, 4), tmp_path / "whole", draws=60, figures=False)
-    for phase in (DEFAULT_METHOD, "comparison", "lower bound", "guard of the bound"):
+    for phase in (DEFAULT_METHOD, "comparison", "lower bound"):
 
         def stop(progress: Progress, phase: str = phase) -> None:
             if progress.phase == phase and progress.evaluations > 20:

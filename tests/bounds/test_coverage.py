@@ -18,13 +18,12 @@ from oracles.windows import counted
 from pfdist import StateSpaceModel, linear_gaussian, load_model
 from pfdist.analysis import Moments
 from pfdist.bounds.first_windows import relaxation_with
-from pfdist.bounds.gap import gap_of
-from pfdist.bounds.guard import Falls, guarded
+from pfdist.bounds.gap import consistent, gap_of
 from pfdist.bounds.programme import least
-from pfdist.bounds.proof import Sums, falls, prove
+from pfdist.bounds.proof import Sums, prove
 from pfdist.bounds.relaxation import NOTHING, Relaxation, Window
 from pfdist.evaluation.evaluator import Evaluator
-from pfdist.evaluation.work import Estimation, Work
+from pfdist.evaluation.work import Estimation, Work, with_truth
 from pfdist.filters.draws import Draws, simulate
 from pfdist.filters.kalman import expected_mse
 from pfdist.runner.block_sums import GROUPS
@@ -32,7 +31,7 @@ from pfdist.runner.sets_alone import parts_of
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
-REPETITIONS, GUARDED = 1000, 10
+REPETITIONS = 1000
 BUDGET, IN_GROUP = 2, 8  # draws of a group
 Array = NDArray[np.float64]
 Record = Callable[[str, object], None]
@@ -91,14 +90,11 @@ def _errors(case: Case, work: Work) -> Array:
     return case.evaluator.filtered(work).mse[:, 0]
 
 
-def _alone(case: Case, times: Times, draws: tuple[int, int], estimator: str) -> Array:
-    estimation = Estimation(case.particles, "systematic", estimator)
+def _alone(case: Case, times: Times, draws: tuple[int, int], estimation: Estimation) -> Array:
     return _errors(case, Work((times,), (case.horizon,), (3,), 4, draws, estimation))
 
 
-def _sums(
-    case: Case, relaxation: Relaxation, known: Times, number: int, particles: int, groups: int
-) -> Sums:
+def _sums(case: Case, relaxation: Relaxation, known: Times, number: int) -> Sums:
     """Sums of groups of draws; each repetition has draws of its own."""
     first, sets = number * GROUPS * IN_GROUP, (*relaxation.sets, known)
     work = Work(
@@ -107,12 +103,12 @@ def _sums(
         filter_streams=(1,) * len(sets),
         draws_stream=2,
         draws=(0, 0),
-        estimation=Estimation(particles, "systematic", "filter_variance"),
+        estimation=with_truth(case.particles),
     )
-    blocks = [(first + group * IN_GROUP, first + (group + 1) * IN_GROUP) for group in range(groups)]
+    blocks = [(first + group * IN_GROUP, first + (group + 1) * IN_GROUP) for group in range(GROUPS)]
     sums = np.stack([case.evaluator.sum_errors(replace(work, draws=draws)) for draws in blocks])
     relaxed, own = counted(relaxation, sums[:, :-1]), sums[:, -1:]
-    return Sums(relaxed, own, np.full(groups, float(IN_GROUP)))
+    return Sums(relaxed, own, np.full(GROUPS, float(IN_GROUP)))
 
 
 @dataclass(frozen=True)
@@ -152,26 +148,21 @@ def _repeated(
     fixed = case.candidate
     costs = {times: _true_cost(case, times) for times in (sets if same_draws else [fixed])}
     optimum = case.optimum(case)
-    rows = []
+    rows, by_error = [], Estimation(case.particles, "systematic")
     for number in range(repetitions):
         draws, known = (number * m, (number + 1) * m), fixed
         if same_draws:
-            known = min(sets, key=lambda t: _alone(case, t, draws, "squared_error").mean())
-        squared = _alone(case, known, draws, "squared_error")
-        variance = _alone(case, known, draws, "filter_variance")
+            known = min(sets, key=lambda t: _alone(case, t, draws, by_error).mean())
+        squared = _alone(case, known, draws, by_error)
+        variance = _alone(case, known, draws, with_truth(case.particles))
         whole = Moments()
         whole.add(squared)
-        coarse, fine = (
-            _sums(case, relaxation, known, number, times * case.particles, groups)
-            for times, groups in ((1, GROUPS), (4, GUARDED))
-        )
-        proof = prove(relaxation, coarse, [known], BUDGET)
+        sums = _sums(case, relaxation, known, number)
+        proof = prove(relaxation, sums, [known], BUDGET)
         alone = parts_of(whole, squared, squared, variance)
-        gap = gap_of("set", known, alone, proof, 0, 0.95)
-        pair = falls(relaxation, coarse.first(GUARDED), fine, BUDGET)
-        gap = guarded({"set": gap}, Falls(*pair, ""))["set"]
-        of_batches = least(relaxation, coarse.relaxed / IN_GROUP, BUDGET).mse[:, BUDGET]
-        own = coarse.own[:, 0].mean(axis=1) / IN_GROUP
+        gap = consistent({"set": gap_of("set", known, alone, proof, 0, 0.95)})["set"]
+        of_batches = least(relaxation, sums.relaxed / IN_GROUP, BUDGET).mse[:, BUDGET]
+        own = sums.own[:, 0].mean(axis=1) / IN_GROUP
         total, scale = proof.slack[0].plus(alone.both), gap.expected_mse.value
         batch_gap = float(np.mean(own - of_batches)) + alone.both.value
         limit, truth = gap.gap_at_most * scale, costs[known] - optimum

@@ -16,7 +16,7 @@ from pfdist import load_job, load_model
 from pfdist.bounds.first_windows import relaxation_with
 from pfdist.bounds.relaxation import Relaxation
 from pfdist.evaluation.evaluator import Evaluator
-from pfdist.evaluation.work import Estimation, Work
+from pfdist.evaluation.work import Work, with_truth
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
@@ -76,7 +76,7 @@ def _sums(sets: list[Times], ends: list[int], chance: int) -> Array:
         pieces = []
         for start in range(0, len(sets), AT_ONCE):
             some, until = sets[start : start + AT_ONCE], ends[start : start + AT_ONCE]
-            estimation = Estimation(500, "systematic", "filter_variance")
+            estimation = with_truth(500)
             draws = (first, first + DRAWS)
             streams = (7,) * len(some)
             work = Work(tuple(some), tuple(until), streams, 8, draws, estimation)

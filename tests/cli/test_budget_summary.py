@@ -40,7 +40,6 @@ def test_the_table_has_the_bound_and_the_limit_holds_as_it_is_printed() -> None:
 
 
 def test_a_bound_without_a_limit_stands_alone() -> None:
-    """The table of an older run does not say how far the bound falls with more particles."""
     assert budget_lines(_summary(**(BOUND | {"bound_low": None})))[3].endswith("  25.437")
 
 

@@ -1,11 +1,10 @@
-"""The guard withdraws what more particles, or known sets, contradict, and nothing else."""
+"""A gap is the sum of its parts; a wrong likelihood withdraws it, and nothing else does."""
 
 from dataclasses import replace
 
 import pytest
 
-from pfdist.bounds.gap import Gap, SetAlone, gap_of
-from pfdist.bounds.guard import Falls, guarded
+from pfdist.bounds.gap import Gap, SetAlone, consistent, gap_of
 from pfdist.bounds.proof import Estimate, Proof
 
 TIMES = (1, 4)
@@ -21,53 +20,30 @@ GAP = Gap(
     estimate=Estimate(0.1, 0.02),
     filter_model=Estimate(0.0),
 )
-STEADY = Estimate(0.001, 0.002)
 
 
-def _guarded(*gaps: Gap, bounds: Estimate = STEADY, sets: Estimate = STEADY) -> dict[str, Gap]:
-    falls = Falls([bounds] * 3, [sets] * len(gaps), "80 particles in the place of 20")
-    return guarded({gap.name: gap for gap in gaps}, falls)
+def _consistent(*gaps: Gap) -> dict[str, Gap]:
+    return consistent({gap.name: gap for gap in gaps})
 
 
-def test_what_nothing_contradicts_stands_and_its_limit_holds_the_fall() -> None:
-    assert _guarded(GAP)["found"] == replace(GAP, gap_at_most=0.03 + 0.001, fall=0.001)
-    rises = Estimate(-0.01, 0.001)
-    assert _guarded(GAP, bounds=rises, sets=rises)["found"] == replace(GAP, fall=0.0)
-
-
-@pytest.mark.parametrize(
-    ("changed", "reason"),
-    [
-        ({"bounds": Estimate(0.02, 0.004)}, "the bound falls by 2 % with 80 particles in the"),
-        ({"sets": Estimate(0.02, 0.004)}, "the variance of a compared set falls with 80"),
-    ],
-)
-def test_a_clear_fall_withdraws_the_bound(changed: dict[str, Estimate], reason: str) -> None:
-    found = _guarded(GAP, **changed)["found"]
-    assert found.reason.startswith(reason)
-    assert found == Gap("found", TIMES, GAP.expected_mse, found.reason)
-
-
-@pytest.mark.parametrize("fall", [Estimate(0.02, 0.006), Estimate(0.004, 0.0001)])
-def test_neither_noise_nor_half_a_per_cent_is_a_fall(fall: Estimate) -> None:
-    assert not _guarded(GAP, bounds=fall, sets=fall)["found"].reason
+def test_a_gap_that_nothing_contradicts_stands() -> None:
+    assert _consistent(GAP) == {"found": GAP}
 
 
 def test_a_variance_above_the_squared_error_withdraws_all_bounds() -> None:
     other = replace(GAP, name="other", estimate=Estimate(-0.5, 0.1))
-    reasons = {gap.reason for gap in _guarded(GAP, other).values()}
+    reasons = {gap.reason for gap in _consistent(GAP, other).values()}
     assert reasons == {"the variance of the particles exceeds their squared error"}
 
 
 def test_a_known_set_that_costs_less_than_the_bound_withdraws_it() -> None:
     cheap = replace(GAP, name="cheap", expected_mse=Estimate(9.0, 0.1))
-    assert _guarded(GAP, cheap)["found"].reason == "the set cheap costs less than the bound"
+    assert _consistent(GAP, cheap)["found"].reason == "the set cheap costs less than the bound"
     near = replace(cheap, expected_mse=Estimate(9.7, 0.1))
-    assert not _guarded(GAP, near)["found"].reason
+    assert not _consistent(GAP, near)["found"].reason
     for times in ((1,), (1, 4, 5)):  # of another number of measurements: that contradicts nothing
-        falls = Falls([STEADY] * 4, [STEADY] * 2, "")
         other = replace(cheap, measurement_times=times, budget=len(times))
-        assert not guarded({"found": GAP, "cheap": other}, falls)["found"].reason
+        assert not _consistent(GAP, other)["found"].reason
 
 
 def _proof(*bounds: Estimate, slack: Estimate, budget: int = 2) -> Proof:
@@ -105,5 +81,6 @@ def test_a_set_clearly_below_the_bound_has_no_bound_and_a_chance_excess_is_no_ga
         return gap_of("found", TIMES, alone, proof, 1, 0.95)
 
     assert gap(0.0).gap == 0.0
+    assert gap(50.0).gap == gap(50.0).gap_at_most == 1.0  # no error is negative
     assert not gap(-0.4).reason
     assert gap(-1.0).reason == "the set costs less than the bound"
