@@ -13,6 +13,7 @@ import pandas as pd
 from pfdist.analysis.belief import belief_of
 from pfdist.analysis.budget_curve import FOUND, budget_table
 from pfdist.analysis.gains import gain_over_itself
+from pfdist.analysis.particle_loss import hardly_measured
 from pfdist.analysis.reference import described
 from pfdist.errors import StoreError
 from pfdist.times.measurement_times import Times
@@ -79,6 +80,13 @@ class TimesResults:
             else:
                 result |= statistics.gains[name].summary().columns()
             results[name] = result
+        losses = run.particle_losses(statistics)
+        unmeasured = float(run.filter_variance()["unmeasured"].mean()) if losses else math.nan
+        for name, loss in losses.items():
+            hardly = hardly_measured(results[name]["expected_mse"], unmeasured)
+            warnings = [loss.warning, hardly if name != run.names[0] else ""]
+            results[name] |= loss.columns() | {"unmeasured_mse": unmeasured}
+            results[name]["warnings"] = [text for text in warnings if text]
         return results
 
     def search_of(self, name: str) -> str:

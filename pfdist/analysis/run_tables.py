@@ -47,6 +47,14 @@ class RunTables(Shown):
         """A row for each of the first draws: the reference's MSE under other filter noise."""
         return self._store.read("repeated")
 
+    def filter_distance(self) -> pd.DataFrame:
+        """For each of the first draws: half the squared distance of two filters with each set."""
+        return self._store.read("filter_distance")
+
+    def filter_variance(self) -> pd.DataFrame:
+        """For each of the first draws: the variance of particles beside the truth with each set."""
+        return self._store.read("filter_variance")
+
     def online(self) -> pd.DataFrame:
         """A row for each of the first draws: times chosen one after another, and their MSE.
 

@@ -16,6 +16,7 @@ from pfdist.analysis.budget_curve import reaching, with_bounds
 from pfdist.analysis.exact import exact_costs
 from pfdist.analysis.gains import BLOCK, ComparisonStatistics, relative_gain
 from pfdist.analysis.pairs import pairs_table, ranks_table
+from pfdist.analysis.particle_loss import ParticleLoss, particle_loss
 from pfdist.analysis.recorded import read_recorded
 from pfdist.analysis.results import results_of
 from pfdist.analysis.run_card import run_card, title_of
@@ -109,6 +110,34 @@ class Run(RunTables):
         for block in self._columns():
             statistics.add(block)
         return statistics
+
+    def particle_losses(
+        self, statistics: ComparisonStatistics | None = None
+    ) -> dict[str, ParticleLoss]:
+        """The loss by the number of particles with each compared set, by name.
+
+        It is empty for exact engines, errors other than the squared norm, and several numbers of
+        measurements.
+
+        Parameters
+        ----------
+        statistics : ComparisonStatistics, optional
+            Those of the run, if they are at hand.
+        """
+        if not (self.has("filter_distance") and self.has("filter_variance")):
+            return {}
+        distance, variance = self.filter_distance(), self.filter_variance()
+        rows = self.comparison(int(distance["draw"].max()) + 1)
+        whole = (statistics or self.statistics()).mse
+        tables = ("mse", rows), ("distance", distance), ("variance", variance)
+        return {
+            name: particle_loss(
+                self.job["filter"]["particles"],
+                whole[name],
+                *(table[f"{start}_{name}"].to_numpy() for start, table in tables),
+            )
+            for name in self.names
+        }
 
     def _columns(self) -> Iterator[NDArray[np.float64]]:
         """Per-draw MSE of all compared sets, block by block: (D, S) each time."""

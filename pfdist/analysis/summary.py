@@ -35,6 +35,11 @@ def summary_of(run: "Run", kind: Results) -> dict[str, Any]:
 
         - measurement_times, expected_mse, standard_error, degenerate_draws, search_cost and
           search_standard_error.
+        - particle_loss and particle_loss_error (by two filters), particle_loss_at_most and
+          particle_loss_at_most_error: the loss by a finite number of particles as a fraction of
+          expected_mse, where the engine has particles and the error is the squared norm.
+          unmeasured_mse: the exact filter's expected MSE without a measurement. warnings: a list
+          of sentences.
         - For the reference: gain_over_itself (see `pfdist.analysis.gains.gain_over_itself`) with
           interval and draws. For the reference and sets that the job names: description, and
           broken_constraints (see `pfdist.job.problem_section.ProblemSection.broken`).

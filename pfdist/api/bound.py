@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from pfdist.analysis import finite
+from pfdist.analysis.particle_loss import ParticleLoss
 from pfdist.api.at_work import at_work
 from pfdist.api.finished_run import AskedRun, Model, built_again, finished_run
 from pfdist.api.following import Say, following, silent
@@ -44,6 +45,9 @@ class Bound(Shown):
         Whether the limits of all found sets are as small as demanded; None if nothing was demanded.
     gaps : list of Gap
         One for each compared set of the run.
+    losses : dict of str to ParticleLoss
+        The loss by the number of particles of the job's own filter, for each compared set; empty
+        where it is not known.
     is_constrained : bool
         Whether the job excludes some times, beside their number or cost.
     """
@@ -57,14 +61,18 @@ class Bound(Shown):
     confidence: float
     within_reached: bool | None
     gaps: list[Gap]
+    losses: dict[str, ParticleLoss]
     is_constrained: bool = False
 
     def as_json(self) -> dict[str, Any]:
         """The whole result as JSON values; an unknown value is None."""
-        own = {key: value for key, value in vars(self).items() if key not in ("run", "gaps")}
+        apart = ("run", "gaps", "losses")
+        own = {key: value for key, value in vars(self).items() if key not in apart}
         sets = {gap.name: gap.columns() for gap in self.gaps}
         for row in sets.values():
             del row["name"]
+        for name, loss in self.losses.items():
+            sets[name] |= loss.columns() | {"warning": loss.warning}
         answer: dict[str, Any] = finite({"run": str(self.run), **own, "sets": sets})
         return answer
 
@@ -160,6 +168,7 @@ def bound(
         prover.confidence,
         None if within is None else look.is_within(within, built.unjudged),
         [_on_clock(gap, built.job.problem.clock) for gap in look.gaps],
+        proved.particle_losses(),
         built.job.problem.is_constrained,
     )
 

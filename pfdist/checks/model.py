@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from pfdist.analysis import Moments
+from pfdist.analysis.particle_loss import ParticleLoss, particle_loss
 from pfdist.checks.contract import Look, few_draws, look_at_formulas, looked
 from pfdist.checks.formulas import compiled_as_in_numpy, likelihood
 from pfdist.checks.measured import missing_components, normalised
@@ -19,17 +20,19 @@ from pfdist.errors import CompileError, ModelError
 from pfdist.evaluation.compiling import compile_evaluator, libm_functions
 from pfdist.evaluation.engines import ENGINES, NUMPY_TIMES_SLOWER
 from pfdist.evaluation.evaluator import Evaluator
-from pfdist.evaluation.work import Estimation, Work
+from pfdist.evaluation.work import Estimation, Work, with_truth
 from pfdist.filters.draws import Draws
 from pfdist.filters.matrices import matrices_of
+from pfdist.kernels.estimators import FILTER_NOISE
 from pfdist.meaning import Meaning, check_is_constant
 from pfdist.meaning.chosen import loaded_twice
-from pfdist.models import StateSpaceModel
+from pfdist.models import StateSpaceModel, squared_error
 from pfdist.times.measurement_times import regular
 
 _DRAWS = 1000
 _FEW = 10  # draws, for what is done instant by instant in NumPy
 _FEW_PARTICLES = 50
+_FINER = 4  # times the particles, to see whether the loss falls as 1/P
 _SECONDS = 4.0  # for an evaluation of fewer draws, where a thousand take longer
 
 
@@ -209,6 +212,41 @@ def _linear_gaussian(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
     return "ok", "as it declares: filter.engine = 'kalman' computes it exactly"
 
 
+def _particles(evaluator: Evaluator, work: Work) -> tuple[str, str]:
+    """Measure what the particles lose; if it is much, whether more of them are known to help."""
+    loss = _loss(evaluator, work)
+    text = f"{loss.particles} particles lose {loss.text}"
+    if not loss.is_large:
+        return "ok", text
+    first, last = work.draws
+    finer = replace(work.estimation, particles=_FINER * loss.particles)
+    draws = (first, max(_FEW, last // _FINER))
+    more = _loss(evaluator, replace(work, estimation=finer, draws=draws))
+    enough = loss.enough(more)
+    if enough is not None:
+        return "note", f"{text}; about {enough:,} particles are enough"
+    return "note", (
+        f"{text}; {more.particles} lose {more.text}: the loss does not fall as 1/P, or too slowly, "
+        "so no affordable number of particles is known to be enough"
+    )
+
+
+def _loss(evaluator: Evaluator, work: Work) -> ParticleLoss:
+    """The loss by the number of particles on the draws of a work."""
+    particles = work.estimation.particles
+    squared, distance, variance = (
+        evaluator.filtered(replace(work, estimation=estimation)).mse[:, 0]
+        for estimation in (
+            work.estimation,
+            replace(work.estimation, estimator=FILTER_NOISE.name),
+            with_truth(particles),
+        )
+    )
+    whole = Moments()
+    whole.add(squared[~np.isnan(squared)])
+    return particle_loss(particles, whole, squared, distance, variance)
+
+
 def _filtered(evaluator: Evaluator, estimation: Estimation) -> Iterator[Check]:
     """Measure how long an evaluation takes and how many draws are degenerate."""
     times = regular(evaluator.horizon, max(2, (evaluator.horizon + 1) // 3))
@@ -233,4 +271,6 @@ def _filtered(evaluator: Evaluator, estimation: Estimation) -> Iterator[Check]:
     else:
         got = text if usable.size else "no usable draw"
         yield Check("expected MSE", "wrong", f"it must be finite, and its error, got {got}")
+    if evaluator.model.error is squared_error:
+        yield Check("particles", *_particles(evaluator, replace(work, draws=(0, draws))))
     yield Check("an evaluation", "ok", f"{rounded(seconds, 2)} s for {_DRAWS:,} draws on one core")

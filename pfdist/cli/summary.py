@@ -12,10 +12,10 @@ from pfdist.cli.gain_lines import (
     positive_gains_line,
     why_gains_disagree,
 )
-from pfdist.cli.layout import line, wrapped_lines
+from pfdist.cli.layout import line, paragraph, wrapped_lines
 from pfdist.cli.online_lines import online_lines
 from pfdist.cli.pair_lines import comparison_lines
-from pfdist.common.percent import cost, percent, percent_with_interval, range_of
+from pfdist.common.percent import cost, particle_loss_text, percent, percent_with_interval, range_of
 from pfdist.common.rounding import with_error, with_interval
 from pfdist.common.told_times import told_times
 from pfdist.errors import one_line
@@ -73,6 +73,9 @@ def _compared_lines(name: str, summary: dict[str, Any]) -> list[str]:
     lines.append(line("expected MSE", f"{mse}  (standard error, on fresh draws)"))
     if result["degenerate_draws"]:
         lines.append(line("degenerate draws", f"{result['degenerate_draws']:,} (left out)"))
+    if result.get("particle_loss") is not None:
+        loss = particle_loss_text(result["particle_loss"], result["particle_loss_at_most"])
+        lines.append(line("particles lose", loss))
     if result["search_cost"] is not None:
         lines.append(belief_line(result))
     if result.get("search_distrust"):
@@ -89,6 +92,8 @@ def _compared_lines(name: str, summary: dict[str, Any]) -> list[str]:
         interval = result["gain_over_itself_interval"]
         gain = percent_with_interval(result["gain_over_itself"], interval)
         lines.append(line("gain over itself", f"{gain}, from filter noise alone"))
+    for warning in result.get("warnings", []):
+        lines += paragraph(warning)
     return lines
 
 

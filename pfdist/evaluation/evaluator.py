@@ -22,7 +22,7 @@ from pfdist.filters.interface import validated_from, weighed
 from pfdist.filters.matrices import known_matrices
 from pfdist.filters.settings import FilterSettings, check_filter, check_fits
 from pfdist.kernels.estimators import FILTER_VARIANCE, OWN_VARIANCE, SQUARED_ERROR
-from pfdist.kernels.schemes import ALL_SCHEMES, CONDITIONAL, MULTINOMIAL
+from pfdist.kernels.schemes import ALL_SCHEMES
 from pfdist.models import StateSpaceModel
 from pfdist.times.measurement_times import Times
 
@@ -205,10 +205,7 @@ class Evaluator:
                 self.believed,
                 self.model,
                 estimation.particles,
-                # No public door takes the scheme of the bound, which resamples as this one does.
-                MULTINOMIAL.name
-                if estimation.resampling == CONDITIONAL.name
-                else estimation.resampling,
+                estimation.resampling,
                 self.dtype,
                 estimation.estimator,
             )

@@ -32,7 +32,7 @@ from pfdist.filters.draws import Draws
 from pfdist.filters.interface import Filtered, weighed
 from pfdist.filters.particle_filter import filter_streams
 from pfdist.filters.settings import FilterSettings
-from pfdist.kernels.estimators import ESTIMATORS, ErrorWeights, Estimator
+from pfdist.kernels.estimators import ALL_ESTIMATORS, ErrorWeights, Estimator
 from pfdist.models import StateSpaceModel
 from pfdist.times.measurement_times import Times
 
@@ -63,7 +63,7 @@ def one_by_one(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., A
     ) -> Array:
         keys, columns = filter_streams(stream, settings.estimator), []
         for times, end in zip(sets, ends, strict=True):
-            some, estimator = draws.upto(end), ESTIMATORS[settings.estimator]
+            some, estimator = draws.upto(end), ALL_ESTIMATORS[settings.estimator]
             filters = _filters(filter_checked_draws, model, some, times, keys, settings)
             share = (end + 1 - draws.start) / draws.z.shape[1]
             columns.append(_mse(filters, some, estimator) * share)
@@ -94,7 +94,10 @@ def summed_one_by_one(filter_checked_draws: Callable[..., Filtered]) -> Callable
         stream: int,
         settings: FilterSettings,
     ) -> Array:
-        keys, estimator = filter_streams(stream, settings.estimator), ESTIMATORS[settings.estimator]
+        keys, estimator = (
+            filter_streams(stream, settings.estimator),
+            ALL_ESTIMATORS[settings.estimator],
+        )
         sums = np.zeros((len(sets), draws.z.shape[1]))
         for row, times, end in zip(sums, sets, ends, strict=True):
             some = draws.upto(end)

@@ -22,7 +22,7 @@ from pfdist.filters.draws import Draws
 from pfdist.filters.interface import Filtered, checking, validated_from
 from pfdist.filters.settings import FilterSettings, check_filter, check_start
 from pfdist.kernels.cloud import FROM_INITIAL, Prior
-from pfdist.kernels.estimators import ESTIMATORS, SQUARED_ERROR
+from pfdist.kernels.estimators import ALL_ESTIMATORS, SQUARED_ERROR
 from pfdist.kernels.formulas import formulas_of
 from pfdist.kernels.fused_filter import Request, Results, fused_filter
 from pfdist.kernels.libm import libm_functions, makes_arrays
@@ -182,7 +182,7 @@ def sum_errors(
 
 def filter_streams(stream: int, estimator: str) -> list[int]:
     """Keys of the noise of each filter that an estimator needs; the first is the given key."""
-    return [stream, stream_key(stream, "second filter")][: ESTIMATORS[estimator].filters]
+    return [stream, stream_key(stream, "second filter")][: ALL_ESTIMATORS[estimator].filters]
 
 
 def _filter(
@@ -204,7 +204,7 @@ def _filter(
         draws.y,
         draws.z,
         settings.particles,
-        ESTIMATORS[settings.estimator].weights,
+        ALL_ESTIMATORS[settings.estimator].weights,
         draws.instant_weights,
         flat_parameters(model.parameters, draws.instants.stop),
         flat_parameters(truth.parameters, draws.instants.stop),

@@ -1,4 +1,4 @@
-"""The estimators of a draw's MSE that a job can name. Data only: this imports no Numba."""
+"""The estimators of a draw's MSE. Data only: this imports no Numba."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -76,8 +76,16 @@ TWO_FILTERS = Estimator(
     "The mean of the variances of two filters, plus the squared distance of their estimates.",
     needs_truth=True,
 )
+FILTER_NOISE = Estimator(
+    "filter_noise",
+    ErrorWeights(distance=0.5),
+    "Half the squared distance of the estimates of two filters: what particles cost, no error.",
+)
 
 ESTIMATORS = {
     estimator.name: estimator
     for estimator in (SQUARED_ERROR, FILTER_VARIANCE, TWO_FILTERS, OWN_VARIANCE)
 }
+"""The estimators that a job can name."""
+
+ALL_ESTIMATORS = ESTIMATORS | {FILTER_NOISE.name: FILTER_NOISE}

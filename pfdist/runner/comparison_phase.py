@@ -49,7 +49,9 @@ def run_comparison(
     reporter.note(done=start + compared * work.steps_a_draw)
     reporter.begin(COMPARISON, evaluations=compared, found=study.shown(interim.found))
     for table in study.first_draws:
-        TABLES[table](built, work).fill(COMPARISON, collector)
+        first_draws = TABLES[table](built, work)
+        if first_draws is not None:
+            first_draws.fill(COMPARISON, collector)
     schema = comparison_schema(list(sets))
 
     def rows_of(piece: Work, result: Result) -> pa.Table:

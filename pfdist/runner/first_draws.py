@@ -11,15 +11,25 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from pfdist.common.component_names import Component
+from pfdist.evaluation.compiling import compile_evaluator
+from pfdist.evaluation.engines import ENGINES
 from pfdist.evaluation.estimate import REPORT
-from pfdist.evaluation.work import Result, Work, cut
-from pfdist.models import StateSpaceModel
+from pfdist.evaluation.work import Estimation, Result, Work, cut, with_truth
+from pfdist.kernels.estimators import FILTER_NOISE
+from pfdist.models import StateSpaceModel, squared_error
 from pfdist.runner.build import Built
 from pfdist.runner.collect import Collector
-from pfdist.store import Store, schema, trajectories_schema
+from pfdist.store import (
+    Store,
+    distance_schema,
+    schema,
+    trajectories_schema,
+    variance_schema,
+)
 
 TRAJECTORIES = 100  # draws whose z, y and estimates are kept
 REPEATED = 2000  # draws that the reference filters twice
+LOSS_DRAWS = 1000  # on which the loss by a finite number of particles is estimated
 
 
 @dataclass(frozen=True)
@@ -94,8 +104,60 @@ def repeated(built: Built, work: Work) -> FirstDraws:
     return FirstDraws("repeated", schema("repeated"), again, _repeated_columns)
 
 
-TABLES = {"trajectories": trajectories, "repeated": repeated}
-"""Makes each table from the built job and the work of the whole comparison."""
+def distances(built: Built, work: Work) -> FirstDraws | None:
+    """Half the squared distance of two filters with each set; see `pfdist.analysis.particle_loss`.
+
+    It exists where the error is the squared norm and the engine has particles.
+    """
+    estimation = replace(work.estimation, estimator=FILTER_NOISE.name)
+    schema = distance_schema(work.ids)
+    return _by_set("filter_distance", schema, built, work, estimation, knows_truth=False)
+
+
+def variances(built: Built, work: Work) -> FirstDraws | None:
+    """Variance of particles beside the truth, with each set and without any measurement."""
+    estimation, schema = with_truth(work.estimation.particles), variance_schema(work.ids)
+    work = replace(work, measurement_times=(*work.measurement_times, ()))
+    return _by_set("filter_variance", schema, built, work, estimation, knows_truth=True)
+
+
+def _by_set(
+    table: str,
+    schema: pa.Schema,
+    built: Built,
+    work: Work,
+    estimation: Estimation,
+    *,
+    knows_truth: bool,
+) -> FirstDraws | None:
+    if built.evaluator.exact or built.evaluator.model.error is not squared_error:
+        return None
+    if ENGINES[built.source.engine].compiled:  # before the first task, whose time is limited
+        compile_evaluator(built.evaluator.truth if knows_truth else built.evaluator, estimation)
+    stream, sets = REPORT.stream(built.job.seed, "filter", table), len(work.measurement_times)
+    of_sets = replace(
+        work,
+        ends=work.ends[:1] * sets,
+        filter_streams=(stream,) * sets,  # sets share the noise, and so their common prefixes
+        draws=(0, min(LOSS_DRAWS, built.job.comparison.draws)),
+        estimation=estimation,
+        knows_truth=knows_truth,
+    )
+    return FirstDraws(table, schema, of_sets, partial(_columns_by_set, schema))
+
+
+TABLES = {
+    "trajectories": trajectories,
+    "repeated": repeated,
+    "filter_distance": distances,
+    "filter_variance": variances,
+}
+"""Makes each table from the built job and the work of the whole comparison, or none."""
+
+
+def _columns_by_set(schema: pa.Schema, piece: Work, result: Result) -> dict[str, Any]:
+    columns = (pa.array(mse, from_pandas=True) for mse in result.mse.T)
+    return dict(zip(schema.names, (np.arange(*piece.draws), *columns), strict=True))
 
 
 def _repeated_columns(piece: Work, result: Result) -> dict[str, Any]:

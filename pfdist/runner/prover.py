@@ -19,7 +19,8 @@ from pfdist.errors import ModelError
 from pfdist.evaluation.compiling import compile_evaluator
 from pfdist.evaluation.engines import ENGINES
 from pfdist.evaluation.estimate import BOUND
-from pfdist.evaluation.work import BLOCK, with_truth
+from pfdist.evaluation.work import BLOCK, Estimation, with_truth
+from pfdist.kernels.estimators import FILTER_VARIANCE
 from pfdist.runner.block_sums import GROUPS, BlockSums, Counted
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built
@@ -91,7 +92,7 @@ class Prover:
         count = settings.particles or built.job.filter.particles
         self._estimation = with_truth(count)
         truth = built.evaluator.truth
-        truth.check(self._estimation)
+        truth.check(Estimation(count, estimator=FILTER_VARIANCE.name))
         if ENGINES[built.source.engine].compiled:  # before the first task, whose time is limited
             compile_evaluator(truth, self._estimation)
         self.particles = 0 if built.evaluator.exact else count

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.analysis import Moments, Run
+from pfdist.analysis.particle_loss import less
 from pfdist.bounds.gap import UNKNOWN, ZERO, SetAlone
 from pfdist.bounds.proof import Estimate
 from pfdist.common.streams import stream_key
@@ -189,13 +190,13 @@ def parts_of(whole: Moments, squared: Array, by_truth: Array, variance: Array) -
     if not (math.isfinite(whole.mean) and np.isfinite(squared + by_truth + variance).all()):
         return _DEGENERATE
     if by_truth is squared:
-        both = _less(whole, squared, variance)
+        both = less(whole, squared, variance)
         return SetAlone(Estimate(whole.mean, whole.standard_error), both, ZERO, both)
     return SetAlone(
         Estimate(whole.mean, whole.standard_error),
         _paired(by_truth, variance),
-        _less(whole, squared, by_truth),
-        _less(whole, squared, variance),
+        less(whole, squared, by_truth),
+        less(whole, squared, variance),
     )
 
 
@@ -203,11 +204,3 @@ def _paired(x: Array, y: Array) -> Estimate:
     difference = Moments()
     difference.add(x - y)
     return Estimate(difference.mean, difference.standard_error)
-
-
-def _less(whole: Moments, first: Array, other: Array) -> Estimate:
-    """A mean over all draws, less the mean of others over the first draws."""
-    common = float(np.cov(first, other)[0, 1])
-    error = whole.standard_error**2 + float(np.var(other, ddof=1)) / other.size
-    error -= 2 * common / whole.count
-    return Estimate(whole.mean - float(np.mean(other)), math.sqrt(max(0.0, error)))

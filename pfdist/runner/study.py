@@ -105,7 +105,12 @@ class TimesStudy:
 
     job: Job
     purpose: ClassVar[Purpose[ReportEvaluation]] = REPORT
-    first_draws: ClassVar[tuple[str, ...]] = ("trajectories", "repeated")
+    first_draws: ClassVar[tuple[str, ...]] = (
+        "trajectories",
+        "repeated",
+        "filter_distance",
+        "filter_variance",
+    )
 
     @cached_property
     def references(self) -> dict[str, Times]:

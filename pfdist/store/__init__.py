@@ -28,9 +28,11 @@ from pfdist.store.schema import (
     WINDOW_PERCENTS,
     compared_schema,
     comparison_schema,
+    distance_schema,
     filtered_schema,
     schema,
     trajectories_schema,
+    variance_schema,
 )
 from pfdist.store.strange import check_entries, strange_entries
 from pfdist.store.verify import lacking_evaluations, verify
@@ -54,6 +56,7 @@ __all__ = [
     "compared_schema",
     "comparison_schema",
     "confirm",
+    "distance_schema",
     "filtered_schema",
     "frame_of",
     "has_key",
@@ -71,6 +74,7 @@ __all__ = [
     "strange_entries",
     "trajectories_schema",
     "unreadable",
+    "variance_schema",
     "verify",
     "write_file",
     "write_job",

@@ -28,6 +28,8 @@ KEYS: dict[str, list[str]] = {
     "compared": ["position"],
     "comparison": ["draw"],
     "repeated": ["draw"],
+    "filter_distance": ["draw"],
+    "filter_variance": ["draw"],
     "online": ["draw"],
     "trajectories": ["draw", "t"],
     "timings": ["phase", "task", "session", "seconds"],
@@ -227,12 +229,26 @@ def schema(table: str) -> pa.Schema:
 
 def comparison_schema(names: Sequence[str]) -> pa.Schema:
     """Schema of the comparison of these sets: a row a draw, a column a set."""
-    columns = [_column("draw", pa.int64(), "", "index of the draw")]
-    columns += [
-        _column(f"mse_{name}", pa.float64(), _MSE, "null: degenerate with this set")
-        for name in names
-    ]
-    return _schema("comparison", columns)
+    return _of_sets("comparison", "mse", "null: degenerate with this set", names)
+
+
+def distance_schema(names: Sequence[str]) -> pa.Schema:
+    """Schema of what the filters' noise adds to the error: a row a draw, a column a set."""
+    text = "half the squared distance of two filters' estimates; null: degenerate"
+    return _of_sets("filter_distance", "distance", text, names)
+
+
+def variance_schema(names: Sequence[str]) -> pa.Schema:
+    """Schema of variances beside the truth: a row a draw, a column a set, and for no set."""
+    text = "of particles among which the truth stands, with the true model"
+    schema = _of_sets("filter_variance", "variance", text, names)
+    return schema.append(_column("unmeasured", pa.float64(), _MSE, "without any measurement"))
+
+
+def _of_sets(table: str, start: str, description: str, names: Sequence[str]) -> pa.Schema:
+    columns = [_column("draw", pa.int64(), "", "index of the draw, as in comparison")]
+    columns += [_column(f"{start}_{name}", pa.float64(), _MSE, description) for name in names]
+    return _schema(table, columns)
 
 
 def compared_schema(*, with_exact: bool) -> pa.Schema:

@@ -8,7 +8,8 @@ from pfdist.cli.answers import print_json
 from pfdist.cli.arguments import add_json, add_models, add_run, count, finite, pool_options, whole
 from pfdist.cli.bound_lines import proof_lines
 from pfdist.cli.command import command
-from pfdist.cli.layout import line
+from pfdist.cli.layout import line, paragraph
+from pfdist.common.percent import particle_loss_text
 from pfdist.common.rounding import with_error
 
 _PARTS = {
@@ -119,9 +120,13 @@ def _lines(name: str, gap: dict[str, Any]) -> list[str]:
         f"{name}: {number} measurement{'s' * (number != 1)}",
         line("expected MSE", _estimate(gap, "expected_mse")),
     ]
+    if gap.get("particle_loss") is not None:
+        loss = particle_loss_text(gap["particle_loss"], gap["particle_loss_at_most"])
+        lines.append(line("particles lose", loss))
     if not gap["reason"]:
         lines.append(line("lower bound", _estimate(gap, "bound")))
     lines += proof_lines(gap, number, is_constrained=gap["is_constrained"])
+    lines += paragraph(gap.get("warning") or "")
     if gap["reason"]:
         return lines
     scale = 100 / gap["expected_mse"] if gap["expected_mse"] else 0.0

@@ -1,0 +1,151 @@
+"""The loss by a finite number of particles, against the Kalman filter and in a collapse."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pfdist
+from pfdist import Job, linear_gaussian
+from pfdist.analysis import Moments
+from pfdist.analysis.particle_loss import (
+    ParticleLoss,
+    hardly_measured,
+    less,
+    particle_loss,
+)
+from pfdist.bounds.proof import Estimate
+from pfdist.evaluation.evaluator import Evaluator
+from pfdist.evaluation.work import Estimation, Work, with_truth
+from pfdist.filters.kalman import expected_mse
+from pfdist.models import StateSpaceModel
+
+HORIZON, TIMES = 12, (2, 5, 6, 10)
+
+
+def scalar(sd: float) -> StateSpaceModel:
+    """x' = 0.95 x + 0.5 w, with a prior of sd 2 and measurements of this sd."""
+    return linear_gaussian(
+        "scalar",
+        initial_noise=[[2.0]],
+        transition=[[0.95]],
+        process_noise=[[0.5]],
+        measurement=[[1.0]],
+        measurement_noise=[[sd]],
+        quantity_of_interest=[[1.0]],
+    )
+
+
+def measured(model: StateSpaceModel, particles: int, draws: int) -> tuple[ParticleLoss, Moments]:
+    """The loss of a set, and the moments of its squared error."""
+    evaluator = Evaluator(model, HORIZON)
+    squared, distance, variance = (
+        evaluator.filtered(Work((TIMES,), (HORIZON,), (7,), 3, (0, draws), estimation)).mse[:, 0]
+        for estimation in (
+            Estimation(particles),
+            Estimation(particles, estimator="filter_noise"),
+            with_truth(particles),
+        )
+    )
+    whole = Moments()
+    whole.add(squared)
+    return particle_loss(particles, whole, squared, distance, variance), whole
+
+
+@pytest.mark.parametrize(("sd", "particles"), [(1.0, 50), (1.0, 200), (0.1, 200)])
+def test_two_filters_find_the_loss_against_the_exact_filter(sd: float, particles: int) -> None:
+    """Right to order 1/P: the tolerance has the square of the loss beside 4 standard errors."""
+    model = scalar(sd)
+    loss, whole = measured(model, particles, 20_000)
+    exact = 1 - expected_mse(model, HORIZON, [TIMES])[0] / whole.mean
+    error = math.hypot(loss.by_two_filters.standard_error, whole.standard_error / whole.mean)
+    assert loss.by_two_filters.value == pytest.approx(exact, abs=4 * error + exact**2)
+    assert loss.at_most.value > exact - 4 * error
+    assert loss.at_most.value < 4 * exact + 4 * error
+    assert not loss.is_large
+    assert loss.warning == ""
+
+
+def test_in_a_collapse_the_upper_figure_alone_shows_the_loss() -> None:
+    """A sensor of a ten-thousandth of the prior's deviation: 20 particles never meet it."""
+    loss, whole = measured(scalar(0.0002), 20, 4000)
+    exact = 1 - expected_mse(scalar(0.0002), HORIZON, [TIMES])[0] / whole.mean
+    assert loss.at_most.value > exact - 4 * whole.standard_error / whole.mean
+    assert loss.is_large
+    assert "20 particles may be too few: they lose" in loss.warning
+
+
+def test_a_mean_less_that_of_the_first_draws_has_the_error_of_both() -> None:
+    rng = np.random.default_rng(1)
+    found = []
+    for _ in range(400):
+        every = rng.normal(3.0, 2.0, 500)
+        other = 0.5 * every[:100] + rng.normal(0.0, 0.5, 100)
+        whole = Moments()
+        whole.add(every)
+        found.append(less(whole, every[:100], other))
+    values = np.array([each.value for each in found])
+    assert values.mean() == pytest.approx(1.5, abs=4 * values.std() / 20)
+    assert np.mean([each.standard_error for each in found]) == pytest.approx(values.std(), rel=0.15)
+    assert math.isnan(less(whole, every[:1], every[:1]).value)
+
+
+def loss(particles: int, by_two_filters: float, at_most: float, error: float = 0.0) -> ParticleLoss:
+    return ParticleLoss(particles, Estimate(by_two_filters, error), Estimate(at_most, error))
+
+
+@pytest.mark.parametrize(
+    ("fine", "expected"),
+    [
+        (loss(400, 0.05, 0.1), 400),  # as 1/P
+        (loss(400, 0.1, 0.15), 800),  # nearly
+        (loss(400, 0.19, 0.1), None),  # two filters agree in error
+        (loss(400, 0.05, 0.4), None),  # the upper figure does not fall: a collapse
+        (loss(400, 0.19, 0.4, 0.2), 1600),  # noise hides it
+    ],
+)
+def test_a_number_is_named_only_if_both_figures_follow_one_over_p(
+    fine: ParticleLoss, expected: int | None
+) -> None:
+    assert loss(100, 0.2, 0.4).enough(fine) == expected
+
+
+def test_a_number_that_nobody_can_afford_is_not_named() -> None:
+    assert loss(500, 100.0, 100.0).enough(loss(2000, 25.0, 25.0)) is None
+
+
+def test_a_large_loss_must_be_clear() -> None:
+    assert loss(100, 0.06, 0.1).is_large
+    assert loss(100, 0.01, 0.21).is_large
+    assert not loss(100, 0.06, 0.21, 0.01).is_large
+    assert not loss(100, 0.05, 0.2).is_large
+
+
+def test_times_that_hardly_beat_no_measurement_are_named() -> None:
+    assert hardly_measured(0.96, 1.0).startswith("These times hardly beat no measurement at all")
+    assert hardly_measured(0.94, 1.0) == ""
+
+
+def test_a_run_tells_the_loss_of_each_set_from_its_tables(small_job: Job, tmp_path: Path) -> None:
+    changes = ["model.name=random_walk", "filter.particles=5", "comparison.draws=1500"]
+    changes += ["search.random.evaluations=3", "search.genetic.generations=1"]
+    run = pfdist.run(small_job.with_changes(changes), tmp_path / "run", figures=False)
+    results = run.summary()["results"]
+    assert len(run.filter_distance()) == len(run.filter_variance()) == 1000
+    nothing = expected_mse(pfdist.load_model("random_walk"), 12, [()])[0]
+    column = run.filter_variance()["unmeasured"]
+    tolerance = 4 * column.std() / math.sqrt(1000)
+    assert column.mean() == pytest.approx(nothing * 4 / 5, abs=tolerance)  # (P - 1) / P of it
+    for name in run.names:
+        assert results[name]["particle_loss"] > 0.05
+        assert results[name]["particle_loss_at_most"] > results[name]["particle_loss"]
+        assert "5 particles may be too few" in results[name]["warnings"][0]
+
+
+def test_exact_engines_lose_nothing_and_say_nothing(small_job: Job, tmp_path: Path) -> None:
+    changes = ["model.name=random_walk", "filter.engine=kalman", "comparison.draws=20"]
+    changes += ["search.random.evaluations=3", "search.genetic.generations=1"]
+    run = pfdist.run(small_job.with_changes(changes), tmp_path / "run", figures=False)
+    assert run.particle_losses() == {}
+    assert not any("particle_loss" in result for result in run.summary()["results"].values())
