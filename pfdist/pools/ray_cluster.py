@@ -117,7 +117,8 @@ def _join(address: str, guard: Guard) -> None:
             argument="pool",
         ) from error
     with _starting(loopback):
-        ray.init(address=address, job_config=_job_config(), **_QUIET)
+        # Ray's client (ray://) takes no settings, and leaves the working directory out by itself.
+        ray.init(address=address, job_config=None if "://" in address else _job_config(), **_QUIET)
 
 
 def _job_config() -> Any:
