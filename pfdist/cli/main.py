@@ -1,6 +1,7 @@
 """The program `pfdist`: parse the arguments, call the command, and say what went wrong."""
 
 import contextlib
+import os
 import sys
 import warnings
 from argparse import Namespace
@@ -37,6 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The arguments are wrong (2), or only help or the version was wanted (0).
     """
     make_harmless()
+    os.umask(os.umask(0o077) & 0o077)  # the user must be able to use what a command writes
     signals.end_at_once()
     encode_all_text()
     if not (sys.argv[1:] if arguments is None else arguments):

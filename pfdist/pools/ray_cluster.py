@@ -100,6 +100,7 @@ def _start(cores: int, folder: str, guard: Guard) -> None:
             include_dashboard=False,
             object_store_memory=_OBJECT_STORE_BYTES,
             _temp_dir=folder,
+            job_config=_job_config(),
             **_QUIET,
         )
 
@@ -116,7 +117,16 @@ def _join(address: str, guard: Guard) -> None:
             argument="pool",
         ) from error
     with _starting(loopback):
-        ray.init(address=address, **_QUIET)
+        # Ray's client (ray://) takes no settings, and leaves the working directory out by itself.
+        ray.init(address=address, job_config=None if "://" in address else _job_config(), **_QUIET)
+
+
+def _job_config() -> Any:
+    """Ray's settings for this process; workers look for modules only where this process looks.
+
+    Otherwise Ray lets workers import modules from the working directory before all others.
+    """
+    return ray.job_config.JobConfig(_client_job=not {"", os.getcwd()} & {*sys.path})
 
 
 @contextlib.contextmanager

@@ -2,7 +2,6 @@
 
 import os
 import platform
-import subprocess
 import sys
 from collections.abc import Mapping
 from datetime import UTC, datetime
@@ -43,7 +42,6 @@ def provenance(built: Built) -> dict[str, Any]:
         "processor": processor(),
         # Compiled code that calls no function of the C library gives the same bytes everywhere.
         "libm_functions": list(built.source.libm_functions()),
-        "git": _git(job.path.parent),
         "execution": job.execution.model_dump(mode="json"),
     }
 
@@ -55,22 +53,3 @@ def _folder_of_models(folder: Path) -> str:
     provenance = read_run(folder)[0].get("provenance")
     recorded = provenance.get("folder") if isinstance(provenance, Mapping) else None
     return recorded if isinstance(recorded, str) else str(folder.absolute())
-
-
-def _git(folder: Path) -> dict[str, Any] | None:
-    """Commit of the repository that holds the job file, and whether the files have changes."""
-    try:
-        commit, changes = (
-            subprocess.run(  # noqa: S603
-                ["git", *arguments],  # noqa: S607  the git on the user's path
-                cwd=folder,
-                capture_output=True,
-                text=True,
-                timeout=10,
-                check=True,
-            ).stdout.strip()
-            for arguments in (["rev-parse", "HEAD"], ["status", "--porcelain"])
-        )
-    except (OSError, subprocess.SubprocessError):
-        return None  # no git, or no repository: the provenance records None
-    return {"commit": commit, "dirty": bool(changes)}

@@ -142,6 +142,9 @@ def _make_folder(folder: Path) -> None:
     if not folder.is_dir():
         _make_folder(folder.parent)
         folder.mkdir(exist_ok=True)
+        if folder.stat().st_mode & 0o700 != 0o700:  # nobody could use what it holds, or remove it
+            folder.rmdir()
+            raise PermissionError("the umask of this process denies its owner access")
         _flush(folder.parent, os.O_RDONLY)
 
 

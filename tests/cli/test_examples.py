@@ -1,10 +1,11 @@
-"""Every example of the help runs, on small jobs of the same names."""
+"""Every example of the help runs, on small jobs of the same names; so does the committed run."""
 
 import os
 import shlex
 import shutil
 import subprocess
 import sys
+from argparse import ArgumentParser
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,11 +13,16 @@ from typing import Any
 import pytest
 import tomli_w
 
-from pfdist.cli.command import COMMANDS
+import pfdist
+from pfdist.analysis import read_recorded
+from pfdist.cli.command import COMMANDS, Command
 from pfdist.cli.main import main
 from pfdist.common.parsing import parse_toml
+from pfdist.filters.particle_filter import KERNEL_VERSION
+from pfdist.store import SCHEMA_VERSION
 
 JOBS = Path(__file__).parents[2] / "jobs"
+COMMITTED = Path(__file__).parents[2] / "results" / "example"
 EXAMPLES = [line for command in COMMANDS.values() for line in command.examples]
 _SMALL: dict[str, dict[str, Any]] = {
     "problem": {"measurement_budget": 4},
@@ -86,3 +92,38 @@ def _run_in_bash(line: str, home: Path) -> None:
     environment = {**os.environ, "HOME": str(home)}
     bash = shutil.which("bash") or "bash"
     subprocess.run([bash, "-ec", f"{program}\n{line}"], check=True, timeout=60, env=environment)
+
+
+def _takes_a_run(command: Command) -> bool:
+    parser = ArgumentParser()
+    command.add_arguments(parser)
+    words = [str(argument.metavar) for argument in parser._actions if not argument.option_strings]
+    return any(word == "DIR" or "RUN" in word for word in words)
+
+
+TAKE_A_RUN = sorted(name for name, command in COMMANDS.items() if _takes_a_run(command))
+
+
+def test_the_commands_that_take_a_run_are_found() -> None:
+    readers = {"list", "plot", "repair", "report", "status", "table", "verify"}
+    assert readers | {"bound", "compare", "filter", "next", "why"} <= set(TAKE_A_RUN)
+
+
+@pytest.mark.parametrize("name", TAKE_A_RUN)
+def test_a_command_that_takes_a_run_opens_the_committed_run(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(COMMITTED, "example")
+    Path("patient.csv").write_text("t,y0\n1,0.3\n2,5.1\n3,2.2\n")
+    measurements = ["patient.csv"] if name in {"filter", "next"} else []
+    options = shlex.split(_SHORTER.get(name, ""))
+    assert main([name, "example", *measurements, *options]) == 0
+
+
+def test_the_committed_run_is_the_one_that_its_command_makes_today() -> None:
+    """results/README.md names the command: `pfdist run jobs/quick.toml`."""
+    about, job = read_recorded(COMMITTED)
+    assert job == pfdist.load_job(JOBS / "quick.toml").identity()
+    assert (about["schema_version"], about["kernel"]) == (SCHEMA_VERSION, KERNEL_VERSION)
+    assert pfdist.open_run(COMMITTED).state == "finished"

@@ -3,6 +3,9 @@
 import json
 import os
 import shutil
+import stat
+import subprocess
+import sys
 import tarfile
 from collections.abc import Callable
 from pathlib import Path
@@ -213,3 +216,27 @@ def test_a_folder_of_results_may_be_a_link_itself(
     assert json.loads(capsys.readouterr().out)["state"] == "finished"
     with pytest.raises(StoreError):
         pfdist.open_run(tmp_path / "nowhere")
+
+
+def test_the_command_writes_a_run_that_its_owner_can_use_whatever_the_umask_is(
+    job: Job, tmp_path: Path
+) -> None:
+    run = tmp_path / "results" / "run"
+    words = f"run {job.path} --results {run} --pool serial --no-report --set filter.engine=numpy"
+    subprocess.run(
+        [sys.executable, "-m", "pfdist", *words.split(), *SMALL], umask=0o777, check=True
+    )
+    made = list((tmp_path / "results").rglob("*"))
+    assert len(made) > 10
+    for path in (run.parent, *made):
+        assert stat.S_IMODE(path.stat().st_mode) == (0o700 if path.is_dir() else 0o600), path
+
+
+def test_python_makes_no_folder_that_its_owner_cannot_use(job: Job, tmp_path: Path) -> None:
+    mask = os.umask(0o777)
+    try:
+        with pytest.raises(StoreError, match=r"cannot make .*run: the umask of this process"):
+            pfdist.run(job.with_changes(["filter.engine=numpy"]), tmp_path / "results" / "run")
+    finally:
+        os.umask(mask)
+    assert not (tmp_path / "results").exists()

@@ -3,6 +3,8 @@
 import os
 import re
 import stat
+import subprocess
+import sys
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -47,6 +49,30 @@ def test_nobody_else_can_enter_the_folder_of_a_clusters_sockets(ray_cluster: Non
     )
     assert stat.S_IMODE(private.stat().st_mode) == 0o700
     assert private.stat().st_uid == os.getuid()
+
+
+_ONE_TASK = """
+from pfdist.pools.base import Task
+from pfdist.pools.ray_pool import RayPool
+
+with RayPool(lambda: abs, 1) as pool:
+    print([outcome.value for outcome in pool.run([Task("a", -1)])])
+"""
+
+
+def test_workers_import_no_module_from_the_working_directory(tmp_path: Path) -> None:
+    """SECURITY.md: the command `pfdist` imports nothing from the current folder."""
+    for module in ("pfdist", "pyarrow", "pydantic", "numpy"):
+        (tmp_path / f"{module}.py").write_text(f"open('imported-{module}', 'w')")
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", _ONE_TASK],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert not list(tmp_path.glob("imported-*"))
+    assert done.stdout == "[1]\n", done.stderr
 
 
 @pytest.mark.parametrize("address", ["", "local"])

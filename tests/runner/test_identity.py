@@ -3,6 +3,7 @@
 import hashlib
 import json
 import shutil
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -153,6 +154,28 @@ def test_what_a_run_was_made_of_is_kept(small_job: Job, tmp_path: Path) -> None:
     assert about["provenance"]["files"] == {"model": hashes, "filter_model": hashes}
     assert {"transition", "helper.f", "mine.C", "process_noise"} < about["model"].keys()
     assert about["filter_model"] == {}
+
+
+@pytest.mark.skipif(not shutil.which("git"), reason="git makes the received repository")
+def test_a_run_starts_no_program_that_a_received_repository_names(
+    small_job: Job, tmp_path: Path
+) -> None:
+    """SECURITY.md: pfdist starts no program in the folder of a job or of a run."""
+
+    def git(*words: str) -> None:
+        subprocess.run(["git", *words], cwd=small_job.path.parent, check=True)
+
+    git("init", "--quiet")
+    git("add", small_job.path.name)
+    git("-c", "user.name=x", "-c", "user.email=x", "commit", "--quiet", "--message=x")
+    marker, program = tmp_path / "marker", tmp_path / ".git" / "hooks" / "post-index-change"
+    program.write_text(f"#!/bin/sh\ntouch {marker}\n")
+    program.chmod(0o700)
+    (tmp_path / ".gitattributes").write_text("* filter=received\n")
+    for key in ("core.fsmonitor", "filter.received.clean"):
+        git("config", key, str(program))
+    pfdist.run(small_job, tmp_path / "run", figures=False)
+    assert not marker.exists()
 
 
 def test_the_filters_model_is_named_where_it_differs(small_job: Job, tmp_path: Path) -> None:
