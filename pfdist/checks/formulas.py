@@ -164,7 +164,7 @@ def likelihood(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
                     f"log_likelihood must be finite for y measured at x, got NaN or infinity for "
                     f"{impossible:.2%} of y measured at x = {told(a)}, t = {t}"
                 )
-            unlike = _most_unlike(model, draws, t, i, y)  # if a jump is rare, it lies beyond
+            unlike = _most_unlike(model, draws, t, i, y)  # beyond a jump, even if few draws are
             b, jumps = _near(log_likelihood, a, draws.x[other, t], unlike)
             if b is None:
                 continue
@@ -220,12 +220,10 @@ def _most_unlike(
 
     A state at which this y is impossible is the last choice.
     """
-    states, first = draws.x[:, t], tuple(component[0] for component in y)
-    arguments = (first, tuple(states.T), t, model.p)
-    (values,) = values_of(model, "log_likelihood", arguments, len(states))
+    states, one = draws.x[:, t], tuple(component[0] for component in y)
+    (values,) = values_of(model, "log_likelihood", (one, tuple(states.T), t, model.p), len(states))
     unlike = np.nan_to_num(np.abs(values - values[i]), posinf=np.finfo(float).tiny)
-    found: Array = states[unlike.argmax()]
-    return found
+    return np.array(states[unlike.argmax()])
 
 
 def _near(

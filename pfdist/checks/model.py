@@ -25,6 +25,7 @@ from pfdist.filters.matrices import matrices_of
 from pfdist.meaning import Meaning, check_is_constant
 from pfdist.meaning.chosen import loaded_twice
 from pfdist.models import StateSpaceModel
+from pfdist.models.parameters import check_lengths
 from pfdist.times.measurement_times import regular
 
 _DRAWS = 1000
@@ -127,6 +128,7 @@ def check_object(
             return
         yield Check("clock", *_clock(clock, not times))
     try:
+        check_lengths(model.parameters, horizon + 1)
         few = few_draws(model, horizon)
     except ModelError as error:
         yield Check("simulate", "wrong", str(error))

@@ -94,9 +94,8 @@ def _of_one_number(name: str) -> str:
 
 def _called(error: BaseException) -> str:
     """Name of the function whose call in a model's source raised an error; empty if unknown."""
-    lines = traceback.extract_tb(error.__traceback__)
-    *_, call = [None, *(line for line in lines if is_a_models(line.filename))]
-    if call is None:
-        return ""
-    found = _CALLED.match(linecache.getline(call.filename, call.lineno or 0)[call.colno :])
-    return found[1] if found else ""
+    for call in reversed(traceback.extract_tb(error.__traceback__)):
+        if is_a_models(call.filename):
+            found = _CALLED.match(linecache.getline(call.filename, call.lineno or 0)[call.colno :])
+            return found[1] if found else ""
+    return ""
