@@ -156,7 +156,8 @@ def sentences(rows: Rows, jitter: Rows, *, is_found: bool = True) -> list[str]:
     windows = {int(row["percent"]): windows_of(rows, int(row["percent"])) for row in jitter}
     flat = [row for row in jitter if is_flat(windows[int(row["percent"])], row)]
     flat = flat[:1] if is_found else []
-    said = [_flat_sentence(row) for row in flat] + _measurements(windows.get(STRICT, []))
+    said = [_flat_sentence(row, windows[int(row["percent"])]) for row in flat]
+    said += _measurements(windows.get(STRICT, []))
     return said + [_jitter_sentence(row) for row in jitter if row["draws"] and row not in flat]
 
 
@@ -167,11 +168,12 @@ def loss_text(row: Mapping[Hashable, Any]) -> str:
     return percent_with_interval(loss, interval).replace("  (", " (")
 
 
-def _flat_sentence(row: Mapping[Hashable, Any]) -> str:
+def _flat_sentence(row: Mapping[Hashable, Any], windows: Sequence[SamplingWindow]) -> str:
+    movable = sum(window.can_be_tried for window in windows)
     return (
-        f"The optimum is flat: every measurement that can move has a window within "
-        f"{row['percent']} %. If all move at random within these windows, the loss is "
-        f"{loss_text(row)}."
+        f"The optimum is flat: {movable} of {len(windows)} measurements can move"
+        f"{', each' * (movable > 1)} within a window of {row['percent']} %. If all of these move "
+        f"at random within their windows, the loss is {loss_text(row)}."
     )
 
 

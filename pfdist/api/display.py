@@ -64,8 +64,9 @@ class Display:
         self._live = self._console.is_terminal
         self._cell = notebook_cell() if console is None else None
         self._task: Any = None
-        # Rates count from the first answer of a phase: before it, workers start and compile.
-        self._start, self._start_time = State("", 0.0, 1.0), 0.0
+        # Rates count from the first answer of a phase: before it, workers start and compile. They
+        # start again if the evaluations do: a phase may filter its draws several times.
+        self._start, self._start_time, self._last = State("", 0.0, 1.0), 0.0, 0
         self._answered = False
         self._last_done, self._last_time = -1.0, 0.0  # of the last plain line
 
@@ -90,10 +91,11 @@ class Display:
     def show(self, state: State) -> None:
         """Show the progress of a run."""
         now = time.monotonic()
-        if state.phase != self._start.phase:
+        if state.phase != self._start.phase or state.evaluations < self._last:
             self._start, self._start_time, self._answered = state, now, False
         elif not self._answered and state.done > self._start.done:
             self._start, self._start_time, self._answered = state, now, True
+        self._last = state.evaluations
         line = "  ".join([*_position(state), *self._rate(state, now)])
         if self._cell is not None:
             self._cell.show(f"{100 * state.done / state.total:.1f} %  {line}")

@@ -6,6 +6,7 @@ Each check gives a state, "ok", "note" or "wrong", and a text.
 import math
 from collections.abc import Callable, Iterator
 from functools import partial
+from itertools import product
 from typing import Any, SupportsIndex
 
 import numpy as np
@@ -22,6 +23,7 @@ Array = NDArray[np.float64]
 
 MEASUREMENTS = 20_000  # simulated at one state, to compare with the log-likelihood
 _PAIRS = 8  # of states, at each of a few instants
+_RARE = 0.005  # smallest share of measurements that still tells something: 100 of 20,000
 _LARGEST_Z = 5.0  # standard errors; 1 in 10^6 of right models is blamed for each comparison
 
 
@@ -144,11 +146,16 @@ def likelihood(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
     For y drawn at a state a, and any other state b at which y is possible, the mean of
     p(y | b) / p(y | a) is 1: the integral of p(y | b). A factor of the likelihood that depends on y
     alone cancels. b lies so near to a that the ratio has a small variance.
+
+    Where the likelihood jumps, as that of a sign does, there is no such b. Then the ratio counts
+    only for y that are less likely at b. Its mean over y drawn at a is the share of such y among
+    those drawn at b.
     """
     rng, compared, apart = np.random.default_rng(0), 0, 0
     for t in instants_of(draws):
         for pair in range(_PAIRS):
-            a, other = rng.choice(draws.x[:, t], size=2, replace=False)
+            i, other = rng.choice(len(draws.index), size=2, replace=False)
+            a = draws.x[i, t]
             y = measured(model, a, t, pair)
             log_likelihood = partial(_log_likelihood, model, y, t)
             impossible = 1 - np.mean(np.isfinite(log_likelihood(a)))
@@ -157,18 +164,26 @@ def likelihood(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
                     f"log_likelihood must be finite for y measured at x, got NaN or infinity for "
                     f"{impossible:.2%} of y measured at x = {told(a)}, t = {t}"
                 )
-            b = _near(log_likelihood, a, other)
+            unlike = _most_unlike(model, draws, t, i, y)  # beyond a jump, even if few draws are
+            b, jumps = _near(log_likelihood, a, draws.x[other, t], unlike)
             if b is None:
                 continue
-            ratio = np.exp(log_likelihood(b) - log_likelihood(a))
-            if not ratio.all():  # what is possible at a is not at b
+            difference, share = log_likelihood(b) - log_likelihood(a), 1.0
+            ratio = np.exp(difference)
+            error, is_possible = float(np.std(ratio, ddof=1)), ratio.all()
+            if jumps:  # the few large ratios would decide, and few draws have them
+                at_b = partial(_log_likelihood, model, measured(model, b, t, _PAIRS + pair), t)
+                share = float(np.mean(at_b(b) < at_b(a)))
+                ratio *= difference < 0
+                error = math.sqrt(np.mean(ratio) + share)
+            if not is_possible or share < _RARE:  # what is possible at a is not at b
                 apart += 1
                 continue
             compared += 1
-            error = float(np.std(ratio, ddof=1)) / math.sqrt(MEASUREMENTS)
-            if not abs(np.mean(ratio) - 1) < _LARGEST_Z * error:
+            mean, error = float(np.mean(ratio)), error / math.sqrt(MEASUREMENTS)
+            if not abs(mean - share) < _LARGEST_Z * error:
                 states = f"x = {told(a)} and x = {told(b)} at t = {t}"
-                found = with_error(float(np.mean(ratio)), error)
+                found = with_error(mean / share, error / share)
                 return "wrong", (
                     "log_likelihood must be the log-density of measurement, up to a term that does "
                     f"not depend on x; but over y measured at the first of {states}, their "
@@ -178,7 +193,7 @@ def likelihood(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
     if apart and not compared:
         return "note", "it cannot be checked: which y are possible depends on x"
     if not compared:
-        return "note", "it does not depend on x where it was looked at"
+        return "note", f"it does not depend on x: it is the same in all {len(draws.index)} draws"
     return "ok", f"it agrees with measurement at {compared} pairs of states"
 
 
@@ -198,19 +213,39 @@ def _log_likelihood(model: StateSpaceModel, y: tuple[Array, ...], t: int, x: Arr
     return log_likelihood
 
 
-def _near(log_likelihood: Callable[[Array], Array], a: Array, other: Array) -> Array | None:
-    """A state between the two whose log-likelihoods differ by about 1/2; None if none does."""
-    at_a = log_likelihood(a)
-    for step in 2.0 ** (-np.arange(60) / 2):
+def _most_unlike(
+    model: StateSpaceModel, draws: Draws, t: int, i: int, y: tuple[Array, ...]
+) -> Array:
+    """The state among all draws whose log-likelihood of the first y differs most from a draw's.
+
+    A state at which this y is impossible is the last choice.
+    """
+    states, one = draws.x[:, t], tuple(component[0] for component in y)
+    (values,) = values_of(model, "log_likelihood", (one, tuple(states.T), t, model.p), len(states))
+    unlike = np.nan_to_num(np.abs(values - values[i]), posinf=np.finfo(float).tiny)
+    return np.array(states[unlike.argmax()])
+
+
+def _near(
+    log_likelihood: Callable[[Array], Array], a: Array, *others: Array
+) -> tuple[Array | None, bool]:
+    """A state towards another whose log-likelihoods differ by about 1/2; None if none differ.
+
+    If the log-likelihood jumps, the nearest state that was found beyond the jump, and True.
+    """
+    at_a, beyond = log_likelihood(a), None
+    for other, step in product(others, 2.0 ** (-np.arange(60) / 2)):
         b: Array = a + step * (other - a)
         difference = log_likelihood(b) - at_a
         impossible = np.isneginf(difference)
-        if np.mean(impossible) > 0.5:
-            continue
-        spread = np.std(difference[~impossible])
-        if spread < 0.6:
-            return b if spread > 1e-6 or impossible.any() else None
-    return None
+        spread = np.inf if np.mean(impossible) > 0.5 else np.std(difference[~impossible])
+        if spread >= 0.6:
+            beyond = b
+        elif spread > 1e-6 or impossible.any():
+            return b, False
+        elif beyond is not None:
+            break
+    return beyond, True
 
 
 def told(x: Array) -> str:

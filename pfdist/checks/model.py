@@ -27,6 +27,7 @@ from pfdist.kernels.estimators import FILTER_NOISE
 from pfdist.meaning import Meaning, check_is_constant
 from pfdist.meaning.chosen import loaded_twice
 from pfdist.models import StateSpaceModel, squared_error
+from pfdist.models.parameters import check_lengths
 from pfdist.times.measurement_times import regular
 
 _DRAWS = 1000
@@ -130,6 +131,7 @@ def check_object(
             return
         yield Check("clock", *_clock(clock, not times))
     try:
+        check_lengths(model.parameters, horizon + 1)
         few = few_draws(model, horizon)
     except ModelError as error:
         yield Check("simulate", "wrong", str(error))

@@ -75,23 +75,6 @@ def check_fits(model: StateSpaceModel, truth: StateSpaceModel) -> None:
             )
 
 
-def check_lengths(model: StateSpaceModel, horizon: int) -> None:
-    """Raise an error unless each parameter that varies with t has a value for each instant 0..T.
-
-    Raises
-    ------
-    ModelError
-        A parameter has fewer or more values. The attribute `argument` is "parameters".
-    """
-    for name, value in model.parameters.items():
-        if isinstance(value, tuple) and len(value) != horizon + 1:
-            raise ModelError(
-                f"model {model.name}: parameter {name} must have a number for each of "
-                f"{horizon + 1} instants, got {len(value)}",
-                argument="parameters",
-            )
-
-
 def check_filter(
     model: StateSpaceModel,
     truth: StateSpaceModel,

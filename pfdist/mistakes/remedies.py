@@ -1,10 +1,14 @@
 """Advice for the commonest mistakes in formulas, in plain English."""
 
 import linecache
+import math
 import re
+import traceback
+
+import numpy as np
 
 from pfdist.mistakes.endings import text_of
-from pfdist.mistakes.places import frames_of
+from pfdist.mistakes.places import is_a_models
 
 _BRANCH = (
     "a component may be an array, so a branch is pfdist.where(condition, a, b), `and` is &, `or` "
@@ -20,7 +24,7 @@ NO_CLOCK = (
     "problem.time_unit or problem.times, and without a job take model.on_clock(times)"
 )
 """What is wrong where a formula reads the clock of a job that has none."""
-_ONE_NUMBER = "a component may be an array: np.sin in the place of math.sin, np.int64 of int"
+_ONE_NUMBER = "write np.sin in the place of math.sin, np.int64 of int"
 _REMEDIES = {
     "truth value of an array": _BRANCH,
     "inhomogeneous": _MATRIX,
@@ -38,11 +42,27 @@ _REMEDIES = {
     "only integers, slices": "an index is an integer: t // 2 in the place of t / 2",
     "must be real number, not": _ONE_NUMBER,
     "can be converted to Python scalars": _ONE_NUMBER,
+    "can be converted to a scalar index": _ONE_NUMBER,
+    "doesn't define __trunc__": _ONE_NUMBER,
     "math domain error": "np.log and np.sqrt give nan or inf where math.log and math.sqrt end",
 }
-_MATH = re.compile(r"\bmath\.(\w+)")
-_INTEGER = re.compile(r"(?<![\w.])(int|round)\(")
-_FLOAT = re.compile(r"(?<![\w.])float\(")
+_CALLED = re.compile(r"(?:\w+\.)?(\w+)\(")
+_INSTEAD = {
+    "dist": "np.hypot(a - c, b - d)",
+    "fma": "a * b + c",
+    "frexp": "np.floor(np.log2(np.abs(a))) + 1 for the exponent",
+    "fsum": "a + b",
+    "gcd": "np.gcd(np.int64(a), np.int64(b))",
+    "hypot": "np.hypot, or np.hypot(np.hypot(a, b), c) for three components,",
+    "isqrt": "np.floor(np.sqrt(a))",
+    "lcm": "np.lcm(np.int64(a), np.int64(b))",
+    "log": "np.log, or np.log(a) / np.log(b) for the base b,",
+    "modf": "a - np.trunc(a) and np.trunc(a)",
+    "pow": "np.power",
+    "remainder": "a - b * np.rint(a / b)",
+    "ulp": "np.spacing(np.abs(a))",
+}
+"""What formulas use in the place of functions of `math` that differ from those of NumPy."""
 
 
 def remedy(error: BaseException) -> str:
@@ -50,23 +70,32 @@ def remedy(error: BaseException) -> str:
     text = text_of(error)
     found = next((cure for words, cure in _REMEDIES.items() if words in text), "")
     if found is _ONE_NUMBER:
-        found = _of_one_number(_line(error))
+        found = f"a component may be an array: {_of_one_number(_called(error))}"
     return f"; {found}" if found else ""
 
 
-def _of_one_number(line: str) -> str:
-    called = _MATH.search(line)
-    if called:
-        name = re.sub(r"^a(?=sin|cos|tan)", "arc", called[1])
-        return f"a component may be an array: write np.{name} in the place of math.{called[1]}"
-    if _INTEGER.search(line):
-        return "a component may be an array: write np.int64(a) in the place of int(a)"
-    if _FLOAT.search(line):
-        return "a component may be an array: leave float() out"
-    return _ONE_NUMBER
+def _of_one_number(name: str) -> str:
+    """Say what to write in the place of a function of one number."""
+    if name in ("int", "round"):
+        return "write np.int64(a) in the place of int(a)"
+    if name == "float":
+        return "leave float() out"
+    if not hasattr(math, name):
+        return _ONE_NUMBER
+    in_numpy = re.sub(r"^a(?=sin|cos|tan)", "arc", name)
+    if name in _INSTEAD or hasattr(np, in_numpy):
+        return f"write {_INSTEAD.get(name, f'np.{in_numpy}')} in the place of math.{name}"
+    return (
+        f"NumPy has no {name}: leave out a term of log_likelihood that does not depend on x, or "
+        f"write np.interp(a, GRID, TABLE) with an array TABLE of math.{name} at the points GRID, "
+        "made above the formula"
+    )
 
 
-def _line(error: BaseException) -> str:
-    """The line of a model's source at which an error was raised."""
-    places = [(frame.f_code.co_filename, number) for frame, number in frames_of(error)]
-    return linecache.getline(*places[-1]) if places else ""
+def _called(error: BaseException) -> str:
+    """Name of the function whose call in a model's source raised an error; empty if unknown."""
+    for call in reversed(traceback.extract_tb(error.__traceback__)):
+        if is_a_models(call.filename):
+            found = _CALLED.match(linecache.getline(call.filename, call.lineno or 0)[call.colno :])
+            return found[1] if found else ""
+    return ""

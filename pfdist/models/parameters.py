@@ -58,6 +58,33 @@ def parameter_names(parameters: Mapping[str, Any]) -> tuple[str, ...]:
     )
 
 
+def check_lengths(
+    parameters: Mapping[str, Any], instants: int, where: str = "parameter ", exactly: bool = False
+) -> None:
+    """Raise an error unless each parameter that varies with t has a number for each instant.
+
+    Parameters
+    ----------
+    parameters : mapping of str to float or tuple of float
+    instants : int
+    where : str
+        What stands before a parameter's name in the error.
+    exactly : bool
+        Whether more numbers are wrong, too.
+
+    Raises
+    ------
+    ModelError
+        A parameter has too few numbers, or too many.
+    """
+    for name, value in parameters.items():
+        got = len(value) if isinstance(value, tuple) else instants
+        if got < instants or (exactly and got > instants):
+            raise ModelError(
+                f"{where}{name} must have a number for each of {instants} instants, got {got}"
+            )
+
+
 def flat_parameters(parameters: Mapping[str, Any], instants: int) -> Any:
     """Give all numbers of parameters in an array: first the constant ones, then the varying ones.
 
@@ -69,13 +96,7 @@ def flat_parameters(parameters: Mapping[str, Any], instants: int) -> Any:
         A varying parameter has fewer numbers than there are instants. Compiled formulas rely on
         this check: they read ``p.rate[t]`` without one.
     """
-    for name, value in parameters.items():
-        if isinstance(value, tuple) and len(value) < instants:
-            raise ModelError(
-                f"parameter {name} must have a number for each of {instants} instants, got "
-                f"{len(value)}",
-                argument="parameters",
-            )
+    check_lengths(parameters, instants)
     numbers = [value for value in parameters.values() if not isinstance(value, tuple)]
     varying = [value for value in parameters.values() if isinstance(value, tuple)]
     return np.array(

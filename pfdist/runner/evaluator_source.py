@@ -13,9 +13,10 @@ from pfdist.evaluation.engines import NUMPY
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation
 from pfdist.filters.particle_filter import KERNEL_VERSION
-from pfdist.filters.settings import check_fits, check_lengths
+from pfdist.filters.settings import check_fits
 from pfdist.meaning.chosen import ChosenModel
 from pfdist.mistakes.remedies import NO_CLOCK
+from pfdist.models.parameters import check_lengths
 from pfdist.times.measurement_times import Times
 
 
@@ -73,8 +74,9 @@ class EvaluatorSource:
                 raise ModelError(f"{part}: model {each.name} reads the clock: {NO_CLOCK}")
         if self.clock is not None:
             model, filter_model = model.on_clock(self.clock), filter_model.on_clock(self.clock)
-        for each in (model, filter_model):
-            check_lengths(each, self.horizon)
+        for part, each in (("model", model), ("model.filter", filter_model)):
+            where = f"{part}.parameters."
+            check_lengths(each.parameters, self.horizon + 1, where, exactly=True)
         check_fits(filter_model, model)
         filter_model = filter_model.named_as(model)
         evaluator = Evaluator(

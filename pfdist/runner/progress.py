@@ -42,6 +42,7 @@ class Progress:
         Particle-steps over all phases and sets of times; the total is a forecast.
     evaluations : int
         Evaluations finished in this phase, copies counted; in ``comparison`` and ``online``, draws.
+        The count starts again where a phase goes through its draws again, as those of `why` do.
     generation, generations : int
         Current and expected last generation of the search; 0 in other phases.
     best : float or None

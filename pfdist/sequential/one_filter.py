@@ -14,6 +14,7 @@ from pfdist.filters.cloud import Cloud, Gaussian
 from pfdist.filters.draws import Draws
 from pfdist.filters.settings import FilterSettings
 from pfdist.models import StateSpaceModel, squared_error
+from pfdist.models.parameters import check_lengths
 from pfdist.sequential.told_instant import told_instant
 
 Array = NDArray[np.float64]
@@ -74,6 +75,7 @@ class OneFilter:
         ModelError
             A formula failed.
         """
+        check_lengths(self.model.parameters, t + 1)
         measurements, quantities = self.model.components[1:]
         measured_y = np.zeros((1, t + 1 - self.t, measurements))
         if y is not None:

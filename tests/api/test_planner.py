@@ -1,5 +1,6 @@
 """The planner of one system, and the time to measure next by a run and a table."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -275,6 +276,18 @@ def test_measurements_that_contradict_the_model_are_told(
     assert found.is_improbable
     assert main(["next", str(run.path), str(table)]) == 0
     assert "it may be wrong about this system" in capsys.readouterr().out
+
+
+def test_a_first_plan_that_has_no_time_left_is_said_in_a_sentence(
+    run: pfdist.Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The last planned time was missed, and the budget allows a measurement after it."""
+    (planned,) = [times for name, times in run.sets().items() if name == "survivors"]
+    table = write(tmp_path / "y.csv", planned[:-1])
+    assert main(["next", str(run.path), str(table), "--now", str(planned[-1])]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("measure next at t = ")
+    assert re.search(r"^  survivors +plans no further measurement$", out, re.MULTILINE)
 
 
 def test_why_no_measurement_is_left(

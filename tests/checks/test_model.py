@@ -1,10 +1,18 @@
 """Check what `pfdist check-model` finds, on models with one mistake each."""
 
+import re
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
+from pfdist import load_model
+from pfdist.checks.formulas import likelihood
 from pfdist.checks.model import Check, check_model
+from pfdist.filters.plain import simulate
 
 RIGHT = """
 import math
@@ -155,8 +163,6 @@ def test_a_right_model_passes_every_look(tmp_path: Path) -> None:
 def test_a_mistake_is_found(
     look: str, state: str, says: str, change: tuple[str, str], tmp_path: Path
 ) -> None:
-    import re
-
     changes = [change]
     if "does not depend" in says:
         changes.append((" - 0.1 * x[0]", ""))
@@ -164,6 +170,40 @@ def test_a_mistake_is_found(
     assert check.state == state, check
     assert re.search(says, check.text), check.text
     assert "\n" not in check.text
+
+
+def _of_levels(level: Callable[[Any], Any], believed_sd: float, term: float = 0.0) -> Any:
+    """A walk whose level is measured with normal noise of the standard deviation 0.8."""
+    return replace(
+        load_model("random_walk"),
+        measurement=lambda x, t, v, p: (level(x[0]) + 0.8 * v[0],),
+        log_likelihood=lambda y, x, t, p: (
+            -0.5 * ((y[0] - level(x[0])) / believed_sd) ** 2 + term * level(x[0])
+        ),
+        linear_gaussian=False,
+    )
+
+
+@pytest.mark.parametrize(
+    ("model", "state", "says"),
+    [
+        (_of_levels(np.sign, 0.8), "ok", "it agrees with measurement at 24 pairs"),
+        (_of_levels(np.floor, 0.8), "ok", "it agrees with measurement at 24 pairs"),
+        # The states are N(0, 25 + t): about 1 % of them are above 12.
+        (_of_levels(lambda x: np.where(x > 12.0, 2.0, 0.0), 0.8), "ok", "it agrees with"),
+        (_of_levels(np.sign, 0.7), "wrong", r"the mean 0\.\d+ ± 0\.\d+, not 1"),
+        (_of_levels(np.sign, 0.8, term=0.2), "wrong", r"the mean 1\.\d+ ± 0\.\d+, not 1"),
+        (_of_levels(lambda x: 0 * x, 0.8), "note", "it does not depend on x: it is the same in"),
+    ],
+    ids=["sign", "floor", "rare", "wrong deviation", "wrong term", "without x"],
+)
+def test_a_likelihood_that_jumps_is_compared_on_both_sides(
+    model: Any, state: str, says: str
+) -> None:
+    """A sign is the same at all states near a state: only states beyond the jump tell anything."""
+    found, text = likelihood(model, simulate(model, 9, range(1000), 0))
+    assert found == state, text
+    assert re.search(says, text), text
 
 
 READS_CLOCK = ("0.9 * x[0] + w[0]", "np.exp(-p.dt[t]) * x[0] + w[0]")

@@ -105,6 +105,21 @@ def test_the_time_left_does_not_count_the_time_to_compile(monkeypatch: pytest.Mo
     assert not [line for line in before[:2] if "left" in line]
 
 
+def test_a_rate_is_that_of_the_present_count_and_never_negative(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A phase may go through its draws several times, as `why` does: the count starts again."""
+    now, out = [0.0], io.StringIO()
+    monkeypatch.setattr("time.monotonic", lambda: now[0])
+    display = Display(Console(file=out, width=80))
+    counts = (0, 600, 1200, 1800, 500, 1000, 1500)  # 600 in each 10 s, then 500
+    for step, draws in enumerate(counts):
+        now[0] = 10.0 * step
+        display.show(Progress("why genetic", float(step), 7.0, evaluations=draws))
+    rates = [re.findall(r"(-?[\d.]+) draws/s", each) for each in out.getvalue().splitlines()]
+    assert rates == [[], ["60.0"], ["60.0"], [], [], ["50.0"]]
+
+
 def test_what_is_said_is_no_markup() -> None:
     out = io.StringIO()
     Display(Console(file=out, width=80)).say("runs/[bold]x[/y]:smile:\n\x1b[2J is ready")

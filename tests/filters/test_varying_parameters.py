@@ -2,12 +2,15 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import pfdist
 from pfdist import load_model
+from pfdist.checks.model import check_model
 from pfdist.errors import ModelError
 from pfdist.filters import plain
 from pfdist.filters.draws import simulate
@@ -65,6 +68,61 @@ def test_a_parameter_that_is_too_short_is_refused() -> None:
     ):
         with pytest.raises(ModelError, match="rate must have a number for each of 7 instants"):
             compute()
+
+
+SOURCE = """
+from dataclasses import replace
+from pfdist import load_model
+
+model = replace(
+    load_model("random_walk"),
+    transition=lambda x, t, w, p: (p.rate[t] * x[0] + w[0],),
+    parameters={"initial_sd": 1.0, "step_sd": 1.0, "measurement_sd": 1.0, "rate": [0.5] * COUNT},
+)
+"""
+JOB = """
+seed = 1
+[model]
+name = "model.py:model"
+[problem]
+horizon = 30
+measurement_budget = 2
+"""
+
+
+@pytest.mark.parametrize("count", [4, 32])
+def test_a_job_says_how_many_numbers_a_parameter_needs(count: int, tmp_path: Path) -> None:
+    path = tmp_path / "job.toml"
+    path.write_text(JOB)
+    path.with_name("model.py").write_text(SOURCE.replace("COUNT", "31"))
+    model = pfdist.load_model(f"{path.with_name('model.py')}:model")
+    wrong, change = model.with_parameters({"rate": [0.5] * count}), f"rate={[0.5] * count}"
+    size: dict[str, Any] = {"horizon": 30, "measurement_budget": 2}
+    problems = [
+        ("model", pfdist.Problem(wrong, **size)),
+        ("model.filter", pfdist.Problem(model, filter_model=wrong, **size)),
+        ("model", pfdist.load_job(path, [f"model.parameters.{change}"])),
+        ("model.filter", pfdist.load_job(path, [f"model.filter.parameters.{change}"])),
+    ]
+    for part, problem in problems:
+        says = f"^{part}.parameters.rate must have a number for each of 31 instants, got {count}$"
+        for function in (pfdist.simulate, pfdist.Planner, lambda each: pfdist.evaluate(each, [1])):
+            with pytest.raises(ModelError, match=says):
+                function(problem)
+
+
+def test_a_check_and_a_filter_say_how_many_numbers_a_parameter_needs(tmp_path: Path) -> None:
+    """Before the formulas are called, which would end in an IndexError at some t."""
+    (tmp_path / "model.py").write_text(SOURCE.replace("COUNT", "4"))
+    *_, last = check_model("model.py:model", 30, 50, tmp_path)
+    assert last.state == "wrong"
+    assert last.text == "parameter rate must have a number for each of 31 instants, got 4"
+    model = pfdist.load_model(f"{tmp_path / 'model.py'}:model")
+    for engine in ("compiled", "numpy", "kalman"):
+        filtering = pfdist.Filter(model, particles=20, engine=engine)
+        filtering.update(3, 0.5)
+        with pytest.raises(ModelError, match=r"rate must have a number for each of 7 .*, got 4$"):
+            filtering.update(6, 0.5)
 
 
 def test_a_parameter_at_t_needs_no_check_and_another_entry_does() -> None:

@@ -75,10 +75,13 @@ def _lines(answer: dict[str, Any]) -> list[str]:
         text += f"; then about {named}{', ...' if len(later) > _SHOWN else ''}"
     lines = [text, line("known", told), *_expected(answer, "")]
     if answer["planned_before"] != answer["plan"]:
-        named = told_times(answer["planned_before"]) or "no times"
+        named = told_times(answer["planned_before"])
         possible = answer["expected_mse_before"] is not None
         ending = "" if possible else ", no longer possible"
-        lines += wrapped_lines(f"planned by {answer['planned']}", f"t = {named}{ending}")
+        if named:
+            lines += wrapped_lines(f"planned by {answer['planned']}", f"t = {named}{ending}")
+        else:
+            lines.append(line(answer["planned"], "plans no further measurement"))
         lines += _expected(answer, "_before") if possible else []
     return lines + _warning(answer)
 
