@@ -69,4 +69,6 @@ def page_of(run: Run, seconds: int = 0) -> Page:
         f"This run is not finished. So far {compared} are compared, and all figures may change."
     )
     warnings = [] if subject.summary["state"] == "finished" else [unfinished]
+    for times, result in subject.results.items():
+        warnings += [f"{times}: {warning}" for warning in result.get("warnings", ())]
     return Page(f"When to measure: {name}", f"Run {run.path.name}", sections, warnings, seconds)

@@ -34,12 +34,7 @@ def gains(subject: Subject) -> Section | None:
         for name, result in subject.results.items()
         for constraint in result.get("broken_constraints", ())
     ]
-    warnings = [
-        Text(f"{name}: {warning}")
-        for name, result in subject.results.items()
-        for warning in result.get("warnings", ())
-    ]
-    texts = _degenerate(subject) + broken + warnings
+    texts = _degenerate(subject) + broken
     return Section(
         "What the times gain",
         [
