@@ -247,7 +247,7 @@ class StateSpaceRelaxation:
         return tuple(best[number] for number in sorted(best))
 
     def _whole(self, programme: Programme, paths: list[Times]) -> list[Times]:
-        """Give the paths that can be paid for, with the times that the money left over buys.
+        """Give the paths that can be paid for, completed to feasible sets.
 
         If prices are rounded down, all paths may cost too much. Then the paths of the largest sum
         follow of which one can be paid for.
@@ -256,7 +256,7 @@ class StateSpaceRelaxation:
             return paths
         spent, found = programme.most, paths
         while True:
-            paid = [self.feasible.filled(times) for times in found if self.feasible.allows(times)]
+            paid = [*map(self.feasible.completed, filter(self.feasible.allows, found))]
             if paid or programme.relaxation.unit == 1 or spent == 0:
                 return paid
             spent -= 1
