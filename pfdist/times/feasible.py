@@ -90,7 +90,7 @@ class Feasible(Constraints):
 
     def is_regular(self, times: Times) -> bool:
         """Whether times are the regular times of their number, feasible or not."""
-        return times == self._regular_or_middle(len(times))
+        return times == self._regular_times(len(times))
 
     def additions(self, times: Times) -> list[Times]:
         """Give the sets with one time more that can still be completed to a feasible set."""
@@ -285,10 +285,8 @@ class Feasible(Constraints):
         contained = self.with_required(packed[: self.total - len(self.required)])
         return contained if len(contained) == self.total else None
 
-    def _regular_or_middle(self, number: int) -> Times:
-        """Give regular times, feasible or not; the middle for N = 1, where the formula fails."""
-        if number <= 1:
-            return ((self.horizon + 1) // 2,)[:number]
+    def _regular_times(self, number: int) -> Times:
+        """Give regular times, feasible or not."""
         if self.clock is not None and not self.clock.is_even:
             return self.clock.regular_times(number)
         return regular(self.horizon, number)
@@ -298,8 +296,8 @@ class Feasible(Constraints):
         spacing = self.spacing
         if not self.counted:
             affordable = Affordable(self.allowed, self.required, spacing, self.price, self.total)
-            return affordable.nearest(self._regular_or_middle)
-        wanted = self._regular_or_middle(self.total)
+            return affordable.nearest(self._regular_times)
+        wanted = self._regular_times(self.total)
         if self.compatible(wanted) and {*self.required}.issubset(wanted):
             return wanted
         return nearest(wanted, self.allowed, self.required, spacing)
