@@ -134,7 +134,7 @@ class StateSpaceRelaxation:
         Numbers of measurements, or sums of money, whose best sets are sought. By default those of
         the feasible sets.
     known : tuple of tuples of int
-        Sets that are good already; by default regular times.
+        Sets that are good already; by default regular times, and the empty set if it is feasible.
     gap : float
         The search ends when the relaxed costs lie below those of the best sets by at most this
         share.
@@ -173,7 +173,8 @@ class StateSpaceRelaxation:
 
     def init(self) -> RelaxationState:
         """Give the state before the first generation."""
-        known = self.known or (self.feasible.regular(),)
+        nothing = ((),) if self.feasible.accepts(()) else ()
+        known = self.known or (self.feasible.regular(), *nothing)
         return RelaxationState(self._start, level=0 if self.draws else len(_SCREENING), sets=known)
 
     def ask(self, state: RelaxationState, rng: np.random.Generator) -> list[Candidate]:
