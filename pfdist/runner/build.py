@@ -33,7 +33,7 @@ from pfdist.times.measurement_times import Times
 class Built:
     """A job and the objects made of it; see `build`.
 
-    `feasible` has smaller sets if the filter's model is not the truth.
+    `feasible` has smaller sets if measurements cost money and the filter's model is not the truth.
     """
 
     job: Job
@@ -106,8 +106,8 @@ def build(job: Job, choose: Choose | None = None) -> Built:
         weights=job.problem.weights,
     )
     # To a filter that is wrong about the truth, one more measurement may do harm.
-    is_wrong = source.filter_model.meaning != source.model.meaning
-    feasible = replace(job.problem.feasible, smaller=is_wrong)
+    feasible, is_wrong = job.problem.feasible, source.filter_model.meaning != source.model.meaning
+    feasible = replace(feasible, smaller=is_wrong and not feasible.counted)
     evaluator, study = source.make(), study_of(job, feasible)
     guide = evaluator.guiding_estimator
     searches = tuple(named_search(study, job, section, guide) for section in job.search)

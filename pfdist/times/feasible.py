@@ -26,9 +26,9 @@ class Feasible(Constraints):
     Parameters
     ----------
     smaller : bool
-        With money, whether a set is feasible to which a measurement can be added, even the empty
-        set. One more measurement does no harm, in expectation, to a filter that knows the truth, so
-        a best set is among the others. To a filter that is wrong about the truth it may do harm.
+        Only with money: whether a set is feasible to which a measurement can be added, even the
+        empty set. One more measurement does no harm, in expectation, to a filter that knows the
+        truth, so a best set is among the others. To a filter that is wrong it may do harm.
 
     Raises
     ------

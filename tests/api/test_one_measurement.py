@@ -17,7 +17,7 @@ ONE = ["problem.measurement_budget=1", "comparison.draws=40"]
 def test_every_search_finds_the_best_time_of_all(
     small_job: Job, tmp_path: Path, method: str
 ) -> None:
-    """Brute force: the exact expected MSE of each of the 13 times. Random trials meet every time."""
+    """Brute force: the exact expected MSE of each of the 13 times. Random trials meet them all."""
     search = {"method": method} | ({"steps": 40} if method == "annealing" else {})
     sections = {"model": {"name": "random_walk"}, "search": [search]}
     job = small_job.with_changes([*ONE, "filter.engine=kalman"], sections=sections)

@@ -65,6 +65,11 @@ def test_the_filters_parameters_are_the_models_but_for_those_that_are_given(tmp_
     assert (p.process_sd, p.measurement_sd) == (2.0, 4.0)
 
 
+def test_a_wrong_filter_changes_nothing_where_measurements_are_counted(tmp_path: Path) -> None:
+    job = job_with(tmp_path, "[model.filter.parameters]", "process_sd = 2.0")
+    assert build(job).feasible == job.problem.feasible
+
+
 @pytest.mark.parametrize(
     ("believed", "smaller"), [({}, False), ({"step_sd": 1.0}, False), ({"step_sd": 2.0}, True)]
 )
