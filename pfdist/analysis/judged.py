@@ -70,7 +70,8 @@ def judged_table(runs: Mapping[str, Run], judges: Mapping[str, Run]) -> pd.DataF
         return NOTHING_JUDGED.copy()
     frame = runs_table(list(judges.values()))
     points = {str(judge.path): point for point, judge in judges.items()}
-    losses = {point: _losses(judge, found, point) for point, judge in judges.items()}
+    smaller = any(judge.filter_is_wrong for judge in judges.values())
+    losses = {point: _losses(judge, found, point, smaller) for point, judge in judges.items()}
     rows = [
         row
         | {"found_at": each.point, "set": each.search}
@@ -87,15 +88,18 @@ def judged_table(runs: Mapping[str, Run], judges: Mapping[str, Run]) -> pd.DataF
     return judged
 
 
-def _losses(judge: Run, found: Sequence[FoundSet], point: str) -> dict[Times, Loss]:
-    """Give the loss with its interval of all times that can be compared at a point."""
+def _losses(judge: Run, found: Sequence[FoundSet], point: str, smaller: bool) -> dict[Times, Loss]:
+    """Give the loss with its interval of all times that can be compared at a point.
+
+    With money, `smaller` says whether sets can be compared to which a measurement can be added.
+    """
     names = {times: name for name, times in judge.sets().items()}
     results = judge.summary()["results"]
     mse = {times: _mse(results[name]) for times, name in names.items()}
     own = {each.times for each in found if each.point == point and each.times in names}
     best = dict[Times, Times]()  # of those found at the point, for each set of times
     for times in {each.times for each in found if each.times in names}:
-        comparable = [each for each in own if _are_comparable(judge, times, each)]
+        comparable = [each for each in own if _are_comparable(judge, times, each, smaller)]
         if comparable:
             best[times] = min(comparable, key=lambda each: (mse[each], each))
     if all(result.get("exact_mse") is not None for result in results.values()):
@@ -117,13 +121,12 @@ def _mse(result: Mapping[str, Any]) -> float:
     return math.inf if known is None or math.isnan(known) else float(known)
 
 
-def _are_comparable(judge: Run, times: Times, own: Times) -> bool:
+def _are_comparable(judge: Run, times: Times, own: Times, smaller: bool) -> bool:
     """Whether times are feasible at a point, and as many as those that were found there."""
-    problem = judge.problem
-    feasible = problem.feasible
+    feasible = replace(judge.problem.feasible, smaller=smaller)
     if feasible.counted:
         feasible = replace(feasible, measurement_budget=len(own))
-    return feasible.accepts(problem.clock.instants(times))
+    return feasible.accepts(judge.problem.clock.instants(times))
 
 
 def _loss(gain: Gain) -> Loss:

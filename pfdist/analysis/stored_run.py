@@ -87,6 +87,11 @@ class Run(RunTables):
         return ProblemSection.model_validate(self.job["problem"])
 
     @property
+    def filter_is_wrong(self) -> bool:
+        """Whether the filter's model is not the truth."""
+        return bool(self._about.get("filter_model"))
+
+    @property
     def state(self) -> str:
         """``searching``, ``comparing`` or ``finished``."""
         if not self._store.has("compared"):

@@ -107,10 +107,10 @@ def _section(measurements: tuple[int, int] | range | Set[int]) -> dict[str, Any]
         least, most = measurements
         return {"least": int(least), "most": int(most)}
     numbers = sorted(map(int, measurements))
-    if not numbers or numbers[0] < 2:
+    if not numbers or numbers[0] < 1:
         got = numbers[0] if numbers else "none"
         raise JobError(
-            f"numbers of measurements must be at least 2, got {got}", argument="measurements"
+            f"numbers of measurements must be at least 1, got {got}", argument="measurements"
         )
     least, most = numbers[0], numbers[-1]
     gaps = {} if len(numbers) == most - least + 1 else {"numbers": numbers}

@@ -13,7 +13,6 @@ from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.evaluation.estimate import ReportEvaluation
 from pfdist.filters.cloud import Prior
 from pfdist.job.asked import Asked, as_job
-from pfdist.job.job import Job
 from pfdist.runner.build import Built, build
 from pfdist.runner.online_planning import planning_of
 from pfdist.search.methods import METHODS
@@ -223,7 +222,7 @@ class Planner:
         stream = ONLINE.stream(built.job.seed, "planner")
         clock = built.job.problem.clock
         planned = None if times is None else validated_instants(times, clock, "times", "times")
-        feasible = _feasible(built.job, planned)
+        feasible = _feasible(built, planned)
         self._replanner = Replanner(built.evaluator, feasible, planning, stream)
         self._filter = filter_of(built, prior, draw)
         self._built, self._draw = built, int(draw)
@@ -267,7 +266,7 @@ class Planner:
         self._plan = self._replanner.plan(self._now, taken, left, self._draw)
 
 
-def _feasible(job: Job, planned: Times | None) -> Feasible:
+def _feasible(built: Built, planned: Times | None) -> Feasible:
     """Give the feasible sets, of as many measurements as were planned if the job has a range.
 
     Raises
@@ -275,7 +274,7 @@ def _feasible(job: Job, planned: Times | None) -> Feasible:
     MeasurementTimesError
         The planned times are not feasible.
     """
-    feasible = job.problem.feasible
+    job, feasible = built.job, built.feasible
     if planned is None:
         return feasible
     if job.budget is not None and planned:

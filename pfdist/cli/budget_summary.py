@@ -133,9 +133,11 @@ def _reached_line(kind: str, reached: dict[str, Any], target: float) -> str:
     if number is None:
         told += f"none of these numbers of {kind} times reaches it"
     else:
-        told += f"{number} {kind} times reach it (95 %: {low} to {high})"
+        reach = "time reaches" if number == 1 else "times reach"
+        told += f"{number} {kind} {reach} it (95 %: {low} to {high})"
     others = reached["larger_that_do_not"]
     if others:
         told += f", but not {', '.join(map(str, others))}"
     impossible = reached.get("impossible")
-    return told if impossible is None else f"{told}; no {impossible} times can (95 %)"
+    times = "time" if impossible == 1 else "times"
+    return told if impossible is None else f"{told}; no {impossible} {times} can (95 %)"

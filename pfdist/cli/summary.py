@@ -48,7 +48,7 @@ def _lines_of_sets(summary: dict[str, Any]) -> list[str]:
     lines, results = [], summary["results"]
     for name, result in results.items():
         times = told_times(result["measurement_times"], summary.get("time_unit", ""))
-        lines += ["", f"{name}: measure at t = {times}"]
+        lines += ["", f"{name}: measure at " + (f"t = {times}" if times else "no time")]
         if "expected_mse" in result:
             lines += _compared_lines(name, summary)
         elif result["search_cost"] is not None:  # the comparison has not begun

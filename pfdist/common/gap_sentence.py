@@ -33,14 +33,16 @@ def gap_sentence(gap: Mapping[str, Any], measurements: int, *, is_constrained: b
     'No other 4 times have a lower expected error.'
     >>> gap_sentence(gap, 3)
     'No other times that cost no more have a lower expected error.'
+    >>> gap_sentence({**gap, "budget": 1}, 1, is_constrained=True)
+    'No other time that the constraints allow has a lower expected error.'
     """
     times = "time" if measurements == 1 else f"{measurements} times"
     conditions = ["that the constraints allow"] if is_constrained else []
     if gap["budget"] != measurements:  # it counts money
         times, conditions = "times", ["that cost no more", *conditions]
+    have = "has" if times == "time" else "have"
     times = " ".join([times, " and ".join(conditions)]).rstrip()
     if not gap["bound_error"] and gap["gap"] < _ROUNDING:
-        have = "has" if times == "time" else "have"
         return f"No other {times} {have} a lower expected error."
     limit = ""
     if gap["bound_error"]:

@@ -35,7 +35,7 @@ class ProblemSection(Section):
     time_unit: Annotated[str, Field(max_length=_LONGEST_UNIT)] | None = None
     times: Annotated[_Numbers, Field(min_length=2, max_length=_MOST_INSTANTS)] | None = None
     instant_weights: _Numbers | None = None
-    measurement_budget: Annotated[int, Field(ge=2, lt=2**63)] | None = None
+    measurement_budget: Annotated[int, Field(ge=1, lt=2**63)] | None = None
     forbidden: tuple[Time | str, ...] | None = None
     required: tuple[Time | str, ...] | None = None
     minimum_spacing: Time | None = None

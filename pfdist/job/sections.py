@@ -192,8 +192,8 @@ class Budget(Section):
     They are all numbers from ``least`` to ``most``, unless ``numbers`` lists them.
     """
 
-    least: Annotated[int, Field(ge=2, lt=2**63)]
-    most: Annotated[int, Field(ge=2, lt=2**63)]
+    least: Annotated[int, Field(ge=1, lt=2**63)]
+    most: Annotated[int, Field(ge=1, lt=2**63)]
     numbers: Annotated[tuple[int, ...], Field(strict=False)] | None = None
 
     @property

@@ -53,9 +53,8 @@ def _title(table: pd.DataFrame, target: float | None) -> str:
     if target is not None:
         least = {kind: found["measurements"] for kind, found in reaching(table, target).items()}
         found, regular = (_numeral(least[kind]) for kind in ("found", "regular"))
-        return (
-            f"An expected MSE of {target:g} takes {found} found times, or {regular} regular ones."
-        )
+        times = "time" if found == "1" else "times"
+        return f"An expected MSE of {target:g} takes {found} found {times}, or {regular} regular."
     costs = table.pivot_table(index="measurements", columns="kind", values="expected_mse")
     both = costs.dropna()
     if both.empty:

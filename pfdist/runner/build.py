@@ -25,14 +25,19 @@ from pfdist.runner.searches import NamedSearch, Settings, named_search
 from pfdist.runner.study import Study, study_of
 from pfdist.sequential.planning import check_plannable
 from pfdist.times.clock import Time
+from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
 
 @dataclass(frozen=True)
 class Built:
-    """A job and the objects made of it; see `build`."""
+    """A job and the objects made of it; see `build`.
+
+    `feasible` has smaller sets if measurements cost money and the filter's model is not the truth.
+    """
 
     job: Job
+    feasible: Feasible
     study: Study
     source: EvaluatorSource
     searches: tuple[NamedSearch, ...] = field(repr=False)
@@ -100,7 +105,10 @@ def build(job: Job, choose: Choose | None = None) -> Built:
         clock=job.problem.clock.times if job.problem.has_clock else None,
         weights=job.problem.weights,
     )
-    evaluator, study = source.make(), study_of(job)
+    # To a filter that is wrong about the truth, one more measurement may do harm.
+    feasible, is_wrong = job.problem.feasible, source.filter_model.meaning != source.model.meaning
+    feasible = replace(feasible, smaller=is_wrong and not feasible.counted)
+    evaluator, study = source.make(), study_of(job, feasible)
     guide = evaluator.guiding_estimator
     searches = tuple(named_search(study, job, section, guide) for section in job.search)
     wanted = [settings.estimation for search in searches for settings in search.all_settings]
@@ -112,7 +120,7 @@ def build(job: Job, choose: Choose | None = None) -> Built:
     source = replace(source, engine=_compiled_or_numpy(source))
     if draws and source.engine == "compiled":
         check_compiled(draws.model, draws)
-    built = Built(job, study, source, searches)
+    built = Built(job, feasible, study, source, searches)
     sets = built.names if job.online is None else [*built.names, ONLINE]
     check_estimate_columns(sets, evaluator.model.named("z"))
     return built

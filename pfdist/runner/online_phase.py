@@ -78,7 +78,7 @@ def online_work(built: Built, plan: Times) -> OnlineWork:
         draws=(0, online.draws),
         estimation=built.comparing,
         ids=("online",),
-        feasible=job.problem.feasible,
+        feasible=built.feasible,
         planning=planning_of(job, built.evaluator.cheapest_estimator),
         planning_stream=purpose.stream(job.seed, "planning"),
         shown=TRAJECTORIES,

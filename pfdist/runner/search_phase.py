@@ -253,8 +253,8 @@ def _searching(built: Built, search: NamedSearch) -> Phase[SearchEvaluation]:
 
 def _polishing(built: Built, search: NamedSearch, start: Times) -> Phase[SearchEvaluation]:
     """Exchanges on draws of their own: the draws of the search favour the set that it found."""
-    feasible, settings = built.job.problem.feasible, search.polishing or search.settings
-    reach = math.ceil(_REACH * (feasible.horizon + 1) / len(start))
+    feasible, settings = built.feasible, search.polishing or search.settings
+    reach = math.ceil(_REACH * (feasible.horizon + 1) / max(1, len(start)))
     exchange = Exchange(feasible, settings.draws, start, reach)
     return Phase(search.polish, exchange, SEARCH, settings, built)
 
@@ -264,7 +264,7 @@ def _probing(
 ) -> Phase[ProbeEvaluation]:
     settings = replace(search.settings, draws=PROBE_DRAWS, common_noise=True)
     dearer = built.comparing.steps_an_instant / settings.estimation.steps_an_instant
-    probe = Probe(built.job.problem.feasible, sought, dearer)
+    probe = Probe(built.feasible, sought, dearer)
     return Phase(search.probe, probe, PROBE, settings, built)
 
 

@@ -101,9 +101,12 @@ class TimesStudy:
     Parameters
     ----------
     job : Job
+    widest : Feasible
+        The feasible sets of the problem.
     """
 
     job: Job
+    widest: Feasible
     purpose: ClassVar[Purpose[ReportEvaluation]] = REPORT
     first_draws: ClassVar[tuple[str, ...]] = (
         "trajectories",
@@ -121,14 +124,9 @@ class TimesStudy:
     @cached_property
     def unsearched(self) -> dict[str, Times]:
         """The reference, and the sets that comparison.sets names."""
-        regular = self.job.problem.feasible.regular
+        regular = self.widest.regular
         sets = self.job.given_sets
         return {name: regular() if times is None else times for name, times in sets.items()}
-
-    @property
-    def widest(self) -> Feasible:
-        """The feasible sets of the problem."""
-        return self.job.problem.feasible
 
     @property
     def usual(self) -> int:
@@ -146,7 +144,7 @@ class TimesStudy:
     def optimiser(self, section: SearchSection, draws: int) -> SearchOptimiser:
         """Optimiser of the method that the section names."""
         try:
-            return METHODS[section.method].make(self.job.problem.feasible, draws, section.settings)
+            return METHODS[section.method].make(self.widest, draws, section.settings)
         except JobError as error:
             raise JobError(f"search.{section.name}: {error} ({self.job.path})") from error
 
@@ -254,8 +252,8 @@ class BudgetStudy:
         return f"{name}_{budget:0{digits}}"
 
 
-def study_of(job: Job) -> Study:
-    """The study that a job asks for."""
+def study_of(job: Job, feasible: Feasible) -> Study:
+    """The study that a job asks for, with the feasible sets of its problem."""
     if job.budget is None:
-        return TimesStudy(job)
+        return TimesStudy(job, feasible)
     return BudgetStudy(job, job.budget.each)

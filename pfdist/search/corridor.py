@@ -39,7 +39,7 @@ class Corridor(Survivors):
     by_previous : bool
         Whether a state is the last two measurement times. Otherwise it is the last alone.
     start : tuple of int, optional
-        First set. By default regular times.
+        First set. By default, or if it is empty, regular times.
     reach : float
         Largest move of a time in a round, in units of the mean gap between measurements.
     rounds : int
@@ -65,7 +65,7 @@ class Corridor(Survivors):
 
     def init(self) -> SurvivorState:
         """Give the state before the first generation, with a corridor around the first set."""
-        return self._around(self.feasible.regular() if self.start is None else self.start)
+        return self._around(self.start or self.feasible.regular())
 
     def ask(self, state: SurvivorState, rng: np.random.Generator) -> list[Candidate]:
         """Give extensions in the corridor; at the end whole sets, with the corridor's middle."""

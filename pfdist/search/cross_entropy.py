@@ -124,7 +124,8 @@ def conditional_bernoulli(
     """Draw feasible sets in which each time is chosen independently, with its probability.
 
     If too many sets are rejected, the missing sets are built by adding one time after another. Each
-    added time is drawn with the probabilities of the times that may be added.
+    added time is drawn with the probabilities of the times that may be added. If smaller sets are
+    feasible, a set is left as it is with the probability that none of these times is chosen.
 
     Parameters
     ----------
@@ -150,6 +151,8 @@ def _built_up(
     times: Times = ()
     while larger := feasible.additions(times):
         new = [next(iter({*longer} - {*times})) for longer in larger]
+        if feasible.accepts(times) and rng.random() < np.prod(1.0 - probabilities[new]):
+            break
         weights = probabilities[new] + np.finfo(float).tiny
         times = larger[rng.choice(len(larger), p=weights / weights.sum())]
     return times

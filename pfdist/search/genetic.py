@@ -129,12 +129,18 @@ class GeneticAlgorithm:
         return [Candidate(times, individual=i) for i, times in enumerate(population)]
 
     def _mutate(self, individual: set[int], rng: np.random.Generator) -> set[int]:
-        """Give an individual whose genes were replaced, with some probability, by absent times."""
+        """Give an individual whose genes were replaced, with some probability, by absent times.
+
+        If smaller sets are feasible, a gene may also be removed, or an absent time added.
+        """
         genes = np.array(sorted(individual))
         for gene in genes[rng.random(genes.size) < self.mutation_probability]:
             absent = sorted(set(self.feasible.allowed) - individual)
             if absent:
-                individual = (individual - {int(gene)}) | {int(rng.choice(absent))}
+                out, new = {int(gene)}, {int(rng.choice(absent))}
+                if self.feasible.smaller:
+                    out, new = ((out, new), (out, set[int]()), (set[int](), new))[rng.integers(3)]
+                individual = (individual - out) | new
         return individual
 
 

@@ -32,7 +32,7 @@ class GreedyState:
     ----------
     chosen : tuple of int
     evaluations : tuple of SearchEvaluation
-        The best feasible sets of the last step.
+        The best feasible sets of the last step; of all steps if smaller sets are feasible.
     """
 
     chosen: Times
@@ -62,13 +62,18 @@ class _Greedy:
         best = min(steps, key=worth)
         allowed = [
             evaluation
-            for evaluation in steps
+            for evaluation in evaluations
             if self.feasible.accepts(evaluation.measurement_times)
         ]
-        return GreedyState(best.measurement_times, best_of(allowed))
+        former = state.evaluations if self.feasible.smaller else ()  # a step may do harm
+        return GreedyState(best.measurement_times, best_of([*former, *allowed]))
+
+    def done(self, state: GreedyState) -> bool:
+        """Whether a feasible set was evaluated, and there is no next step."""
+        return bool(state.evaluations) and not self._steps(state.chosen)
 
     def finalists(self, state: GreedyState) -> tuple[SearchEvaluation, ...]:
-        """Give the best feasible sets of the last step."""
+        """Give the best feasible sets of the last step; of all steps if smaller sets count."""
         return state.evaluations
 
     def _steps(self, times: Times) -> list[Times]:
@@ -99,10 +104,6 @@ class GreedyForward(_Greedy):
         """Give the state before the first generation: no measurement."""
         return GreedyState(())
 
-    def done(self, state: GreedyState) -> bool:
-        """Whether no measurement can be added."""
-        return not self._steps(state.chosen)
-
     def _steps(self, times: Times) -> list[Times]:
         return self.feasible.additions(times)
 
@@ -130,10 +131,6 @@ class GreedyBackward(_Greedy):
     def init(self) -> GreedyState:
         """Give the state before the first generation: all times."""
         return GreedyState(tuple(range(self.feasible.horizon + 1)))
-
-    def done(self, state: GreedyState) -> bool:
-        """Whether the remaining set is feasible and was evaluated."""
-        return bool(state.evaluations) and self.feasible.accepts(state.chosen)
 
     def _steps(self, times: Times) -> list[Times]:
         return self.feasible.removals(times)

@@ -134,7 +134,7 @@ class StateSpaceRelaxation:
         Numbers of measurements, or sums of money, whose best sets are sought. By default those of
         the feasible sets.
     known : tuple of tuples of int
-        Sets that are good already; by default regular times.
+        Sets that are good already; by default regular times, and the empty set if it is feasible.
     gap : float
         The search ends when the relaxed costs lie below those of the best sets by at most this
         share.
@@ -173,7 +173,8 @@ class StateSpaceRelaxation:
 
     def init(self) -> RelaxationState:
         """Give the state before the first generation."""
-        known = self.known or (self.feasible.regular(),)
+        nothing = ((),) if self.feasible.accepts(()) else ()
+        known = self.known or (self.feasible.regular(), *nothing)
         return RelaxationState(self._start, level=0 if self.draws else len(_SCREENING), sets=known)
 
     def ask(self, state: RelaxationState, rng: np.random.Generator) -> list[Candidate]:
@@ -247,7 +248,7 @@ class StateSpaceRelaxation:
         return tuple(best[number] for number in sorted(best))
 
     def _whole(self, programme: Programme, paths: list[Times]) -> list[Times]:
-        """Give the paths that can be paid for, with the times that the money left over buys.
+        """Give the paths that can be paid for, completed to feasible sets.
 
         If prices are rounded down, all paths may cost too much. Then the paths of the largest sum
         follow of which one can be paid for.
@@ -256,7 +257,7 @@ class StateSpaceRelaxation:
             return paths
         spent, found = programme.most, paths
         while True:
-            paid = [self.feasible.filled(times) for times in found if self.feasible.allows(times)]
+            paid = [*map(self.feasible.completed, filter(self.feasible.allows, found))]
             if paid or programme.relaxation.unit == 1 or spent == 0:
                 return paid
             spent -= 1

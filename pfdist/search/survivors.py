@@ -114,7 +114,8 @@ class Survivors:
         """Give the state before the first generation, with the limits at first."""
         mean_gap = self.feasible.spent(self.feasible.allowed) / self.feasible.total
         largest_gap = max(2, math.ceil(LARGEST_GAPS * mean_gap))
-        return SurvivorState(largest_gap, max(2.0, CORRIDOR_GAPS * mean_gap))
+        ended = ((),) if self.feasible.accepts(()) else ()
+        return SurvivorState(largest_gap, max(2.0, CORRIDOR_GAPS * mean_gap), ended=ended)
 
     def ask(self, state: SurvivorState, rng: np.random.Generator) -> list[Candidate]:
         """Give extensions of the survivors up to their last time; at the end whole sets up to T."""
@@ -165,7 +166,7 @@ class Survivors:
         ended = {times for times in survivors if self.feasible.accepts(times)}
         return replace(
             state,
-            front=tuple(times for times in survivors if times not in ended),
+            front=tuple(times for times in survivors if self.feasible.extensions(times)),
             waiting=tuple(waiting),
             ended=(*state.ended, *(times for times in survivors if times in ended)),
         )
@@ -185,7 +186,7 @@ class Survivors:
         """Whether a gap is the largest allowed, or a time lies at the edge of its corridor."""
         indices = [self.feasible.index[time] for time in times]
         gaps = [index - before for before, index in zip((-1, *indices), indices, strict=False)]
-        if max(gaps) >= state.largest_gap and state.largest_gap < len(self.feasible.allowed):
+        if max(gaps or [0]) >= state.largest_gap and state.largest_gap < len(self.feasible.allowed):
             return True
         highest, dearest = len(self.feasible.allowed) - 1, max(self.feasible.price)
         for number, (time, index) in enumerate(zip(times, indices, strict=True)):
@@ -198,10 +199,14 @@ class Survivors:
         return False
 
     def _corridor(self, state: SurvivorState, spent: int, time: int) -> tuple[int, int]:
-        """Give the first and last allowed index of a measurement, by the sum spent before it."""
+        """Give the first and last allowed index of a measurement, by the sum spent before it.
+
+        If smaller sets are feasible, money may be left over, so no index is too late.
+        """
         mean_gap = len(self.feasible.allowed) / self.feasible.total  # for a price of 1
         proportional = (spent + self.feasible.price[time] / 2) * mean_gap - 0.5
-        return math.floor(proportional - state.corridor), math.ceil(proportional + state.corridor)
+        late = self.feasible.horizon if self.feasible.smaller else state.corridor
+        return math.floor(proportional - state.corridor), math.ceil(proportional + late)
 
 
 def surviving(

@@ -187,14 +187,16 @@ class Clock:
         """Give N instants whose times are as evenly spaced as the clock allows.
 
         These are the instants nearest to N times that are evenly spaced from the first to the last.
-        Where two of them would be the same instant, the later takes the next.
+        Where two of them would be the same instant, the later takes the next. A single time is
+        the instant nearest to the middle.
 
         Parameters
         ----------
         number : int
-            N, 2..T+1.
+            N, 1..T+1.
         """
-        wanted = np.linspace(self.times[0], self.times[-1], number)
+        first_and_last = self.times[0], self.times[-1]
+        wanted = np.linspace(*first_and_last, number) if number > 1 else [np.mean(first_and_last)]
         chosen = list[int]()
         for left, time in zip(range(number - 1, -1, -1), wanted, strict=True):
             first = chosen[-1] + 1 if chosen else 0

@@ -90,7 +90,8 @@ class Completions:
         """Give the set of this index in the order of `every`."""
         times: list[int] = []
         last, left = _BEFORE, self.total
-        while not self._is_complete(last, left):
+        while index or not self._is_complete(last, left):
+            index -= self._is_complete(last, left)  # a set precedes those that begin with it
             for time in self._following(last):
                 if not self._can_be_completed(time, left):
                     continue

@@ -21,10 +21,14 @@ from pfdist.times.measurement_times import Times, nearest, random, random_below,
 class Feasible(Constraints):
     """The feasible sets: N times, or as many times as a sum of money pays for.
 
-    With money, a set is feasible only if no measurement can be added. One more measurement
-    does no harm, in expectation, to a filter that knows the truth, so a best set is among them. If
-    the filter is wrong about the truth, a smaller set might be better, but none is searched. The
-    parameters are those of `Constraints`. All sets are sorted.
+    All sets are sorted. The other parameters are those of `Constraints`.
+
+    Parameters
+    ----------
+    smaller : bool
+        Only with money: whether a set is feasible to which a measurement can be added, even the
+        empty set. One more measurement does no harm, in expectation, to a filter that knows the
+        truth, so a best set is among the others. To a filter that is wrong it may do harm.
 
     Raises
     ------
@@ -32,6 +36,8 @@ class Feasible(Constraints):
         The constraints contradict each other, or no set satisfies them. The message begins with
         the name of the wrong parameter.
     """
+
+    smaller: bool = False
 
     def __post_init__(self) -> None:
         check(self)
@@ -41,7 +47,7 @@ class Feasible(Constraints):
         if self.counted and len(times) != self.total:
             return False
         complete = set(self.required).issubset(times) and self.allows(times)
-        return complete and (self.counted or not self.affordable(times))
+        return complete and (self.counted or self.smaller or not self.affordable(times))
 
     @cached_property
     def measurements(self) -> int:
@@ -84,7 +90,7 @@ class Feasible(Constraints):
 
     def is_regular(self, times: Times) -> bool:
         """Whether times are the regular times of their number, feasible or not."""
-        return times == self._regular_or_middle(len(times))
+        return times == self._regular_times(len(times))
 
     def additions(self, times: Times) -> list[Times]:
         """Give the sets with one time more that can still be completed to a feasible set."""
@@ -140,7 +146,8 @@ class Feasible(Constraints):
 
         With money, a new time may cost too much or stand too near to others. Then the times nearest
         to it are removed. In every case the money left buys other times, each as far from the rest
-        as can be. The exchanged time may come back.
+        as can be. The exchanged time may come back. If smaller sets are feasible, nothing is
+        bought, and the sets with one time more or less follow, however far that time lies.
 
         Parameters
         ----------
@@ -158,29 +165,33 @@ class Feasible(Constraints):
         ]
         if self.counted:
             return found
+        found += (*self.additions(times), *self.removals(times)) if self.smaller else ()
         return [neighbour for neighbour in dict.fromkeys(found) if neighbour != times]
 
-    def filled(self, times: Iterable[int]) -> Times:
-        """Give a set with all times that the money left over buys, each as far off as can be.
+    def completed(self, times: Iterable[int]) -> Times:
+        """Give a feasible set with these and the required times.
+
+        Unless smaller sets are feasible, the money left over buys times, each as far from the rest
+        as can be.
 
         Parameters
         ----------
         times : iterable of int
             Times that can be paid for together with the required times.
         """
-        filled = self.with_required(times)
-        while more := self.affordable(filled):
-            farthest = max(more, key=lambda time: self.distance(time, filled))
-            filled = self.with_required({*filled, farthest})
-        return filled
+        completed = self.with_required(times)
+        while not self.smaller and (more := self.affordable(completed)):
+            farthest = max(more, key=lambda time: self.distance(time, completed))
+            completed = self.with_required({*completed, farthest})
+        return completed
 
     def repair(self, times: Iterable[int], rng: np.random.Generator) -> Times:
         """Give a feasible set that keeps times of a given set until no more can be kept.
 
         The times lie in 0..T. They are tried in random order, and a time is kept if a feasible set
         can contain it with those kept before; another order may keep more. Then random times
-        complete the set. A feasible set is given back
-        unchanged, and draws no random number.
+        are added until the set is feasible. A feasible set is given back unchanged, and draws no
+        random number.
         """
         kept, given = Times(), tuple(sorted(times))
         if self.accepts(given):
@@ -188,7 +199,8 @@ class Feasible(Constraints):
         for time in rng.permutation(given).tolist():
             larger = tuple(sorted({*kept, time}))
             kept = larger if self._can_be_completed(larger) else kept
-        while larger_ones := self.additions(kept):
+        while not self.accepts(kept):
+            larger_ones = self.additions(kept)
             kept = larger_ones[rng.integers(len(larger_ones))]
         return kept
 
@@ -213,9 +225,10 @@ class Feasible(Constraints):
     def _completions_of(self, usable: Times) -> list[Completions]:
         """Give the parts of all feasible sets, one for each range of the money left over.
 
-        A time is cheap if the money left would pay for it. In one range the same times are cheap.
+        A time is cheap if a set must not leave over the money for it. In one range the same times
+        are cheap. If smaller sets are feasible, no time is cheap.
         """
-        prices = sorted({self.price[time] for time in self.optional})
+        prices = () if self.smaller else sorted({self.price[time] for time in self.optional})
         bounds = [0, 1] if self.counted else [0, *prices, self.total + 1]
         return [
             Completions(
@@ -272,10 +285,8 @@ class Feasible(Constraints):
         contained = self.with_required(packed[: self.total - len(self.required)])
         return contained if len(contained) == self.total else None
 
-    def _regular_or_middle(self, number: int) -> Times:
-        """Give regular times, feasible or not; the middle for N = 1, where the formula fails."""
-        if number <= 1:
-            return ((self.horizon + 1) // 2,)[:number]
+    def _regular_times(self, number: int) -> Times:
+        """Give regular times, feasible or not."""
         if self.clock is not None and not self.clock.is_even:
             return self.clock.regular_times(number)
         return regular(self.horizon, number)
@@ -285,8 +296,8 @@ class Feasible(Constraints):
         spacing = self.spacing
         if not self.counted:
             affordable = Affordable(self.allowed, self.required, spacing, self.price, self.total)
-            return affordable.nearest(self._regular_or_middle)
-        wanted = self._regular_or_middle(self.total)
+            return affordable.nearest(self._regular_times)
+        wanted = self._regular_times(self.total)
         if self.compatible(wanted) and {*self.required}.issubset(wanted):
             return wanted
         return nearest(wanted, self.allowed, self.required, spacing)
@@ -304,4 +315,4 @@ class Feasible(Constraints):
         leaving = sorted(others - {*self.required}, key=lambda time: (-abs(time - new), time))
         while leaving and not self.allows({*others, new}):
             others = others - {leaving.pop()}
-        return self.filled({*others, new}) if self.allows({*others, new}) else None
+        return self.completed({*others, new}) if self.allows({*others, new}) else None

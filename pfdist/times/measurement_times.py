@@ -67,12 +67,14 @@ def validated(measurement_times: Iterable[int], horizon: int, where: str = "") -
 def regular(horizon: int, measurement_budget: int) -> Times:
     """Give the regular times M_REG (paper, equation 13): Round[k T / (N-1)], halves rounded up.
 
+    For N = 1 the formula divides by zero. A single time is in the middle: Round[T / 2].
+
     Parameters
     ----------
     horizon : int
         T.
     measurement_budget : int
-        N, 2..T+1.
+        N, 1..T+1.
 
     Returns
     -------
@@ -81,7 +83,7 @@ def regular(horizon: int, measurement_budget: int) -> Times:
     Raises
     ------
     MeasurementTimesError
-        N does not lie in 2..T+1. For N = 1 the formula divides by zero.
+        N does not lie in 1..T+1.
 
     Examples
     --------
@@ -89,12 +91,16 @@ def regular(horizon: int, measurement_budget: int) -> Times:
     (0, 15, 30, 45, 60)
     >>> regular(horizon=5, measurement_budget=3)  # 2.5 is rounded up
     (0, 3, 5)
+    >>> regular(horizon=5, measurement_budget=1)
+    (3,)
     """
-    if not 2 <= measurement_budget <= horizon + 1:
+    if not 1 <= measurement_budget <= horizon + 1:
         raise MeasurementTimesError(
-            f"regular times need a measurement_budget in 2..{horizon + 1} (horizon {horizon}), "
+            f"regular times need a measurement_budget in 1..{horizon + 1} (horizon {horizon}), "
             f"got {measurement_budget}"
         )
+    if measurement_budget == 1:
+        return ((horizon + 1) // 2,)
     intervals = measurement_budget - 1
     # floor(a/b + 1/2) in integers
     return tuple((2 * k * horizon + intervals) // (2 * intervals) for k in range(intervals + 1))

@@ -43,6 +43,7 @@ def rest_of(feasible: Feasible, taken: Times, first: int) -> Feasible | None:
         forbidden=tuple(time - first for time in left if time in barred),
         minimum_spacing=feasible.minimum_spacing,
         clock=None if feasible.clock is None else feasible.clock.since(first),
+        smaller=feasible.smaller,
     )
     if feasible.cost is not None and feasible.total_cost is not None:
         money, cost = feasible.total_cost - feasible.cost_of(taken), feasible.cost[first:]

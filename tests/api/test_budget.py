@@ -184,7 +184,7 @@ def test_the_command_says_how_many_are_enough(
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ("--measurements 1:5", r"measurements must be at least 2, got 1 \(--measurements\)"),
+        ("--measurements 0:5", r"measurements must be at least 1, got 0 \(--measurements\)"),
         ("--measurements 2:14", "budget of 14 measurements: .* number of instants, 13, got 14"),
         ("--measurements 2:3 --set search.relaxation.rounds=-1", "rounds .* got -1"),
         ("--measurements 2:3 --set comparison.draws=9", "as measurements and draws say, got c"),

@@ -414,6 +414,22 @@ def test_times_of_other_methods_have_losses_too(small_job: Job, tmp_path: Path) 
     assert losses.loc[best, other] <= 0 <= losses.loc[other, best]
 
 
+def test_affordable_times_have_losses_where_a_filter_is_wrong(
+    small_job: Job, tmp_path: Path
+) -> None:
+    """A filter that trusts its sensor too much needs few times; the right filter needs more."""
+    problem = {"horizon": 5, "cost": [1, 2] * 3, "total_cost": 5}
+    model = {"name": "random_walk", "parameters": {"measurement_sd": 6.0, "initial_sd": 2.0}}
+    search = [{"method": "exhaustive", "evaluation": {"estimator": "squared_error"}}]
+    job = small_job.with_changes(sections={"problem": problem, "model": model, "search": search})
+    over = {"model.filter.parameters.measurement_sd": [6.0, 0.2]}
+    sweep = pfdist.sweep(job, over, results=tmp_path / "sweep", judge=True, report=False)
+    losses = sweep.judged().set_index(["found_at", "run"])["loss"].unstack()
+    assert losses.notna().all(axis=None)
+    right, wrong = sweep.runs
+    assert losses.loc[right, wrong] > 0 < losses.loc[wrong, right]
+
+
 def test_points_that_are_added_are_judged_too(small_job: Job, tmp_path: Path) -> None:
     """The report shows the newest comparisons, which know the times of all points."""
     changes = [*EXACT, 'search=[{method="greedy_forward"}]']

@@ -122,7 +122,7 @@ MISTAKES = [
         r"model\.parameters\.sd must be .* got '1' ",
     ),
     ("horizon = 10", "horizon = 0", r"problem\.horizon must .* 1, got 0 "),
-    ("budget = 3", "budget = 1", r"problem\.measurement_budget must .* 2, got 1 "),
+    ("budget = 3", "budget = 0", r"problem\.measurement_budget must .* 1, got 0 "),
     ("budget = 3", "budget = 12", r"measurement_budget must .* number of instants, 11, got 12 "),
     ("measurement_budget = 3", "", r"problem\.measurement_budget must be given, or cost and"),
     (

@@ -12,6 +12,7 @@ def every_set(
     minimum_spacing: int = 1,
     cost: Sequence[int] | None = None,
     total_cost: int | None = None,
+    smaller: bool = False,
 ) -> list[tuple[int, ...]]:
     """All feasible sets, in the order of words in a dictionary."""
     instants = range(horizon + 1)
@@ -26,5 +27,7 @@ def every_set(
     if cost is None or total_cost is None:
         return sorted(times for times in fitting if len(times) == measurement_budget)
     paid = {frozenset(times) for times in fitting if sum(cost[t] for t in times) <= total_cost}
+    if smaller:  # the empty set is one of them, but money must pay for a measurement
+        return sorted(tuple(sorted(times)) for times in paid) if any(paid) else []
     maximal = [s for s in paid if s and not any(s | {t} in paid for t in instants if t not in s)]
     return sorted(tuple(sorted(times)) for times in maximal)

@@ -64,6 +64,38 @@ def riccati_cost(model: LinearGaussian, horizon: int, measurement_times: Collect
     return float(np.mean(np.sum(kalman_filter(model, nothing, measurement_times)[1], axis=1)))
 
 
+def believed_errors(
+    truth: LinearGaussian,
+    believed: LinearGaussian,
+    horizon: int,
+    measurement_times: Collection[int],
+) -> Array:
+    """Exact expected error (T+1,) of the Kalman filter of one model on draws of another.
+
+    The second moments of the state and of the filter's mean are propagated together. Both models
+    have states of the same size.
+    """
+    n = len(truth.a)
+    moments, covariance = np.zeros((2 * n, 2 * n)), believed.b0 @ believed.b0.T
+    moments[:n, :n] = truth.b0 @ truth.b0.T
+    step, errors = np.block([[truth.a, 0 * truth.a], [0 * truth.a, believed.a]]), []
+    wanted = np.hstack([truth.h, -believed.h])
+    for t in range(horizon + 1):
+        if t in measurement_times:
+            innovation = believed.c @ covariance @ believed.c.T + believed.d @ believed.d.T
+            gain = covariance @ believed.c.T @ np.linalg.inv(innovation)
+            update = np.eye(2 * n)
+            update[n:, :n], update[n:, n:] = gain @ truth.c, np.eye(n) - gain @ believed.c
+            moments = update @ moments @ update.T
+            moments[n:, n:] += gain @ truth.d @ truth.d.T @ gain.T
+            covariance = covariance - gain @ believed.c @ covariance
+        errors.append(np.trace(wanted @ moments @ wanted.T))
+        moments = step @ moments @ step.T
+        moments[:n, :n] += truth.b @ truth.b.T
+        covariance = believed.a @ covariance @ believed.a.T + believed.b @ believed.b.T
+    return np.array(errors)
+
+
 def prefix_costs(system: LinearGaussian, horizon: int) -> Callable[[tuple[int, ...], int], float]:
     """Exact cost of a prefix: the variances up to its end, over T + 1; what is shared is kept."""
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import pfdist
+from oracles.every_set import every_set
 from pfdist import Job, load_job
 from pfdist.cli.main import main
 from pfdist.errors import CompileError, EngineWarning, ModelError, RunMismatchError
@@ -62,6 +63,35 @@ def test_the_filters_parameters_are_the_models_but_for_those_that_are_given(tmp_
     assert problem.filter_model is not None
     p = problem.filter_model.p
     assert (p.process_sd, p.measurement_sd) == (2.0, 4.0)
+
+
+def test_a_wrong_filter_changes_nothing_where_measurements_are_counted(tmp_path: Path) -> None:
+    job = job_with(tmp_path, "[model.filter.parameters]", "process_sd = 2.0")
+    assert build(job).feasible == job.problem.feasible
+
+
+@pytest.mark.parametrize(
+    ("believed", "smaller"), [({}, False), ({"step_sd": 1.0}, False), ({"step_sd": 2.0}, True)]
+)
+def test_all_affordable_sets_are_searched_if_the_filter_is_wrong(
+    small_job: Job, tmp_path: Path, believed: dict[str, float], smaller: bool
+) -> None:
+    """To a filter that trusts its sensor too much, further measurements do harm."""
+    problem = {"horizon": 5, "cost": [1, 2] * 3, "total_cost": 5}
+    truth = {"name": "random_walk", "parameters": {"step_sd": 1.0}, "filter": {}}
+    truth["filter"] = {"parameters": believed | ({"measurement_sd": 0.2} if smaller else {})}
+    truth["parameters"] |= {"measurement_sd": 6.0, "initial_sd": 2.0}
+    search = [{"method": "exhaustive", "evaluation": {"estimator": "squared_error"}}]
+    sections = {"problem": problem, "model": truth, "search": search}
+    run = pfdist.run(small_job.with_changes(sections=sections), tmp_path / "run", figures=False)
+    evaluated = run.evaluations().query("phase == 'exhaustive'")
+    costs = {tuple(row.measurement_times): row.expected_mse for row in evaluated.itertuples()}
+    constraints = {"horizon": 5, "cost": [1, 2] * 3, "total_cost": 5}
+    maximal = every_set(**constraints)
+    assert sorted(costs) == every_set(**constraints, smaller=smaller)
+    assert (min(costs, key=lambda times: costs[times]) in maximal) != smaller
+    assert (run.sets()["exhaustive"] in maximal) != smaller
+    assert run.sets()["regular"] in maximal
 
 
 def test_the_filters_model_may_be_another_one(tmp_path: Path) -> None:

@@ -24,6 +24,10 @@ SETS: dict[str, list[Times]] = {
 }
 
 
+def made(job: Job) -> Study:
+    return study_of(job, job.problem.feasible)
+
+
 @pytest.fixture(params=["times", "budget"])
 def kind(request: pytest.FixtureRequest) -> str:
     return str(request.param)
@@ -31,7 +35,7 @@ def kind(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture
 def study(kind: str, small_job: Job) -> Study:
-    return study_of(small_job.with_changes(sections=PLAN if kind == "times" else BUDGET))
+    return made(small_job.with_changes(sections=PLAN if kind == "times" else BUDGET))
 
 
 def test_there_is_a_winner_under_each_name_that_a_search_has(study: Study, kind: str) -> None:
@@ -47,7 +51,7 @@ def test_references_and_found_sets_have_different_names(study: Study) -> None:
 
 
 def test_a_budget_study_compares_sets_of_the_same_size(small_job: Job) -> None:
-    study = study_of(small_job.with_changes(sections=BUDGET))
+    study = made(small_job.with_changes(sections=BUDGET))
     winners = study.winners(DEFAULT_METHOD, SETS["budget"])
     assert [len(times) for times in winners.values()] == list(range(2, 12))
     references = study.references.values()
@@ -56,7 +60,7 @@ def test_a_budget_study_compares_sets_of_the_same_size(small_job: Job) -> None:
 
 
 def test_the_best_of_the_found_sets_wins_unless_it_is_alone_after_a_race(small_job: Job) -> None:
-    study = study_of(small_job)
+    study = made(small_job)
     best, other = SETS["times"]
     assert study.winners("genetic", [best, other]) == {"genetic": best}
     assert study.racing([best, other]) == (best, other)
@@ -65,7 +69,7 @@ def test_the_best_of_the_found_sets_wins_unless_it_is_alone_after_a_race(small_j
 
 def test_the_draws_that_chose_a_number_do_not_prove_it(small_job: Job) -> None:
     purposes: list[Purpose[pfdist.Evaluation]] = [
-        study_of(small_job.with_changes(sections=sections)).purpose for sections in (PLAN, BUDGET)
+        made(small_job.with_changes(sections=sections)).purpose for sections in (PLAN, BUDGET)
     ]
     assert len({purpose.stream(1, "draws") for purpose in purposes}) == 2
 

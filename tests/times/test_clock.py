@@ -187,6 +187,8 @@ def test_regular_times_of_an_even_clock_are_those_of_the_paper() -> None:
 def test_regular_times_of_an_uneven_clock_are_nearest_to_evenly_spaced_times() -> None:
     assert UNEVEN.times_of(UNEVEN.regular_times(4)) == [0.0, 4.0, 8.0, 12.0]
     assert UNEVEN.regular_times(7) == tuple(range(7))  # every instant once
+    nearest = min(range(7), key=lambda t: abs(UNEVEN.times[t] - UNEVEN.times[-1] / 2))
+    assert UNEVEN.regular_times(1) == Feasible(6, 1, clock=UNEVEN).regular() == (nearest,)
 
 
 def test_trapezoids_integrate_straight_lines_exactly() -> None:

@@ -33,6 +33,8 @@ LARGE = [
     {"horizon": 9, "cost": (1, 2, 3, 1, 2, 3, 1, 2, 3, 1), "total_cost": 7},
     {"horizon": 9, "cost": (2, 2, 2, 4, 4, 4, 6, 6, 2, 2), "total_cost": 15, "required": (7,)},
     {"horizon": 10, "cost": (1,) * 5 + (3,) * 6, "total_cost": 8, "minimum_spacing": 2},
+    {"horizon": 7, "cost": (1, 2, 3, 1) * 2, "total_cost": 7, "smaller": True},
+    {"horizon": 8, "cost": (1, 2, 3) * 3, "total_cost": 6, "smaller": True, "required": (4,)},
 ]
 
 
@@ -52,7 +54,8 @@ def constraints(draw: st.DrawFn) -> dict[str, Any]:
     unit = draw(st.sampled_from([1, 1, 3]))
     prices = st.integers(1, 4).map(lambda price: unit * price)
     cost = draw(st.lists(prices, min_size=horizon + 1, max_size=horizon + 1))
-    return {**given_, "cost": tuple(cost), "total_cost": draw(st.integers(1, 4 * unit * horizon))}
+    total = draw(st.integers(1, 4 * unit * horizon))
+    return {**given_, "cost": tuple(cost), "total_cost": total, "smaller": draw(st.booleans())}
 
 
 @st.composite
@@ -99,7 +102,7 @@ def test_sets_that_may_be_chosen_break_none_and_those_that_break_none_may_be(cas
     feasible, every = case
     whole = [times for times in subsets(feasible.horizon) if not feasible.broken(times)]
     assert set(every) <= set(whole)
-    if feasible.counted:
+    if feasible.counted or feasible.smaller:
         assert sorted(whole) == every
     else:  # what is left over may pay for more, which no choice leaves out
         assert all(any(set(times) <= set(other) for other in every) for times in whole)
@@ -155,6 +158,9 @@ def test_exchanges_hold_every_set_in_which_one_time_is_another_that_is_near(
         assert near <= set(found) <= set(every) - {times}
         if feasible.counted:
             assert set(found) == near
+        if feasible.smaller:
+            one_more_or_less = {other for other in every if len(set(times) ^ set(other)) == 1}
+            assert one_more_or_less <= set(found)
         assert set(found) <= set(feasible.exchanges(times))
 
 
@@ -190,13 +196,15 @@ def test_a_set_has_so_many_shifts_as_its_number_of_times_and_no_square(number: i
 
 @quick
 @given(possible())
-def test_what_money_is_left_over_fills_a_set_to_a_feasible_one(case: Any) -> None:
+def test_what_can_be_paid_for_is_completed_to_a_feasible_set(case: Any) -> None:
     feasible, every = case
     assume(not feasible.counted)
     for times in filter(feasible.allows, subsets(feasible.horizon)):
-        filled = feasible.filled(times)
-        assert filled in every
-        assert {*times} <= {*filled}
+        completed = feasible.completed(times)
+        assert completed in every
+        assert {*times} <= {*completed}
+        if feasible.smaller:
+            assert {*completed} == {*times, *feasible.required}
 
 
 @quick
@@ -232,7 +240,7 @@ def test_where_times_cost_money_regular_ones_spend_the_most_on_the_most_measurem
         distance = sum(abs(a - b) for a, b in zip(times, wanted, strict=True))
         return -sum(feasible.cost[t] for t in times), -len(times), distance, times[::-1]
 
-    assert feasible.regular() == min(every, key=rank)
+    assert feasible.regular() == min(filter(None, every), key=rank)
 
 
 @pytest.mark.parametrize("price", [1, 3])

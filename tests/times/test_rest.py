@@ -77,3 +77,11 @@ def test_without_money_nothing_is_left() -> None:
     rest = rest_of(feasible, (0,), 1)
     assert rest is not None
     assert set(rest.every()) == {(0,), (1,), (2,)}
+
+
+def test_where_smaller_sets_are_feasible_nothing_more_needs_to_be_measured() -> None:
+    feasible = Feasible(3, cost=(2, 2, 3, 3), total_cost=5, smaller=True)
+    assert rest_of(feasible, (), 0) == feasible
+    rest = rest_of(feasible, (0,), 1)
+    assert rest is not None
+    assert set(rest.every()) == {(), (0,), (1,), (2,)}

@@ -41,7 +41,7 @@ def _blocks(subject: Subject, name: str) -> list[Block]:
             best = f"These are the times of the search {name}, the best of {others + 1} sets"
             known = _KNOWN if subject.is_exact else _LOOKS_BETTER
             blocks.append(Text(f"{best} {known}"))
-    blocks.append(Text(f"Measure at t = {subject.listed(times)}."))
+    blocks.append(Text(f"Measure at {'t = ' if times else 'no time'}{subject.listed(times)}."))
     return blocks
 
 
@@ -50,7 +50,8 @@ def _gain(subject: Subject, result: dict[str, Any]) -> str:
     times = result["measurement_times"]
     if times == subject.reference_times:
         return "The search found no better times than the reference's own."
-    these = f"Measuring at these {number_of(len(times), 'time')} instead of {subject.reference}"
+    at = {0: "no time", 1: "this time"}.get(len(times), f"these {len(times):,} times")
+    these = f"Measuring at {at} instead of {subject.reference}"
     if gain is None or positive is None:
         return f"{these}: the gain is not known, because errors are 0, infinite or unknown."
     share = f"{percent(positive, 0)} of {number_of(result['gain_draws'], 'draw')}"

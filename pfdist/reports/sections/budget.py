@@ -6,7 +6,7 @@ from pfdist.common.percent import cost
 from pfdist.common.rounding import with_error, with_interval
 from pfdist.reports.parts import Block, Cell, Section, Table, Text
 from pfdist.reports.pictures import pictures
-from pfdist.reports.subject import Subject, sets_table
+from pfdist.reports.subject import Subject, number_of, sets_table
 
 _KINDS = ("regular", "found")
 _HEAD = ("measurements", "regular times", "found times", "lower bound")
@@ -43,11 +43,12 @@ def _answer(subject: Subject) -> list[Text]:
         return []
     number, regular_times = reached["measurements"], f"{most['measurements']} regular times"
     if number < most["measurements"]:
-        told = f"{number} found times reach the error of {regular_times} on these draws."
+        reach = "time reaches" if number == 1 else "times reach"
+        told = f"{number} found {reach} the error of {regular_times} on these draws."
     else:
         told = f"No smaller number of found times reaches the error of {regular_times}."
     if reached["impossible"] is not None:
-        told += f" No {reached['impossible']} times can (95 %)."
+        told += f" No {number_of(reached['impossible'], 'time')} can (95 %)."
     return [Text(told, prominent=True)]
 
 
