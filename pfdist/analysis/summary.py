@@ -35,6 +35,8 @@ def summary_of(run: "Run", kind: Results) -> dict[str, Any]:
 
         - measurement_times, expected_mse, standard_error, degenerate_draws, search_cost and
           search_standard_error.
+        - top_percent_share: the share of expected_mse that 1 % of the draws carry; None with fewer
+          than 100 draws. Above 0.25 the standard error and the intervals are too small.
         - For the reference: gain_over_itself (see `pfdist.analysis.gains.gain_over_itself`) with
           interval and draws. For the reference and sets that the job names: description, and
           broken_constraints (see `pfdist.job.problem_section.ProblemSection.broken`).

@@ -15,7 +15,13 @@ from pfdist.cli.gain_lines import (
 from pfdist.cli.layout import line, wrapped_lines
 from pfdist.cli.online_lines import online_lines
 from pfdist.cli.pair_lines import comparison_lines
-from pfdist.common.percent import cost, percent, percent_with_interval, range_of
+from pfdist.common.percent import (
+    cost,
+    heavy_tail_warning,
+    percent,
+    percent_with_interval,
+    range_of,
+)
 from pfdist.common.rounding import with_error, with_interval
 from pfdist.common.told_times import told_times
 from pfdist.errors import one_line
@@ -73,6 +79,8 @@ def _compared_lines(name: str, summary: dict[str, Any]) -> list[str]:
     lines.append(line("expected MSE", f"{mse}  (standard error, on fresh draws)"))
     if result["degenerate_draws"]:
         lines.append(line("degenerate draws", f"{result['degenerate_draws']:,} (left out)"))
+    if warning := heavy_tail_warning({name: result["top_percent_share"]}):
+        lines += wrapped_lines("heavy tail", warning)
     if result["search_cost"] is not None:
         lines.append(belief_line(result))
     if result.get("search_distrust"):

@@ -4,6 +4,7 @@ import contextlib
 from pathlib import Path
 
 from pfdist.analysis import Run
+from pfdist.common.percent import heavy_tail_warning
 from pfdist.errors import StoreError
 from pfdist.reports.parts import Page
 from pfdist.reports.render import write_page
@@ -69,4 +70,7 @@ def page_of(run: Run, seconds: int = 0) -> Page:
         f"This run is not finished. So far {compared} are compared, and all figures may change."
     )
     warnings = [] if subject.summary["state"] == "finished" else [unfinished]
+    shares = {name: each.get("top_percent_share") for name, each in subject.results.items()}
+    if heavy_tail := heavy_tail_warning(shares):
+        warnings.append(f"{heavy_tail}.")
     return Page(f"When to measure: {name}", f"Run {run.path.name}", sections, warnings, seconds)
