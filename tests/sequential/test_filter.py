@@ -285,7 +285,7 @@ def test_a_wrong_model_surprises(ungm: StateSpaceModel) -> None:
 @pytest.mark.parametrize("name", ["random_walk", "ungm"])
 def test_an_outlier_is_noticed_among_400_measurements(name: str) -> None:
     """So its p-value must be below 1 % / 400; one of 20,001 simulated measurements is 1e-4."""
-    model, t = load_model(name), 4
+    model, t = load_model(name), 2
     noise_sd = 2 + math.sin(0.25 * t) if name == "ungm" else 1.0  # Aspeel et al. 2020, eq. 10
     y, noticed = simulate(model, t, range(30), 11).y[:, :, 0], 0
     for d in range(30):
@@ -301,11 +301,11 @@ def test_an_outlier_is_noticed_among_400_measurements(name: str) -> None:
 def test_few_particles_raise_no_alarm_about_a_right_model() -> None:
     """A precise measurement lies beyond all of 50 exact particles 2 times in 51."""
     precise = load_model("random_walk").with_parameters({"measurement_sd": 0.1})
-    draws = simulate(precise, 9, range(100), 11)
+    draws = simulate(precise, 4, range(80), 11)
     found = []
-    for d in range(100):
+    for d in range(80):
         filtering = Filter(precise, 50, draw=d)
-        found += [filtering.update(t, draws.y[d, t]).surprise for t in range(10)]
+        found += [filtering.update(t, draws.y[d, t]).surprise for t in range(5)]
     level, number = 1e-3, len(found)
     assert np.sum(np.array(found) < level) < level * number + 3 * math.sqrt(level * number)
 
