@@ -55,6 +55,7 @@ def budget_table(
                 "high": high,
                 "draws": known.count,
                 "degenerate_draws": statistics.draws - known.count,
+                "top_percent_share": statistics.top_percent_share(name),
                 "search_cost": float(entry["search_cost"]),
                 "search_standard_error": float(entry["search_standard_error"]),
             }

@@ -24,6 +24,7 @@ from pfdist.analysis.streaming_moments import (
     Moments,
     Pairs,
 )
+from pfdist.evaluation.estimate import top_percent_share
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 BIN = 0.001
@@ -233,6 +234,8 @@ class ComparisonStatistics:
     ----------
     names : list of str
         Names of the sets, the reference first.
+    total : int, optional
+        Number of draws that will be added; `top_percent_share` needs it.
 
     Attributes
     ----------
@@ -244,8 +247,9 @@ class ComparisonStatistics:
         Gain of each set but the reference.
     """
 
-    def __init__(self, names: list[str]) -> None:
-        self.names, self.draws = names, 0
+    def __init__(self, names: list[str], total: int = 0) -> None:
+        self.names, self.draws, self._most = names, 0, total // 100
+        self._largest = {name: np.empty(0) for name in names}
         self.mse = {name: Moments() for name in names}
         self.gains = {name: Gain() for name in names[1:]}
 
@@ -259,14 +263,26 @@ class ComparisonStatistics:
         """
         self.draws += len(block)
         for name, column in zip(self.names, block.T, strict=True):
-            self.mse[name].add(column[~np.isnan(column)])
+            usable = column[~np.isnan(column)]
+            self.mse[name].add(usable)
+            self._largest[name] = _largest(np.append(self._largest[name], usable), self._most)
         for name, column in zip(self.names[1:], block.T[1:], strict=True):
             self.gains[name].add(column, block[:, 0])
+
+    def top_percent_share(self, name: str) -> float:
+        """Share of the expected MSE of a set that 1 % of the draws carry; NaN if it is unknown."""
+        mse = self.mse[name]
+        return top_percent_share(self._largest[name], mse.count, mse.mean)
 
     def half_width(self) -> float:
         """Half width of the widest interval of a mean relative gain."""
         widths = [(high - low) / 2 for low, high in (gain.interval for gain in self.gains.values())]
         return math.inf if any(map(math.isnan, widths)) else max(widths)
+
+
+def _largest(values: Array, number: int) -> Array:
+    first = values.size - number
+    return np.partition(values, first)[first:] if 0 < first < values.size else values[:number]
 
 
 def summarise_gain(mse: Array, reference: Array) -> GainSummary:

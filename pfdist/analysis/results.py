@@ -68,6 +68,7 @@ class TimesResults:
                 "expected_mse": mse.mean,
                 "standard_error": mse.standard_error,
                 "degenerate_draws": statistics.draws - mse.count,
+                "top_percent_share": statistics.top_percent_share(name),
                 "search_cost": float(entry["search_cost"]),
                 "search_standard_error": float(entry["search_standard_error"]),
             }

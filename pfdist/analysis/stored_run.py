@@ -111,7 +111,7 @@ class Run(RunTables):
 
     def statistics(self) -> ComparisonStatistics:
         """Statistics of all compared draws; memory does not grow with the draws."""
-        statistics = ComparisonStatistics(self.names)
+        statistics = ComparisonStatistics(self.names, self.draws_compared)
         for block in self._columns():
             statistics.add(block)
         return statistics
@@ -177,9 +177,10 @@ class Run(RunTables):
 
         The columns are kind, measurements, name, measurement_times, expected_mse (on fresh draws),
         standard_error, low and high (ends of the 95 % interval), draws (without the degenerate
-        ones), degenerate_draws, search_cost and search_standard_error (what the search believed),
-        and worse_than. The last is the best smaller number of measurements of the same kind, if it
-        is better on common draws. The intervals of all such differences hold together with 95 %.
+        ones), degenerate_draws, top_percent_share (see `summary`), search_cost and
+        search_standard_error (what the search believed), and worse_than. The last is the best
+        smaller number of measurements of the same kind, if it is better on common draws. The
+        intervals of all such differences hold together with 95 %.
 
         For found times, three columns more say what any feasible times of this number can reach:
         bound (lower bound of the expected MSE), bound_error (standard error), and bound_low

@@ -40,6 +40,8 @@ def summary_of(run: "Run", kind: Results) -> dict[str, Any]:
           expected_mse, where the engine has particles and the error is the squared norm.
           unmeasured_mse: the exact filter's expected MSE without a measurement. warnings: a list
           of sentences.
+        - top_percent_share: the share of expected_mse that 1 % of the draws carry; None with fewer
+          than 100 draws. Above 0.25 the standard error and the intervals are too small.
         - For the reference: gain_over_itself (see `pfdist.analysis.gains.gain_over_itself`) with
           interval and draws. For the reference and sets that the job names: description, and
           broken_constraints (see `pfdist.job.problem_section.ProblemSection.broken`).

@@ -6,8 +6,8 @@ from statistics import mode
 from typing import Any
 
 from pfdist.cli.belief import distance
-from pfdist.cli.layout import COLUMNS
-from pfdist.common.percent import cost
+from pfdist.cli.layout import COLUMNS, paragraph
+from pfdist.common.percent import cost, heavy_tail_warning
 from pfdist.common.rounding import rounded, with_interval
 from pfdist.common.told_times import told_times
 
@@ -33,6 +33,8 @@ def budget_lines(summary: dict[str, Any]) -> list[str]:
     found = [result for result in results if result["kind"] == "found"]
     lines = [*_table(results), *_worse_lines(results), *_belief_lines(found)]
     lines += _unproved_lines(found)
+    shares = {name: result["top_percent_share"] for name, result in summary["results"].items()}
+    lines += paragraph(heavy_tail_warning(shares))
     for kind, reached in summary.get("reached", {}).items():
         lines += ["", _reached_line(kind, reached, summary["target"])]
         if reached["measurement_times"] is not None and kind == "found":

@@ -15,7 +15,14 @@ from pfdist.cli.gain_lines import (
 from pfdist.cli.layout import line, paragraph, wrapped_lines
 from pfdist.cli.online_lines import online_lines
 from pfdist.cli.pair_lines import comparison_lines
-from pfdist.common.percent import cost, particle_loss_text, percent, percent_with_interval, range_of
+from pfdist.common.percent import (
+    cost,
+    heavy_tail_warning,
+    particle_loss_text,
+    percent,
+    percent_with_interval,
+    range_of,
+)
 from pfdist.common.rounding import with_error, with_interval
 from pfdist.common.told_times import told_times
 from pfdist.errors import one_line
@@ -76,6 +83,8 @@ def _compared_lines(name: str, summary: dict[str, Any]) -> list[str]:
     if result.get("particle_loss") is not None:
         loss = particle_loss_text(result["particle_loss"], result["particle_loss_at_most"])
         lines.append(line("particles lose", loss))
+    if warning := heavy_tail_warning({name: result["top_percent_share"]}):
+        lines += wrapped_lines("heavy tail", warning)
     if result["search_cost"] is not None:
         lines.append(belief_line(result))
     if result.get("search_distrust"):

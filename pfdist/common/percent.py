@@ -1,8 +1,12 @@
 """Numbers of a JSON answer as text; None is a number that is unknown or infinite."""
 
 import math
+from collections.abc import Mapping
 
 from pfdist.common.rounding import rounded, with_interval
+
+HEAVY = 0.25
+"""Share of an expected MSE. If 1 % of the draws carry more, an interval of the mean covers less."""
 
 
 def cost(expected_mse: float | None) -> float:
@@ -52,6 +56,24 @@ def percent_with_interval(
     """
     value, low, high = with_interval(*(times_100(part) for part in (fraction, *interval)))
     return f"{value} %{unit}  (95 %: {range_of(low, high)})"
+
+
+def heavy_tail_warning(shares: Mapping[str, float | None]) -> str:
+    """Warning that few draws carry much of an expected MSE; empty if there is no need.
+
+    Parameters
+    ----------
+    shares : mapping of str to float or None
+        By name of the set: the share of the expected MSE that 1 % of the draws carry. The name of a
+        single set may be empty.
+    """
+    carried = [
+        f"{percent(share, 0)} of the error{f' of {name}' if name else ''}"
+        for name, share in shares.items()
+        if share is not None and share > HEAVY
+    ]
+    rest = "95 % intervals are too narrow; take more draws"
+    return f"1 % of the draws carry {', '.join(carried)}: {rest}" if carried else ""
 
 
 def range_of(low: str, high: str) -> str:

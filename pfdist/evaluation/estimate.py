@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.common.cards import Card, Shown
+from pfdist.common.percent import heavy_tail_warning
 from pfdist.common.rounding import with_error
 from pfdist.common.streams import stream_key
 from pfdist.common.told_times import told_times
@@ -76,6 +77,11 @@ class Evaluation(Shown):
             return math.inf
         return float(np.std(usable, ddof=1) / math.sqrt(usable.size))
 
+    @cached_property
+    def top_percent_share(self) -> float:
+        """Share of `expected_mse` that 1 % of the draws carry; NaN with fewer than 100 draws."""
+        return top_percent_share(self._usable, self._usable.size, self.expected_mse)
+
     @property
     def known_errors(self) -> NDArray[np.float64]:
         """`errors`, of an evaluation that has them."""
@@ -96,6 +102,8 @@ class Evaluation(Shown):
         rows = [("measured at t", told_times(self.measurement_times))]
         if self.degenerate_draws:
             rows.append(("degenerate draws", f"{self.degenerate_draws:,}"))
+        if warning := heavy_tail_warning({"": self.top_percent_share}):
+            rows.append(("heavy tail", warning))
         return Card(title, (), rows)
 
     @property
@@ -103,6 +111,23 @@ class Evaluation(Shown):
         if self.degenerate_draws and self.degenerate_policy == "kill":
             return np.empty(0)
         return self.mse[~np.isnan(self.mse)]
+
+
+def top_percent_share(largest: NDArray[np.float64], draws: int, mean: float) -> float:
+    """Share of a mean over draws that the 1 % of the draws with the largest values carry.
+
+    It is a point of the Lorenz curve. NaN with fewer than 100 draws, or if the mean is not positive
+    and finite.
+
+    Parameters
+    ----------
+    largest : array of float64
+        At least the largest values of 1 % of the draws.
+    draws : int
+    mean : float
+    """
+    top = np.sort(largest)[::-1][: draws // 100]
+    return float(top.sum()) / draws / mean if top.size and 0 < mean < math.inf else math.nan
 
 
 class SearchEvaluation(Evaluation):

@@ -4,6 +4,7 @@ import contextlib
 from pathlib import Path
 
 from pfdist.analysis import Run
+from pfdist.common.percent import heavy_tail_warning
 from pfdist.errors import StoreError
 from pfdist.reports.parts import Page
 from pfdist.reports.render import write_page
@@ -71,4 +72,7 @@ def page_of(run: Run, seconds: int = 0) -> Page:
     warnings = [] if subject.summary["state"] == "finished" else [unfinished]
     for times, result in subject.results.items():
         warnings += [f"{times}: {warning}" for warning in result.get("warnings", ())]
+    shares = {name: each.get("top_percent_share") for name, each in subject.results.items()}
+    if heavy_tail := heavy_tail_warning(shares):
+        warnings.append(f"{heavy_tail}.")
     return Page(f"When to measure: {name}", f"Run {run.path.name}", sections, warnings, seconds)

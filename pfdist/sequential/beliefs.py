@@ -17,8 +17,8 @@ from pfdist.models import StateSpaceModel
 Array = NDArray[np.float64]
 
 PREDICTIVE = 20_000
-"""Predictive measurements that are simulated, at least. The surprise of a measurement beyond all of
-them is below 2 over their number, small enough among the measurements of a horizon."""
+"""Least number of predictive measurements that are simulated. The surprise of a measurement beyond
+all of them is below 2 over their number."""
 _ROUNDING = 1e-12  # of an eigenvalue, relative to the largest
 
 

@@ -254,3 +254,40 @@ def test_that_the_two_gains_disagree_is_known_where_their_intervals_are_apart() 
     few = summarise_gain(mse[:3], reference[:3])
     assert not few.disagree
     assert not summarise_gain(np.ones(1), np.ones(1)).disagree
+
+
+@pytest.mark.parametrize("alpha", [1.3, 3.0])
+def test_the_share_of_the_top_percent_is_the_lorenz_curve_of_a_pareto_distribution(
+    alpha: float,
+) -> None:
+    """The largest share q of a Pareto distribution carries q^(1 - 1/alpha) of its mean.
+
+    Arnold, "Pareto distributions", 2015. The values are its quantiles, so there is no random error.
+    The sum over the top q differs from the integral by the order of its last term.
+    """
+    draws = 200_000
+    mse = (1 - (np.arange(draws) + 0.5) / draws) ** (-1 / alpha)
+    values = np.random.default_rng(1).permutation(mse)
+    shares = []
+    for blocks in (1, 7, 1000):
+        statistics = ComparisonStatistics(["regular"], draws)
+        for block in np.array_split(values, blocks):
+            statistics.add(block[:, None])
+        shares.append(statistics.top_percent_share("regular"))
+    assert shares[0] == pytest.approx(
+        0.01 ** (1 - 1 / alpha), rel=(0.01 * draws) ** (1 / alpha - 1)
+    )
+    assert shares[1:] == pytest.approx(shares[:1] * 2, rel=1e-12)
+    exact = np.sort(mse)[-draws // 100 :].sum() / mse.sum()
+    assert shares[0] == pytest.approx(exact, rel=1e-12)
+
+
+def test_degenerate_draws_do_not_count_in_the_share_of_the_top_percent() -> None:
+    mse = np.r_[np.full(199, 1.0), 101.0, np.full(120, np.nan)]
+    statistics = ComparisonStatistics(["regular"], mse.size)
+    statistics.add(mse[:, None])
+    # 200 draws are left, so 1 % are two draws: 101 + 1 of 300
+    assert statistics.top_percent_share("regular") == pytest.approx(102 / 300)
+    few = ComparisonStatistics(["regular"], 99)
+    few.add(mse[101:200, None])
+    assert np.isnan(few.top_percent_share("regular"))

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 import pfdist
-from pfdist import Job
+from pfdist import Job, Problem, StateSpaceModel
 from pfdist.analysis import Run
 from pfdist.cli.summary import print_summary
 from pfdist.common.rounding import with_error, with_interval
 from pfdist.errors import RunMismatchError
+from pfdist.reports.run_report import page_of
 from pfdist.search.section import CommonNoiseSettings
 
 SURVIVORS = """
@@ -141,3 +142,49 @@ def test_what_was_minimised_comes_first_and_where_the_papers_figure_disagrees_it
     _, told = text.split(headline)
     lines = [line for line in told.splitlines() if "the search believed" not in line]
     assert max(map(len, lines)) <= 80
+
+
+def test_a_summary_warns_where_few_draws_carry_the_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The squared error of exp(2 x), x standard normal, is about lognormal with sigma = 4.
+
+    The top 1 % of a lognormal distribution carry Phi(sigma - 2.33) of its mean: 95 %.
+    """
+    model = StateSpaceModel(
+        name="exponential",
+        initial=lambda w, p: (w[0],),
+        transition=lambda x, t, w, p: (x[0],),
+        measurement=lambda x, t, v, p: (x[0] + 5 * v[0],),
+        log_likelihood=lambda y, x, t, p: -0.02 * (y[0] - x[0]) ** 2,
+        quantity_of_interest=lambda x, t, p: (np.exp(2 * x[0]),),
+        initial_noise=("normal",),
+        process_noise=("normal",),
+        measurement_noise=("normal",),
+    )
+    problem = Problem(model, horizon=3, measurement_budget=2, particles=30, engine="numpy")
+    sets = {"early": [0, 1], "late": [2, 3]}
+    run = pfdist.compare(problem, times=sets, results=tmp_path / "run", draws=400, figures=False)
+    for name, result in run.summary()["results"].items():
+        mse = np.sort(run.comparison()[f"mse_{name}"])
+        assert result["top_percent_share"] == pytest.approx(mse[-4:].sum() / mse.sum())
+        assert result["top_percent_share"] > 0.5
+    print_summary(run.summary(), "")
+    told = " ".join(capsys.readouterr().out.split())
+    share = run.summary()["results"]["late"]["top_percent_share"]
+    assert f"heavy tail 1 % of the draws carry {100 * share:.0f} % of the error of late: " in told
+    page = page_of(run).warnings[0]
+    assert f"{100 * share:.0f} % of the error of late: 95 % intervals are too narrow" in page
+    evaluation = pfdist.evaluate(problem, [2, 3], draws=400)
+    assert evaluation.top_percent_share > 0.5
+    assert "of the error: 95 % intervals are too narrow" in evaluation._repr_html_()
+
+
+def test_the_papers_model_has_no_heavy_tail(
+    small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    job = small_job.with_changes(["search.genetic.generations=1"])
+    summary = pfdist.run(job, tmp_path / "run", figures=False).summary()
+    assert all(0.01 < each["top_percent_share"] < 0.25 for each in summary["results"].values())
+    print_summary(summary, "")
+    assert "carry" not in capsys.readouterr().out

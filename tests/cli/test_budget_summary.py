@@ -17,6 +17,7 @@ def _result(kind: str, measurements: int, mse: float, error: float, **changes: A
         "high": mse + 2 * error,
         "worse_than": None,
         "search_excess": None,
+        "top_percent_share": None,
         "bound": None,
         "bound_error": None,
         "bound_low": None,
@@ -89,3 +90,13 @@ def test_a_line_says_which_number_reaches_a_target_and_which_cannot(
     found = REACHED | {"impossible": 15, "measurement_times": None} | changes
     lines = budget_lines(_summary() | {"target": 25.0, "reached": {"found": found}})
     assert lines[-1] == f"target 25: {told}"
+
+
+def test_a_line_names_the_sets_whose_error_few_draws_carry() -> None:
+    summary = _summary(top_percent_share=0.653)
+    told = (
+        "1 % of the draws carry 65 % of the error of found_16: 95 % intervals are too narrow; "
+        "take more draws"
+    )
+    assert told in " ".join(" ".join(budget_lines(summary)).split())
+    assert "carry" not in " ".join(budget_lines(_summary(top_percent_share=0.25)))

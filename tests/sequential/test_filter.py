@@ -24,7 +24,7 @@ from pfdist.filters.draws import Draws, simulate
 from pfdist.filters.interface import Filtered
 from pfdist.filters.settings import FilterSettings
 from pfdist.sequential.beliefs import PREDICTIVE
-from pfdist.sequential.filter import LAST
+from pfdist.sequential.filter import LAST, SUSPICIOUS
 
 HORIZON, TIMES = 20, (0, 3, 4, 9, 12, 18)
 LEVELS = (0.05, 0.5, 0.9)
@@ -280,6 +280,46 @@ def test_a_wrong_model_surprises(ungm: StateSpaceModel) -> None:
     beyond_all = filtering.update(0, 1e4).surprise
     assert beyond_all is not None
     assert 0 < beyond_all < 2 / PREDICTIVE
+
+
+@pytest.mark.parametrize("name", ["random_walk", "ungm"])
+def test_an_outlier_is_noticed_among_400_measurements(name: str) -> None:
+    """So its p-value must be below 1 % / 400; one of 20,001 simulated measurements is 1e-4."""
+    model, t = load_model(name), 2
+    noise_sd = 2 + math.sin(0.25 * t) if name == "ungm" else 1.0  # Aspeel et al. 2020, eq. 10
+    y, noticed = simulate(model, t, range(30), 11).y[:, :, 0], 0
+    for d in range(30):
+        filtering = Filter(model, 500, draw=d)
+        for earlier in range(t):
+            filtering.update(earlier, y[d, earlier])
+        surprise = filtering.update(t, y[d, t] - 12 * noise_sd).surprise
+        assert surprise is not None
+        noticed += surprise < 0.01 / 400
+    assert noticed >= 29
+
+
+def test_few_particles_raise_no_alarm_about_a_right_model() -> None:
+    """A precise measurement lies beyond all of 50 exact particles 2 times in 51."""
+    precise = load_model("random_walk").with_parameters({"measurement_sd": 0.1})
+    draws = simulate(precise, 4, range(80), 11)
+    found = []
+    for d in range(80):
+        filtering = Filter(precise, 50, draw=d)
+        found += [filtering.update(t, draws.y[d, t]).surprise for t in range(5)]
+    level, number = 1e-3, len(found)
+    assert np.sum(np.array(found) < level) < level * number + 3 * math.sqrt(level * number)
+
+
+def test_an_update_does_not_fail_because_one_of_many_states_overflows() -> None:
+    overflowing = replace(
+        FIRST_SENSOR,  # beyond 3.9 lie 10 of 200,000 standard normal variates
+        transition=lambda x, t, w, p: (np.where(w[0] > 3.9, np.inf, x[0] + 0.5 * w[0]),),
+    )
+    filtering = Filter(overflowing, 50, engine="numpy")
+    for t in (3, 4):
+        surprise = filtering.update(t, 30.0 * t).surprise
+        assert surprise is not None
+        assert 0 < surprise < SUSPICIOUS
 
 
 # --- the prior ------------------------------------------------------------------------------------

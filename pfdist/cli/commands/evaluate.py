@@ -91,12 +91,14 @@ def _answer(evaluation: "ReportEvaluation", broken: list[str]) -> dict[str, Any]
         "standard_error": evaluation.standard_error,
         "draws": evaluation.draws,
         "degenerate_draws": evaluation.degenerate_draws,
+        "top_percent_share": evaluation.top_percent_share,
         "broken_constraints": broken,
     }
 
 
 def _print_evaluation(name: str, evaluation: "ReportEvaluation", seconds: float) -> None:
     """Print two lines about a set without a name, or one line about a set with a name."""
+    from pfdist.common.percent import heavy_tail_warning
     from pfdist.common.rounding import rounded, with_error
 
     start = f"{name}: " if name else ""
@@ -109,3 +111,5 @@ def _print_evaluation(name: str, evaluation: "ReportEvaluation", seconds: float)
         print(f"{start}expected MSE {error} ({drawn})")
     else:
         print(f"expected MSE {error}\n{drawn}, {seconds:.1f} s")
+    if warning := heavy_tail_warning({name: evaluation.top_percent_share}):
+        print(f"pfdist: note: {warning}", file=sys.stderr)
