@@ -131,15 +131,14 @@ class Run(RunTables):
         """
         if not (self.has("filter_distance") and self.has("filter_variance")):
             return {}
-        distance, variance = self.filter_distance(), self.filter_variance()
-        rows = self.comparison(int(distance["draw"].max()) + 1)
-        whole = (statistics or self.statistics()).mse
-        tables = ("mse", rows), ("distance", distance), ("variance", variance)
+        rows = self.filter_distance().merge(self.filter_variance(), on="draw")
+        rows = rows.merge(self.comparison(int(rows["draw"].max()) + 1), on="draw")
+        particles, whole = self.job["filter"]["particles"], (statistics or self.statistics()).mse
         return {
             name: particle_loss(
-                self.job["filter"]["particles"],
+                particles,
                 whole[name],
-                *(table[f"{start}_{name}"].to_numpy() for start, table in tables),
+                *(rows[f"{start}_{name}"].to_numpy() for start in ("mse", "distance", "variance")),
             )
             for name in self.names
         }

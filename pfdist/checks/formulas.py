@@ -220,8 +220,9 @@ def _most_unlike(
 
     A state at which this y is impossible is the last choice.
     """
-    states, one = draws.x[:, t], tuple(component[0] for component in y)
-    (values,) = values_of(model, "log_likelihood", (one, tuple(states.T), t, model.p), len(states))
+    states, first = draws.x[:, t], tuple(component[0] for component in y)
+    arguments = first, tuple(states.T), t, model.p
+    (values,) = values_of(model, "log_likelihood", arguments, len(states))
     unlike = np.nan_to_num(np.abs(values - values[i]), posinf=np.finfo(float).tiny)
     return np.array(states[unlike.argmax()])
 

@@ -64,8 +64,8 @@ def heavy_tail_warning(shares: Mapping[str, float | None]) -> str:
     Parameters
     ----------
     shares : mapping of str to float or None
-        By name of the set: the share of the expected MSE that 1 % of the draws carry. The name of a
-        single set may be empty.
+        The share of the expected MSE that 1 % of the draws carry, by the name of the set. The name
+        of a single set may be empty.
     """
     carried = [
         f"{percent(share, 0)} of the error{f' of {name}' if name else ''}"

@@ -68,7 +68,7 @@ def check_lengths(
     parameters : mapping of str to float or tuple of float
     instants : int
     where : str
-        What stands before a parameter's name in the error.
+        The words before a parameter's name in the error.
     exactly : bool
         Whether more numbers are wrong, too.
 

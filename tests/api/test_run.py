@@ -166,7 +166,7 @@ def test_more_draws_of_comparison_compute_only_the_new_and_give_the_same_bytes(
     pfdist.run(small_job, tmp_path / "grown", figures=False)
     count_draws.clear()
     grown = pfdist.run(larger, tmp_path / "grown", figures=False)
-    assert sum(count_draws) == (430 - 250) * (3 + 1)  # the reference twice
+    assert sum(count_draws) == (430 - 250) * (3 + 1 + 3 + 4)  # all sets three times
     assert hashes(grown.path) == hashes(at_once.path)
     assert grown.summary()["draws_compared"] == 430
 

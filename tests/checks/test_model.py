@@ -47,6 +47,7 @@ LOOKS = [
     "every instant",
     "degenerate draws",
     "expected MSE",
+    "particles",
     "an evaluation",
 ]
 

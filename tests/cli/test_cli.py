@@ -100,7 +100,8 @@ def test_evaluate_prints_json(finished: Path, capsys: pytest.CaptureFixture[str]
     assert main(shlex.split(command)) == 0
     answer = json.loads(capsys.readouterr().out)
     assert set(answer) == {
-        "expected_mse", "standard_error", "draws", "degenerate_draws", "broken_constraints",
+        "expected_mse", "standard_error", "draws", "degenerate_draws", "top_percent_share",
+        "broken_constraints",
         "seconds",
     }  # fmt: skip
     expected = pfdist.evaluate(_job(finished), (0, 4, 8), draws=50, particles=30, seed=9)

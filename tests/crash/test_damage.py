@@ -131,7 +131,7 @@ def test_a_file_cut_short_at_any_byte_is_named_and_made_again(
     run, faults = shutil.copytree(runs["finished"], tmp_path / "run"), 0
     assert _named(run) == []
     tables = sorted((run / "tables").iterdir())
-    assert len(tables) == 7
+    assert len(tables) == 9
     for table in tables:
         last = max(table.iterdir())
         file, whole = last.relative_to(run), last.read_bytes()

@@ -15,6 +15,7 @@ from pfdist.kernels.resampling import (
     expanded,
     merged_ancestors,
 )
+from pfdist.kernels.schemes import SCHEMES
 
 STREAM = 0x0123456789ABCDEF
 SIZES = [1, 2, 3, 4, 5, 15, 16, 17, 63, 64, 65, 500, 1000]
@@ -33,7 +34,7 @@ MANY = {
     "ties": RNG.choice([0.0, 0.25, 0.5, 0.75, 1.0], 300),
     "over all magnitudes": np.exp(-87 * RNG.random(500)),
 }
-schemes = pytest.mark.parametrize("scheme", RESAMPLE)
+schemes = pytest.mark.parametrize("scheme", SCHEMES)  # `tests/filters/test_conditional.py` has more
 sizes = pytest.mark.parametrize("particles", SIZES)
 
 

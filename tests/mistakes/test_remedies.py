@@ -1,4 +1,4 @@
-"""What to write in the place of a function of `math`: it exists in NumPy, and compiles."""
+"""The advice about a function of `math` names what exists in NumPy and compiles."""
 
 import inspect
 import math

@@ -19,9 +19,11 @@ from pfdist.store import (
     SCHEMA_VERSION,
     Store,
     comparison_schema,
+    distance_schema,
     reader,
     schema,
     trajectories_schema,
+    variance_schema,
 )
 from pfdist.store.schema import TABLES
 from pfdist.store.tables import cut_rows
@@ -222,6 +224,8 @@ def test_cut_rows_keeps_all_rows_in_order(count: int) -> None:
 def test_every_column_says_its_unit_and_every_table_its_version(store: Store) -> None:
     variable = {
         "comparison": comparison_schema(["regular", "genetic"]),
+        "filter_distance": distance_schema(["regular", "genetic"]),
+        "filter_variance": variance_schema(["regular", "genetic"]),
         "trajectories": trajectories_schema(
             ["regular"], numbered_components(2), numbered_components(1)
         ),
