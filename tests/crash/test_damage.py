@@ -43,6 +43,7 @@ def _small_files() -> Iterator[None]:
         patch.setattr(Pace, "size", lambda pace, remaining: 90 * A_DRAW)
         patch.setattr(first_draws, "TRAJECTORIES", 20)
         patch.setattr(first_draws, "REPEATED", 10)
+        patch.setattr(first_draws, "LOSS_DRAWS", 10)
         patch.setitem(parquet.ROWS_IN_A_FILE, "comparison", 50)
         patch.setitem(parquet.ROWS_IN_A_FILE, "draws", 100)
         yield

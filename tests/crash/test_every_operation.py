@@ -48,6 +48,7 @@ def layer(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> FileLayer:
     monkeypatch.setattr(Pace, "size", lambda pace, remaining: 150 * A_DRAW)
     monkeypatch.setattr(first_draws, "TRAJECTORIES", 30)
     monkeypatch.setattr(first_draws, "REPEATED", 10)
+    monkeypatch.setattr(first_draws, "LOSS_DRAWS", 10)
     monkeypatch.setitem(parquet.ROWS_IN_A_FILE, "comparison", 50)
     monkeypatch.setitem(parquet.ROWS_IN_A_FILE, "draws", 120)
     return FileLayer(monkeypatch, tmp_path)
