@@ -4,19 +4,14 @@ from typing import Any
 
 from pfdist.common.percent import cost
 from pfdist.common.rounding import with_error
-from pfdist.reports.parts import Cell, Section, Table, Text, without_empty_columns
+from pfdist.reports.parts import Cell, Section, Table, Text
 from pfdist.reports.pictures import pictures
 from pfdist.reports.subject import Subject, number_of, percent_cell, sets_table
 
-_HEAD = (
-    "times", "expected error", "lost by particles, %", "lower by, %",
-    "draws with a lower error, %", "mean gain, %",
-)  # fmt: skip
+_HEAD = ("times", "expected error", "lower by, %", "draws with a lower error, %", "mean gain, %")
 _MEANING = (
-    "The expected error is the mean over all draws, with its standard error. The particles lose so "
-    "much of it against infinitely many: the first figure is right for many particles, the second "
-    "is an upper limit for any number. The next column says how much lower the error is than that "
-    "of the first row. The mean gain is the mean of the relative "
+    "The expected error is the mean over all draws, with its standard error. The next column says "
+    "how much lower it is than that of the first row. The mean gain is the mean of the relative "
     "gains of single draws, the paper's figure. Intervals in brackets hold with 95 %."
 )
 
@@ -38,7 +33,7 @@ def gains(subject: Subject) -> Section | None:
     return Section(
         "What the times gain",
         [
-            without_empty_columns(table),
+            table,
             Text(_MEANING),
             *texts,
             *pictures(subject.tables, ["gain", "draw"], subject.shown),
@@ -55,18 +50,11 @@ def _called(subject: Subject, name: str) -> str:
 
 def _row(name: str, result: dict[str, Any]) -> list[Cell]:
     mse = cost(result["expected_mse"])
-    cells = [Cell(name), Cell(with_error(mse, result["standard_error"]), mse), _lost(result)]
+    cells = [Cell(name), Cell(with_error(mse, result["standard_error"]), mse)]
     for key in ("gain_of_means", "positive_fraction", "mean_relative_gain"):
         known = key in result
         cells.append(percent_cell(result[key], result[f"{key}_interval"]) if known else Cell(""))
     return cells
-
-
-def _lost(result: dict[str, Any]) -> Cell:
-    loss, most = result.get("particle_loss"), result.get("particle_loss_at_most")
-    if loss is None or most is None:
-        return Cell("")
-    return Cell(f"{100 * max(0.0, loss):.2f} (at most {100 * max(0.0, most):.1f})", loss)
 
 
 def _degenerate(subject: Subject) -> list[Text]:
