@@ -52,7 +52,11 @@ class ParticleLoss:
     @property
     def text(self) -> str:
         """Both figures in words."""
-        return particle_loss_text(self.by_two_filters.value, self.at_most.value)
+        return particle_loss_text(self.by_two_filters.value, self._limit)
+
+    @property
+    def _limit(self) -> float:
+        return self.at_most.value + _QUANTILE * self.at_most.standard_error
 
     @property
     def warning(self) -> str:
@@ -96,6 +100,7 @@ class ParticleLoss:
             "particle_loss_error": self.by_two_filters.standard_error,
             "particle_loss_at_most": self.at_most.value,
             "particle_loss_at_most_error": self.at_most.standard_error,
+            "particle_loss_limit": self._limit,
         }
 
 

@@ -35,9 +35,10 @@ def summary_of(run: "Run", kind: Results) -> dict[str, Any]:
 
         - measurement_times, expected_mse, standard_error, degenerate_draws, search_cost and
           search_standard_error.
-        - particle_loss and particle_loss_error (by two filters), particle_loss_at_most and
-          particle_loss_at_most_error: the loss by a finite number of particles as a fraction of
-          expected_mse, where the engine has particles and the error is the squared norm.
+        - particle_loss and particle_loss_error (by two filters), particle_loss_at_most,
+          particle_loss_at_most_error and its 95 % limit particle_loss_limit: the loss by a finite
+          number of particles as a fraction of expected_mse, where the engine has particles and the
+          error is the squared norm.
           unmeasured_mse: the exact filter's expected MSE without a measurement. warnings: a list
           of sentences.
         - top_percent_share: the share of expected_mse that 1 % of the draws carry; None with fewer

@@ -81,7 +81,7 @@ def _compared_lines(name: str, summary: dict[str, Any]) -> list[str]:
     if result["degenerate_draws"]:
         lines.append(line("degenerate draws", f"{result['degenerate_draws']:,} (left out)"))
     if result.get("particle_loss") is not None:
-        loss = particle_loss_text(result["particle_loss"], result["particle_loss_at_most"])
+        loss = particle_loss_text(result["particle_loss"], result["particle_loss_limit"])
         lines.append(line("particles lose", loss))
     if warning := heavy_tail_warning({name: result["top_percent_share"]}):
         lines += wrapped_lines("heavy tail", warning)

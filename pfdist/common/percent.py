@@ -29,16 +29,16 @@ def percent(fraction: float | None, decimals: int = 2) -> str:
     return f"{per_cent:.{decimals}f} %" if abs(per_cent) < 1e6 else f"{rounded(per_cent, 3)} %"
 
 
-def particle_loss_text(loss: float | None, at_most: float | None) -> str:
-    """The loss by a finite number of particles, and its upper limit, in words.
+def particle_loss_text(loss: float, limit: float) -> str:
+    """The loss by a finite number of particles, and its upper 95 % limit, in words.
 
     Examples
     --------
     >>> particle_loss_text(0.0056, 0.018)
-    '0.56 % of the expected MSE, at most 1.80 %'
+    '0.56 % of the expected MSE, at most 1.80 % (95 %)'
     """
-    low, high = (percent(None if each is None else max(0.0, each)) for each in (loss, at_most))
-    return f"{low} of the expected MSE, at most {high}"
+    low, high = percent(max(0.0, loss)), percent(min(1.0, max(0.0, loss, limit)))
+    return f"{low} of the expected MSE, at most {high} (95 %)"
 
 
 def percent_with_interval(

@@ -121,7 +121,7 @@ def _lines(name: str, gap: dict[str, Any]) -> list[str]:
         line("expected MSE", _estimate(gap, "expected_mse")),
     ]
     if gap.get("particle_loss") is not None:
-        loss = particle_loss_text(gap["particle_loss"], gap["particle_loss_at_most"])
+        loss = particle_loss_text(gap["particle_loss"], gap["particle_loss_limit"])
         lines.append(line("particles lose", loss))
     if not gap["reason"]:
         lines.append(line("lower bound", _estimate(gap, "bound")))
