@@ -80,7 +80,7 @@ def _compared_lines(name: str, summary: dict[str, Any]) -> list[str]:
     lines.append(line("expected MSE", f"{mse}  (standard error, on fresh draws)"))
     if result["degenerate_draws"]:
         lines.append(line("degenerate draws", f"{result['degenerate_draws']:,} (left out)"))
-    if result.get("particle_loss") is not None:
+    if result.get("particle_loss_limit") is not None:
         loss = particle_loss_text(result["particle_loss"], result["particle_loss_limit"])
         lines.append(line("particles lose", loss))
     if warning := heavy_tail_warning({name: result["top_percent_share"]}):

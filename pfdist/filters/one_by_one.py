@@ -94,10 +94,8 @@ def summed_one_by_one(filter_checked_draws: Callable[..., Filtered]) -> Callable
         stream: int,
         settings: FilterSettings,
     ) -> Array:
-        keys, estimator = (
-            filter_streams(stream, settings.estimator),
-            ALL_ESTIMATORS[settings.estimator],
-        )
+        estimator = ALL_ESTIMATORS[settings.estimator]
+        keys = filter_streams(stream, settings.estimator)
         sums = np.zeros((len(sets), draws.z.shape[1]))
         for row, times, end in zip(sums, sets, ends, strict=True):
             some = draws.upto(end)

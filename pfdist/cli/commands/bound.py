@@ -120,7 +120,7 @@ def _lines(name: str, gap: dict[str, Any]) -> list[str]:
         f"{name}: {number} measurement{'s' * (number != 1)}",
         line("expected MSE", _estimate(gap, "expected_mse")),
     ]
-    if gap.get("particle_loss") is not None:
+    if gap.get("particle_loss_limit") is not None:
         loss = particle_loss_text(gap["particle_loss"], gap["particle_loss_limit"])
         lines.append(line("particles lose", loss))
     if not gap["reason"]:
