@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import pfdist
-from pfdist import Job, linear_gaussian
+from oracles.systems import scalar
+from pfdist import Job
 from pfdist.analysis import Moments
 from pfdist.analysis.particle_loss import (
     ParticleLoss,
@@ -22,19 +23,6 @@ from pfdist.filters.kalman import expected_mse
 from pfdist.models import StateSpaceModel
 
 HORIZON, TIMES = 12, (2, 5, 6, 10)
-
-
-def scalar(sd: float) -> StateSpaceModel:
-    """x' = 0.95 x + 0.5 w, with a prior of sd 2 and measurements of this sd."""
-    return linear_gaussian(
-        "scalar",
-        initial_noise=[[2.0]],
-        transition=[[0.95]],
-        process_noise=[[0.5]],
-        measurement=[[1.0]],
-        measurement_noise=[[sd]],
-        quantity_of_interest=[[1.0]],
-    )
 
 
 def measured(model: StateSpaceModel, particles: int, draws: int) -> tuple[ParticleLoss, Moments]:
@@ -56,7 +44,7 @@ def measured(model: StateSpaceModel, particles: int, draws: int) -> tuple[Partic
 @pytest.mark.parametrize(("sd", "particles"), [(1.0, 50), (1.0, 200), (0.1, 200)])
 def test_two_filters_find_the_loss_against_the_exact_filter(sd: float, particles: int) -> None:
     """Right to order 1/P: the tolerance has the square of the loss beside 4 standard errors."""
-    model = scalar(sd)
+    model = scalar("scalar", 0.95, 0.5, sd)
     loss, whole = measured(model, particles, 20_000)
     exact = 1 - expected_mse(model, HORIZON, [TIMES])[0] / whole.mean
     error = math.hypot(loss.by_two_filters.standard_error, whole.standard_error / whole.mean)
@@ -69,8 +57,9 @@ def test_two_filters_find_the_loss_against_the_exact_filter(sd: float, particles
 
 def test_in_a_collapse_the_upper_figure_alone_shows_the_loss() -> None:
     """A sensor of a ten-thousandth of the prior's deviation: 20 particles never meet it."""
-    loss, whole = measured(scalar(0.0002), 20, 4000)
-    exact = 1 - expected_mse(scalar(0.0002), HORIZON, [TIMES])[0] / whole.mean
+    model = scalar("scalar", 0.95, 0.5, 0.0002)
+    loss, whole = measured(model, 20, 4000)
+    exact = 1 - expected_mse(model, HORIZON, [TIMES])[0] / whole.mean
     assert loss.at_most.value > exact - 4 * whole.standard_error / whole.mean
     assert loss.is_large
     assert "20 particles may be too few: they lose" in loss.warning

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pfdist import linear_gaussian
+from oracles.systems import scalar
 from pfdist.errors import ArgumentError
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Work, with_truth
@@ -29,16 +29,7 @@ Array = NDArray[np.float64]
 
 
 def system(sd: float, factor: float = 0.95, process_sd: float = 0.5) -> StateSpaceModel:
-    """x' = factor x + process_sd w, with a prior of sd 2 and measurements of this sd."""
-    return linear_gaussian(
-        "scalar",
-        initial_noise=[[2.0]],
-        transition=[[factor]],
-        process_noise=[[process_sd]],
-        measurement=[[1.0]],
-        measurement_noise=[[sd]],
-        quantity_of_interest=[[1.0]],
-    )
+    return scalar("scalar", factor, process_sd, sd)
 
 
 SLOW = system(3.0, 1.0, 0.1)

@@ -4,7 +4,8 @@ from oracles.kalman import SCALAR, THREE, TRACKING
 from pfdist import StateSpaceModel, linear_gaussian, load_model
 
 
-def _scalar(name: str, factor: float, push: float, noise: float) -> StateSpaceModel:
+def scalar(name: str, factor: float, push: float, noise: float) -> StateSpaceModel:
+    """x' = factor x + push w, with a prior of sd 2 and measurements with this noise."""
     return linear_gaussian(
         name,
         initial_noise=[[2.0]],
@@ -17,10 +18,10 @@ def _scalar(name: str, factor: float, push: float, noise: float) -> StateSpaceMo
 
 
 SYSTEMS = {
-    "stable": _scalar("stable", 0.7, 1.0, 0.5),
-    "random walk": _scalar("walk", 1.0, 1.0, 1.0),
-    "static": _scalar("static", 1.0, 0.0, 1.0),
-    "unstable": _scalar("unstable", 1.05, 0.5, 0.3),
+    "stable": scalar("stable", 0.7, 1.0, 0.5),
+    "random walk": scalar("walk", 1.0, 1.0, 1.0),
+    "static": scalar("static", 1.0, 0.0, 1.0),
+    "unstable": scalar("unstable", 1.05, 0.5, 0.3),
     "forgetful": SCALAR.as_model(),
     "tracking": TRACKING.as_model(),
     "three states": THREE.as_model(),
