@@ -60,6 +60,10 @@ def ray_cluster() -> Iterator[None]:
         yield
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--keep-golden", action="store_true", help="write the golden numbers anew")
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Mark the quick and the slow tests; let `pytest -m crash` run the whole table of faults."""

@@ -1,0 +1,130 @@
+"""The tables of six jobs hold the numbers that they held before the program became lighter.
+
+`pytest -m golden` computes each job and compares all numbers of its tables with those in
+`numbers.json`. Only numbers count. A column may have another name, another table, another integer
+or float type and another order of its rows; a table may also become rows of a longer table that a
+column of text tells apart. If numbers are meant to change, `pytest -m golden --keep-golden` writes
+the file anew, in a commit that changes nothing else.
+"""
+
+import json
+import math
+from collections.abc import Iterator
+from hashlib import sha256
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from pandas.api.types import is_bool_dtype, is_numeric_dtype, is_string_dtype
+
+from pfdist.cli.main import main
+
+ROOT = Path(__file__).parents[2]
+KEPT = Path(__file__).with_name("numbers.json")
+MOST_PARTS = 20  # values of a text column that may tell tables apart
+
+COMMANDS = {
+    "quick": "run {jobs}/quick.toml",
+    "plan": "plan {jobs}/plan.toml",
+    "budgets": "sweep {jobs}/budgets.toml --set comparison.draws=2000",
+    "online": "online {jobs}/online.toml --draws 20 --set comparison.draws=1000",
+    "pharmacokinetics": "plan {jobs}/pharmacokinetics.toml",
+    "constrained": "run {jobs}/constrained.toml",
+    "linear_gaussian": "run {jobs}/linear_gaussian.toml --set comparison.draws=10000",
+}
+ROUNDED = ("constrained", "linear_gaussian")
+"""Jobs of the Kalman filter: its matrix products are rounded differently on other processors."""
+
+Summary = str | list[float]
+"""What is kept of a column: a digest of its sorted values, or their count and four moments."""
+
+
+@pytest.mark.golden
+@pytest.mark.parametrize("job", COMMANDS)
+def test_the_numbers_of_the_tables_are_those_that_were_kept(
+    job: str, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    command = COMMANDS[job].format(jobs=ROOT / "jobs").split()
+    assert main([*command, "--results", str(tmp_path), "--pool", "serial", "--no-report"]) == 0
+    now = summaries(tmp_path, rounded=job in ROUNDED)
+    if request.config.getoption("--keep-golden"):
+        keep(job, now)
+    kept = json.loads(KEPT.read_text())[job]
+    missing = [label for label in kept if not is_found(label, kept, now)]
+    assert not missing, f"no column has the numbers that these columns had: {missing}"
+
+
+def keep(job: str, numbers: dict[str, Summary]) -> None:
+    everything = json.loads(KEPT.read_text()) if KEPT.exists() else {}
+    everything[job] = numbers
+    KEPT.write_text(json.dumps(everything, indent=0) + "\n")
+
+
+def is_found(label: str, kept: dict[str, Summary], now: dict[str, Summary]) -> bool:
+    """Whether some column has the numbers of a kept column, or several have those of its parts."""
+    if any(is_same(kept[label], summary) for summary in now.values()):
+        return True
+    parts = [part for part in kept if part.startswith(f"{label} where ")]
+    return bool(parts) and all(is_found(part, kept, now) for part in parts)
+
+
+def is_same(kept: Summary, now: Summary) -> bool:
+    if isinstance(kept, str) or isinstance(now, str):
+        return kept == now
+    return all(
+        math.isclose(one, other, rel_tol=1e-10, abs_tol=1e-300)
+        for one, other in zip(kept, now, strict=True)
+    )
+
+
+def summaries(results: Path, rounded: bool) -> dict[str, Summary]:
+    """Summary of every column of numbers under a folder of results, whole and in parts."""
+    found: dict[str, Summary] = {}
+    files = (file for file in results.rglob("tables/*/*.parquet") if file.is_file())
+    for table in sorted({file.parent for file in files}):
+        if table.name == "timings":
+            continue
+        frame = pd.read_parquet(table)
+        run = table.parents[1].relative_to(results).as_posix()
+        for part, rows in parts_of(frame):
+            for name in frame.columns:
+                if (values := numbers_in(rows[name])) is not None:
+                    label = f"{run}/{table.name}.{name}".removeprefix("./")
+                    found[f"{label}{part}"] = moments_of(values) if rounded else digest_of(values)
+    return found
+
+
+def parts_of(frame: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
+    """The table, and its rows for each value of each column of text that has few values."""
+    yield "", frame
+    for name in frame.columns:
+        if is_string_dtype(frame[name].dropna()) and 1 < frame[name].nunique() <= MOST_PARTS:
+            for value, rows in frame.groupby(name):
+                yield f" where {name} is {value}", rows
+
+
+def numbers_in(column: pd.Series) -> list[tuple[float, ...]] | None:
+    """The numbers of each row; None for text."""
+    column = column.dropna()
+    if column.empty:
+        return None
+    if is_numeric_dtype(column) and not is_bool_dtype(column):
+        return [(float(value),) for value in column]
+    if isinstance(column.iloc[0], np.ndarray):
+        return [tuple(map(float, value)) for value in column]
+    return None
+
+
+def digest_of(rows: list[tuple[float, ...]]) -> str:
+    digest = sha256()
+    for row in sorted(rows):
+        digest.update(len(row).to_bytes(8, "little") + np.array(row, "<f8").tobytes())
+    return digest.hexdigest()[:32]
+
+
+def moments_of(rows: list[tuple[float, ...]]) -> list[float]:
+    values = [value for value in chain.from_iterable(rows) if math.isfinite(value)]
+    sums = math.fsum(map(abs, values)), math.fsum(value * value for value in values)
+    return [float(len(values)), *sums, min(values, default=0.0), max(values, default=0.0)]
