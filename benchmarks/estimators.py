@@ -16,8 +16,9 @@ from matplotlib.lines import Line2D
 from benchmarks.measure import Say, one_core, take_turns
 from benchmarks.results import Tables, markdown
 from pfdist import load_model
-from pfdist.filters.draws import simulate
-from pfdist.filters.particle_filter import filter_sets, filter_streams
+from pfdist.filters.particle_filter import filter_sets
+from pfdist.filters.settings import filter_streams
+from pfdist.filters.simulation import simulate
 from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.plots.style import COLUMN_INCHES, GREY, SERIES
 

@@ -15,7 +15,7 @@ _CHILD = """
 import json, sys, time
 start = time.perf_counter()
 import pfdist
-from pfdist.filters.draws import simulate
+from pfdist.filters.simulation import simulate
 from pfdist.filters.particle_filter import filter_draws
 imported = time.perf_counter()
 model = pfdist.load_model(sys.argv[1])

@@ -136,7 +136,7 @@ def _bounded(quick: bool, say: Say) -> pd.DataFrame:
         run = pfdist.plan("jobs/plan.toml", folder, changes=changes, bound_draws=0, figures=False)
         for kind, every in WORK.items():
             for settings in every[: 1 if quick else None]:
-                found = pfdist.bound(run.path, BoundSettings(**settings), figures=False)
+                found = pfdist.bound(run, BoundSettings(**settings), figures=False)
                 proved = run.bounds()
                 last = proved[
                     (proved["draws"] == found.draws) & (proved["windows"] == found.windows)

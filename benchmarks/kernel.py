@@ -18,9 +18,10 @@ from benchmarks.first_call import measure_first_calls
 from benchmarks.measure import Say, one_core, take_turns
 from benchmarks.results import Tables, markdown, with_range
 from pfdist import load_model
-from pfdist.filters.draws import Draws, simulate
+from pfdist.filters.draws import Draws
 from pfdist.filters.particle_filter import filter_draws
 from pfdist.filters.settings import DTYPES, RESAMPLING
+from pfdist.filters.simulation import simulate
 from pfdist.kernels.schemes import SCHEMES
 from pfdist.models.loader import installed_models
 from pfdist.plots.style import COLUMN_INCHES, SERIES

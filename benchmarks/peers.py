@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from benchmarks.measure import Say, one_core, take_turns
 from benchmarks.results import Tables, markdown
 from pfdist import load_model
-from pfdist.filters.draws import Draws, simulate
+from pfdist.filters.draws import Draws
 from pfdist.filters.particle_filter import filter_draws
+from pfdist.filters.simulation import simulate
 from pfdist.plots.style import BLUE, COLUMN_INCHES, RED
 from pfdist.times.measurement_times import regular
 

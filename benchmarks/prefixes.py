@@ -17,8 +17,9 @@ from matplotlib.figure import Figure
 from benchmarks.measure import Say, one_core, take_turns
 from benchmarks.results import Tables, markdown
 from pfdist import load_job, load_model, run
-from pfdist.filters.draws import Draws, simulate
+from pfdist.filters.draws import Draws
 from pfdist.filters.particle_filter import filter_draws, filter_sets
+from pfdist.filters.simulation import simulate
 from pfdist.kernels.prefixes import plan
 from pfdist.plots.style import COLUMN_INCHES, GREY, SERIES
 from pfdist.times.measurement_times import Times

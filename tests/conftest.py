@@ -1,5 +1,7 @@
 """Fixtures that tests share: models, small jobs, and one Ray cluster a process."""
 
+import shutil
+import signal
 import sys
 from collections import defaultdict
 from collections.abc import Iterator
@@ -7,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+import pfdist
 from pfdist import Job, StateSpaceModel, load_job, load_model
 
 ROOT = Path(__file__).parents[1]
@@ -27,7 +30,6 @@ PROMISES = (
     "a report that fails spoils neither the run nor the earlier report",
 )
 QUICK = ("analysis", "common", "job", "search", "times")  # folders of tests
-SLOW = set((Path(__file__).parent / "slow.txt").read_text().splitlines())
 SMALL_JOB = (Path(__file__).parent / "small.toml").read_text()
 
 
@@ -41,6 +43,20 @@ def small_job(tmp_path: Path) -> Job:
     path = tmp_path / "small.toml"
     path.write_text(SMALL_JOB)
     return load_job(path)
+
+
+@pytest.fixture(scope="session")
+def finished_small_job(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a finished run of the small job, for all tests of this process."""
+    path = tmp_path_factory.mktemp("finished") / "run"
+    pfdist.run(load_job(Path(__file__).parent / "small.toml"), path, figures=False)
+    return path
+
+
+@pytest.fixture
+def small_run(finished_small_job: Path, tmp_path: Path) -> pfdist.Run:
+    """A finished run of the small job, in a copy of its own: ``tmp_path / "run"``."""
+    return pfdist.open_run(shutil.copytree(finished_small_job, tmp_path / "run"))
 
 
 @pytest.fixture
@@ -60,17 +76,26 @@ def ray_cluster() -> Iterator[None]:
         yield
 
 
+@pytest.fixture
+def hangup_ends_children() -> Iterator[None]:
+    """Let SIGHUP end the processes that a test starts, although `nohup pytest` ignores it.
+
+    A process inherits from its parent that a signal is ignored, but not the parent's handler.
+    """
+    before = signal.signal(signal.SIGHUP, lambda *_: None)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--keep-golden", action="store_true", help="write the golden numbers anew")
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark the quick and the slow tests; let `pytest -m crash` run the whole table of faults."""
+    """Mark the quick tests; let `pytest -m crash` run the whole table of faults."""
     quick = [ROOT / "tests" / folder for folder in QUICK]
     for item in items:
-        if f"{item.path.relative_to(ROOT)}::{item.name}" in SLOW:
-            item.add_marker("slow")
         if any(map(item.path.is_relative_to, quick)):
             item.add_marker("quick")
     if config.option.markexpr == "crash":

@@ -45,9 +45,11 @@ def _exit_code(words: list[str]) -> object:
 
 
 def test_commands_are_found_in_the_manual() -> None:
-    assert {"run jobs/paper.toml", "why RUN", "models"} <= set(_commands())
+    assert {"run jobs/paper.toml", "why JOB", "models"} <= set(_commands())
 
 
+@pytest.mark.zoo
+@pytest.mark.usefixtures("no_figures")
 def test_the_model_and_the_job_of_the_readme_are_planned(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -57,6 +59,7 @@ def test_the_model_and_the_job_of_the_readme_are_planned(
     draws = f"search.{DEFAULT_METHOD}.evaluation.draws=20"
     few = ["filter.particles=50", "comparison.draws=40", draws]
     results = ["--pool", "serial", "--results", str(tmp_path / "run")]
+    results += ["--bound-draws", "0"]
     assert main(["plan", str(tmp_path / "mine.toml"), *results, "--set", *few]) == 0
     printed = capsys.readouterr().out
     times = re.search(rf"{DEFAULT_METHOD}: measure at t = ([\d, ]+)", printed)

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.search.paired import CLEAR_ERRORS
-from pfdist.search.section import AUTO
 
 if TYPE_CHECKING:
     from pfdist.analysis.stored_run import Run
@@ -66,11 +65,7 @@ def own_estimation(
         particles, resampling and estimator, where they differ from the comparison's.
     """
     compared = {**job["filter"], "estimator": SQUARED_ERROR.name}
-    if "estimations" in about:
-        own = about["estimations"].get(search, {})
-    else:  # an older run
-        given = {section["name"]: section.get("evaluation", {}) for section in job["search"]}
-        own = {key: value for key, value in given[search].items() if value != AUTO}
+    own = about["estimations"].get(search, {})
     if redone:
         own = {"resampling": own.get("resampling", compared["resampling"])}
     return {key: value for key, value in own.items() if key in compared and value != compared[key]}

@@ -31,9 +31,8 @@ def exact_costs(run: "Run") -> dict[str, float]:
         costs |= dict(zip(given["name"], given["exact_mse"], strict=True))
     if run.has("profile"):
         profile = run.profile()
-        if "weight" in profile:  # else an older run
-            counts = profile["weight"] != 0.0  # an error that does not count may be infinite
-            profile["error"] = (profile["error"] * profile["weight"]).where(counts, 0.0)
+        counts = profile["weight"] != 0.0  # an error that does not count may be infinite
+        profile["error"] = (profile["error"] * profile["weight"]).where(counts, 0.0)
         costs |= profile.groupby("name")["error"].mean().to_dict()
     if run.has("bound"):
         proved = run.bounds().drop_duplicates("name", keep="last")

@@ -37,8 +37,6 @@ def described(job: Mapping[str, Any], name: str, times: Sequence[Time]) -> dict[
         phrase = f"the set that comparison.reference names ({number})"
     elif feasible.is_regular(instants):
         phrase = f"regular times ({number})"
-    elif instants != feasible.regular():  # an older run, whose reference followed another rule
-        phrase = f"a set near to regular times ({number})"
     elif feasible.counted:
         phrase = f"the feasible set nearest to regular times ({number})"
     else:

@@ -143,7 +143,7 @@ def results_of(job: Mapping[str, Any]) -> Results:
 
 def _gain_over_itself(run: "Run") -> dict[str, Any]:
     """The effect of filter noise alone on a gain, if the reference was filtered twice."""
-    if not run.has("repeated"):  # an older run
+    if not run.has("repeated"):
         return {}
     again = run.repeated()
     last = int(again["draw"].max()) + 1

@@ -1,6 +1,6 @@
 """A run as pandas DataFrames and as a summary."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from pfdist.analysis.run_tables import RunTables
 from pfdist.analysis.summary import summary_of
 from pfdist.common.cards import Card
 from pfdist.errors import StoreError, shown
+from pfdist.job.job import Job
 from pfdist.job.problem_section import ProblemSection
 from pfdist.store import QUESTIONS, check_entries
 from pfdist.times.measurement_times import Times
@@ -38,12 +39,12 @@ class Run(RunTables):
         Its folder.
     job : dict
         The resolved job.
-    models : mapping of str to ChosenModel
-        Models that were given as objects, for "model" and "filter_model", if this process made the
-        run. A run's folder holds no model.
+    made_from : Job or None
+        The job from which this process made the run, with its models. None for a run that was
+        opened from its folder, which holds no model.
     """
 
-    models: Mapping[str, Any] = {}
+    made_from: Job | None = None
 
     def __init__(self, path: Path) -> None:
         self._about, self.job = read_recorded(path)
@@ -89,7 +90,7 @@ class Run(RunTables):
     @property
     def filter_is_wrong(self) -> bool:
         """Whether the filter's model is not the truth."""
-        return bool(self._about.get("filter_model"))
+        return bool(self._about["filter_model"])
 
     @property
     def state(self) -> str:
@@ -106,7 +107,7 @@ class Run(RunTables):
     @property
     def _narrow(self) -> bool:
         """Whether the intervals are as narrow as the job demands."""
-        half_width = self.job["comparison"].get("until", {}).get("half_width", 0.0)
+        half_width = self.job["comparison"]["until"]["half_width"]
         return bool(half_width > 0 and self.statistics().half_width() <= half_width)
 
     def statistics(self) -> ComparisonStatistics:
@@ -266,13 +267,8 @@ class Run(RunTables):
 
     @property
     def version(self) -> str:
-        """Version of pfdist that started the run; empty if an older version did not record it."""
-        return str(self._about.get("pfdist", ""))
-
-    @property
-    def knows_estimations(self) -> bool:
-        """Whether the run records how each search estimated; older runs do not record "auto"."""
-        return "estimations" in self._about
+        """Version of pfdist that started the run."""
+        return str(self._about["pfdist"])
 
     def distrust(self, search: str) -> str | None:
         """Why a search was run again by the squared error; None if it was not."""
@@ -282,7 +278,6 @@ class Run(RunTables):
         """How a search estimates otherwise than the comparison: particles, resampling, estimator.
 
         If a search was run again by the squared error, this is the estimation of the second time.
-        Older runs do not record the meaning of "auto"; then it is left out.
         """
         redone = self.distrust(search) is not None
         return own_estimation(self._about, self.job, search, redone=redone)
@@ -291,8 +286,6 @@ class Run(RunTables):
     def _distrusts(self) -> dict[str, str]:
         """Reason for each search that was run again, by its name."""
         rows = self.compared()
-        if "distrust" not in rows:  # an older run
-            return {}
         rows = rows[rows["distrust"].notna()]
         names = [self._results.search_of(str(name)) for name in rows["name"]]
         return dict(zip(names, rows["distrust"].astype(str), strict=True))

@@ -1,22 +1,23 @@
 """A lower bound of the expected MSE of every feasible set, and the gap of a run's sets."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pfdist.analysis import finite
+from pfdist.analysis import Run, finite
 from pfdist.analysis.particle_loss import ParticleLoss
 from pfdist.api.at_work import at_work
-from pfdist.api.finished_run import AskedRun, Model, built_again, finished_run
 from pfdist.api.following import Say, following, silent
 from pfdist.api.own_store import own_store
 from pfdist.api.report import renew_report
+from pfdist.api.run_of_job import asked_run, finished_run
 from pfdist.bounds.gap import Gap
 from pfdist.common.cards import Card, Shown
 from pfdist.common.percent import percent
 from pfdist.common.rounding import with_error
 from pfdist.errors import ArgumentError, JobError, shown
-from pfdist.evaluation.engines import is_exact
+from pfdist.job.asked import Asked
 from pfdist.plots import draw_figures
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built, check_pool
@@ -84,14 +85,14 @@ class Bound(Shown):
 
 
 def bound(
-    run: AskedRun,
+    job: Asked | Run,
     settings: BoundSettings = _DEFAULT,
     *,
+    results: str | Path | None = None,
+    changes: Iterable[str] = (),
     pool: str | None = None,
     workers: int | None = None,
     address: str | None = None,
-    model: Model = "",
-    filter_model: Model = "",
     figures: bool = True,
     progress: Show | bool = False,
     say: Say = silent,
@@ -100,25 +101,23 @@ def bound(
 
     The function runs the model, on draws that neither chose the times nor compared them, and
     writes the tables ``bound`` and ``error_sums`` of the run. The same call goes on where it was
-    stopped. It runs a model file that the run's folder names only if the file is unchanged since
-    the run, and if the user has run the file on this machine before.
+    stopped.
 
     Parameters
     ----------
-    run : Run, Problem, Job, str or Path
-        A finished run or its folder. A problem or a job means the run that `pfdist.plan` makes of
-        it, or `pfdist.run` if the job has searches; what this run lacks is computed first.
+    job : Problem, Job, str, Path or Run
+        A problem, a job, or the path of a job file, whose finished run is meant; or a run that this
+        process made.
     settings : BoundSettings
         Draws, particles, windows and limits of the proof, and the gap that is demanded.
+    results : str or Path, optional
+        Folder of the run; by default the folder where `pfdist.run` and `pfdist.plan` put it.
+    changes : iterable of str, optional
+        Changes ``key=value`` of the job, as `pfdist.load_job` takes them.
     pool, workers, address : optional
-        Where to compute, as for `pfdist.run`. The default is Ray with all cores of this machine,
-        wherever the run was computed; exact engines need no pool.
-    model, filter_model : StateSpaceModel or str, optional
-        An object or ``path/file.py:object``: replaces what the run names for the model or for the
-        filter's model. It is run without question, and must mean the same as the run's model.
+        Where to compute, as for `pfdist.run`; exact engines need no pool.
     figures : bool
-        Whether to draw the figure of the bound against work, and all figures of a run that is
-        computed first.
+        Whether to draw the figure of the bound against work.
     progress : callable or bool
         Whether to show progress and messages, or what receives each
         `pfdist.runner.progress.Progress`.
@@ -132,8 +131,7 @@ def bound(
     Raises
     ------
     StoreError
-        The folder holds no finished run, or the model has changed since, or the run names a model
-        file that is not run without the user's word.
+        There is no finished run of the job, or the run is of another job or of other models.
     JobError, ModelError
         The model defines an error of its own; the relaxation is too large; or the model cannot be
         loaded.
@@ -145,11 +143,11 @@ def bound(
         raise ArgumentError(
             f"settings must be a pfdist.BoundSettings, got {shown(settings)}", argument="settings"
         )
-    proved = finished_run(run, **execution, figures=figures, progress=progress, say=say)
-    if is_exact(proved.job["filter"]["engine"]):
-        execution = {"pool": "serial"}  # there is nothing to compute in a pool
     with following(progress, say) as (show, tell):
-        built = built_again(proved, {"model": model, "filter_model": filter_model}, tell, execution)
+        proved, built = asked_run(job, results, changes, tell, execution)
+        if built.evaluator.exact:  # there is nothing to compute in a pool
+            serial = built.job.with_changes(sections={"execution": {"pool": "serial"}})
+            built = replace(built, job=serial)
         check_pool(built.job.execution)
         prover, within = _prover(built, settings), settings.within
         with own_store(proved, built, tell) as store, at_work(built, store, show, tell) as session:

@@ -6,6 +6,7 @@ from typing import Any
 
 from pfdist.analysis import Run
 from pfdist.api.run import run
+from pfdist.api.run_of_job import folder_of
 from pfdist.common.arguments import number_argument, whole_argument
 from pfdist.errors import ArgumentError, JobError, shown
 from pfdist.job.asked import Asked, as_job
@@ -82,8 +83,7 @@ def budget(
         )
     # The run must not depend on the measurement budget that the job file names.
     job = job.with_changes(settings={"problem": {"measurement_budget": numbers["most"]}})
-    results = Path("results") / f"{job.path.stem}-budget" if results is None else results
-    finished = run(job, results, bound_draws=bound_draws, **options)
+    finished = run(job, folder_of(job, results, "-budget"), bound_draws=bound_draws, **options)
     if target is not None and options.get("figures", True):
         draw_target(finished, target)
     return finished

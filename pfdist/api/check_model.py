@@ -14,10 +14,8 @@ from pfdist.errors import ArgumentError, ModelError, shown
 from pfdist.job.asked import Asked, as_job
 from pfdist.job.job import Job
 from pfdist.job.problem import Problem
-from pfdist.meaning.chosen import ChosenModel
-from pfdist.meaning.given import given_model
-from pfdist.models import StateSpaceModel
-from pfdist.runner.chooser import chooser_of, models_of
+from pfdist.models import PYTHON, CarriedModel, StateSpaceModel, carried
+from pfdist.runner.build import models_of
 from pfdist.times.clock import Time
 
 HORIZON, PARTICLES = 60, 500
@@ -51,6 +49,26 @@ def check_model(
     JobError, ArgumentError
         The job, the horizon or the number of particles is not possible.
     """
+    checks = checks_of(model, horizon, particles)
+    rows = [{"check": check.name, "state": check.state, "text": check.text} for check in checks]
+    return pd.DataFrame(rows)
+
+
+def checks_of(
+    model: StateSpaceModel | Asked,
+    horizon: int | None = None,
+    particles: int | None = None,
+    times: Sequence[float] = (),
+) -> Iterator[Check]:
+    """Check a model, or the models of a job, and give each result when it is known.
+
+    Parameters
+    ----------
+    model, horizon, particles
+        As for `check_model`.
+    times : sequence of float, (T+1,)
+        The clock of a model that is given by its name; a job has its own.
+    """
     job = as_job(model) if _is_job(model) else None
     own = (HORIZON, PARTICLES)
     if job is not None:
@@ -60,19 +78,18 @@ def check_model(
         "particles", own[1] if particles is None else particles, 1, MOST_PARTICLES
     )
     if job is not None:
-        checks = _checks_of_job(job, instants, count)
-    elif isinstance(model, str):
-        checks = check_named(model, instants, count)
-    elif isinstance(model, StateSpaceModel):
-        checks = _checks_of_object(model, instants, count)
-    else:
-        raise ArgumentError(
-            "a model must be a StateSpaceModel, the name of a model, a problem or a job, got "
-            f"{shown(model)}",
-            argument="model",
-        )
-    rows = [{"check": check.name, "state": check.state, "text": check.text} for check in checks]
-    return pd.DataFrame(rows)
+        if times:
+            raise ArgumentError("a job has a clock of its own, got times, too", argument="times")
+        return _checks_of_job(job, instants, count)
+    if isinstance(model, str):
+        return check_named(model, instants, count, times=times)
+    if isinstance(model, StateSpaceModel):
+        return _checks_of_object(model, instants, count)
+    raise ArgumentError(
+        "a model must be a StateSpaceModel, the name of a model, a problem or a job, got "
+        f"{shown(model)}",
+        argument="model",
+    )
 
 
 def _is_job(model: StateSpaceModel | Asked) -> TypeGuard[Asked]:
@@ -83,20 +100,20 @@ def _is_job(model: StateSpaceModel | Asked) -> TypeGuard[Asked]:
 def _checks_of_job(job: Job, horizon: int, particles: int) -> Iterator[Check]:
     """Check the models of a job, with its parameters."""
     try:
-        model, filter_model = models_of(job, chooser_of(job))
+        model, filter_model = models_of(job)
     except ModelError as error:
         yield Check("load", "wrong", str(error))
         return
     clock = job.problem.clock.times if job.problem.has_clock else ()
     yield from _checks_of(model, horizon, particles, clock)
-    if filter_model.meaning != model.meaning:
+    if filter_model.key != model.key:
         for check in _checks_of(filter_model, horizon, particles, clock):
             yield replace(check, name=f"filter: {check.name}")
 
 
 def _checks_of_object(model: StateSpaceModel, horizon: int, particles: int) -> Iterator[Check]:
     try:
-        given_model(model)
+        carried(model, f"{PYTHON}{model.name}")
     except ModelError as error:
         yield Check("load", "wrong", str(error))
     else:
@@ -104,10 +121,10 @@ def _checks_of_object(model: StateSpaceModel, horizon: int, particles: int) -> I
 
 
 def _checks_of(
-    model: ChosenModel, horizon: int, particles: int, clock: Sequence[Time]
+    model: CarriedModel, horizon: int, particles: int, clock: Sequence[Time]
 ) -> Iterator[Check]:
     try:
-        loaded = model.load()
+        loaded = model.model
         if clock:
             loaded, horizon = loaded.on_clock(clock), min(horizon, len(clock) - 1)
     except ModelError as error:

@@ -11,16 +11,17 @@ import pandas as pd
 import pyarrow as pa
 from numpy.typing import ArrayLike
 
-from pfdist.analysis import finite
+from pfdist.analysis import Run, finite
 from pfdist.api.filter_of import filter_of
-from pfdist.api.finished_run import AskedRun, Model
 from pfdist.api.planned_run import planned_run
+from pfdist.api.run_of_job import asked_run
 from pfdist.api.user_table import Table, table_argument
 from pfdist.common.arguments import path_argument
 from pfdist.common.cards import Card, Shown
 from pfdist.common.component_names import Component
 from pfdist.common.told_times import told_times
 from pfdist.filters.cloud import Prior
+from pfdist.job.asked import Asked
 from pfdist.plots import check_figure_replaceable, draw_filtered, filtered_plot
 from pfdist.reports import write_filtered_report
 from pfdist.sequential.estimate import Estimate
@@ -131,14 +132,14 @@ class FilteredMeasurements(Shown):
 
 
 def filter_measurements(
-    run: AskedRun,
+    job: Asked | Run,
     measurements: Table,
     *,
     planned: str = "",
     prior: Table | Prior | ArrayLike = "",
     out: str | Path = "",
-    model: Model = "",
-    filter_model: Model = "",
+    results: str | Path | None = None,
+    changes: Iterable[str] = (),
     report: bool = True,
     say: Callable[[str], Any] = lambda line: None,
 ) -> FilteredMeasurements:
@@ -150,9 +151,9 @@ def filter_measurements(
 
     Parameters
     ----------
-    run : Run, Problem, Job, str or Path
-        A finished run or its folder, or a problem or job, as for `pfdist.why`. The job gives the
-        filter's model, its settings and the seed.
+    job : Problem, Job, str, Path or Run
+        A problem, a job, or the path of a job file, whose finished run is meant; or a run that this
+        process made.
     measurements : str, Path or DataFrame
         Table with the columns t, y0, y1, ...: a file in CSV or Parquet, or a DataFrame.
     planned : str, optional
@@ -164,9 +165,10 @@ def filter_measurements(
     out : str or Path, optional
         Folder of the table and the figure; by default the folder of the measurements. For a
         DataFrame nothing is written by default.
-    model, filter_model : StateSpaceModel or str, optional
-        An object or ``path/file.py:object``: replaces what the run names for the model or for the
-        filter's model. It is run without question, and must mean the same as the run's model.
+    results : str or Path, optional
+        Folder of the run; by default the folder where `pfdist.run` and `pfdist.plan` put it.
+    changes : iterable of str, optional
+        Changes ``key=value`` of the job, as `pfdist.load_job` takes them.
     report : bool
         Whether to write the report.
     say : callable, optional
@@ -179,8 +181,8 @@ def filter_measurements(
     Raises
     ------
     StoreError
-        The folder holds no finished run, or the model has changed since, or the run names a model
-        file that is not run without the user's word, or a file cannot be written.
+        There is no finished run of the job, or the run is of another job or of other models,
+        or a file cannot be written.
     JobError
         The run has no set of this name.
     MeasurementsError, PriorError
@@ -188,9 +190,8 @@ def filter_measurements(
     ModelError
         The model cannot be loaded, or a formula failed.
     """
-    instead = {"model": model, "filter_model": filter_model}
     table = table_argument("measurements", measurements)
-    plan = planned_run(run, planned, prior, instead, say)
+    plan = planned_run(asked_run(job, results, changes, say), planned, prior)
     believed = plan.built.evaluator.believed
     files = _files(table, out)[: 3 if report else 2]
     quantities = believed.named("z")

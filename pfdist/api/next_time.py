@@ -1,6 +1,6 @@
 """The time to measure next, from a run and the measurements so far."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import chain
 from numbers import Integral, Real
@@ -9,11 +9,11 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from pfdist.analysis import finite
+from pfdist.analysis import Run, finite
 from pfdist.api.filter_measurements import IMPROBABLE
-from pfdist.api.finished_run import AskedRun, Model
 from pfdist.api.planned_run import planned_run
 from pfdist.api.planner import Planner
+from pfdist.api.run_of_job import asked_run
 from pfdist.api.user_table import Table, table_argument
 from pfdist.common.cards import Card, Shown
 from pfdist.common.rounding import with_error
@@ -21,6 +21,7 @@ from pfdist.common.told_times import told_time, told_times
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.evaluation.estimate import ReportEvaluation
 from pfdist.filters.cloud import Prior
+from pfdist.job.asked import Asked
 from pfdist.sequential.measurements import Measurements, read_measurements
 from pfdist.times.clock import Clock, Time
 from pfdist.times.feasible import Feasible
@@ -115,23 +116,23 @@ class NextTime(Shown):
 
 
 def next_time(
-    run: AskedRun,
+    job: Asked | Run,
     measurements: Table,
     *,
     now: Time | None = None,
     planned: str = "",
     prior: Table | Prior | ArrayLike = "",
-    model: Model = "",
-    filter_model: Model = "",
+    results: str | Path | None = None,
+    changes: Iterable[str] = (),
     say: Callable[[str], Any] = lambda line: None,
 ) -> NextTime:
     """Choose when to measure one system next, from the measurements so far.
 
     Parameters
     ----------
-    run : Run, Problem, Job, str or Path
-        A finished run or its folder, or a problem or job, as for `pfdist.why`. The job gives the
-        models, the constraints and the seed.
+    job : Problem, Job, str, Path or Run
+        A problem, a job, or the path of a job file, whose finished run is meant; or a run that this
+        process made.
     measurements : str, Path or DataFrame
         Table with the columns t, y0, y1, ...: a file in CSV or Parquet, or a DataFrame. It may have
         no rows. A row without any component is a time that was missed.
@@ -142,9 +143,10 @@ def next_time(
         MSE.
     prior : str, Path, DataFrame, Cloud or array, optional
         Table of particles from which the filter starts; see `pfdist.filter_measurements`.
-    model, filter_model : StateSpaceModel or str, optional
-        An object or ``path/file.py:object``: replaces what the run names for the model or for the
-        filter's model. It is run without question, and must mean the same as the run's model.
+    results : str or Path, optional
+        Folder of the run; by default the folder where `pfdist.run` and `pfdist.plan` put it.
+    changes : iterable of str, optional
+        Changes ``key=value`` of the job, as `pfdist.load_job` takes them.
     say : callable, optional
         Receives a line for each model file before the file is run.
 
@@ -155,8 +157,7 @@ def next_time(
     Raises
     ------
     StoreError
-        The folder holds no finished run, or the model has changed since, or the run names a model
-        file that is not run without the user's word.
+        There is no finished run of the job, or the run is of another job or of other models.
     JobError
         The run has no set of this name.
     MeasurementsError, PriorError
@@ -165,8 +166,7 @@ def next_time(
         The model cannot be loaded, or a formula failed.
     """
     table = table_argument("measurements", measurements)
-    instead = {"model": model, "filter_model": filter_model}
-    plan = planned_run(run, planned, prior, instead, say)
+    plan = planned_run(asked_run(job, results, changes, say), planned, prior)
     believed = plan.built.evaluator.believed
     clock = plan.built.job.problem.clock
     planner = Planner.of_built(plan.built, clock.times_of(plan.times), plan.prior)

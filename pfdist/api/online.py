@@ -6,6 +6,7 @@ from typing import Any
 
 from pfdist.analysis import Run
 from pfdist.api.run import run
+from pfdist.api.run_of_job import folder_of
 from pfdist.job.asked import Asked, as_job
 
 
@@ -49,7 +50,4 @@ def online(
     """
     settings = {"online": {} if draws is None else {"draws": draws}}
     job = as_job(job, changes, settings=settings)
-    if results is None:
-        suffix = "" if job.names_online else "-online"
-        results = Path("results") / f"{job.path.stem}{suffix}"
-    return run(job, results, **options)
+    return run(job, folder_of(job, results, "" if job.names_online else "-online"), **options)

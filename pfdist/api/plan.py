@@ -6,6 +6,7 @@ from typing import Any
 
 from pfdist.analysis import Run
 from pfdist.api.run import run
+from pfdist.api.run_of_job import PLANNED, folder_of, searched_by
 from pfdist.job.asked import Asked, as_job
 from pfdist.runner.bound_settings import LEAST_DRAWS
 from pfdist.search.methods import DEFAULT_METHOD
@@ -48,10 +49,8 @@ def plan(
     PfdistError
         As `pfdist.run` raises.
     """
-    job = as_job(job, changes, sections={"search": [{"method": search}]})
-    if results is None:
-        suffix = "-plan" if job.names_its_searches else ""
-        results = Path("results") / f"{job.path.stem}{suffix}"
+    job = as_job(job, changes, sections=searched_by(search))
+    results = folder_of(job, results, PLANNED if job.names_its_searches else "")
     if bound_draws is None:
         bound_draws = 0 if job.budget else LEAST_DRAWS
     return run(job, results, bound_draws=bound_draws, **options)

@@ -1,12 +1,10 @@
 """A finished run whose times a user has planned to measure."""
 
-from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from pfdist.analysis import Run
 from pfdist.analysis.exact import names_by_error
-from pfdist.api.finished_run import AskedRun, Model, built_again, finished_run
 from pfdist.common.nearest import did_you_mean
 from pfdist.errors import JobError, shown
 from pfdist.filters.cloud import Prior
@@ -25,7 +23,7 @@ class PlannedRun(NamedTuple):
         Name of the compared set whose times were planned.
     times : tuple of int
     built : Built
-        The run's job, built again.
+        The run's job, built.
     prior : Cloud, Gaussian or None
         Particles from which the filter starts, if the user gives some.
     """
@@ -37,36 +35,25 @@ class PlannedRun(NamedTuple):
     prior: Prior | None
 
 
-def planned_run(
-    run: AskedRun,
-    planned: str,
-    prior: Any,
-    instead: Mapping[str, Model],
-    say: Callable[[str], Any],
-) -> PlannedRun:
-    """Open a finished run whose times were planned.
+def planned_run(asked: tuple[Run, Built], planned: str, prior: Any) -> PlannedRun:
+    """Give a finished run whose times were planned, and what filters need.
 
     Parameters
     ----------
-    run : Run, Problem, Job, str or Path
-        As for `finished_run`.
+    asked : Run, Built
+        As `pfdist.api.run_of_job.asked_run` gives them.
     planned : str
         Name of the compared set that was planned; empty: see `planned_set`.
     prior : str, Path, DataFrame, Cloud or array
         Particles from which the filter starts, or their table; an empty name for none.
-    instead : mapping of str to StateSpaceModel or str
-        As for `pfdist.api.finished_run.built_again`.
-    say : callable
-        Receives a line for each model file before the file is run.
 
     Raises
     ------
-    StoreError, JobError, ModelError, PriorError
-        As `finished_run`, `planned_set`, `built_again` and `read_prior` raise.
+    JobError, PriorError
+        As `planned_set` and `read_prior` raise.
     """
-    opened = finished_run(run, say=say)
+    opened, built = asked
     name, times = planned_set(opened, planned)
-    built = built_again(opened, instead, say)
     times = built.job.problem.clock.instants(times)
     return PlannedRun(opened, name, times, built, _known(prior, built))
 

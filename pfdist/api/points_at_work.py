@@ -96,9 +96,14 @@ class PointsAtWork:
         finally:  # every thread commits what it has: the pool's failure ends them
             for thread in threads:
                 thread.join(_END_SECONDS)
-        names = [name for name in self._asked.jobs if name not in self._failed]
-        failed = {name: one_line(reason) for name, reason in self._failed.items()}
-        return {name: open_run(self._path / name) for name in names}, failed
+        runs = {
+            name: open_run(self._path / name)
+            for name in self._asked.jobs
+            if name not in self._failed
+        }
+        for name, run in runs.items():
+            run.made_from = self._asked.jobs[name]
+        return runs, {name: one_line(reason) for name, reason in self._failed.items()}
 
     def _remember_earlier_starts(self) -> None:
         """Let searches take the evaluations that points have committed before.
@@ -113,8 +118,8 @@ class PointsAtWork:
             with contextlib.suppress(StoreError, OSError):
                 if holds_run(path):
                     finished += open_run(path).state == FINISHED
-                    provenance = read_run(path)[0].get("provenance", {})
-                    if provenance.get("processor") == here and CONTINUED not in provenance:
+                    provenance = read_run(path)[0]["provenance"]
+                    if provenance["processor"] == here and CONTINUED not in provenance:
                         begun.append(path)
         if finished == len(self._asked.jobs):
             return

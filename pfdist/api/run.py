@@ -8,19 +8,17 @@ from pfdist.analysis import Run, open_run
 from pfdist.api.at_work import AtWork, at_work
 from pfdist.api.following import Say, following, silent
 from pfdist.api.report import try_report
+from pfdist.api.run_of_job import folder_of
 from pfdist.common.arguments import path_argument
 from pfdist.errors import JobError, ModelError, TaskError
 from pfdist.job.asked import Asked, as_job
-from pfdist.meaning.chosen import ChosenModel
-from pfdist.meaning.model_value import ModelValue
 from pfdist.plots import draw_figures, figure_files, remove_figures
 from pfdist.reports import remove_report
 from pfdist.runner.bound_settings import BoundSettings
-from pfdist.runner.build import Built, build, check_pool
+from pfdist.runner.build import Built, build, check_pool, say_model_files
 from pfdist.runner.comparison_phase import COMPARISON, comparison_steps
 from pfdist.runner.driver import FORKED, drive
 from pfdist.runner.identity import opened
-from pfdist.runner.named_by_a_run import files_named
 from pfdist.runner.processor import note_processor
 from pfdist.runner.progress import Show
 from pfdist.runner.prover import Prover
@@ -93,15 +91,12 @@ def run(
     settings = bound_settings(bound_draws)
     job = as_job(job, changes, settings={"execution": execution})
     check_pool(job.execution)
-    path = Path("results") / job.path.stem
-    if results is not None:
-        path = path_argument("results", results)
+    path = folder_of(job, results)
     origin, path = (None, path) if fork is None else (Store(path), path_argument("fork", fork))
     if origin is not None:
         open_run(origin.path)  # without a run there is nothing to start from
     with following(progress, say) as (show, tell):
-        for file in files_named(job):
-            tell(f"runs the model file {file}, which your job names")
+        say_model_files([job], tell)
         ending = Ending(figures, figures if report is None else report, settings)
         return run_built(build(job), path, ending, show, tell, origin)
 
@@ -155,7 +150,7 @@ def run_built(
     with opened(path, built, say) as store:
         computed = _compute(built, store, origin, ending.bound, show, say, work)
         finished = open_run(path)
-        finished.models = _given_models(built)
+        finished.made_from = built.job
         if ending.figures and not all(file.exists() for file in figure_files(finished)):
             draw_figures(finished)
         if computed:
@@ -163,14 +158,6 @@ def run_built(
         if ending.report and not has_report(path):
             try_report(finished, say)
     return finished
-
-
-def _given_models(built: Built) -> dict[str, ChosenModel]:
-    """Give the models that are objects by value, whether the job or another run gave them."""
-    models = {"model": built.source.model}
-    if built.job.model.filter.name:
-        models["filter_model"] = built.source.filter_model
-    return {part: each for part, each in models.items() if isinstance(each.source, ModelValue)}
 
 
 def _compute(

@@ -24,8 +24,7 @@ from pfdist.job.points import Values
 from pfdist.job.sweep import SweepJob, read_sweep
 from pfdist.pools.base import Pool
 from pfdist.pools.shared import SharedPool
-from pfdist.runner.build import check_pool, pool_of
-from pfdist.runner.named_by_a_run import files_named
+from pfdist.runner.build import check_pool, pool_of, say_model_files
 from pfdist.runner.progress import Show
 from pfdist.runner.work_of_runs import worker_of_runs
 from pfdist.store import holds_run
@@ -149,9 +148,7 @@ def sweep(
     path, judges_points = checked_folder(asked, results, judge)
     bound = bound_settings(bound_draws)
     with following(progress, say) as (show, tell):
-        files = {file for each in asked.jobs.values() for file in files_named(each)}
-        for file in sorted(files):
-            tell(f"runs the model file {file}, which your job names")
+        say_model_files(asked.jobs.values(), tell)
         judges, refused = dict[str, Run](), None
         with _shared_pool(asked, tell) as shared:
             runs, failed = PointsAtWork(asked, path, bound, show, tell).run(shared)
@@ -168,7 +165,7 @@ def sweep(
                     judging_points = PointsAtWork(judged, folder, None, show, tell)
                     judges, failed = judging_points.run(shared)
         if report:
-            _report(runs, asked, tell)
+            _report(runs, tell)
             try_sweep_report(path, tell)
     if refused is not None:
         raise refused
@@ -183,10 +180,9 @@ def sweep(
     return Sweep(path, runs, judges)
 
 
-def _report(runs: Mapping[str, Run], asked: SweepJob, say: Say) -> None:
+def _report(runs: Mapping[str, Run], say: Say) -> None:
     """Write the reports that runs lack."""
-    for position, (name, run) in enumerate(runs.items(), 1):
-        run.models = asked.jobs[name].models
+    for position, run in enumerate(runs.values(), 1):
         if not has_report(run.path):
             say(f"writes report {position} of {len(runs)}")
             try_report(run, say)

@@ -3,6 +3,7 @@
 Everything is computed on new draws, which neither chose the times nor compared them.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,14 +15,15 @@ from numpy.typing import NDArray
 
 from pfdist.analysis import Run, finite
 from pfdist.analysis.sampling_windows import STRICT, windows_of
-from pfdist.api.finished_run import AskedRun, Model, built_again, finished_run
 from pfdist.api.following import Say, following, silent
 from pfdist.api.own_store import own_store
 from pfdist.api.report import renew_report
+from pfdist.api.run_of_job import asked_run
 from pfdist.common.arguments import whole_argument
 from pfdist.common.cards import Card, Shown
 from pfdist.common.rounding import with_error
 from pfdist.common.told_times import told_time
+from pfdist.job.asked import Asked
 from pfdist.plots import draw_figures
 from pfdist.runner.build import Built
 from pfdist.runner.jitter import jitter
@@ -130,11 +132,11 @@ class Why(Shown):
 
 
 def why(
-    run: AskedRun,
+    job: Asked | Run,
     draws: int = DRAWS,
     *,
-    model: Model = "",
-    filter_model: Model = "",
+    results: str | Path | None = None,
+    changes: Iterable[str] = (),
     figures: bool = True,
     progress: Show | bool = False,
     say: Say = silent,
@@ -143,21 +145,21 @@ def why(
 
     The function runs the model, writes the tables ``profile``, ``worth``, ``sampling_windows`` and
     ``jitter`` of the run, and draws the figures ``why-<set>``, ``sampling_windows-<set>`` and
-    ``filters`` into its folder. It runs a model file that the run's folder names only if the file
-    is unchanged since the run, and if the user has run the file on this machine before.
+    ``filters`` into its folder.
 
     Parameters
     ----------
-    run : Run, Problem, Job, str or Path
-        A finished run or its folder. A problem or a job means the run that `pfdist.plan` makes of
-        it, or `pfdist.run` if the job has searches; what this run lacks is computed first.
+    job : Problem, Job, str, Path or Run
+        A problem, a job, or the path of a job file, whose finished run is meant; or a run that this
+        process made.
     draws : int
         Number of draws, computed in this process; memory does not grow with them.
-    model, filter_model : StateSpaceModel or str, optional
-        An object or ``path/file.py:object``: replaces what the run names for the model or for the
-        filter's model. It is run without question, and must mean the same as the run's model.
+    results : str or Path, optional
+        Folder of the run; by default the folder where `pfdist.run` and `pfdist.plan` put it.
+    changes : iterable of str, optional
+        Changes ``key=value`` of the job, as `pfdist.load_job` takes them.
     figures : bool
-        Whether to draw the figures, also of a run that is computed first.
+        Whether to draw the figures.
     progress : callable or bool
         Whether to show progress and messages, or what receives each
         `pfdist.runner.progress.Progress`.
@@ -171,16 +173,14 @@ def why(
     Raises
     ------
     StoreError
-        The folder holds no finished run, or the model has changed since, or the run names a model
-        file that is not run without the user's word.
+        There is no finished run of the job, or the run is of another job or of other models.
     ArgumentError, ModelError
         There are too few draws, or the model cannot be loaded.
     """
     draws = whole_argument("draws", draws, 2, MOST_DRAWS)
-    opened = finished_run(run, figures=figures, progress=progress, say=say)
-    sets = opened.sets_of_one_number()
     with following(progress, say) as (show, tell):
-        built = built_again(opened, {"model": model, "filter_model": filter_model}, tell)
+        opened, built = asked_run(job, results, changes, tell)
+        sets = opened.sets_of_one_number()
         found = _examine(opened, sets, built, draws, Reporter(show, _STEPS * len(sets)), tell)
         files = [file for name in FIGURES for file in draw_figures(opened, name)] if figures else []
         renew_report(opened.path, tell)

@@ -16,8 +16,8 @@ from pfdist.common.rounding import with_error
 from pfdist.evaluation.engines import ENGINES
 from pfdist.filters.draws import Draws
 from pfdist.kernels.noise import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, variates
-from pfdist.mistakes.places import place_of_function
 from pfdist.models import StateSpaceModel
+from pfdist.models.mistakes import place_of_function
 
 Array = NDArray[np.float64]
 

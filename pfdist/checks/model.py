@@ -24,9 +24,7 @@ from pfdist.evaluation.work import Estimation, Work, with_truth
 from pfdist.filters.draws import Draws
 from pfdist.filters.matrices import matrices_of
 from pfdist.kernels.estimators import FILTER_NOISE
-from pfdist.meaning import Meaning, check_is_constant
-from pfdist.meaning.chosen import loaded_twice
-from pfdist.models import StateSpaceModel, squared_error
+from pfdist.models import StateSpaceModel, carried_model, squared_error
 from pfdist.models.parameters import check_lengths
 from pfdist.times.measurement_times import regular
 
@@ -103,15 +101,11 @@ def check_model(
     Check
     """
     try:
-        source, told, again = loaded_twice(name, folder)
-        model = source.load()
+        model = carried_model(name, folder).model
     except ModelError as error:
         yield Check("load", "wrong", str(error))
-        return
-    checks = check_object(model, horizon, particles, times)
-    yield next(checks)
-    yield Check("loads the same twice", *_constant(source.path, told, again))
-    yield from checks
+    else:
+        yield from check_object(model, horizon, particles, times)
 
 
 def check_object(
@@ -179,14 +173,6 @@ def _computed(model: StateSpaceModel, horizon: int, estimation: Estimation) -> I
         yield from _filtered(Evaluator(model, horizon, engine=engine), estimation)
     except ModelError as error:
         yield Check("filter", "wrong", str(error))
-
-
-def _constant(path: str, told: Meaning, again: Meaning) -> tuple[str, str]:
-    try:
-        check_is_constant(told, again, path, "each time it is loaded")
-    except ModelError as error:
-        return "wrong", str(error)
-    return "ok", "formulas, constants and data are the same in a second load"
 
 
 def _clock(clock: Sequence[float], is_assumed: bool) -> tuple[str, str]:

@@ -6,12 +6,15 @@ import types
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import numpy as np
+
 from pfdist.evaluation.compiling import makes_arrays
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation
 from pfdist.filters.draws import Draws
-from pfdist.kernels.formulas import names_in
 from pfdist.models import StateSpaceModel
+from pfdist.models.seeing import names_in
+from pfdist.models.syntax import node_of
 
 _OUT = "write each component out, for instance A[0, 0] * x[0] + A[0, 1] * x[1]"
 _SLOW = {
@@ -26,9 +29,19 @@ _SLOW = {
 
 
 def speed(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
-    """Look for arrays in what the formulas were compiled to, and for the lines that make them."""
+    """Look for arrays that the formulas make or index for each particle, and for their lines."""
+    indexed = [
+        f"{array} in {name} ({place})"
+        for name, function in model.formulas.items()
+        for array, place in _indexed(function)
+    ]
     if not makes_arrays(Evaluator(model, draws.instants[-1]), Estimation(1)):
-        return "ok", "no formula makes an array for a particle"
+        if not indexed:
+            return "ok", "no formula makes or indexes an array for a particle"
+        return "note", (
+            f"{', '.join(dict.fromkeys(indexed))}: each index is checked for each particle, which "
+            "may take 8 times the time; a parameter p.NAME[t] needs no check"
+        )
     found = [
         f"{what} in {name} ({place}): {cure}"
         for name, function in model.formulas.items()
@@ -42,7 +55,8 @@ def speed(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
 
 def _slow_places(function: Callable[..., Any]) -> Iterator[tuple[str, str, str]]:
     """Give what makes an array in a function and in those it calls, where, and what to write."""
-    for code in _codes(function):
+    for called in _functions(function):
+        code = called.__code__
         lines = {line for *_, line in code.co_lines() if line}
         for node in ast.walk(_parsed(code.co_filename)):
             line = getattr(node, "lineno", None)
@@ -56,6 +70,17 @@ def _slow_places(function: Callable[..., Any]) -> Iterator[tuple[str, str, str]]
                     yield name, f"{code.co_filename}:{line}", _SLOW[name]
 
 
+def _indexed(function: Callable[..., Any]) -> Iterator[tuple[str, str]]:
+    """Give the global arrays that a function and those it calls index, and where."""
+    for called in _functions(function):
+        node = node_of(called)
+        for each in ast.walk(node) if node else ():
+            if isinstance(each, ast.Subscript) and isinstance(each.value, ast.Name):
+                value = called.__globals__.get(each.value.id)
+                if isinstance(value, np.ndarray):
+                    yield each.value.id, f"{called.__code__.co_filename}:{each.lineno}"
+
+
 def _parsed(file: str) -> ast.AST:
     try:
         return ast.parse("".join(linecache.getlines(file)))
@@ -63,14 +88,13 @@ def _parsed(file: str) -> ast.AST:
         return ast.Module(body=[], type_ignores=[])
 
 
-def _codes(function: Any) -> Iterator[types.CodeType]:
-    """Code of a function and of the module's functions that it calls."""
+def _functions(function: Any) -> Iterator[types.FunctionType]:
+    """A function and the module's functions that it calls."""
     waiting, seen = [function], set[int]()
     while waiting:
         value = waiting.pop()
-        value = getattr(value, "py_func", value)
         if not isinstance(value, types.FunctionType) or id(value) in seen:
             continue
         seen.add(id(value))
-        yield value.__code__
+        yield value
         waiting += [value.__globals__.get(name) for name in names_in(value.__code__)]

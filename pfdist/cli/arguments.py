@@ -14,8 +14,23 @@ RESULTS = "results/<name of the job file without .toml>"
 
 def add_job(parser: ArgumentParser) -> None:
     """Add JOB and ``--set``."""
-    parser.add_argument("job", metavar="JOB", help="job file, for instance jobs/paper.toml")
+    parser.add_argument(
+        "job",
+        metavar="JOB",
+        help="job file, for instance jobs/paper.toml, or the job.toml in the folder of a run",
+    )
     add_changes(parser)
+
+
+def add_job_of_run(parser: ArgumentParser) -> None:
+    """Add JOB, ``--set`` and ``--results``, for a question about the finished run of a job."""
+    add_job(parser)
+    parser.add_argument(
+        "--results",
+        metavar="DIR",
+        help=f"folder of the run (default: {RESULTS}, where `pfdist run` and `pfdist plan` put the "
+        "run; with -plan after it if only that one holds a run; for a run's job.toml, its folder)",
+    )
 
 
 def add_changes(parser: ArgumentParser) -> None:
@@ -33,23 +48,6 @@ def add_changes(parser: ArgumentParser) -> None:
 def add_run(parser: ArgumentParser) -> None:
     """Add RUN."""
     parser.add_argument("run", metavar="RUN", help="folder of a run")
-
-
-def add_models(parser: ArgumentParser) -> None:
-    """Add ``--model`` and ``--filter-model``, for a run whose model is run once more."""
-    parser.add_argument(
-        "--model",
-        default="",
-        metavar="FILE.py:OBJECT",
-        help="run this model instead of the file that the run names; that file runs only if it "
-        "is unchanged and you have run it on this machine before",
-    )
-    parser.add_argument(
-        "--filter-model",
-        default="",
-        metavar="FILE.py:OBJECT",
-        help="run this filter model instead of the file that the run names for the filter",
-    )
 
 
 def add_json(parser: ArgumentParser) -> None:

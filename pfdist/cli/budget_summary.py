@@ -80,7 +80,7 @@ def _cell(result: dict[str, Any]) -> str:
 def _bound_cell(result: dict[str, Any]) -> str:
     """Give the bound and its lower limit, which is rounded down: it must hold as it is printed."""
     bound, limit = result["bound"], result["bound_low"]
-    if not result["bound_error"] or limit is None:  # exact, or a table of an older run
+    if not result["bound_error"]:  # exact
         return rounded(bound)
     text, low, _ = with_interval(bound, limit, 2 * bound - limit)
     floor = Decimal(limit).quantize(Decimal(low), ROUND_FLOOR)

@@ -43,7 +43,7 @@ class Command:
             add(parser)
 
 
-COMMANDS: Registry[Command] = Registry("pfdist.cli.commands", "pfdist.commands")
+COMMANDS: Registry[Command] = Registry("pfdist.cli.commands")
 
 
 def command(

@@ -36,13 +36,11 @@ _RUN = {**shtab.DIRECTORY, "bash": "_pfdist_run_dirs", "preamble": {"bash": _RUN
 _VALUES: dict[str, Any] = {
     "JOB": _files("*.toml"),
     "RUN": _RUN,
-    "JOB_OR_RUN": shtab.FILE,
     "DIR": shtab.DIRECTORY,
     "NEW": shtab.DIRECTORY,
     "FILE": _files("*.parquet", "*.csv"),
     "TABLE": _files("*.csv", "*.parquet", "*.tex"),
     "MEASUREMENTS": _files("*.csv", "*.parquet"),
-    "FILE.py:OBJECT": _files("*.py"),
 }
 """The files and folders that complete a value, by the word that stands for the value in help."""
 

@@ -23,11 +23,6 @@ def make_parser() -> argparse.ArgumentParser:
     """Make the parser of the whole command line.
 
     The parsed arguments have an attribute ``called``, the chosen `Command`.
-
-    Raises
-    ------
-    PfdistError
-        A command that an installed package adds cannot be loaded.
     """
     notes = f"`pfdist COMMAND --help` describes a command. {_EXIT_CODES}"
     parser = _Parser(

@@ -12,20 +12,20 @@ T = TypeVar("T")
 
 
 class Registry(Mapping[str, T], Generic[T]):
-    """Objects of one kind by their names: those that ship, and those of installed packages.
+    """Objects of one kind by their names.
 
-    The modules of a package, and the entry points of a group, declare themselves when they are
-    imported. They are imported when the table is first read.
+    The modules of a package declare themselves when they are imported. They are imported when the
+    table is first read, and so are the entry points of a group, if there is one.
 
     Parameters
     ----------
     package : str
         Every module of this package is imported.
-    group : str
-        Every entry point of this group is imported.
+    group : str, optional
+        Every entry point of this group, which installed packages have, is imported.
     """
 
-    def __init__(self, package: str, group: str) -> None:
+    def __init__(self, package: str, group: str = "") -> None:
         self._package, self._group = package, group
         self._declared: dict[str, T] = {}
         self._complete = False
@@ -39,7 +39,7 @@ class Registry(Mapping[str, T], Generic[T]):
             Something else has this name.
         """
         if name in self._declared:
-            raise ValueError(f"{self._group} names must be unique; {name!r} is declared twice")
+            raise ValueError(f"names in {self._package} must be unique; {name!r} is declared twice")
         self._declared[name] = value
 
     def __getitem__(self, name: str) -> T:
@@ -65,7 +65,7 @@ class Registry(Mapping[str, T], Generic[T]):
         folder = importlib.import_module(self._package).__path__
         for module in pkgutil.iter_modules(folder):
             importlib.import_module(f"{self._package}.{module.name}")
-        for entry_point in entry_points(group=self._group):
+        for entry_point in entry_points(group=self._group) if self._group else ():
             try:
                 entry_point.load()
             except Exception as error:

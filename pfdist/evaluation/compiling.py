@@ -4,13 +4,12 @@ from dataclasses import replace
 
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation
-from pfdist.filters.compiled_simulation import libm_of_simulation, simulation_makes_arrays
-from pfdist.filters.draws import simulate
 from pfdist.filters.particle_filter import (
     filter_checked_draws,
     filter_makes_arrays,
     libm_of_filter,
 )
+from pfdist.filters.simulation import libm_of_simulation, simulate, simulation_makes_arrays
 
 
 def compile_evaluator(evaluator: Evaluator, estimation: Estimation) -> None:

@@ -19,7 +19,7 @@ class Engine:
     description : str
         The engine in one line.
     simulated_by : str
-        The module whose ``simulate`` has the contract of `pfdist.filters.draws.simulate`.
+        The module whose ``simulate`` has the contract of `pfdist.filters.simulation.simulate`.
     filtered_by : str
         The module whose ``filter_draws``, ``filter_checked_draws``, ``filter_checked_sets`` and
         ``sum_errors`` have the contracts of those in `pfdist.filters.particle_filter`.
@@ -73,7 +73,7 @@ class Engine:
 COMPILED = Engine(
     "compiled",
     "Formulas compiled by Numba into one loop over draws, instants and particles.",
-    simulated_by="pfdist.filters.draws",
+    simulated_by="pfdist.filters.simulation",
     filtered_by="pfdist.filters.particle_filter",
 )
 NUMPY = Engine(
@@ -87,7 +87,7 @@ NUMPY = Engine(
 KALMAN = Engine(
     "kalman",
     "The Kalman filter, which knows the expected MSE of a linear-Gaussian model exactly.",
-    simulated_by="pfdist.filters.draws",
+    simulated_by="pfdist.filters.simulation",
     filtered_by="pfdist.filters.kalman",
     exact=True,
 )

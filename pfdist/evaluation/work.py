@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pfdist.filters.particle_filter import filter_streams
+from pfdist.filters.settings import filter_streams
 from pfdist.kernels.estimators import FILTER_VARIANCE, SQUARED_ERROR
 from pfdist.kernels.prefixes import plan
 from pfdist.kernels.schemes import CONDITIONAL

@@ -1,4 +1,4 @@
-"""Simulate draws: realisations of x(0..T), y(0..T) and z(0..T) (paper, equations 1 to 4)."""
+"""Draws: realisations of x(0..T), y(0..T) and z(0..T) (paper, equations 1 to 4)."""
 
 from dataclasses import dataclass, replace
 from typing import Any, SupportsIndex
@@ -8,12 +8,9 @@ from numpy.typing import NDArray
 
 from pfdist.errors import ModelError, PriorError
 from pfdist.filters.cloud import Cloud, Indices, Prior
-from pfdist.filters.compiled_simulation import compiled_simulation
-from pfdist.kernels.formulas import formulas_of
 from pfdist.kernels.noise import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, variates
-from pfdist.mistakes.places import place_of, place_of_function
 from pfdist.models import StateSpaceModel
-from pfdist.models.parameters import flat_parameters
+from pfdist.models.mistakes import place_of, place_of_function
 
 
 @dataclass(frozen=True)
@@ -70,43 +67,6 @@ class Draws:
         t = slice(end + 1 - self.start)
         weights = None if self.weights is None else self.weights[t]
         return replace(self, x=self.x[:, t], y=self.y[:, t], z=self.z[:, t], weights=weights)
-
-
-def simulate(
-    model: StateSpaceModel, horizon: int, index: range, stream: int, prior: Cloud | None = None
-) -> Draws:
-    """Simulate some draws of a stream.
-
-    Parameters
-    ----------
-    model : StateSpaceModel
-    horizon : int
-        T.
-    index : range
-        The consecutive indices of the draws. A draw does not depend on the other draws.
-    stream : int
-        Key of the noise, 64 bits.
-    prior : Cloud, optional
-        Particles of x(s), from which the draws start at s in the place of `initial`.
-
-    Returns
-    -------
-    Draws
-
-    Raises
-    ------
-    ModelError
-        A formula cannot be compiled or failed, or gave a value that is not finite.
-    PriorError
-        The prior does not fit the model or the horizon.
-    """
-    draws = begun(model, horizon, index, stream, prior)
-    with formulas_of(model.name, model.formulas):
-        flat = flat_parameters(model.parameters, horizon + 1)
-        given = np.uint64(stream), index.start, draws.start, prior is not None, flat
-        compiled_simulation(model)(*given, draws.x, draws.y, draws.z)
-    check_finite(model, draws, stream)
-    return draws
 
 
 def check_prior(prior: Prior, model: StateSpaceModel, horizon: int) -> None:

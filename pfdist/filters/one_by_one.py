@@ -30,8 +30,7 @@ from numpy.typing import NDArray
 
 from pfdist.filters.draws import Draws
 from pfdist.filters.interface import Filtered, weighed
-from pfdist.filters.particle_filter import filter_streams
-from pfdist.filters.settings import FilterSettings
+from pfdist.filters.settings import FilterSettings, filter_streams
 from pfdist.kernels.estimators import ALL_ESTIMATORS, ErrorWeights, Estimator
 from pfdist.models import StateSpaceModel
 from pfdist.times.measurement_times import Times

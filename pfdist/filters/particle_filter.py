@@ -15,15 +15,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.common.streams import stream_key
 from pfdist.errors import PriorError
+from pfdist.filters import plain
 from pfdist.filters.cloud import Gaussian
 from pfdist.filters.draws import Draws
 from pfdist.filters.interface import Filtered, checking, validated_from
-from pfdist.filters.settings import FilterSettings, check_filter, check_start
+from pfdist.filters.settings import FilterSettings, check_filter, check_start, filter_streams
 from pfdist.kernels.cloud import FROM_INITIAL, Prior
 from pfdist.kernels.estimators import ALL_ESTIMATORS, SQUARED_ERROR
-from pfdist.kernels.formulas import formulas_of
+from pfdist.kernels.formulas import compiled_formulas
 from pfdist.kernels.fused_filter import Request, Results, fused_filter
 from pfdist.kernels.libm import libm_functions, makes_arrays
 from pfdist.kernels.prefixes import Plan, Planned, plan
@@ -180,11 +180,6 @@ def sum_errors(
     return sums
 
 
-def filter_streams(stream: int, estimator: str) -> list[int]:
-    """Keys of the noise of each filter that an estimator needs; the first is the given key."""
-    return [stream, stream_key(stream, "second filter")][: ALL_ESTIMATORS[estimator].filters]
-
-
 def _filter(
     model: StateSpaceModel,
     draws: Draws,
@@ -209,11 +204,19 @@ def _filter(
         flat_parameters(model.parameters, draws.instants.stop),
         flat_parameters(truth.parameters, draws.instants.stop),
     )
-    compiled = _compiled(model, truth, settings.resampling, settings.dtype)
     estimate, variance = wanted.moments
-    results = Results(mse, estimate, variance, wanted.errors, wanted.cloud)
-    with formulas_of(model.name, model.formulas | {"error": truth.error}):
-        compiled(request, planned, results)
+    results = Results(mse, estimate, variance, wanted.errors, wanted.cloud, np.zeros(2, np.int64))
+
+    def again() -> str:
+        """Filter the draw that failed in NumPy."""
+        row, number = results.at
+        times = draws.start + np.flatnonzero(planned.measured[number])
+        end, draw = draws.start + planned.ends[number] - 1, draws[row : row + 1]
+        plain.filter_checked_sets(model, draw, [tuple(times)], [end], stream, settings)
+        return f"the filter of draw {draw.index.start}"
+
+    with compiled_formulas(model.name, again):
+        _compiled(model, truth, settings.resampling, settings.dtype)(request, planned, results)
     return mse
 
 

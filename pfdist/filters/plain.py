@@ -39,7 +39,7 @@ _AT_ONCE = 2**16  # particles of all draws that are filtered together; they fit 
 def simulate(
     model: StateSpaceModel, horizon: int, index: range, stream: int, prior: Cloud | None = None
 ) -> Draws:
-    """Plain twin of `pfdist.filters.draws.simulate`."""
+    """Plain twin of `pfdist.filters.simulation.simulate`."""
     draws = begun(model, horizon, index, stream, prior)
 
     def noise(kinds: tuple[str, ...], t: int, role: SupportsIndex) -> tuple[Array, ...]:
@@ -73,7 +73,8 @@ def filter_checked_draws(
 ) -> Filtered:
     """Plain twin of `pfdist.filters.particle_filter.filter_checked_draws`."""
     count = max(1, _AT_ONCE // settings.particles)
-    with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
+    formulas = model.formulas | {"error": draws.model.error}
+    with formulas_of(model.name, formulas), np.errstate(all="ignore"):
         blocks = [
             _filter(model, draws[first : first + count], measurement_times, stream, settings)
             for first in range(0, len(draws.index), count)

@@ -4,10 +4,11 @@ from dataclasses import dataclass
 
 from pfdist.common.arguments import whole_argument
 from pfdist.common.nearest import did_you_mean
+from pfdist.common.streams import stream_key
 from pfdist.errors import ArgumentError, ModelError, PriorError, shown
 from pfdist.filters.cloud import Prior
 from pfdist.filters.draws import Draws, check_prior
-from pfdist.kernels.estimators import ESTIMATORS, SQUARED_ERROR
+from pfdist.kernels.estimators import ALL_ESTIMATORS, ESTIMATORS, SQUARED_ERROR
 from pfdist.kernels.schemes import MULTINOMIAL, SCHEMES
 from pfdist.models import StateSpaceModel, squared_error
 
@@ -126,3 +127,8 @@ def _check_estimator(model: StateSpaceModel, truth: StateSpaceModel, estimator: 
             f"the estimator {estimator!r} needs an error that is the squared Euclidean norm, got "
             f"model {truth.name}, which has its own error; allowed: {allowed!r}"
         )
+
+
+def filter_streams(stream: int, estimator: str) -> list[int]:
+    """Keys of the noise of each filter that an estimator needs; the first is the given key."""
+    return [stream, stream_key(stream, "second filter")][: ALL_ESTIMATORS[estimator].filters]

@@ -33,7 +33,7 @@ from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import REGULAR, Times
 
 if TYPE_CHECKING:  # a job is read without Numba
-    from pfdist.meaning.chosen import ChosenModel
+    from pfdist.models import CarriedModel
 
 ONLINE: Final = "online"
 """Name of the times that are chosen one after another, beside the names of the searches."""
@@ -52,7 +52,7 @@ class Origin(NamedTuple):
         Whether the job file has a [[search]]. Otherwise the job has the default search.
     names_online : bool
         Whether the job file has a section [online].
-    models : mapping of str to ChosenModel
+    models : mapping of str to CarriedModel
         Models that were given as objects, for the parts "model" and "filter_model".
     is_file : bool
         Whether there is a job file. A problem in Python has none.
@@ -61,7 +61,7 @@ class Origin(NamedTuple):
     path: Path = Path("job.toml")
     names_searches: bool = False
     names_online: bool = False
-    models: Mapping[str, "ChosenModel"] = _NOTHING
+    models: Mapping[str, "CarriedModel"] = _NOTHING
     is_file: bool = True
 
 
@@ -123,9 +123,11 @@ class Job(Section):
             raise ValueError(f"budget needs comparison.reference = {REGULAR!r}, got {got}")
         if not self.problem.feasible.counted:
             raise ValueError("budget needs problem.measurement_budget, got problem.total_cost")
-        if len(self.search) != 1:
-            methods = ", ".join(search.method for search in self.search)
-            raise ValueError(f"budget needs one search of method {DEFAULT_METHOD!r}, got {methods}")
+        methods = [search.method for search in self.search]
+        if methods != [DEFAULT_METHOD]:
+            raise ValueError(
+                f"budget needs one search of method {DEFAULT_METHOD!r}, got {', '.join(methods)}"
+            )
         if self.search[0].polish:
             raise ValueError("budget needs a search with polish = false, got true")
         for number in (self.budget.least, self.budget.most):
@@ -202,7 +204,12 @@ class Job(Section):
         return self._origin.names_online
 
     @property
-    def models(self) -> "Mapping[str, ChosenModel]":
+    def is_file(self) -> bool:
+        """Whether there is a job file. A problem in Python has none."""
+        return self._origin.is_file
+
+    @property
+    def models(self) -> "Mapping[str, CarriedModel]":
         """Models that were given as objects in Python, for "model" and "filter_model"."""
         return self._origin.models
 
@@ -259,6 +266,11 @@ def toml_of_file(path: Path) -> dict[str, Any]:
     """
     try:
         return parse_toml(read_text(path))
+    except IsADirectoryError as error:
+        remedy = ""
+        if (path / "job.toml").is_file():
+            remedy = f": name the job of its run, which keeps it in {path / 'job.toml'}"
+        raise JobError(f"a job must be a job file, got the folder {path}{remedy}") from error
     except OSError as error:
         meant = did_you_mean_path(path, (path.parent, Path("jobs")), is_job_file)
         raise JobError(f"cannot read the job file {path}: {error.strerror}{meant}") from error

@@ -17,8 +17,15 @@ from pfdist.errors import JobError, ModelError, shown
 from pfdist.job.job import Job, Origin
 from pfdist.job.problem_section import ProblemSection
 from pfdist.job.sections import Filter
-from pfdist.meaning.given import GivenModel, given_model
-from pfdist.models import PYTHON, StateSpaceModel, find_model
+from pfdist.models import (
+    PYTHON,
+    CarriedModel,
+    StateSpaceModel,
+    carried,
+    check_name,
+    installed_name,
+    load_model,
+)
 
 _SECTIONS: dict[str, type[Section]] = {"problem": ProblemSection, "filter": Filter}
 _OWN = ("seed", "model", *_SECTIONS)
@@ -101,7 +108,7 @@ class Problem(Shown):
     @property
     def name(self) -> str:
         """The model's name, which is also the name of the folder of the problem's run."""
-        name = self._model.name.removeprefix(PYTHON)
+        name = _name_of(self._model).removeprefix(PYTHON)
         if ".py:" in name:
             name = Path(name.rpartition(":")[0]).stem
         return _STRANGE.sub("-", name).strip(" .") or "model"
@@ -136,7 +143,7 @@ class Problem(Shown):
                     f"argument of pfdist.Problem{did_you_mean(name, allowed)}"
                 )
         given = {"model": self._model, "filter_model": self._filter_model}
-        models = {part: each.chosen for part, each in given.items() if each and each.chosen}
+        models = {part: each for part, each in given.items() if isinstance(each, CarriedModel)}
         origin = Origin(
             Path(f"{self.name}.toml"), "search" in sections, "online" in sections, models, False
         )
@@ -146,9 +153,9 @@ class Problem(Shown):
 
     def _models(self) -> dict[str, Any]:
         """The section [model] of the job."""
-        section = _named(self._model)
+        section = _section_of(self._model)
         if self._filter_model is not None and self._filter_model != self._model:
-            section["filter"] = _named(self._filter_model)
+            section["filter"] = _section_of(self._filter_model)
         return section
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -166,27 +173,48 @@ class Problem(Shown):
         first = ("horizon", "measurement_budget", "total_cost")
         about = ", ".join(f"{key} {keys[key]}" for key in first if key in keys)
         models = {"model": self._model, "filter_model": self._filter_model}
-        rows = {key: each.name for key, each in models.items() if each} | keys
+        rows = {key: _name_of(each) for key, each in models.items() if each} | keys
         texts = [
             (key, each if isinstance(each, str) else shown(each)) for key, each in rows.items()
         ]
         return Card(f"problem {self.name}: {about}", ("key", "value"), texts)
 
 
-def _given(model: StateSpaceModel | str | GivenModel, argument: str) -> GivenModel:
-    if isinstance(model, GivenModel):  # of a problem that is changed
+def _given(model: StateSpaceModel | str | CarriedModel, argument: str) -> str | CarriedModel:
+    """Give a model that was handed over in Python: its name, or the object as it travels."""
+    if isinstance(model, CarriedModel):  # of a problem that is changed
         return model
     try:
-        given = given_model(model)
         if isinstance(model, str):
-            find_model(model)
+            check_name(model)
+            return model
+        if isinstance(model, StateSpaceModel):
+            return carried(model, installed_name(model) or f"{PYTHON}{model.name}")
     except ModelError as error:
         raise ModelError(f"{argument}: {error}", argument=argument) from error
-    return given
+    raise ModelError(
+        f"{argument}: a model must be a StateSpaceModel or the name of a model, for instance "
+        f"'ungm' or 'path/file.py:object', got {shown(model)}",
+        argument=argument,
+    )
 
 
-def _named(given: GivenModel) -> dict[str, Any]:
-    return {"name": given.name, "parameters": dict(given.parameters)}
+def _name_of(model: str | CarriedModel) -> str:
+    return model if isinstance(model, str) else model.name
+
+
+def _section_of(model: str | CarriedModel) -> dict[str, Any]:
+    """The keys by which a job names a model, with the parameters that differ from its own."""
+    if isinstance(model, str):
+        return {"name": model, "parameters": {}}
+    parameters = {
+        name: value if isinstance(value, tuple) else float(value)  # type: ignore[arg-type]
+        for name, value in model.model.parameters.items()
+    }
+    if not model.name.startswith(PYTHON):
+        own = load_model(model.name).parameters
+        parameters = {key: value for key, value in parameters.items() if value != own[key]}
+    return {"name": model.name, "parameters": parameters}
 
 
 def _by_section(keys: Mapping[str, Any]) -> dict[str, dict[str, Any]]:

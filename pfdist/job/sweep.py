@@ -15,6 +15,7 @@ from pfdist.job.asked import Asked, as_job
 from pfdist.job.job import Job, toml_of_file
 from pfdist.job.points import Point, Values, dotted, points_of
 from pfdist.job.sections import Execution
+from pfdist.store import folder_of_run
 
 
 class SweepFile(Section):
@@ -121,7 +122,7 @@ def read_sweep(
         except JobError as error:
             raise JobError(f"the point {point.name} of the sweep: {error}") from error
     judge = file is not None and file.judge
-    return SweepJob(name or f"{job.path.stem}-sweep", found, jobs, judge)
+    return SweepJob(name or f"{folder_of_run(job.path).name}-sweep", found, jobs, judge)
 
 
 def _sweep_file(asked: Any) -> SweepFile | None:

@@ -3,12 +3,13 @@
 This is the only file in the kernels with our own LLVM instructions. All of them are portable.
 """
 
+import functools
+
 import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic, overload
-from numba.np.arrayobj import populate_array
 
 from pfdist.kernels.melting import MELTING
 
@@ -161,17 +162,18 @@ def shaped(typing_context, array, shape):
     kind = array.copy(ndim=len(shape), layout="C")
 
     def generate(context, builder, signature, arguments):
-        given = context.make_array(array)(context, builder, arguments[0])
+        given = cgutils.create_struct_proxy(array)(context, builder, value=arguments[0])
         sizes = cgutils.unpack_tuple(builder, arguments[1], len(shape))
         itemsize = context.get_abi_sizeof(context.get_data_type(array.dtype))
         strides = [context.get_constant(types.intp, itemsize)]
         for size in reversed(sizes[1:]):
             strides.insert(0, builder.mul(strides[0], size))
-        result = context.make_array(kind)(context, builder)
-        populate_array(
-            result, data=given.data, shape=sizes, strides=strides, itemsize=strides[-1],
-            meminfo=given.meminfo,
-        )  # fmt: skip
+        result = cgutils.create_struct_proxy(kind)(context, builder)
+        result.data, result.meminfo, result.parent = given.data, given.meminfo, given.parent
+        result.shape = cgutils.pack_array(builder, sizes)
+        result.strides = cgutils.pack_array(builder, strides)
+        result.itemsize = strides[-1]
+        result.nitems = functools.reduce(builder.mul, sizes)
         return result._getvalue()
 
     return kind(array, shape), generate

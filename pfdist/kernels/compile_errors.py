@@ -3,12 +3,12 @@
 import re
 from collections.abc import Callable
 
-from numba.core.errors import NumbaError, UnsupportedBytecodeError
+from numba import errors
 
-NOT_COMPILED = (NumbaError, UnsupportedBytecodeError)
+NOT_COMPILED = (errors.NumbaError, errors.UnsupportedBytecodeError)
 """Errors that Numba raises if it cannot compile a function."""
 
-_NOT_THEIRS = re.compile(r"(^|/)(numba/|pfdist/(kernels/|jitted/|models/base\.py|draws\.py))")
+_NOT_THEIRS = re.compile(r"(^|/)(numba/|pfdist/(kernels/|models/(base|seeing)\.py|filters/))")
 _TOLD = re.compile(
     r"^.*(?:Untyped global name|No implementation of function|Unknown attribute|Cannot|cannot"
     r"|Invalid use|Use of unsupported|NameError).*$",
@@ -21,14 +21,7 @@ _OPCODES = {
     "LOAD_BUILD_CLASS": "a class is defined at the top of the file, not in a formula",
 }
 _GLOBAL = re.compile(r"Untyped global name '(\w+)': (.*)")
-_NO_CONSTANT = re.compile(r"list\S* type, assigned to variable '(\w+)' in globals")
-_KINDS = {
-    "dict": "a dict; give each of its values a name, or use an array",
-    "list": "a list; a formula may read a tuple or an array, and change neither",
-    "DataFrame": "a DataFrame; take its values out above: VALUES = FRAME['a'].to_numpy()",
-    "Series": "a Series; take its values out above: VALUES = SERIES.to_numpy()",
-    "function": "a function that calls itself; write a loop, or the formula out",
-}
+_RECURSION = "a function that calls itself; write a loop, or the formula out"
 _MISSING = re.compile(r"No implementation of function Function\(<(?:(?:built-in )?[a-z]+ )?'?(\w+)")
 _SIGNATURE = re.compile(r">>> \w+\((.*)\)")
 _OURS = {
@@ -66,12 +59,8 @@ def _no_opcode(found: re.Match[str], _: str) -> str:
 
 
 def _no_global(found: re.Match[str], _: str) -> str:
-    kind = next((told for kind, told in _KINDS.items() if kind in found[2]), "")
-    return f"it cannot use {found[1]}, {kind or _plain(found[2])}"
-
-
-def _no_constant(found: re.Match[str], _: str) -> str:
-    return f"it cannot use {found[1]}, {_KINDS['list']}"
+    reason = _RECURSION if "function" in found[2] else _plain(found[2])
+    return f"it cannot use {found[1]}, {reason}"
 
 
 def _no_function(found: re.Match[str], text: str) -> str:
@@ -88,7 +77,6 @@ def _no_attribute(found: re.Match[str], _: str) -> str:
 _REASONS: tuple[tuple[re.Pattern[str], Callable[[re.Match[str], str], str]], ...] = (
     (_OPCODE, _no_opcode),
     (_GLOBAL, _no_global),
-    (_NO_CONSTANT, _no_constant),
     (_MISSING, _no_function),
     (_OF_A_MODULE, _no_attribute),
 )

@@ -1,10 +1,9 @@
 """A cache of compiled code on disk. The name of a file is a hash of all that its code depends on.
 
 Numba's own cache identifies a function by its source file. Our functions are closures over a
-model's formulas, so their source file says too little. Here the name is a hash of the formulas
-(their code, and the constants, modules and functions that they use, recursively), of the kernel's
-own source, of the versions and of the processor. A formula that cannot be hashed is compiled in
-each process.
+model's formulas, so their source file says too little. Here the name is a hash of the fingerprint
+of the formulas, of the kernel's own source, of the versions and of the processor. A formula that
+has no fingerprint is compiled in each process.
 
 A function is saved only if everything it calls is inlined into it. Numba numbers its symbols, and
 two processes may give the same number to two functions.
@@ -21,7 +20,7 @@ import platform
 import re
 import tempfile
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -33,37 +32,48 @@ from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
 from pfdist.errors import EngineWarning
-from pfdist.jitted import UNWRAPPED
-from pfdist.kernels.fingerprint import UnknownContentError, fingerprint
+from pfdist.models.fingerprint import formulas_key
 
 FOLDER_VARIABLE = "PFDIST_CACHE_DIR"
 _DIGEST_BYTES = 16
 _PACKAGE = Path(__file__).parents[1]
 
 
-def kept_on_disk(compiled: Any, *compiled_from: Any) -> Callable[..., None]:
+def kept_on_disk(
+    compiled: Any, formulas: Sequence[Callable[..., Any]], *settings: Any
+) -> Callable[..., None]:
     """Let a compiled function be loaded from disk, and saved there after it was compiled.
 
     Parameters
     ----------
     compiled : compiled function
         Not called yet.
-    *compiled_from : object
-        All that its code depends on except the package's own source: functions, names, numbers.
+    formulas : sequence of callables
+        The formulas from which it is compiled.
+    *settings : object
+        All else on which its code depends, except the package's own source: names and numbers.
 
     Returns
     -------
     compiled function
         The same.
     """
-    try:
-        content = fingerprint(compiled.__name__, _OWN_SOURCE, _versions(), *compiled_from)
-    except UnknownContentError:
+    key = formulas_key("", {str(number): each for number, each in enumerate(formulas)})
+    if key is None:
         return compiled
+    content = _hash(compiled.__name__, key, _OWN_SOURCE, _versions(), settings)
     # Two kernels in one process must not share a symbol: the second would run the first one's code.
     compiled.py_func.__qualname__ += f"_{content}"
     compiled._cache = _DiskCache(content)
     return compiled
+
+
+def modules_of(compiled: Any) -> list[Any]:
+    """Give the LLVM modules of a compiled function that was called.
+
+    Numba shows no text of a function that was loaded from disk; its module is there all the same.
+    """
+    return [result.library._get_module_for_linking() for result in compiled.overloads.values()]
 
 
 class _DiskCache:
@@ -102,12 +112,10 @@ class _DiskCache:
     def _is_closed(self, library: Any) -> bool:
         """Whether no function in the library has a name that another process might use."""
         defined = re.findall(r"^define [^@\n]*@(\S+?)\(", library.get_llvm_str(), re.MULTILINE)
-        return all(
-            self._content in name or name.startswith(("NRT_", UNWRAPPED)) for name in defined
-        )
+        return all(self._content in name or name.startswith("NRT_") for name in defined)
 
     def _path(self, signature: Any, codegen: Any) -> Path | None:
-        key = fingerprint(self._content, str(signature), *map(str, codegen.magic_tuple()))
+        key = _hash(self._content, str(signature), codegen.magic_tuple())
         folder = _folder()
         return folder / key if folder else None
 
@@ -115,6 +123,10 @@ class _DiskCache:
 def own_folder() -> Path | None:
     """Give the cache's folder; None, with a warning, if the folder is unsafe or cannot be made."""
     return _folder()
+
+
+def _hash(*parts: Any) -> str:
+    return hashlib.blake2b(repr(parts).encode(), digest_size=_DIGEST_BYTES).hexdigest()
 
 
 def _digest(payload: bytes) -> bytes:
@@ -146,10 +158,9 @@ def _folder() -> Path | None:
 def _hash_of_own_source() -> str:
     """Hash of the package's source from which compiled code is made."""
     files = sorted((_PACKAGE / "kernels").glob("*.py"))
-    files += sorted((_PACKAGE / "jitted").glob("*.py"))
-    names = ("elementwise.py", "filters/draws.py")
+    names = ("elementwise.py", "models/seeing.py", "filters/simulation.py")
     files += [_PACKAGE / name for name in names]
-    return fingerprint(*(file.read_bytes() for file in files))
+    return _hash(*(file.read_bytes() for file in files))
 
 
 def _versions() -> tuple[str, ...]:

@@ -1,29 +1,29 @@
 """A model's formulas as compiled functions that melt into the loop that calls them."""
 
+import ast
 import contextlib
-import inspect
 import math
 import types
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
-from numba.core.registry import CPUDispatcher
+from numba import errors
+from numba.extending import is_jitted
 
 import pfdist.elementwise  # noqa: F401  how Numba is to take what formulas may call
 from pfdist.errors import CompileError, ModelError, PfdistError
-from pfdist.jitted import Guarded, InCallError, admit, is_library, names_in
 from pfdist.kernels.choices import CHOICES
 from pfdist.kernels.compile_errors import NOT_COMPILED, reason_of
 from pfdist.kernels.melting import melted
 from pfdist.kernels.overloads import ELEMENTARY, log_to_base
-from pfdist.mistakes.endings import is_interrupt, kept_alive, told
-from pfdist.mistakes.places import frames_of, is_a_models, place_of
-from pfdist.mistakes.remedies import remedy
+from pfdist.models.mistakes import frames_of, is_interrupt, place_of, remedy, told
+from pfdist.models.seeing import seeing
+from pfdist.models.syntax import Function, node_of
 
-__all__ = ["formula", "formulas_of", "is_ours", "names_in"]
-
-admit(*ELEMENTARY.values(), log_to_base, *CHOICES.values())
+_UNCHECKED = ("as_strided", "flat", "getitem", "setitem", "take_along_axis")
+_TUPLES = ("w", "x", "v", "y", "z", "estimate")
+"""Arguments of formulas that are tuples, whose constant indices Numba checks when it compiles."""
 
 
 def formula(function: Callable[..., Any], name: str = "") -> Callable[..., Any]:
@@ -31,8 +31,7 @@ def formula(function: Callable[..., Any], name: str = "") -> Callable[..., Any]:
 
     Functions it calls by their own names are compiled with it, and NumPy's elementary functions
     are those of `pfdist.kernels.overloads`. A float divided by zero gives inf or nan as in NumPy:
-    a branch to raise would stop vectorisation. Indices and integers are checked, see
-    `pfdist.jitted.guarded`.
+    a branch to raise would stop vectorisation. Indices of arrays are checked; see `checks_indices`.
 
     Parameters
     ----------
@@ -43,55 +42,91 @@ def formula(function: Callable[..., Any], name: str = "") -> Callable[..., Any]:
     return _compiled(function, name or function.__name__, ())
 
 
-def _compiled(
-    function: Callable[..., Any], name: str, callers: tuple[Callable[..., Any], ...]
-) -> Callable[..., Any]:
-    seen = _seeing(function, name, (*callers, function))
-    # It may make arrays, which the filter it melts into cannot.
-    return melted(seen, Guarded, _nrt=True)
+def checks_indices(function: Callable[..., Any]) -> bool:
+    """Whether a formula indexes arrays in a way that is checked for each particle.
+
+    ``p.NAME[t]`` needs no check, because the array has an entry for each instant. A check stops
+    vectorisation: such a formula takes up to 8 times the time.
+    """
+    node = node_of(function)
+    if node is None:
+        return True
+    names = [each.arg for each in node.args.args[: len(node.args.args) - len(node.args.defaults)]]
+    for each in ast.walk(node):
+        if isinstance(each, ast.Name) and not isinstance(each.ctx, ast.Load):
+            names.append(each.id)
+        if each is not node:  # of `match`, `except`, `def` and `import`
+            bound = (getattr(each, field, None) for field in ("name", "rest", "asname"))
+            names += [name for name in bound if name]
+        if isinstance(each, Function) and each is not node:
+            names += [
+                argument.arg for argument in ast.walk(each.args) if isinstance(argument, ast.arg)
+            ]
+    given = {name for name in names if names.count(name) == 1}  # and never assigned
+    subscripts = (each for each in ast.walk(node) if isinstance(each, ast.Subscript))
+    return not all(_cannot_fail(each, given) for each in subscripts)
 
 
-def _seeing(
-    function: Callable[..., Any], name: str, callers: tuple[Callable[..., Any], ...]
-) -> Callable[..., Any]:
-    """The same function, seeing what can be compiled where it sees what its author wrote.
+def _cannot_fail(subscript: ast.Subscript, given: set[str]) -> bool:
+    """Whether it is ``p.NAME[t]`` or, for instance, ``x[0]``, of arguments as they were given."""
+    match subscript:
+        case ast.Subscript(
+            value=ast.Attribute(value=ast.Name(id="p")), slice=ast.Name(id="t"), ctx=ast.Load()
+        ):
+            return given >= {"p", "t"}
+        case ast.Subscript(value=ast.Name(id=name), slice=ast.Constant(), ctx=ast.Load()):
+            return name in _TUPLES and name in given
+    return False
+
+
+def _compiled(function: Any, name: str, callers: tuple[Any, ...]) -> Callable[..., Any]:
+    """Compile a function with all that it calls.
 
     A function that calls itself stays as it is written, and Numba refuses it: it might never end.
     """
-    scope, names = function.__globals__, names_in(function.__code__)
-    modules: dict[int, types.ModuleType] = {}
+    called_by = (*callers, function)
+    _refuse_unchecked(function)
 
-    def seen(value: Any) -> Any:
-        if isinstance(value, CPUDispatcher):  # compiled by its author: here as a formula is
-            value = value.py_func
-        if isinstance(value, types.FunctionType) and value not in callers:
-            return value if is_ours(value) else _compiled(value, name, callers)
-        if type(value) is tuple:
-            return tuple(map(seen, value))
-        if isinstance(value, types.ModuleType) and not is_library(value.__name__):
-            return seen_in(value)
+    def instead(value: Any) -> Any:
+        value = value.py_func if is_jitted(value) else value
+        if isinstance(value, types.FunctionType) and value not in called_by:
+            return value if is_ours(value) else _compiled(value, name, called_by)
         return _INSTEAD.get(id(value), value)
 
-    def seen_in(module: types.ModuleType) -> types.ModuleType:
-        if id(module) not in modules:
-            modules[id(module)] = copy = _replaced(module, {})
-            own = vars(module)
-            copy.__dict__.update({key: seen(own[key]) for key in names if key in own})
-        return modules[id(module)]
-
-    used = {key: seen(scope[key]) for key in names if key in scope}
-    cells = [types.CellType(seen(cell.cell_contents)) for cell in function.__closure__ or ()]
+    compilable = seeing(function, instead, name)
     # Its module's name would be kept with the compiled code, and be unknown to another process.
-    compilable: Any = types.FunctionType(
-        function.__code__,
-        scope | used | {"__name__": __name__},
-        name,
-        function.__defaults__ and tuple(map(seen, function.__defaults__)),
-        tuple(cells),
-    )
-    compilable.__qualname__ = name
-    compilable.takes_t = len(callers) == 1 and "t" in inspect.signature(function).parameters
-    return compilable
+    compilable.__globals__["__name__"] = compilable.__module__ = __name__
+    # A helper's arguments may be arrays. A function may make arrays, which the filter it melts into
+    # cannot.
+    checked = bool(callers) or checks_indices(function)
+    return melted(compilable, _nrt=True, boundscheck=checked)
+
+
+def _refuse_unchecked(function: Any) -> None:
+    """Refuse what Numba compiles without a check of its indices, whatever it is told."""
+    node = node_of(function)
+    for each in ast.walk(node) if node else ():
+        name = getattr(each, "attr", getattr(each, "id", ""))
+        if name in _UNCHECKED:
+            what = f"{name}: write array[index]"
+        elif isinstance(each, ast.Call) and _is_take_of_an_axis(each):
+            what = "np.take with an axis: write array[index]"
+        elif isinstance(each, Function) and each is not node and _indexes_an_array(each):
+            what = "index in a function that is defined in a formula: define it above"
+        else:
+            continue
+        place = f'File "{function.__code__.co_filename}", line {getattr(each, "lineno", 0)}'
+        raise errors.UnsupportedError(f"Use of unsupported {what}\n{place}")
+
+
+def _is_take_of_an_axis(call: ast.Call) -> bool:
+    name = getattr(call.func, "attr", getattr(call.func, "id", ""))
+    return name == "take" and len(call.args) + len(call.keywords) > 2
+
+
+def _indexes_an_array(node: ast.AST) -> bool:
+    subscripts = (each for each in ast.walk(node) if isinstance(each, ast.Subscript))
+    return not all(_cannot_fail(each, set(_TUPLES)) for each in subscripts)
 
 
 def is_ours(function: types.FunctionType) -> bool:
@@ -122,8 +157,44 @@ _INSTEAD: dict[int, Any] = {
 
 
 @contextlib.contextmanager
+def compiled_formulas(model: str, again: Callable[[], Any]) -> Iterator[None]:
+    """Turn what goes wrong in a model's compiled formulas into one line.
+
+    Parameters
+    ----------
+    model : str
+        The model's name.
+    again : callable
+        Computes in NumPy what compiled code failed to compute, so that Python's own traceback tells
+        the formula, the line and the instant. It gives a description of what it computed.
+
+    Raises
+    ------
+    CompileError
+        A formula cannot be compiled, with the reason and the line at fault.
+    ModelError
+        A formula raised.
+    """
+    try:
+        yield
+    except NOT_COMPILED as error:
+        raise CompileError(
+            f"model {model} cannot be compiled by Numba: {reason_of(error)}; formulas may use "
+            "operators, NumPy's elementwise functions on numbers, pfdist.where and pfdist.clip"
+        ) from error
+    except (MemoryError, PfdistError, KeyboardInterrupt):
+        raise
+    except BaseException as error:  # a formula may raise whatever it likes
+        what = again()
+        raise ModelError(
+            f"model {model}: a compiled formula failed in {what}: {told(error)}; it does not fail "
+            "in NumPy"
+        ) from error
+
+
+@contextlib.contextmanager
 def formulas_of(model: str, formulas: Mapping[str, Callable[..., Any]]) -> Iterator[None]:
-    """Turn what goes wrong in a model's formulas into one line.
+    """Turn what goes wrong in a model's formulas in NumPy into one line.
 
     Parameters
     ----------
@@ -134,61 +205,30 @@ def formulas_of(model: str, formulas: Mapping[str, Callable[..., Any]]) -> Itera
 
     Raises
     ------
-    CompileError
-        A formula cannot be compiled, with the reason and the line at fault.
     ModelError
         A formula raised, with the formula's name, the instant if it is known, and the line.
     """
     try:
-        with kept_alive():
-            yield
-    except NOT_COMPILED as error:
-        raise CompileError(
-            f"model {model} cannot be compiled by Numba: {reason_of(error)}; formulas may use "
-            "operators, NumPy's elementwise functions on numbers, pfdist.where and pfdist.clip"
-        ) from error
+        yield
     except (MemoryError, PfdistError):
         raise
     except BaseException as error:  # a formula may raise whatever it likes
-        name, instant = _formula_at_fault(error, formulas)
-        message, ending = _message_and_ending(error)
-        if not message:
+        place = place_of(error)
+        if is_interrupt(error) or not (isinstance(error, Exception) or place):
             raise
-        at = f" at t = {instant}" if instant is not None and " at t = " not in message else ""
-        raise ModelError(f"model {model}: {name} failed: {message}{at}{ending}") from error
+        name, instant = _formula_at_fault(error, formulas)
+        at = "" if instant is None else f" at t = {instant}"
+        raise ModelError(
+            f"model {model}: {name} failed: {told(error)}{at}{remedy(error)}{place}"
+        ) from error
 
 
 def _formula_at_fault(
     error: BaseException, formulas: Mapping[str, Callable[..., Any]]
 ) -> tuple[str, int | None]:
     """Name of the formula that an error passed through, and t in it where it is known."""
-    instant = error.t if isinstance(error, InCallError) else None
     names = {function.__code__: name for name, function in formulas.items()}
     for frame, _ in frames_of(error):
-        name = names.get(frame.f_code, frame.f_code.co_name)  # compiled code tells it by its name
-        if name in formulas:
-            return name, instant if instant is not None else frame.f_locals.get("t")
-    return "a formula", instant
-
-
-def _message_and_ending(error: BaseException) -> tuple[str, str]:
-    """The error of a formula; what to write instead, and where. Empty if no formula raised it.
-
-    Only text is returned: a local variable that holds the error would keep the filter's arrays
-    alive, by way of the error's traceback.
-    """
-    cause, place = _cause_of(error)
-    if is_interrupt(cause) or not (isinstance(error, Exception) or place):
-        return "", ""
-    return told(cause), f"{remedy(cause)}{place}"
-
-
-def _cause_of(error: BaseException) -> tuple[BaseException, str]:
-    """The error that was raised first, and its innermost place in a model as `` (file:line)``."""
-    if not isinstance(error, InCallError):
-        return error, place_of(error)
-    layers = list(error.layers())
-    places = [place_of(error)]
-    places += [f" ({at[1]}:{at[2]})" for _, _, at in layers if at and is_a_models(at[1])]
-    kind, arguments, _ = layers[-1]
-    return kind(*arguments), places[-1]
+        if frame.f_code in names:
+            return names[frame.f_code], frame.f_locals.get("t")
+    return "a formula", None

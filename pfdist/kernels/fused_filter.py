@@ -77,6 +77,9 @@ class Results(NamedTuple):
         wanted.
     cloud : array of float64, (D, n, P)
         The particles of one set after its last instant; empty if they are not wanted.
+    at : array of int64, (2,)
+        The row of the draw and the number of the set that are filtered, for the case that a
+        formula fails.
     """
 
     mse: NDArray[np.float64]
@@ -84,6 +87,7 @@ class Results(NamedTuple):
     variance: NDArray[np.float64]
     errors: NDArray[np.float64]
     cloud: NDArray[np.float64]
+    at: NDArray[np.int64]
 
 
 class _At(NamedTuple):
@@ -172,6 +176,7 @@ def _filter_draws(
         for d in range(mse.shape[0]):
             for k in range(request.streams.size):
                 for s in range(mse.shape[1]):
+                    results.at[0], results.at[1] = d, s
                     at = _At(request.streams[k], k, request.first_draw + d, d, s)
                     mse_of_filter = filter_draw(at, request, models, plan, results, sized)
                     mse[d, s] = mse_of_filter if k == 0 else mse[d, s] + mse_of_filter

@@ -9,6 +9,8 @@ they are not counted. BLAS and LAPACK also choose by the processor; ``np.dot``, 
 import re
 from typing import Any
 
+from pfdist.kernels.disk_cache import modules_of
+
 _DECLARED = re.compile(
     r"^declare [^@\n]*?\b(?:double|float|double>|float>) @\"?([\w.]+)\"?\(", re.MULTILINE
 )
@@ -40,9 +42,7 @@ def libm_functions(compiled: Any) -> tuple[str, ...]:
         In alphabetical order; empty if its bytes are the same on every processor.
     """
     found = set()
-    for result in compiled.overloads.values():
-        # Numba shows no text of what was loaded from disk; the module is there all the same.
-        module = result.library._get_module_for_linking()
+    for module in modules_of(compiled):
         declared = (str(each).strip() for each in module.functions if each.is_declaration)
         found |= named_in("\n".join(declared))
     return tuple(sorted(found))
@@ -50,10 +50,7 @@ def libm_functions(compiled: Any) -> tuple[str, ...]:
 
 def makes_arrays(compiled: Any) -> bool:
     """Whether a compiled function allocates memory, which Numba does for arrays and lists."""
-    texts = (
-        str(result.library._get_module_for_linking()) for result in compiled.overloads.values()
-    )
-    return any(_ALLOCATES.search(text) for text in texts)
+    return any(_ALLOCATES.search(str(module)) for module in modules_of(compiled))
 
 
 def named_in(module: str) -> set[str]:

@@ -6,7 +6,7 @@ each caller is optimised as a whole. Without this work a filter compiles in 0.6 
 """
 
 from collections.abc import Callable
-from functools import cache, cached_property, partial
+from functools import cached_property, partial
 from typing import Any
 
 from numba import njit
@@ -20,18 +20,14 @@ class _Library(JITCodeLibrary):  # type: ignore[misc]
         """Do nothing: the callers are optimised."""
 
 
-@cache
-def melting(compiler: type) -> type:
-    """Derive a compiler for functions that are only inlined."""
+class _Melting(Compiler):  # type: ignore[misc]
+    """A compiler of functions that are only inlined."""
 
-    class Melting(compiler):  # type: ignore[misc]
-        def define_pipelines(self) -> Any:
-            library = _Library(self.state.targetctx.codegen(), self.state.func_id.func_qualname)
-            library.enable_object_caching()  # as Numba's own
-            self.state.library = library
-            return super().define_pipelines()
-
-    return Melting
+    def define_pipelines(self) -> Any:
+        library = _Library(self.state.targetctx.codegen(), self.state.func_id.func_qualname)
+        library.enable_object_caching()  # as Numba's own
+        self.state.library = library
+        return super().define_pipelines()
 
 
 # A call that is not inlined stops vectorisation, and takes 15 times the time.
@@ -40,7 +36,7 @@ MELTING = {
     **_STANDING,
     "no_cpython_wrapper": True,
     "no_cfunc_wrapper": True,
-    "pipeline_class": melting(Compiler),
+    "pipeline_class": _Melting,
 }
 """Numba's options for a function that is only inlined."""
 
@@ -55,18 +51,14 @@ class Melted:
     Parameters
     ----------
     function : callable
-    compiler : type
-        One of Numba's.
     **options
         Options of `numba.njit`.
     """
 
-    def __init__(
-        self, function: Callable[..., Any], compiler: type = Compiler, **options: Any
-    ) -> None:
+    def __init__(self, function: Callable[..., Any], **options: Any) -> None:
         self.py_func = function
-        self._options = options | {"pipeline_class": compiler}
-        self._melting = njit(function, **MELTING | options | {"pipeline_class": melting(compiler)})
+        self._options = options
+        self._melting = njit(function, **MELTING | options)
         self._numba_type_ = self._melting._numba_type_  # so Numba treats the object as a function
 
     @cached_property

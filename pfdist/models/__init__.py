@@ -4,16 +4,24 @@ A model consists of formulas. It knows neither filters nor simulations.
 """
 
 from pfdist.models.base import StateSpaceModel, squared_error
-from pfdist.models.checked_fields import is_in_folder
-from pfdist.models.loader import PYTHON, ModelSource, find_model, installed_models, load_model
+from pfdist.models.carried import PYTHON, CarriedModel, carried
+from pfdist.models.loader import (
+    carried_model,
+    check_name,
+    installed_models,
+    installed_name,
+    load_model,
+)
 
 __all__ = [
     "PYTHON",
-    "ModelSource",
+    "CarriedModel",
     "StateSpaceModel",
-    "find_model",
+    "carried",
+    "carried_model",
+    "check_name",
     "installed_models",
-    "is_in_folder",
+    "installed_name",
     "load_model",
     "squared_error",
 ]

@@ -10,8 +10,7 @@ from typing import Any
 from pfdist.common.component_names import Component, named_components
 from pfdist.common.nearest import did_you_mean
 from pfdist.errors import ModelError
-from pfdist.jitted import guard_what_it_calls
-from pfdist.models.checked_fields import check_fields
+from pfdist.models.checks import ARGUMENTS, check_fields, count_components
 from pfdist.models.parameters import (
     CLOCK,
     Parameter,
@@ -19,11 +18,9 @@ from pfdist.models.parameters import (
     named_parameters,
     trial_parameters,
 )
-from pfdist.models.trial_calls import ARGUMENTS, count_components
+from pfdist.models.seeing import in_python
 
 _NAMES = {"x": "x_names", "y": "y_names", "z": "z_names"}
-_LATER = ("normalised", "missing_components", *_NAMES.values())
-"""Fields that older runs do not know."""
 
 
 def squared_error(z: Any, estimate: Any, t: Any, p: Any) -> Any:
@@ -76,8 +73,8 @@ class StateSpaceModel:
     data_files : tuple of str
         Files in the folder of the model's file that the model reads while it is imported, by their
         relative paths: ``("rates.csv",)`` for
-        ``np.loadtxt(Path(__file__).with_name("rates.csv"))``. They travel to the workers, and their
-        content is part of the identity of a run.
+        ``np.loadtxt(Path(__file__).with_name("rates.csv"))``. Their content is part of the
+        identity of a run. Workers need no such file: they get the arrays that were read.
     normalised : bool
         Whether `log_likelihood` is the logarithm of a density or probability of y, with all
         constants. A filter of real measurements then gives their log evidence.
@@ -121,21 +118,19 @@ class StateSpaceModel:
         check_fields(self)
         fixed = {name: fixed_parameter(value) for name, value in self.parameters.items()}
         object.__setattr__(self, "parameters", fixed)
-        for function in self.formulas.values():
-            guard_what_it_calls(function)
+        for name in ARGUMENTS:
+            try:
+                formula = in_python(getattr(self, name))
+            except ModelError as error:
+                raise ModelError(f"model {self.name}: {name} {error}") from error
+            object.__setattr__(self, name, formula)
         self.components  # noqa: B018  evaluated here, because it finds wrong formulas
         for kind in _NAMES:
             self.named(kind)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Give the fields, without those of `_LATER` that are unset, and without cached values.
-
-        A formula may reach a model. Then the meaning of the run's model has these fields: it stays
-        what it was before there were those of `_LATER`, and does not depend on what a process has
-        computed.
-        """
-        about = {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
-        return {name: value for name, value in about.items() if value or name not in _LATER}
+        """Give the fields without the values that are cached beside them."""
+        return {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
 
     @cached_property
     def p(self) -> Any:

@@ -1,248 +1,38 @@
-"""Find a model by its name, and load it from its source.
+"""Find a model by its name, and import its file.
 
 A name is that of a model that ships, that of an installed entry point of the group
 ``pfdist.models``, or ``path/file.py:object``.
 """
 
+import contextlib
+import dataclasses
 import hashlib
 import importlib
 import importlib.util
-import itertools
 import pkgutil
-import tempfile
+import sys
+import threading
 import types
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from functools import cache
-from importlib.metadata import EntryPoint, entry_points
+from collections.abc import Iterator, Mapping
+from importlib.metadata import entry_points
 from pathlib import Path
 
 from pfdist.common.nearest import did_you_mean
 from pfdist.errors import ModelError, shown
-from pfdist.mistakes.endings import is_interrupt, kept_alive, told
-from pfdist.mistakes.places import place_of
 from pfdist.models.base import StateSpaceModel
-from pfdist.models.beside import Beside, Files, FilesOnDisk
+from pfdist.models.carried import PYTHON, CarriedModel, carried
+from pfdist.models.fingerprint import file_of
+from pfdist.models.mistakes import is_interrupt, place_of, ships, told
+from pfdist.models.parameters import Parameter
+from pfdist.models.syntax import imported_by
 
-PYTHON = "python:"
-"""Before the name of a model that was given as an object in Python, in the job of its run."""
 _GROUP = "pfdist.models"
-_NOT_MODELS = (
-    "base",
-    "beside",
-    "checked_fields",
-    "loader",
-    "parameters",
-    "trial_calls",
-)  # modules of this package
-_recordings = itertools.count()
+_FIRST = sys.stdlib_module_names | {"numpy", "pfdist"}
+"""Modules that a file beside a model must not hide."""
+_importing = threading.RLock()  # the path and the table of modules belong to all threads
 
 
-@dataclass(frozen=True)
-class ModelSource:
-    """The source of a model, which travels to the workers.
-
-    Parameters
-    ----------
-    name : str
-        The name in the job file.
-    path : str
-        The file from which the source was read.
-    attribute : str
-        Name of the model in that file.
-    package : str
-        Package to which imports in the source are relative, if an installed module contains the
-        model.
-    content : bytes
-        Content of the file. A worker runs this content and needs no access to the file.
-    files : tuple of (str, bytes), optional
-        Modules beside the file that it imports, and the model's data files, by their paths relative
-        to the file's folder. None until the model was loaded from its folder.
-    """
-
-    name: str
-    path: str
-    attribute: str
-    package: str
-    content: bytes
-    files: tuple[tuple[str, bytes], ...] | None = None
-
-    @property
-    def text(self) -> str:
-        """Text of the source."""
-        return importlib.util.decode_source(self.content)
-
-    @property
-    def sha256(self) -> dict[str, str]:
-        """Hash of every known file, by its path relative to the model's file."""
-        return {name: hashlib.sha256(content).hexdigest() for name, content in self._files.items()}
-
-    def load(self) -> StateSpaceModel:
-        """Run the source and give the model. The same source gives the same object.
-
-        The model is loaded as in a worker: from the source and the files that travel with it.
-
-        Raises
-        ------
-        ModelError
-            The source fails, or contains no such model.
-        """
-        if self.files is None:
-            _, source = self.record()
-            return source.load()
-        return self._taken_from(_loaded(self.path, self.package, tuple(self._files.items())))
-
-    def record(self) -> tuple[StateSpaceModel, "ModelSource"]:
-        """Load the model from its folder, and record which files it uses.
-
-        Returns
-        -------
-        StateSpaceModel
-            Loaded anew at every call.
-        ModelSource
-            This source with `files`.
-
-        Raises
-        ------
-        ModelError
-            The source fails, contains no such model, or a data file cannot be read.
-        """
-        file = Path(self.path)
-        files = FilesOnDisk(file.parent, {file.name: self.content})
-        key = f"recorded_{next(_recordings)}"
-        beside = Beside(key, file, file.parent, files, self.package)
-        try:
-            model = self._taken_from(_run(beside, f"{file} fails when loaded"))
-        finally:
-            beside.forget()
-        for name in model.data_files:
-            _read_data(files, name, model, file)
-        found = sorted(files.contents.items())
-        return model, replace(self, files=tuple(pair for pair in found if pair[0] != file.name))
-
-    @property
-    def _files(self) -> dict[str, bytes]:
-        """All files, with the model's own file first."""
-        return {Path(self.path).name: self.content, **dict(self.files or ())}
-
-    def _taken_from(self, module: types.ModuleType) -> StateSpaceModel:
-        model = module.__dict__.get(self.attribute)
-        if not isinstance(model, StateSpaceModel):
-            found = [k for k, v in module.__dict__.items() if isinstance(v, StateSpaceModel)]
-            raise ModelError(
-                f"{self.path} must contain a StateSpaceModel named {self.attribute!r}, "
-                f"got {'nothing' if model is None else type(model).__name__} of that name; "
-                f"models in this file: {', '.join(found) or 'none'}"
-                f"{did_you_mean(self.attribute, found)}"
-            )
-        return model
-
-
-@cache
-def _loaded(path: str, package: str, contents: tuple[tuple[str, bytes], ...]) -> types.ModuleType:
-    """Load a model's file, which is the first of the contents, once in each process."""
-    file, files = Path(path), Files(dict(contents))
-    key = _key(path, package, contents)
-    with tempfile.TemporaryDirectory(prefix="pfdist-model-") as folder:
-        place = file.parent
-        if not package:  # files that an installed module reads are installed, too
-            place = Path(folder)
-            _write(place, files.contents)
-        beside = Beside(key, file, place, files, package)
-        others = ", ".join(name for name, _ in contents[1:]) or "none"
-        try:
-            return _run(
-                beside,
-                f"{file} fails when loaded as in a worker, with only its data_files and the "
-                f"modules beside it that it imports ({others})",
-            )
-        except BaseException:
-            beside.forget()
-            raise
-
-
-def _key(path: str, package: str, contents: tuple[tuple[str, bytes], ...]) -> str:
-    digest = hashlib.sha256(repr((path, package)).encode())
-    for name, content in contents:
-        digest.update(f"{name!r} {len(content)} ".encode() + content)
-    return digest.hexdigest()[:16]
-
-
-def _write(folder: Path, contents: Mapping[str, bytes]) -> None:
-    for name, content in contents.items():
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content)
-
-
-def _run(beside: Beside, fails: str) -> types.ModuleType:
-    try:
-        with kept_alive():
-            return beside.load()
-    except ModelError:
-        raise
-    except BaseException as error:  # a model may raise any exception
-        if is_interrupt(error):
-            raise
-        reason = beside.told(told(error))
-        raise ModelError(f"{fails}: {reason}{place_of(error)}") from error
-
-
-def _read_data(files: FilesOnDisk, name: str, model: StateSpaceModel, file: Path) -> None:
-    try:
-        found = files.read(name) is not None
-        reason = "there is no such file"
-    except OSError as error:
-        found, reason = False, str(error.strerror)
-    if not found:
-        raise ModelError(
-            f"model {model.name}: data_files must name files that can be read, got {name!r}: "
-            f"{file.parent / name}: {reason}"
-        )
-
-
-def find_model(name: str, folder: Path = Path()) -> ModelSource:
-    """Find a model's source by its name.
-
-    Parameters
-    ----------
-    name : str
-        A model that ships, an entry point, or ``path/file.py:object``.
-    folder : Path
-        Folder to which a path in the name is relative. By default the working folder.
-
-    Raises
-    ------
-    ModelError
-        There is no such model, or its file cannot be read.
-    """
-    if not isinstance(name, str):
-        raise ModelError(f"the name of a model must be a text, got {shown(name)}")
-    if name.startswith(PYTHON):
-        raise ModelError(
-            f"the model {name!r} was given as an object in Python: give the object again, from "
-            "Python, or name a file that holds it, 'path/file.py:object'"
-        )
-    if ".py:" in name:
-        file, _, attribute = name.rpartition(":")
-        return _read(name, folder / file, attribute, package="")
-    installed = installed_models()
-    if name not in installed:
-        raise ModelError(
-            f"a model must be one of {', '.join(sorted(installed))} or 'path/file.py:object', "
-            f"got {name!r}{did_you_mean(name, installed)}"
-        )
-    module, attribute = installed[name]
-    try:
-        spec = importlib.util.find_spec(module)
-    except ModuleNotFoundError:
-        spec = None
-    if spec is None or not spec.has_location or spec.origin is None:
-        raise ModelError(f"the module {module!r} of model {name!r} has no source file")
-    return _read(name, Path(spec.origin), attribute, spec.parent or "")
-
-
-def load_model(name: str) -> StateSpaceModel:
+def load_model(name: str, folder: Path = Path()) -> StateSpaceModel:
     """Load a model by its name.
 
     Parameters
@@ -250,6 +40,8 @@ def load_model(name: str) -> StateSpaceModel:
     name : str
         A model that ships, an installed entry point of the group ``pfdist.models``, or
         ``path/file.py:object``.
+    folder : Path
+        Folder to which a path in the name is relative. By default the working folder.
 
     Returns
     -------
@@ -260,7 +52,52 @@ def load_model(name: str) -> StateSpaceModel:
     ModelError
         There is no such model, or it cannot be loaded.
     """
-    return find_model(name).load()
+    return _found(name, folder)[0]
+
+
+def carried_model(
+    name: str, folder: Path = Path(), parameters: Mapping[str, Parameter] | None = None
+) -> CarriedModel:
+    """Load a model by its name, as it travels to the workers.
+
+    Parameters
+    ----------
+    name : str
+    folder : Path
+        As for `load_model`.
+    parameters : mapping of str to float or sequence of float, optional
+        Parameters that replace those of the model.
+
+    Raises
+    ------
+    ModelError
+        There is no such model, it cannot be loaded, a data file cannot be read, a parameter is
+        unknown or outside its range, or a formula uses something that cannot travel.
+    """
+    model, file = _found(name, folder)
+    data = {each: _read_data(model, file, each) for each in model.data_files}
+    return carried(model.with_parameters(parameters) if parameters else model, name, data)
+
+
+def check_name(name: str) -> None:
+    """Refuse a name without a model or a file. The file is not imported.
+
+    Raises
+    ------
+    ModelError
+        There is no such model or file.
+    """
+    _located(name, Path())
+
+
+def installed_name(model: StateSpaceModel) -> str | None:
+    """Give the name of the installed model whose formulas an object has; None for another model."""
+    home, attribute = installed_models().get(model.name, ("", ""))
+    known = getattr(importlib.import_module(home), attribute, None) if home else None
+    if not isinstance(known, StateSpaceModel) or known.parameters.keys() != model.parameters.keys():
+        return None
+    same = dataclasses.replace(known, parameters=model.parameters) == model
+    return model.name if same else None
 
 
 def installed_models() -> dict[str, tuple[str, str]]:
@@ -269,19 +106,168 @@ def installed_models() -> dict[str, tuple[str, str]]:
     shipped = {
         module.name: (f"pfdist.models.{module.name}", "model")
         for module in pkgutil.iter_modules(package.__path__)
-        if module.name not in _NOT_MODELS
+        if ships(module.name)
     }
-    plugged: list[EntryPoint] = list(entry_points(group=_GROUP))
-    return {entry.name: (entry.module, entry.attr) for entry in plugged} | shipped
+    plugged = {entry.name: (entry.module, entry.attr) for entry in entry_points(group=_GROUP)}
+    return plugged | shipped
 
 
-def _read(name: str, path: Path, attribute: str, package: str) -> ModelSource:
-    if path.exists() and not path.is_file():  # opening a pipe would wait for ever
-        raise ModelError(f"{path} must be a file, got something else ({name!r})")
+def _found(name: str, folder: Path) -> tuple[StateSpaceModel, Path]:
+    """Load a model, and give it with the file that contains it."""
+    home, attribute = _located(name, folder)
+    if isinstance(home, Path):
+        return _model_of(_imported(home), attribute, home), home
+    with _told(f"the module {home!r} of model {name!r} fails when imported"):
+        module = importlib.import_module(home)
+    file = Path(module.__file__ or home)
+    return _model_of(module, attribute, file), file
+
+
+def _located(name: str, folder: Path) -> tuple[Path | str, str]:
+    """Give the file or the installed module of a model, and the model's name in it."""
+    if not isinstance(name, str):
+        raise ModelError(f"the name of a model must be a text, got {shown(name)}")
+    if name.startswith(PYTHON):
+        raise ModelError(
+            f"the model {name!r} was given as an object in Python, and no file holds it: go on in "
+            "Python with this object, as in pfdist.run(problem)"
+        )
+    if ".py:" in name:
+        path, _, attribute = name.rpartition(":")
+        return _readable(folder / path, name), attribute
+    installed = installed_models()
+    if name not in installed:
+        raise ModelError(
+            f"a model must be one of {', '.join(sorted(installed))} or 'path/file.py:object', "
+            f"got {name!r}{did_you_mean(name, installed)}"
+        )
+    return installed[name]
+
+
+def _readable(file: Path, name: str) -> Path:
+    """Give a model's file after a look whether it can be read."""
+    if file.exists() and not file.is_file():  # opening a pipe would wait for ever
+        raise ModelError(f"{file} must be a file, got something else ({name!r})")
     try:
-        content = path.read_bytes()
-        content.decode("utf-8")
+        text = file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
-        raise ModelError(f"cannot read {path}: {reason} (got {name!r})") from error
-    return ModelSource(name, str(path), attribute, package, content)
+        raise ModelError(f"cannot read {file}: {reason} (got {name!r})") from error
+    with contextlib.suppress(SyntaxError, ValueError):  # the import says what is wrong
+        for module in imported_by(text) & _FIRST:
+            if (hides := file.with_name(f"{module}.py")).exists():
+                raise ModelError(
+                    f"{file} imports {module}, and {hides} hides the module of this name: rename "
+                    "the file"
+                )
+    return file
+
+
+def _imported(file: Path) -> types.ModuleType:
+    """Import a model's file by Python's own import system, under a name of its own.
+
+    The modules beside it are found while it is imported, and then leave Python's table of modules:
+    two models may both have a ``helper``.
+    """
+    folder = file.resolve().parent
+    own = f"pfdist_model_{hashlib.sha256(bytes(file.resolve())).hexdigest()[:16]}"
+    spec = importlib.util.spec_from_file_location(own, file)
+    if spec is None or spec.loader is None:
+        raise ModelError(f"{file} must be a Python file")
+    module = importlib.util.module_from_spec(spec)
+    with _importing, _told(f"{file} fails when loaded"), _beside(folder):
+        sys.modules[own] = module
+        try:
+            spec.loader.exec_module(module)
+        finally:
+            del sys.modules[own]
+    return module
+
+
+@contextlib.contextmanager
+def _beside(folder: Path) -> Iterator[None]:
+    """Have Python find the modules of a folder before all others, and forget them again."""
+    modules = {file.stem for file in folder.glob("*.py")} - {"__main__"}
+    packages = {file.parent.name for file in folder.glob("*/__init__.py")}
+    folders = {entry.name for entry in folder.iterdir() if entry.is_dir()}
+    hidden = (modules | folders) & _FIRST
+    aside = {
+        name: module
+        for name, module in list(sys.modules.items())
+        if (top := name.partition(".")[0]) in (modules | packages) - hidden
+        or (top in folders - hidden and not _is_installed(module))
+    }
+    before, writes = sys.path.copy(), sys.dont_write_bytecode
+    for name in aside:
+        del sys.modules[name]
+    known = set(sys.modules)
+    sys.path.insert(0, str(folder))
+    sys.dont_write_bytecode = True  # bytecode a second old would hide an edit
+    importlib.invalidate_caches()
+    try:
+        yield
+        for name in sorted(set(sys.modules) - known):
+            if name.partition(".")[0] in hidden and _lies_in(sys.modules[name], folder):
+                raise ModelError(
+                    f"{sys.modules[name].__file__} hides the module {name!r} of the same name: "
+                    "rename the file"
+                )
+    finally:
+        sys.path[:], sys.dont_write_bytecode = before, writes
+        for name in set(sys.modules) - known:
+            if _lies_in(sys.modules[name], folder):
+                del sys.modules[name]
+        sys.modules.update(aside)
+
+
+def _lies_in(module: types.ModuleType, folder: Path) -> bool:
+    file = file_of(module)
+    return file is not None and Path(file).is_relative_to(folder) and not _is_installed(module)
+
+
+def _is_installed(module: types.ModuleType) -> bool:
+    file = getattr(module, "__file__", None)
+    return file is not None and not {"site-packages", "dist-packages"}.isdisjoint(Path(file).parts)
+
+
+@contextlib.contextmanager
+def _told(fails: str) -> Iterator[None]:
+    """Turn what a model's code raises into one line."""
+    try:
+        yield
+    except ModelError:
+        raise
+    except BaseException as error:  # a model may raise any exception
+        if is_interrupt(error):
+            raise
+        relative = "attempted relative import" in str(error)
+        remedy = (
+            "; write `import helper` in the place of `from . import helper`" if relative else ""
+        )
+        raise ModelError(f"{fails}: {told(error)}{remedy}{place_of(error)}") from error
+
+
+def _model_of(module: types.ModuleType, attribute: str, file: Path) -> StateSpaceModel:
+    model = vars(module).get(attribute)
+    if not isinstance(model, StateSpaceModel):
+        found = [name for name, value in vars(module).items() if isinstance(value, StateSpaceModel)]
+        raise ModelError(
+            f"{file} must contain a StateSpaceModel named {attribute!r}, "
+            f"got {'nothing' if model is None else type(model).__name__} of that name; "
+            f"models in this file: {', '.join(found) or 'none'}{did_you_mean(attribute, found)}"
+        )
+    return model
+
+
+def _read_data(model: StateSpaceModel, file: Path, name: str) -> bytes:
+    path = file.parent / name
+    try:
+        if path.is_file():
+            return path.read_bytes()
+        reason = "there is no such file"
+    except OSError as error:
+        reason = str(error.strerror)
+    raise ModelError(
+        f"model {model.name}: data_files must name files that can be read, got {name!r}: "
+        f"{path}: {reason}"
+    )

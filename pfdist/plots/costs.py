@@ -86,8 +86,6 @@ def groups_of(run: Run) -> dict[str, list[str]]:
     groups: dict[str, list[str]] = {}
     for search in run.job["search"]:
         estimation = run.own_estimation(search["name"])
-        if search.get("evaluation", {}).get("estimator") == "auto" and not run.knows_estimations:
-            estimation["estimator"] = "unknown estimator"
         groups.setdefault(_difference(estimation), []).append(search["name"])
     return dict(sorted(groups.items()))
 
@@ -104,8 +102,6 @@ def _difference(estimation: dict[str, Any]) -> str:
 def shown_evaluations(run: Run) -> pd.DataFrame:
     """Give the table of evaluations; of a search that was repeated, only the repetition."""
     evaluations = run.evaluations()
-    if "end" not in evaluations:  # an older run, without prefixes
-        evaluations = evaluations.assign(end=run.job["problem"]["horizon"])
     names = [search["name"] for search in run.job["search"]]
     repeated = {f"{name}.again": name for name in names if run.distrust(name)}
     evaluations = evaluations[~evaluations["phase"].isin(repeated.values())]

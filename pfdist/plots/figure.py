@@ -117,7 +117,7 @@ class Figure:
         return {self.name: ()}
 
 
-FIGURES: Registry[Figure] = Registry("pfdist.plots", "pfdist.figures")
+FIGURES: Registry[Figure] = Registry("pfdist.plots")
 
 
 def every_run(run: Run) -> bool:

@@ -100,7 +100,7 @@ def computed(subject: SweepSubject) -> Section:
     """Say how many points are finished, how long all took, and with which versions."""
     per_run = subject.frame.drop_duplicates("path")["worker_seconds"]
     states = dict.fromkeys([FINISHED, *(point.state for point in subject.points)])
-    versions = dict.fromkeys(run.version or "unknown" for run in subject.runs)
+    versions = dict.fromkeys(run.version for run in subject.runs)
     facts = [
         ("points", f"{len(subject.points):,}"),
         *((state, f"{subject.count(state):,}") for state in states),

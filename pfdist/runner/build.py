@@ -1,9 +1,10 @@
 """From the names in a job to objects: model, evaluator, optimisers, pool."""
 
 import warnings
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from pathlib import Path
 from typing import Any
 
 from pfdist.checks.contract import check_compiled, check_formulas, few_draws
@@ -13,11 +14,10 @@ from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation
 from pfdist.filters.draws import Draws
 from pfdist.job.job import ONLINE, Job
-from pfdist.job.sections import Execution
-from pfdist.meaning.chosen import Choose, ChosenModel
+from pfdist.job.sections import Execution, FilterModel, Model
+from pfdist.models import PYTHON, CarriedModel, carried_model, installed_models
 from pfdist.pools.base import Pool
 from pfdist.pools.kinds import POOLS
-from pfdist.runner.chooser import chooser_of, models_of
 from pfdist.runner.estimate_columns import check_estimate_columns
 from pfdist.runner.evaluator_source import EvaluatorSource
 from pfdist.runner.online_planning import planning_of
@@ -74,27 +74,16 @@ class Built:
         return self.study.unsearched if self.searches else self.study.references
 
 
-def build(job: Job, choose: Choose | None = None) -> Built:
+def build(job: Job) -> Built:
     """Make the objects of a job, and check that they fit each other.
-
-    Parameters
-    ----------
-    job : Job
-    choose : callable, optional
-        Chooses the job's models. The default chooses the objects that were given with the job, and
-        the models that the job names, because the user has named the job. If the job lies in a
-        run's folder, the default runs no model file of that folder that the user has not run
-        before.
 
     Raises
     ------
-    StoreError
-        The job lies in a run's folder, and the user has not run its model's file before.
     ModelError
         The model cannot be loaded, a parameter is unknown or out of its range, or an estimator or
         a resampling scheme does not fit.
     """
-    model, filter_model = models_of(job, choose or chooser_of(job))
+    model, filter_model = models_of(job)
     source = EvaluatorSource(
         model=model,
         filter_model=filter_model,
@@ -106,7 +95,7 @@ def build(job: Job, choose: Choose | None = None) -> Built:
         weights=job.problem.weights,
     )
     # To a filter that is wrong about the truth, one more measurement may do harm.
-    feasible, is_wrong = job.problem.feasible, source.filter_model.meaning != source.model.meaning
+    feasible, is_wrong = job.problem.feasible, source.filter_model.key != source.model.key
     feasible = replace(feasible, smaller=is_wrong and not feasible.counted)
     evaluator, study = source.make(), study_of(job, feasible)
     guide = evaluator.guiding_estimator
@@ -126,13 +115,71 @@ def build(job: Job, choose: Choose | None = None) -> Built:
     return built
 
 
+def models_of(job: Job) -> tuple[CarriedModel, CarriedModel]:
+    """Give the model of a job, and the model that its filter uses.
+
+    A model is the object that was handed over with the job, or has the name that the job gives.
+
+    Raises
+    ------
+    ModelError
+        A model cannot be loaded.
+    """
+    folder, believed = folder_of_models(job), job.model.filter
+    model = _model_of(job, "model", job.model, folder)
+    if not believed.name:
+        try:
+            return model, model.with_parameters(believed.parameters)
+        except ModelError as error:
+            raise ModelError(f"model.filter: {error}") from error
+    return model, _model_of(job, "filter_model", believed, folder)
+
+
+def _model_of(job: Job, part: str, section: Model | FilterModel, folder: Path) -> CarriedModel:
+    given = job.models.get(part)
+    try:
+        if given is not None and given.name == section.name:
+            return given.with_parameters(section.parameters)
+        return carried_model(section.name, folder, section.parameters)
+    except ModelError as error:
+        key = "model" if part == "model" else "model.filter"
+        raise ModelError(f"{key}.{error.argument or 'name'}: {error}") from error
+
+
+def folder_of_models(job: Job) -> Path:
+    """Give the folder to which the paths of a job's models are relative.
+
+    This is the folder of the job file. If the file is the job.toml of a run, the paths are still
+    relative to the folder of the job file with which the run was started.
+    """
+    # Imported here, so that workers, which need no model file, need no pyarrow.
+    from pfdist.store import is_kept_job, read_run  # noqa: PLC0415
+
+    folder = job.path.parent
+    if not is_kept_job(job.path):
+        return folder
+    return Path(folder, read_run(folder)[0].get("provenance", {}).get("folder", ""))
+
+
+def say_model_files(jobs: Iterable[Job], say: Callable[[str], Any]) -> None:
+    """Say which model files jobs name, before they are run."""
+    files = dict.fromkeys(
+        folder_of_models(job) / name.rpartition(":")[0]
+        for job in jobs
+        for name in (job.model.name, job.model.filter.name)
+        if ".py:" in name and not name.startswith(PYTHON)
+    )
+    for file in files:
+        say(f"runs the model file {file}, which your job names")
+
+
 def _checked_formulas(source: EvaluatorSource) -> Draws | None:
     """Refuse wrong formulas of the user's models; return a few draws of a user's true model."""
     draws, evaluator = None, source.make()
     if not _ships(source.model):
         draws = few_draws(evaluator.model, source.horizon)
         check_formulas(evaluator.model, draws)
-    if source.filter_model.meaning != source.model.meaning and not _ships(source.filter_model):
+    if source.filter_model.key != source.model.key and not _ships(source.filter_model):
         try:
             believed_draws = few_draws(evaluator.believed, source.horizon)
         except ModelError:  # its simulation may diverge: measurements guide the particles
@@ -144,8 +191,9 @@ def _checked_formulas(source: EvaluatorSource) -> Draws | None:
     return draws
 
 
-def _ships(model: ChosenModel) -> bool:
-    return model.source.package.partition(".")[0] == "pfdist"
+def _ships(model: CarriedModel) -> bool:
+    home, _ = installed_models().get(model.name, ("", ""))
+    return home.startswith("pfdist.")
 
 
 def _comparing(job: Job) -> Estimation:

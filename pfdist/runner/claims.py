@@ -76,7 +76,7 @@ class SharedClaims:
         StoreError
             A file cannot be read.
         """
-        if store.manifest.exists() and any(store.manifest.damages()):
+        if any(store.manifest.damages()):
             return
         for id_, rows in store.evaluations().items():
             _, most = self._committed.get(id_, (store.path, 0))

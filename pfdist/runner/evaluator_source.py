@@ -14,8 +14,8 @@ from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation
 from pfdist.filters.particle_filter import KERNEL_VERSION
 from pfdist.filters.settings import check_fits
-from pfdist.meaning.chosen import ChosenModel
-from pfdist.mistakes.remedies import NO_CLOCK
+from pfdist.models import CarriedModel
+from pfdist.models.mistakes import NO_CLOCK
 from pfdist.models.parameters import check_lengths
 from pfdist.times.measurement_times import Times
 
@@ -26,7 +26,7 @@ class EvaluatorSource:
 
     Parameters
     ----------
-    model, filter_model : ChosenModel
+    model, filter_model : CarriedModel
     horizon : int
     dtype, engine : str
     estimations : tuple of Estimation
@@ -37,8 +37,8 @@ class EvaluatorSource:
         Weight of each instant's error in the MSE, with mean 1; None if all are 1.
     """
 
-    model: ChosenModel
-    filter_model: ChosenModel
+    model: CarriedModel
+    filter_model: CarriedModel
     horizon: int
     dtype: str
     engine: str
@@ -52,26 +52,20 @@ class EvaluatorSource:
         return replace(self, filter_model=self.model)
 
     def make(self) -> Evaluator:
-        """The evaluator with its models loaded and every estimation checked.
+        """The evaluator with every estimation checked.
 
         Raises
         ------
         ModelError
-            A model cannot be loaded, reads a clock that the job lacks, or does not fit the job.
+            A model cannot be made here, reads a clock that the job lacks, or does not fit the job.
         """
-        try:
-            model = self.model.load()
-        except ModelError as error:
-            if error.argument:  # the key of the job that is wrong
-                raise ModelError(f"model.{error.argument}: {error}") from error
-            raise
-        try:
-            filter_model = self.filter_model.load()
-        except ModelError as error:
-            raise ModelError(f"model.filter: {error}") from error
+        model, filter_model = self.model.model, self.filter_model.model
         for part, each in (("model", model), ("model.filter", filter_model)):
             if self.clock is None and each.reads_clock:
-                raise ModelError(f"{part}: model {each.name} reads the clock: {NO_CLOCK}")
+                raise ModelError(
+                    f"{part}: model {each.name} reads the clock: {NO_CLOCK} (a job's clock is "
+                    "problem.time_step, problem.time_unit or problem.times)"
+                )
         if self.clock is not None:
             model, filter_model = model.on_clock(self.clock), filter_model.on_clock(self.clock)
         for part, each in (("model", model), ("model.filter", filter_model)):
@@ -124,8 +118,8 @@ class EvaluatorSource:
     def _id(self, estimation: Estimation, *parts: Any) -> str:
         key = stream_key(
             KERNEL_VERSION,
-            self.model.content,
-            self.filter_model.content,
+            self.model.key,
+            self.filter_model.key,
             self.horizon,
             self.dtype,
             self.engine,

@@ -33,6 +33,8 @@ from pfdist.store import (
 )
 
 _HASH = re.compile("[0-9a-f]{16,64}")
+_LENGTHS = ("comparison.draws", "comparison.until.half_width", "online.draws")
+"""Keys of a job that say how far a run goes; see `_may_change`."""
 
 
 @contextlib.contextmanager
@@ -130,19 +132,61 @@ def _identity(built: Built) -> dict[str, Any]:
         "pfdist": version("pfdist"),
         "kernel": KERNEL_VERSION,
         "engine": built.source.engine,
-        **meanings(built),
+        **fingerprints(built),
         "estimations": estimations(built),
     }
 
 
-def meanings(built: Built) -> dict[str, dict[str, Any]]:
-    """The meaning of the model, and the parts of the filter's model that differ from it."""
-    model, believed = built.source.model.meaning, built.source.filter_model.meaning
+def fingerprints(built: Built) -> dict[str, dict[str, Any]]:
+    """The fingerprint of the model, and the parts of the filter's model that differ from it."""
+    model, believed = built.source.model.fingerprint, built.source.filter_model.fingerprint
     differs = {name: value for name, value in believed.items() if model.get(name) != value}
     return {"model": model, "filter_model": differs}
 
 
-def changed_meanings(run: Mapping[str, Any], built: Built) -> dict[str, str]:
+def check_same_job(path: Path, recorded: Mapping[str, Any], job: Job) -> None:
+    """Refuse a job that is not that of a run, for a question about the run.
+
+    The question leaves the numbers of draws as they are in the run, so they may differ.
+
+    Parameters
+    ----------
+    path : Path
+        Folder of the run.
+    recorded : mapping
+        The run's own job.
+    job : Job
+
+    Raises
+    ------
+    RunMismatchError
+        The jobs differ.
+    """
+    changes = [
+        f"{key}: {_short(was)} -> {_short(is_now)}"
+        for key, was, is_now in _changes(recorded, job.identity())
+        if key not in _LENGTHS
+    ]
+    if changes:
+        own = f"give results another folder, or name the run's own job, {path / 'job.toml'}"
+        raise _mismatch(path, changes, own)
+
+
+def check_same_models(path: Path, built: Built) -> None:
+    """Refuse models that do not mean the same as those of a run.
+
+    Raises
+    ------
+    RunMismatchError
+        The models differ.
+    """
+    changes = changed_fingerprints(read_recorded(path)[0], built)
+    if changes:
+        message = f"{path} is of another model than is there now: the run's -> this one's"
+        raise RunMismatchError(message, tuple(f"{key}: {how}" for key, how in changes.items()))
+
+
+def changed_fingerprints(run: Mapping[str, Any], built: Built) -> dict[str, str]:
     """How a run's models differ from the built models, by the name of the part that differs.
 
     Parameters
@@ -151,9 +195,7 @@ def changed_meanings(run: Mapping[str, Any], built: Built) -> dict[str, str]:
         The content of the run's run.json.
     built : Built
     """
-    now = meanings(built)
-    if not all(isinstance(run.get(name), Mapping) for name in now):
-        return {"model": "known by its file alone -> known by all that its formulas reach"}
+    now = fingerprints(built)
     old, new = (
         {"model": about["model"], "model.filter": about["filter_model"]} for about in (run, now)
     )
@@ -175,10 +217,10 @@ def _check_free(path: Path) -> None:
 
 def _check_same(store: Store, built: Built, identity: dict[str, Any], committed: int) -> None:
     (run, old_job), job = read_recorded(store.path), built.job
-    models = meanings(built)
+    models = fingerprints(built)
     old = {"job": old_job, **{name: run.get(name) for name in identity if name not in models}}
     new = {"job": job.identity(), **{k: v for k, v in identity.items() if k not in models}}
-    changes = changed_meanings(run, built)
+    changes = changed_fingerprints(run, built)
     for key, was, is_now in _changes(old, new):
         if _may_change(key, was, is_now, committed):
             continue
@@ -191,11 +233,6 @@ def _check_same(store: Store, built: Built, identity: dict[str, Any], committed:
         raise _too_few(store.path, job, committed)
     if causes:
         raise _mismatch(store.path, causes)
-    if not store.manifest.exists():
-        raise StoreError(
-            f"{store.path} has lost its folder manifest, which says what its files must hold: put "
-            "it back, or give results another folder"
-        )
 
 
 def _changes(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any]]:
@@ -214,10 +251,11 @@ def _short(value: Any) -> str:
     return shown_text(str(value))
 
 
-def _mismatch(path: Path, differences: list[str]) -> RunMismatchError:
+def _mismatch(
+    path: Path, differences: list[str], remedy: str = "give results another folder"
+) -> RunMismatchError:
     return RunMismatchError(
-        f"{path} holds another run (give results another folder): the run's -> this one's",
-        tuple(differences),
+        f"{path} holds another run ({remedy}): the run's -> this one's", tuple(differences)
     )
 
 
@@ -232,8 +270,8 @@ def _may_change(key: str, was: Any, is_now: Any, committed: int) -> bool:
     """Whether a run may resume with this change: more draws, or narrower intervals."""
     if "nothing" in (was, is_now):
         return False
+    if key.removeprefix("job.") not in _LENGTHS:
+        return False
     if key == "job.comparison.until.half_width":
         return bool(is_now < was)
-    if key == "job.online.draws":
-        return bool(is_now >= was)
-    return bool(key == "job.comparison.draws" and is_now >= committed)
+    return bool(is_now >= (was if key == "job.online.draws" else committed))

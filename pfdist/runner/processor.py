@@ -43,9 +43,9 @@ def note_processor(path: Path, built: Built, say: Callable[[str], Any]) -> None:
     say : callable
         Receives a line if results may differ.
     """
-    provenance, here = read_run(path)[0].get("provenance", {}), processor()
-    before = provenance.get("processor")
-    if before is None or here == before:
+    provenance, here = read_run(path)[0]["provenance"], processor()
+    before = provenance["processor"]
+    if here == before:
         return
     others = provenance.get(CONTINUED, [])
     if here not in others:

@@ -22,7 +22,7 @@ from pfdist.evaluation.estimate import (
 from pfdist.job.job import Job
 from pfdist.runner.progress import Found
 from pfdist.search import SearchOptimiser, StateSpaceRelaxation
-from pfdist.search.methods import DEFAULT_METHOD, METHODS
+from pfdist.search.methods import METHODS
 from pfdist.search.section import SearchSection
 from pfdist.search.state_space_relaxation import MOST_CELLS
 from pfdist.times.feasible import Feasible
@@ -217,11 +217,6 @@ class BudgetStudy:
 
     def optimiser(self, section: SearchSection, draws: int) -> SearchOptimiser:
         """State-space relaxation for all measurement budgets at once."""
-        if section.method != DEFAULT_METHOD:
-            raise JobError(
-                f"budget needs a search of method {DEFAULT_METHOD!r}, got {section.method!r} "
-                f"({self.job.path})"
-            )
         start = relaxation_within(self.widest, self.usual, MOST_CELLS)
         sought = tuple(self.budgets)
         return StateSpaceRelaxation(

@@ -4,7 +4,7 @@ Only this package touches a run's files. It knows tables, columns and keys; what
 search is the driver's.
 """
 
-from pfdist.store.about import read_run, unreadable
+from pfdist.store.about import folder_of_run, is_kept_job, read_run, unreadable
 from pfdist.store.clock_columns import ClockColumns, frame_of
 from pfdist.store.files import remove as remove_file
 from pfdist.store.files import write_file
@@ -58,10 +58,12 @@ __all__ = [
     "confirm",
     "distance_schema",
     "filtered_schema",
+    "folder_of_run",
     "frame_of",
     "has_key",
     "held",
     "holds_run",
+    "is_kept_job",
     "keep_key",
     "kept_keys",
     "key_of",

@@ -1,5 +1,6 @@
 """Reads run.json and job.toml of a run, which may have been edited or damaged."""
 
+import os
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,11 +10,11 @@ from pfdist.common.explained import explained
 from pfdist.common.nearest import did_you_mean_path
 from pfdist.common.parsing import parse_json, parse_toml, read_text
 from pfdist.errors import StoreError, shown
-from pfdist.store.schema import SCHEMA_VERSION
+from pfdist.store.schema import check_schema_version
 
 
 class _Part(BaseModel):
-    """Keys that are read; a run.json of another version may have others."""
+    """Keys that are read; run.json may have others."""
 
     model_config = ConfigDict(frozen=True, extra="allow", strict=True)
 
@@ -46,22 +47,25 @@ class _Estimation(_Part):
 class _Provenance(_Part):
     """Where and when a run was started."""
 
-    folder: _PathText = "."
-    processor: _Processor | None = None
+    started: str
+    folder: _PathText
+    python: str
+    libraries: dict[str, str]
+    processor: _Processor
     continued_on: list[_Processor] = []
 
 
 class _RunFile(_Part):
-    """The part of run.json that is read; older versions may lack fields."""
+    """The part of run.json that is read."""
 
     schema_version: Annotated[int, Field(ge=1)]
-    pfdist: str = ""
-    kernel: int = 0
-    engine: str = ""
-    model: dict[str, Any] = {}
-    filter_model: dict[str, Any] = {}
-    estimations: dict[str, _Estimation] = {}
-    provenance: _Provenance = _Provenance()
+    pfdist: str
+    kernel: int
+    engine: str
+    model: dict[str, Any]
+    filter_model: dict[str, Any]
+    estimations: dict[str, _Estimation]
+    provenance: _Provenance
 
 
 def read_run(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -78,12 +82,7 @@ def read_run(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     )
     if not isinstance(run, dict):
         raise unreadable(path, "run.json", "it must be one JSON object")
-    version = run.get("schema_version")
-    if isinstance(version, int) and version > SCHEMA_VERSION:
-        raise StoreError(
-            f"{path} is of schema version {version}; this pfdist reads up to {SCHEMA_VERSION}: "
-            "use the newer pfdist that wrote it"
-        )
+    check_schema_version(path, run.get("schema_version"))
     try:
         _RunFile.model_validate(run)
     except ValidationError as error:
@@ -99,8 +98,27 @@ def unreadable(path: Path, name: str, reason: str) -> StoreError:
     )
 
 
+def is_kept_job(job_file: Path) -> bool:
+    """Whether a job file is the job.toml that a run keeps in its folder."""
+    return job_file.name == "job.toml" and _has_run_json(job_file.parent)
+
+
+def folder_of_run(job_file: Path) -> Path:
+    """Give the folder of a job's run: results/NAME for NAME.toml.
+
+    The run of a kept job.toml is the run that keeps it.
+    """
+    if not is_kept_job(job_file):
+        return Path("results") / job_file.stem
+    folder = job_file.parent
+    return folder if folder.name not in ("", "..") else Path(os.path.abspath(folder))
+
+
 def no_run(path: Path, lacking: str = "run.json") -> StoreError:
-    """Make the error of a folder that lacks a file of a run; it names a run of a similar name."""
+    """Make the error of a folder that lacks a file of a run; it names a run that may be meant."""
+    if path.suffix == ".toml" and path.is_file():
+        run = folder_of_run(path)
+        return StoreError(f"a run must be a folder, got the job file {path}: its run is {run}")
     meant = did_you_mean_path(path, (path.parent, Path("results")), _has_run_json)
     return StoreError(f"{path} holds no run: there is no {lacking} in it{meant}")
 

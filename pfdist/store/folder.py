@@ -33,7 +33,7 @@ def write_run(path: Path, run: dict[str, Any], key: str) -> None:
 def add_to_provenance(path: Path, facts: dict[str, Any]) -> None:
     """Add facts to the provenance of a run whose lock is held."""
     run, _ = read_run(path)
-    run["provenance"] = {**run.get("provenance", {}), **facts}
+    run["provenance"] |= facts
     _write(path / "run.json", json.dumps(run, indent=2) + "\n")
 
 

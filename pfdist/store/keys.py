@@ -4,6 +4,7 @@
 contradict each other, or several keys are kept, the files of several runs lie in one folder.
 """
 
+import contextlib
 import json
 import os
 import stat
@@ -12,15 +13,14 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from pfdist.common.parsing import parse_json, read_text
 from pfdist.common.streams import stream_key
 from pfdist.errors import StoreError
 from pfdist.store import files
 from pfdist.store.manifest import FOLDER, Manifest
-from pfdist.store.tables import signed_by
+from pfdist.store.schema import check_schema_version
 
 ABOUT = ("job.toml", "run.json")
-SIGNED_SINCE = 3
-"""The first version of the schema whose files carry a key."""
 _KEY = f"{FOLDER}/run"
 _GROWS = {"comparison": ("draws", "until"), "online": ("draws",)}  # keys that may change
 
@@ -64,10 +64,11 @@ def keep_key(path: Path, key: str) -> None:
 def own_key(path: Path) -> str | None:
     """Compute the key of a run from job.toml and run.json.
 
-    It is None if the files are missing or damaged, or if the run's files carry no key.
+    It is None if the files are missing or damaged.
     """
-    run, job = _about(path)
-    if run is None or job is None or _version(run) < SIGNED_SINCE:
+    run = _committed(path / "run.json", json.loads)
+    job = _committed(path / "job.toml", tomllib.loads)
+    if run is None or job is None:
         return None
     try:
         return key_of({k: v for k, v in run.items() if k != "provenance"}, job)
@@ -78,23 +79,23 @@ def own_key(path: Path) -> str | None:
 def run_key(path: Path) -> str | None:
     """Key of the run in a folder, which each of its tables' files carries.
 
-    None where there is no run yet, where its start was cut short, or where the run is of schema
-    version 2 or 1, whose files carry no key.
+    None where there is no run yet, or where its start was cut short.
 
     Raises
     ------
     StoreError
-        The folder keeps the keys of several runs, that of another run, or none where its files
-        carry one.
+        The run is of another schema version; or the folder keeps the keys of several runs, that of
+        another run, or none.
     """
     if any((path / folder).is_symlink() for folder in (FOLDER, _KEY)):
         return None  # as of every strange entry: it is named before any file is read
     keys, own = kept_keys(path), own_key(path)
     if len(keys) == 1 and own in (None, keys[0]):
         return keys[0]
-    if own is None and not keys and (_is_older(path) or not _is_signed(path)):
-        return None
-    if own is None and not (path / "run.json").exists() and not any(_tables(path)):
+    if not keys:
+        check_version_of(path)
+    begun = (path / "run.json").exists() or (keys and any(_tables(path)))
+    if own is None and not begun:
         return None
     if not (path / FOLDER).exists():
         raise StoreError(
@@ -109,15 +110,18 @@ def run_key(path: Path) -> str | None:
     )
 
 
-def _about(path: Path) -> tuple[dict[str, Any] | None, dict[str, Any] | None]:
-    """The contents of run.json and job.toml; None for a file that is not as committed."""
-    return (
-        _committed(path / "run.json", json.loads),
-        _committed(path / "job.toml", tomllib.loads),
-    )
+def check_version_of(path: Path) -> None:
+    """Raise a `StoreError` if run.json says that the run is of another schema version."""
+    run: Any = None
+    with contextlib.suppress(OSError, ValueError):  # `read_run` reports such a file
+        if _is_file(path / "run.json"):
+            run = parse_json(read_text(path / "run.json"))
+    if isinstance(run, dict):
+        check_schema_version(path, run.get("schema_version"))
 
 
 def _committed(path: Path, read: Any) -> dict[str, Any] | None:
+    """Content of run.json or job.toml; None if the file is not as committed."""
     try:
         if not _is_file(path):
             return None
@@ -128,28 +132,6 @@ def _committed(path: Path, read: Any) -> dict[str, Any] | None:
     except (OSError, ValueError, RecursionError):  # `read_run` reports such a file
         return None
     return found if isinstance(found, dict) else None
-
-
-def _version(run: Mapping[str, Any]) -> int:
-    version = run.get("schema_version")
-    return version if isinstance(version, int) else SIGNED_SINCE
-
-
-def _is_older(path: Path) -> bool:
-    """Whether the run is of a version whose files carry no key."""
-    run, _ = _about(path)
-    return run is not None and _version(run) < SIGNED_SINCE
-
-
-def _is_signed(path: Path) -> bool:
-    """Whether any file of a table carries a key."""
-    for file in _tables(path):
-        try:
-            if signed_by(file) is not None:
-                return True
-        except (StoreError, FileNotFoundError):  # damaged, or published meanwhile
-            continue
-    return False
 
 
 def _tables(path: Path) -> Iterator[Path]:

@@ -62,7 +62,7 @@ class Manifest:
         self.folder, self._run_key = folder, run_key
 
     def exists(self) -> bool:
-        """Whether the run has a manifest; runs of schema version 1 have none."""
+        """Whether the folder has a manifest; a folder without a run has none."""
         return (self.folder / FOLDER).is_dir()
 
     def expect(self, path: Path, stamp: str) -> list[Path]:

@@ -20,7 +20,7 @@ import pyarrow as pa
 from pfdist.store import files
 from pfdist.store.clock_columns import ClockColumns
 from pfdist.store.reader import Reader
-from pfdist.store.schema import KEYS, QUESTIONS, schema
+from pfdist.store.schema import KEYS, QUESTIONS
 from pfdist.store.tables import cut_rows, signed, unique
 
 ROWS_IN_A_FILE = {"draws": 1_000_000, "comparison": 50_000, "error_sums": 200}
@@ -124,14 +124,11 @@ class Store(Reader):
 
         An evaluation's id says all that its draws depend on, so they are found as if computed here.
         """
-        wrong = set()
-        if other.manifest.exists():
-            wrong = {other.path / damage.path for damage in other.manifest.damages()}
+        wrong = {other.path / damage.path for damage in other.manifest.damages()}
 
         def copy() -> None:
             for path in other._files("draws"):
                 if path not in wrong and not path.name.startswith(QUESTIONS):
-                    rows = other._read(path).cast(schema("draws"))  # an older version's, too
-                    self.commit("draws", phase, path.stem.replace(".", "-"), rows)
+                    self.commit("draws", phase, path.stem.replace(".", "-"), other._read(path))
 
         self._again(copy)

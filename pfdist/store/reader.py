@@ -35,8 +35,8 @@ class Reader:
     run_key : str, optional
         The run that every file must belong to; that of the folder, unless it is given.
 
-    Every reading raises a `StoreError` where a file cannot be read, is of a newer schema, or
-    belongs to another run.
+    Every reading raises a `StoreError` where a file cannot be read, is of another schema version,
+    or belongs to another run.
     """
 
     def __init__(self, path: Path, run_key: str | None = None) -> None:

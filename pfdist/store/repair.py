@@ -16,12 +16,12 @@ from pfdist.store import (
     kept_keys,
     lacking_evaluations,
     own_key,
-    read_run,
     run_key,
     strange_entries,
     verify,
 )
 from pfdist.store.about import no_run
+from pfdist.store.keys import check_version_of
 
 
 def verify_run(path: Path) -> Iterator[Damage]:
@@ -30,8 +30,8 @@ def verify_run(path: Path) -> Iterator[Damage]:
     Raises
     ------
     StoreError
-        The folder holds no run, one without checksums, or one that is being computed; or a file
-        cannot be read.
+        The folder holds no run, one of another schema version, or one that is being computed; or a
+        file cannot be read.
     """
     _check_verifiable(path)
     check_not_held(path)
@@ -56,7 +56,13 @@ def repair_run(path: Path) -> Iterator[str]:
         moved += _moved(store.manifest, list(store.manifest.damages()))
         yield from moved
         if moved:
-            yield f"run the job again in {path} to compute what is missing: {_to_do(store)}"
+            yield f"{run_again(path)} to compute what is missing: {_to_do(store)}"
+
+
+def run_again(path: Path) -> str:
+    """Say which command computes what the run in a folder lacks."""
+    job = path / "job.toml"
+    return f"run `pfdist run {job}`" if job.is_file() else f"run its job with --results {path}"
 
 
 def _with_one_key(path: Path) -> Iterator[str]:
@@ -100,14 +106,9 @@ def _to_do(store: Store) -> str:
 
 
 def _check_verifiable(path: Path) -> None:
-    exists = Manifest(path).exists()
-    if not holds_run(path) and not exists:
+    check_version_of(path)
+    if Manifest(path).exists():
+        return
+    if not holds_run(path):
         raise no_run(path)
-    if not exists:
-        run, _ = read_run(path)
-        raise StoreError(
-            f"{path} was written by schema version 1, which kept no checksums: it can be read, "
-            "but not verified"
-            if run["schema_version"] == 1
-            else f"{path} has lost its folder manifest, which says what its files must hold"
-        )
+    raise StoreError(f"{path} has lost its folder manifest, which says what its files must hold")

@@ -5,14 +5,17 @@ every column a unit and a description. ``mse`` and the like are in the square of
 """
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import pyarrow as pa
 
 from pfdist.common.component_names import Component
+from pfdist.errors import StoreError
 
 SCHEMA_VERSION = 3
+_RELEASES = {1: "0.1", 2: "0.2"}  # that read and write the former schema versions
 RUN_KEY = b"pfdist_run"
-"""Under this name a file's metadata holds the key of the run that wrote it (schema 3 and later)."""
+"""Under this name a file's metadata holds the key of the run that wrote it."""
 
 FILTERED_PERCENTS = (5, 25, 50, 75, 95)
 """Quantiles, in per cent, in the table of a user's filtered measurements."""
@@ -220,6 +223,30 @@ _SCHEMAS = {
         _column("high", pa.float64(), "", "end of the 95 % interval of loss"),
     ],
 }
+
+
+def check_schema_version(path: Path, version: object) -> None:
+    """Raise a `StoreError` if a run or a file is of a former or newer schema version.
+
+    Parameters
+    ----------
+    path : Path
+        The run's folder or the file, for the error.
+    version : object
+        As read. If it is no version at all, nothing is raised.
+    """
+    if not isinstance(version, int) or version == SCHEMA_VERSION:
+        return
+    if version > SCHEMA_VERSION:
+        raise StoreError(
+            f"{path} is of schema version {version}; this pfdist reads version {SCHEMA_VERSION}: "
+            "use the newer pfdist that wrote it"
+        )
+    if version in _RELEASES:
+        raise StoreError(
+            f"{path} is of schema version {version}, which pfdist {_RELEASES[version]} reads and "
+            f"writes; this pfdist reads version {SCHEMA_VERSION}"
+        )
 
 
 def schema(table: str) -> pa.Schema:

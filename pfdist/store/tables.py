@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pfdist.errors import StoreError
 from pfdist.store.arrow_files import read_schema, read_table
-from pfdist.store.schema import RUN_KEY, SCHEMA_VERSION
+from pfdist.store.schema import RUN_KEY, check_schema_version
 
 _LONGEST_NAME = 64  # a search's name and a number of measurements
 _NAME = re.compile(rf"[a-z][a-z0-9_]{{0,{_LONGEST_NAME - 1}}}")
@@ -108,7 +108,7 @@ def read_file(
     filters: pc.Expression | None = None,
     run_key: str | None = None,
 ) -> pa.Table:
-    """Read columns and rows of a file of this schema version or an older version.
+    """Read columns and rows of a file of this schema version.
 
     Parameters
     ----------
@@ -118,14 +118,14 @@ def read_file(
     filters : pyarrow.compute.Expression, optional
         Which rows are wanted.
     run_key : str, optional
-        The run that the file must belong to; None: a run whose files carry no key.
+        The run that the file must belong to; None: the file must carry no key.
 
     Raises
     ------
     FileNotFoundError
         There is no such file.
     StoreError
-        The file cannot be read, is of a newer schema, or belongs to another run.
+        The file cannot be read, is of another schema version, or belongs to another run.
     """
     table: pa.Table = guarded(
         path,
@@ -138,12 +138,6 @@ def read_file(
         ),
     )
     metadata = table.schema.metadata or {}
-    version = int(metadata.get(b"pfdist_schema_version", b"0"))
-    if version > SCHEMA_VERSION:
-        raise StoreError(
-            f"{path} is of schema version {version}; this pfdist reads up to {SCHEMA_VERSION}: "
-            "use the newer pfdist that wrote it"
-        )
     if metadata.get(RUN_KEY) != (run_key.encode() if run_key else None):
         carries = f"the run's key {run_key}" if run_key else "no key"
         raise StoreError(
@@ -151,4 +145,5 @@ def read_file(
             f"got {metadata.get(RUN_KEY, b'none').decode(errors='replace')}; `pfdist repair` moves "
             "such files to quarantine"
         )
+    check_schema_version(path, int(metadata.get(b"pfdist_schema_version", b"0")))
     return table

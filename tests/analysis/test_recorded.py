@@ -10,7 +10,7 @@ import pytest
 
 from pfdist.cli.main import main
 
-ASSET = Path(__file__).parents[1] / "assets" / "schema-2"
+ASSET = Path(__file__).parents[1] / "assets" / "schema-3"
 RUN = json.loads((ASSET / "run.json").read_text())
 JOB = (ASSET / "job.toml").read_text()
 COMMANDS = ["status", "plot", "why"]
@@ -74,6 +74,7 @@ def _line(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
         pytest.param("run.json", _provenance(folder=3), "folder must", id="folder a number"),
         pytest.param("run.json", _provenance(folder="a\0b"), "folder must", id="folder with NUL"),
         pytest.param("run.json", _provenance(processor=[1]), "processor", id="processor a list"),
+        pytest.param("run.json", _provenance(libraries=["a"]), "libraries", id="libraries a list"),
         pytest.param("run.json", _run(model=[1]), "model must", id="model a list"),
         pytest.param("job.toml", b"", "must be given", id="job.toml is empty"),
         pytest.param("job.toml", b"\xff", "UTF-8", id="job.toml is not UTF-8"),
@@ -83,7 +84,7 @@ def _line(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
         pytest.param("job.toml", _job("[[search]]", "[[seek]]"), "overwrite", id="search renamed"),
         pytest.param("job.toml", _job("[comparison]", "[compare]"), "compare", id="no comparison"),
         pytest.param("job.toml", _job("[filter]", "[[filter]]"), "filter", id="filter a list"),
-        pytest.param("job.toml", _job("draws = 250", "draws = '250'"), "draws", id="draws a text"),
+        pytest.param("job.toml", _job("draws = 60", "draws = '60'"), "draws", id="draws a text"),
         pytest.param(
             "job.toml", _job('name = "genetic"', 'name = "../x"'), "name must", id="a path"
         ),
@@ -104,9 +105,10 @@ def test_a_damaged_file_that_says_what_a_run_is_is_named(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     (run / name).write_bytes(content)
-    line = _line([command, str(run)], capsys)
+    named = run / "job.toml" if command == "why" else run
+    line = _line([command, str(named)], capsys)
     assert re.search(words, line), line
-    assert "newer pfdist" in line or f"{run / name}: " in line
+    assert "newer pfdist" in line or str(run / name) in line
 
 
 @pytest.mark.parametrize("name", ["run.json", "job.toml"])

@@ -19,7 +19,7 @@ from pfdist.cli.bound_lines import proof_lines
 from pfdist.cli.main import main
 from pfdist.errors import JobError, ModelError, StoreError
 from pfdist.evaluation.evaluator import Evaluator
-from pfdist.filters.draws import simulate
+from pfdist.filters.simulation import simulate
 from pfdist.pools.base import SerialPool
 from pfdist.runner.bound_settings import LEAST_DRAWS, BoundSettings
 from pfdist.runner.build import build
@@ -63,10 +63,11 @@ model = StateSpaceModel(
 """
 
 
-def bound(run: Path, draws: int | None = None, **options: Any) -> Bound:
+def bound(run: Path | pfdist.Run, draws: int | None = None, **options: Any) -> Bound:
     names = {field.name for field in fields(BoundSettings)} & options.keys()
     settings = BoundSettings(**{"draws": draws} | {name: options.pop(name) for name in names})
-    return bound_of(run, settings, **{"pool": "serial", "figures": False} | options)
+    job = run if isinstance(run, pfdist.Run) else run / "job.toml"
+    return bound_of(job, settings, **{"pool": "serial", "figures": False} | options)
 
 
 def _run(job: Job, folder: Path, *changes: str) -> pfdist.Run:
@@ -97,7 +98,7 @@ def test_with_particles_it_lies_below_the_optimum_but_for_its_error(
     small_job: Job, tmp_path: Path
 ) -> None:
     run = _run(small_job, tmp_path / "run", "model.name=random_walk", "filter.particles=200")
-    found = bound(run.path, LEAST_DRAWS)
+    found = bound(run, LEAST_DRAWS)
     evaluator = Evaluator(pfdist.load_model("random_walk"), 12, engine="kalman")
     optimum = min(evaluator.expected_mse(list(small_job.problem.feasible.every())))
     for gap in found.gaps:
@@ -108,7 +109,7 @@ def test_with_particles_it_lies_below_the_optimum_but_for_its_error(
         parts = gap.relaxation.value + gap.estimate.value + gap.filter_model.value
         assert parts == pytest.approx(gap.gap * gap.expected_mse.value)
         assert gap.filter_model.value == 0.0
-    assert bound(run.path, LEAST_DRAWS).as_json() == found.as_json()
+    assert bound(run, LEAST_DRAWS).as_json() == found.as_json()
     assert pfdist.open_run(run.path).state == "finished"
 
 
@@ -119,29 +120,30 @@ def test_a_wrong_model_of_the_filter_is_a_part_of_the_gap(small_job: Job, tmp_pa
         assert gap.filter_model.value > 4 * gap.filter_model.standard_error > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sharp", [0.03, 0.01])
 def test_a_filter_that_fools_itself_gives_no_false_bound(sharp: float, tmp_path: Path) -> None:
     """The "bound" by squared errors would be 3.45 for 0.03, above a set that costs 1.00."""
     changes = [f"model.parameters.sharp={sharp}", "comparison.draws=1000"]
     run = pfdist.plan(load_job(SHARP, changes), tmp_path / "run", figures=False)
-    for gap in bound(run.path, LEAST_DRAWS).gaps:
+    for gap in bound(run, LEAST_DRAWS).gaps:
         assert gap.reason or gap.bound.value < 1.0
 
 
-@pytest.mark.parametrize("sd", [0.01, 0.001])
+@pytest.mark.parametrize("sd", [0.01, pytest.param(0.001, marks=pytest.mark.slow)])
 def test_the_bound_holds_however_few_particles_meet_the_likelihood(
     small_job: Job, tmp_path: Path, sd: float
 ) -> None:
     """A position in four dimensions: the median of three readings is a filter, too."""
     (small_job.path.parent / "cluttered.py").write_text(CLUTTERED)
-    changes = ["problem.horizon=8", "problem.measurement_budget=3", "filter.particles=500"]
+    changes = ["problem.horizon=8", "problem.measurement_budget=3", "filter.particles=100"]
     changes += ["model.name=cluttered.py:model", f"model.parameters.sd={sd}"]
     run = _run(small_job, tmp_path / "run", *changes)
     draws = simulate(build(load_job(run.path / "job.toml")).evaluator.model, 8, range(20_000), 1)
     readings = np.stack([draws.y[:, 0], *[np.median(draws.y[:, :3], axis=1)] * 8], axis=1)
     readings[:, 1] = draws.y[:, 0]
     errors = ((readings - draws.z) ** 2).sum(axis=2).mean(axis=1)
-    for gap in bound(run.path, LEAST_DRAWS).gaps:
+    for gap in bound(run, LEAST_DRAWS).gaps:
         slack = 4 * math.hypot(gap.bound.standard_error, errors.std() / math.sqrt(errors.size))
         assert not gap.reason
         assert 0.0 <= gap.bound.value < errors.mean() + slack
@@ -203,11 +205,11 @@ def test_the_command_says_how_much_is_left(
     small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = _run(small_job, tmp_path / "run", *EXACT)
-    assert main(["bound", str(run.path), "--json", "--pool", "serial"]) == 0
+    assert main(["bound", str(run.path / "job.toml"), "--json", "--pool", "serial"]) == 0
     answer = json.loads(capsys.readouterr().out)
     assert list(answer["sets"]) == ["regular", "genetic", "random"]
-    assert answer == bound(run.path).as_json()
-    assert main(["bound", str(run.path), "--pool", "serial"]) == 0
+    assert answer == bound(run).as_json()
+    assert main(["bound", str(run.path / "job.toml"), "--pool", "serial"]) == 0
     text = capsys.readouterr().out
     for name, gap in answer["sets"].items():
         assert f"{name}: 4 measurements" in text
@@ -287,16 +289,24 @@ def test_where_no_bound_is_known_one_line_says_why(small_job: Job, tmp_path: Pat
         "from pfdist import load_model\n"
         "model = replace(load_model('ungm'), error=lambda z, e, t, p: abs(z[0] - e[0]))\n"
     )
+    changes = ("model.name=mine.py:model", "filter.engine=numpy", "evaluation.draws=3")
     with pytest.raises(ModelError, match="squared Euclidean norm"):
-        bound(_run(small_job, tmp_path / "own", "model.name=mine.py:model").path)
+        bound(_run(small_job, tmp_path / "own", *changes).path)
 
 
 WALK = ("model.name=random_walk", "filter.particles=20", "comparison.draws=300")
 
 
+@pytest.fixture(scope="module")
+def finished_walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    job = load_job(Path(__file__).parents[1] / "small.toml")
+    return _run(job, tmp_path_factory.mktemp("walk") / "run", *WALK).path
+
+
 @pytest.fixture
-def walk(small_job: Job, tmp_path: Path) -> Path:
-    return _run(small_job, tmp_path / "run", *WALK).path
+def walk(finished_walk: Path, tmp_path: Path) -> Path:
+    """A finished run, in a copy of its own."""
+    return shutil.copytree(finished_walk, tmp_path / "run")
 
 
 def _tables(run: Path) -> dict[str, bytes]:
@@ -333,6 +343,7 @@ def test_a_bound_that_was_stopped_goes_on_and_ends_with_the_same_bytes(
     assert {name.partition("/")[0] for name in _tables(walk)} == {"bound", "error_sums", "draws"}
 
 
+@pytest.mark.slow
 def test_it_has_the_same_bytes_with_two_workers_of_ray(
     walk: Path, tmp_path: Path, ray_cluster: None
 ) -> None:
@@ -449,7 +460,7 @@ def test_a_comparison_of_many_draws_is_used_and_not_computed_again(
 ) -> None:
     changes = ("model.name=random_walk", "filter.particles=20", f"comparison.draws={SET_DRAWS}")
     run = _run(small_job, tmp_path / "run", *changes)
-    found = bound(run.path, LEAST_DRAWS)
+    found = bound(run, LEAST_DRAWS)
     statistics = run.statistics()
     for gap in found.gaps:
         mse = statistics.mse[gap.name]
@@ -478,6 +489,7 @@ def test_plan_says_how_good_its_times_are(
     assert not pfdist.open_run(tmp_path / "bare").has("bound")
 
 
+@pytest.mark.slow
 def test_a_plan_without_a_bound_says_why_and_stands(small_job: Job, tmp_path: Path) -> None:
     (small_job.path.parent / "mine.py").write_text(
         "from dataclasses import replace\n"
@@ -534,6 +546,7 @@ def test_a_damaged_file_of_a_bound_is_made_again_by_the_bound(walk: Path) -> Non
     assert main(["verify", str(walk)]) == 0
 
 
+@pytest.mark.slow
 def test_a_state_that_the_likelihood_excludes_is_a_reason(small_job: Job, tmp_path: Path) -> None:
     """The true state is among the particles, so only a wrong likelihood has degenerate draws."""
     (small_job.path.parent / "cut.py").write_text(
@@ -546,10 +559,10 @@ def test_a_state_that_the_likelihood_excludes_is_a_reason(small_job: Job, tmp_pa
     )
     changes = ("model.name=cut.py:model", "evaluation.degenerate_draws=leave_out")
     run = _run(small_job, tmp_path / "run", *changes, "filter.particles=5")
-    bound(run.path, LEAST_DRAWS)
+    bound(run, LEAST_DRAWS)
     rows = pfdist.open_run(run.path).bounds()
     assert all("degenerate or infinite" in reason for reason in rows["reason"])
-    assert main(["bound", str(run.path), "--pool", "serial"]) == 0
+    assert main(["bound", str(run.path / "job.toml"), "--pool", "serial"]) == 0
 
 
 def test_a_limit_is_printed_rounded_up(walk: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -560,7 +573,16 @@ def test_a_limit_is_printed_rounded_up(walk: Path, capsys: pytest.CaptureFixture
 
 
 def test_more_than_is_demanded_is_said(walk: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    command = ["bound", str(walk), "--pool", "serial", "--draws", "480", "--within", "0.0001"]
+    command = [
+        "bound",
+        str(walk / "job.toml"),
+        "--pool",
+        "serial",
+        "--draws",
+        "480",
+        "--within",
+        "0.0001",
+    ]
     assert main(command) == 0
     assert "The limit of a found set is above 0.01 % with 480 draws." in capsys.readouterr().out
     assert bound(walk, LEAST_DRAWS, within=0.0001).within_reached is False

@@ -178,7 +178,7 @@ def test_the_command_says_how_many_are_enough(
     assert "bound" not in text
     assert "times can" not in text
     with pytest.raises(StoreError, match="several numbers of measurements"):
-        main(["why", str(tmp_path / "run"), "--debug"])
+        main(["why", str(tmp_path / "run" / "job.toml"), "--debug"])
 
 
 @pytest.mark.parametrize(

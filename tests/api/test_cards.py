@@ -16,8 +16,8 @@ def test_each_result_is_a_line_at_a_prompt_and_a_table_in_a_notebook(
     results = {
         "run": run,
         "evaluation": pfdist.evaluate(small_job, [0, 4, 8], draws=20),
-        "lower bound": bound(run.path, figures=False),
-        "what each measurement": pfdist.why(run.path, figures=False),
+        "lower bound": bound(run, figures=False),
+        "what each measurement": pfdist.why(run, figures=False),
     }
     for begins, result in results.items():
         line, table = repr(result), result._repr_html_()

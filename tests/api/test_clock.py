@@ -63,6 +63,7 @@ time_unit = "h"
 measurement_budget = 3
 forbidden = ["2:3"]
 [filter]
+engine = "kalman"
 particles = 60
 [evaluation]
 draws = 60
@@ -76,10 +77,12 @@ pool = "serial"
 
 
 @pytest.fixture
-def job(tmp_path: Path) -> Path:
+def job(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
+    """The job with the exact filter; for slow tests with particles, whose filter is compiled."""
     (tmp_path / "ou.py").write_text(MODEL)
     path = tmp_path / "ou.toml"
-    path.write_text(JOB)
+    slow = request.node.get_closest_marker("slow")
+    path.write_text(JOB.replace('engine = "kalman"\n', "") if slow else JOB)
     return path
 
 
@@ -108,7 +111,8 @@ def test_on_an_irregular_grid_the_error_is_weighted_by_trapezoids(job: Path) -> 
 
 
 def test_particles_agree_with_the_exact_error_on_an_irregular_grid(job: Path) -> None:
-    found = pfdist.evaluate(job, "0.5, 5:8", draws=4000, particles=2000)
+    compiled = pfdist.load_job(job, ["filter.engine=compiled"])
+    found = pfdist.evaluate(compiled, "0.5, 5:8", draws=4000, particles=2000)
     exact = weighted(exact_errors(np.array(TIMES), (1, 5, 6)))
     assert abs(found.expected_mse - exact) < 4 * found.standard_error
     assert found.standard_error < 0.03 * exact
@@ -120,7 +124,13 @@ def test_given_weights_take_the_place_of_the_clocks(job: Path) -> None:
     assert found.expected_mse == pytest.approx(exact_errors(np.array(TIMES), (1, 5, 6))[-1])
 
 
-@pytest.mark.parametrize("estimator", ESTIMATORS)
+@pytest.mark.parametrize(
+    "estimator",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] * (name != "squared_error"))
+        for name in ESTIMATORS
+    ],
+)
 def test_engines_weigh_instants_alike(job: Path, estimator: str) -> None:
     """The compiled filter and the plain filter, for whole sets, for prefixes and for sums."""
     source = build(pfdist.load_job(job)).source
@@ -175,7 +185,7 @@ def test_a_run_speaks_of_the_clock(job: Path, tmp_path: Path) -> None:
 def test_why_speaks_of_the_clock_and_its_profile_is_not_weighted(job: Path, tmp_path: Path) -> None:
     """The profile has the error of each instant; its weighted mean is the expected MSE."""
     run = pfdist.run(pfdist.load_job(job, ["filter.engine=kalman"]), tmp_path / "run")
-    found = pfdist.why(run.path, figures=False)
+    found = pfdist.why(run, figures=False)
     profile = found.profile[found.profile["name"] == "exhaustive"]
     assert profile["t"].tolist() == list(TIMES)
     measured = tuple(TIMES.index(time) for time in run.sets()["exhaustive"])
@@ -188,7 +198,7 @@ def test_why_speaks_of_the_clock_and_its_profile_is_not_weighted(job: Path, tmp_
     assert summary["exact_mse"] == pytest.approx(cost)
 
 
-@pytest.mark.parametrize("engine", ["kalman", "compiled"])
+@pytest.mark.parametrize("engine", ["kalman", pytest.param("compiled", marks=pytest.mark.slow)])
 def test_why_keeps_the_exact_cost_where_instants_do_not_count(
     engine: str, job: Path, tmp_path: Path
 ) -> None:
@@ -197,7 +207,7 @@ def test_why_keeps_the_exact_cost_where_instants_do_not_count(
     changes = [f"filter.engine={engine}", f"problem.instant_weights={given}"]
     run = pfdist.run(pfdist.load_job(job, changes), tmp_path / "run")
     before = run.summary()["results"]["exhaustive"].get("exact_mse")
-    found = pfdist.why(run.path, draws=300, figures=False)
+    found = pfdist.why(run, draws=300, figures=False)
     profile = found.profile[found.profile["name"] == "exhaustive"]
     cost = found.sets.set_index("name").loc["exhaustive", "expected_mse"]
     assert np.average(profile["error"], weights=given) == pytest.approx(cost)
@@ -214,9 +224,9 @@ def test_why_keeps_the_exact_cost_where_instants_do_not_count(
     assert after == (None if before is None else pytest.approx(before, rel=1e-12))
 
 
-@pytest.mark.parametrize("engine", ["numpy", "compiled"])
+@pytest.mark.parametrize("engine", ["numpy", pytest.param("compiled", marks=pytest.mark.slow)])
 def test_an_infinite_error_of_weight_0_does_not_count(job: Path, engine: str) -> None:
-    model = build(pfdist.load_job(job)).source.make().model
+    model = pfdist.load_model(f"{job.with_name('ou.py')}:model").on_clock(TIMES)
     infinite = replace(model, error=lambda z, e, t, p: np.where(t == 2, np.inf, (z[0] - e[0]) ** 2))
     work = Work(((1, 5), (1,)), (7, 7), (3, 3), 4, (0, 6), Estimation(30))
     weights = (2.0, 1.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0)
@@ -240,7 +250,7 @@ def test_the_bound_holds_on_an_irregular_grid(job: Path, tmp_path: Path) -> None
     """With an exact engine and windows long enough the bound is the optimum of brute force."""
     changes = pfdist.load_job(job, ["filter.engine=kalman", "problem.minimum_spacing=1.5"])
     run = pfdist.run(changes, tmp_path / "run")
-    (gap,) = [gap for gap in pfdist.bound(run.path).gaps if gap.name == "exhaustive"]
+    (gap,) = [gap for gap in pfdist.bound(run).gaps if gap.name == "exhaustive"]
     errors = {
         times: weighted(exact_errors(np.array(TIMES), times))
         for times in changes.problem.feasible.every()
@@ -293,7 +303,7 @@ def test_a_model_that_reads_the_clock_needs_one(job: Path) -> None:
     with pytest.raises(PfdistError, match=r"problem\.time_step, problem\.time_unit or"):
         pfdist.evaluate(job, [1])
     model = pfdist.load_model(f"{job.with_name('ou.py')}:model")
-    with pytest.raises(PfdistError, match=r"without a job take model\.on_clock\(times\)"):
+    with pytest.raises(PfdistError, match=r"or take the model's on_clock\(times\)"):
         pfdist.Filter(model, particles=20, engine="numpy").update(1, 0.3)
     filtering = pfdist.Filter(model.on_clock([0.0, 0.5, 2.0]), particles=20, engine="numpy")
     assert np.isfinite(filtering.update(2, 0.3).mean).all()
@@ -326,6 +336,7 @@ def test_a_typed_time_is_one_of_the_clock() -> None:
         Clock((0.0, 1.0)).instant(0.4)
 
 
+@pytest.mark.slow
 def test_the_command_filter_tells_times_with_their_unit(
     job: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -334,7 +345,7 @@ def test_the_command_filter_tells_times_with_their_unit(
     table = tmp_path / "one.csv"
     table.write_text(f"t,y0\n{planned[0]},0.3\n12,0.1\n")
     capsys.readouterr()
-    assert main(["filter", str(run.path), str(table), "--no-report"]) == 0
+    assert main(["filter", str(run.path / "job.toml"), str(table), "--no-report"]) == 0
     out = capsys.readouterr().out
     for start in ("planned, missing", "most surprising"):
         (line,) = (line for line in out.splitlines() if line.strip().startswith(start))
@@ -365,6 +376,7 @@ def test_measurements_and_the_next_time_speak_of_the_clock(job: Path, tmp_path: 
         pfdist.next_time(run, measured[:1], now=6)
 
 
+@pytest.mark.slow
 def test_a_planner_expects_errors_at_times_of_the_clock(job: Path) -> None:
     planner = pfdist.Planner(pfdist.load_job(job), [0.5, 5, 8])
     assert [each.measurement_times for each in planner.expected(draws=20)] == [(0.5, 5.0, 8.0)]
@@ -373,6 +385,7 @@ def test_a_planner_expects_errors_at_times_of_the_clock(job: Path) -> None:
     assert [each.measurement_times for each in found] == [(5.0, 12.0), (8.0,)]
 
 
+@pytest.mark.slow
 def test_the_t_of_a_table_of_particles_is_a_time_on_the_clock(job: Path, tmp_path: Path) -> None:
     """A `Cloud` has an instant; a table has a time, as the measurements beside it."""
     x = np.linspace(-1.0, 1.0, 50)
@@ -401,6 +414,7 @@ def test_the_t_of_a_table_of_particles_is_a_time_on_the_clock(job: Path, tmp_pat
     assert found.table["t"].tolist() == list(TIMES[1:])
 
 
+@pytest.mark.slow
 def test_errors_about_measurements_tell_times_of_the_clock(job: Path) -> None:
     planner = pfdist.Planner(pfdist.load_job(job), [0.5, 5, 8])
     with pytest.raises(MeasurementsError, match=r"must be finite.* at t = 0\.5$"):
@@ -421,6 +435,7 @@ def test_errors_about_measurements_tell_times_of_the_clock(job: Path) -> None:
         pfdist.evaluate(job, [0.5, 5, "0.5"])
 
 
+@pytest.mark.slow
 def test_a_problem_in_python_has_the_clock_of_a_job_file(job: Path) -> None:
     source = {"model": f"{job.with_name('ou.py')}:model", "particles": 60}
     problem = pfdist.Problem(

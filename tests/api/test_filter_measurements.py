@@ -19,7 +19,7 @@ from pfdist.api.filter_measurements import IMPROBABLE, FilteredMeasurements
 from pfdist.cli.main import main
 from pfdist.common.component_names import numbered_components
 from pfdist.errors import JobError, MeasurementsError, PfdistError, PriorError, StoreError
-from pfdist.filters.draws import simulate
+from pfdist.filters.simulation import simulate
 from pfdist.store import filtered_schema
 
 HORIZON = 12
@@ -52,7 +52,7 @@ def test_the_table_is_the_filter_of_the_run_at_every_instant(
     run: Run, y: Any, tmp_path: Path
 ) -> None:
     times = (1, 4, 8)
-    found = pfdist.filter_measurements(run.path, _written(tmp_path / "mine.csv", times, y))
+    found = pfdist.filter_measurements(run, _written(tmp_path / "mine.csv", times, y))
     believed = pfdist.load_model("ungm").with_parameters({"process_sd": 1.5})
     filtering = Filter(believed, 40, 1, resampling="multinomial", dtype="float32")
     rows = pd.read_csv(tmp_path / "mine.filtered.csv").to_dict("records")
@@ -75,12 +75,12 @@ def test_the_same_measurements_give_the_same_bytes_and_the_run_is_not_touched(
 ) -> None:
     before = hashes(run.path)
     path = _written(tmp_path / "mine.csv", (0, 3, 8), y)
-    found = pfdist.filter_measurements(run.path, path)
+    found = pfdist.filter_measurements(run, path)
     assert [file.name for file in found.files] == [
         f"mine.filtered.{ending}" for ending in ("csv", "png", "html")
     ]
     once = [file.read_bytes() for file in found.files]
-    again = pfdist.filter_measurements(run.path, path)
+    again = pfdist.filter_measurements(run, path)
     assert [file.read_bytes() for file in again.files] == once
     assert hashes(run.path) == before
     assert sorted(file.name for file in tmp_path.iterdir()) == sorted(
@@ -94,7 +94,7 @@ def test_the_report_names_the_file_of_the_measurements_and_no_folder(
     run: Run, y: Any, tmp_path: Path
 ) -> None:
     path = _written(tmp_path / "patient 7.csv", (0, 3, 8), y)
-    *_, report = pfdist.filter_measurements(run.path, path).files
+    *_, report = pfdist.filter_measurements(run, path).files
     text = " ".join(report.read_text().split())
     assert f"3 measurements of patient 7.csv, filtered as the run {run.path.name} does" in text
     assert (
@@ -107,7 +107,7 @@ def test_the_report_names_the_file_of_the_measurements_and_no_folder(
 
 def test_parquet_gives_parquet_in_another_folder(run: Run, y: Any, tmp_path: Path) -> None:
     path = _written(tmp_path / "mine.parquet", (8, 0, 3), y)
-    found = pfdist.filter_measurements(run.path, path, out=tmp_path / "new" / "folder")
+    found = pfdist.filter_measurements(run, path, out=tmp_path / "new" / "folder")
     table, *_ = found.files
     assert table == tmp_path / "new" / "folder" / "mine.filtered.parquet"
     schema = pq.read_schema(table)
@@ -121,17 +121,17 @@ def test_planned_times_that_are_missing_and_extra_times_are_named(
     run: Run, y: Any, tmp_path: Path
 ) -> None:
     path = _written(tmp_path / "mine.csv", (0, 5, 8), y)
-    found = pfdist.filter_measurements(run.path, path, planned="regular")  # 0, 4, 8, 12
+    found = pfdist.filter_measurements(run, path, planned="regular")  # 0, 4, 8, 12
     assert (found.name, found.measured) == ("regular", (0, 5, 8))
     assert (found.missing, found.extra, found.to_come) == ((4,), (5,), (12,))
-    best = pfdist.filter_measurements(run.path, path)
+    best = pfdist.filter_measurements(run, path)
     results = run.summary()["results"]
     assert best.name in run.names[1:]
     assert all(
         results[best.name]["expected_mse"] <= results[name]["expected_mse"]
         for name in run.names[1:]
     )
-    nothing = pfdist.filter_measurements(run.path, _written(path, (), y), planned="regular")
+    nothing = pfdist.filter_measurements(run, _written(path, (), y), planned="regular")
     assert (nothing.missing, nothing.to_come) == ((), (0, 4, 8, 12))
     assert (nothing.most_surprising, nothing.is_improbable) == (None, False)
 
@@ -140,7 +140,7 @@ def test_a_prior_is_where_the_filter_starts(run: Run, y: Any, tmp_path: Path) ->
     path = _written(tmp_path / "mine.csv", (5, 8), y)
     pd.DataFrame({"x0": [6.5, 7.5], "t": [4, 4]}).to_parquet(tmp_path / "prior.parquet")
     found = pfdist.filter_measurements(
-        run.path, path, planned="regular", prior=tmp_path / "prior.parquet"
+        run, path, planned="regular", prior=tmp_path / "prior.parquet"
     )
     assert found.table["t"].tolist() == list(range(4, HORIZON + 1))
     assert found.table["mean_0"][0] == 7.0
@@ -148,16 +148,20 @@ def test_a_prior_is_where_the_filter_starts(run: Run, y: Any, tmp_path: Path) ->
     assert (found.missing, found.extra, found.to_come) == ((4,), (5,), (12,))
     _written(path, (3, 8), y)
     with pytest.raises(MeasurementsError, match=r"mine\.csv: t must lie in 4\.\.12, got 3"):
-        pfdist.filter_measurements(run.path, path, prior=tmp_path / "prior.parquet")
+        pfdist.filter_measurements(run, path, prior=tmp_path / "prior.parquet")
     pd.DataFrame({"x0": [6.5], "t": [13]}).to_parquet(tmp_path / "prior.parquet")
     with pytest.raises(PriorError, match=r"0\.\.12, got 13"):
-        pfdist.filter_measurements(run.path, path, prior=tmp_path / "prior.parquet")
+        pfdist.filter_measurements(run, path, prior=tmp_path / "prior.parquet")
 
 
 def test_the_command_prints_what_is_missing_and_how_surprising_it_is(
     run: Run, y: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["filter", str(run.path), str(_written(tmp_path / "mine.csv", (0, 5, 8), y))]
+    words = [
+        "filter",
+        str(run.path / "job.toml"),
+        str(_written(tmp_path / "mine.csv", (0, 5, 8), y)),
+    ]
     assert main([*words, "--planned", "regular"]) == 0
     text = capsys.readouterr().out
     assert text.startswith("3 measurements; planned: regular\n")
@@ -221,14 +225,14 @@ def test_the_exact_filter_gives_its_evidence(
     )
     walk = pfdist.run(job, tmp_path / "walk", figures=False)
     (tmp_path / "mine.csv").write_text("t,y0\n0,3.0\n4,1.0\n")
-    found = pfdist.filter_measurements(walk.path, tmp_path / "mine.csv")
+    found = pfdist.filter_measurements(walk, tmp_path / "mine.csv")
     exact = Filter("random_walk", engine="kalman")
     exact.update(0, 3.0)
     exact.update(4, 1.0)
     assert found.log_evidence == exact.log_evidence
     assert found.table["effective_sample_size"].isna().all()
     np.testing.assert_array_equal(found.table["mean_0"][4:], exact.now.mean[0])
-    assert main(["filter", str(walk.path), str(tmp_path / "mine.csv")]) == 0
+    assert main(["filter", str(walk.path / "job.toml"), str(tmp_path / "mine.csv")]) == 0
     assert f"  log evidence          {exact.log_evidence:.4f}\n" in capsys.readouterr().out
 
 
@@ -239,19 +243,19 @@ def test_no_file_of_others_is_overwritten(run: Run, y: Any, tmp_path: Path) -> N
         for content in (b"", b"t,measured\n", b"\x89PNG" + b"x" * 9000):
             other.write_bytes(content)
             with pytest.raises(StoreError, match=rf"{name} exists and is no earlier result"):
-                pfdist.filter_measurements(run.path, path)
+                pfdist.filter_measurements(run, path)
             assert other.read_bytes() == content
         other.unlink()
         other.symlink_to(tmp_path / "elsewhere")
         with pytest.raises(StoreError, match=rf"{name} exists and is no earlier result"):
-            pfdist.filter_measurements(run.path, path)
+            pfdist.filter_measurements(run, path)
         other.unlink()
-    pfdist.filter_measurements(run.path, path)
-    pfdist.filter_measurements(run.path, path)  # now they are earlier results
+    pfdist.filter_measurements(run, path)
+    pfdist.filter_measurements(run, path)  # now they are earlier results
     parquet = _written(tmp_path / "mine.parquet", (0, 3), y)
     _written(tmp_path / "mine.filtered.parquet", (0, 3), y)
     with pytest.raises(StoreError, match=r"mine\.filtered\.parquet exists and is no"):
-        pfdist.filter_measurements(run.path, parquet)
+        pfdist.filter_measurements(run, parquet)
 
 
 @pytest.mark.parametrize(
@@ -262,7 +266,7 @@ def test_no_file_of_others_is_overwritten(run: Run, y: Any, tmp_path: Path) -> N
             JobError,
             "a compared set of .*, genetic, random, got 'ne",
         ),
-        ({"run": ""}, StoreError, "holds no run"),
+        ({"results": "none"}, StoreError, "there is no run of this job in none: "),
         ({"measurements": "none.csv"}, MeasurementsError, r"cannot read .*none\.csv: No such file"),
         ({"prior": "none.csv"}, PriorError, r"cannot read .*none\.csv: No such file"),
         ({"out": "mine.csv"}, StoreError, "cannot .* mine"),
@@ -275,7 +279,7 @@ def test_what_is_impossible_is_said(
     monkeypatch.chdir(tmp_path)
     _written(Path("mine.csv"), (0, 3), y)
     with pytest.raises(error, match=words):
-        pfdist.filter_measurements(**{"run": run.path, "measurements": "mine.csv"} | arguments)
+        pfdist.filter_measurements(**{"job": run, "measurements": "mine.csv"} | arguments)
     assert [file.name for file in tmp_path.iterdir()] == ["mine.csv"]
 
 
@@ -283,7 +287,7 @@ def test_the_command_names_its_option(
     run: Run, y: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = _written(tmp_path / "mine.csv", (0, 3), y)
-    assert main(["filter", str(run.path), str(path), "--planned", "none"]) == 1
+    assert main(["filter", str(run.path / "job.toml"), str(path), "--planned", "none"]) == 1
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert error.endswith("got 'none' (--planned)\n")
@@ -298,9 +302,9 @@ def test_a_run_of_several_budgets_must_be_told_which_times_were_planned(
     )
     path = _written(tmp_path / "mine.csv", (0, 3), y)
     with pytest.raises(JobError, match="several numbers of measurements: planned must say which"):
-        pfdist.filter_measurements(curve.path, path)
+        pfdist.filter_measurements(curve, path)
     name = curve.names[-1]
-    assert pfdist.filter_measurements(curve.path, path, planned=name).name == name
+    assert pfdist.filter_measurements(curve, path, planned=name).name == name
 
 
 def test_a_panel_is_drawn_for_each_component_up_to_six(tmp_path: Path) -> None:
@@ -318,10 +322,15 @@ def test_a_panel_is_drawn_for_each_component_up_to_six(tmp_path: Path) -> None:
 def test_missing_components_reach_the_filter(tmp_path: Path, small_job: Job) -> None:
     model = pfdist.load_model("constant_velocity")
     assert replace(model, missing_components=True).components == (4, 2, 2)
-    job = small_job.with_changes(["model.name=constant_velocity", "comparison.draws=20"])
+    changes = [
+        "model.name=constant_velocity",
+        "filter.engine=numpy",
+        "search.genetic.generations=1",
+    ]
+    job = small_job.with_changes([*changes, "evaluation.draws=3", "comparison.draws=5"])
     ship = pfdist.run(job, tmp_path / "ship", figures=False)
     (tmp_path / "mine.csv").write_text("t,y0,y1\n0,10,\n")
     with pytest.raises(MeasurementsError, match=r"y\[1\] missing at t = 0: the model constant_v"):
-        pfdist.filter_measurements(ship.path, tmp_path / "mine.csv")
+        pfdist.filter_measurements(ship, tmp_path / "mine.csv")
     (tmp_path / "mine.csv").write_text("t,y0,y1\n0,10,-1.3\n4,,\n")
-    assert pfdist.filter_measurements(ship.path, tmp_path / "mine.csv").measured == (0,)
+    assert pfdist.filter_measurements(ship, tmp_path / "mine.csv").measured == (0,)

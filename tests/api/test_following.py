@@ -34,7 +34,7 @@ def test_a_function_receives_the_progress_and_another_the_messages(
     run = pfdist.run(job, tmp_path / "run", figures=False, progress=seen.append, say=said.append)
     assert seen[-1].done == seen[-1].total > 0
     assert len(said) == 1
-    pfdist.why(run.path, 5, figures=False, progress=seen.append)
+    pfdist.why(run, 5, figures=False, progress=seen.append)
     assert seen[-1].phase == "why random"
 
 

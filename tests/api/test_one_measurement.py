@@ -41,7 +41,7 @@ def test_one_measurement_is_planned_explained_and_chosen_online(
     assert "No other time can lower the error" in capsys.readouterr().out
     text = (tmp_path / "run" / "report.html").read_text()
     assert "Measuring at this time instead of regular times" in text
-    assert main(["why", run, "--draws", "20"]) == 0
+    assert main(["why", str(path), "--results", run, "--draws", "20", *quick]) == 0
     online = ["online", str(path), "--results", str(tmp_path / "online"), "--draws", "3", *quick]
     assert main(online) == 0
     online_times = pfdist.open_run(tmp_path / "online").online()["measurement_times"]

@@ -34,7 +34,7 @@ def test_it_is_the_run_of_a_job_without_searches(unnamed: Path, tmp_path: Path) 
 
 def test_its_lower_bound_is_that_of_the_command_bound(unnamed: Path, tmp_path: Path) -> None:
     pfdist.run(unnamed, tmp_path / "run", changes=EXACT, figures=False)
-    pfdist.bound(tmp_path / "run", pool="serial", figures=False)
+    pfdist.bound(tmp_path / "run" / "job.toml", pool="serial", figures=False)
     pfdist.plan(unnamed, tmp_path / "plan", changes=EXACT, figures=False)
     assert hashes(tmp_path / "plan") == hashes(tmp_path / "run")
 
@@ -99,6 +99,7 @@ def test_a_mistake_is_one_line(options: str, words: str, small_job: Job, tmp_pat
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.slow
 def test_where_the_race_ends_with_degenerate_draws_alone_that_is_said(
     unnamed: Path, tmp_path: Path
 ) -> None:

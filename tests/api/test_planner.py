@@ -11,7 +11,7 @@ import pfdist
 from pfdist import Job, Planner
 from pfdist.cli.main import main
 from pfdist.errors import JobError, MeasurementsError, MeasurementTimesError
-from pfdist.filters.draws import simulate
+from pfdist.filters.simulation import simulate
 from pfdist.sequential.filter import FILTER
 
 JOB = """
@@ -204,48 +204,46 @@ def test_next_says_what_a_planner_says(run: pfdist.Run, tmp_path: Path) -> None:
     for _ in range(3):
         times.append(planner.next_time())
         planner.update(Y[0, times[-1]])
-        found = pfdist.next_time(run.path, write(tmp_path / "y.csv", tuple(times)))
+        found = pfdist.next_time(run, write(tmp_path / "y.csv", tuple(times)))
         assert (found.plan, found.next) == (planner.plan(), planner.next_time())
         assert found.measured == tuple(times)
     planner.missed()
-    found = pfdist.next_time(
-        run.path, write(tmp_path / "y.csv", tuple(times), missed=(found.next,))
-    )
+    found = pfdist.next_time(run, write(tmp_path / "y.csv", tuple(times), missed=(found.next,)))
     assert found.plan == planner.plan()
     (expected,) = planner.expected()
     assert found.expected.expected_mse == expected.expected_mse
 
 
 def test_before_anything_is_measured_next_is_the_plan(run: pfdist.Run, tmp_path: Path) -> None:
-    found = pfdist.next_time(run.path, write(tmp_path / "y.csv", ()), planned="regular")
+    found = pfdist.next_time(run, write(tmp_path / "y.csv", ()), planned="regular")
     assert found.plan == found.planned_before == run.sets()["regular"]
     assert found.expected.expected_mse == found.expected_before.expected_mse
 
 
 def test_time_that_has_passed_replaces_the_plan(run: pfdist.Run, tmp_path: Path) -> None:
     table = write(tmp_path / "y.csv", (0,))
-    found = pfdist.next_time(run.path, table, now=9, planned="regular")
+    found = pfdist.next_time(run, table, now=9, planned="regular")
     assert found.plan[0] > 9
     assert len(found.plan) == 4
     assert found.now == 9
     for now in (15, -1):
         with pytest.raises(MeasurementsError, match=r"now must lie in 0..14"):
-            pfdist.next_time(run.path, table, now=now)
+            pfdist.next_time(run, table, now=now)
     with pytest.raises(JobError, match="planned must be a compared set"):
-        pfdist.next_time(run.path, table, planned="nothing")
+        pfdist.next_time(run, table, planned="nothing")
 
 
 def test_the_command_says_when(
     run: pfdist.Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     table = write(tmp_path / "y.csv", (0, 3))
-    assert main(["next", str(run.path), str(table), "--now", "5"]) == 0
+    assert main(["next", str(run.path / "job.toml"), str(table), "--now", "5"]) == 0
     told = capsys.readouterr().out
-    found = pfdist.next_time(run.path, table, now=5)
+    found = pfdist.next_time(run, table, now=5)
     assert told.startswith(f"measure next at t = {found.next}; then about ")
     assert "2 measurements so far" in told
     assert "from t = " in told
-    assert main(["next", str(run.path), str(table), "--now", "99"]) == 1
+    assert main(["next", str(run.path / "job.toml"), str(table), "--now", "99"]) == 1
     assert "now must lie in 3..14, got 99 (--now)" in capsys.readouterr().err
 
 
@@ -259,11 +257,11 @@ def test_a_first_plan_that_is_no_longer_possible_is_not_compared(
     spaced = pfdist.run(job, tmp_path / "run", changes=changes, figures=False)
     second = spaced.sets()["survivors"][1]
     table = write(tmp_path / "y.csv", (second - 1,))
-    found = pfdist.next_time(spaced.path, table)
+    found = pfdist.next_time(spaced, table)
     assert found.planned_before[0] == second
     assert found.expected_before is None
     assert found.as_json()["expected_mse_before"] is None
-    assert main(["next", str(spaced.path), str(table)]) == 0
+    assert main(["next", str(spaced.path / "job.toml"), str(table)]) == 0
     assert "no longer possible" in capsys.readouterr().out
 
 
@@ -272,9 +270,9 @@ def test_measurements_that_contradict_the_model_are_told(
 ) -> None:
     table = tmp_path / "y.csv"
     table.write_text("t,y0\n0,3000.0\n")
-    found = pfdist.next_time(run.path, table)
+    found = pfdist.next_time(run, table)
     assert found.is_improbable
-    assert main(["next", str(run.path), str(table)]) == 0
+    assert main(["next", str(run.path / "job.toml"), str(table)]) == 0
     assert "it may be wrong about this system" in capsys.readouterr().out
 
 
@@ -284,7 +282,7 @@ def test_a_first_plan_that_has_no_time_left_is_said_in_a_sentence(
     """The last planned time was missed, and the budget allows a measurement after it."""
     (planned,) = [times for name, times in run.sets().items() if name == "survivors"]
     table = write(tmp_path / "y.csv", planned[:-1])
-    assert main(["next", str(run.path), str(table), "--now", str(planned[-1])]) == 0
+    assert main(["next", str(run.path / "job.toml"), str(table), "--now", str(planned[-1])]) == 0
     out = capsys.readouterr().out
     assert out.startswith("measure next at t = ")
     assert re.search(r"^  survivors +plans no further measurement$", out, re.MULTILINE)
@@ -295,5 +293,5 @@ def test_why_no_measurement_is_left(
 ) -> None:
     for times, why in (((0, 3, 7, 10, 13), "the budget is spent"), ((14,), "no further")):
         table = write(tmp_path / "y.csv", times)
-        assert main(["next", str(run.path), str(table)]) == 0
+        assert main(["next", str(run.path / "job.toml"), str(table)]) == 0
         assert why in capsys.readouterr().out

@@ -196,6 +196,7 @@ def test_a_damaged_point_gives_other_points_nothing(
         assert hashes(sweep.path / f"comparison.draws={draws}") == whole
 
 
+@pytest.mark.slow
 def test_points_on_ray_have_the_same_bytes(
     small_job: Job, tmp_path: Path, ray_cluster: None
 ) -> None:
@@ -309,17 +310,17 @@ def test_points_can_be_listed_without_computing(
     assert set(foreseen(sweep_file, results=tmp_path / "sweep")["state"]) == {"finished"}
 
 
-def test_a_problem_with_an_object_is_swept(tmp_path: Path, ungm: pfdist.StateSpaceModel) -> None:
+def test_a_problem_with_an_object_is_swept(tmp_path: Path) -> None:
     mine = dataclasses.replace(
-        ungm, name="mine", transition=lambda x, t, w, p: (0.9 * x[0] + w[0],)
+        pfdist.load_model("random_walk"), transition=lambda x, t, w, p: (0.9 * x[0] + w[0],)
     )
-    problem = pfdist.Problem(mine, horizon=12, measurement_budget=4, particles=30)
+    problem = pfdist.Problem(mine, horizon=12, measurement_budget=4, engine="kalman")
     sweep = pfdist.sweep(
         problem,
         {"seed": [1, 2]},
         pool="serial",
         results=tmp_path / "sweep",
-        changes=["evaluation.draws=20", "comparison.draws=60"],
+        changes=["comparison.draws=60"],
     )
     assert all((run.path / "report.html").exists() for run in sweep.runs.values())
 

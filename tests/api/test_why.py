@@ -69,7 +69,7 @@ def test_what_a_measurement_is_worth_is_what_the_riccati_recursion_says(
     particles = 200
     job = _walk(quick, "compiled").with_changes([f"filter.particles={particles}"])
     run = pfdist.run(job, tmp_path / "run", figures=False)
-    found = why(run.path, draws=3000, figures=False)
+    found = why(run, draws=3000, figures=False)
     for name, result in run.summary()["results"].items():
         exact = _by_riccati(tuple(result["measurement_times"]), 12)
         rises = _rises(found, name)
@@ -82,7 +82,7 @@ def test_what_a_measurement_is_worth_is_what_the_riccati_recursion_says(
 
 def test_where_everything_is_known_no_draws_are_taken(quick: Job, tmp_path: Path) -> None:
     run = pfdist.run(_walk(quick, "kalman"), tmp_path / "run", figures=False)
-    found = why(run.path, figures=False)
+    found = why(run, figures=False)
     assert found.draws == 0
     for name, result in run.summary()["results"].items():
         exact = _by_riccati(tuple(result["measurement_times"]), 12)
@@ -96,7 +96,7 @@ def test_a_measurement_is_moved_only_to_where_the_job_allows_it(quick: Job, tmp_
     bound = ["problem.forbidden=[7, 9]", "problem.required=[4]", "problem.minimum_spacing=3"]
     job = _walk(quick, "kalman").with_changes(bound)
     run = pfdist.run(job, tmp_path / "run", figures=False)
-    found, allowed = why(run.path, figures=False), set(job.problem.feasible.every())
+    found, allowed = why(run, figures=False), set(job.problem.feasible.every())
     for name, result in run.summary()["results"].items():
         times = set(result["measurement_times"])
         moves = {(t, "earlier"): t - 1 for t in times} | {(t, "later"): t + 1 for t in times}
@@ -113,7 +113,7 @@ def test_the_profile_is_the_squared_error_over_time_and_its_mean_the_expected_ms
 ) -> None:
     quick = quick.with_changes([f"evaluation.estimator={estimator}"])
     run, draws = pfdist.run(quick, tmp_path / "run", figures=False), 60
-    found, built = why(run.path, draws, figures=False), build(quick)
+    found, built = why(run, draws, figures=False), build(quick)
     for row in found.sets.to_dict("records"):
         alone = Work(
             measurement_times=(tuple(row["measurement_times"]),),
@@ -139,7 +139,7 @@ def test_the_command_answers_in_json_draws_a_figure_a_search_and_leaves_the_run_
 ) -> None:
     run = pfdist.run(quick, tmp_path / "run", figures=False)
     before = hashes(run.path)
-    assert main(["why", str(run.path), "--draws", "30", "--json"]) == 0
+    assert main(["why", str(run.path / "job.toml"), "--draws", "30", "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
     assert set(answer) == {"run", "draws", "sets", "figures"}
     assert answer["draws"] == 30
@@ -180,7 +180,7 @@ def test_the_command_answers_in_json_draws_a_figure_a_search_and_leaves_the_run_
     assert run.jitter()["loss"].tolist()[:2] == [row["loss"] for row in jitter]
     assert not list(verify_run(run.path))
     again = hashes(run.path)
-    assert main(["why", str(run.path), "--draws", "30"]) == 0
+    assert main(["why", str(run.path / "job.toml"), "--draws", "30"]) == 0
     assert hashes(run.path) == again
     text = capsys.readouterr().out
     assert (
@@ -200,11 +200,11 @@ def test_the_effective_sample_size_is_that_of_the_draws_with_trajectories(
     quick: Job, tmp_path: Path
 ) -> None:
     run = pfdist.run(_walk(quick, "compiled"), tmp_path / "run", figures=False)
-    profile = why(run.path, draws=2, figures=False).profile
+    profile = why(run, draws=2, figures=False).profile
     at = profile["effective_sample_size"]
     assert at.notna().tolist() == profile["measured"].tolist()
     assert at[profile["measured"]].between(1, quick.filter.particles).all()
-    again = why(run.path, draws=2, figures=False).profile  # from the same noise
+    again = why(run, draws=2, figures=False).profile  # from the same noise
     assert again.equals(profile)
 
 
@@ -220,7 +220,7 @@ def test_degenerate_draws_are_counted_up_to_each_instant(quick: Job, tmp_path: P
     changes = ["model.name=random_walk", "model.filter.name=cut.py:model", "filter.particles=5"]
     job = quick.with_changes([*changes, "evaluation.degenerate_draws=leave_out"])
     run = pfdist.run(job, tmp_path / "run", figures=False)
-    found = why(run.path, draws=50, figures=False)
+    found = why(run, draws=50, figures=False)
     known = found.sets.set_index("name")["degenerate_draws"]
     for name, rows in found.profile.groupby("name"):
         counts = rows["degenerate_draws"].to_numpy()
@@ -228,7 +228,7 @@ def test_degenerate_draws_are_counted_up_to_each_instant(quick: Job, tmp_path: P
         assert 0 < counts[-1] == known[name]
 
 
-def test_a_models_file_is_found_from_anywhere_and_must_be_the_runs(
+def test_the_model_file_of_a_kept_job_is_found_from_anywhere_and_must_mean_the_same(
     quick: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = quick.path.parent / "mine.py"
@@ -240,18 +240,15 @@ def test_a_models_file_is_found_from_anywhere_and_must_be_the_runs(
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
     said: list[str] = []
-    why(run.path, draws=2, say=said.append, figures=False)
-    unchanged = f"named by {run.path}: unchanged since that run, and you have run it before"
-    assert said == [f"runs the model file {file}, {unchanged}"]
+    kept = run.path / "job.toml"
+    why(kept, draws=2, say=said.append, figures=False)
+    assert said == [f"runs the model file {file}, which your job names"]
     file.write_text('"""Another word."""\nfrom pfdist.models.ungm import model\n# another\n')
-    with pytest.raises(StoreError, match=r"mine\.py is not the file that .* so nothing was run"):
-        why(run.path, draws=2, figures=False)
-    why(run.path, draws=2, model=f"{file}:model", say=said.append, figures=False)
-    assert said[1:] == [f"runs the model {file}:model, as you name it"]
+    why(kept, draws=2, figures=False)
     file.write_text("from pfdist.models.ungm_gordon import model\n")
-    words = r"model\.measurement: \w{8} -> \w{8}.*model\.parameters\.initial_sd: 5\.0 -> 1\.41"
+    words = r"model\.formulas: \w{8} -> \w{8}.*model\.parameters\.initial_sd: 5\.0 -> 1\.41"
     with pytest.raises(RunMismatchError, match=words):
-        why(run.path, draws=2, model=f"{file}:model", figures=False)
+        why(kept, draws=2, figures=False)
 
 
 def test_what_is_impossible_is_said(quick: Job, tmp_path: Path) -> None:
@@ -268,9 +265,9 @@ def test_what_is_impossible_is_said(quick: Job, tmp_path: Path) -> None:
             tmp_path / "run",
             2,
         ),
-        (StoreError, "holds no run", tmp_path, 2),
+        (StoreError, "there is no run of this job in .*nowhere: ", tmp_path / "nowhere", 2),
         (ArgumentError, r"draws must be at least 2, got 1$", tmp_path / "run", 1),
     ]
     for error, words, path, draws in wrong:
         with pytest.raises(error, match=words):
-            why(path, draws, figures=False)
+            why(quick, draws, results=path, figures=False)

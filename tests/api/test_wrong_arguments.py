@@ -13,7 +13,8 @@ import pfdist
 from pfdist import PfdistError
 
 PROBLEM = pfdist.Problem("ungm", horizon=12, measurement_budget=4, particles=20)
-FINISHED = "finished"  # stands for the folder of a finished run
+FINISHED = "finished"  # stands for the job of a finished run
+FOLDER = "folder"  # stands for its folder
 MEASURED = pd.DataFrame({"t": [0], "y0": [0.1]})
 CASES: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = [
     ("Problem", (5,), {"horizon": 12, "measurement_budget": 4}),
@@ -74,11 +75,11 @@ CASES: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = [
     ("why", ("lacking",), {}),
     ("why", (FINISHED,), {"draws": "many"}),
     ("why", (FINISHED,), {"draws": 1}),
-    ("why", (FINISHED,), {"model": 5}),
+    ("why", (FINISHED,), {"results": 5}),
     ("bound", (5,), {}),
     ("bound", (FINISHED, 5), {}),
     ("bound", (FINISHED,), {"pool": "slurm"}),
-    ("bound", (FINISHED,), {"model": 5}),
+    ("bound", (FINISHED,), {"changes": 5}),
     ("BoundSettings", ("many",), {}),
     ("BoundSettings", (), {"within": "low"}),
     ("BoundSettings", (), {"window": None}),
@@ -112,10 +113,10 @@ CASES: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = [
     ("report", ("lacking",), {}),
     ("table", (), {}),
     ("table", (5,), {}),
-    ("table", ([FINISHED, 5],), {}),
+    ("table", (FOLDER, 5), {}),
     ("table", ("lacking",), {}),
-    ("table", (FINISHED,), {"out": 5}),
-    ("table", (FINISHED,), {"out": "table.xlsx"}),
+    ("table", (FOLDER,), {"out": 5}),
+    ("table", (FOLDER,), {"out": "table.xlsx"}),
     ("list_runs", (5,), {}),
     ("sweep", (5, {"seed": [1]}), {}),
     ("sweep", ("nothing.toml", {"seed": [1]}), {}),
@@ -163,7 +164,8 @@ def test_a_wrong_argument_ends_in_one_line(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    given = [finished if each is FINISHED else each for each in arguments]
+    run = {FINISHED: finished / "job.toml", FOLDER: finished}
+    given = [run.get(each, each) if isinstance(each, str) else each for each in arguments]
     function: Callable[..., Any] = getattr(pfdist, name)
     with pytest.raises(PfdistError) as caught:
         function(*given, **options)

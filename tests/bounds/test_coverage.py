@@ -24,8 +24,9 @@ from pfdist.bounds.proof import Sums, prove
 from pfdist.bounds.relaxation import NOTHING, Relaxation, Window
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation, Work, with_truth
-from pfdist.filters.draws import Draws, simulate
+from pfdist.filters.draws import Draws
 from pfdist.filters.kalman import expected_mse
+from pfdist.filters.simulation import simulate
 from pfdist.runner.block_sums import GROUPS
 from pfdist.runner.sets_alone import parts_of
 from pfdist.times.feasible import Feasible
@@ -200,6 +201,11 @@ def outcome(case: Case) -> Outcome:
     return _repeated(case, _exact(case))
 
 
+@pytest.mark.parametrize(
+    "case",
+    [pytest.param(name, marks=[pytest.mark.slow] * (name == "nonlinear")) for name in CASES],
+    indirect=True,
+)
 def test_the_limit_hardly_ever_fails(case: Case) -> None:
     """60 repetitions: 0.85 is 3.5 standard errors below 0.95."""
     assert _repeated(case, _exact(case), 60).coverage >= 0.85

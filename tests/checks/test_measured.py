@@ -14,7 +14,7 @@ from pfdist import StateSpaceModel, load_model
 from pfdist.checks.measured import missing_components, normalised
 from pfdist.checks.model import check_model
 from pfdist.filters import plain
-from pfdist.models.loader import installed_models
+from pfdist.models import installed_models
 
 SHIPPED = [name for name, (module, _) in installed_models().items() if "pfdist" in module]
 HALF_LOG_2_PI = math.log(2 * math.pi) / 2

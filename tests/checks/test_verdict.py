@@ -152,6 +152,24 @@ def test_a_mistake_is_refused_by_both_with_formula_line_and_remedy(
         assert len(text) < 1000
 
 
+@pytest.mark.parametrize(
+    ("body", "says"),
+    [
+        ("return (RATES['a'] * x[0] + w[0], x[1])", "RATES is a value of the kind dict: give each"),
+        ("return (FRAME['a'][0] * x[0] + w[0], x[1])", r"FRAME is .* DataFrame: .*to_numpy\(\)"),
+        ("return (SEEN[0] * x[0] + w[0], x[1])", "SEEN is .* list: use a tuple or an array"),
+        ("import math; return (x[0] + w[0], x[1])", "transition imports math when it is called"),
+    ],
+    ids=["a dict", "a DataFrame", "a list", "an import"],
+)
+def test_what_could_change_without_notice_is_refused_by_both(
+    body: str, says: str, tmp_path: Path
+) -> None:
+    for text in refused(tmp_path, written(tmp_path, body)):
+        assert re.search(rf"{says}.*mine\.py:\d+\)$", text), text
+        assert "\n" not in text
+
+
 def test_nan_at_the_first_instant_is_named_with_its_formula_and_line(tmp_path: Path) -> None:
     job = written(tmp_path, "return (x[0] + w[0], x[1])")
     (tmp_path / "mine.py").write_text(
@@ -166,14 +184,11 @@ def test_nan_at_the_first_instant_is_named_with_its_formula_and_line(tmp_path: P
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("body", "says"),
     [
-        pytest.param("return (RATES['a'] * x[0] + w[0], x[1])", "RATES, a dict", id="a dict"),
-        pytest.param("return (FRAME['a'][0] * x[0] + w[0], x[1])", "to_numpy", id="a DataFrame"),
         pytest.param("return (halved(2, x[0]) + w[0], x[1])", "calls itself", id="recursion"),
-        pytest.param("return (SEEN[0] * x[0] + w[0], x[1])", "SEEN, a list", id="a list"),
-        pytest.param("import math; return (x[0] + w[0], x[1])", "an import stands", id="an import"),
         pytest.param(
             "global COUNT; COUNT = t; return (x[0] + w[0], x[1])", "a global variable", id="global"
         ),

@@ -40,10 +40,6 @@ def test_the_table_has_the_bound_and_the_limit_holds_as_it_is_printed() -> None:
     assert all(len(line) <= COLUMNS for line in lines)
 
 
-def test_a_bound_without_a_limit_stands_alone() -> None:
-    assert budget_lines(_summary(**(BOUND | {"bound_low": None})))[3].endswith("  25.437")
-
-
 def test_an_exact_bound_has_no_limit() -> None:
     lines = budget_lines(_summary(bound=25.4371, bound_error=0.0, bound_low=25.4371))
     assert lines[3].endswith("  25.437")

@@ -44,11 +44,10 @@ def _completed(words: list[str], folder: Path) -> set[str]:
         (["plan", "jobs/"], {"jobs/plan.toml"}),
         (["status", ""], {"results"}),
         (["status", "results/"], {"results/my run"}),
-        (["filter", "results/run", "p"], {"patient.csv"}),
+        (["filter", "a.toml", "p"], {"patient.csv"}),
         (["plan", "a.toml", "--search", "gr"], {"greedy_backward", "greedy_forward"}),
         (["run", "a.toml", "--pool", "s"], {"serial"}),
         (["run", "a.toml", "--results", "n"], {"notes"}),
-        (["why", "results/run", "--model", "m"], {"mine.py"}),
         (["budget", "a.toml", "--me"], {"--measurements"}),
         (["budget", "a.toml", "--measurements", "5:9", "--ta"], {"--target"}),
     ],
@@ -75,7 +74,7 @@ def test_the_words_for_values_are_no_commands_of_zsh() -> None:
 def test_the_patterns_of_zsh_are_no_qualifiers() -> None:
     """zsh reads parentheses at the end of a pattern as qualifiers, if they hold no bar."""
     patterns = re.findall(r"_files -g '([^']*)'", script("zsh"))
-    assert {"*.toml", "*.py", "(*.csv|*.parquet)"} <= set(patterns)
+    assert {"*.toml", "(*.csv|*.parquet)"} <= set(patterns)
     assert not [pattern for pattern in patterns if pattern[0] == "(" and "|" not in pattern]
 
 
@@ -83,11 +82,10 @@ LINES = {
     "pfdist pl": {"plan", "plot"},
     "pfdist check-model un": {"ungm", "ungm_gordon"},
     "pfdist plan jobs/": {"plan.toml"},
-    "pfdist filter results/run p": {"patient.csv"},
+    "pfdist filter a.toml p": {"patient.csv"},
     "pfdist plan a.toml --search gr": {"greedy_backward", "greedy_forward"},
     "pfdist run a.toml --pool s": {"serial"},
     "pfdist run a.toml --address ": set(),
-    "pfdist why results/run --model m": {"mine.py"},
     "pfdist budget a.toml --me": {"--measurements"},
 }
 

@@ -9,7 +9,7 @@ from pfdist import Job
 from pfdist.cli.command import COMMANDS
 from pfdist.cli.main import main
 
-ASSET = Path(__file__).parents[1] / "assets" / "schema-2"
+KEPT = Path(__file__).parents[2] / "results" / "example" / "job.toml"
 
 
 def test_pfdist_alone_shows_three_commands_to_try(
@@ -47,7 +47,7 @@ def test_pfdist_alone_shows_three_commands_to_try(
         ("status {folder}/runn", 1, "{folder}/run"),
         ("verify {folder}/runn", 1, "{folder}/run"),
         ("status found", 1, "results/foun"),
-        ("filter {asset} x.csv --planned regula", 1, "regular"),
+        ("filter {kept} x.csv --planned regula", 1, "regular"),
     ],
 )
 def test_a_misspelt_word_is_followed_by_the_nearest_one_in_one_line(
@@ -63,7 +63,7 @@ def test_a_misspelt_word_is_followed_by_the_nearest_one_in_one_line(
     for run in ("run", "results/foun"):
         (folder / run).mkdir(parents=True)
         (folder / run / "run.json").touch()
-    names = {"job": small_job.path, "folder": folder, "asset": ASSET}
+    names = {"job": small_job.path, "folder": folder, "kept": KEPT}
     assert _exit_code(shlex.split(line.format(**names))) == code
     captured = capsys.readouterr()
     assert captured.out == ""

@@ -14,7 +14,7 @@ from pfdist.cli.main import main
 from pfdist.runner.progress import Found, Progress
 
 HEAVY = ("pandas", "scipy", "matplotlib", "numba", "llvmlite", "pyarrow", "ray", "pydantic", "rich")
-ASSET = Path(__file__).parents[1] / "assets" / "schema-2"
+ASSET = Path(__file__).parents[1] / "assets" / "schema-3"
 _FOUND = Found("genetic", 0.238, (0.236, 0.24), 0.8, 0.26, (0.259, 0.263))
 
 

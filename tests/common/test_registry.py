@@ -1,4 +1,4 @@
-"""Each thing that is chosen by name is declared once, by itself or by an installed package."""
+"""Each thing that is chosen by name is declared once."""
 
 from importlib.metadata import EntryPoint
 
@@ -11,14 +11,14 @@ from pfdist.search.methods import DEFAULT_METHOD, METHODS
 
 
 def test_two_declarations_of_one_name_are_refused() -> None:
-    registry = Registry[int]("pfdist.times", "nobody.declares")
+    registry = Registry[int]("pfdist.times")
     registry.declare("a", 1)
     with pytest.raises(ValueError, match="must be unique; 'a' is declared twice"):
         registry.declare("a", 2)
 
 
 def test_names_come_in_order() -> None:
-    registry = Registry[int]("pfdist.times", "nobody.declares")
+    registry = Registry[int]("pfdist.times")
     for name in ("b", "c", "a"):
         registry.declare(name, 1)
     assert list(registry) == ["a", "b", "c"]

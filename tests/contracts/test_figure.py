@@ -27,18 +27,18 @@ def _one_format() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Run]:
-    """An old run; runs with a bound and online times, several numbers, why, and named sets."""
+    """A kept run; runs with a bound and online times, several numbers, why, and named sets."""
     folder = tmp_path_factory.mktemp("figures")
-    shutil.copytree(ROOT / "assets" / "schema-2", folder / "run")
+    shutil.copytree(ROOT / "assets" / "schema-3", folder / "run")
     job = pfdist.load_job(ROOT / "small.toml", [*EXACT, "problem.horizon=6"])
     several = pfdist.budget(job, (2, 3), folder / "budget", draws=20, figures=False)
     changes = [*EXACT, "search.random.evaluations=3", "search.genetic.generations=1"]
     changes.append("online.draws=20")
     proved = pfdist.run(ROOT / "small.toml", folder / "proved", changes=changes, figures=False)
-    pfdist.bound(proved.path, pool="serial", figures=False)
+    pfdist.bound(proved, pool="serial", figures=False)
     search = ["search=[{method='random', evaluations=3}]", "comparison.draws=20"]
     explained = pfdist.run(ROOT / "small.toml", folder / "why", changes=search, figures=False)
-    pfdist.why(explained.path, draws=20, figures=False)
+    pfdist.why(explained, draws=20, figures=False)
     sets = {"few": [0, 12], "many": "0:12:2"}
     short = pfdist.load_job(ROOT / "small.toml", EXACT)
     named = pfdist.compare(short, times=sets, results=folder / "sets", draws=20, figures=False)

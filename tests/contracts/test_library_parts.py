@@ -1,6 +1,6 @@
-"""The inner parts of Numba, llvmlite and Ray that the package uses, each looked for by its name.
+"""The package uses public parts of Numba and llvmlite; two files use private ones, by their names.
 
-`pyproject.toml` admits these libraries up to the versions that were tested. Whoever raises a bound
+`pyproject.toml` admits Numba and Ray up to the versions that were tested. Whoever raises a bound
 learns here which part has gone, and which file uses it.
 """
 
@@ -16,12 +16,17 @@ from packaging.requirements import Requirement
 
 PROJECT = Path(__file__).parents[2]
 LIBRARIES = ("llvmlite", "numba", "ray")
+PUBLIC = {
+    "llvmlite", "llvmlite.binding", "llvmlite.ir", "numba", "numba.core.cgutils", "numba.errors",
+    "numba.extending", "numba.types",
+}  # fmt: skip
 # Methods and attributes that the package overrides, or uses of objects it is given.
 BESIDES = {
     "numba.core.codegen:JITCodeLibrary._optimize_final_module": "kernels/melting.py",
     "numba.core.codegen:JITCodeLibrary.enable_object_caching": "kernels/melting.py",
     "numba.core.compiler:Compiler.define_pipelines": "kernels/melting.py",
     "numba.core.compiler:CompileResult._rebuild": "kernels/disk_cache.py",
+    "numba.core.codegen:CPUCodeLibrary._get_module_for_linking": "kernels/disk_cache.py",
     "numba.core.compiler:CompileResult._reduce": "kernels/disk_cache.py",
     "numba.core.codegen:JITCPUCodegen.magic_tuple": "kernels/disk_cache.py",
     "numba.core.dispatcher:Dispatcher._numba_type_": "kernels/melting.py",
@@ -127,7 +132,18 @@ def test_parts_are_found_in_the_source_and_a_missing_part_is_noticed(tmp_path: P
     assert "numba.core:cgutils.alloca_once" in found
 
 
-@pytest.mark.parametrize("library", LIBRARIES)
+def is_public(part: str) -> bool:
+    module, _, name = part.partition(":")
+    known = module in PUBLIC or f"{module}.{name.partition('.')[0]}" in PUBLIC
+    return known and not any(each.startswith("_") for each in name.split("."))
+
+
+def test_private_parts_are_used_by_the_named_files_alone() -> None:
+    private = {USED[part] for part in USED if not part.startswith("ray") and not is_public(part)}
+    assert private == {"kernels/melting.py", "kernels/disk_cache.py"}
+
+
+@pytest.mark.parametrize("library", ["numba", "ray"])
 def test_a_library_whose_inner_parts_are_used_has_an_upper_bound(library: str) -> None:
     project = tomllib.loads((PROJECT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     found = {Requirement(text).name: Requirement(text) for text in project["dependencies"]}

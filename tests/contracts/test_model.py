@@ -16,8 +16,8 @@ from pfdist.evaluation.compiling import compile_evaluator, libm_functions
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation
 from pfdist.filters import plain
-from pfdist.filters.draws import simulate
 from pfdist.filters.particle_filter import filter_draws
+from pfdist.filters.simulation import simulate
 from pfdist.models import installed_models
 from pfdist.plots import figures
 from pfdist.times.measurement_times import regular
@@ -26,9 +26,9 @@ SHIPPED = sorted(name for name, (module, _) in installed_models().items() if "pf
 FILES = sorted((Path(__file__).parents[2] / "jobs").glob("*.toml"))
 SWEEPS = [path for path in FILES if path.read_text().count("\njob = ")]
 JOBS = [path for path in FILES if path not in SWEEPS]
-STEMS = [path.stem for path in JOBS]
 SCHEMES = sorted({(job.model.name, job.filter.resampling) for job in map(load_job, JOBS)})
-QUICK = {"ungm", "ungm_gordon", "tumour"}  # the others are compiled by `pytest -m zoo`
+QUICK = {"ungm"}  # the others are compiled by `pytest -m zoo`
+QUICK_JOBS = {"quick", "online"}
 BELIEVED = {"tumour": {"frequency_sd": 0.005}}  # by the filter, where that is not the truth
 
 
@@ -77,7 +77,13 @@ def test_there_is_a_job_of_it(name: str) -> None:
     assert name in {load_job(path).model.name for path in JOBS}
 
 
-@pytest.mark.parametrize("path", _by_model(JOBS, lambda path: load_job(path).model.name), ids=STEMS)
+@pytest.mark.parametrize(
+    "path",
+    [
+        pytest.param(path, marks=[pytest.mark.zoo] * (path.stem not in QUICK_JOBS), id=path.stem)
+        for path in JOBS
+    ],
+)
 def test_a_job_is_evaluated_and_runs(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

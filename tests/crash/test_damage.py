@@ -151,7 +151,9 @@ def test_a_file_cut_short_at_any_byte_is_named_and_made_again(
 
 
 @pytest.mark.parametrize("flips", [1, pytest.param(10, marks=pytest.mark.crash)])
-@pytest.mark.parametrize("state", STATES)
+@pytest.mark.parametrize(
+    "state", ["finished", "comparing", pytest.param("searching", marks=pytest.mark.slow)]
+)
 def test_a_bit_flipped_in_any_file_is_named_and_what_is_lost_and_only_that_is_made_again(
     state: str,
     flips: int,
@@ -337,7 +339,7 @@ def test_repair_moves_what_is_damaged_and_says_what_going_on_will_compute(
     assert main(["repair", str(run)]) == 0
     *moved, todo = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in moved] == sorted(wrong)
-    assert f"run the job again in {run}" in todo
+    assert f"run `pfdist run {run / 'job.toml'}`" in todo
     assert "3 evaluations, what the comparison lacks (70 draws are there)" in todo
     for name, content in damaged.items():
         assert (run / "quarantine" / name).read_bytes() == content

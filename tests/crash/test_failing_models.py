@@ -33,9 +33,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pfdist.models.ungm import model as ungm
+from pfdist.models import ungm
 
-FLAG = Path({flag!r})
+FLAG = {flag!r}
 
 
 def limited():
@@ -61,10 +61,10 @@ def measurement(x, t, v, p):
     return ungm.measurement(x, t, v, p)
 
 
-model = dataclasses.replace(ungm, measurement=measurement)
+model = dataclasses.replace(ungm.model, measurement=measurement)
 """
 RAISE = 'raise RuntimeError("no such state")'
-RAISE_ONCE = 'if not FLAG.exists(): FLAG.touch(); raise RuntimeError("no such state")'
+RAISE_ONCE = 'if not Path(FLAG).exists(): Path(FLAG).touch(); raise RuntimeError("no such state")'
 LOOP = "while True: pass"
 
 Record = Callable[[str, object], None]

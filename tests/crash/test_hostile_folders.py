@@ -24,7 +24,7 @@ pytestmark = pytest.mark.fault
 PROMISE = "damage is found"
 Record = Callable[[str, object], None]
 SMALL = ["search.genetic.generations=2", "search.random.evaluations=3", "comparison.draws=120"]
-COMMANDS = ["status {run}", "plot {run}", "verify {run}", "repair {run}", "why {run}"]
+COMMANDS = ["status {run}", "plot {run}", "verify {run}", "repair {run}", "why {run}/job.toml"]
 RUN = "run {job} --results {run} --pool serial"
 
 

@@ -229,7 +229,11 @@ def _tables(run: Path) -> dict[str, str]:
     return {name: hash_ for name, hash_ in hashes(run).items() if not name.startswith("figures")}
 
 
-@pytest.mark.parametrize("online", ["", ONLINE.format(draws=40)], ids=["", "online"])
+@pytest.mark.parametrize(
+    "online",
+    ["", pytest.param(ONLINE.format(draws=40), marks=pytest.mark.slow)],
+    ids=["", "online"],
+)
 @pytest.mark.parametrize("kills", [5, pytest.param(200, marks=pytest.mark.crash)])
 def test_a_run_killed_at_any_instant_ends_with_the_same_bytes_and_computes_nothing_again(
     kills: int,

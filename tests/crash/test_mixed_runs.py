@@ -195,24 +195,6 @@ def test_where_nothing_says_whose_files_they_are_repair_moves_them_all(
     record_property("faults", f"{PROMISE}: 1")
 
 
-def test_a_signed_file_is_no_file_of_a_run_of_an_older_version(
-    runs: dict[tuple[int, str], Path], tmp_path: Path, record_property: Record
-) -> None:
-    old = Path(__file__).parents[1] / "assets" / "schema-2"
-    run = shutil.copytree(old, tmp_path / "run")
-    table = next(path for path in run.glob("tables/compared/*.parquet")).relative_to(run)
-    for name in (table, "manifest" / table):
-        copy = shutil.copytree if (run / name).is_dir() else shutil.copy
-        shutil.rmtree(run / name) if (run / name).is_dir() else (run / name).unlink()
-        foreign = runs[1, "finished"] / name
-        source = foreign if foreign.exists() else next(foreign.parent.glob("*"))
-        copy(source, run / name)
-    assert [damage.what for damage in verify_run(run)] == ["belongs to another run"]
-    with pytest.raises(StoreError, match="every file here must carry no key"):
-        pfdist.open_run(run).compared()
-    record_property("faults", f"{PROMISE}: 1")
-
-
 def test_every_file_of_a_table_names_its_run(runs: dict[tuple[int, str], Path]) -> None:
     keys = set[str | None]()
     for run in runs.values():

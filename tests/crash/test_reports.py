@@ -71,7 +71,11 @@ def test_a_why_that_goes_wrong_at_any_file_operation_ends_with_the_same_bytes(
     record_property: Callable[[str, object], None],
 ) -> None:
     """`pfdist why` writes two tables, and the report anew."""
-    layer, why = FileLayer(monkeypatch, tmp_path), partial(pfdist.why, figures=False)
+    layer = FileLayer(monkeypatch, tmp_path)
+
+    def why(path: Path) -> None:
+        pfdist.why(path / "job.toml", figures=False)
+
     untouched = shutil.copytree(reported, tmp_path / "whole" / "begun")
     count = layer.run(partial(why, untouched))
     whole, report = hashes(untouched), (untouched / "report.html").read_bytes()

@@ -139,6 +139,7 @@ def test_a_run_that_is_asked_to_end_while_ray_starts_does_so(
 
 
 @pytest.mark.crash
+@pytest.mark.usefixtures("hangup_ends_children")
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGHUP])
 @pytest.mark.parametrize("after", [1.0, 3.0, 5.0, "search", "comparison"])
 def test_nothing_outlives_a_run_on_ray_that_is_killed(

@@ -83,6 +83,7 @@ def _is_comparing(driver: Running) -> bool:
     return driver.parts("comparison") > 0 and len(driver.workers()) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.fault
 @pytest.mark.usefixtures("ray_cluster")
 def test_a_worker_that_is_killed_in_each_phase_makes_no_difference(

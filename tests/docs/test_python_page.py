@@ -18,8 +18,9 @@ def test_the_example_runs_and_its_run_goes_on(
     monkeypatch.chdir(tmp_path)
     found = re.search(r"^```python\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
     assert found is not None
-    scope = {"__name__": "__main__"}
-    exec(compile(found[1], "python.md", "exec"), scope)
+    script, scope = tmp_path / "script.py", {"__name__": "__main__"}
+    script.write_text(found[1], encoding="utf-8")  # the source of the model's formulas
+    exec(compile(found[1], script, "exec"), scope)
     run = scope["run"]
     assert isinstance(run, pfdist.Run)
     assert run.path == Path("results/robot")
@@ -29,5 +30,6 @@ def test_the_example_runs_and_its_run_goes_on(
     gains = run.gains()
     assert isinstance(gains, pd.DataFrame)
     assert len(gains) == 2000
-    found_worth = pfdist.why("results/robot", draws=500, model=scope["robot"], figures=False).worth
+    changes = ["comparison.draws=2000"]
+    found_worth = pfdist.why(scope["problem"], 500, changes=changes, figures=False).worth
     pd.testing.assert_frame_equal(found_worth, run.worth())

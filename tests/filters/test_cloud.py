@@ -12,10 +12,10 @@ from pfdist import StateSpaceModel
 from pfdist.errors import MeasurementTimesError, PriorError
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation
-from pfdist.filters import draws as compiled_draws
-from pfdist.filters import kalman, particle_filter, plain
+from pfdist.filters import kalman, particle_filter, plain, simulation
 from pfdist.filters.cloud import Cloud, Gaussian
-from pfdist.filters.draws import Draws, simulate
+from pfdist.filters.draws import Draws
+from pfdist.filters.simulation import simulate
 from pfdist.kernels.schemes import SCHEMES
 
 HORIZON, TIMES = 20, (0, 3, 6, 9, 12, 15, 18)
@@ -57,8 +57,8 @@ def test_compiled_and_plain_start_alike(ungm: StateSpaceModel, weighted: bool) -
     weight = rng.uniform(size=300) if weighted else None
     prior = Cloud(8, rng.normal(0, 10, (1, 300)), weight)
     found = []
-    for draws_by, engine in ((compiled_draws, particle_filter), (plain, plain)):
-        draws = draws_by.simulate(ungm, HORIZON, range(40), 3, prior)
+    for simulated_by, engine in ((simulation, particle_filter), (plain, plain)):
+        draws = simulated_by.simulate(ungm, HORIZON, range(40), 3, prior)
         filtered = engine.filter_draws(ungm, draws, (8, 11, 17), 64, 4, prior=prior)
         found.append((draws.x, draws.y, draws.z, draws.origin, filtered.mse))
     for by_compiled, by_plain in zip(*found, strict=True):

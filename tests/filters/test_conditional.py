@@ -18,10 +18,10 @@ from pfdist.errors import ArgumentError
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Work, with_truth
 from pfdist.filters import plain
-from pfdist.filters.draws import simulate
 from pfdist.filters.kalman import expected_mse
 from pfdist.filters.particle_filter import filter_checked_sets, filter_draws
 from pfdist.filters.settings import FilterSettings
+from pfdist.filters.simulation import simulate
 from pfdist.models import StateSpaceModel
 
 HORIZON, TIMES = 12, (2, 5, 6, 10)
@@ -45,7 +45,14 @@ def standard_errors(difference: Array) -> float:
     return float(difference.mean() / (difference.std(ddof=1) / math.sqrt(difference.size)))
 
 
-@pytest.mark.parametrize("model", [SLOW, system(1.0), system(0.003)], ids=["slow", "1", "0.003"])
+@pytest.mark.parametrize(
+    "model",
+    [
+        pytest.param(SLOW, id="slow"),
+        pytest.param(system(1.0), id="1", marks=pytest.mark.slow),
+        pytest.param(system(0.003), id="0.003", marks=pytest.mark.slow),
+    ],
+)
 @pytest.mark.parametrize("particles", [2, 4, 16, 100, 2000])
 def test_the_variance_is_the_squared_error_on_average_and_at_most_that_of_the_exact_filter(
     particles: int, model: StateSpaceModel
@@ -64,9 +71,9 @@ def test_the_variance_is_the_squared_error_on_average_and_at_most_that_of_the_ex
 @pytest.mark.parametrize(
     ("sd", "exact", "expected"),
     [
-        (1.0, 1.2578, (0.518, 1.071, 1.216, 1.250)),
         (0.1, 0.8318, (0.412, 0.749, 0.815, 0.828)),
-        (0.003, 0.8243, (0.410, 0.740, 0.807, 0.821)),
+        pytest.param(1.0, 1.2578, (0.518, 1.071, 1.216, 1.250), marks=pytest.mark.slow),
+        pytest.param(0.003, 0.8243, (0.410, 0.740, 0.807, 0.821), marks=pytest.mark.slow),
     ],
 )
 def test_it_has_the_expectation_of_an_independent_program(

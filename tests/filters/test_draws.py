@@ -10,7 +10,7 @@ from oracles.kalman import SCALAR, THREE
 from pfdist import StateSpaceModel, load_model
 from pfdist.errors import ModelError
 from pfdist.filters import plain
-from pfdist.filters.draws import simulate
+from pfdist.filters.simulation import simulate
 
 
 def test_compiled_and_plain_draws_are_the_same(ungm: StateSpaceModel) -> None:

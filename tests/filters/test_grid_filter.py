@@ -11,12 +11,19 @@ from numpy.typing import NDArray
 from oracles.grid import grid_filter
 from oracles.kalman import SCALAR, kalman_filter
 from pfdist import StateSpaceModel, load_model
-from pfdist.filters.draws import Draws, simulate
+from pfdist.filters.draws import Draws
 from pfdist.filters.particle_filter import filter_draws
+from pfdist.filters.simulation import simulate
 from pfdist.times.measurement_times import regular
 
 Array = NDArray[np.float64]
-NAMES = ["ungm", "ungm_gordon", "stochastic_volatility"]
+NAMES = [
+    "ungm",
+    *(
+        pytest.param(name, marks=pytest.mark.zoo)
+        for name in ("ungm_gordon", "stochastic_volatility")
+    ),
+]
 TIMES = regular(60, 21)
 POINTS = 800
 

@@ -16,7 +16,7 @@ from pfdist.errors import ModelError
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.filters import kalman
 from pfdist.filters.cloud import Gaussian
-from pfdist.filters.draws import simulate
+from pfdist.filters.simulation import simulate
 from pfdist.models import installed_models
 
 DECLARED = sorted(
@@ -119,7 +119,7 @@ def test_engine_kalman_evaluates_and_searches_exactly(small_job: Job, tmp_path: 
     model = load_model("random_walk")
     assert evaluation.expected_mse == kalman.expected_mse(model, 12, [(0, 4, 8)])[0]
     assert (evaluation.standard_error, evaluation.draws) == (0.0, 0)
-    run = pfdist.run(job, tmp_path / "run", pool="serial")
+    run = pfdist.run(job, tmp_path / "run", pool="serial", figures=False)
     rows = run.evaluations()
     exact = kalman.expected_mse(model, 12, [tuple(times) for times in rows["measurement_times"]])
     np.testing.assert_array_equal(rows["expected_mse"], exact)
@@ -157,6 +157,7 @@ def test_the_filter_must_know_the_truth() -> None:
         Evaluator(model, 12, filter_model=wrong, engine="kalman")
 
 
+@pytest.mark.slow
 def test_figures_in_numpy_agree_to_12_digits_under_the_names_of_other_processors():
     first, *others = map(figures_under, CORES)
     for other in others:

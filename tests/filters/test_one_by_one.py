@@ -15,9 +15,10 @@ from pfdist.errors import ModelError
 from pfdist.evaluation.engines import ENGINES
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation, Work
-from pfdist.filters.draws import Draws, simulate
-from pfdist.filters.particle_filter import filter_draws, filter_sets, filter_streams
-from pfdist.filters.settings import FilterSettings
+from pfdist.filters.draws import Draws
+from pfdist.filters.particle_filter import filter_draws, filter_sets
+from pfdist.filters.settings import FilterSettings, filter_streams
+from pfdist.filters.simulation import simulate
 from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.times.measurement_times import Times, regular
 

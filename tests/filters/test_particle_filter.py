@@ -13,9 +13,9 @@ from oracles.kalman import SCALAR, THREE, TRACKING, LinearGaussian, kalman_filte
 from pfdist import StateSpaceModel, where
 from pfdist.errors import MeasurementTimesError, ModelError
 from pfdist.filters import plain
-from pfdist.filters.draws import simulate
 from pfdist.filters.particle_filter import KERNEL_VERSION, filter_draws
 from pfdist.filters.settings import DTYPES, RESAMPLING
+from pfdist.filters.simulation import simulate
 from pfdist.times.measurement_times import regular
 
 HORIZON = 12
@@ -38,9 +38,17 @@ UNIFORM = StateSpaceModel(
 @pytest.mark.parametrize(
     ("model", "resampling"),
     [
-        *(("ungm", resampling) for resampling in RESAMPLING),
-        *(("three", resampling) for resampling in ("multinomial", "systematic")),
-        *(("uniform", resampling) for resampling in ("stratified", "residual")),
+        ("ungm", "multinomial"),
+        ("three", "systematic"),
+        *(
+            pytest.param(model, resampling, marks=pytest.mark.slow)
+            for model, resampling in (
+                *(("ungm", resampling) for resampling in RESAMPLING if resampling != "multinomial"),
+                ("three", "multinomial"),
+                ("uniform", "stratified"),
+                ("uniform", "residual"),
+            )
+        ),
     ],
 )
 def test_compiled_and_plain_filter_agree_draw_for_draw(
@@ -57,7 +65,14 @@ def test_compiled_and_plain_filter_agree_draw_for_draw(
 
 
 @pytest.mark.parametrize("times", TIMES.values(), ids=TIMES.keys())
-@pytest.mark.parametrize("system", [SCALAR, TRACKING, THREE], ids=["n1", "n2", "n3"])
+@pytest.mark.parametrize(
+    "system",
+    [
+        pytest.param(SCALAR, id="n1", marks=pytest.mark.slow),
+        pytest.param(TRACKING, id="n2"),
+        pytest.param(THREE, id="n3", marks=pytest.mark.slow),
+    ],
+)
 def test_a_linear_gaussian_model_gives_the_kalman_filter(
     system: LinearGaussian, times: tuple[int, ...]
 ) -> None:
@@ -112,7 +127,14 @@ def test_a_draw_does_not_depend_on_the_others_filtered_with_it(ungm: StateSpaceM
     np.testing.assert_array_equal(whole, np.concatenate(parts))
 
 
-@pytest.mark.parametrize("impossible", [-np.inf, np.inf, np.nan])
+@pytest.mark.parametrize(
+    "impossible",
+    [
+        -np.inf,
+        pytest.param(np.inf, marks=pytest.mark.slow),
+        pytest.param(np.nan, marks=pytest.mark.slow),
+    ],
+)
 def test_a_draw_is_degenerate_where_no_particle_explains_a_measurement(
     ungm: StateSpaceModel, impossible: float
 ) -> None:

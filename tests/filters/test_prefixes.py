@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from pfdist import StateSpaceModel, load_model, where
-from pfdist.filters.draws import simulate
 from pfdist.filters.particle_filter import filter_draws, filter_sets
+from pfdist.filters.simulation import simulate
 from pfdist.kernels.prefixes import plan
 
 HORIZON = 12
@@ -36,7 +36,7 @@ SETS = [*random_sets(40, seed=0), (), tuple(range(HORIZON + 1)), (12,), (0,), (1
     [
         ("ungm", "multinomial", "float64"),
         ("ungm", "systematic", "float32"),
-        ("bearings_only", "multinomial", "float64"),
+        pytest.param("bearings_only", "multinomial", "float64", marks=pytest.mark.slow),
     ],
 )
 def test_together_they_are_bit_for_bit_as_one_by_one(

@@ -11,9 +11,9 @@ import pytest
 
 from pfdist import load_model, where
 from pfdist.filters import particle_filter, plain
-from pfdist.filters.draws import simulate
 from pfdist.filters.particle_filter import filter_draws, filter_sets, sum_errors
 from pfdist.filters.settings import FilterSettings
+from pfdist.filters.simulation import simulate
 from pfdist.kernels.estimators import ESTIMATORS
 
 HORIZON, PARTICLES, STREAM = 12, 60, 5
@@ -23,11 +23,15 @@ UNGM, VELOCITY = load_model("ungm"), load_model("constant_velocity")
 
 
 engines = pytest.mark.parametrize("engine", [particle_filter, plain], ids=["compiled", "plain"])
+models = pytest.mark.parametrize(
+    "model",
+    [pytest.param(UNGM, id="ungm"), pytest.param(VELOCITY, id="velocity", marks=pytest.mark.slow)],
+)
 estimators = pytest.mark.parametrize("estimator", ESTIMATORS)
 
 
 @engines
-@pytest.mark.parametrize("model", [UNGM, VELOCITY], ids=["ungm", "constant_velocity"])
+@models
 @estimators
 def test_they_are_the_growth_of_the_errors_up_to_each_instant(engine, model, estimator):
     draws = simulate(model, HORIZON, range(3, 10), 1)
@@ -42,7 +46,7 @@ def test_they_are_the_growth_of_the_errors_up_to_each_instant(engine, model, est
         np.testing.assert_allclose(row[: end + 1], expected, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("model", [UNGM, VELOCITY], ids=["ungm", "constant_velocity"])
+@models
 @estimators
 def test_the_compiled_sums_are_the_plain_ones(model, estimator):
     draws, settings = simulate(model, HORIZON, range(9), 2), FilterSettings(70, estimator=estimator)

@@ -13,8 +13,8 @@ from pfdist import load_model
 from pfdist.checks.model import check_model
 from pfdist.errors import ModelError
 from pfdist.filters import plain
-from pfdist.filters.draws import simulate
 from pfdist.filters.particle_filter import filter_draws
+from pfdist.filters.simulation import simulate
 from pfdist.kernels.formulas import formula
 
 HORIZON = 6

@@ -74,8 +74,8 @@ def is_same(kept: Summary, now: Summary) -> bool:
     if isinstance(kept, str) or isinstance(now, str):
         return kept == now
     return all(
-        math.isclose(one, other, rel_tol=1e-10, abs_tol=1e-300)
-        for one, other in zip(kept, now, strict=True)
+        math.isclose(before, after, rel_tol=1e-10, abs_tol=1e-300)
+        for before, after in zip(kept, now, strict=True)
     )
 
 

@@ -7,8 +7,7 @@ import pytest
 from numba import njit
 from numpy import where as numpy_where
 
-from pfdist.errors import ModelError
-from pfdist.kernels.formulas import formula, formulas_of
+from pfdist.kernels.formulas import formula
 
 GRID = np.array([-2.0, -1.0, -0.5, 0.0, 1.0, 1.0, 4.0])
 VALUES = np.array([3.0, -1.0, math.inf, math.inf, 2.0, 5.0, 7.0])
@@ -58,11 +57,7 @@ def test_interpolation_is_numpys_on_any_increasing_grid():
 
 def test_a_table_of_another_length_is_an_error_and_no_figure():
     compiled = formula(lambda x: np.interp(x, GRID, ONE), "transition")
-    message = r"transition failed: ValueError: np\.interp needs as many fp as xp.*test_choices\.py"
-    with (
-        pytest.raises(ModelError, match=message),
-        formulas_of("mine", {"transition": lambda: None}),
-    ):
+    with pytest.raises(ValueError, match=r"np\.interp needs as many fp as xp"):
         compiled(0.3)
 
 

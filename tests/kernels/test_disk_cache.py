@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from numba import njit
@@ -28,7 +29,7 @@ def kept(factor, *more):
     def one_more(x):
         return compiled(x) + 1
 
-    return kept_on_disk(one_more, scaled, *more)
+    return kept_on_disk(one_more, [scaled], *more)
 
 
 def called(function, *arguments):
@@ -70,7 +71,12 @@ def test_another_function_or_other_arguments_are_compiled(folder):
 
 def test_what_cannot_be_told_is_compiled_in_each_process(folder):
     for _ in range(2):
-        assert called(kept(2.0, object()), 5.0) == (11.0, True)
+        scope: dict[str, Any] = {"compiled": njit(lambda x: 2.0 * x, forceinline=True)}
+        exec("def one_more(x): return compiled(x) + 1", scope)  # its source is not known
+        assert called(kept_on_disk(njit(scope["one_more"]), [scope["one_more"]]), 5.0) == (
+            11.0,
+            True,
+        )
     assert not folder.exists()
 
 
@@ -82,7 +88,7 @@ def fibonacci(n):
 def test_what_is_not_all_inlined_is_compiled_in_each_process(folder):
     # The symbols of what is left standing are told apart by a count, which is a process's own.
     for _ in range(2):
-        assert called(kept_on_disk(njit(lambda n: fibonacci(n) + 1)), 7) == (14, True)
+        assert called(kept_on_disk(njit(lambda n: fibonacci(n) + 1), []), 7) == (14, True)
     assert not list(folder.iterdir())
 
 
@@ -176,8 +182,8 @@ import json, sys
 from numba.core.event import install_recorder
 from pfdist import load_model
 from pfdist.filters import plain
-from pfdist.filters.draws import simulate
-from pfdist.kernels.fingerprint import fingerprint
+from pfdist.filters.simulation import simulate
+from pfdist.models.fingerprint import formulas_key
 
 told = []
 for file in sys.argv[1:]:
@@ -189,7 +195,7 @@ for file in sys.argv[1:]:
         "compiled": len(recorder.buffer) > 0,
         "fast": fast.x.ravel().tolist(),
         "slow": slow.x.ravel().tolist(),
-        "fingerprint": fingerprint(model.transition, model.initial),
+        "fingerprint": formulas_key("mine", model.formulas),
     })
 print(json.dumps(told))
 """

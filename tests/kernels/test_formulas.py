@@ -2,6 +2,7 @@
 
 import inspect
 import math
+import operator
 import re
 from itertools import count
 from math import cos as math_cos
@@ -14,7 +15,7 @@ from numpy import cos
 
 from pfdist import clip, where
 from pfdist.errors import CompileError, ModelError
-from pfdist.kernels.formulas import formula, formulas_of
+from pfdist.kernels.formulas import checks_indices, compiled_formulas, formula
 from pfdist.kernels.overloads import ELEMENTARY
 
 FACTOR = 0.25
@@ -173,20 +174,20 @@ def assert_told(error, function, reason):
     ids=["a function Numba lacks", "a dict"],
 )
 def test_what_numba_lacks_is_told_in_one_line_with_its_place(function, reason):
-    with pytest.raises(CompileError) as error, formulas_of("mine", {}):
+    with pytest.raises(CompileError) as error, compiled_formulas("mine", lambda: "it"):
         formula(function)(0.5)
     assert_told(error, function, reason)
 
 
 def test_the_line_at_fault_is_the_helpers():
-    with pytest.raises(CompileError) as error, formulas_of("mine", {}):
+    with pytest.raises(CompileError) as error, compiled_formulas("mine", lambda: "it"):
         formula(in_a_helper)(0.5)
     assert_told(error, reshaped, "reshape")
 
 
 @pytest.mark.parametrize("function", [misspelt, asserting])
 def test_a_misspelt_name_and_a_failed_assertion_are_the_models_fault(function):
-    with pytest.raises(ModelError), formulas_of("mine", {}):
+    with pytest.raises(ModelError), compiled_formulas("mine", lambda: "it"):
         formula(function)(0.5)
 
 
@@ -196,21 +197,125 @@ def raising(x):
     return x
 
 
+TABLE = np.array([1.0, 2.0, 3.0])
+SQUARE = np.arange(6.0).reshape(2, 3)
+
+
+@njit
+def compiled_look_up(k):
+    return TABLE[k]
+
+
+def written(k):
+    values = np.zeros(3)
+    values[k] = 1.0
+    return values[0]
+
+
 @pytest.mark.parametrize(
-    ("function", "reason"),
-    [(raising, "ValueError: x must not be positive"), (lambda x: PAIR[int(x)], "IndexError: .*?")],
-    ids=["raises", "index"],
+    ("function", "index"),
+    [
+        (lambda k: TABLE[k], 3),
+        (lambda k: TABLE[k], -4),
+        (lambda k: TABLE[k], 2**62),
+        (lambda k: TABLE[5] + k, 0),
+        (lambda k: TABLE[np.int64(k)], math.nan),
+        (lambda k: SQUARE[k, 0], 2),
+        (lambda k: SQUARE[k][0], 2),
+        (lambda k: SQUARE[k, :][0], 2),
+        (lambda k: TABLE[:k][2], 1),
+        (lambda k: TABLE[np.array([0, k])][0], 3),
+        (lambda k: PAIR[k], 2),
+        (lambda k: [1.0, 2.0][k], 2),
+        (lambda k: compiled_look_up(k), 3),  # noqa: PLW0108
+        (written, 3),
+    ],
 )
-def test_a_formula_that_raises_is_told_in_one_line(function, reason):
-    message = rf"^model mine: error failed: {reason} \(\S*test_formulas\.py:\d+\)$"
-    formulas = {"error": function}
-    with pytest.raises(ModelError, match=message) as error, formulas_of("mine", formulas):
-        formula(function, "error")(5.0)
-    assert not isinstance(error.value, CompileError)
+def test_an_index_outside_is_an_error_and_reads_no_foreign_memory(function, index):
+    with pytest.raises(IndexError):
+        formula(function)(index)
+
+
+def applied(function, k):
+    return function(k)
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        lambda k: applied(lambda i: TABLE[i], k),
+        lambda k: sum(map(lambda i: TABLE[i], (k, k))),  # noqa: C417
+        lambda k: TABLE.flat[k],
+        lambda k: operator.getitem(TABLE, k),
+        lambda k: np.take(SQUARE, k, axis=0)[0],
+        lambda k: np.take_along_axis(TABLE, np.array([k]), 0)[0],
+    ],
+    ids=["lambda", "map", "flat", "getitem", "take of an axis", "take_along_axis"],
+)
+def test_an_index_that_numba_does_not_check_is_not_compiled(function):
+    message = r"unsupported .*test_formulas\.py:\d+"
+    with pytest.raises(CompileError, match=message), compiled_formulas("mine", lambda: "it"):
+        formula(function)(0)
+
+
+def in_time(x, t, w, p):
+    return (p.rate[t] * x[0] + w[0],)
+
+
+def in_time_by_another_name(x, instant, w, p):
+    return (p.rate[instant] * x[0] + w[0],)
+
+
+def later(x, t, w, p):
+    t += 1
+    return (p.rate[t] * x[0] + w[0],)
+
+
+def matched(x, t, w, p):
+    match t + 1:
+        case t:
+            pass
+    return (p.rate[t] * x[0] + w[0],)
+
+
+def without_t(w, p):
+    return (p.rate[t] + w[0],)  # noqa: F821  a global variable
+
+
+def in_a_lambda(x, t, w, p):
+    return (sum(p.rate[t] for t in (t + 1,)),)
+
+
+@pytest.mark.parametrize(
+    ("function", "checked"),
+    [
+        (in_time, False),
+        (in_time_by_another_name, True),
+        (later, True),
+        (without_t, True),
+        (matched, True),
+        (in_a_lambda, True),
+        (lambda x, t, w, p: (x[0] + TABLE[t],), True),
+        (lambda x, t, w, p: (p.rate[t] + x[0],), False),
+        (lambda y, t: y[0], False),
+        (lambda y=TABLE: y[100], True),
+    ],
+)
+def test_only_a_parameter_at_t_needs_no_check(function, checked):
+    assert checks_indices(function) == checked
+
+
+def test_what_fails_in_compiled_code_alone_is_told_with_what_was_computed():
+    def again():
+        return "draw 7"
+
+    message = "^model mine: a compiled formula failed in draw 7: ValueError: no; it does not fail"
+    with pytest.raises(ModelError, match=message), compiled_formulas("mine", again):
+        raise ValueError("no")
 
 
 def test_what_is_no_formulas_fault_passes():
-    with pytest.raises(KeyboardInterrupt), formulas_of("mine", {}):
+    with pytest.raises(KeyboardInterrupt), compiled_formulas("mine", lambda: "it"):
         raise KeyboardInterrupt
 
 

@@ -38,7 +38,7 @@ def every_scheme_and_model() -> list[Case]:
 @pytest.mark.parametrize(
     ("cases", "most"),
     [
-        pytest.param(FEW, 2, id="the two most different"),
+        pytest.param(FEW, 2, id="the two most different", marks=pytest.mark.slow),
         pytest.param(every_scheme_and_model(), 4, id="all", marks=pytest.mark.crash),
     ],
 )

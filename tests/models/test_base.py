@@ -216,9 +216,3 @@ def test_wrong_names_are_told_in_one_line(names, words):
     assert words in str(caught.value)
     assert str(caught.value).startswith("model good: z_names: ")
     assert "\n" not in str(caught.value)
-
-
-def test_a_model_without_names_is_kept_as_older_versions_kept_it():
-    """A formula may reach a model; then these attributes are part of a run's identity."""
-    assert not {name for name in GOOD.__getstate__() if name.endswith("_names")}
-    assert "z_names" in dataclasses.replace(GOOD, z_names=("a", "b", "c")).__getstate__()

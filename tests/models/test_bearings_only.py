@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
-from pfdist.filters.draws import simulate
 from pfdist.filters.particle_filter import filter_draws
-from pfdist.models import find_model
+from pfdist.filters.simulation import simulate
+from pfdist.models import load_model
 
-MODEL = find_model("bearings_only").load()
+MODEL = load_model("bearings_only")
 KNOT = 1.852 / 60  # km a minute
 EAST, SOUTH = math.pi / 2, math.pi
 TURNING = {"observer_speed": 1.0, "first_course": EAST, "second_course": 0.0, "turn": 15.0}
@@ -88,6 +88,7 @@ def test_simulated_draws_have_the_moments_of_the_formulas():
     assert (np.abs(draws.y) <= np.pi).all()
 
 
+@pytest.mark.zoo
 def test_without_measurements_the_expected_mse_is_the_priors_variance():
     t, particles = np.arange(31), 500
     here = 29 - 25 * math.exp(-(math.radians(1.5) ** 2))

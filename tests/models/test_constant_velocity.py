@@ -6,12 +6,12 @@ from scipy import special, stats
 
 from oracles.kalman import LinearGaussian, kalman_filter
 from pfdist.errors import ModelError
-from pfdist.filters.draws import simulate
 from pfdist.filters.particle_filter import filter_draws
-from pfdist.models import find_model
+from pfdist.filters.simulation import simulate
+from pfdist.models import load_model
 from pfdist.times.measurement_times import regular
 
-MODEL = find_model("constant_velocity").load()
+MODEL = load_model("constant_velocity")
 STEP = np.array([[1 / 3, 1 / 2], [1 / 2, 1]])  # of white noise in continuous time, over a unit
 
 

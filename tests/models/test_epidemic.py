@@ -10,13 +10,13 @@ import pfdist
 from oracles.quadrature import quadrature_filter
 from pfdist import load_job
 from pfdist.errors import ModelError
-from pfdist.filters.draws import simulate
 from pfdist.filters.particle_filter import filter_draws
-from pfdist.models import find_model
+from pfdist.filters.simulation import simulate
+from pfdist.models import load_model
 from pfdist.models.epidemic import TESTS
 from pfdist.times.measurement_times import regular
 
-SOURCE = find_model("epidemic").load()
+SOURCE = load_model("epidemic")
 MODEL = SOURCE.on_clock(range(81))
 REPRODUCTION, DAYS, RETURN, SD = 2.2, 6.0, 20.0, 0.25
 MEAN = np.log(REPRODUCTION / DAYS)
@@ -97,17 +97,20 @@ def filtered():
     return draws, *quadrature_filter(CONSTANT, draws, TIMES)
 
 
+@pytest.mark.zoo
 def test_half_the_step_of_the_quadrature_changes_nothing():
     draws, mean, _ = filtered()
     fine, _ = quadrature_filter(CONSTANT, draws[:20], TIMES, points=301)
     np.testing.assert_allclose(mean[:20], fine, rtol=1e-3, atol=1e-4)
 
 
+@pytest.mark.zoo
 def test_the_exact_filters_mse_is_the_variance_it_believes():
     draws, mean, variance = filtered()
     assert_mean(np.mean((draws.z[:, :, 0] - mean) ** 2 - variance, axis=1), 0.0)
 
 
+@pytest.mark.zoo
 @pytest.mark.parametrize("particles", [500, 8000])
 def test_what_the_particle_filter_loses_is_its_distance_from_the_exact_mean(particles):
     # The exact mean's error is orthogonal to all that is computed from the measurements.
@@ -118,6 +121,7 @@ def test_what_the_particle_filter_loses_is_its_distance_from_the_exact_mean(part
     assert_mean(lost - np.mean((estimate[:, :, 0] - mean) ** 2, axis=1), 0.0)
 
 
+@pytest.mark.zoo
 def test_the_particle_filter_comes_near_the_exact_mean():
     # Particles without process noise do not recover, so this takes many more than a job.
     draws, mean, _ = filtered()
@@ -131,6 +135,7 @@ def test_the_particle_filter_comes_near_the_exact_mean():
     assert distances[1] < distances[0] / 4
 
 
+@pytest.mark.zoo
 def test_measurements_help():
     draws = simulate(MODEL, 80, range(1000), 1)
     nothing, some, everything = (
@@ -149,6 +154,7 @@ def test_a_parameter_has_its_range(name, value):
         MODEL.with_parameters({name: value})
 
 
+@pytest.mark.zoo
 def test_the_job_speaks_of_days(request):
     job = load_job(request.config.rootpath / "jobs" / "epidemic.toml")
     evaluation = pfdist.evaluate(job, [20, 40], draws=20, particles=20)

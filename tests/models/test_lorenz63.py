@@ -4,12 +4,12 @@ from scipy import stats
 from scipy.integrate import solve_ivp
 
 from pfdist.errors import ModelError
-from pfdist.filters.draws import simulate
 from pfdist.filters.particle_filter import filter_draws
-from pfdist.models import find_model
+from pfdist.filters.simulation import simulate
+from pfdist.models import load_model
 from pfdist.times.measurement_times import regular
 
-MODEL = find_model("lorenz63").load()
+MODEL = load_model("lorenz63")
 SIGMA, RHO, BETA = 10.0, 28.0, 8 / 3
 SUBSTEPS = 10
 START = np.array([1.508870, -1.531271, 25.46091])

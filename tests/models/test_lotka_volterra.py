@@ -4,12 +4,12 @@ from scipy import stats
 from scipy.integrate import solve_ivp
 
 from pfdist.errors import ModelError
-from pfdist.filters.draws import simulate
 from pfdist.filters.particle_filter import filter_draws
-from pfdist.models import find_model
+from pfdist.filters.simulation import simulate
+from pfdist.models import load_model
 from pfdist.times.measurement_times import regular
 
-MODEL = find_model("lotka_volterra").load()
+MODEL = load_model("lotka_volterra")
 BIRTH, PREDATION, DEATH = 0.5, 0.0025, 0.3
 SUBSTEPS = 10
 START = np.array([71.0, 79.0])
@@ -129,6 +129,7 @@ def test_log_likelihood_is_that_of_a_log_normal_count_up_to_a_constant(count):
     assert np.ptp(value - exact) < 1e-11
 
 
+@pytest.mark.zoo
 def test_measurements_help():
     draws = simulate(MODEL, 30, range(1000), 1)
     nothing, some, everything = (

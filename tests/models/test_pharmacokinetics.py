@@ -8,11 +8,11 @@ import pfdist
 from oracles.quadrature import quadrature_filter
 from pfdist import load_job
 from pfdist.errors import ModelError
-from pfdist.filters.draws import simulate
 from pfdist.filters.particle_filter import filter_draws
-from pfdist.models import find_model
+from pfdist.filters.simulation import simulate
+from pfdist.models import load_model
 
-SOURCE = find_model("pharmacokinetics").load()
+SOURCE = load_model("pharmacokinetics")
 DOSE, CLEARANCE, VOLUME, EXCHANGE, PERIPHERAL = 1000.0, 4.5, 20.0, 6.0, 40.0
 HOURS = (0, 0.25, 0.5, 1, 1.5, 2, 3, 4, 6, 8, 11, 14, 18, 24, 30, 36, 42, 48)
 MODEL = SOURCE.on_clock(HOURS)
@@ -94,6 +94,7 @@ def test_in_a_known_patient_it_is_a_random_walk_around_the_known_curve():
         assert_mean((z[:, t] - np.log(central / VOLUME)) ** 2, SAME["process_sd"] ** 2 * HOURS[t])
 
 
+@pytest.mark.slow
 def test_the_expected_mse_is_the_kalman_filters_weighted_by_trapezoids(tmp_path):
     # The filter of particles estimates an expected MSE that is known: the integral over 48 h of the
     # variance, by the trapezoidal rule. The mean over instants is another number.
@@ -122,17 +123,20 @@ def filtered():
     return draws, *quadrature_filter(PATIENTS, draws, TIMES)
 
 
+@pytest.mark.zoo
 def test_half_the_step_of_the_quadrature_changes_nothing():
     draws, mean, _ = filtered()
     fine, _ = quadrature_filter(PATIENTS, draws[:20], TIMES, points=301)
     np.testing.assert_allclose(mean[:20], fine, atol=1e-6)
 
 
+@pytest.mark.zoo
 def test_the_exact_filters_mse_is_the_variance_it_believes():
     draws, mean, variance = filtered()
     assert_mean(np.mean((draws.z[:, :, 0] - mean) ** 2 - variance, axis=1), 0.0)
 
 
+@pytest.mark.zoo
 @pytest.mark.parametrize("particles", [500, 8000])
 def test_what_the_particle_filter_loses_is_its_distance_from_the_exact_mean(particles):
     # The exact mean's error is orthogonal to all that is computed from the measurements.
@@ -143,6 +147,7 @@ def test_what_the_particle_filter_loses_is_its_distance_from_the_exact_mean(part
     assert_mean(lost - np.mean((estimate[:, :, 0] - mean) ** 2, axis=1), 0.0)
 
 
+@pytest.mark.zoo
 def test_the_particle_filters_estimate_converges_to_the_exact_mean():
     draws, mean, _ = filtered()
     distances = [
@@ -155,6 +160,7 @@ def test_the_particle_filters_estimate_converges_to_the_exact_mean():
     assert distances[1] < distances[0] / 4
 
 
+@pytest.mark.zoo
 def test_measurements_help():
     draws = simulate(MODEL, len(HOURS) - 1, range(1000), 1)
     nothing, some, everything = (

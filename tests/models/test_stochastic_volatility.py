@@ -5,12 +5,12 @@ import pytest
 from scipy import stats
 
 from pfdist.errors import ModelError
-from pfdist.filters.draws import simulate
 from pfdist.filters.particle_filter import filter_draws
-from pfdist.models import find_model
+from pfdist.filters.simulation import simulate
+from pfdist.models import load_model
 from pfdist.times.measurement_times import regular
 
-MODEL = find_model("stochastic_volatility").load()
+MODEL = load_model("stochastic_volatility")
 MU, PHI, SIGMA = -0.87, 0.98, 0.16
 VARIANCE = SIGMA**2 / (1 - PHI**2)  # stationary
 

@@ -3,12 +3,12 @@ import pytest
 from scipy import stats
 
 from pfdist.errors import ModelError
-from pfdist.filters.draws import simulate
 from pfdist.filters.particle_filter import filter_draws
-from pfdist.models import find_model
+from pfdist.filters.simulation import simulate
+from pfdist.models import load_model
 from pfdist.times.measurement_times import regular
 
-TRUTH = find_model("tumour").load()
+TRUTH = load_model("tumour")
 FILTER = TRUTH.with_parameters({"frequency_sd": 0.005})
 BOX = ((8.8, 24.0), (0.52, 0.84), (-5.8, 5.8))
 

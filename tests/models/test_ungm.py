@@ -5,9 +5,9 @@ import pytest
 from scipy import stats
 
 from pfdist.errors import ModelError
-from pfdist.models import find_model
+from pfdist.models import load_model
 
-MODEL = find_model("ungm").load()
+MODEL = load_model("ungm")
 
 
 # Paper, equation 9: x(t+1) = x(t)/2 + 25 x(t) / (1 + x(t)^2) + 8 cos(1.2 t) + w(t), w ~ N(0, 1).

@@ -5,12 +5,12 @@ import pytest
 from scipy import stats
 
 from pfdist.errors import ModelError
-from pfdist.filters.draws import simulate
 from pfdist.filters.particle_filter import filter_draws
-from pfdist.models import find_model
+from pfdist.filters.simulation import simulate
+from pfdist.models import load_model
 from pfdist.times.measurement_times import regular
 
-MODEL = find_model("ungm_gordon").load()
+MODEL = load_model("ungm_gordon")
 
 
 def assert_mean(values, expected):  # of independent values, within 4.5 standard errors

@@ -7,12 +7,12 @@ from scipy.linalg import cholesky, expm
 
 from oracles.kalman import LinearGaussian, kalman_filter, riccati_cost
 from pfdist.errors import ModelError
-from pfdist.filters.draws import simulate
 from pfdist.filters.particle_filter import filter_draws
-from pfdist.models import find_model
+from pfdist.filters.simulation import simulate
+from pfdist.models import load_model
 from pfdist.times.measurement_times import regular
 
-MODEL = find_model("xray_tumour").load()
+MODEL = load_model("xray_tumour")
 PACE = 2 * math.pi / 4.0  # radians a second
 SD = np.array([2.0, 5.0, 3.0])  # mm: lateral, longitudinal, vertical
 STATIONARY = np.kron(np.diag([1, PACE**2]), np.diag(SD**2))
@@ -115,6 +115,7 @@ def test_log_likelihood_is_that_of_the_measurement_up_to_a_constant(sd):
     assert np.ptp(MODEL.log_likelihood(tuple(y), x, 9, p) - exact) < 1e-11
 
 
+@pytest.mark.slow
 def test_without_measurements_the_expected_mse_is_the_variance():
     particles = 500
     mse = filter_draws(MODEL, simulate(MODEL, 48, range(5000), 3), (), particles, 1).mse

@@ -51,8 +51,8 @@ def hashes_under(name: str, cases: Sequence[Case], cache: Path) -> dict[str, str
 def _hashes(cases: Sequence[Case]) -> dict[str, str]:
     from oracles.clocked import with_clock
     from pfdist import load_model
-    from pfdist.filters.draws import simulate
     from pfdist.filters.particle_filter import filter_draws, filter_sets
+    from pfdist.filters.simulation import simulate
     from pfdist.kernels.estimators import ESTIMATORS
     from pfdist.models import squared_error
 

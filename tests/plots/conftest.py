@@ -27,8 +27,8 @@ def proved(tmp_path_factory: pytest.TempPathFactory) -> Run:
     changes = [*EXACT, "search.random.evaluations=3", "search.genetic.generations=1"]
     changes += ["online.draws=20", "problem.forbidden=[7, '9-10']"]
     run = pfdist.run(ROOT / "small.toml", folder, changes=changes, figures=False)
-    pfdist.bound(run.path, pool="serial", figures=False)
-    pfdist.why(run.path, figures=False)
+    pfdist.bound(run, pool="serial", figures=False)
+    pfdist.why(run, figures=False)
     return run
 
 

@@ -84,7 +84,9 @@ def test_costs_of_another_estimator_stand_beside_no_reference() -> None:
     assert axes.get_legend().get_title().get_text() == "filter variance"
 
 
-@pytest.mark.parametrize("reference", ["'regular'", "[0, 3, 9]"])
+@pytest.mark.parametrize(
+    "reference", ["[0, 3, 9]", pytest.param("'regular'", marks=pytest.mark.slow)]
+)
 def test_a_run_draws_a_panel_of_costs_for_each_way_to_estimate(
     reference: str, small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -74,6 +74,7 @@ def test_what_begins_under_a_guard_ends_with_it_and_nothing_else() -> None:
 
 
 @pytest.mark.fault
+@pytest.mark.usefixtures("hangup_ends_children")
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGHUP])
 def test_nothing_outlives_a_command_that_is_killed(
     number: signal.Signals, record_property: Callable[[str, object], None]

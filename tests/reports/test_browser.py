@@ -43,7 +43,7 @@ def reports(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     file.write_text((Path(__file__).parents[1] / "small.toml").read_text())
     job = load_job(file, [*SMALL, "search=[{method='genetic', generations=1}]"])
     plan = pfdist.run(job, folder / "plan", bound_draws=480)
-    pfdist.why(plan.path)
+    pfdist.why(plan)
     pfdist.budget(job, (3, 5), folder / "budget", draws=60)
     pfdist.online(job, folder / "online", draws=20)
 

@@ -76,7 +76,7 @@ def test_it_says_what_the_summary_says_in_a_sentence(exact: Job, tmp_path: Path)
 def test_it_has_the_sampling_windows_of_every_set(exact: Job, tmp_path: Path) -> None:
     run = pfdist.run(exact, tmp_path / "run", figures=False)
     assert "sampling window" not in _report(run).text
-    found = pfdist.why(run.path, figures=False)
+    found = pfdist.why(run, figures=False)
     seen = _report(run)
     assert "A sampling window holds the instants" in seen.text
     assert "Sampling windows of genetic." in seen.text  # the title of the figure
@@ -162,7 +162,8 @@ def test_errors_that_are_unknown_are_said(small_job: Job, tmp_path: Path) -> Non
         "walk = load_model('random_walk')\n"
         "model = replace(walk, quantity_of_interest=lambda x, t, p: (1e200 * x[0],))\n"
     )
-    changes = ["model.name=far.py:model", "comparison.draws=30", "search.genetic.generations=1"]
+    changes = ["model.name=far.py:model", "filter.engine=numpy", "comparison.draws=30"]
+    changes += ["evaluation.draws=5"]
     search = "search=[{method='random', evaluations=3}]"
     try:
         run = pfdist.run(

@@ -212,7 +212,8 @@ OWN = ["[model]", 'name = "other.py:model"']
 
 
 def test_what_numba_cannot_compile_is_computed_in_numpy_with_one_warning(tmp_path: Path) -> None:
-    job = job_with(tmp_path, *OWN, **NEEDS_NUMPY)
+    few = ["evaluation.draws=3", "comparison.draws=10", "search.genetic.generations=1"]
+    job = job_with(tmp_path, *OWN, **NEEDS_NUMPY).with_changes(few)
     says = (
         r"(?s)cannot be compiled by Numba: .*reshape.*other\.py:\d+.*NumPy instead, about 100 times"
     )
@@ -226,6 +227,7 @@ def test_what_numba_cannot_compile_is_computed_in_numpy_with_one_warning(tmp_pat
         )
     assert run.comparison().equals(knowing.comparison())
     compilable = job_with(tmp_path, *OWN, formula="np.minimum(np.maximum(0.5 * x[0], -9), 9)")
+    compilable = compilable.with_changes(few)
     compiled = pfdist.run(compilable, tmp_path / "compiled", figures=False)
     np.testing.assert_allclose(run.comparison(), compiled.comparison(), rtol=1e-9)
 
@@ -236,6 +238,7 @@ def test_a_job_may_insist_on_compiling(tmp_path: Path) -> None:
         build(job)
 
 
+@pytest.mark.slow
 def test_ray_workers_load_what_the_driver_has_compiled(tmp_path: Path, ray_cluster: None) -> None:
     def kept() -> dict[str, int]:
         return {file.name: file.stat().st_ino for file in disk_cache._folder().iterdir()}

@@ -53,9 +53,8 @@ def provenance(path: Path) -> dict[str, object]:
     return found
 
 
-def test_the_processor_stands_in_the_provenance(small_job: Job, tmp_path: Path) -> None:
-    pfdist.run(small_job, tmp_path / "run", figures=False)
-    found = provenance(tmp_path / "run")
+def test_the_processor_stands_in_the_provenance(small_run: pfdist.Run) -> None:
+    found = provenance(small_run.path)
     assert found["processor"] == processor.processor()
     assert set(processor.processor()) == {"compiled_for", "model"}
     assert all(processor.processor().values())

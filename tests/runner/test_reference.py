@@ -35,12 +35,6 @@ PAID = {"horizon": 12, "cost": [1] * 6 + [2] * 7, "total_cost": 7}
             "nearest to regular times of the sets with the most measurements "
             "(N = 6, spends 7 of 7)",
         ),
-        (
-            PAID,
-            "regular",
-            (0, 2, 4, 8, 12),  # as runs had it that took the largest number of regular times
-            "a set near to regular times (N = 5, spends 7 of 7)",
-        ),
         (COUNTED, "reference", (1, 2), "the set that comparison.reference names (N = 2)"),
     ],
 )
@@ -76,7 +70,7 @@ def test_any_set_is_compared_under_its_name_in_tables_summary_figures_and_why(
     assert f"  breaks                {broken[0]}\n" in text
     assert "  against reference     " in text
     assert "regular" not in text
-    assert main(["why", str(run.path), "--draws", "20"]) == 0
+    assert main(["why", str(run.path / "job.toml"), "--draws", "20"]) == 0
     assert "reference: expected MSE " in capsys.readouterr().out
 
 

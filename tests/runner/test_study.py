@@ -1,19 +1,13 @@
 """Studies: each names the sets that it compares, and finds a set for each of these names."""
 
-from pathlib import Path
-
 import pytest
 
 import pfdist
-from pfdist import Job, load_job
-from pfdist.cli.main import main
+from pfdist import Job
 from pfdist.errors import JobError
 from pfdist.evaluation.estimate import Purpose
-from pfdist.runner.build import build
-from pfdist.runner.study import BudgetStudy, Study, study_of
-from pfdist.search import SearchOptimiser, StateSpaceRelaxation
+from pfdist.runner.study import Study, study_of
 from pfdist.search.methods import DEFAULT_METHOD, METHODS
-from pfdist.search.section import SearchSection
 from pfdist.times.measurement_times import Times
 
 PLAN = {"search": [{"method": DEFAULT_METHOD, "polish": False}]}
@@ -75,39 +69,9 @@ def test_the_draws_that_chose_a_number_do_not_prove_it(small_job: Job) -> None:
 
 
 @pytest.mark.parametrize("method", sorted({*METHODS} - {DEFAULT_METHOD}))
-def test_a_budget_study_by_another_method_is_refused_when_it_is_built(
-    method: str, small_job: Job
-) -> None:
-    """Not when it is read: a run of an older version may have it."""
+def test_a_budget_study_by_another_method_is_refused(method: str, small_job: Job) -> None:
     section = {"method": method, "polish": False}
-    job = small_job.with_changes(sections=BUDGET | {"search": [section]})
-    words = rf"budget needs a search of method '{DEFAULT_METHOD}', got '{method}' \(.*small.toml\)$"
+    words = rf"budget needs one search of method '{DEFAULT_METHOD}', got {method} \(.*small.toml\)$"
     with pytest.raises(JobError, match=words) as error:
-        build(job)
+        small_job.with_changes(sections=BUDGET | {"search": [section]})
     assert "\n" not in str(error.value)
-
-
-def test_a_run_of_a_budget_study_by_another_method_can_still_be_read(
-    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Older versions had a survivor programme for all measurement budgets."""
-
-    def optimiser(study: BudgetStudy, section: SearchSection, draws: int) -> SearchOptimiser:
-        return StateSpaceRelaxation(study.widest, draws, sought=tuple(study.budgets))
-
-    search = [{"method": "survivors", "polish": False, "evaluation": {"draws": 20}}]
-    sections = BUDGET | {"search": search, "budget": {"least": 2, "most": 3}}
-    job = small_job.with_changes(["comparison.draws=30"], sections=sections)
-    with monkeypatch.context() as older:
-        older.setattr(BudgetStudy, "optimiser", optimiser)
-        path = pfdist.run(job, tmp_path / "run", figures=False).path
-    run = pfdist.open_run(path)
-    assert run.job["search"][0]["method"] == "survivors"
-    found = {"survivors_02", "survivors_03"}
-    assert found < set(run.sets())
-    assert found < set(run.summary()["results"])
-    assert found < set(run.budget()["name"])
-    assert load_job(path / "job.toml").identity() == job.identity()
-    assert main(["status", str(path)]) == 0
-    with pytest.raises(JobError, match=f"budget needs a search of method '{DEFAULT_METHOD}'"):
-        pfdist.bound(path, figures=False)

@@ -20,9 +20,10 @@ from pfdist.errors import (
 )
 from pfdist.evaluation.engines import ENGINES
 from pfdist.filters.cloud import Gaussian
-from pfdist.filters.draws import Draws, simulate
+from pfdist.filters.draws import Draws
 from pfdist.filters.interface import Filtered
 from pfdist.filters.settings import FilterSettings
+from pfdist.filters.simulation import simulate
 from pfdist.sequential.beliefs import PREDICTIVE
 from pfdist.sequential.filter import LAST, SUSPICIOUS
 
@@ -30,6 +31,10 @@ HORIZON, TIMES = 20, (0, 3, 4, 9, 12, 18)
 LEVELS = (0.05, 0.5, 0.9)
 HALF_LOG_2_PI = math.log(2 * math.pi) / 2
 LARGEST_Z = 4.0  # standard errors
+# The compiled filter is compared with the filter in NumPy once; to compile another one is slow.
+NOT_COMPILED = [
+    pytest.param(engine, marks=[pytest.mark.slow] * (engine == "compiled")) for engine in ENGINES
+]
 
 SENSORS = StateSpaceModel(  # two sensors of a random walk, either of which may fail
     name="sensors",
@@ -116,7 +121,7 @@ def test_it_equals_the_batch_filter_draw_for_draw(
         _check_equal(filtering, draws, batch[d], d, range(HORIZON + 1))
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("engine", NOT_COMPILED)
 def test_to_start_from_the_batch_filters_cloud_and_go_on_is_never_to_have_stopped(
     ungm: StateSpaceModel, engine: str
 ) -> None:
@@ -214,7 +219,7 @@ def test_a_prediction_does_not_move_the_filter(ungm: StateSpaceModel) -> None:
         assert asked.now is same
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("engine", NOT_COMPILED)
 def test_a_component_that_is_missing_is_as_if_there_were_no_such_sensor(engine: str) -> None:
     y = simulate(SENSORS, HORIZON, range(1), 7).y[0]
     both, alone = (Filter(model, 60, engine=engine) for model in (SENSORS, FIRST_SENSOR))
@@ -256,7 +261,11 @@ def _surprises(believed: StateSpaceModel, truth: StateSpaceModel, engine: str) -
 
 @pytest.mark.parametrize(
     ("model", "engine"),
-    [("ungm", "compiled"), (FIRST_SENSOR, "kalman"), (COIN, "compiled")],
+    [
+        ("ungm", "compiled"),
+        (FIRST_SENSOR, "kalman"),
+        pytest.param(COIN, "compiled", marks=pytest.mark.slow),
+    ],
     ids=["ungm", "kalman", "coin"],
 )
 def test_the_surprise_is_uniform_if_the_model_is_right(model: Any, engine: str) -> None:

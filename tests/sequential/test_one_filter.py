@@ -7,8 +7,8 @@ import oracles.kalman
 from pfdist import StateSpaceModel
 from pfdist.errors import MeasurementsError
 from pfdist.evaluation.engines import ENGINES
-from pfdist.filters.draws import simulate
 from pfdist.filters.settings import FilterSettings
+from pfdist.filters.simulation import simulate
 from pfdist.sequential.one_filter import begin
 
 HORIZON, TIMES = 20, (0, 3, 6, 9, 12, 15, 18)

@@ -12,8 +12,8 @@ from pfdist.evaluation.estimate import SearchEvaluation
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation
 from pfdist.filters.cloud import Cloud
-from pfdist.filters.draws import simulate
 from pfdist.filters.settings import FilterSettings
+from pfdist.filters.simulation import simulate
 from pfdist.job.online_section import PLANNING
 from pfdist.search.methods import METHODS
 from pfdist.sequential.one_filter import begin

@@ -61,11 +61,13 @@ def test_a_run_lies_in_a_folder_of_any_name(name: str, small_job: Job, say: Say)
     assert "finished" in say("status", "--", fork)
 
 
-@pytest.mark.parametrize("name", ["exp:1", os.fsdecode(b"a\xffb")])
+@pytest.mark.parametrize(
+    "name", [os.fsdecode(b"a\xffb"), pytest.param("exp:1", marks=pytest.mark.slow)]
+)
 def test_figures_are_drawn_into_a_folder_of_any_name(name: str, small_job: Job, say: Say) -> None:
     say("run", str(small_job.path), f"--results={name}", "--set", *SMALL)
     say("plot", name)
-    assert f"{name}/figures/why-genetic.png" in say("why", name, "--draws", "20")
+    assert f"{name}/figures/why-genetic.png" in say("why", f"{name}/job.toml", "--draws", "20")
     assert Path(name, "figures", "why-genetic.png").exists()
 
 

@@ -1,12 +1,13 @@
-"""Additions that a user makes from outside the package, without touching a file of it.
+"""Additions of one file each.
 
-A scratch package declares additions, and its metadata names them as entry points, as an installed
-package does.
+A scratch package declares a search and a model, and its metadata names them as entry points, as an
+installed package does. Files with other additions are laid into a scratch copy of the package.
 """
 
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -71,22 +72,22 @@ model = StateSpaceModel(
     linear_gaussian=True,
 )
 """,
-    "figures": """
+}
+# Each declares an addition, and breaks the contract of such additions in one way.
+BROKEN = {
+    "search/broken.py": WORKING["searches"]
+    .replace("shifted", "broken")
+    .replace("Candidate(times)", "Candidate(times[::-1])"),
+    "plots/broken.py": """
 from pfdist.plots.figure import Plot, figure
 
 
-@figure("spacing", each_set=True)
-def spacing(tables, name):
-    '''Numbers of instants between the measurements of a set.'''
-    times = tables.run.compared().set_index("name")["measurement_times"][name]
-    title = f"The longest gap of {name} is {max(times[1:] - times[:-1])} instants."
-
-    def draw(panels):
-        panels[0].plot(times[:-1], times[1:] - times[:-1], "o")
-
-    return Plot(2.0, draw, title=title)
+@figure("broken")
+def broken(tables):
+    '''Nothing at all.'''
+    return Plot(2.0, lambda panels: None)
 """,
-    "pools": """
+    "pools/kinds/broken.py": """
 from concurrent.futures import ThreadPoolExecutor
 
 from pfdist.pools.base import do
@@ -108,44 +109,13 @@ class ThreadPool:
         self.threads.shutdown()
 
     def run(self, tasks):
-        for task in tasks:
+        for task in [*tasks][1:]:
             yield self.threads.submit(do, self.function, task).result()
 
 
-POOLS.declare("thread", PoolKind("Thread", "on a thread", "added.pools:ThreadPool"))
+POOLS.declare("broken", PoolKind("Thread", "on a thread", f"{__name__}:ThreadPool"))
 """,
-    "commands": """
-from pfdist.cli.arguments import add_run
-from pfdist.cli.command import command
-
-
-@command("times", add_run)
-def times(options):
-    '''List the measurement times of a run.'''
-    from pfdist.analysis import open_run
-
-    for name, result in open_run(options.run).summary()["results"].items():
-        print(name, *result["measurement_times"])
-""",
-}
-# Each declares an addition, and breaks the contract of such additions in one way.
-BROKEN = {
-    "searches": WORKING["searches"]
-    .replace("shifted", "broken")
-    .replace("Candidate(times)", "Candidate(times[::-1])"),
-    "figures": """
-from pfdist.plots.figure import Plot, figure
-
-
-@figure("broken")
-def broken(tables):
-    '''Nothing at all.'''
-    return Plot(2.0, lambda panels: None)
-""",
-    "pools": WORKING["pools"]
-    .replace('"thread"', '"broken"')
-    .replace("in tasks", "in [*tasks][1:]"),
-    "commands": """
+    "cli/commands/broken.py": """
 from pfdist.cli.command import command
 
 
@@ -155,10 +125,10 @@ def broken(options):
 """,
 }
 CONTRACTS = {
-    "searches": ("test_optimiser.py", "test_it_asks_for_sorted_sets"),
-    "figures": ("test_figure.py", "test_it_is_drawn_into"),
-    "pools": ("test_pool.py", "test_every_task_has_one_outcome"),
-    "commands": ("test_command.py", "test_every_argument_is_described"),
+    "test_optimiser.py": "test_it_asks_for_sorted_sets",
+    "test_figure.py": "test_it_is_drawn_into",
+    "test_pool.py": "test_every_task_has_one_outcome",
+    "test_command.py": "test_every_argument_is_described",
 }
 JOB = """
 seed = 1
@@ -178,7 +148,7 @@ draws = 20
 [comparison]
 draws = 40
 [execution]
-pool = "thread"
+pool = "serial"
 """
 
 Environment = dict[str, str]
@@ -202,77 +172,47 @@ def _install(additions: Mapping[str, str], site: Path) -> Environment:
     return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, paths))}
 
 
-def _python(installed: Environment, *words: object) -> Done:
+def _python(environment: Environment, *words: object, folder: Path = ROOT) -> Done:
     return subprocess.run(
         [sys.executable, "-m", *map(str, words)],
-        env=installed, cwd=ROOT, capture_output=True, text=True, check=False, timeout=600,
+        env=environment, cwd=folder, capture_output=True, text=True, check=False, timeout=600,
     )  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def installed(tmp_path_factory: pytest.TempPathFactory) -> Environment:
-    return _install(WORKING, tmp_path_factory.mktemp("working") / "site")
-
-
-@pytest.fixture(scope="module")
-def run(installed: Environment, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Done]:
-    """A run with everything that the package adds."""
-    folder = tmp_path_factory.mktemp("run")
-    (folder / "mine.toml").write_text(JOB)
-    command = ("pfdist", "run", folder / "mine.toml", "--json", "--results", folder / "run")
-    done = _python(installed, *command)
+def test_a_model_and_a_search_of_an_installed_package_are_run(tmp_path: Path) -> None:
+    installed = _install(WORKING, tmp_path / "site")
+    (tmp_path / "mine.toml").write_text(JOB)
+    command = ("run", tmp_path / "mine.toml", "--json", "--results", tmp_path / "run")
+    done = _python(installed, "pfdist", *command)
     assert done.returncode == 0, done.stderr
-    return folder / "run", done
-
-
-def test_a_model_and_a_search_of_an_installed_package_are_run(run: tuple[Path, Done]) -> None:
-    results = json.loads(run[1].stdout)["results"]
+    results = json.loads(done.stdout)["results"]
     assert results["shifted"]["measurement_times"][1:3] in ([4, 8], [5, 9])
 
 
-def test_a_pool_of_an_installed_package_computes_a_run(run: tuple[Path, Done]) -> None:
-    assert "Thread is ready: 1 worker in " in run[1].stderr
-
-
-def test_a_figure_of_an_installed_package_is_drawn_beside_the_others(
-    run: tuple[Path, Done],
-) -> None:
-    names = {file.name for file in (run[0] / "figures").iterdir()}
-    assert {"spacing-shifted.png", "spacing-shifted.svg", "cost.svg"} <= names
-
-
-def test_a_command_of_an_installed_package_is_called_and_helps(
-    run: tuple[Path, Done], installed: Environment
-) -> None:
-    done = _python(installed, "pfdist", "times", run[0])
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("regular 0 4 8 12\nshifted ")
-    text = _python(installed, "pfdist", "--help").stdout
-    assert re.search(r"^ +times +List the measurement times of a run\.$", text, re.MULTILINE)
-    assert "thread, on a thread" in " ".join(
-        _python(installed, "pfdist", "run", "-h").stdout.split()
-    )
-
-
+@pytest.mark.slow
 def test_an_addition_that_breaks_its_contract_fails_the_tests_by_its_name(tmp_path: Path) -> None:
-    installed = _install(BROKEN, tmp_path / "site")
-    files = [f"tests/contracts/{file}" for file, _ in CONTRACTS.values()]
-    tests = " or ".join(test for _, test in CONTRACTS.values())
-    options = ("-n", "0", "-p", "no:cacheprovider", "-k", f"broken and ({tests})")
-    done = _python(installed, "pytest", *options, *files)
+    for name in ("pfdist", "tests"):
+        ignored = shutil.ignore_patterns("__pycache__")
+        shutil.copytree(ROOT / name, tmp_path / name, ignore=ignored)
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    for file, text in BROKEN.items():
+        (tmp_path / "pfdist" / file).write_text(text)
+    options = ("-n", "0", "-p", "no:cacheprovider")
+    tests = " or ".join(CONTRACTS.values())
+    files = [f"tests/contracts/{file}" for file in CONTRACTS]
+    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+    command = ("pytest", *options, "-k", f"broken and ({tests})", *files)
+    done = _python(environment, *command, folder=tmp_path)
     failed = re.findall(r"^FAILED \S*/(\w+\.py)::(\w+)\[(\S+)\]", done.stdout, re.MULTILINE)
-    assert {file for file, _, _ in failed} == {file for file, _ in CONTRACTS.values()}, done.stdout
+    assert {file for file, _, _ in failed} == set(CONTRACTS), done.stdout
     assert {name.partition("-")[0] for _, _, name in failed} == {"broken"}
 
 
-@pytest.mark.parametrize("group", ["searches", "figures", "pools", "commands"])
-def test_an_addition_that_cannot_be_loaded_is_named_in_one_line(group: str, tmp_path: Path) -> None:
-    installed = _install({group: "import nothing_of_this_name"}, tmp_path / "site")
-    words = {"commands": ("--help",), "figures": ("plot", "tests/assets/schema-2")}
-    line = ("evaluate", "tests/small.toml", "--times", "0,3")
-    done = _python(installed, "pfdist", *words.get(group, line))
+def test_a_search_that_cannot_be_loaded_is_named_in_one_line(tmp_path: Path) -> None:
+    installed = _install({"searches": "import nothing_of_this_name"}, tmp_path / "site")
+    done = _python(installed, "pfdist", "evaluate", "tests/small.toml", "--times", "0,3")
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr == (
-        f"pfdist: cannot load 'mine', which an installed package adds to pfdist.{group} as "
-        f"added.{group}: ModuleNotFoundError: No module named 'nothing_of_this_name'\n"
+        "pfdist: cannot load 'mine', which an installed package adds to pfdist.searches as "
+        "added.searches: ModuleNotFoundError: No module named 'nothing_of_this_name'\n"
     )

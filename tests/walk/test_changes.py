@@ -38,7 +38,7 @@ MEAN_OF_BOTH = """
 import numpy as np
 from pfdist import load_model
 from pfdist.evaluation.engines import ENGINES
-from pfdist.filters.draws import simulate
+from pfdist.filters.simulation import simulate
 from pfdist.filters.settings import FilterSettings
 
 model = load_model("random_walk")
@@ -81,6 +81,7 @@ def _run(copy: Path, *changes: str) -> pd.DataFrame:
     return pd.read_parquet(results / "tables" / "evaluations")
 
 
+@pytest.mark.slow
 def test_an_estimator_needs_its_record_alone(copy: Path) -> None:
     file = copy / "kernels" / "estimators.py"
     file.write_text(file.read_text() + ESTIMATOR)
@@ -89,6 +90,7 @@ def test_an_estimator_needs_its_record_alone(copy: Path) -> None:
     assert "half_of_each" in set(rows["estimator"])  # a probe may refute it
 
 
+@pytest.mark.slow
 def test_a_column_of_the_evaluations_needs_its_declaration_alone(copy: Path) -> None:
     file = copy / "store" / "schema.py"
     last = '        _column("degenerate_draws", pa.int32(), "", "of them, degenerate"),\n'

@@ -5,7 +5,7 @@ from dataclasses import fields
 from typing import Any
 
 from pfdist.cli.answers import print_json
-from pfdist.cli.arguments import add_json, add_models, add_run, count, finite, pool_options, whole
+from pfdist.cli.arguments import add_job_of_run, add_json, count, finite, pool_options, whole
 from pfdist.cli.bound_lines import proof_lines
 from pfdist.cli.command import command
 from pfdist.cli.layout import line, paragraph
@@ -66,20 +66,19 @@ def _add_settings(parser: ArgumentParser) -> None:
     )
 
 
-_add_pool = pool_options("ray", "0", "local")
+_add_pool = pool_options(*(f"execution.{key} of the job" for key in ("pool", "workers", "address")))
 
 
 @command(
     "bound",
-    add_run,
+    add_job_of_run,
     _add_settings,
     _add_pool,
-    add_models,
     add_json,
     goes_on=True,
     examples={
-        "pfdist bound results/plan": "Prove a lower bound for the times of a finished run",
-        "pfdist bound results/plan --within 0.05": "Take draws until the gap is at most 5 %",
+        "pfdist bound jobs/plan.toml": "Prove a lower bound for the times of a finished run",
+        "pfdist bound jobs/plan.toml --within 0.05": "Take draws until the gap is at most 5 %",
     },
 )
 def bound_command(options: Namespace) -> None:
@@ -91,13 +90,13 @@ def bound_command(options: Namespace) -> None:
     settings = {field.name: getattr(options, field.name) for field in fields(BoundSettings)}
     with Display() as display:
         found = bound(
-            options.run,
+            options.job,
             BoundSettings(**settings),
+            results=options.results,
+            changes=options.set,
             pool=options.pool,
             workers=options.workers,
             address=options.address,
-            model=options.model,
-            filter_model=options.filter_model,
             progress=display.show,
             say=display.say,
         )

@@ -8,22 +8,20 @@ from pfdist.cli.command import command
 from pfdist.cli.words import time_list
 from pfdist.errors import ModelError
 
-_HORIZON, _PARTICLES = 60, 500
-
 
 def _add_model(parser: ArgumentParser) -> None:
     parser.add_argument(
         "name",
         metavar="MODEL",
-        help="name of a model as a job gives it, for instance path/file.py:object",
+        help="name of a model as a job gives it, for instance path/file.py:object; or a job file, "
+        "whose models are checked",
     )
     length = parser.add_mutually_exclusive_group()
     length.add_argument(
         "--horizon",
         type=count,
-        default=_HORIZON,
         metavar="T",
-        help=f"last instant of the draws (default: {_HORIZON})",
+        help="last instant of the draws (default: that of the job, or 60)",
     )
     length.add_argument(
         "--times",
@@ -35,9 +33,8 @@ def _add_model(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--particles",
         type=count,
-        default=_PARTICLES,
         metavar="P",
-        help=f"number of particles (default: {_PARTICLES})",
+        help="number of particles (default: that of the job, or 500)",
     )
 
 
@@ -48,16 +45,17 @@ def _add_model(parser: ArgumentParser) -> None:
     examples={
         "pfdist check-model mine.py:model": "Check the object `model` in the file mine.py",
         "pfdist check-model ungm --horizon 20": "Check a model that ships, on short draws",
+        "pfdist check-model jobs/plan.toml": "Check the models of a job, with its parameters",
         "pfdist check-model mine.py:model --times 0:12:0.5 14 18 24": "Check a model on a clock",
     },
 )
 def check_model_command(options: Namespace) -> None:
     """Find what is wrong with a model."""
-    from pfdist.checks.model import check_model
+    from pfdist.api.check_model import checks_of
     from pfdist.times.written import clock_of
 
     times = clock_of(options.times).times if options.times else ()
-    checks = check_model(options.name, options.horizon, options.particles, times=times)
+    checks = checks_of(options.name, options.horizon, options.particles, times)
     wrong = print_checks(checks, options)
     if wrong:
         raise ModelError(f"{options.name}: wrong: {', '.join(wrong)}")

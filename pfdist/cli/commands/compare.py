@@ -3,24 +3,19 @@
 from argparse import ArgumentParser, Namespace
 
 from pfdist.cli.answers import print_run
-from pfdist.cli.arguments import add_changes, add_json, add_models, computing, whole
+from pfdist.cli.arguments import RESULTS, add_job, add_json, computing, whole
 from pfdist.cli.command import command
 from pfdist.cli.words import add_named_times, sets_by_name
 
 
 def _add_sets(parser: ArgumentParser) -> None:
     parser.add_argument(
-        "first",
-        metavar="JOB_OR_RUN",
-        help="job file, or folder of a finished run, which gives the problem; all sets of the run, "
-        "or those that the job names in [comparison.sets], are compared, too",
-    )
-    parser.add_argument(
         "runs",
         nargs="*",
         default=[],
         metavar="RUN",
-        help="folders of further runs whose sets are compared",
+        help="folders of finished runs, which are only read; their sets are compared, too, beside "
+        "those that the job names in [comparison.sets]",
     )
     add_named_times(
         parser,
@@ -37,17 +32,16 @@ def _add_sets(parser: ArgumentParser) -> None:
 
 @command(
     "compare",
+    add_job,
     _add_sets,
-    add_changes,
-    computing("results/<name of the job or run>-compare", fork=False),
-    add_models,
+    computing(f"{RESULTS}-compare", fork=False),
     add_json,
     goes_on=True,
     examples={
         "pfdist compare jobs/plan.toml --times clinic=0,20,40,60 --times mine=0:60:3": (
             "Compare two hand-made sets on the same draws"
         ),
-        "pfdist compare results/plan --times mine=0:60:3 --results results/mine": (
+        "pfdist compare jobs/plan.toml results/plan --times a=0:20 --results results/a": (
             "Compare a set with those of a finished run"
         ),
     },
@@ -60,13 +54,11 @@ def compare_command(options: Namespace) -> None:
 
     with Display() as display:
         finished = compare(
-            options.first,
+            options.job,
             *options.runs,
             times=sets_by_name(options.times),
             draws=options.draws,
             changes=options.set,
-            model=options.model,
-            filter_model=options.filter_model,
             **settings(options, display),
         )
     print_run(finished.summary(), options)

@@ -5,13 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from pfdist.cli.answers import print_json
-from pfdist.cli.arguments import (
-    add_json,
-    add_measurements,
-    add_models,
-    add_no_report,
-    add_run,
-)
+from pfdist.cli.arguments import add_job_of_run, add_json, add_measurements, add_no_report
 from pfdist.cli.command import command
 from pfdist.cli.layout import line, wrapped_lines
 from pfdist.common.rounding import rounded
@@ -32,33 +26,32 @@ def _add_out(parser: ArgumentParser) -> None:
 
 @command(
     "filter",
-    add_run,
+    add_job_of_run,
     add_measurements,
     _add_out,
-    add_models,
     add_no_report,
     add_json,
     examples={
-        "pfdist filter results/plan patient.csv": "Filter the measurements of one system",
-        "pfdist filter results/plan patient.csv --planned regular --out filtered": (
+        "pfdist filter jobs/plan.toml patient.csv": "Filter the measurements of one system",
+        "pfdist filter jobs/plan.toml patient.csv --planned regular --out filtered": (
             "Compare them with the regular times, and write to another folder"
         ),
     },
 )
 def filter_command(options: Namespace) -> None:
-    """Filter real measurements of one system, with the filter of a finished run."""
+    """Filter real measurements of one system, with the filter of a job."""
     from pfdist.api.display import Display
     from pfdist.api.filter_measurements import filter_measurements
 
     with Display() as display:
         answer = filter_measurements(
-            options.run,
+            options.job,
             options.measurements,
             planned=options.planned,
             prior=options.prior,
             out=options.out,
-            model=options.model,
-            filter_model=options.filter_model,
+            results=options.results,
+            changes=options.set,
             report=not options.no_report,
             say=display.say,
         ).as_json()

@@ -1,22 +1,21 @@
 """The command ``pfdist models``."""
 
-import ast
 from argparse import Namespace
+from importlib import import_module
 
 from pfdist.cli.command import command
-from pfdist.errors import PfdistError
 
 
 @command("models", examples={"pfdist models": "Show which names a job can give as model.name"})
 def models_command(options: Namespace) -> None:
     """List the models that a job can name."""
-    from pfdist.models import find_model, installed_models
+    from pfdist.models import installed_models
 
-    names = sorted(installed_models())
-    width = max(map(len, names))
-    for name in names:
+    models = installed_models()
+    width = max(map(len, models))
+    for name in sorted(models):
         try:
-            docstring = ast.get_docstring(ast.parse(find_model(name).text)) or ""
-        except (PfdistError, SyntaxError) as error:
-            docstring = f"cannot be loaded: {error}"
-        print(f"{name:{width}}  {docstring.partition(chr(10))[0]}".rstrip())
+            description = import_module(models[name][0]).__doc__ or ""
+        except Exception as error:  # a package that was installed beside pfdist
+            description = f"cannot be loaded: {type(error).__name__}: {error}"
+        print(f"{name:{width}}  {description.partition(chr(10))[0]}".rstrip())

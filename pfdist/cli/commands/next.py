@@ -4,7 +4,7 @@ from argparse import ArgumentParser, Namespace
 from typing import Any
 
 from pfdist.cli.answers import print_json
-from pfdist.cli.arguments import add_json, add_measurements, add_models, add_run, decimal
+from pfdist.cli.arguments import add_job_of_run, add_json, add_measurements, decimal
 from pfdist.cli.command import command
 from pfdist.cli.layout import line, wrapped_lines
 from pfdist.common.percent import cost
@@ -26,14 +26,13 @@ def _add_now(parser: ArgumentParser) -> None:
 
 @command(
     "next",
-    add_run,
+    add_job_of_run,
     add_measurements,
     _add_now,
-    add_models,
     add_json,
     examples={
-        "pfdist next results/plan patient.csv": "Say when to measure this patient next",
-        "pfdist next results/plan patient.csv --now 17": (
+        "pfdist next jobs/plan.toml patient.csv": "Say when to measure this patient next",
+        "pfdist next jobs/plan.toml patient.csv --now 17": (
             "Say so if nothing was measured since, up to t = 17"
         ),
     },
@@ -45,13 +44,13 @@ def next_command(options: Namespace) -> None:
 
     with Display() as display:
         answer = next_time(
-            options.run,
+            options.job,
             options.measurements,
             now=options.now,
             planned=options.planned,
             prior=options.prior,
-            model=options.model,
-            filter_model=options.filter_model,
+            results=options.results,
+            changes=options.set,
             say=display.say,
         ).as_json()
     if options.json:

@@ -15,7 +15,7 @@ from pfdist.errors import StoreError, one_line
 )
 def verify_command(options: Namespace) -> None:
     """Check every byte, row and key of a run."""
-    from pfdist.store.repair import verify_run
+    from pfdist.store.repair import run_again, verify_run
 
     path = Path(options.run)
     damages = list(verify_run(path))
@@ -26,10 +26,9 @@ def verify_command(options: Namespace) -> None:
         return
     if all(damage.is_missing for damage in damages):
         raise StoreError(
-            f"{path}: missing files: {len(damages)}. Run the job again with --results {path} to "
-            "recompute them"
+            f"{path}: missing files: {len(damages)}. To recompute them, {run_again(path)}"
         )
     raise StoreError(
         f"{path}: problems found: {len(damages)}. Run `pfdist repair {path}` to move the damaged "
-        "files to quarantine, then run the job again to recompute them"
+        "files to quarantine; it says how to recompute them"
     )

@@ -5,7 +5,7 @@ from argparse import ArgumentParser, Namespace
 from typing import Any
 
 from pfdist.cli.answers import print_json
-from pfdist.cli.arguments import add_json, add_models, add_run, whole
+from pfdist.cli.arguments import add_job_of_run, add_json, whole
 from pfdist.cli.command import command
 from pfdist.common.percent import cost
 from pfdist.common.rounding import with_error
@@ -31,13 +31,13 @@ def _add_draws(parser: ArgumentParser) -> None:
 
 @command(
     "why",
-    add_run,
+    add_job_of_run,
     _add_draws,
-    add_models,
     add_json,
     examples={
-        "pfdist why results/plan": "Show what each measurement of the run is worth",
-        "pfdist why results/plan --draws 20000": "Show it more precisely",
+        "pfdist why jobs/plan.toml": "Show what each measurement of the plan is worth",
+        "pfdist why jobs/plan.toml --draws 20000": "Show it more precisely",
+        "pfdist why results/plan/job.toml": "Ask about a run by the job that it keeps",
     },
 )
 def why_command(options: Namespace) -> None:
@@ -48,10 +48,10 @@ def why_command(options: Namespace) -> None:
 
     with Display() as display:
         answer = why(
-            options.run,
+            options.job,
             options.draws,
-            model=options.model,
-            filter_model=options.filter_model,
+            results=options.results,
+            changes=options.set,
             progress=display.show,
             say=display.say,
         ).as_json()
@@ -60,7 +60,7 @@ def why_command(options: Namespace) -> None:
         return
     drawn = f"on {answer['draws']:,} fresh draws; ± standard error"
     precision = drawn if answer["draws"] else "exact"
-    lines, found = list[str](), open_run(options.run).found
+    lines, found = list[str](), open_run(answer["run"]).found
     for name, examined in answer["sets"].items():
         lines += _set_lines(name, examined, precision)
         lines += [*_window_lines(examined, is_found=name in found), ""]

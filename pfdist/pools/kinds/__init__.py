@@ -1,8 +1,7 @@
 """The pools that a job can name. Each is declared in one file.
 
 A declaration names the pool's class as text, and the class is imported when a pool is made. So to
-list the pools imports no Ray. An installed package adds pools by entry points of the group
-``pfdist.pools``.
+list the pools imports no Ray.
 """
 
 import pkgutil
@@ -58,4 +57,4 @@ class PoolKind:
         return pool
 
 
-POOLS: Registry[PoolKind] = Registry(__name__, "pfdist.pools")
+POOLS: Registry[PoolKind] = Registry(__name__)

@@ -6,7 +6,6 @@ from typing import Any
 import pandas as pd
 import tomli_w
 
-import pfdist
 from pfdist.analysis import read_recorded
 from pfdist.reports.parts import Code, Facts, Section, Text
 from pfdist.reports.subject import Subject, number_of, without_folder
@@ -53,28 +52,21 @@ def tables(subject: Subject) -> Section:
 
 def citation(subject: Subject) -> Section:
     """Say how to cite the method and the program."""
-    version = read_recorded(subject.run.path)[0].get("pfdist", pfdist.__version__)
+    version = subject.run.version
     told = "Please cite the paper whose method pfdist implements, and the program."
     return Section("How to cite", [Text(told), Code(_CITE.format(version=version))])
 
 
 def _versions(about: dict[str, Any]) -> list[tuple[str, str]]:
-    provenance = about.get("provenance", {})
-    libraries = ", ".join(f"{k} {v}" for k, v in _section(provenance, "libraries").items())
-    processor = _section(provenance, "processor")
-    facts = [
-        ("pfdist", f"{about.get('pfdist', 'unknown')}, kernel {about.get('kernel', 'unknown')}"),
-        ("Python and libraries", f"Python {provenance.get('python', 'unknown')}, {libraries}"),
-        ("processor", f"{processor.get('model', 'unknown')} ({processor.get('compiled_for', '')})"),
-        ("started", str(provenance.get("started", "unknown"))),
+    provenance = about["provenance"]
+    libraries = ", ".join(f"{name} {version}" for name, version in provenance["libraries"].items())
+    processor = provenance["processor"]
+    return [
+        ("pfdist", f"{about['pfdist']}, kernel {about['kernel']}"),
+        ("Python and libraries", f"Python {provenance['python']}, {libraries}"),
+        ("processor", f"{processor['model']} ({processor['compiled_for']})"),
+        ("started", provenance["started"]),
     ]
-    return [(str(name), str(value)) for name, value in facts]
-
-
-def _section(provenance: dict[str, Any], name: str) -> dict[str, Any]:
-    """Give a section of run.json; an empty one if it is damaged, or if an older run lacks it."""
-    section = provenance.get(name)
-    return section if isinstance(section, dict) else {}
 
 
 def _work(subject: Subject) -> list[tuple[str, str]]:
@@ -100,8 +92,8 @@ def _identity(
 ) -> list[tuple[str, str]]:
     return [
         ("seed", str(job["seed"])),
-        ("engine", str(about.get("engine", job["filter"]["engine"]))),
-        ("identity of the run", run_key(subject.run.path) or "none: an older run"),
+        ("engine", about["engine"]),
+        ("identity of the run", str(run_key(subject.run.path))),
     ]
 
 

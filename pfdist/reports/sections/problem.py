@@ -28,7 +28,7 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
     yield "system", _model(job["model"])
     if job["model"].get("filter", {}).get("name"):
         yield "model of the filter", _model(job["model"]["filter"])
-    yield from _named_components(read_recorded(subject.run.path)[0].get("model"))
+    yield from _named_components(read_recorded(subject.run.path)[0]["model"])
     yield "instants", _instants(subject)
     yield from _weights(asked, subject.run.problem)
     yield "measurements", _measurements(job)
@@ -53,10 +53,10 @@ def _model(section: Mapping[str, Any]) -> str:
     return f"{name} ({changed})" if changed else name
 
 
-def _named_components(meaning: Any) -> Iterator[tuple[str, str]]:
+def _named_components(meaning: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Give the names and units of z and y, where the model of the run has them."""
     for key, what in (("z_names", "quantity of interest"), ("y_names", "what is measured")):
-        if isinstance(meaning, Mapping) and meaning.get(key):
+        if meaning.get(key):
             yield what, str(meaning[key])
 
 

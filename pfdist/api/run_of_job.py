@@ -1,0 +1,130 @@
+"""The run of a job: its folder, and a finished run about which somebody asks a question."""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from pfdist.analysis import Run, open_run
+from pfdist.api.following import Say
+from pfdist.common.arguments import path_argument
+from pfdist.errors import ArgumentError, StoreError
+from pfdist.job.asked import Asked, as_job
+from pfdist.job.job import Job
+from pfdist.runner.build import Built, build, say_model_files
+from pfdist.runner.identity import check_same_job, check_same_models
+from pfdist.search.methods import DEFAULT_METHOD
+from pfdist.store import folder_of_run, holds_run
+
+_AS_DEFAULT: Mapping[str, Any] = MappingProxyType({})
+PLANNED = "-plan"
+"""Ending of the folder of a plan, if the job lists searches, whose run has the folder without."""
+
+
+def folder_of(job: Job, results: str | Path | None, ending: str = "") -> Path:
+    """Give the folder of a job's run.
+
+    Parameters
+    ----------
+    job : Job
+    results : str, Path or None
+        The folder that the user names.
+    ending : str
+        The end of the folder's name, after the name of the job's run.
+    """
+    if results is not None:
+        return path_argument("results", results)
+    own = folder_of_run(job.path)
+    return own.with_name(f"{own.name}{ending}")
+
+
+def searched_by(method: str) -> dict[str, Any]:
+    """Give the sections of a job that takes one search, in the place of those that it lists."""
+    return {"search": [{"method": method}]}
+
+
+def finished_run(run: Run | str | Path) -> Run:
+    """Give a run that is finished.
+
+    Parameters
+    ----------
+    run : Run, str or Path
+        A run or its folder.
+
+    Raises
+    ------
+    StoreError
+        The folder holds no finished run.
+    """
+    opened = open_run(run.path if isinstance(run, Run) else run)
+    if opened.state != "finished":
+        raise StoreError(
+            f"{opened.path} is not finished ({opened.state}): run its job on first, "
+            f"`pfdist run {opened.path / 'job.toml'}`"
+        )
+    return opened
+
+
+def asked_run(
+    asked: Asked | Run,
+    results: str | Path | None,
+    changes: Iterable[str],
+    say: Say,
+    execution: Mapping[str, Any] = _AS_DEFAULT,
+) -> tuple[Run, Built]:
+    """Give the finished run of a job, and the job with its models, for a question about the run.
+
+    Parameters
+    ----------
+    asked : Problem, Job, str, Path or Run
+        A problem, a job, or the path of a job file; or a run that this process made of one.
+    results : str, Path or None
+        Folder of the run. By default it is the folder where `pfdist.run` and `pfdist.plan` put the
+        run of the job. If a job that lists searches has been planned but not run, it is the plan.
+    changes : iterable of str
+        Changes ``key=value`` of the job.
+    say : callable
+        Receives a line for each model file before the file is run.
+    execution : mapping, optional
+        Values of keys of [execution].
+
+    Raises
+    ------
+    ArgumentError
+        The run was opened from its folder, which holds no model.
+    StoreError
+        There is no finished run of the job, or the run is of another job or of other models.
+    ModelError
+        A model cannot be loaded.
+    """
+    if isinstance(asked, Run):
+        if asked.made_from is None:
+            raise ArgumentError(
+                f"a run that was opened from its folder holds no model, got {asked.path}: give the "
+                f"job, for instance {str(asked.path / 'job.toml')!r}",
+                argument="job",
+            )
+        results, asked = asked.path if results is None else results, asked.made_from
+    job = as_job(asked)
+    path, sections = folder_of(job, results), _AS_DEFAULT
+    if not holds_run(path):
+        planned = folder_of(job, results, PLANNED)
+        if not (job.names_its_searches and holds_run(planned)):
+            raise _no_run(job, results)
+        path, sections = planned, searched_by(DEFAULT_METHOD)
+    job = as_job(asked, changes, sections, {"execution": execution})
+    run = finished_run(path)
+    check_same_job(path, run.job, job)
+    say_model_files([job], say)
+    built = build(job.with_changes(sections=run.job))  # with the draws of the run
+    check_same_models(path, built)
+    return run, built
+
+
+def _no_run(job: Job, results: str | Path | None) -> StoreError:
+    """Make the error that says where a run was sought, and which command makes it."""
+    command, endings = ("run", ("", PLANNED)) if job.names_its_searches else ("plan", ("",))
+    sought = dict.fromkeys(str(folder_of(job, results, ending)) for ending in endings)
+    option = "" if results is None else f" --results {results}"
+    call = f"`pfdist {command} {job.path}{option}`" if job.is_file else f"pfdist.{command}(problem)"
+    return StoreError(f"there is no run of this job in {' or '.join(sought)}: {call} makes it")

@@ -1,0 +1,138 @@
+"""Simulate draws by one compiled function, fused from the formulas of a model."""
+
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from pfdist.filters import plain
+from pfdist.filters.cloud import Cloud
+from pfdist.filters.draws import Draws, begun, check_finite
+from pfdist.kernels.components import naming, reader, writer
+from pfdist.kernels.disk_cache import kept_on_disk
+from pfdist.kernels.formulas import compiled_formulas, formula
+from pfdist.kernels.libm import libm_functions, makes_arrays
+from pfdist.kernels.noise import TRUTH_INITIAL, TRUTH_MEASUREMENT, TRUTH_PROCESS, filler
+from pfdist.kernels.scratch import WithScratch
+from pfdist.models import StateSpaceModel
+from pfdist.models.parameters import flat_parameters, parameter_names
+
+_FORMULAS = ("initial", "transition", "measurement", "quantity_of_interest")
+_TOGETHER = 64  # draws that are simulated side by side, with a few vectors of noise
+
+
+def simulate(
+    model: StateSpaceModel, horizon: int, index: range, stream: int, prior: Cloud | None = None
+) -> Draws:
+    """Simulate some draws of a stream.
+
+    Parameters
+    ----------
+    model : StateSpaceModel
+    horizon : int
+        T.
+    index : range
+        The consecutive indices of the draws. A draw does not depend on the other draws.
+    stream : int
+        Key of the noise, 64 bits.
+    prior : Cloud, optional
+        Particles of x(s), from which the draws start at s in the place of `initial`.
+
+    Returns
+    -------
+    Draws
+
+    Raises
+    ------
+    ModelError
+        A formula cannot be compiled or failed, or gave a value that is not finite.
+    PriorError
+        The prior does not fit the model or the horizon.
+    """
+    draws = begun(model, horizon, index, stream, prior)
+    flat, at = flat_parameters(model.parameters, horizon + 1), np.zeros(1, np.int64)
+
+    def again() -> str:
+        """Simulate in NumPy the draws that failed."""
+        first = index[at[0] : at[0] + _TOGETHER]
+        plain.simulate(model, horizon, first, stream, prior)
+        return f"the simulation of draws {first.start} to {first.stop - 1}"
+
+    with compiled_formulas(model.name, again):
+        given = np.uint64(stream), index.start, draws.start, prior is not None, flat
+        compiled_simulation(model)(*given, (draws.x, draws.y, draws.z), at)
+    check_finite(model, draws, stream)
+    return draws
+
+
+def compiled_simulation(model: StateSpaceModel) -> WithScratch:
+    """Give the compiled function that simulates draws of a model; see `pfdist.filters.draws`."""
+    return _compile(
+        (model.initial, model.transition, model.measurement, model.quantity_of_interest),
+        (model.initial_noise, model.process_noise, model.measurement_noise),
+        model.components,
+        parameter_names(model.parameters),
+    )
+
+
+def libm_of_simulation(model: StateSpaceModel) -> tuple[str, ...]:
+    """Functions of the C library that the compiled simulation calls; see `libm_functions`.
+
+    The simulation must have been called before.
+    """
+    return libm_functions(compiled_simulation(model).compiled)
+
+
+def simulation_makes_arrays(model: StateSpaceModel) -> bool:
+    """Whether the compiled simulation, which was called before, makes arrays for each particle."""
+    return makes_arrays(compiled_simulation(model).compiled)
+
+
+@lru_cache(maxsize=32)
+def _compile(
+    functions: tuple[Callable[..., Any], ...],
+    noise: tuple[tuple[str, ...], ...],
+    components: tuple[int, int, int],
+    parameters: tuple[str, ...],
+) -> WithScratch:
+    initial, transition, measurement, quantity = map(formula, functions, _FORMULAS)
+    fill_w0, fill_w, fill_v = (filler(kinds, of_draws=True) for kinds in noise)
+    read_w0, read_w, read_v = (reader(len(kinds), "c, i") for kinds in noise)
+    read_x = reader(components[0], "d, t, c")
+    write_x, write_y, write_z = (writer(count, "d, t, c") for count in components)
+    rows = max(map(len, noise))
+    named = naming(parameters)
+
+    @njit(nogil=True, error_model="numpy", _nrt=False)
+    def simulate_draws(stream, first, start, begun, parameters, noise, drawn, at):  # type: ignore[no-untyped-def]
+        p, (x, y, z) = named(parameters), drawn
+        for begin in range(0, x.shape[0], _TOGETHER):
+            at[0] = begin
+            draw, count = first + begin, min(_TOGETHER, x.shape[0] - begin)
+            if not begun:
+                fill_w0(noise, count, stream, draw, np.int64(0), TRUTH_INITIAL)
+                for i in range(count):
+                    write_x(x, begin + i, 0, initial(read_w0(noise, i), p))
+            for k in range(x.shape[1]):
+                t = start + k
+                fill_v(noise, count, stream, draw, t, TRUTH_MEASUREMENT)
+                for i in range(count):
+                    state = read_x(x, begin + i, k)
+                    write_y(y, begin + i, k, measurement(state, t, read_v(noise, i), p))
+                    write_z(z, begin + i, k, quantity(state, t, p))
+                if k + 1 == x.shape[1]:
+                    break
+                fill_w(noise, count, stream, draw, t, TRUTH_PROCESS)
+                for i in range(count):
+                    following = transition(read_x(x, begin + i, k), t, read_w(noise, i), p)
+                    write_x(x, begin + i, k + 1, following)
+
+    compiled = kept_on_disk(simulate_draws, functions, noise, components, parameters)
+
+    def with_scratch(*arguments: Any) -> None:
+        *given, drawn, at = arguments
+        compiled(*given, np.empty((rows, _TOGETHER), np.float32), drawn, at)
+
+    return WithScratch(compiled, with_scratch)

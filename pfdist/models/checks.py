@@ -1,0 +1,246 @@
+"""Checks of a model as soon as it is made: of its fields, and of its formulas.
+
+Each formula is called once on arrays of two particles. This gives the numbers of components, and
+finds mistakes such as a missing comma or `return`.
+"""
+
+import contextlib
+import inspect
+import keyword
+import math
+from pathlib import PurePosixPath
+from typing import Any
+
+import numpy as np
+
+from pfdist.errors import ModelError, shown
+from pfdist.models.mistakes import is_interrupt, place_of, place_of_function, remedy, told
+from pfdist.models.parameters import Parameter, values_of_parameter
+
+NOISE_KINDS = ("normal", "uniform")
+ARGUMENTS = {
+    "initial": ("w", "p"),
+    "transition": ("x", "t", "w", "p"),
+    "measurement": ("x", "t", "v", "p"),
+    "log_likelihood": ("y", "x", "t", "p"),
+    "quantity_of_interest": ("x", "t", "p"),
+    "error": ("z", "estimate", "t", "p"),
+}
+"""Names of a model's formulas, and of their arguments."""
+_PARTICLES = 2
+_ONE_NUMBER = {
+    "log_likelihood": "one number a particle",
+    "error": "one number for z and its estimate",
+}
+
+
+# --- fields ---------------------------------------------------------------------------------------
+
+
+def check_fields(model: Any) -> None:
+    """Refuse fields of a model that are wrong before any formula is called.
+
+    Parameters
+    ----------
+    model : StateSpaceModel
+
+    Raises
+    ------
+    ModelError
+        A formula does not take its arguments, a kind of noise is unknown, a data file lies outside
+        the folder, or a parameter has a wrong name or value. The message names the field.
+    """
+    for name, arguments in ARGUMENTS.items():
+        _check_signature(model, name, arguments)
+    for name in ("initial_noise", "process_noise", "measurement_noise"):
+        _check_noise(model, name)
+    _check_data_files(model)
+    for name in model.parameter_ranges:
+        if name not in model.parameters:
+            raise ModelError(
+                f"model {model.name}: parameter_ranges must name parameters, got {name!r}; "
+                f"parameters: {', '.join(model.parameters) or 'none'}"
+            )
+    for name, value in model.parameters.items():
+        _check_parameter(model, name, value)
+
+
+def _check_signature(model: Any, name: str, arguments: tuple[str, ...]) -> None:
+    function = getattr(model, name)
+    expected = f"model {model.name}: {name} must be a function of ({', '.join(arguments)})"
+    if not inspect.isfunction(function):
+        raise ModelError(f"{expected}, got {function!r}")
+    signature = inspect.signature(function)
+    try:
+        signature.bind(*arguments)
+    except TypeError as error:
+        place = place_of_function(function)
+        raise ModelError(f"{expected}, got {signature}{place}") from error
+
+
+def _check_noise(model: Any, name: str) -> None:
+    kinds = getattr(model, name)
+    if not isinstance(kinds, tuple) or any(kind not in NOISE_KINDS for kind in kinds):
+        allowed = " or ".join(map(repr, NOISE_KINDS))
+        raise ModelError(
+            f"model {model.name}: {name} must be a tuple of {allowed}, an entry for each "
+            f"component, got {kinds!r}"
+        )
+
+
+def _check_data_files(model: Any) -> None:
+    files = model.data_files
+    if not isinstance(files, tuple) or not all(map(is_in_folder, files)):
+        raise ModelError(
+            f"model {model.name}: data_files must be a tuple of names relative to the folder of "
+            f"the model's file, and in it, got {files!r}"
+        )
+
+
+def _check_parameter(model: Any, name: str, value: Parameter) -> None:
+    if not name.isidentifier() or name.startswith("_") or keyword.iskeyword(name):
+        raise ModelError(
+            f"model {model.name}: the name of a parameter must be that of a variable, got {name!r}"
+        )
+    low, high = model.parameter_ranges.get(name, (-math.inf, math.inf))
+    for number in values_of_parameter(value):
+        if isinstance(number, bool) or not isinstance(number, int | float):
+            raise ModelError(
+                f"model {model.name}: parameter {name} must be a number, or a sequence of "
+                f"numbers, one for each instant, got {shown(value)}"
+            )
+        if not (math.isfinite(number) and low <= number <= high):
+            raise ModelError(
+                f"model {model.name}: parameter {name} must be a finite number in "
+                f"{low:g}..{high:g}, got {number!r}"
+            )
+
+
+def is_in_folder(name: Any) -> bool:
+    """Whether a name is a path relative to a folder that stays in this folder."""
+    if not isinstance(name, str):
+        return False
+    path = PurePosixPath(name)
+    return (
+        bool(path.parts) and "\0" not in name and not path.is_absolute() and ".." not in path.parts
+    )
+
+
+# --- formulas -------------------------------------------------------------------------------------
+
+
+def count_components(model: Any, p: Any) -> tuple[int, int, int]:
+    """Give the numbers of components of x, y and z, by calling every formula once.
+
+    Parameters
+    ----------
+    model : StateSpaceModel
+    p : named tuple
+        The parameters as formulas read them.
+
+    Raises
+    ------
+    ModelError
+        A formula fails, or gives values of a wrong kind or number.
+    """
+    with np.errstate(all="ignore"):
+        x = _call(model, "initial", _variates(model.initial_noise), p)
+        following = _call(model, "transition", x, 0, _variates(model.process_noise), p)
+        if len(following) != len(x):
+            raise ModelError(
+                f"model {model.name}: transition must give as many components as initial, "
+                f"{len(x)}, got {len(following)}"
+            )
+        y = _call(model, "measurement", x, 0, _variates(model.measurement_noise), p)
+        z = _call(model, "quantity_of_interest", x, 0, p)
+        _call(model, "log_likelihood", y, x, 0, p)
+        _call(model, "error", z, z, 0, p)
+    return len(x), len(y), len(z)
+
+
+def _variates(kinds: tuple[str, ...]) -> tuple[Any, ...]:
+    return tuple(np.full(_PARTICLES, 0.5) for _ in kinds)
+
+
+def _call(model: Any, name: str, *arguments: Any) -> Any:
+    """Give the value of a formula, after checking it."""
+    formula = getattr(model, name)
+    try:
+        value = formula(*arguments)
+    except BaseException as error:  # a formula may raise any exception
+        if is_interrupt(error):
+            raise
+        raise ModelError(
+            f"model {model.name}: {name} failed on arrays: {told(error)}"
+            f"{_advice(model, name, arguments, error)}{place_of(error)}"
+        ) from error
+    wrong = _wrong_kind(name, value) or _wrong_shape(value)
+    if wrong:
+        place = place_of_function(formula)
+        raise ModelError(f"model {model.name}: {name} must give {wrong}{place}")
+    return value
+
+
+def _advice(model: Any, name: str, arguments: tuple[Any, ...], error: BaseException) -> str:
+    """Say what to write instead, with the sizes that only the model knows."""
+    if "tuple index out of range" in str(error):
+        sizes = [
+            f"{argument} has {len(value)}"
+            for argument, value in zip(ARGUMENTS[name], arguments, strict=True)
+            if argument != "p" and isinstance(value, tuple)
+        ]
+        return f"; numbers of components: {', '.join(sizes)}, and the first is [0]"
+    if "'Parameters' object" in str(error):
+        return f"; parameters: {', '.join(model.parameters) or 'none'}"
+    return remedy(error)
+
+
+def _wrong_kind(name: str, value: Any) -> str:
+    """Say which kind of value a formula must give, and which it gave; empty if it is right."""
+    if name in _ONE_NUMBER:
+        right = _is_number(value)
+        return "" if right else f"{_ONE_NUMBER[name]}, got {_described(value)}"
+    if isinstance(value, tuple) and value and all(map(_is_number, value)):
+        return ""
+    return f"a tuple of components, even of a single component: (a,), got {_described(value)}"
+
+
+def _wrong_shape(value: Any) -> str:
+    for number in value if isinstance(value, tuple) else (value,):
+        if np.shape(number) not in ((), (_PARTICLES,)):
+            return (
+                f"a number or an array of {_PARTICLES} for {_PARTICLES} particles, got an array of "
+                f"shape {np.shape(number)}: is a tuple used as a component, w in place of w[0]?"
+            )
+    return ""
+
+
+def _is_number(value: Any) -> bool:
+    """Whether a value is a number or an array of numbers."""
+    return not isinstance(value, tuple | list) and np.asarray(value).dtype.kind in "fiub"
+
+
+def _described(value: Any) -> str:
+    """Describe a wrong value, and what it lacks."""
+    if value is None:
+        return "None: is there no `return`?"
+    if isinstance(value, list):
+        return "a list: write (a, b) in place of [a, b]"
+    if isinstance(value, tuple):
+        wrong = next((entry for entry in value if not _is_number(entry)), None)
+        if wrong is None:
+            return f"{'an empty' if not value else 'a'} tuple"
+        return f"a tuple that contains {_kind(wrong)}"
+    return _kind(value)
+
+
+def _kind(value: Any) -> str:
+    if isinstance(value, tuple | list):
+        return f"a {type(value).__name__}"
+    with contextlib.suppress(TypeError, ValueError):
+        kind = np.asarray(value).dtype.kind
+        if kind == "c":
+            return "complex numbers"
+        if kind in "fiub":
+            return "an array" if np.ndim(value) else "a number"
+    return type(value).__name__

@@ -1,0 +1,410 @@
+"""The fingerprint of a model: all that its formulas compute with.
+
+Two models with the same fingerprint give the same figures. The fingerprint holds
+
+- the syntax of the formulas, and of all functions of the user that they reach, without comments,
+  docstrings and positions;
+- the value of each global variable, variable of a closure and default argument that these functions
+  name: numbers, text, tuples and arrays;
+- the version of every other installed package of which they use a function;
+- the parameters, the kinds of noise, the names of components, and the bytes of declared data files.
+
+Anything else could change without notice, so it is refused by its name: another kind of value, a
+class, an import inside a function, `eval` and `getattr`, a function whose source is not known. The
+identity of a run has the versions of pfdist and its kernel; NumPy and the standard library count by
+the names that are used.
+"""
+
+import ast
+import collections
+import contextlib
+import dis
+import hashlib
+import sys
+import sysconfig
+import types
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import PackageNotFoundError, packages_distributions, version
+from pathlib import Path
+from typing import Any, Final, NoReturn
+
+import numpy as np
+
+from pfdist.errors import ModelError
+from pfdist.models.mistakes import place_of_function, ships
+from pfdist.models.syntax import node_of, source_of, syntax_of
+
+Fingerprint = dict[str, Any]
+"""Hashes, numbers and versions by labels: ``formulas``, ``helper.C``, ``parameters.sd``, ..."""
+
+FORMULAS: Final = "formulas"
+_SETTINGS = ("initial_noise", "process_noise", "measurement_noise", "linear_gaussian")
+_NAMES = ("x_names", "y_names", "z_names")  # they name columns
+_DYNAMIC = {"__import__", "eval", "exec", "getattr", "globals", "locals", "setattr", "vars"}
+_HIDDEN = {
+    *("__annotations__", "__closure__", "__code__", "__dict__", "__doc__", "__globals__"),
+    "__name__",
+}
+_PLAIN = (bool, int, float, complex, str, type(None))
+_INSTEAD = {
+    "dict": ": give each of its values a name, or use an array",
+    "list": ": use a tuple or an array",
+    "DataFrame": ": take its values out above, VALUES = FRAME['a'].to_numpy()",
+    "Series": ": take its values out above, VALUES = SERIES.to_numpy()",
+}
+_BUILT_IN = {*sys.builtin_module_names, *sys.stdlib_module_names} - {"__main__"}
+_WIDEST = {"f": 8, "c": 16}  # bytes
+_OF_TYPING = {"__annotations__", "__orig_bases__", "__annotate__", "__annotate_func__"}
+_STANDARD = {*sys.stdlib_module_names, "builtins", "numpy"}
+_PACKAGES = {"site-packages", "dist-packages"}  # folders with installed distributions
+_PFDIST = Path(__file__).parents[1]
+
+
+@dataclass(frozen=True)
+class Look:
+    """A fingerprint, and what it was taken from.
+
+    Parameters
+    ----------
+    fingerprint : Fingerprint
+    modules : set of str
+        Names of the user's modules that formulas reach.
+    texts : dict of str to str
+        Text of each source file of a function that formulas reach.
+    """
+
+    fingerprint: Fingerprint
+    modules: set[str]
+    texts: dict[str, str]
+
+
+def looked_at(model: Any, data: Mapping[str, bytes] | None = None) -> Look:
+    """Give the fingerprint of a model.
+
+    Parameters
+    ----------
+    model : StateSpaceModel
+    data : mapping of str to bytes, optional
+        Content of its data files by their names.
+
+    Raises
+    ------
+    ModelError
+        A formula uses something that has no fingerprint.
+    """
+    walk = _Walk(model.name, model.formulas)
+    found = walk.found()
+    found[FORMULAS] = digest([found[FORMULAS], *(repr(getattr(model, k)) for k in _SETTINGS)])
+    names = {name: ", ".join(given) for name in _NAMES if (given := getattr(model, name))}
+    files = {f"data_files.{name}": digest([content]) for name, content in (data or {}).items()}
+    fingerprint = found | names | files | parameters_of(model.parameters)
+    return Look(fingerprint, walk.modules, walk.texts)
+
+
+def formulas_key(model: str, formulas: Mapping[str, Any]) -> str | None:
+    """Give a hash of all on which compiled formulas depend; None if they have no fingerprint."""
+    try:
+        return digest([repr(sorted(_Walk(model, formulas).found().items()))])
+    except ModelError:
+        return None
+
+
+def parameters_of(values: Mapping[str, Any]) -> Fingerprint:
+    """Give parameters as entries of a fingerprint: numbers, and hashes of sequences."""
+    return {
+        f"parameters.{name}": float(value) if np.ndim(value) == 0 else _content_of(np.array(value))
+        for name, value in values.items()
+    }
+
+
+def digest(parts: Iterable[str | bytes]) -> str:
+    """Give the hash of texts and bytes."""
+    hashed = hashlib.blake2b(digest_size=8)
+    for part in parts:
+        content = part.encode("utf-8", "surrogatepass") if isinstance(part, str) else part
+        hashed.update(len(content).to_bytes(8, "little") + content)
+    return hashed.hexdigest()
+
+
+class _Walk:
+    """A walk from a model's formulas to all that they reach.
+
+    Parameters
+    ----------
+    model : str
+        The model's name.
+    formulas : mapping of str to function
+        The formulas by their names.
+    """
+
+    def __init__(self, model: str, formulas: Mapping[str, Any]) -> None:
+        self._model, self._formulas = model, formulas
+        self._own = {_home(formula) for formula in formulas.values()}
+        self._functions: list[types.FunctionType] = []  # in the order in which they were met
+        self._syntax: list[bytes] = []
+        self._values: Fingerprint = {}
+        self._place = ""  # of the function that is looked at
+        self.modules: set[str] = set()
+        self.texts: dict[str, str] = {}
+
+    def found(self) -> Fingerprint:
+        """Give the hash of the syntax, and the values and versions by their labels."""
+        for name, formula in self._formulas.items():
+            self._syntax.append(name.encode())
+            self._function(formula, name)
+        return {FORMULAS: digest(self._syntax)} | self._values
+
+    def _function(self, function: types.FunctionType, label: str) -> None:
+        """Add the syntax of a function of the user, and all that the function names."""
+        self._place = place_of_function(function)
+        if Path(function.__code__.co_filename) == _PFDIST / "models" / "base.py":
+            self._syntax.append(function.__qualname__.encode())  # the squared norm
+            return
+        if own := vars(function).keys() - {"__wrapped__"}:
+            self._refuse(label, f"has an attribute of its own, {min(own)}: use a variable")
+        if function in self._functions:
+            self._syntax.append(b"%d" % self._functions.index(function))
+            return
+        self._functions.append(function)
+        if _is_users(function.__code__.co_filename):
+            self.modules.add(_home(function))
+            self.texts[function.__code__.co_filename] = source_of(function)
+        node, syntax = node_of(function), syntax_of(function)
+        if node is None or syntax is None:
+            raise ModelError(
+                f"model {self._model}: the source of {label} is not known: "
+                + (
+                    "its file has changed since it was imported"
+                    if source_of(function)
+                    else "it was made by exec or typed at a prompt"
+                )
+                + self._place
+            )
+        self._syntax.append(syntax)
+        self._refuse_dynamic(function, label)
+        code, cells = function.__code__, function.__closure__ or ()
+        for name, cell in zip(code.co_freevars, cells, strict=True):
+            with contextlib.suppress(ValueError):  # it has no value yet
+                self._variable(f"{label}.{name}", cell.cell_contents, node, name)
+        defaults = function.__defaults__ or ()
+        names = code.co_varnames[code.co_argcount - len(defaults) : code.co_argcount]
+        keywords = (function.__kwdefaults__ or {}).items()
+        for name, value in [*zip(names, defaults, strict=True), *sorted(keywords)]:
+            self._variable(f"{label}.{name}", value, node, name)
+        scope, module = function.__globals__, self._prefix(_home(function))
+        for name in sorted(_globals_of(function.__code__) & scope.keys()):
+            self._variable(f"{module}{name}", scope[name], node, name)
+
+    def _variable(self, label: str, value: Any, node: ast.AST, name: str = "") -> None:
+        """Add what a function reads through a name."""
+        if isinstance(value, types.ModuleType):
+            if is_users_module(value):
+                self._module(label, value, node, name)
+            else:
+                self._library(value, node, name)
+        else:
+            self._value(label, value)
+
+    def _library(self, module: types.ModuleType, node: ast.AST, name: str) -> None:
+        """Add a library's version, and the numbers and arrays that a function reads from it."""
+        self._package(module.__name__)
+        for attributes in sorted(_chains(node, name)):
+            value: Any = module
+            for attribute in attributes:
+                value = getattr(value, attribute, None)
+            if not isinstance(value, types.ModuleType) and (content := _content_of(value)):
+                self._values[".".join((module.__name__, *attributes))] = content
+
+    def _module(self, label: str, module: types.ModuleType, node: ast.AST, name: str) -> None:
+        """Add the variables that a function reads from a module of the user."""
+        self.modules.add(module.__name__)
+        for attributes in sorted(_chains(node, name)):
+            value: Any = module
+            for attribute in attributes:
+                home, value = value, getattr(value, attribute, None)
+                if not isinstance(value, types.ModuleType):
+                    break
+                if is_users_module(value):
+                    self.modules.add(value.__name__)
+            else:
+                self._refuse(
+                    label, f"is the module {value.__name__}, used as a value: write {name}.NAME"
+                )
+            self._variable(f"{self._prefix(home.__name__)}{attribute}", value, node)
+
+    def _value(self, label: str, value: Any) -> None:
+        if isinstance(value, types.FunctionType) and _is_users(value.__code__.co_filename):
+            self._syntax.append(label.encode())
+            self._function(value, label)
+        elif (home := _library_of(value)) is not None:
+            self._syntax.append(f"{label} {home}.{value.__name__}".encode())
+            self._package(home)
+        elif type(value) is tuple and any(map(_is_function, value)):
+            for number, each in enumerate(value):
+                self._value(f"{label}[{number}]", each)
+        else:
+            content = _content_of(value)
+            if content is None:
+                self._refuse(label, f"is {_described(value)}")
+            before = self._values.get(label)  # of another function with the same name
+            same = before is None or repr(before) == repr(content)
+            self._values[label] = content if same else digest([repr(before), repr(content)])
+
+    def _package(self, module: str) -> None:
+        top = module.partition(".")[0]
+        if top not in _STANDARD and top != "pfdist":
+            self._values[f"package {top}"] = _version_of(top)
+
+    def _prefix(self, module: str) -> str:
+        return "" if module in self._own else f"{module}."
+
+    def _refuse_dynamic(self, function: types.FunctionType, label: str) -> None:
+        code = function.__code__
+        names = _globals_of(code) - function.__globals__.keys()
+        found = sorted(_DYNAMIC & names) + sorted(_HIDDEN & set(_names_of(code)))
+        imported = next(_steps(code, "IMPORT_NAME"), None)
+        if imported is not None:
+            self._refuse(label, f"imports {imported} when it is called: import it above")
+        if found:
+            self._refuse(label, f"uses {found[0]}, which may reach anything: name the value")
+
+    def _refuse(self, label: str, what: str) -> NoReturn:
+        raise ModelError(
+            f"model {self._model}: {label} {what} (formulas may use numbers, text, tuples, arrays "
+            "and functions, so that pfdist can tell whether a run goes on with the same model)"
+            f"{self._place}"
+        )
+
+
+def _content_of(value: Any) -> Any:
+    """Give a number, or a hash of text, a tuple or an array; None for another kind of value."""
+    if type(value) is float and np.isfinite(value):
+        return value
+    if type(value) in _PLAIN:
+        return f"{type(value).__name__} {value!r}" if type(value) is not str else digest([value])
+    if type(value) is np.ndarray or isinstance(value, np.generic):
+        kind, size = value.dtype.kind, value.dtype.itemsize
+        if kind not in "biufcSU" or (kind in "fc" and size > _WIDEST[kind]):
+            return None  # the bytes of objects are addresses, and wide numbers are padded
+        order = f"{value.flags.c_contiguous} {value.flags.f_contiguous}"
+        about = f"{type(value).__name__} {value.dtype.str} {value.shape} {order}"
+        return digest([about, value.tobytes()])
+    if type(value) is tuple or _is_named_tuple(value):
+        entries = [_content_of(entry) for entry in value]
+        named = str(getattr(value, "_fields", ""))
+        return None if None in entries else digest([named, *map(repr, entries)])
+    return None
+
+
+def _is_named_tuple(value: Any) -> bool:
+    """Whether a value is a named tuple with nothing but its fields."""
+    kind = type(value)
+    if kind.__bases__ != (tuple,) or not hasattr(kind, "_fields"):
+        return False
+    plain = vars(collections.namedtuple("Plain", kind._fields)).keys()
+    return not vars(kind).keys() - plain - _OF_TYPING
+
+
+def _described(value: Any) -> str:
+    """Describe a value that has no fingerprint, with what to write instead."""
+    if isinstance(value, type):
+        return f"the class {value.__name__}"
+    kind = type(value).__name__
+    if kind == "tuple":
+        return "a tuple that holds something else than numbers, text, tuples, arrays or functions"
+    remedy = next((cure for name, cure in _INSTEAD.items() if name == kind), "")
+    return f"a value of the kind {kind}{remedy}"
+
+
+def _library_of(value: Any) -> str | None:
+    """Name the module of a library's function or class; None for any other value."""
+    if isinstance(value, np.ufunc):
+        homes = (np, sys.modules.get("scipy.special"))
+        known = (home for home in homes if getattr(home, value.__name__, None) is value)
+        return getattr(next(known, None), "__name__", None)
+    if not _is_function(value) and not isinstance(value, type):
+        return None
+    home = getattr(value, "__module__", None) or "builtins"
+    module = sys.modules.get(home)
+    if module is None or is_users_module(module):
+        return None
+    found: Any = module
+    for part in getattr(value, "__qualname__", "").split("."):
+        found = getattr(found, part, None)
+    return home if found is value else None
+
+
+def _is_function(value: Any) -> bool:
+    return callable(value) and hasattr(value, "__name__") and not isinstance(value, type)
+
+
+def _home(function: types.FunctionType) -> str:
+    return str(function.__globals__.get("__name__"))
+
+
+def file_of(module: types.ModuleType) -> str | None:
+    """Give the file of a module, or the folder of a package without one."""
+    return module.__dict__.get("__file__") or next(iter(getattr(module, "__path__", ())), None)
+
+
+def is_users_module(module: types.ModuleType) -> bool:
+    """Whether a module is the user's, or that of a model that ships: its content counts."""
+    file = file_of(module)
+    if file is None:  # it is built into Python, or made by the user
+        return module.__name__.partition(".")[0] not in _BUILT_IN
+    return _is_users(file)
+
+
+def _is_users(file: str) -> bool:
+    """Whether a source file is the user's, or that of a model that ships."""
+    path = Path(file)
+    if path.is_relative_to(_PFDIST):
+        return path.parent.name == "models" and ships(path.stem)
+    return not (path.is_relative_to(sysconfig.get_path("stdlib")) or _PACKAGES & set(path.parts))
+
+
+@cache
+def _version_of(top: str) -> str:
+    try:
+        return version(top)
+    except PackageNotFoundError:  # the distribution has another name than its module
+        names = sorted(set(packages_distributions().get(top, [])))
+        return ", ".join(f"{name} {version(name)}" for name in names) or "unknown"
+
+
+def _chains(node: ast.AST, name: str) -> set[tuple[str, ...]]:
+    """Give ``("a", "b")`` for each ``name.a.b`` in a function, and ``()`` for the name alone."""
+    inner = {id(each.value) for each in ast.walk(node) if isinstance(each, ast.Attribute)}
+    found = set()
+    for outermost in ast.walk(node):
+        if id(outermost) in inner:
+            continue
+        each, attributes = outermost, list[str]()
+        while isinstance(each, ast.Attribute):
+            attributes.insert(0, each.attr)
+            each = each.value
+        if isinstance(each, ast.Name) and each.id == name:
+            found.add(tuple(attributes))
+    return found
+
+
+def _globals_of(code: types.CodeType) -> set[str]:
+    """Names of the global variables that a function and those it defines read."""
+    return {*_steps(code, "LOAD_GLOBAL"), *_steps(code, "LOAD_NAME")}
+
+
+def _names_of(code: types.CodeType) -> Iterator[str]:
+    yield from code.co_names
+    for constant in code.co_consts:
+        if isinstance(constant, types.CodeType):
+            yield from _names_of(constant)
+
+
+def _steps(code: types.CodeType, kind: str) -> Iterator[str]:
+    """The arguments of the instructions of a kind, in a function and in those it defines."""
+    yield from (each.argval for each in dis.get_instructions(code) if each.opname == kind)
+    for constant in code.co_consts:
+        if isinstance(constant, types.CodeType):
+            yield from _steps(constant, kind)

@@ -1,0 +1,176 @@
+"""Errors in a model's code in plain English: what failed, where, and what to write instead."""
+
+import linecache
+import math
+import re
+import sysconfig
+import traceback
+from collections.abc import Iterator
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numba
+import numpy as np
+
+_LONGEST = 500  # characters of an error's text
+_PACKAGE = Path(__file__).parents[1]
+_MACHINERY = {
+    *("__init__", "base", "carried", "checks", "fingerprint", "loader", "mistakes"),
+    *("parameters", "seeing", "syntax"),
+}  # the modules of this package that are no models
+_STANDARD_LIBRARY = Path(sysconfig.get_path("stdlib"))
+_LIBRARIES = [Path(str(package.__file__)).parent for package in (numba, np)]
+
+
+# --- what failed, and where -----------------------------------------------------------------------
+
+
+def is_interrupt(error: BaseException) -> bool:
+    """Whether an exception is the user's Ctrl-C or a batch system's signal, not a model's error."""
+    return type(error) is KeyboardInterrupt
+
+
+def told(error: BaseException) -> str:
+    """Describe an exception of a model in a line: its class and the beginning of its text."""
+    return ": ".join(part for part in (type(error).__name__, text_of(error)) if part)
+
+
+def text_of(error: BaseException) -> str:
+    """Give an error's text as a line; empty if there is no text or it cannot be made."""
+    try:
+        text = " ".join(str(error).split())
+    except Exception:  # the text of a model's own exception may fail, too
+        return ""
+    return f"{text[:_LONGEST]} ..." if len(text) > _LONGEST else text
+
+
+def frames_of(error: BaseException) -> Iterator[tuple[FrameType, int]]:
+    """Frames and lines of an error's traceback in a model's source, the outermost first."""
+    trace = error.__traceback__
+    while trace is not None:
+        if is_a_models(trace.tb_frame.f_code.co_filename):
+            yield trace.tb_frame, trace.tb_lineno
+        trace = trace.tb_next
+
+
+def place_of(error: BaseException) -> str:
+    """Give an error's innermost place in a model as `` (file:line)``; empty if there is none."""
+    places = [f" ({frame.f_code.co_filename}:{line})" for frame, line in frames_of(error)]
+    return places[-1] if places else ""
+
+
+def place_of_function(function: Any) -> str:
+    """Give the place where a function is defined, as `` (file:line)``; empty without a source."""
+    code = getattr(function, "__code__", None)
+    return f" ({code.co_filename}:{code.co_firstlineno})" if code else ""
+
+
+def ships(module: str) -> bool:
+    """Whether a module of this package, without the package's name, is a model that ships."""
+    return module not in _MACHINERY
+
+
+def is_a_models(file: str) -> bool:
+    """Whether a source file belongs to a model: neither to pfdist nor to a library."""
+    path = Path(file)
+    if file.startswith("<"):
+        return False
+    if path.is_relative_to(_PACKAGE):
+        return path.parent.name == "models" and ships(path.stem)
+    if path.is_relative_to(_STANDARD_LIBRARY):
+        return "site-packages" in path.parts and not any(map(path.is_relative_to, _LIBRARIES))
+    return not any(map(path.is_relative_to, _LIBRARIES))
+
+
+# --- what to write instead --------------------------------------------------------------------
+
+_BRANCH = (
+    "a component may be an array, so a branch is pfdist.where(condition, a, b), `and` is &, `or` "
+    "is |, 0 < a < 1 is (0 < a) & (a < 1), and max(a, b) is np.maximum(a, b)"
+)
+_COMPONENTS = "x, w, v, y and z are tuples: the first component is x[0], also where it is the only"
+_MATRIX = (
+    "write each component out, for instance A[0, 0] * x[0] + A[0, 1] * x[1], or give np.array as "
+    "many entries as the matrix has columns, all of them components"
+)
+NO_CLOCK = (
+    "p.time[t] and p.dt[t] are the clock's, and there is no clock: give the job a clock, or "
+    "take the model's on_clock(times)"
+)
+"""What is wrong where a formula reads the clock of a job that has none."""
+_ONE_NUMBER = "write np.sin in the place of math.sin, np.int64 of int"
+_REMEDIES = {
+    "truth value of an array": _BRANCH,
+    "inhomogeneous": _MATRIX,
+    "core dimension": _MATRIX,
+    "not aligned": _MATRIX,
+    "sequence by non-int": _COMPONENTS,
+    "'tuple' and": _COMPONENTS,
+    "and 'tuple'": _COMPONENTS,
+    "concatenate tuple": _COMPONENTS,
+    "'tuple' object has no attribute": f"{_COMPONENTS}; parameters are p.name",
+    "'tuple' object does not support item assignment": "give a new tuple, for instance (a, b)",
+    "'Parameters' object has no attribute 'time'": NO_CLOCK,
+    "'Parameters' object has no attribute 'dt'": NO_CLOCK,
+    "tuple indices must be integers or slices, not str": "a parameter is read as p.name",
+    "only integers, slices": "an index is an integer: t // 2 in the place of t / 2",
+    "must be real number, not": _ONE_NUMBER,
+    "can be converted to Python scalars": _ONE_NUMBER,
+    "can be converted to a scalar index": _ONE_NUMBER,
+    "doesn't define __trunc__": _ONE_NUMBER,
+    "math domain error": "np.log and np.sqrt give nan or inf where math.log and math.sqrt end",
+}
+_CALLED = re.compile(r"(?:\w+\.)?(\w+)\(")
+_INSTEAD = {
+    "dist": "np.hypot(a - c, b - d)",
+    "fma": "a * b + c",
+    "frexp": "np.floor(np.log2(np.abs(a))) + 1 for the exponent",
+    "fsum": "a + b",
+    "gcd": "np.gcd(np.int64(a), np.int64(b))",
+    "hypot": "np.hypot, or np.hypot(np.hypot(a, b), c) for three components,",
+    "isqrt": "np.floor(np.sqrt(a))",
+    "lcm": "np.lcm(np.int64(a), np.int64(b))",
+    "log": "np.log, or np.log(a) / np.log(b) for the base b,",
+    "modf": "a - np.trunc(a) and np.trunc(a)",
+    "pow": "np.power",
+    "remainder": "a - b * np.rint(a / b)",
+    "ulp": "np.spacing(np.abs(a))",
+}
+"""What formulas use in the place of functions of `math` that differ from those of NumPy."""
+
+
+def remedy(error: BaseException) -> str:
+    """Advise what to write instead, as ``; remedy``; empty if there is no advice."""
+    text = text_of(error)
+    found = next((cure for words, cure in _REMEDIES.items() if words in text), "")
+    if found is _ONE_NUMBER:
+        found = f"a component may be an array: {_of_one_number(_called(error))}"
+    return f"; {found}" if found else ""
+
+
+def _of_one_number(name: str) -> str:
+    """Say what to write in the place of a function of one number."""
+    if name in ("int", "round"):
+        return "write np.int64(a) in the place of int(a)"
+    if name == "float":
+        return "leave float() out"
+    if not hasattr(math, name):
+        return _ONE_NUMBER
+    in_numpy = re.sub(r"^a(?=sin|cos|tan)", "arc", name)
+    if name in _INSTEAD or hasattr(np, in_numpy):
+        return f"write {_INSTEAD.get(name, f'np.{in_numpy}')} in the place of math.{name}"
+    return (
+        f"NumPy has no {name}: leave out a term of log_likelihood that does not depend on x, or "
+        f"write np.interp(a, GRID, TABLE) with an array TABLE of math.{name} at the points GRID, "
+        "made above the formula"
+    )
+
+
+def _called(error: BaseException) -> str:
+    """Name of the function whose call in a model's source raised an error; empty if unknown."""
+    for call in reversed(traceback.extract_tb(error.__traceback__)):
+        if is_a_models(call.filename):
+            found = _CALLED.match(linecache.getline(call.filename, call.lineno or 0)[call.colno :])
+            return found[1] if found else ""
+    return ""

@@ -1,0 +1,158 @@
+"""Functions with the code of a formula that see other objects under the names in this code.
+
+A formula may call functions that its author compiled with `numba.njit`. Numba compiles these
+without checks of their indices. So a model takes the Python functions from which they were made,
+and the kernels compile these together with the formula. A formula that travels sees copies of the
+user's modules, which hold only what it names.
+"""
+
+import sys
+import types
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from numba.extending import is_jitted
+
+from pfdist.errors import ModelError
+from pfdist.models.mistakes import place_of_function, ships
+
+_PLACE = {"__file__", "__path__"}  # by which a module is known as the user's
+_LIBRARIES = sys.stdlib_module_names | {
+    *("llvmlite", "matplotlib", "numba", "numpy", "pandas", "pyarrow", "ray", "scipy"),
+}
+
+
+def is_library(module: str) -> bool:
+    """Whether a module belongs to Python, to a known library or to pfdist itself.
+
+    The models that ship with pfdist do not count as a library.
+    """
+    top, _, rest = module.partition(".")
+    if top == "pfdist":
+        room, _, name = rest.partition(".")
+        return room != "models" or not ships(name)
+    return top in _LIBRARIES
+
+
+def names_in(code: types.CodeType) -> set[str]:
+    """Names of globals and attributes in a function and in the functions that it defines."""
+    inner = [
+        names_in(constant) for constant in code.co_consts if isinstance(constant, types.CodeType)
+    ]
+    return set(code.co_names).union(*inner)
+
+
+def seeing(
+    function: types.FunctionType, instead: Callable[[Any], Any], name: str = ""
+) -> types.FunctionType:
+    """Give a function with the same code that sees other objects.
+
+    Parameters
+    ----------
+    function : function
+    instead : callable
+        Gives what the function sees in the place of a global variable, a variable of its closure or
+        a default. In the place of a module of the user it sees a copy with the variables that the
+        function names.
+    name : str, optional
+        Another name for the function.
+    """
+    scope, names = function.__globals__, names_in(function.__code__)
+    copies: dict[int, types.ModuleType] = {}
+
+    def seen(value: Any) -> Any:
+        if type(value) is tuple:
+            return tuple(map(seen, value))
+        if isinstance(value, types.ModuleType) and not is_library(value.__name__):
+            if id(value) not in copies:
+                copies[id(value)] = copy = types.ModuleType(value.__name__)
+                own = vars(value)
+                kept = (names | _PLACE) & own.keys()
+                copy.__dict__.update({key: seen(own[key]) for key in kept})
+            return copies[id(value)]
+        return instead(value)
+
+    cells = [_same_cell(cell, seen) for cell in function.__closure__ or ()]
+    same = types.FunctionType(
+        function.__code__,
+        scope | {key: seen(scope[key]) for key in names & scope.keys()},
+        name or function.__name__,
+        function.__defaults__ and tuple(map(seen, function.__defaults__)),
+        tuple(cells),
+    )
+    keywords = function.__kwdefaults__
+    same.__kwdefaults__ = keywords and {key: seen(value) for key, value in keywords.items()}
+    same.__qualname__ = name or function.__qualname__
+    return same
+
+
+def _same_cell(cell: types.CellType, seen: Callable[[Any], Any]) -> types.CellType:
+    try:
+        return types.CellType(seen(cell.cell_contents))
+    except ValueError:  # it has no value yet
+        return cell
+
+
+def in_python(function: types.FunctionType) -> types.FunctionType:
+    """Give a formula that sees Python functions where its author has compiled functions.
+
+    Returns
+    -------
+    function
+        The formula itself if it reaches no compiled function.
+
+    Raises
+    ------
+    ModelError
+        It reaches a function that was compiled in another way than by `numba.njit`.
+    """
+    same, changed = _in_python(function, (), {})
+    return same if changed else function
+
+
+def alone(formulas: Mapping[str, Any]) -> dict[str, types.FunctionType]:
+    """Give formulas that see copies of the user's modules with the names that they use.
+
+    A function that several of them call is copied once.
+    """
+    known: _Known = {}
+    return {
+        name: function if is_library(_home(function)) else _in_python(function, (), known)[0]
+        for name, function in formulas.items()
+    }
+
+
+def _home(function: types.FunctionType) -> str:
+    return str(function.__globals__.get("__name__"))
+
+
+_Known = dict[types.FunctionType, tuple[types.FunctionType, bool]]
+
+
+def _in_python(
+    function: types.FunctionType, callers: tuple[types.FunctionType, ...], known: _Known
+) -> tuple[types.FunctionType, bool]:
+    """Give the formula, and whether it reaches a compiled function."""
+    if function in known:
+        return known[function]
+    changed, called_by = False, (*callers, function)
+
+    def instead(value: Any) -> Any:
+        nonlocal changed
+        found = value.py_func if is_jitted(value) else value
+        if isinstance(found, types.FunctionType):
+            if is_library(_home(found)) or found in called_by:
+                return found
+            found, inside = _in_python(found, called_by, known)
+            changed |= inside or is_jitted(value)
+        elif type(value).__module__.startswith("numba."):
+            raise ModelError(
+                "may call functions that numba.njit compiles, got "
+                f"{getattr(value, '__name__', value)!r}, a {type(value).__name__}"
+                f"{place_of_function(function)}"
+            )
+        return found
+
+    same = seeing(function, instead)
+    known[function] = same, changed
+    return known[function]

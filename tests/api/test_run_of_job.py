@@ -1,0 +1,189 @@
+"""Commands that compute take a job and find its run; those that read run no model."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+
+import pfdist
+from pfdist.cli.main import main
+from pfdist.errors import ArgumentError, ModelError
+
+SMALL = (Path(__file__).parents[1] / "small.toml").read_text()
+QUICK = ["search.random.evaluations=3", "search.genetic.generations=1", "comparison.draws=20"]
+READERS = ["status", "table", "list", "report", "plot", "verify", "repair"]
+ASK: dict[str, list[str]] = {"why": [], "bound": [], "filter": ["y.csv"], "next": ["y.csv"]}
+COMPUTERS = {
+    **ASK,
+    "run": [],
+    "plan": [],
+    "compare": [],
+    "online": [],
+    "budget": ["--measurements", "2:3"],
+    "evaluate": ["--times", "0,3"],
+    "sweep": ["--over", "seed=1:2"],
+}
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a job that lists searches, and its run."""
+    home = tmp_path_factory.mktemp("home")
+    (home / "jobs").mkdir()
+    (home / "jobs" / "small.toml").write_text(SMALL)
+    (home / "y.csv").write_text("t,y0\n0,0.1\n")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(home)
+        pfdist.run("jobs/small.toml", pool="serial", changes=QUICK, figures=False)
+    return home
+
+
+@pytest.fixture
+def there(home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of this folder, in which the process works."""
+    monkeypatch.chdir(shutil.copytree(home, tmp_path / "home"))
+    return tmp_path / "home"
+
+
+@pytest.fixture
+def error(capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """A function that gives the one line with which a command line is refused."""
+
+    def refused(*words: str) -> str:
+        capsys.readouterr()
+        assert main(words) == 1, words
+        lines = capsys.readouterr().err.splitlines()
+        said = [line for line in lines if line.startswith("pfdist: ")]
+        assert len(said) == 1, lines
+        return said[0].removeprefix("pfdist: ")
+
+    return refused
+
+
+def why(*arguments: Any, **options: Any) -> Any:
+    return pfdist.why(*arguments, **{"draws": 5, "changes": QUICK, "figures": False} | options)
+
+
+def test_a_question_finds_the_run_of_its_job(there: Path) -> None:
+    found = why("jobs/small.toml")
+    assert found.run == Path("results/small")
+    shutil.move("results/small", "elsewhere")
+    again = why("jobs/small.toml", results="elsewhere")
+    pd.testing.assert_frame_equal(found.worth, again.worth)
+    of_kept = why("elsewhere/job.toml", changes=())  # a run's own job stands for this run
+    pd.testing.assert_frame_equal(found.worth, of_kept.worth)
+    assert of_kept.run == Path("elsewhere")
+
+
+def test_a_plan_is_found_if_the_job_was_not_run(there: Path, error: Callable[..., str]) -> None:
+    shutil.rmtree("results/small")
+    line = error("why", "jobs/small.toml")
+    assert line == (
+        "there is no run of this job in results/small or results/small-plan: `pfdist run "
+        "jobs/small.toml` makes it"
+    )
+    assert "`pfdist run jobs/small.toml --results a` makes it" in error(
+        "bound", "jobs/small.toml", "--results", "a"
+    )
+    changes = ["comparison.draws=20", "filter.particles=10"]
+    made = pfdist.plan("jobs/small.toml", changes=changes, figures=False, bound_draws=0)
+    assert made.path == Path("results/small-plan")
+    assert why("jobs/small.toml", changes=changes).run == made.path
+
+
+@pytest.mark.parametrize("command", ASK)
+def test_another_job_than_that_of_the_run_is_refused(
+    command: str, there: Path, error: Callable[..., str]
+) -> None:
+    words = [command, "jobs/small.toml", *ASK[command], "--set", *QUICK, "filter.particles=7"]
+    line = error(*words)
+    assert "results/small holds another run (give results another folder, or name the run's" in line
+    assert line.endswith("filter.particles: 40 -> 7")
+
+
+@pytest.mark.parametrize("draws", [10, 100])
+def test_a_question_leaves_the_draws_of_the_run_as_they_are(draws: int, there: Path) -> None:
+    before = (there / "results" / "small" / "job.toml").read_bytes()
+    why("jobs/small.toml", changes=[*QUICK, f"comparison.draws={draws}"])
+    assert (there / "results" / "small" / "job.toml").read_bytes() == before
+    assert pfdist.open_run("results/small").state == "finished"
+
+
+def test_a_run_computes_if_this_process_has_made_it(there: Path) -> None:
+    made = pfdist.run("jobs/small.toml", changes=QUICK, figures=False)
+    opened = pfdist.open_run(made.path)
+    pd.testing.assert_frame_equal(why(made, changes=()).worth, opened.worth())
+    with pytest.raises(
+        ArgumentError, match=r"give the job, for instance 'results/small/job\.toml'"
+    ):
+        why(opened)
+
+
+@pytest.mark.parametrize("command", COMPUTERS)
+def test_a_command_that_computes_refuses_the_folder_of_a_run(
+    command: str, there: Path, error: Callable[..., str]
+) -> None:
+    line = error(command, "results/small", *COMPUTERS[command])
+    assert line == (
+        "a job must be a job file, got the folder results/small: name the job of its run, which "
+        "keeps it in results/small/job.toml"
+    )
+
+
+@pytest.mark.parametrize("command", [name for name in READERS if name != "list"])
+def test_a_command_that_reads_refuses_a_job_file_and_names_its_run(
+    command: str, there: Path, error: Callable[..., str]
+) -> None:
+    says = "a run must be a folder, got the job file {}: its run is results/small"
+    for job in ("jobs/small.toml", "results/small/job.toml"):
+        assert error(command, job) == says.format(job)
+
+
+@pytest.fixture
+def hostile(there: Path) -> Path:
+    """The folder of a run that names a model file in it, in run.json, too, and has run nothing."""
+    run, flag = there / "results" / "small", there / "executed"
+    (run / "mine.py").write_text(f"open({str(flag)!r}, 'w').close()\nraise SystemExit\n")
+    job = (run / "job.toml").read_text().replace('name = "ungm"', 'name = "mine.py:model"')
+    assert "mine.py" in job
+    (run / "job.toml").write_text(job)
+    about = json.loads((run / "run.json").read_text())
+    about["provenance"]["folder"] = str(run)
+    (run / "run.json").write_text(json.dumps(about))
+    return flag
+
+
+@pytest.mark.parametrize("command", READERS)
+@pytest.mark.usefixtures("no_figures")
+def test_a_command_that_reads_runs_no_model(command: str, hostile: Path) -> None:
+    damaged = command in {"verify", "repair"}  # which find that job.toml has another content
+    assert main([command, "results/small"]) == (command == "verify" and damaged)
+    assert not hostile.exists()
+
+
+def test_a_run_that_is_compared_has_no_model_run(hostile: Path) -> None:
+    pfdist.compare(
+        "jobs/small.toml", "results/small", draws=20, pool="serial", figures=False
+    ).pairs()
+    assert not hostile.exists()
+
+
+def test_a_model_file_runs_if_the_user_names_the_job_that_names_it(hostile: Path) -> None:
+    said: list[tuple[str, bool]] = []
+    with pytest.raises(ModelError, match="SystemExit"):
+        why("results/small/job.toml", say=lambda line: said.append((line, hostile.exists())))
+    file = hostile.parent / "results" / "small" / "mine.py"
+    assert said == [(f"runs the model file {file}, which your job names", False)]
+    assert hostile.exists()
+
+
+def test_an_object_of_python_is_asked_for_in_python(there: Path, error: Callable[..., str]) -> None:
+    job = Path("results/small/job.toml")
+    job.write_text(job.read_text().replace('name = "ungm"', 'name = "python:mine"'))
+    line = error("why", str(job))
+    assert line.startswith("model.name: the model 'python:mine' was given as an object in Python")
+    assert line.endswith("as in pfdist.run(problem)")

@@ -1,0 +1,302 @@
+"""The fingerprint of a model: all that its formulas compute with, and nothing else."""
+
+import importlib
+import itertools
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+
+from pfdist.errors import ModelError
+from pfdist.models import carried_model, fingerprint
+from pfdist.models.fingerprint import Fingerprint
+
+MODEL = """
+import collections, dataclasses, enum, functools, math, types
+import numpy as np
+import numba
+from pfdist import StateSpaceModel, clip
+{before}
+
+model = StateSpaceModel(
+    name="mine",
+    initial=lambda w, p: (w[0],),
+    transition=lambda x, t, w, p: ({formula},),
+    measurement=lambda x, t, v, p: (x[0] + v[0],),
+    log_likelihood=lambda y, x, t, p: -0.5 * (y[0] - x[0]) ** 2,
+    quantity_of_interest=lambda x, t, p: (x[0],),
+    initial_noise=("normal",),
+    process_noise=("normal",),
+    measurement_noise=("normal",),
+    parameters={{"sigma": 0.9}},
+)
+"""
+Take = Callable[..., Fingerprint]
+_folders = itertools.count()
+
+
+@pytest.fixture
+def take(tmp_path: Path) -> Take:
+    """Fingerprint of a model with some lines before it, a formula, and files beside it."""
+
+    def taken(before: str, formula: str, **files: str) -> Fingerprint:
+        folder = tmp_path / f"{next(_folders)}"
+        for name, text in files.items():
+            file = folder / f"{name}.py"
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(text)
+        folder.mkdir(exist_ok=True)
+        (folder / "mine.py").write_text(MODEL.format(before=before, formula=formula))
+        return carried_model("mine.py:model", folder).fingerprint
+
+    return taken
+
+
+def differing(first: Fingerprint, second: Fingerprint) -> list[str]:
+    return sorted(key for key in first.keys() | second if first.get(key) != second.get(key))
+
+
+HELPERS = "from helper import f\nimport helper"
+
+
+@pytest.mark.parametrize(
+    ("before", "formula", "first", "second", "name"),
+    [
+        ("C = {}", "C * x[0]", "2.0", "3.0", "C"),
+        ("C = {}", "C * x[0]", "1.0", "1", "C"),
+        ("C = {}", "C * x[0]", "np.float32(1)", "1.0", "C"),
+        ("C = np.array({})", "C[0] * x[0]", "[1.0, 2]", "[1.0, 3]", "C"),
+        ("C = np.array({})", "C[0] * x[0]", "[1.0]", "[1]", "C"),
+        ("C = (1, ({}, 'a'))", "C[0] * x[0]", "2", "3", "C"),
+        ("P = collections.namedtuple('P', 'a b')\nC = P(1.0, {})", "C.a * x[0]", "2", "3", "C"),
+        ("C = {}", "C * x[0] if C is not None else x[0]", "None", "1.0", "C"),
+        ("C = {}", "x[0] if C == 'a' else 2 * x[0]", "'a'", "'b'", "C"),
+        ("def g(x): return {} * x", "g(x[0])", "2.0", "3.0", "formulas"),
+        ("def g(x, k={}): return k * x", "g(x[0])", "2.0", "3.0", "g.k"),
+        ("def g(x, *, k={}): return k * x", "g(x[0])", "2.0", "3.0", "g.k"),
+        ("@numba.njit\ndef g(x): return {} * x", "g(x[0])", "2.0", "3.0", "formulas"),
+        ("def make(k): return lambda x: k * x\ng = make({})", "g(x[0])", "2.0", "3.0", "g.k"),
+        ("import helper\ndef g(x, h=helper): return h.C * x", "g(x[0])", "2.0", "3.0", "helper.C"),
+        ("m = types.ModuleType('m'); m.C = {}", "m.C * x[0]", "2.0", "3.0", "m.C"),
+        ("np.OWN = {}", "np.OWN * x[0]", "2.0", "3.0", "numpy.OWN"),
+        ("C = np.array([[1., 2], [3, 4]], order={})", "C[0, 0] * x[0]", "'C'", "'F'", "C"),
+        ("def g(x): return x if x.sum() < 9 else h(x)\ndef h(x): return {} * g(x)",
+         "g(x[0])", "2.0", "3.0", "formulas"),
+        ("", "{} * x[0]", "2.0", "3.0", "formulas"),
+        ("", "{}(x[0])", "np.sin", "np.cos", "formulas"),
+        ("g = {}", "g(x[0])", "np.sin", "np.cos", "formulas"),
+        ("__C = {}", "__C * x[0]", "2.0", "3.0", "__C"),
+        ("C = {}\n@numba.njit('f8(f8)')\ndef g(x): return C * x",
+         "x[0] + g(1.0)", "2.0", "3.0", "C"),
+    ],
+)  # fmt: skip
+def test_a_change_of_what_a_formula_reaches_is_named(
+    take: Take, before: str, formula: str, first: str, second: str, name: str
+) -> None:
+    def taken(value: str) -> Fingerprint:
+        helper = f"C = {value}"
+        return take(before.replace("{}", value), formula.replace("{}", value), helper=helper)
+
+    assert taken(first) == taken(first)
+    assert differing(taken(first), taken(second)) == [name]
+
+
+@pytest.mark.parametrize(
+    ("formula", "first", "second", "names"),
+    [
+        ("f(x[0])", "def f(x): return 2 * x", "def f(x): return 3 * x", ["formulas"]),
+        ("helper.f(x[0])", "def f(x): return 2 * x", "def f(x): return 3 * x", ["formulas"]),
+        (
+            "f(x[0])",
+            "C = 2\ndef f(x): return g(x)\ndef g(x): return C * x",
+            "C = 3\ndef f(x): return g(x)\ndef g(x): return C * x",
+            ["helper.C"],
+        ),
+    ],
+    ids=["a function", "a module's function", "a helper's helper's constant"],
+)
+def test_a_change_in_a_helper_module_is_named(
+    take: Take, formula: str, first: str, second: str, names: list[str]
+) -> None:
+    assert take(HELPERS, formula, helper=first) == take(HELPERS, formula, helper=first)
+    found = [take(HELPERS, formula, helper=each) for each in (first, second)]
+    assert differing(*found) == names
+
+
+def test_a_number_is_named_with_its_value(take: Take) -> None:
+    assert take("C = 2.5", "C * x[0]")["C"] == 2.5
+
+
+def test_words_and_what_is_not_reached_make_no_difference(take: Take) -> None:
+    helper = "def f(x):\n    return 2 * x\n"
+    first = take(HELPERS, "f(x[0])", helper=helper)
+    second = take(
+        '"""A model."""\nunused = {}\n'.replace("{}", "[3]")
+        + HELPERS
+        + "\ndef nobody(x): return x\nsigma = 3\n",
+        "f(  x[ 0 ]\n )",
+        helper='"""Words."""\nunused = 1\ndef f(x: float) -> float:\n    return 2*x  # so\n',
+    )
+    assert first == second
+
+
+def test_a_global_that_has_a_parameters_name_is_not_reached(take: Take) -> None:
+    first, second = (take(f"sigma = {value}", "p.sigma * x[0]") for value in (1, 2))
+    assert first == second
+
+
+def test_only_what_is_named_of_a_module_counts(take: Take) -> None:
+    first, second = (
+        take("import helper", "helper.C * x[0]", helper=f"C = 1.0\nunused = {value}")
+        for value in (2, 3)
+    )
+    assert first == second
+
+
+def test_a_package_beside_the_model_counts_by_what_is_named(take: Take) -> None:
+    first, second = (
+        take("import inner.deep", "inner.deep.C * x[0]", **{"inner/deep": f"C = {constant}"})
+        for constant in (1.0, 2.0)
+    )
+    assert differing(first, second) == ["inner.deep.C"]
+
+
+@pytest.mark.parametrize(
+    ("before", "formula", "what"),
+    [
+        ("C = {'a': 1.0}", "C['a'] * x[0]", "C is a value of the kind dict: give each"),
+        ("C = [1.0]", "C[0] * x[0]", "C is a value of the kind list: use a tuple"),
+        ("C = open(__file__)", "x[0] * bool(C)", "C is .*TextIOWrapper"),
+        ("C = (1, [2])", "C[0] * x[0]", "C is a tuple that holds something else"),
+        ("class P:\n    A = 1.0", "P.A * x[0]", "P is the class P"),
+        ("@dataclasses.dataclass\nclass P:\n    a: float\nC = P(1.0)", "C.a * x[0]", "C is .* P"),
+        ("g = functools.partial(np.multiply, 2.0)", "g(x[0])", "g is .* partial"),
+        ("@functools.lru_cache\ndef g(t): return 2.0", "g(t) * x[0]", "g is .*lru_cache"),
+        ("@np.vectorize\ndef g(a): return 2 * a", "g(x[0])", "g is .*vectorize"),
+        ("def g(a): return g.k * a\ng.k = 2.0", "g(x[0])", "g has an attribute of its own, k"),
+        ("class P(collections.namedtuple('P', 'a')):\n    def s(self): return 2.0\nC = P(1.)",
+         "C.s() * x[0]", "C is .* P"),
+        ("class A(np.ndarray): k = 2.0\nC = np.zeros(1).view(A)", "C.k * x[0]", "C is .* A"),
+        ("C = np.zeros(1, np.longdouble)", "C[0] * x[0]", "C is .* ndarray"),
+        ("exec('def g(x): return 2.0 * x')", "g(x[0])", "the source of g is not known"),
+        ("def g(x):\n    import helper\n    return helper.C * x", "g(x[0])",
+         "g imports helper when it is called: import it above"),
+        ("import helper", "getattr(helper, 'C') * x[0]", "getattr, which may reach anything"),
+        ("from helper import C", "eval('C') * x[0]", "eval, which may reach anything"),
+        ("from helper import C", "globals()['C'] * x[0]", "globals, which may reach anything"),
+        ("import helper", "helper.__dict__['C'] * x[0]", "__dict__, which may reach anything"),
+        ("import helper\ndef use(m): return m.C", "use(helper) * x[0]",
+         "the module helper, used as a value: write helper.NAME"),
+        ("@numba.vectorize\ndef g(x): return 2.0 * x", "g(x[0])",
+         r"model mine: transition may call .*, got 'g', a DUFunc \(.*mine\.py:\d+\)"),
+        ("from pfdist import load_model\nbase = load_model('ungm')",
+         "base.transition(x, t, w, base.p)[0] if t > 99 else x[0]", "base is .*StateSpaceModel"),
+    ],
+)  # fmt: skip
+def test_what_could_change_without_notice_is_refused_by_its_name(
+    take: Take, before: str, formula: str, what: str
+) -> None:
+    with pytest.raises(ModelError, match=what) as error:
+        take(before, formula, helper="C = 2.0\n")
+    assert "\n" not in str(error.value)
+
+
+def test_a_file_that_changed_since_it_was_imported_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    file = tmp_path / "changing_model.py"
+    file.write_text(MODEL.format(before="", formula="x[0]"))
+    module = importlib.import_module("changing_model")
+    from pfdist.models import carried
+
+    carried(module.model, "python:mine")
+    file.write_text(MODEL.format(before="", formula="2 * x[0]"))
+    with pytest.raises(ModelError, match=r"transition is not known: its file has changed since"):
+        carried(module.model, "python:mine")
+
+
+def test_models_that_ship_reach_into_each_other() -> None:
+    first, second = (carried_model(name).fingerprint for name in ("ungm", "ungm_gordon"))
+    assert first["formulas"] != second["formulas"]
+    changed = carried_model("constant_velocity").model.formulas["log_likelihood"]
+    assert "wrapped" in changed.__code__.co_names  # of bearings_only
+
+
+def test_another_distribution_counts_by_its_version(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    installed = tmp_path / "site-packages"
+    (installed / "theirs_installed").mkdir(parents=True)
+    (installed / "theirs_installed-1.0.dist-info").mkdir()
+    metadata = installed / "theirs_installed-1.0.dist-info" / "METADATA"
+    text = MODEL.format(before="from theirs_installed import f", formula="f(x[0])")
+    (installed / "plugged_model.py").write_text(text)
+    monkeypatch.syspath_prepend(installed)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    entry = EntryPoint("plugged", "plugged_model:model", "pfdist.models")
+    monkeypatch.setattr("pfdist.models.loader.entry_points", lambda *, group: [entry])
+
+    def taken(constant: int, version: str) -> Fingerprint:
+        for name in ("plugged_model", "theirs_installed"):
+            sys.modules.pop(name, None)
+        fingerprint._version_of.cache_clear()
+        (installed / "theirs_installed" / "__init__.py").write_text(
+            f"C = {constant}\ndef f(x): return C*x\n"
+        )
+        metadata.write_text(f"Metadata-Version: 2.1\nName: theirs_installed\nVersion: {version}\n")
+        importlib.invalidate_caches()
+        return carried_model("plugged").fingerprint
+
+    first = taken(1, "1.0")
+    assert first["package theirs_installed"] == "1.0"
+    assert first == taken(22, "1.0")
+    assert differing(first, taken(1, "1.1")) == ["package theirs_installed"]
+
+
+def test_noise_parameters_data_and_linearity_are_part_of_it(tmp_path: Path) -> None:
+    text = MODEL.format(before="", formula="x[0]")
+    changes = {
+        'process_noise=("normal",)': ('process_noise=("uniform",)', "formulas"),
+        "0.9": ("0.8", "parameters.sigma"),
+        'name="mine",': ('name="mine", linear_gaussian=True,', "formulas"),
+    }
+    (tmp_path / "mine.py").write_text(text)
+    first = carried_model("mine.py:model", tmp_path).fingerprint
+    for old, (new, name) in changes.items():
+        (tmp_path / "mine.py").write_text(text.replace(old, new))
+        assert differing(first, carried_model("mine.py:model", tmp_path).fingerprint) == [name]
+
+
+def test_a_data_file_counts_by_its_content(tmp_path: Path) -> None:
+    text = MODEL.format(before="", formula="x[0]")
+    (tmp_path / "mine.py").write_text(text.replace("name=", 'data_files=("a.csv",), name='))
+    found = []
+    for content in ("1\n", "2\n"):
+        (tmp_path / "a.csv").write_text(content)
+        found.append(carried_model("mine.py:model", tmp_path).fingerprint)
+    assert differing(*found) == ["data_files.a.csv"]
+
+
+def test_it_is_the_same_in_another_process_and_in_another_folder(tmp_path: Path) -> None:
+    text = MODEL.format(before="C, D = 'b', np.arange(3.0)", formula="len(C) * D[1] + x[0]")
+    (tmp_path / "mine.py").write_text(text)
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "yours.py").write_text(text)
+    program = (
+        "from pathlib import Path\nfrom pfdist.models import carried_model\n"
+        f"print(carried_model('mine.py:model', Path({str(tmp_path)!r})).fingerprint)"
+    )
+    said = {
+        subprocess.run(
+            [sys.executable, "-c", program], capture_output=True, text=True, check=True,
+            env=os.environ | {"PYTHONHASHSEED": seed},
+        ).stdout
+        for seed in ("1", "2")
+    }  # fmt: skip
+    here = carried_model("yours.py:model", tmp_path / "other").fingerprint
+    assert said == {f"{here}\n"}
