@@ -240,7 +240,7 @@ def _told(fails: str) -> Iterator[None]:
     except BaseException as error:  # a model may raise any exception
         if is_interrupt(error):
             raise
-        relative = "attempted relative import" in str(error)
+        relative = "attempted relative import" in told(error)
         remedy = (
             "; write `import helper` in the place of `from . import helper`" if relative else ""
         )
