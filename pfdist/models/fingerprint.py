@@ -237,7 +237,9 @@ class _Walk:
     def _value(self, label: str, value: Any) -> None:
         if isinstance(value, types.FunctionType) and _is_users(value.__code__.co_filename):
             self._syntax.append(label.encode())
+            caller = self._place
             self._function(value, label)
+            self._place = caller
         elif (home := _library_of(value)) is not None:
             self._syntax.append(f"{label} {home}.{value.__name__}".encode())
             self._package(home)
