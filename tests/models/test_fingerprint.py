@@ -208,7 +208,9 @@ def test_what_could_change_without_notice_is_refused_by_its_name(
 def test_a_refusal_names_the_line_of_the_function_that_uses_the_value(take: Take) -> None:
     """Also where that function has called another one before."""
     with pytest.raises(ModelError, match=r"z is .* dict: .*mine\.py:\d+\)$"):
-        take("from helper import f\nz = {'a': 1.0}", "f(x[0]) * z['a']", helper="def f(x): return x")
+        take(
+            "from helper import f\nz = {'a': 1.0}", "f(x[0]) * z['a']", helper="def f(x): return x"
+        )
 
 
 def test_a_file_that_changed_since_it_was_imported_is_refused(
