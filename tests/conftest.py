@@ -93,11 +93,13 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark the quick tests; let `pytest -m crash` run the whole table of faults."""
+    """Mark the quick tests and the faults; let `pytest -m crash` run the whole table of faults."""
     quick = [ROOT / "tests" / folder for folder in QUICK]
     for item in items:
         if any(map(item.path.is_relative_to, quick)):
             item.add_marker("quick")
+        if item.path.parent.name == "crash" and not item.get_closest_marker("crash"):
+            item.add_marker("fault")
     if config.option.markexpr == "crash":
         for item in items:
             if item.get_closest_marker("fault"):

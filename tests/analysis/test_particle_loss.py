@@ -41,6 +41,7 @@ def measured(model: StateSpaceModel, particles: int, draws: int) -> tuple[Partic
     return particle_loss(particles, whole, squared, distance, variance), whole
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("sd", "particles"), [(1.0, 50), (1.0, 200), (0.1, 200)])
 def test_two_filters_find_the_loss_against_the_exact_filter(sd: float, particles: int) -> None:
     """Right to order 1/P: the tolerance has the square of the loss beside 4 standard errors."""
@@ -55,6 +56,7 @@ def test_two_filters_find_the_loss_against_the_exact_filter(sd: float, particles
     assert loss.warning == ""
 
 
+@pytest.mark.slow
 def test_in_a_collapse_the_upper_figure_alone_shows_the_loss() -> None:
     """A sensor of a ten-thousandth of the prior's deviation: 20 particles never meet it."""
     model = scalar("scalar", 0.95, 0.5, 0.0002)

@@ -130,6 +130,7 @@ def test_a_filter_that_fools_itself_gives_no_false_bound(sharp: float, tmp_path:
         assert gap.reason or gap.bound.value < 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sd", [0.01, pytest.param(0.001, marks=pytest.mark.slow)])
 def test_the_bound_holds_however_few_particles_meet_the_likelihood(
     small_job: Job, tmp_path: Path, sd: float
@@ -159,6 +160,7 @@ model = replace(walk, log_likelihood=lambda y, x, t, p:
 """
 
 
+@pytest.mark.slow
 def test_a_likelihood_that_is_not_the_truths_gives_no_bound(small_job: Job, tmp_path: Path) -> None:
     """A likelihood with a larger sd than the noise: its variance exceeds the squared error."""
     (small_job.path.parent / "inflated.py").write_text(INFLATED)
@@ -186,6 +188,7 @@ def test_where_nothing_is_unknown_the_gap_is_zero(small_job: Job, tmp_path: Path
         assert (gap.gap, gap.gap_at_most, gap.reason) == (0.0, 0.0, "")
 
 
+@pytest.mark.slow
 def test_a_set_with_degenerate_draws_has_no_gap(small_job: Job, tmp_path: Path) -> None:
     (small_job.path.parent / "cut.py").write_text(
         "from dataclasses import replace\n"
@@ -471,6 +474,7 @@ def test_a_comparison_of_many_draws_is_used_and_not_computed_again(
     assert (of_bounds == SET_DRAWS).sum() == len(found.gaps)  # the variances alone
 
 
+@pytest.mark.slow
 def test_plan_says_how_good_its_times_are(
     small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str], no_figures: None
 ) -> None:

@@ -110,6 +110,7 @@ def test_on_an_irregular_grid_the_error_is_weighted_by_trapezoids(job: Path) -> 
     assert found.measurement_times == (0.5, 5.0, 8.0)
 
 
+@pytest.mark.slow
 def test_particles_agree_with_the_exact_error_on_an_irregular_grid(job: Path) -> None:
     compiled = pfdist.load_job(job, ["filter.engine=compiled"])
     found = pfdist.evaluate(compiled, "0.5, 5:8", draws=4000, particles=2000)
@@ -124,6 +125,7 @@ def test_given_weights_take_the_place_of_the_clocks(job: Path) -> None:
     assert found.expected_mse == pytest.approx(exact_errors(np.array(TIMES), (1, 5, 6))[-1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "estimator",
     [
@@ -151,6 +153,7 @@ def test_engines_weigh_instants_alike(job: Path, estimator: str) -> None:
     assert not np.allclose(alone(work).mse, compiled(work).mse)
 
 
+@pytest.mark.slow
 def test_a_clock_of_one_step_an_instant_changes_no_figure(small_job: pfdist.Job) -> None:
     with_clock = small_job.with_changes(['problem.time_unit="s"', "problem.minimum_spacing=2"])
     without = small_job.with_changes(["problem.minimum_spacing=2"])

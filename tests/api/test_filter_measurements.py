@@ -191,6 +191,7 @@ def test_the_command_prints_what_is_missing_and_how_surprising_it_is(
     assert "the model             it may be wrong about this system" in text
 
 
+@pytest.mark.slow
 def test_a_right_model_is_seldom_suspected_and_a_wrong_model_often(
     run: Run, tmp_path: Path
 ) -> None:
@@ -319,6 +320,7 @@ def test_a_panel_is_drawn_for_each_component_up_to_six(tmp_path: Path) -> None:
         assert matplotlib.image.imread(path).shape[0] == height
 
 
+@pytest.mark.slow
 def test_missing_components_reach_the_filter(tmp_path: Path, small_job: Job) -> None:
     model = pfdist.load_model("constant_velocity")
     assert replace(model, missing_components=True).components == (4, 2, 2)

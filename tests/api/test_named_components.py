@@ -49,6 +49,7 @@ horizon = 9
 measurement_budget = 3
 [filter]
 particles = 40
+engine = "numpy"
 [[search]]
 method = "random"
 name = "mine_too"
@@ -199,6 +200,7 @@ def test_simulations_have_the_names_and_the_same_numbers(tmp_path: Path) -> None
     assert not numbered.attrs
 
 
+@pytest.mark.slow
 def test_why_measures_the_named_columns(run: pfdist.Run, plain: pfdist.Run) -> None:
     found, same = (pfdist.why(each, draws=20, figures=False) for each in (run, plain))
     pd.testing.assert_frame_equal(found.worth, same.worth)

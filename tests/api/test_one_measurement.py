@@ -31,6 +31,7 @@ def test_every_search_finds_the_best_time_of_all(
     assert exact[found] < exact[6]
 
 
+@pytest.mark.slow
 def test_one_measurement_is_planned_explained_and_chosen_online(
     small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

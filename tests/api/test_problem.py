@@ -218,6 +218,7 @@ def test_a_section_of_the_problem_is_not_given_twice() -> None:
         Problem("ungm", **SHORT).job(filter={"particles": 3})
 
 
+@pytest.mark.slow
 def test_a_filters_model_may_be_an_object(tmp_path: Path) -> None:
     true, believed = robot_of(0.8), robot_of(0.5)
     problem = Problem(true, **IN_NUMPY, filter_model=believed)
@@ -240,6 +241,7 @@ def test_equal_objects_for_truth_and_filter_are_the_true_model() -> None:
     assert alike.job().model.filter.name == ""
 
 
+@pytest.mark.slow
 def test_a_run_of_an_object_goes_on_with_the_object_alone(tmp_path: Path) -> None:
     def job_of(model: StateSpaceModel) -> pfdist.Job:
         return Problem(model, **IN_NUMPY).job(**SECTIONS)
@@ -283,6 +285,7 @@ def test_a_job_file_cannot_name_an_object(tmp_path: Path) -> None:
         pfdist.evaluate(tmp_path / "job.toml", [0])
 
 
+@pytest.mark.slow
 def test_questions_about_a_problem_find_its_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -300,6 +303,7 @@ def test_questions_about_a_problem_find_its_run(
     pd.testing.assert_frame_equal(found.worth, pfdist.why(run, draws=20, figures=False).worth)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("ray_cluster")
 def test_closures_give_the_same_bytes_on_ray(tmp_path: Path) -> None:
     problem = Problem(robot_of(0.8), **IN_NUMPY)

@@ -16,6 +16,7 @@ from pfdist.store.repair import verify_run
 ROOT = Path(__file__).parents[2]
 
 
+@pytest.mark.slow
 def test_the_tables_are_read_with_pandas_alone(small_job: Job, tmp_path: Path) -> None:
     run = pfdist.run(small_job, tmp_path / "run")
     rows = pd.read_parquet(tmp_path / "run" / "tables" / "comparison")
@@ -28,6 +29,7 @@ def test_a_folder_with_other_things_is_left_alone(small_job: Job, tmp_path: Path
         pfdist.run(small_job, tmp_path)
 
 
+@pytest.mark.slow
 def test_figures_are_drawn_again_when_the_run_has_grown(small_job: Job, tmp_path: Path) -> None:
     run = pfdist.run(small_job, tmp_path / "run")
     figure = run.path / "figures" / "gain-genetic.svg"

@@ -115,6 +115,7 @@ model = StateSpaceModel(
 """
 
 
+@pytest.mark.slow
 def test_what_was_minimised_comes_first_and_where_the_papers_figure_disagrees_it_says_why(
     small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -144,6 +145,7 @@ def test_what_was_minimised_comes_first_and_where_the_papers_figure_disagrees_it
     assert max(map(len, lines)) <= 80
 
 
+@pytest.mark.slow
 def test_a_summary_warns_where_few_draws_carry_the_error(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

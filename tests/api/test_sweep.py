@@ -94,9 +94,12 @@ def filtered(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     "changes",
     [
         [],
-        ["search.genetic.share_copies=true"],
-        ['search=[{method="relaxation"}]'],
-        ['search=[{method="greedy_forward"}, {method="relaxation", name="again"}]'],
+        pytest.param(["search.genetic.share_copies=true"], marks=pytest.mark.slow),
+        pytest.param(['search=[{method="relaxation"}]'], marks=pytest.mark.slow),
+        pytest.param(
+            ['search=[{method="greedy_forward"}, {method="relaxation", name="again"}]'],
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_an_evaluation_that_several_points_need_is_computed_once(
@@ -133,7 +136,7 @@ def test_a_finished_point_saves_points_that_are_added_its_search(
     assert hashes(sweep.path / "comparison.draws=60") == before
 
 
-@pytest.mark.parametrize("method", ["genetic", "relaxation"])
+@pytest.mark.parametrize("method", [pytest.param("genetic", marks=pytest.mark.slow), "relaxation"])
 def test_an_unfinished_point_saves_the_others_what_it_has_computed(
     method: str,
     small_job: Job,
@@ -310,6 +313,7 @@ def test_points_can_be_listed_without_computing(
     assert set(foreseen(sweep_file, results=tmp_path / "sweep")["state"]) == {"finished"}
 
 
+@pytest.mark.slow
 def test_a_problem_with_an_object_is_swept(tmp_path: Path) -> None:
     mine = dataclasses.replace(
         pfdist.load_model("random_walk"), transition=lambda x, t, w, p: (0.9 * x[0] + w[0],)
@@ -431,6 +435,7 @@ def test_affordable_times_have_losses_where_a_filter_is_wrong(
     assert losses.loc[right, wrong] > 0 < losses.loc[wrong, right]
 
 
+@pytest.mark.slow
 def test_points_that_are_added_are_judged_too(small_job: Job, tmp_path: Path) -> None:
     """The report shows the newest comparisons, which know the times of all points."""
     changes = [*EXACT, 'search=[{method="greedy_forward"}]']

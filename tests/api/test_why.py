@@ -63,6 +63,7 @@ def _rises(found: Any, name: str) -> dict[tuple[int, str], tuple[float, float]]:
     }
 
 
+@pytest.mark.slow
 def test_what_a_measurement_is_worth_is_what_the_riccati_recursion_says(
     quick: Job, tmp_path: Path
 ) -> None:
@@ -134,6 +135,7 @@ def test_the_profile_is_the_squared_error_over_time_and_its_mean_the_expected_ms
         assert profile["t"][profile["measured"]].tolist() == row["measurement_times"]
 
 
+@pytest.mark.slow
 def test_the_command_answers_in_json_draws_a_figure_a_search_and_leaves_the_run_as_it_was(
     quick: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -208,6 +210,7 @@ def test_the_effective_sample_size_is_that_of_the_draws_with_trajectories(
     assert again.equals(profile)
 
 
+@pytest.mark.slow
 def test_degenerate_draws_are_counted_up_to_each_instant(quick: Job, tmp_path: Path) -> None:
     (quick.path.parent / "cut.py").write_text(
         "from dataclasses import replace\n"
@@ -228,6 +231,7 @@ def test_degenerate_draws_are_counted_up_to_each_instant(quick: Job, tmp_path: P
         assert 0 < counts[-1] == known[name]
 
 
+@pytest.mark.slow
 def test_the_model_file_of_a_kept_job_is_found_from_anywhere_and_must_mean_the_same(
     quick: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

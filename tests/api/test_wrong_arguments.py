@@ -12,7 +12,7 @@ import pytest
 import pfdist
 from pfdist import PfdistError
 
-PROBLEM = pfdist.Problem("ungm", horizon=12, measurement_budget=4, particles=20)
+PROBLEM = pfdist.Problem("random_walk", horizon=12, measurement_budget=4, engine="kalman")
 FINISHED = "finished"  # stands for the job of a finished run
 FOLDER = "folder"  # stands for its folder
 MEASURED = pd.DataFrame({"t": [0], "y0": [0.1]})

@@ -201,6 +201,7 @@ def outcome(case: Case) -> Outcome:
     return _repeated(case, _exact(case))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "case",
     [pytest.param(name, marks=[pytest.mark.slow] * (name == "nonlinear")) for name in CASES],

@@ -1,7 +1,7 @@
 """Check what `pfdist check-model` finds, on models with one mistake each."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -53,14 +53,18 @@ LOOKS = [
 ]
 
 
-def checks_of(tmp_path: Path, *changes: tuple[str, str]) -> dict[str, Check]:
+def checked(tmp_path: Path, *changes: tuple[str, str]) -> Iterator[Check]:
+    """Give each check of a changed model when it is asked for: those behind it are not computed."""
     text = RIGHT
     for old, new in changes:
         assert old in text
         text = text.replace(old, new)
     (tmp_path / "mine.py").write_text(text)
-    found = check_model("mine.py:model", horizon=12, particles=50, folder=tmp_path)
-    return {check.name: check for check in found}
+    return check_model("mine.py:model", horizon=12, particles=50, folder=tmp_path)
+
+
+def checks_of(tmp_path: Path, *changes: tuple[str, str]) -> dict[str, Check]:
+    return {check.name: check for check in checked(tmp_path, *changes)}
 
 
 def test_a_right_model_passes_every_look(tmp_path: Path) -> None:
@@ -85,26 +89,35 @@ def test_a_right_model_passes_every_look(tmp_path: Path) -> None:
             r"Numba: it has no np\.piecewise; write pfdist\.where.*mine\.py:\d+",
             ("0.9 * x[0]", "np.piecewise(x[0], [x[0] > 0], [1, 2])"),
         ),
-        (
+        pytest.param(
             "speed",
             "note",
             r"@ in transition \(.*mine\.py:\d+\): write each component out",
             ("0.9 * x[0]", "(np.eye(1) @ np.array(x))[0]"),
+            marks=pytest.mark.slow,
         ),
-        (
+        pytest.param(
             "speed",
             "note",
             r"TABLE in transition \(.*mine\.py:\d+\): each index is checked for each particle",
             ("0.9 * x[0]", "TABLE[t % 3] * x[0]"),
+            marks=pytest.mark.slow,
         ),
-        (
+        pytest.param(
             "speed",
             "ok",
             "no formula makes or indexes an array",
             ("0.9 * x[0]", "np.where(x[0] > 0, 0.5, 1)"),
+            marks=pytest.mark.slow,
         ),
         ("simulate", "wrong", r"stay finite, got x\[0\] = ", ("0.9 * x[0]", "np.sqrt(x[0])")),
-        ("same bytes", "note", "call pow of the C library", ("0.9 * x[0]", "abs(x[0]) ** 0.9")),
+        pytest.param(
+            "same bytes",
+            "note",
+            "call pow of the C library",
+            ("0.9 * x[0]", "abs(x[0]) ** 0.9"),
+            marks=pytest.mark.slow,
+        ),
         (
             "pure",
             "wrong",
@@ -117,7 +130,7 @@ def test_a_right_model_passes_every_look(tmp_path: Path) -> None:
             "transition must treat each particle alone",
             ("0.9 * x[0] + w[0]", "np.mean(x[0]) + w[0]"),
         ),
-        (
+        pytest.param(
             "log_likelihood",
             "wrong",
             r"the mean 1\.\d+ ± 0\.\d+, not 1",
@@ -125,6 +138,7 @@ def test_a_right_model_passes_every_look(tmp_path: Path) -> None:
                 "np.exp(0.1 * x[0])) ** 2 - 0.1 * x[0]",
                 "(0.9 * np.exp(0.1 * x[0]))) ** 2 - 0.1 * x[0]",
             ),
+            marks=pytest.mark.slow,
         ),
         (
             "log_likelihood",
@@ -132,13 +146,14 @@ def test_a_right_model_passes_every_look(tmp_path: Path) -> None:
             "a term left out that depends on x",
             (" - 0.1 * x[0]", ""),
         ),
-        (
+        pytest.param(
             "log_likelihood",
             "wrong",
             r"must be finite .* got NaN or infinity for \d+\.\d+% of y",
             ("-0.5 * ((y[0] - x[0])", "np.log(9 - y[0]) - 0.5 * ((y[0] - x[0])"),
+            marks=pytest.mark.slow,
         ),
-        (
+        pytest.param(
             "log_likelihood",
             "note",
             "which y are possible depends on x",
@@ -146,30 +161,35 @@ def test_a_right_model_passes_every_look(tmp_path: Path) -> None:
                 "-0.5 * ((y[0] - x[0]) / np.exp(0.1 * x[0])) ** 2 - 0.1 * x[0]",
                 "np.log(np.abs(y[0] - x[0]) < 9 * np.exp(0.1 * x[0]))",
             ),
+            marks=pytest.mark.slow,
         ),
-        (
+        pytest.param(
             "log_likelihood",
             "note",
             "does not depend on x",
             ("-0.5 * ((y[0] - x[0])", "0 * ((y[0])"),
+            marks=pytest.mark.slow,
         ),
-        (
+        pytest.param(
             "degenerate draws",
             "note",
             "% of draws",
             ("-0.5 * ((y[0] - x[0])", "np.log(y[0] < 1.0) - 0.5 * ((y[0] - x[0])"),
+            marks=pytest.mark.slow,
         ),
-        (
+        pytest.param(
             "expected MSE",
             "wrong",
             "must be finite",
             ("(x[0],),\n    initial_noise", "(1e200 * x[0],),\n    initial_noise"),
+            marks=pytest.mark.slow,
         ),
-        (
+        pytest.param(
             "expected MSE",
             "wrong",
             r"must be finite, and its error, got \d.*e\+1\d\d ± inf",
             ("(x[0],),\n    initial_noise", "(1e80 * x[0],),\n    initial_noise"),
+            marks=pytest.mark.slow,
         ),
     ],
 )
@@ -179,7 +199,7 @@ def test_a_mistake_is_found(
     changes = [change]
     if "does not depend" in says:
         changes.append((" - 0.1 * x[0]", ""))
-    check = checks_of(tmp_path, *changes)[look]
+    check = next(check for check in checked(tmp_path, *changes) if check.name == look)
     assert check.state == state, check
     assert re.search(says, check.text), check.text
     assert "\n" not in check.text
@@ -222,6 +242,7 @@ def test_a_likelihood_that_jumps_is_compared_on_both_sides(
 READS_CLOCK = ("0.9 * x[0] + w[0]", "np.exp(-p.dt[t]) * x[0] + w[0]")
 
 
+@pytest.mark.slow
 def test_a_model_that_reads_a_clock_gets_one_and_the_note_says_so(tmp_path: Path) -> None:
     checks = checks_of(tmp_path, READS_CLOCK)
     assert checks["clock"].state == "note"
@@ -230,6 +251,7 @@ def test_a_model_that_reads_a_clock_gets_one_and_the_note_says_so(tmp_path: Path
     assert list(checks) == [*LOOKS[:1], "clock", *LOOKS[1:]]
 
 
+@pytest.mark.slow
 def test_a_given_clock_is_used(tmp_path: Path) -> None:
     text = RIGHT.replace(*READS_CLOCK).replace("np.exp(-p.dt[t])", "np.sqrt(0.5 - p.dt[t])")
     (tmp_path / "mine.py").write_text(text)

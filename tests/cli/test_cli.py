@@ -229,6 +229,7 @@ def test_every_mistake_is_one_line_and_exit_code_1(
     assert re.search(words, captured.err)
 
 
+@pytest.mark.slow
 def test_the_seconds_of_evaluate_are_those_of_the_draws(
     finished: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -328,6 +329,7 @@ def test_without_a_terminal_progress_is_plain_lines(
     assert f"genetic: MSE {of_means} % lower, relative gain {relative} %" in lines[-1]
 
 
+@pytest.mark.slow
 def test_a_finished_run_holds_no_code(
     small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -74,6 +74,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         yield folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("line", EXAMPLES)
 @pytest.mark.usefixtures("no_figures")
 def test_an_example_runs(line: str, folder: Path) -> None:
@@ -110,7 +111,9 @@ def test_the_commands_that_take_a_run_are_found() -> None:
     assert set(TAKE_A_RUN) == readers | {"compare"}  # compare takes a job first
 
 
-@pytest.mark.parametrize("name", [*TAKE_A_RUN, *ASK])
+@pytest.mark.parametrize(
+    "name", [*TAKE_A_RUN, *(pytest.param(name, marks=pytest.mark.slow) for name in ASK)]
+)
 def test_a_command_about_a_run_opens_the_committed_run(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -47,7 +47,7 @@ def _refused(words: list[str], capsys: pytest.CaptureFixture[str], code: int = 1
         pytest.param(_changed("seed = 1", f"seed = {_NINES}"), "19 digits", id="5,000 digits"),
         pytest.param(_changed("seed = 1", "seed = 0x" + "f" * 5000), "64 bits", id="hexadecimal"),
         pytest.param(_changed("seed = 1", "seed = " + "[" * 9999), "16 deep", id="deep lists"),
-        pytest.param(_changed("seed = 1", ".".join("a" * 9999) + " = 1"), "16 deep", id="dots"),
+        pytest.param(_changed("seed = 1", ".".join("a" * 999) + " = 1"), "16 deep", id="dots"),
         pytest.param(_changed("seed = 1", f"seed = '{_LONG}'"), "seed must be", id="3 MB of text"),
         pytest.param(_changed("seed = 1", f"{_LONG} = 1"), "unknown key 'xx", id="a key of 3 MB"),
         pytest.param(_changed("seed = 1", ""), "seed must be given", id="nothing required"),
@@ -230,5 +230,5 @@ def test_a_job_that_is_made_in_python_is_refused_as_that_of_a_file(
 @pytest.mark.usefixtures("no_figures")
 def test_run_takes_changes_as_plan_and_budget_do(small_job: Job, tmp_path: Path) -> None:
     changes = ["seed=7", "search.genetic.generations=1", "comparison.draws=20"]
-    done = pfdist.run(small_job, tmp_path / "run", changes=changes)
+    done = pfdist.run(small_job, tmp_path / "run", changes=changes, figures=False)
     assert (done.job["seed"], done.job["comparison"]["draws"]) == (7, 20)

@@ -82,6 +82,7 @@ def test_json_has_every_column(runs: Path, capsys: pytest.CaptureFixture[str]) -
                 assert (tuple(value) if isinstance(value, list) else value) == expected[key]
 
 
+@pytest.mark.slow
 def test_the_unit_of_the_clock_is_in_the_json_and_in_the_heads(
     runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -28,7 +28,7 @@ SWEEPS = [path for path in FILES if path.read_text().count("\njob = ")]
 JOBS = [path for path in FILES if path not in SWEEPS]
 SCHEMES = sorted({(job.model.name, job.filter.resampling) for job in map(load_job, JOBS)})
 QUICK = {"ungm"}  # the others are compiled by `pytest -m zoo`
-QUICK_JOBS = {"quick", "online"}
+QUICK_JOBS = {"quick"}
 BELIEVED = {"tumour": {"frequency_sd": 0.005}}  # by the filter, where that is not the truth
 
 

@@ -183,7 +183,6 @@ def test_a_bit_flipped_in_any_file_is_named_and_what_is_lost_and_only_that_is_ma
     record_property("faults", f"{PROMISE}: {len(committed_files) * flips}")
 
 
-@pytest.mark.fault
 def test_a_file_that_is_deleted_is_named_and_made_again(
     job: Job,
     runs: dict[str, Path],
@@ -209,7 +208,6 @@ def test_a_file_that_is_deleted_is_named_and_made_again(
     record_property("faults", f"{PROMISE}: {len(committed_files)}")
 
 
-@pytest.mark.fault
 def test_a_deleted_entry_makes_its_file_a_stranger_and_is_made_again(
     job: Job, runs: dict[str, Path], tmp_path: Path, record_property: Record
 ) -> None:
@@ -227,7 +225,6 @@ def test_a_deleted_entry_makes_its_file_a_stranger_and_is_made_again(
     record_property("faults", f"{PROMISE}: {len(committed_files)}")
 
 
-@pytest.mark.fault
 def test_a_file_that_the_disk_cannot_read_is_named_and_made_again(
     job: Job,
     runs: dict[str, Path],
@@ -253,7 +250,6 @@ def test_a_file_that_the_disk_cannot_read_is_named_and_made_again(
     record_property("faults", f"{PROMISE}: 1")
 
 
-@pytest.mark.fault
 def test_rows_are_counted(runs: dict[str, Path], tmp_path: Path, record_property: Record) -> None:
     run = shutil.copytree(runs["finished"], tmp_path / "run")
     file = Path("tables/comparison/comparison-00002.parquet")
@@ -264,7 +260,6 @@ def test_rows_are_counted(runs: dict[str, Path], tmp_path: Path, record_property
     record_property("faults", f"{PROMISE}: 1")
 
 
-@pytest.mark.fault
 @pytest.mark.parametrize(
     "stranger",
     [
@@ -297,7 +292,6 @@ def test_a_strangers_file_is_named_and_moved_and_nothing_is_computed(
     record_property("faults", f"{PROMISE}: 1")
 
 
-@pytest.mark.fault
 def test_what_is_damaged_twice_is_kept_twice(
     job: Job, runs: dict[str, Path], tmp_path: Path, record_property: Record
 ) -> None:
@@ -312,7 +306,6 @@ def test_what_is_damaged_twice_is_kept_twice(
     record_property("faults", f"{PROMISE}: {len(kept)}")
 
 
-@pytest.mark.fault
 def test_repair_moves_what_is_damaged_and_says_what_going_on_will_compute(
     job: Job,
     runs: dict[str, Path],
@@ -352,7 +345,6 @@ def test_repair_moves_what_is_damaged_and_says_what_going_on_will_compute(
     record_property("faults", f"{PROMISE}: {len(wrong)}")
 
 
-@pytest.mark.fault
 def test_a_damaged_job_grows_all_the_same_and_does_not_shrink(
     job: Job, runs: dict[str, Path], tmp_path: Path, record_property: Record
 ) -> None:
@@ -381,7 +373,6 @@ BREAK: dict[str, Callable[[Path], object]] = {
 }
 
 
-@pytest.mark.fault
 @pytest.mark.parametrize("what", BREAK)
 @pytest.mark.parametrize("state", STATES)
 def test_another_job_moves_nothing(
@@ -396,7 +387,6 @@ def test_another_job_moves_nothing(
     record_property("faults", f"{PROMISE}: 1")
 
 
-@pytest.mark.fault
 def test_without_its_manifest_a_run_says_so_and_moves_nothing(
     job: Job, runs: dict[str, Path], tmp_path: Path, record_property: Record
 ) -> None:
@@ -410,7 +400,6 @@ def test_without_its_manifest_a_run_says_so_and_moves_nothing(
     record_property("faults", f"{PROMISE}: 1")
 
 
-@pytest.mark.fault
 def test_a_run_that_lost_what_says_whose_it_is_is_known_by_its_manifest(
     job: Job, runs: dict[str, Path], tmp_path: Path, record_property: Record
 ) -> None:

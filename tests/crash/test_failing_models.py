@@ -108,7 +108,6 @@ def _compared(run: Path) -> set[int]:
     return set(pd.concat(pd.read_parquet(file, columns=["draw"]) for file in files)["draw"])
 
 
-@pytest.mark.fault
 def test_one_draw_that_fails_ends_the_run_after_all_others_with_its_traceback(
     pool: str,
     command: Make,
@@ -133,7 +132,6 @@ def test_one_draw_that_fails_ends_the_run_after_all_others_with_its_traceback(
     record_property("faults", f"{FAILS}: {len(errors)}")
 
 
-@pytest.mark.fault
 def test_a_draw_that_fails_once_is_done_again_and_the_run_ends_with_the_same_bytes(
     pool: str, command: Make, tmp_path: Path, record_property: Record
 ) -> None:
@@ -145,7 +143,6 @@ def test_a_draw_that_fails_once_is_done_again_and_the_run_ends_with_the_same_byt
     record_property("faults", f"{FAILS}: 1")
 
 
-@pytest.mark.fault
 @pytest.mark.parametrize("failures", [0, 5])
 def test_a_model_that_always_fails_is_tried_so_often_and_no_more(
     failures: int,
@@ -183,7 +180,6 @@ def test_a_draw_that_never_ends_fails(
     record_property("faults", f"{FAILS}: {len(errors) * ray_pool.SILENCES}")
 
 
-@pytest.mark.fault
 def test_a_draw_that_takes_all_memory_it_may_have_fails_with_its_traceback(
     pool: str, command: Make, tmp_path: Path, record_property: Record
 ) -> None:

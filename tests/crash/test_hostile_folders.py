@@ -20,7 +20,6 @@ from pfdist.cli.main import main
 from pfdist.errors import StoreError
 from pfdist.store import Store, files, schema
 
-pytestmark = pytest.mark.fault
 PROMISE = "damage is found"
 Record = Callable[[str, object], None]
 SMALL = ["search.genetic.generations=2", "search.random.evaluations=3", "comparison.draws=120"]

@@ -77,7 +77,6 @@ def never_killed(job: Path) -> dict[str, str]:
 SEARCHING, COMPARING = ("draws", "compared"), ("comparison", "comparison")
 
 
-@pytest.mark.crash
 @pytest.mark.parametrize(
     ("pool", "phases"),
     [
@@ -287,7 +286,6 @@ def test_a_kill_loses_at_most_five_seconds_of_work(
     record_property("faults", f"{ONCE}: {len(losses)}")
 
 
-@pytest.mark.fault
 @pytest.mark.usefixtures("no_figures")
 @pytest.mark.parametrize(("state", "sets", "task"), [("searching", 1, 7), ("comparing", 3, 2)])
 @pytest.mark.parametrize(

@@ -82,7 +82,6 @@ def test_a_sweep_killed_at_any_instant_ends_with_the_same_bytes(
     record_property("faults", f"{KILLED}: {kills}")
 
 
-@pytest.mark.fault
 def test_a_sweep_asked_to_end_keeps_what_is_done_and_goes_on(
     small_job: Job,
     tmp_path: Path,

@@ -20,7 +20,6 @@ from pfdist.store import Store, run_key
 from pfdist.store.repair import repair_run, verify_run
 from pfdist.store.tables import signed_by
 
-pytestmark = pytest.mark.fault
 PROMISE = "damage is found"
 SEEDS = (1, 2)
 Record = Callable[[str, object], None]

@@ -96,7 +96,6 @@ def test_a_why_that_goes_wrong_at_any_file_operation_ends_with_the_same_bytes(
     record_property("faults", f"{PROMISE}: {faults}")
 
 
-@pytest.mark.fault
 @pytest.mark.parametrize("fault", ["ENOSPC", "EIO", "EROFS"])
 def test_a_run_whose_report_cannot_be_written_is_finished(
     small_job: Job,

@@ -43,7 +43,6 @@ sys.exit(main(sys.argv[1:]))
 """
 
 
-@pytest.mark.fault
 def test_the_second_ctrl_c_ends_at_once_what_the_first_cannot(
     small_job: Job, tmp_path: Path, record_property: Record
 ) -> None:
@@ -79,7 +78,6 @@ sys.exit(main(sys.argv[1:]))
 """
 
 
-@pytest.mark.fault
 @pytest.mark.parametrize("after", [0.05, 0.3])
 def test_ctrl_c_is_heard_while_the_program_is_loaded(after: float, record_property: Record) -> None:
     command = [sys.executable, "-c", BEGINS, "check-model", "ungm"]  # loads Numba: a second

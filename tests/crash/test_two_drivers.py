@@ -65,7 +65,6 @@ def first(small_job: Job, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
         process.kill()
 
 
-@pytest.mark.fault
 def test_the_second_driver_is_refused_at_once_and_told_who_holds_the_run(
     first: subprocess.Popen[str],
     small_job: Job,
@@ -95,7 +94,6 @@ def test_the_second_driver_is_refused_at_once_and_told_who_holds_the_run(
     record_property("faults", f"{PROMISE}: {len(commands)}")
 
 
-@pytest.mark.fault
 def test_after_kill_9_the_second_driver_starts_without_hand_work(
     first: subprocess.Popen[str],
     small_job: Job,

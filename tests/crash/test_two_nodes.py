@@ -127,7 +127,6 @@ def _two_nodes(folder: Path) -> Iterator[str]:
 
 
 @pytest.mark.slow
-@pytest.mark.fault
 def test_helper_modules_and_data_files_arrive_on_nodes_that_lack_them(tmp_path: Path) -> None:
     model = tmp_path / "model"
     (model / "shared").mkdir(parents=True)

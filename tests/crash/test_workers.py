@@ -84,7 +84,6 @@ def _is_comparing(driver: Running) -> bool:
 
 
 @pytest.mark.slow
-@pytest.mark.fault
 @pytest.mark.usefixtures("ray_cluster")
 def test_a_worker_that_is_killed_in_each_phase_makes_no_difference(
     small_job: Job, tmp_path: Path, record_property: Record

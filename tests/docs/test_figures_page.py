@@ -22,6 +22,7 @@ def _closed() -> Iterator[None]:
     pyplot.close("all")
 
 
+@pytest.mark.slow
 def test_the_examples_draw_what_the_page_says(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

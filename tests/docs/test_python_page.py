@@ -11,6 +11,7 @@ import pfdist
 PAGE = (Path(__file__).parents[2] / "docs" / "python.md").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("ray_cluster")
 def test_the_example_runs_and_its_run_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

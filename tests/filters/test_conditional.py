@@ -68,6 +68,7 @@ def test_the_variance_is_the_squared_error_on_average_and_at_most_that_of_the_ex
     assert standard_errors(variance - exact) < 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sd", "exact", "expected"),
     [
@@ -101,6 +102,7 @@ def test_the_plain_twin_agrees(particles: int) -> None:
     np.testing.assert_allclose(compiled, twin, rtol=1e-12, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_states_are_float64_beside_the_truth_whatever_the_job_says() -> None:
     work = Work((TIMES,), (HORIZON,), (7,), 3, (0, 20), with_truth(50))
     double, single = (
@@ -181,6 +183,7 @@ def test_the_identity_holds_for_another_program() -> None:
     assert abs(deviation(right)) < 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "wrong", [overwritten_sorted_point, overwritten_systematic_point, truth_not_set_again]
 )

@@ -155,12 +155,14 @@ def test_a_draw_is_degenerate_where_no_particle_explains_a_measurement(
         np.testing.assert_allclose(getattr(fast, name), getattr(slow, name), rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_particles_that_leave_the_finite_numbers_cost_infinity(ungm: StateSpaceModel) -> None:
     draws = simulate(ungm, 6, range(3), 3)
     wild = replace(ungm, transition=lambda x, t, w, p: (x[0] * 1e200 * (1 + t),))
     np.testing.assert_array_equal(filter_draws(wild, draws, (), 10, 1).mse, np.inf)
 
 
+@pytest.mark.slow
 def test_without_measurements_the_estimate_is_the_mean_of_the_particles() -> None:
     model = SCALAR.as_model()
     draws = simulate(model, 8, range(2), 1)
@@ -201,6 +203,7 @@ def test_figures_change_only_with_the_kernels_version(ungm: StateSpaceModel) -> 
     np.testing.assert_array_equal(mse, pinned[KERNEL_VERSION])
 
 
+@pytest.mark.slow
 def test_float32_states_give_the_same_mse_within_their_rounding(ungm: StateSpaceModel) -> None:
     # A rounded state may have another ancestor, and then the draw goes another way: the difference
     # has mean 0 and is small in most draws.
@@ -215,6 +218,7 @@ def test_float32_states_give_the_same_mse_within_their_rounding(ungm: StateSpace
     np.testing.assert_allclose(single[:20], plainly, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_compiled_and_plain_filter_have_the_same_mse_on_average(ungm: StateSpaceModel) -> None:
     # Their sums round otherwise, which may decide an ancestor: then a draw differs, else by 1e-9.
     draws = simulate(ungm, 60, range(500), 6)
@@ -228,6 +232,7 @@ def test_compiled_and_plain_filter_have_the_same_mse_on_average(ungm: StateSpace
     )
 
 
+@pytest.mark.slow
 def test_the_filters_model_may_be_another_than_the_truth() -> None:
     # A filter that thinks less of the measurements than it should errs more, as Kalman's does.
     truth, believed = SCALAR, replace(SCALAR, d=5 * SCALAR.d)
@@ -242,6 +247,7 @@ def test_the_filters_model_may_be_another_than_the_truth() -> None:
     assert filtered.mse.mean() > 1.1 * right.mean()
 
 
+@pytest.mark.slow
 def test_the_error_may_be_any_function_of_z_and_its_estimate(ungm: StateSpaceModel) -> None:
     draws = simulate(ungm, HORIZON, range(20), 1)
     weighed = replace(
@@ -257,6 +263,7 @@ def test_the_error_may_be_any_function_of_z_and_its_estimate(ungm: StateSpaceMod
     )
 
 
+@pytest.mark.slow
 def test_a_particle_without_weight_does_not_count(ungm: StateSpaceModel) -> None:
     # Where x < 0 the quantity of interest is NaN; the measurement rules these particles out.
     model = replace(
@@ -347,6 +354,7 @@ def test_a_filter_of_another_size_is_refused(
 TABLE = np.array([1.0, 2.0, 3.0])
 
 
+@pytest.mark.slow
 def test_an_error_in_the_middle_of_a_filter_leaves_no_array_behind(ungm: StateSpaceModel) -> None:
     draws = simulate(ungm, 12, range(20), 1)
     short = replace(ungm, transition=lambda x, t, w, p: (x[0] / 2 + w[0] + TABLE[t],))
@@ -364,6 +372,7 @@ def test_an_error_in_the_middle_of_a_filter_leaves_no_array_behind(ungm: StateSp
     assert np.isfinite(again.mse).all()
 
 
+@pytest.mark.slow
 def test_what_lies_behind_the_last_particle_raises_no_error(ungm: StateSpaceModel) -> None:
     # The transition fails where its noise is larger than that of any particle that there is. Under
     # this key 57 of the variates that lie behind it are.

@@ -51,7 +51,11 @@ def test_together_they_are_bit_for_bit_as_one_by_one(
     np.testing.assert_array_equal(together, np.stack(alone, axis=1))
 
 
-@pytest.mark.parametrize(("believed", "value"), [(DEGENERATE, math.nan), (INFINITE, math.inf)])
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("believed", "value"),
+    [(DEGENERATE, math.nan), pytest.param(INFINITE, math.inf, marks=pytest.mark.slow)],
+)
 def test_a_draw_that_ended_has_ended_for_all_that_share_it(
     believed: StateSpaceModel, value: float
 ) -> None:

@@ -58,6 +58,7 @@ def test_the_compiled_sums_are_the_plain_ones(model, estimator):
         np.testing.assert_allclose(row[: end + 1], expected[: end + 1], rtol=1e-9)
 
 
+@pytest.mark.slow
 @engines
 def test_the_error_of_the_model_itself_is_summed(engine):
     """The squared error stands for whatever the model calls the error."""

@@ -38,12 +38,14 @@ def _in_a_loop(x: Any, t: Any, w: Any, p: Any) -> Any:
     return (x[0] + p.rate[t],)
 
 
+@pytest.mark.slow
 def test_a_parameter_at_t_is_that_of_numpy() -> None:
     draws = simulate(WALK, HORIZON, range(5), 1)
     fast, slow = (f(WALK, draws, (1, 4), 50, 2) for f in (filter_draws, plain.filter_draws))
     np.testing.assert_allclose(fast.mse, slow.mse, rtol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("transition", "index"),
     [
@@ -111,6 +113,7 @@ def test_a_job_says_how_many_numbers_a_parameter_needs(count: int, tmp_path: Pat
                 function(problem)
 
 
+@pytest.mark.slow
 def test_a_check_and_a_filter_say_how_many_numbers_a_parameter_needs(tmp_path: Path) -> None:
     """Before the formulas are called, which would end in an IndexError at some t."""
     (tmp_path / "model.py").write_text(SOURCE.replace("COUNT", "4"))

@@ -244,6 +244,7 @@ def models(tmp_path):
     return simulated
 
 
+@pytest.mark.slow
 def test_another_process_loads_what_one_compiled_and_never_for_an_edited_model(models, tmp_path):
     (first,) = models("mine.py")
     other, second = models("other.py", "mine.py", hash_seed="2")  # beside another model's code

@@ -105,6 +105,7 @@ def test_a_bad_formula_is_refused_with_its_line_whatever_computes_it(
     assert any(re.search(message, text) for text in wrong), checks
 
 
+@pytest.mark.slow
 def test_right_indices_and_integers_give_in_compiled_code_what_they_give_in_numpy(
     tmp_path: Path,
 ) -> None:

@@ -99,6 +99,7 @@ def test_without_measurements_the_expected_mse_is_the_priors_variance():
     assert_mean(mse, variance.mean() * (1 + 1 / particles))
 
 
+@pytest.mark.zoo
 def test_it_is_the_turn_that_shows_the_range():
     straight = MODEL.with_parameters({"second_course": MODEL.p.first_course})
     blind, turning, going_on = (  # the target is the same

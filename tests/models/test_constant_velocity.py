@@ -89,6 +89,7 @@ def test_simulated_draws_have_the_moments_of_the_formulas():
             assert_mean(values[:, i] * values[:, j], covariance[i, j])
 
 
+@pytest.mark.zoo
 def test_without_measurements_the_expected_mse_is_the_priors_variance():
     # Exact at whatever step, because the noise is that of continuous time: q t^3 / 3.
     t, particles = np.arange(41), 500
@@ -97,6 +98,7 @@ def test_without_measurements_the_expected_mse_is_the_priors_variance():
     assert_mean(mse, variance.mean() * (1 + 1 / particles))
 
 
+@pytest.mark.zoo
 @pytest.mark.parametrize("bearing", [0.0, 2.0, math.pi], ids=["north", "between", "south"])
 def test_far_away_it_is_linear_and_gaussian(bearing):
     # From 10^6 km the range is the position along the line of sight, the bearing times 10^6 km that
@@ -143,6 +145,7 @@ def test_far_away_it_is_linear_and_gaussian(bearing):
     assert (rms < 0.1 * np.sqrt(variance[0])).all()
 
 
+@pytest.mark.zoo
 def test_measurements_help():
     draws = simulate(MODEL, 40, range(500), 1)
     nothing, some, everything = (

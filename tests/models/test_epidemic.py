@@ -59,6 +59,7 @@ def test_shares_stay_within_0_and_1_however_long_the_step_is():
     assert 0 <= susceptible <= susceptible + infectious <= 1
 
 
+@pytest.mark.zoo
 @pytest.mark.parametrize("times", [(0, 1, 2, 3), (0, 0.5, 0.6, 7)], ids=["even", "irregular"])
 def test_the_log_transmission_rate_has_stationary_moments_and_its_correlation(times):
     model = SOURCE.on_clock(times)

@@ -93,6 +93,7 @@ def test_the_first_component_is_measured_and_the_state_is_wanted():
     assert MODEL.quantity_of_interest(x, 4, MODEL.p) == x
 
 
+@pytest.mark.zoo
 def test_measurements_help():
     draws = simulate(MODEL, 30, range(1000), 1)
     nothing, some, everything = (

@@ -52,6 +52,7 @@ def test_simulated_draws_have_the_stationary_moments_at_all_times():
     assert_mean(pushed * (before - MU), 0.0)
 
 
+@pytest.mark.zoo
 def test_without_measurements_the_expected_mse_is_the_variance_of_the_volatility():
     particles = 500
     mse = filter_draws(MODEL, simulate(MODEL, 60, range(5000), 3), (), particles, 1).mse
@@ -59,6 +60,7 @@ def test_without_measurements_the_expected_mse_is_the_variance_of_the_volatility
     assert_mean(mse, variance * (1 + 1 / particles))
 
 
+@pytest.mark.zoo
 def test_measurements_help():
     draws = simulate(MODEL, 60, range(1000), 1)
     nothing, some, everything = (

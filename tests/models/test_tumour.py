@@ -74,6 +74,7 @@ def test_simulated_draws_have_the_moments_of_the_box_and_of_a_clipped_walk():
 # The authors' figures are of 100,000 draws, with 1,000 particles and multinomial resampling. So
 # are these, because the bias is not small: against 5,000 particles 1,000 cost 1.8 % more with the
 # regular times, 500 cost 4 % more, 200 17 %, 100 63 %.
+@pytest.mark.zoo
 @pytest.mark.parametrize(
     ("times", "authors", "again", "error"),
     [
@@ -89,6 +90,7 @@ def test_the_expected_mse_is_the_authors(times, authors, again, error):
     assert abs(mse.mean() - again) < 3.5 * np.hypot(of_the_mean, error)
 
 
+@pytest.mark.zoo
 def test_measurements_take_nine_tenths_of_the_error_away():
     draws = simulate(TRUTH, 30, range(500), 1)
     blind, seeing = (filter_draws(FILTER, draws, times, 500, 1).mse for times in ((), range(31)))

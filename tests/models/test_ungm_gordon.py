@@ -49,6 +49,7 @@ def test_simulated_draws_have_gordons_variances():
     assert_mean(pushed * before, 0.0)
 
 
+@pytest.mark.zoo
 def test_measurements_help():
     draws = simulate(MODEL, 60, range(1000), 1)
     nothing, some, everything = (

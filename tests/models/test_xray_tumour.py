@@ -63,6 +63,7 @@ def test_a_step_is_that_of_a_damped_oscillator_pushed_by_white_noise(damping, st
     np.testing.assert_allclose(b @ b.T, covariance, rtol=0, atol=rounding * size)
 
 
+@pytest.mark.zoo
 def test_simulated_draws_have_the_stationary_covariances_near_and_far():
     draws = simulate(MODEL, 30, range(100_000), 5)
     forward = exact_step(0.05, 0.25)[0]
@@ -147,6 +148,7 @@ LINEAR = LinearGaussian(
 )
 
 
+@pytest.mark.zoo
 @pytest.mark.parametrize("times", [(0, 3, 4, 9), tuple(range(13))], ids=["some", "all"])
 def test_with_parallel_rays_the_filter_is_the_kalman_filter(times):
     particles, count = 4000, 100
@@ -167,6 +169,7 @@ def test_with_parallel_rays_the_filter_is_the_kalman_filter(times):
     assert (rms < 0.1 * np.sqrt(variance[0])).all()
 
 
+@pytest.mark.zoo
 def test_with_parallel_rays_the_expected_mse_is_riccatis():
     times, particles = regular(48, 7), 2000
     exact = riccati_cost(LINEAR, 48, times)
@@ -178,6 +181,7 @@ def test_with_parallel_rays_the_expected_mse_is_riccatis():
 # ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.zoo
 def test_images_half_a_breath_apart_miss_the_velocity():
     draws = simulate(MODEL, 48, range(1000), 1)
     nothing, half_a_breath, in_groups, everything = (

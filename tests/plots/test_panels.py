@@ -271,6 +271,7 @@ def test_its_legend_covers_no_data(
             _check_legends(figure)
 
 
+@pytest.mark.slow
 def test_no_legend_of_a_runs_figures_covers_data(plain: Run, proved: Run, several: Run) -> None:
     figures = [
         plot

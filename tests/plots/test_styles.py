@@ -126,6 +126,7 @@ def test_print_is_one_column_wide_in_8_points_and_embeds_its_fonts() -> None:
         assert mpl.rcParams["pdf.fonttype"] == 42  # TrueType: text that can be searched
 
 
+@pytest.mark.slow
 def test_figures_that_are_saved_need_no_pyplot() -> None:
     code = (
         "import sys, pfdist.plots.figures; from pfdist.plots.library import styled\n"
@@ -135,6 +136,7 @@ def test_figures_that_are_saved_need_no_pyplot() -> None:
     assert _run(code, {}).stdout == "False\n"
 
 
+@pytest.mark.slow
 def test_a_new_figure_has_the_backend_that_the_environment_names() -> None:
     code = (
         "import pfdist\n"
@@ -159,10 +161,20 @@ def _run(code: str, settings: dict[str, str]) -> subprocess.CompletedProcess[str
 @pytest.mark.parametrize(
     "settings",
     [
-        pytest.param({"MPLBACKEND": "nonsense"}, id="a backend that does not exist"),
+        pytest.param(
+            {"MPLBACKEND": "nonsense"},
+            id="a backend that does not exist",
+            marks=pytest.mark.slow,
+        ),
         pytest.param({"MPLBACKEND": "TkAgg"}, id="a backend that needs a screen"),
-        pytest.param({"HOME": "/proc", "MPLCONFIGDIR": ""}, id="no home to write to"),
-        pytest.param({"MPLCONFIGDIR": "/proc/x"}, id="no folder for settings to write to"),
+        pytest.param(
+            {"HOME": "/proc", "MPLCONFIGDIR": ""}, id="no home to write to", marks=pytest.mark.slow
+        ),
+        pytest.param(
+            {"MPLCONFIGDIR": "/proc/x"},
+            id="no folder for settings to write to",
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_no_setting_of_the_machine_ends_the_drawing_or_is_told(settings: dict[str, str]) -> None:

@@ -93,6 +93,7 @@ def test_nothing_outlives_a_command_that_is_killed(
     record_property("faults", "nothing hangs: 1")
 
 
+@pytest.mark.fault
 def test_a_process_that_lost_mark_and_parent_ends_with_its_command() -> None:
     """Ray's agents do, when the kernel ends their server together with the command."""
     value = secrets.token_hex(8)
@@ -136,6 +137,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.fault
 def test_a_script_that_never_leaves_its_pool_ends(tmp_path: Path) -> None:
     """Python then leaves it while it ends, when no thread can start any more."""
     script = tmp_path / "script.py"

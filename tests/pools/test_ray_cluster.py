@@ -60,6 +60,7 @@ with RayPool(lambda: abs, 1) as pool:
 """
 
 
+@pytest.mark.slow
 def test_workers_import_no_module_from_the_working_directory(tmp_path: Path) -> None:
     """SECURITY.md: the command `pfdist` imports nothing from the current folder."""
     for module in ("pfdist", "pyarrow", "pydantic", "numpy"):

@@ -212,6 +212,7 @@ def test_an_interrupt_ends_every_member() -> None:
     assert sorted(ended) == [0, 1]
 
 
+@pytest.mark.slow
 def test_workers_of_ray_idle_hardly_while_a_member_pauses(ray_cluster: None) -> None:
     """The other member's tasks fill the pause: together they take as long as their tasks."""
     from pfdist.pools.ray_pool import RayPool

@@ -73,6 +73,7 @@ def test_it_says_what_the_summary_says_in_a_sentence(exact: Job, tmp_path: Path)
     assert not list(verify_run(run.path))
 
 
+@pytest.mark.slow
 def test_it_has_the_sampling_windows_of_every_set(exact: Job, tmp_path: Path) -> None:
     run = pfdist.run(exact, tmp_path / "run", figures=False)
     assert "sampling window" not in _report(run).text
@@ -141,6 +142,7 @@ def test_a_run_that_is_not_finished_has_a_report_that_says_so(
     assert "What was asked" in seen.text
 
 
+@pytest.mark.slow
 def test_of_many_searches_the_best_sets_have_figures(small_job: Job, tmp_path: Path) -> None:
     many = ", ".join(f"{{method='random', name='s{k}', evaluations=2}}" for k in range(20))
     job = small_job.with_changes([*EXACT, f"search=[{many}]"])

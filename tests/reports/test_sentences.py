@@ -180,6 +180,7 @@ def test_a_run_with_quotes_in_its_name_is_loaded_as_the_report_says(
     assert '"a \\"run\\" \U0001f600"' in code
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("error::UserWarning")
 def test_long_names_of_many_searches_leave_room_for_the_curves(
     small_job: Job, tmp_path: Path

@@ -239,6 +239,7 @@ def test_an_unfinished_point_says_so_and_has_no_link(exact: Job, sweep: Path) ->
     assert len(page.links) == 8
 
 
+@pytest.mark.slow
 def test_a_users_own_file_is_not_replaced_and_the_sweep_stands(exact: Job, tmp_path: Path) -> None:
     own = tmp_path / "sweep" / "report.html"
     own.parent.mkdir()
@@ -266,6 +267,7 @@ def test_a_report_that_fails_is_told_in_a_line_and_the_sweep_stands(
     assert "ZeroDivisionError: a mistake" in line
 
 
+@pytest.mark.slow
 def test_points_that_fail_leave_a_report_of_the_others(exact: Job, tmp_path: Path) -> None:
     (tmp_path / "sweep").mkdir()
     (tmp_path / "sweep" / "seed=2").write_text("a file in the way")

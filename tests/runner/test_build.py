@@ -94,6 +94,7 @@ def test_all_affordable_sets_are_searched_if_the_filter_is_wrong(
     assert run.sets()["regular"] in maximal
 
 
+@pytest.mark.slow
 def test_the_filters_model_may_be_another_one(tmp_path: Path) -> None:
     right = build(job_with(tmp_path))
     wrong = build(job_with(tmp_path, "[model.filter]", 'name = "other.py:model"'))
@@ -211,6 +212,7 @@ NEEDS_NUMPY = {"formula": "np.reshape(np.clip(0.5 * x[0], -9, 9), np.shape(x[0])
 OWN = ["[model]", 'name = "other.py:model"']
 
 
+@pytest.mark.slow
 def test_what_numba_cannot_compile_is_computed_in_numpy_with_one_warning(tmp_path: Path) -> None:
     few = ["evaluation.draws=3", "comparison.draws=10", "search.genetic.generations=1"]
     job = job_with(tmp_path, *OWN, **NEEDS_NUMPY).with_changes(few)

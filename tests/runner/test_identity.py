@@ -37,6 +37,13 @@ model = StateSpaceModel(
     data_files=("rates.csv",),
 )
 """
+SHORT = [
+    "filter.engine=numpy",
+    "evaluation.draws=3",
+    "search.genetic.generations=1",
+    "search.random.evaluations=2",
+    "comparison.draws=20",
+]
 HELPER = "def f(x):\n    return 0.9 * x\n"
 
 
@@ -45,7 +52,7 @@ def written(job: Job, *, constant: str = "1.0", helper: str = HELPER, rates: str
     files = {"mine.py": MODEL.format(constant=constant), "helper.py": helper, "rates.csv": rates}
     for name, text in files.items():
         job.path.with_name(name).write_text(text)
-    return job.with_changes(['model.name="mine.py:model"'])
+    return job.with_changes(['model.name="mine.py:model"', *SHORT])
 
 
 def stopped_in_the_comparison(job: Job, path: Path) -> None:
@@ -123,6 +130,7 @@ def test_a_run_goes_on_where_whole_times_are_written_as_floats(
     assert main(["verify", str(run.path)]) == 0
 
 
+@pytest.mark.slow
 def test_a_value_that_changes_the_key_alone_is_refused_by_its_name(
     small_job: Job, tmp_path: Path
 ) -> None:
@@ -197,6 +205,7 @@ def test_the_filters_model_is_named_where_it_differs(small_job: Job, tmp_path: P
         pfdist.run(job, tmp_path / "run", figures=False)
 
 
+@pytest.mark.slow
 def test_a_run_of_a_random_constant_does_not_go_on(small_job: Job, tmp_path: Path) -> None:
     job = written(small_job, constant="np.random.rand()")
     stopped_in_the_comparison(job, tmp_path / "run")

@@ -145,6 +145,7 @@ def test_the_plan_is_the_first_search_also_beside_sets_that_the_job_names(
     assert (kept["mse_online"] == kept["mse_survivors"]).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "clock",
     [
@@ -177,6 +178,7 @@ def test_two_workers_of_ray_give_the_same_bytes(
     assert hashes(other.path) == hashes(run.path)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("draw_by_draw")
 def test_a_run_that_is_stopped_goes_on_with_the_draws_that_it_lacks(
     job: Job, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

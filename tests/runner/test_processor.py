@@ -70,6 +70,7 @@ def test_nothing_is_said_where_nothing_may_differ(
     assert provenance(path)["continued_on"] == [THERE]
 
 
+@pytest.mark.slow
 def test_the_functions_of_the_c_library_are_named_when_a_run_goes_on_elsewhere(
     small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -84,6 +85,7 @@ def test_the_functions_of_the_c_library_are_named_when_a_run_goes_on_elsewhere(
     assert provenance(path)["libm_functions"] == ["pow"]
 
 
+@pytest.mark.slow
 def test_an_engine_in_numpy_agrees_to_12_digits_and_says_so(
     small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

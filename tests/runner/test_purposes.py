@@ -52,6 +52,7 @@ def _phases(*ends: str) -> set[str]:
     return {f"{DEFAULT_METHOD}{end}" for end in ends}
 
 
+@pytest.mark.slow
 def test_no_two_phases_share_a_draw(
     small_job: Job, tmp_path: Path, streams: dict[str, set[int]], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -44,7 +44,8 @@ def test_the_summary_says_what_it_is(
     assert described({"problem": problem}, name, times)["description"] == phrase
 
 
-@pytest.mark.parametrize("times", [(0, 3, 9), ()])
+@pytest.mark.slow
+@pytest.mark.parametrize("times", [(0, 3, 9), pytest.param((), marks=pytest.mark.slow)])
 def test_any_set_is_compared_under_its_name_in_tables_summary_figures_and_why(
     times: tuple[int, ...],
     small_job: Job,
@@ -74,6 +75,7 @@ def test_any_set_is_compared_under_its_name_in_tables_summary_figures_and_why(
     assert "reference: expected MSE " in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_with_another_reference_it_is_another_run(small_job: Job, tmp_path: Path) -> None:
     few = small_job.with_changes([*SHORT, "comparison.reference=[0, 3, 9]"])
     pfdist.run(few, tmp_path / "run")
@@ -82,6 +84,7 @@ def test_with_another_reference_it_is_another_run(small_job: Job, tmp_path: Path
         pfdist.run(other, tmp_path / "run")
 
 
+@pytest.mark.slow
 def test_searches_do_not_depend_on_the_reference(small_job: Job, tmp_path: Path) -> None:
     few, runs = small_job.with_changes(SHORT), []
     for reference in ("'regular'", "[0, 3, 9]"):
@@ -92,6 +95,7 @@ def test_searches_do_not_depend_on_the_reference(small_job: Job, tmp_path: Path)
         np.testing.assert_array_equal(*columns)
 
 
+@pytest.mark.slow
 def test_with_costs_it_spends_all_and_says_so(
     small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

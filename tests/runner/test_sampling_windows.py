@@ -126,6 +126,7 @@ def test_moves_by_one_instant_lose_what_the_worth_says(small_job: Job) -> None:
                 assert rows[row["t"], row["t"] + step]["loss"] == pytest.approx(loss)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ["kalman", "compiled"])
 def test_where_measurements_tell_little_the_optimum_is_flat(small_job: Job, engine: str) -> None:
     changes = ["model.name=random_walk", f"filter.engine={engine}", "problem.horizon=30"]
@@ -144,7 +145,7 @@ def test_where_measurements_tell_little_the_optimum_is_flat(small_job: Job, engi
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize("engine", ["kalman", "compiled"])
+@pytest.mark.parametrize("engine", ["kalman", pytest.param("compiled", marks=pytest.mark.slow)])
 def test_a_measurement_at_the_only_precise_instant_has_a_window_of_it_alone(
     small_job: Job, engine: str
 ) -> None:
@@ -167,6 +168,7 @@ def test_a_filter_that_does_not_know_the_truth_has_windows(small_job: Job) -> No
     assert all(np.isfinite(row["loss"]) for row in rows)
 
 
+@pytest.mark.slow
 def test_draws_that_only_the_moved_set_loses_keep_an_instant_open(small_job: Job) -> None:
     (small_job.path.parent / "cut.py").write_text(
         "from dataclasses import replace\n"

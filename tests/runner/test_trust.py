@@ -62,6 +62,7 @@ def _rows(run: Run, phase: str) -> pd.DataFrame:
     return rows[rows["phase"] == phase]
 
 
+@pytest.mark.slow
 def test_a_plan_ends_near_the_best_set_though_the_filters_variance_prefers_another(
     planned: tuple[Run, list[str], list[Any]], job: Job
 ) -> None:
@@ -70,6 +71,7 @@ def test_a_plan_ends_near_the_best_set_though_the_filters_variance_prefers_anoth
     assert _is_near_the_best(times, job)
 
 
+@pytest.mark.slow
 def test_so_does_the_default_search(job: Job, tmp_path: Path) -> None:
     said = list[str]()
     changes = [change.replace("survivors", DEFAULT_METHOD) for change in SMALL]
@@ -92,6 +94,7 @@ def _is_near_the_best(times: tuple[int, ...], job: Job) -> bool:
     return bool(np.mean(apart) < 4 * np.std(apart) / np.sqrt(draws))
 
 
+@pytest.mark.slow
 def test_distrust_is_said_in_a_line_with_its_reason_and_kept(
     planned: tuple[Run, list[str], list[Any]], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -108,6 +111,7 @@ def test_distrust_is_said_in_a_line_with_its_reason_and_kept(
     assert "its draws chose the set; resampling = systematic" in text
 
 
+@pytest.mark.slow
 def test_probes_are_what_led_the_search_a_prefix_up_to_its_end(
     planned: tuple[Run, list[str], list[Any]], job: Job
 ) -> None:
@@ -131,6 +135,7 @@ def test_probes_are_what_led_the_search_a_prefix_up_to_its_end(
     assert ends == {times[-1] for times, end in asked if end < 14}
 
 
+@pytest.mark.slow
 def test_the_race_is_by_the_squared_error_of_the_jobs_own_filter(
     planned: tuple[Run, list[str], list[Any]],
 ) -> None:
@@ -142,6 +147,7 @@ def test_the_race_is_by_the_squared_error_of_the_jobs_own_filter(
     assert (set(again["estimator"]), set(again["particles"])) == ({"squared_error"}, {500})
 
 
+@pytest.mark.slow
 def test_the_progress_has_room_for_what_is_done_again(
     planned: tuple[Run, list[str], list[Any]],
 ) -> None:
@@ -151,6 +157,7 @@ def test_the_progress_has_room_for_what_is_done_again(
     assert max(shares) == shares[-1] == 1.0
 
 
+@pytest.mark.slow
 def test_a_search_by_the_squared_error_needs_no_probe(job: Job, tmp_path: Path) -> None:
     changes = [*SMALL, "search.survivors.evaluation.estimator=squared_error"]
     run = pfdist.plan(job, tmp_path / "run", "survivors", changes, figures=False)
@@ -168,6 +175,7 @@ def test_an_estimator_that_the_user_chose_is_probed_as_well(job: Job, tmp_path: 
     assert set(_rows(run, "random.again")["estimator"]) == {"squared_error"}
 
 
+@pytest.mark.slow
 def test_where_finalists_change_their_order_the_search_is_done_again(
     job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -195,6 +203,7 @@ def test_where_finalists_change_their_order_the_search_is_done_again(
     assert tuple(found["measurement_times"]) in set(map(tuple, again["measurement_times"]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("phase", "pool"),
     [
@@ -239,6 +248,7 @@ def test_a_run_that_was_cut_short_distrusts_again_and_ends_with_the_same_bytes(
     ]
 
 
+@pytest.mark.slow
 def test_the_figure_of_costs_shows_the_search_that_was_done_again(
     planned: tuple[Run, list[str], list[Any]], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -106,7 +106,11 @@ def _check_equal(
     [
         *((engine, "systematic") for engine in ENGINES),
         *((engine, "multinomial") for engine in ENGINES if engine != "kalman"),
-        *((engine, "sorted_systematic") for engine in ENGINES if engine != "kalman"),
+        *(
+            pytest.param(engine, "sorted_systematic", marks=pytest.mark.slow)
+            for engine in ENGINES
+            if engine != "kalman"
+        ),
     ],
 )
 def test_it_equals_the_batch_filter_draw_for_draw(
@@ -190,6 +194,7 @@ def test_the_exact_evidence_is_the_density_of_all_measurements_together() -> Non
     assert exact.log_evidence == pytest.approx(density, rel=1e-10)
 
 
+@pytest.mark.slow
 def test_a_model_without_a_normalised_likelihood_has_no_evidence_and_says_why() -> None:
     filtering = Filter(load_model("random_walk"), 50)
     filtering.update(0, 1.0)
@@ -291,6 +296,7 @@ def test_a_wrong_model_surprises(ungm: StateSpaceModel) -> None:
     assert 0 < beyond_all < 2 / PREDICTIVE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["random_walk", "ungm"])
 def test_an_outlier_is_noticed_among_400_measurements(name: str) -> None:
     """So its p-value must be below 1 % / 400; one of 20,001 simulated measurements is 1e-4."""
@@ -307,6 +313,7 @@ def test_an_outlier_is_noticed_among_400_measurements(name: str) -> None:
     assert noticed >= 29
 
 
+@pytest.mark.slow
 def test_few_particles_raise_no_alarm_about_a_right_model() -> None:
     """A precise measurement lies beyond all of 50 exact particles 2 times in 51."""
     precise = load_model("random_walk").with_parameters({"measurement_sd": 0.1})
@@ -396,6 +403,7 @@ def test_a_missing_component_needs_the_models_word() -> None:
         assert not Filter(silent, 20, engine=engine).update(2, [np.nan, np.nan]).measured
 
 
+@pytest.mark.slow
 def test_a_measurement_that_nothing_explains_leaves_the_filter_where_it_was() -> None:
     bounded = replace(
         FIRST_SENSOR,
@@ -454,6 +462,7 @@ def test_a_model_that_numba_cannot_compile_is_filtered_in_numpy() -> None:
         Filter(slow, 30, engine="compiled")
 
 
+@pytest.mark.slow
 def test_a_formula_that_fails_is_named() -> None:
     def log_likelihood(y: Any, x: Any, t: Any, p: Any) -> Any:
         return -(y[0] ** 2) / np.array([1.0, 2.0])[t]

@@ -114,6 +114,7 @@ def test_a_plan_is_replaced_only_where_the_new_plan_is_better_on_fresh_draws(
     assert np.mean(gains) > 2 * np.std(gains, ddof=1) / np.sqrt(len(gains))
 
 
+@pytest.mark.slow
 def test_the_expected_error_is_the_realised_error_for_a_static_state() -> None:
     """A planned filter must not contain the truth: it would then find it, as no real filter does.
 

@@ -14,16 +14,16 @@ from pfdist.cli.main import main
 
 SMALL = ["search.genetic.generations=1", "search.random.evaluations=2", "comparison.draws=20"]
 NAMES = [
-    pytest.param("exp:1", id="a colon"),
-    pytest.param("s3:", id="an address"),
-    pytest.param("~root", id="a tilde"),
+    pytest.param("exp:1", id="a colon", marks=pytest.mark.slow),
+    pytest.param("s3:", id="an address", marks=pytest.mark.slow),
+    pytest.param("~root", id="a tilde", marks=pytest.mark.slow),
     pytest.param("a  b%41", id="spaces and a percent sign"),
     pytest.param(os.fsdecode(b"a\xffb"), id="not UTF-8"),
-    pytest.param("-x", id="a dash"),
+    pytest.param("-x", id="a dash", marks=pytest.mark.slow),
     pytest.param("a\nb\x1b[2Jc", id="control characters"),
-    pytest.param("[bold]:smile:[/x]", id="marks of a terminal's library"),
+    pytest.param("[bold]:smile:[/x]", id="marks of a terminal's library", marks=pytest.mark.slow),
     pytest.param("n" * 200, id="200 characters"),
-    pytest.param("*?[a]", id="wild cards"),
+    pytest.param("*?[a]", id="wild cards", marks=pytest.mark.slow),
 ]
 
 
@@ -61,9 +61,8 @@ def test_a_run_lies_in_a_folder_of_any_name(name: str, small_job: Job, say: Say)
     assert "finished" in say("status", "--", fork)
 
 
-@pytest.mark.parametrize(
-    "name", [os.fsdecode(b"a\xffb"), pytest.param("exp:1", marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [os.fsdecode(b"a\xffb"), "exp:1"])
 def test_figures_are_drawn_into_a_folder_of_any_name(name: str, small_job: Job, say: Say) -> None:
     say("run", str(small_job.path), f"--results={name}", "--set", *SMALL)
     say("plot", name)

@@ -179,6 +179,7 @@ def _python(environment: Environment, *words: object, folder: Path = ROOT) -> Do
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_model_and_a_search_of_an_installed_package_are_run(tmp_path: Path) -> None:
     installed = _install(WORKING, tmp_path / "site")
     (tmp_path / "mine.toml").write_text(JOB)
