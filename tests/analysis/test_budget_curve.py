@@ -63,6 +63,7 @@ def test_that_more_are_worse_is_said_where_common_draws_are_sure(table: pd.DataF
     assert worse.to_dict() == {"regular_4": 3}
 
 
+@pytest.mark.slow
 def test_sets_that_are_all_alike_are_seldom_said_to_be_worse() -> None:
     # With 95 % for all differences together, in 5 of 100 tables at most, or by chance a few more.
     rng, tables = np.random.default_rng(1), 100

@@ -73,6 +73,7 @@ def test_infinite_errors_are_never_clear() -> None:
     assert _ranks(pairs, {"a": 2.5, "b": 3.25, "c": math.inf})["c"] == (1, 3)
 
 
+@pytest.mark.slow
 def test_the_intervals_and_the_ranks_hold_as_often_as_they_say() -> None:
     rng, repeats = np.random.default_rng(5), 400
     means = np.array([3.0, 3.0, 3.3, 4.0])

@@ -117,6 +117,7 @@ def test_parquet_gives_parquet_in_another_folder(run: Run, y: Any, tmp_path: Pat
     assert found.table["surprise"].notna().tolist() == found.table["measured"].tolist()
 
 
+@pytest.mark.slow
 def test_planned_times_that_are_missing_and_extra_times_are_named(
     run: Run, y: Any, tmp_path: Path
 ) -> None:

@@ -105,9 +105,9 @@ SURVIVORS = [
 @pytest.mark.parametrize(
     ("changes", "stop_after"),
     [
-        ([], 3),
+        pytest.param([], 3, marks=pytest.mark.slow),
         ([], 25),
-        ([], 40),
+        pytest.param([], 40, marks=pytest.mark.slow),
         pytest.param(SURVIVORS, 250, marks=pytest.mark.crash),
         pytest.param(SURVIVORS, 330, marks=pytest.mark.crash),
     ],

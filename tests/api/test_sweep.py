@@ -183,6 +183,7 @@ def test_a_point_of_another_processor_gives_other_points_nothing(
     assert sum(filtered) == 2 * once
 
 
+@pytest.mark.slow
 def test_a_damaged_point_gives_other_points_nothing(
     small_job: Job, tmp_path: Path, filtered: list[int]
 ) -> None:
@@ -338,6 +339,7 @@ def test_results_have_the_name_of_the_sweep_file(
     assert few(small_job, {"seed": [3]}, report=False).path == Path("results/small-sweep")
 
 
+@pytest.mark.slow
 def test_times_found_at_each_point_are_judged_at_every_point(
     small_job: Job, tmp_path: Path
 ) -> None:

@@ -185,8 +185,7 @@ def test_an_archive_that_was_unpacked_is_as_safe(
     with tarfile.open(tmp_path / "run.tar", "w") as archive:
         archive.add(run, "run")
     (tmp_path / "there").mkdir()
-    with tarfile.open(tmp_path / "run.tar") as archive:
-        archive.extractall(tmp_path / "there", filter="fully_trusted")
+    subprocess.run(["tar", "-xf", tmp_path / "run.tar", "-C", tmp_path / "there"], check=True)
     unpacked = tmp_path / "there" / "run"
     assert (unpacked / ".lock").is_symlink()
     _said("repair {run}", unpacked, job, capsys)

@@ -16,6 +16,7 @@ SMALL = (
 )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_example_draws_the_loss_of_wrong_beliefs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

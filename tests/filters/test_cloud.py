@@ -32,7 +32,13 @@ def from_instant(draws: Draws, start: int) -> Draws:
 
 
 @pytest.mark.parametrize("start", [0, 4, 9, 20])
-@pytest.mark.parametrize("resampling", SCHEMES)
+@pytest.mark.parametrize(
+    "resampling",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] * (name not in ("multinomial", "systematic")))
+        for name in SCHEMES
+    ],
+)
 @pytest.mark.parametrize("engine", ENGINES.values(), ids=ENGINES)
 def test_a_filter_that_stops_and_goes_on_is_the_filter_that_never_stopped(
     ungm: StateSpaceModel, engine: ModuleType, resampling: str, start: int

@@ -91,6 +91,7 @@ def test_it_has_the_expectation_of_an_independent_program(
         assert found.mean() == pytest.approx(mean, abs=tolerance)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("particles", [1, 2, 4, 100])
 def test_the_plain_twin_agrees(particles: int) -> None:
     model = system(0.1)
@@ -179,6 +180,7 @@ def deviation(resample: Callable[..., NDArray[np.int64]], particles: int = 4) ->
     return standard_errors(difference)
 
 
+@pytest.mark.slow
 def test_the_identity_holds_for_another_program() -> None:
     assert abs(deviation(right)) < 4
 

@@ -74,6 +74,7 @@ def test_half_the_step_changes_nothing(name: str) -> None:
     assert coarse == pytest.approx(fine, rel=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_the_exact_filters_mse_is_the_variance_it_believes(name: str) -> None:
     draws, mean, variance, _ = filtered(name)

@@ -120,7 +120,14 @@ def test_only_instants_up_to_the_end_count(estimator: str) -> None:
 
 
 @others
-@pytest.mark.parametrize("model", [UNGM, DEGENERATE, INFINITE], ids=["ungm", "nan", "inf"])
+@pytest.mark.parametrize(
+    "model",
+    [
+        pytest.param(UNGM, id="ungm"),
+        pytest.param(DEGENERATE, id="nan", marks=pytest.mark.slow),
+        pytest.param(INFINITE, id="inf", marks=pytest.mark.slow),
+    ],
+)
 def test_together_they_are_bit_for_bit_as_one_by_one_and_plain_ones_agree(
     model: StateSpaceModel, estimator: str
 ) -> None:

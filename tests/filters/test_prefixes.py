@@ -35,7 +35,7 @@ SETS = [*random_sets(40, seed=0), (), tuple(range(HORIZON + 1)), (12,), (0,), (1
     ("name", "resampling", "dtype"),
     [
         ("ungm", "multinomial", "float64"),
-        ("ungm", "systematic", "float32"),
+        pytest.param("ungm", "systematic", "float32", marks=pytest.mark.slow),
         pytest.param("bearings_only", "multinomial", "float64", marks=pytest.mark.slow),
     ],
 )

@@ -97,10 +97,9 @@ INFINITE = {"quantity_of_interest": lambda x, t, p: (where(t == 8, math.inf, x[0
 @pytest.mark.parametrize(
     ("changes", "wrong"),
     [
-        (DEGENERATE, [7 in times for times in SETS]),
-        (INFINITE, [end >= 8 for end in ENDS]),
+        pytest.param(DEGENERATE, [7 in times for times in SETS], id="degenerate"),
+        pytest.param(INFINITE, [end >= 8 for end in ENDS], id="infinite", marks=pytest.mark.slow),
     ],
-    ids=["degenerate", "infinite"],
 )
 def test_a_set_with_a_degenerate_or_infinite_draw_has_no_sum_and_others_are_as_alone(
     engine, estimator, changes, wrong

@@ -68,6 +68,7 @@ def test_log_likelihood_is_that_of_a_wrapped_normal_but_for_what_comes_round(y, 
     assert (difference < np.log1p(2 * np.exp(-2 * np.pi * (np.pi - d) / sd**2)) + 1e-11).all()
 
 
+@pytest.mark.zoo
 def test_simulated_draws_have_the_moments_of_the_formulas():
     draws = simulate(MODEL.with_parameters({"acceleration_sd": 0.3}), 1, range(100_000), 5)
     x, y, vx, vy = draws.x[:, 0].T

@@ -57,6 +57,7 @@ def test_without_noise_it_approaches_the_equations_solution_in_the_first_order()
     np.testing.assert_allclose(first / second, 2, atol=0.3)
 
 
+@pytest.mark.zoo
 def test_simulated_draws_have_the_moments_of_the_start_and_of_a_short_step():
     step, diffusion = 1e-6, 2.0
     short = MODEL.with_parameters({"step": step, "diffusion": diffusion})
@@ -69,6 +70,7 @@ def test_simulated_draws_have_the_moments_of_the_start_and_of_a_short_step():
             assert_mean(noise[i] * noise[j], float(i == j))
 
 
+@pytest.mark.zoo
 def test_simulated_draws_have_the_stationary_moments_of_the_chain():
     # After a substep the means of c and of a^2 are what they were, so with h the substep's length
     # E[ab] = beta E[c] and 2 sigma E[a^2 - ab] = h sigma^2 E[(b - a)^2] + diffusion^2.

@@ -71,6 +71,7 @@ def test_without_noise_volterras_integral_is_conserved_up_to_the_first_order():
     assert_first_order([abs(conserved(after(20, START, n)) - before) for n in (200, 400, 800)])
 
 
+@pytest.mark.zoo
 def test_simulated_draws_have_the_covariance_of_births_meals_and_deaths():
     step = 1e-6
     short = MODEL.with_parameters({"step": step, "initial_sd": 0.0})

@@ -55,6 +55,7 @@ def _symmetric(matrix):  # with the same eigenvalues
     return np.array([[matrix[0, 0], other], [other, matrix[1, 1]]])
 
 
+@pytest.mark.zoo
 def test_patients_differ_by_log_normal_factors_and_stay_the_same():
     x = simulate(MODEL, len(HOURS) - 1, range(100_000), 5).x
     for component, typical, sd in ((2, CLEARANCE, 0.35), (3, VOLUME, 0.25)):

@@ -36,6 +36,7 @@ def test_log_likelihood_is_that_of_the_measurement_up_to_a_constant(y):
     assert np.ptp(MODEL.log_likelihood((y,), (x,), 3, MODEL.p) - exact) < 1e-11
 
 
+@pytest.mark.zoo
 def test_simulated_draws_have_the_stationary_moments_at_all_times():
     draws = simulate(MODEL, 40, range(100_000), 5)
     for t in (0, 1, 40):

@@ -55,6 +55,7 @@ def test_log_likelihood_is_that_of_the_measurement_up_to_a_constant(sd):
     assert np.ptp(TRUTH.log_likelihood((3.0,), x, 7, p) - exact) < 1e-11
 
 
+@pytest.mark.zoo
 def test_simulated_draws_have_the_moments_of_the_box_and_of_a_clipped_walk():
     draws = simulate(FILTER, 1, range(100_000), 5)
     for (low, high), sd, before, after in zip(

@@ -129,11 +129,11 @@ def test_columns_without_any_value_are_left_out(small_job: Job, tmp_path: Path) 
 @pytest.mark.parametrize(
     ("change", "is_constrained"),
     [
-        ("seed=1", False),
+        pytest.param("seed=1", False, marks=pytest.mark.slow),
         ("problem.minimum_spacing=1", False),
         ("problem.minimum_spacing=2", True),
-        ("problem.forbidden=[3]", True),
-        ("problem.required=[3]", True),
+        pytest.param("problem.forbidden=[3]", True, marks=pytest.mark.slow),
+        pytest.param("problem.required=[3]", True, marks=pytest.mark.slow),
     ],
 )
 def test_report_and_commands_say_alike_whether_constraints_exclude_times(

@@ -169,6 +169,7 @@ def test_a_sweep_over_seeds_alone_gives_their_mean_and_chooses_none(
     assert "Its links lead" not in page.text
 
 
+@pytest.mark.slow
 def test_a_run_without_replicates_has_the_interval_of_its_draws(
     small_job: Job, tmp_path: Path
 ) -> None:
@@ -301,6 +302,7 @@ def judged(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return pfdist.sweep(job, over, results=folder / "mine", changes=changes, judge=True).path
 
 
+@pytest.mark.slow
 def test_it_says_which_times_lose_least(judged: Path) -> None:
     points = ["process_sd=0.5", "process_sd=5.0"]
     runs = {name: pfdist.open_run(judged / name) for name in points}
@@ -316,6 +318,7 @@ def test_it_says_which_times_lose_least(judged: Path) -> None:
     assert float(told[2]) == pytest.approx(100 * largest.min(), rel=0.1, abs=0.05)
 
 
+@pytest.mark.slow
 def test_judged_times_that_cannot_be_read_leave_the_points(judged: Path, tmp_path: Path) -> None:
     copy = shutil.copytree(judged, tmp_path / "mine")
     damaged = next(copy.glob("judged/*/process_sd=5.0/tables/comparison/*"))

@@ -82,7 +82,9 @@ def test_where_every_gain_is_the_same_all_draws_are_compared_unless_it_is_said(
     assert pfdist.run(until, tmp_path / "until", figures=False).draws_compared == BLOCK
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3))]
+)
 def test_where_it_stops_does_not_depend_on_order_or_kills(
     seed: int,
     small_job: Job,
@@ -189,7 +191,7 @@ def _damage(run: Path) -> None:
     file.write_bytes(content[:100] + bytes([content[100] ^ 4]) + content[101:])
 
 
-@pytest.mark.parametrize("killed", [False, True])
+@pytest.mark.parametrize("killed", [pytest.param(False, marks=pytest.mark.slow), True])
 @pytest.mark.parametrize("damage", [None, _damage])
 def test_a_fork_computes_only_what_is_new_and_ends_as_a_run_from_nothing(
     damage: Callable[[Path], None] | None,

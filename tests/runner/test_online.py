@@ -205,6 +205,7 @@ def test_a_run_that_is_stopped_goes_on_with_the_draws_that_it_lacks(
     assert hashes(tmp_path / "run") == hashes(run.path)
 
 
+@pytest.mark.slow
 def test_more_draws_leave_the_first_rows_and_give_the_same_bytes_as_at_once(
     job: Job, tmp_path: Path
 ) -> None:

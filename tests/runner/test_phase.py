@@ -92,6 +92,7 @@ def test_a_comparison_of_other_times_than_there_are_computes_nothing(
         run_comparison(built, sets, collector, _reporter())
 
 
+@pytest.mark.slow
 def test_what_the_build_has_checked_no_task_checks_again(
     small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
