@@ -361,7 +361,7 @@ def test_a_script_resumes_its_run_in_another_process(tmp_path: Path) -> None:
     assert len(pfdist.open_run(tmp_path / "run").comparison()) == 60
     changed = script(tmp_path, ROBOT.format(slope=0.9) + RUN.replace("40", "60"), "run", "serial")
     assert "RunMismatchError" in changed.stderr
-    assert "model.__main__.steered" in changed.stderr
+    assert "model.formulas: " in changed.stderr
     assert before.keys() == hashes(tmp_path / "run").keys()
 
 
