@@ -216,7 +216,7 @@ def test_the_limit_hardly_ever_fails(case: Case) -> None:
 def test_the_limit_covers_the_gap_as_often_as_it_says(
     outcome: Outcome, record_property: Record
 ) -> None:
-    record_property("coverage", outcome.coverage)
+    record_property("coverage", float(outcome.coverage))
     assert 0.93 <= outcome.coverage <= 0.99
 
 
@@ -225,7 +225,7 @@ def test_the_mean_slack_is_at_most_three_standard_errors(
     outcome: Outcome, record_property: Record
 ) -> None:
     slack = np.nanmean(outcome.limits - outcome.truth) / outcome.errors.mean()
-    record_property("slack", slack)
+    record_property("slack", float(slack))
     assert 0.0 < slack <= 3.0
 
 
@@ -234,7 +234,7 @@ def test_the_jackknife_gives_the_scatter_of_the_gaps(
     outcome: Outcome, record_property: Record
 ) -> None:
     ratio = outcome.errors.mean() / outcome.gaps.std()
-    record_property("error over scatter", ratio)
+    record_property("error over scatter", float(ratio))
     assert 0.85 <= ratio <= 1.15
 
 
@@ -263,7 +263,7 @@ def test_a_bound_that_measures_too_little_does_not_cover(
 ) -> None:
     alone = relaxation_with(case.feasible, 1, case.horizon + 1)
     outcome = _repeated(case, _TooLittle(alone.constraints, alone.windows, alone.longest_gap))
-    record_property("coverage", outcome.coverage)
+    record_property("coverage", float(outcome.coverage))
     assert outcome.coverage < 0.9
 
 
@@ -272,5 +272,5 @@ def test_a_bound_on_the_draws_that_chose_the_set_does_not_cover(
     case: Case, record_property: Record
 ) -> None:
     outcome = _repeated(case, _exact(case), same_draws=True)
-    record_property("coverage", outcome.coverage)
+    record_property("coverage", float(outcome.coverage))
     assert outcome.coverage < 0.9

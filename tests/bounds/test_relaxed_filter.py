@@ -114,5 +114,5 @@ def test_the_relaxed_error_of_the_best_sets_and_their_neighbours_is_at_most_thei
         still = _exceeds(relaxation, again, chance)
         exceeds, sets = exceeds[exceeds.any(axis=1)] & still, again
         above.append(int(exceeds.sum()))
-    record_property("above 4 errors, each time", above)
+    record_property("above 4 errors, each time", str(above))
     assert not exceeds.any()
