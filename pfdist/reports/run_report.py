@@ -1,6 +1,5 @@
 """The report of a run: one HTML file in its folder, made from its tables alone."""
 
-import contextlib
 from pathlib import Path
 
 from pfdist.analysis import Run
@@ -54,10 +53,18 @@ def write_report(run: Run, seconds: int = 0) -> Path:
 
 
 def remove_report(path: Path) -> None:
-    """Remove the report of the run in a folder, if there is an earlier report."""
-    with contextlib.suppress(StoreError):  # it is the user's own file
+    """Remove the report of the run in a folder, if there is an earlier report.
+
+    Raises
+    ------
+    StoreError
+        The report cannot be removed. If it stayed, nobody would make a new one.
+    """
+    try:
         check_page_replaceable(path / REPORT)
-        remove_file(path / REPORT)
+    except StoreError:  # it is the user's own file
+        return
+    remove_file(path / REPORT)
 
 
 def page_of(run: Run, seconds: int = 0) -> Page:
