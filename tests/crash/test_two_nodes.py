@@ -15,6 +15,7 @@ import pytest
 import pfdist
 from crash.runs import family, until
 from oracles.bytes_of import hashes
+from oracles.model_text import MEASURED
 from pfdist.pools.processes import end
 
 _ENVIRONMENT = {
@@ -24,7 +25,8 @@ _ENVIRONMENT = {
 }
 HELPER = "from shared.numbers import FACTOR\ndef pulled(x):\n    return FACTOR * x\n"
 NUMBERS = "from . import scale\nFACTOR = 0.9 * scale.SCALE\n"
-MODEL = """
+MODEL = (
+    """
 from pathlib import Path
 
 import numpy as np
@@ -38,15 +40,12 @@ model = StateSpaceModel(
     name="mine",
     initial=lambda w, p: (3 * w[0],),
     transition=lambda x, t, w, p: (pulled(x[0]) + PUSH * w[0],),
-    measurement=lambda x, t, v, p: (x[0] + v[0],),
-    log_likelihood=lambda y, x, t, p: -0.5 * (y[0] - x[0]) ** 2,
-    quantity_of_interest=lambda x, t, p: (x[0],),
-    initial_noise=("normal",),
-    process_noise=("normal",),
-    measurement_noise=("normal",),
-    data_files=("rates.csv",),
+"""
+    + MEASURED
+    + """    data_files=("rates.csv",),
 )
 """
+)
 DRIVER = """
 import importlib
 import sys

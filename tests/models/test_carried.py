@@ -14,11 +14,13 @@ from typing import Any
 
 import pytest
 
+from oracles.model_text import MEASURED
 from pfdist.errors import ModelError
 from pfdist.models import CarriedModel, carried, carried_model, load_model, squared_error
 from pfdist.models.fingerprint import formulas_key
 
-MODEL = """
+MODEL = (
+    """
 {before}
 from pfdist import StateSpaceModel
 
@@ -26,15 +28,12 @@ model = StateSpaceModel(
     name="mine",
     initial=lambda w, p: (w[0],),
     transition=lambda x, t, w, p: ({formula},),
-    measurement=lambda x, t, v, p: (x[0] + v[0],),
-    log_likelihood=lambda y, x, t, p: -0.5 * (y[0] - x[0]) ** 2,
-    quantity_of_interest=lambda x, t, p: (x[0],),
-    initial_noise=("normal",),
-    process_noise=("normal",),
-    measurement_noise=("normal",),
-    data_files={data},
+"""
+    + MEASURED
+    + """    data_files={data},
 )
 """
+)
 FILES = {
     "helper.py": "from inner.deep import three\ndef triple(x): return three() * x\n",
     "inner/__init__.py": "",

@@ -5,9 +5,11 @@ from pathlib import Path
 
 import pytest
 
+from oracles.model_text import MEASURED
 from pfdist.cli.main import main
 
-MODEL = """
+MODEL = (
+    """
 import os
 import subprocess
 import sys
@@ -44,14 +46,11 @@ model = StateSpaceModel(
     name="mine",
     initial=lambda w, p: (w[0],),
     transition=transition,
-    measurement=lambda x, t, v, p: (x[0] + v[0],),
-    log_likelihood=lambda y, x, t, p: -0.5 * (y[0] - x[0]) ** 2,
-    quantity_of_interest=lambda x, t, p: (x[0],),
-    initial_noise=("normal",),
-    process_noise=("normal",),
-    measurement_noise=("normal",),
-)
 """
+    + MEASURED
+    + """)
+"""
+)
 JOB = """
 seed = 1
 [model]

@@ -11,11 +11,13 @@ from pathlib import Path
 
 import pytest
 
+from oracles.model_text import MEASURED
 from pfdist.errors import ModelError
 from pfdist.models import carried_model, fingerprint
 from pfdist.models.fingerprint import Fingerprint
 
-MODEL = """
+MODEL = (
+    """
 import collections, dataclasses, enum, functools, math, types
 import numpy as np
 import numba
@@ -26,15 +28,12 @@ model = StateSpaceModel(
     name="mine",
     initial=lambda w, p: (w[0],),
     transition=lambda x, t, w, p: ({formula},),
-    measurement=lambda x, t, v, p: (x[0] + v[0],),
-    log_likelihood=lambda y, x, t, p: -0.5 * (y[0] - x[0]) ** 2,
-    quantity_of_interest=lambda x, t, p: (x[0],),
-    initial_noise=("normal",),
-    process_noise=("normal",),
-    measurement_noise=("normal",),
-    parameters={{"sigma": 0.9}},
+"""
+    + MEASURED
+    + """    parameters={{"sigma": 0.9}},
 )
 """
+)
 Take = Callable[..., Fingerprint]
 _folders = itertools.count()
 
