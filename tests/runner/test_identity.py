@@ -104,7 +104,7 @@ def test_a_run_goes_on_where_words_alone_have_changed(small_job: Job, tmp_path: 
     ("first", "again"),
     [
         (["problem.minimum_spacing=2"], ["problem.minimum_spacing=2.0"]),
-        (
+        pytest.param(
             ["problem.time_step=1", "problem.forbidden=[3]", "comparison.reference=[0, 1, 2, 5]"],
             [
                 "problem.time_step=1.0",
@@ -112,6 +112,7 @@ def test_a_run_goes_on_where_words_alone_have_changed(small_job: Job, tmp_path: 
                 "problem.forbidden=[3.0]",
                 "comparison.reference=[0.0, 1, 2.0, 5]",
             ],
+            marks=pytest.mark.slow,
         ),
         (
             [f"problem.instant_weights={[1] * 13}", "comparison.sets.mine=[0, 1, 2, 3]"],
