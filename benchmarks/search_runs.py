@@ -18,8 +18,8 @@ from pfdist.evaluation.estimate import REPORT, SHORTLIST
 from pfdist.evaluation.work import Work
 from pfdist.pools.base import Outcome, Pool, Task
 from pfdist.runner.build import Built, build
+from pfdist.runner.door import Session, complete
 from pfdist.runner.driver import drive
-from pfdist.runner.session import Session
 from pfdist.search import Race
 from pfdist.store import Store
 from pfdist.times.measurement_times import Times
@@ -91,7 +91,7 @@ def search(job: Job, pool: Pool) -> dict[str, Any]:
     (name,) = (section.name for section in job.search)
     with tempfile.TemporaryDirectory(prefix="run-") as folder:
         store, start = Store(Path(folder)), perf_counter()
-        drive(Session.start(built, store, counting))
+        complete(drive(Session(built, store)), counting)
         seconds = perf_counter() - start
         rows, compared = store.read("evaluations"), store.read("compared").set_index("name")
         steps = int((rows["end"] + 1).sum()) if built.evaluator.exact else counting.steps

@@ -7,7 +7,7 @@ from typing import Any
 
 from pfdist.analysis import Run, finite
 from pfdist.analysis.particle_loss import ParticleLoss
-from pfdist.api.at_work import at_work
+from pfdist.api.at_work import pool_of_job
 from pfdist.api.following import Say, following, silent
 from pfdist.api.own_store import own_store
 from pfdist.api.report import renew_report
@@ -21,8 +21,9 @@ from pfdist.job.asked import Asked
 from pfdist.plots import draw_figures
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built, check_pool
+from pfdist.runner.door import Session, complete
 from pfdist.runner.progress import Show
-from pfdist.runner.prover import Prover
+from pfdist.runner.prover import Look, Prover
 from pfdist.times.clock import Clock
 
 _DEFAULT = BoundSettings()
@@ -150,9 +151,12 @@ def bound(
             built = replace(built, job=serial)
         check_pool(built.job.execution)
         prover, within = _prover(built, settings), settings.within
-        with own_store(proved, built, tell) as store, at_work(built, store, show, tell) as session:
+        with own_store(proved, built, tell) as store:
+            session = Session(built, store, show, tell)
             session.reporter.foresee(prover.steps)
-            look = prover.prove(session, finished_run(proved))  # it may have been found damaged
+            proof = prover.prove(session, finished_run(proved))  # it may have been found damaged
+            look: Look = complete(proof, pool_of_job(built, tell))
+            session.reporter.finish()
             if figures and store.path == proved.path:
                 draw_figures(proved, "bound")
         renew_report(proved.path, tell)

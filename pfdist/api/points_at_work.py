@@ -1,31 +1,28 @@
-"""The points of a sweep at work: a few at a time, each in a thread that shares the workers."""
+"""The points of a sweep at work: a few at a time, which share the workers."""
 
 import contextlib
-import threading
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from pfdist.analysis import Run, open_run
 from pfdist.analysis.listed_run import FINISHED
 from pfdist.api.following import Say
-from pfdist.api.run import Ending, run_built
+from pfdist.api.run import compute
 from pfdist.errors import PfdistError, StoreError, one_line
 from pfdist.job.sweep import SweepJob
+from pfdist.pools.base import Pool
 from pfdist.pools.cores import usable_cores
-from pfdist.pools.shared import SharedPool
 from pfdist.runner.bound_settings import BoundSettings
-from pfdist.runner.build import Built, build
-from pfdist.runner.claims import ClaimsOfRun, SharedClaims
+from pfdist.runner.build import build
+from pfdist.runner.door import Driver, Loop, Session
+from pfdist.runner.identity import opened
 from pfdist.runner.processor import CONTINUED, processor
 from pfdist.runner.progress import Progress, Show
-from pfdist.runner.session import Session
 from pfdist.runner.work_of_runs import of_run
 from pfdist.store import Store, holds_run, read_run
 
-_MORE = 2  # points at work than workers: the driver of a point works while it has no task
+_MORE = 2  # points at work than workers: some wait for others, and some are at their last tasks
 _MOST = 16  # points at work: each needs memory
-_END_SECONDS = 20.0  # that a point has to commit what it has when all are to end
 
 
 @dataclass
@@ -37,7 +34,7 @@ class _Share:
 
 
 class PointsAtWork:
-    """Runs the points of a sweep in threads, the first points first.
+    """Runs the points of a sweep, the first points first.
 
     Parameters
     ----------
@@ -54,22 +51,20 @@ class PointsAtWork:
         self, asked: SweepJob, path: Path, bound: BoundSettings | None, show: Show, say: Say
     ) -> None:
         self._failed: dict[str, str] = {}
-        self._asked, self._path = asked, path
+        self._asked, self._path, self._bound = asked, path, bound
         self._show, self._say = show, say
-        self._todo = iter(enumerate(asked.points))
-        self._ending = Ending(figures=False, report=False, bound=bound)
-        self._claims = SharedClaims()
         self._shares: dict[str, _Share] = {}
         self._finished = 0
-        self._lock, self._building = threading.RLock(), threading.Lock()
 
-    def run(self, shared: SharedPool) -> tuple[dict[str, Run], dict[str, str]]:
+    def run(
+        self, pool: contextlib.AbstractContextManager[Pool]
+    ) -> tuple[dict[str, Run], dict[str, str]]:
         """Compute what the points lack.
 
         Parameters
         ----------
-        shared : SharedPool
-            The workers.
+        pool : context manager
+            Gives the workers.
 
         Returns
         -------
@@ -83,19 +78,11 @@ class PointsAtWork:
         PoolError
             No worker answers.
         """
-        self._remember_earlier_starts()
         workers = self._asked.execution.workers or usable_cores()
-        number = min(len(self._asked.points), workers + _MORE, _MOST)
-        threads = [
-            threading.Thread(target=self._work, args=[shared], daemon=True) for _ in range(number)
-        ]
-        for thread in threads:
-            thread.start()
-        try:
-            shared.serve(lambda: not any(thread.is_alive() for thread in threads))
-        finally:  # every thread commits what it has: the pool's failure ends them
-            for thread in threads:
-                thread.join(_END_SECONDS)
+        at_once = min(len(self._asked.points), workers + _MORE, _MOST)
+        loop = Loop(pool, of_run(), at_once)
+        self._remember_earlier_starts(loop)
+        loop.serve(self._point(point.name) for point in self._asked.points)
         runs = {
             name: open_run(self._path / name)
             for name in self._asked.jobs
@@ -105,10 +92,11 @@ class PointsAtWork:
             run.made_from = self._asked.jobs[name]
         return runs, {name: one_line(reason) for name, reason in self._failed.items()}
 
-    def _remember_earlier_starts(self) -> None:
+    def _remember_earlier_starts(self, loop: Loop) -> None:
         """Let searches take the evaluations that points have committed before.
 
-        Points that another processor has begun are left out: the last digits may differ.
+        Points that another processor has begun are left out: the last digits may differ. So are
+        points with damaged files.
         """
         if not any(job.search for job in self._asked.jobs.values()):
             return
@@ -125,64 +113,34 @@ class PointsAtWork:
             return
         for path in begun:
             with contextlib.suppress(StoreError, OSError):
-                self._claims.remember(Store(path))
+                store = Store(path)
+                if not any(store.manifest.damages()):
+                    loop.remember(store)
 
-    def _work(self, shared: SharedPool) -> None:
-        """Run one point after another."""
-        try:
-            while shared.failure is None and (chosen := self._next()) is not None:
-                rank, name = chosen
-                try:
-                    self._run(rank, name, shared)
-                except PfdistError as error:
-                    if shared.failure is None:
-                        self._fail(name, error)
-        except BaseException as error:
-            shared.fail(error)
-        finally:
-            shared.wake()
-
-    def _next(self) -> tuple[int, str] | None:
-        with self._lock:
-            rank, point = next(self._todo, (0, None))
-            return None if point is None else (rank, point.name)
-
-    def _run(self, rank: int, name: str, shared: SharedPool) -> None:
-        with self._building:  # loading a model changes what modules are known
-            built = build(self._asked.jobs[name])
-
-        @contextlib.contextmanager
-        def at_work(built: Built, store: Store, show: Show, say: Say) -> Iterator[Session]:
-            claims = ClaimsOfRun(self._claims, store)
-            with shared.join(rank, of_run(built.source)) as pool, claims:
-                session = Session.start(built, store, pool, show, say, claims)
-                yield session
-                session.reporter.finish()
+    def _point(self, name: str) -> Driver:
+        """Compute a point. What is wrong with it does not end the others."""
 
         def show(progress: Progress) -> None:
-            self._reach(name, progress)
+            share = progress.done / progress.total if progress.total else 0.0
+            self._shares[name] = _Share(progress.phase, min(share, 1.0))
+            self._tell()
 
         def say(line: str) -> None:
             self._say(f"{name}: {line}")
 
-        run_built(built, self._path / name, self._ending, show, say, work=at_work)
-        with self._lock:
-            self._finished += 1
-            self._shares.pop(name, None)
-            self._tell()
-            self._say(f"{name}: finished ({self._finished} of {len(self._asked.points)})")
-
-    def _fail(self, name: str, error: PfdistError) -> None:
-        with self._lock:
+        try:
+            built = build(self._asked.jobs[name])
+            with opened(self._path / name, built, say) as store:
+                yield from compute(Session(built, store, show, say), self._bound)
+        except PfdistError as error:
             self._failed[name] = str(error)
             self._shares.pop(name, None)
             self._say(f"{name}: failed: {error}; the other points go on")
-
-    def _reach(self, name: str, progress: Progress) -> None:
-        with self._lock:
-            share = progress.done / progress.total if progress.total else 0.0
-            self._shares[name] = _Share(progress.phase, min(share, 1.0))
-            self._tell()
+            return
+        self._finished += 1
+        self._shares.pop(name, None)
+        self._tell()
+        self._say(f"{name}: finished ({self._finished} of {len(self._asked.points)})")
 
     def _tell(self) -> None:
         total = len(self._asked.points)

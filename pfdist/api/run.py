@@ -1,11 +1,11 @@
 """Run a job: compute what the run lacks, prove a lower bound if wanted, then draw the figures."""
 
-from collections.abc import Iterable
+from collections.abc import Generator, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 from pfdist.analysis import Run, open_run
-from pfdist.api.at_work import AtWork, at_work
+from pfdist.api.at_work import pool_of_job
 from pfdist.api.following import Say, following, silent
 from pfdist.api.report import try_report
 from pfdist.api.run_of_job import folder_of
@@ -17,12 +17,12 @@ from pfdist.reports import remove_report
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built, build, check_pool, say_model_files
 from pfdist.runner.comparison_phase import COMPARISON, comparison_steps
+from pfdist.runner.door import Batch, Session, complete
 from pfdist.runner.driver import FORKED, drive
 from pfdist.runner.identity import opened
 from pfdist.runner.processor import note_processor
 from pfdist.runner.progress import Show
 from pfdist.runner.prover import Prover
-from pfdist.runner.session import Session
 from pfdist.store import Store
 from pfdist.store.shown_files import has_report
 
@@ -125,7 +125,6 @@ def run_built(
     show: Show,
     say: Say,
     origin: Store | None = None,
-    work: AtWork = at_work,
 ) -> Run:
     """Compute what a run in a folder lacks, and make its figures and its report.
 
@@ -139,8 +138,6 @@ def run_built(
         Receive the progress and the messages.
     origin : Store or None
         The store of a run whose evaluations a new run takes.
-    work : callable, optional
-        Gives the session that computes; see `pfdist.api.at_work`.
 
     Raises
     ------
@@ -148,7 +145,8 @@ def run_built(
         As `run` raises.
     """
     with opened(path, built, say) as store:
-        computed = _compute(built, store, origin, ending.bound, show, say, work)
+        session = Session(built, store, show, say)
+        computed = complete(compute(session, ending.bound, origin), pool_of_job(built, say))
         finished = open_run(path)
         finished.made_from = built.job
         if ending.figures and not all(file.exists() for file in figure_files(finished)):
@@ -160,16 +158,20 @@ def run_built(
     return finished
 
 
-def _compute(
-    built: Built,
-    store: Store,
-    origin: Store | None,
-    settings: BoundSettings | None,
-    show: Show,
-    say: Say,
-    work: AtWork,
-) -> bool:
-    """Compute what the run lacks, with its lower bound; False if it lacks nothing."""
+def compute(
+    session: Session, settings: BoundSettings | None, origin: Store | None = None
+) -> Generator[Batch, None, bool]:
+    """Compute what a run lacks, with its lower bound; False if it lacks nothing.
+
+    Parameters
+    ----------
+    session : Session
+    settings : BoundSettings or None
+        Settings of the lower bound; None for no bound.
+    origin : Store or None
+        The store of a run whose evaluations a new run takes.
+    """
+    built, store, say = session.built, session.store, session.say
     path = store.path
     prover, unfinished = _prover(built, settings, say), open_run(path).state != "finished"
     if not unfinished and (
@@ -182,12 +184,15 @@ def _compute(
         if origin is not None:
             store.adopt(origin, FORKED)
     note_processor(path, built, say)
-    with work(built, store, show, say) as session:
-        if prover is not None:
-            session.reporter.foresee(prover.steps)
-        drive(session)
-        if prover is not None and not _is_long(prover, built, path, say):
-            _prove(prover, session)
+    if prover is not None:
+        session.reporter.foresee(prover.steps)
+    yield from drive(session)
+    if prover is not None and not _is_long(prover, built, path, say):
+        try:
+            yield from prover.prove(session, open_run(path))
+        except TaskError as error:  # the results of the run stand
+            say(f"there is no lower bound: {error}")
+    session.reporter.finish()
     return True
 
 
@@ -230,10 +235,3 @@ def _seconds_a_step(built: Built, path: Path) -> float:
         return built.evaluator.seconds_a_step
     compared = timings["task"].str.startswith(f"{COMPARISON}:")
     return float(timings.loc[compared, "seconds"].sum()) / steps or built.evaluator.seconds_a_step
-
-
-def _prove(prover: Prover, session: Session) -> None:
-    try:
-        prover.prove(session, open_run(session.store.path))
-    except TaskError as error:  # the results of the run stand
-        session.say(f"there is no lower bound: {error}")

@@ -4,13 +4,12 @@ import contextlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from time import perf_counter
 
 import pandas as pd
 
 from pfdist.analysis import Run
 from pfdist.analysis.judged import JUDGED, judged_table, times_by_search
-from pfdist.api.at_work import say_ready
+from pfdist.api.at_work import said
 from pfdist.api.following import Say, following, silent
 from pfdist.api.points_at_work import PointsAtWork
 from pfdist.api.report import try_report, try_sweep_report
@@ -23,7 +22,6 @@ from pfdist.job.judging import check_comparable, judging
 from pfdist.job.points import Values
 from pfdist.job.sweep import SweepJob, read_sweep
 from pfdist.pools.base import Pool
-from pfdist.pools.shared import SharedPool
 from pfdist.runner.build import check_pool, pool_of, say_model_files
 from pfdist.runner.progress import Show
 from pfdist.runner.work_of_runs import worker_of_runs
@@ -150,8 +148,8 @@ def sweep(
     with following(progress, say) as (show, tell):
         say_model_files(asked.jobs.values(), tell)
         judges, refused = dict[str, Run](), None
-        with _shared_pool(asked, tell) as shared:
-            runs, failed = PointsAtWork(asked, path, bound, show, tell).run(shared)
+        with _SharedPool(asked, tell) as shared:
+            runs, failed = PointsAtWork(asked, path, bound, show, tell).run(shared.pool())
             if failed and judges_points:
                 tell("the found times are not judged, because not all points are finished")
             elif judges_points:
@@ -163,7 +161,7 @@ def sweep(
                     tell(f"judges the found times at all {len(asked.points)} points")
                     folder = path / JUDGED / judged.name
                     judging_points = PointsAtWork(judged, folder, None, show, tell)
-                    judges, failed = judging_points.run(shared)
+                    judges, failed = judging_points.run(shared.pool())
         if report:
             _report(runs, tell)
             try_sweep_report(path, tell)
@@ -228,17 +226,18 @@ def asked_sweep(
     return read_sweep(job, over, parallel, points, changes, {"execution": execution})
 
 
-def _shared_pool(asked: SweepJob, say: Callable[[str], object]) -> SharedPool:
-    """Give the pool of all points; it is entered as soon as a point has a task."""
-    execution = asked.execution
-    check_pool(execution)
-    return SharedPool(_said(pool_of(worker_of_runs, execution), execution.pool, say))
+class _SharedPool(contextlib.ExitStack):
+    """The pool of all points: entered as soon as a point has a task, and left with this stack."""
 
+    def __init__(self, asked: SweepJob, say: Callable[[str], object]) -> None:
+        super().__init__()
+        check_pool(asked.execution)
+        own = pool_of(worker_of_runs, asked.execution)
+        self._own, self._entered = said(own, asked.execution, say), list[Pool]()
 
-@contextlib.contextmanager
-def _said(pool: Pool, name: str, say: Callable[[str], object]) -> Iterator[Pool]:
-    """Enter a pool, and say when it is ready."""
-    start = perf_counter()
-    with pool:
-        say_ready(pool, name, perf_counter() - start, say)
-        yield pool
+    @contextlib.contextmanager
+    def pool(self) -> Iterator[Pool]:
+        """Give the pool to some points."""
+        if not self._entered:
+            self._entered.append(self.enter_context(self._own))
+        yield self._entered[0]

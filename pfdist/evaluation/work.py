@@ -1,7 +1,7 @@
 """A unit of work: sets of measurement times that filter a range of draws, and the result."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -107,6 +107,19 @@ class Work:
             A formula failed.
         """
         return evaluator.filtered(self)
+
+    def part(self, draws: tuple[int, int], sets: Sequence[int] = ()) -> "Work":
+        """The same work on other draws; of some of the sets, if their places are given."""
+        if len(sets) in (0, len(self.measurement_times)):
+            return replace(self, draws=draws)
+        return replace(
+            self,
+            measurement_times=tuple(self.measurement_times[place] for place in sets),
+            ends=tuple(self.ends[place] for place in sets),
+            filter_streams=tuple(self.filter_streams[place] for place in sets),
+            ids=tuple(self.ids[place] for place in sets),
+            draws=draws,
+        )
 
     def by_id(self, result: "Result") -> dict[str, NDArray[np.float64]]:
         """Per-draw MSE of each set, (D,), by the id of its evaluation."""

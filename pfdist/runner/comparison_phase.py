@@ -1,57 +1,47 @@
 """The comparison: every set filters the same fresh draws, which no search has used."""
 
-from collections.abc import Mapping
-from contextlib import closing
-from dataclasses import replace
+from collections.abc import Generator, Mapping
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from pfdist.analysis import BLOCK
 from pfdist.errors import StoreError
 from pfdist.evaluation.work import Result, Work, cut
 from pfdist.runner.build import Built
-from pfdist.runner.collect import Collector
+from pfdist.runner.door import Batch, Session
 from pfdist.runner.first_draws import TABLES
 from pfdist.runner.interim import InterimGains
-from pfdist.runner.progress import Reporter
+from pfdist.runner.kept import OfDraws
 from pfdist.store import ROWS_IN_A_FILE, Store, comparison_schema
 from pfdist.times.measurement_times import Times, validated
 
 COMPARISON = "comparison"
 
 
-def run_comparison(
-    built: Built, sets: Mapping[str, Times], collector: Collector, reporter: Reporter
-) -> None:
-    """Filter every set on the draws that the store lacks, and publish the comparison.
+def run_comparison(session: Session, sets: Mapping[str, Times]) -> Generator[Batch, None, None]:
+    """Filter every set on the same draws, and publish the comparison.
 
     Parameters
     ----------
-    built : Built
+    session : Session
     sets : mapping of str to tuple of int
         Measurement times by name, the reference first.
-    collector : Collector
-    reporter : Reporter
 
     Raises
     ------
     TaskError, PoolError, StoreError
         A task failed, no worker answers, or a file cannot be read or written.
     """
-    store, draws, study = collector.store, built.job.comparison.draws, built.study
-    work, present = _work(built, sets), _present(store, draws)
+    built, reporter = session.built, session.reporter
+    draws, study = built.job.comparison.draws, built.study
+    work, start = _work(built, sets), reporter.progress.done
     interim = InterimGains(list(sets), draws, built.job.comparison.until.half_width)
-    for rows in store.blocks("comparison", "draw", BLOCK, draws):
-        interim.learn(rows)
-    compared, start = int(present.sum()), reporter.progress.done
-    reporter.note(done=start + compared * work.steps_a_draw)
-    reporter.begin(COMPARISON, evaluations=compared, found=study.shown(interim.found))
+    reporter.begin(COMPARISON)
     for table in study.first_draws:
         first_draws = TABLES[table](built, work)
         if first_draws is not None:
-            first_draws.fill(COMPARISON, collector)
+            yield from first_draws.fill(COMPARISON, session)
     schema = comparison_schema(list(sets))
 
     def rows_of(piece: Work, result: Result) -> pa.Table:
@@ -59,25 +49,24 @@ def run_comparison(
         columns += [pa.array(mse, from_pandas=True) for mse in piece.by_id(result).values()]
         return pa.Table.from_arrays(columns, schema=schema)
 
-    works = (
-        replace(work, draws=lacking)
-        for first in range(0, draws, BLOCK)
-        for lacking in cut(first + np.flatnonzero(~present[first : first + BLOCK]), BLOCK)
-    )
-    if not interim.enough:
-        with closing(collector.run(COMPARISON, "comparison", works, rows_of)) as pieces:
-            for piece, result in pieces:
-                interim.learn(rows_of(piece, result))
-                compared += len(result.mse)
-                reporter.reach(
-                    reporter.progress.done + piece.steps,
-                    evaluations=compared,
-                    found=study.shown(interim.found),
-                )
-                if interim.enough:
-                    break
+    def learn(piece: Work, result: Result) -> bool:
+        interim.learn(range(*piece.draws), result.mse)
+        reporter.reach(
+            reporter.progress.done + piece.steps,
+            evaluations=reporter.progress.evaluations + len(result.mse),
+            found=study.shown(interim.found),
+        )
+        return interim.enough > 0
+
+    works = [work.part(draws_of_block) for draws_of_block in cut(range(draws), BLOCK)]
+    yield Batch(session, COMPARISON, works, OfDraws("comparison", rows_of, _result), learn)
     reporter.reach(start + comparison_steps(built))
-    _publish(store, interim.enough or draws)
+    _publish(session.store, interim.enough or draws)
+
+
+def _result(rows: pa.Table) -> Result:
+    """The result that gave these rows."""
+    return Result(np.stack([rows[name].to_numpy() for name in rows.column_names[1:]], axis=1))
 
 
 def comparison_steps(built: Built) -> int:
@@ -85,13 +74,6 @@ def comparison_steps(built: Built) -> int:
     job = built.job
     instants = len(built.names) * (job.problem.feasible.horizon + 1)
     return job.comparison.draws * job.filter.particles * instants
-
-
-def _present(store: Store, draws: int) -> NDArray[np.bool_]:
-    """Whether each draw is committed."""
-    present, committed = np.zeros(draws, np.bool_), store.present("comparison", "draw")[:draws]
-    present[: committed.size] = committed
-    return present
 
 
 def _work(built: Built, sets: Mapping[str, Times]) -> Work:

@@ -1,5 +1,6 @@
 """The driver: search phases, then the comparison. It uses a pool and a store, and knows no Ray."""
 
+from collections.abc import Generator
 from functools import partial
 from typing import Any
 
@@ -8,10 +9,10 @@ import pyarrow as pa
 from pfdist.errors import SearchError
 from pfdist.runner.build import Built
 from pfdist.runner.comparison_phase import COMPARISON, comparison_steps, run_comparison
+from pfdist.runner.door import Batch, Session
 from pfdist.runner.online_phase import CHOOSING, online_steps, run_online
 from pfdist.runner.search_phase import run_search, search_steps
 from pfdist.runner.search_tables import unpublished
-from pfdist.runner.session import Session
 from pfdist.store import Store, compared_schema
 from pfdist.times.measurement_times import Times
 
@@ -20,7 +21,7 @@ FORKED = "forked-from"
 COMPARED = "search"
 
 
-def drive(session: Session) -> None:
+def drive(session: Session) -> Generator[Batch, None, None]:
     """Compute everything that a run still lacks, be it new or half finished.
 
     Parameters
@@ -34,29 +35,24 @@ def drive(session: Session) -> None:
     TaskError, PoolError, StoreError
         A task failed, no worker answers, or a file cannot be read or written.
     """
-    built, store, collector, reporter = (
-        session.built,
-        session.store,
-        session.collector,
-        session.reporter,
-    )
+    built, store, reporter = session.built, session.store, session.reporter
     reporter.foresee(foreseen_steps(built))
     try:
         lost = store.lost()  # they are computed again
         has = store.has("compared") and not store.has_parts("compared")
         if lost or not has or unpublished(store, built.phases):
-            sets = _search(session)
+            sets = yield from _search(session)
         else:
             sets = built.instants(store.compared_sets())
             reporter.note(done=_searching_steps(built))
-        run_comparison(built, sets, collector, reporter)
+        yield from run_comparison(session, sets)
         if built.job.online is not None:
-            run_online(built, sets, collector, reporter)
-        collector.flush()
+            yield from run_online(session, sets)
+        session.commit()
         store.publish("draws", FORKED, [])
         store.manifest.forget_lost()
-    finally:
-        collector.flush()
+    finally:  # also where the driver is closed: it loses nothing that it has
+        session.commit()
         for phase in (*built.phases, COMPARISON, CHOOSING):
             store.settle("timings", phase)
 
@@ -70,12 +66,12 @@ def _searching_steps(built: Built) -> float:
     return sum(search_steps(built, search) for search in built.searches)
 
 
-def _search(session: Session) -> dict[str, Times]:
+def _search(session: Session) -> Generator[Batch, None, dict[str, Times]]:
     """Run every search, and return the sets that are compared, by name."""
-    built, collector = session.built, session.collector
+    built = session.built
     rows = _given_rows(built)
     for search in built.searches:
-        end = run_search(built, search, collector, session.reporter, session.say)
+        end = yield from run_search(session, search)
         rows += [
             {
                 "name": name,
@@ -99,7 +95,7 @@ def _search(session: Session) -> dict[str, Times]:
     with_exact = any("exact_mse" in row for row in rows)
     table = pa.Table.from_pylist(rows, schema=compared_schema(with_exact=with_exact))
     # Written after the tables of the searches: it marks the searches as done.
-    collector.later(partial(_publish_compared, collector.store, table))
+    session.later(partial(_publish_compared, session.store, table))
     return {row["name"]: row["measurement_times"] for row in rows}
 
 

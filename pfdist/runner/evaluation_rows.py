@@ -1,27 +1,14 @@
-"""Rows of the tables of a search: its evaluations, and their per-draw MSE."""
+"""Rows of the table of the evaluations of a search."""
 
 from collections import Counter
 from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 
-from pfdist.evaluation.work import Result, Work
 from pfdist.search import Candidate
 from pfdist.store import schema
-
-
-def draw_rows(work: Work, result: Result) -> pa.Table:
-    """Rows of the table ``draws``: evaluation after evaluation."""
-    evaluation = np.repeat(np.arange(len(work.ids)), len(result.mse))
-    columns = [
-        pa.array(work.ids, pa.string()).take(evaluation),
-        pa.array(np.tile(np.arange(*work.draws), len(work.ids))),
-        pa.array(result.mse.T.ravel(), from_pandas=True),
-    ]
-    return pa.Table.from_arrays(columns, schema=schema("draws"))
 
 
 def evaluation_rows(

@@ -1,7 +1,6 @@
 """Tables of the comparison's first draws, which are filtered once more for figures and summary."""
 
-from collections.abc import Callable, Sequence
-from contextlib import closing
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -14,11 +13,12 @@ from pfdist.common.component_names import Component
 from pfdist.evaluation.compiling import compile_evaluator
 from pfdist.evaluation.engines import ENGINES
 from pfdist.evaluation.estimate import REPORT
-from pfdist.evaluation.work import Estimation, Result, Work, cut, with_truth
+from pfdist.evaluation.work import Estimation, Result, Work, with_truth
 from pfdist.kernels.estimators import FILTER_NOISE
 from pfdist.models import StateSpaceModel, squared_error
 from pfdist.runner.build import Built
-from pfdist.runner.collect import Collector
+from pfdist.runner.door import Batch, Session
+from pfdist.runner.kept import OfDraws
 from pfdist.store import (
     Store,
     distance_schema,
@@ -55,16 +55,11 @@ class FirstDraws:
         """Rows of the table for the draws of a piece."""
         return pa.table(self.columns(piece, result), schema=self.schema)
 
-    def fill(self, phase: str, collector: Collector) -> None:
-        """Compute the draws that the table lacks, and publish the table."""
-        draws, store = self.work.draws[1], collector.store
-        missing = np.setdiff1d(np.arange(draws), np.flatnonzero(store.present(self.table, "draw")))
-        works = [replace(self.work, draws=lacking) for lacking in cut(missing, draws)]
-        run = collector.run(phase, self.table, works, self.rows, more_follows=True)
-        with closing(run) as pieces:
-            for _ in pieces:
-                pass
-        collector.later(partial(self._publish, phase, store))
+    def fill(self, phase: str, session: Session) -> Generator[Batch, None, None]:
+        """Compute the table, and publish it."""
+        kept = OfDraws(self.table, self.rows)
+        yield Batch(session, phase, [self.work], kept, more_follows=True)
+        session.later(partial(self._publish, phase, session.store))
 
     def _publish(self, phase: str, store: Store) -> None:
         if store.has_parts(self.table, phase):

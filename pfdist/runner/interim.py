@@ -5,7 +5,6 @@ do not depend on the order, and the comparison stops after the same draws in eve
 """
 
 import numpy as np
-import pyarrow as pa
 from numpy.typing import NDArray
 
 from pfdist.analysis import BLOCK, ComparisonStatistics
@@ -51,10 +50,9 @@ class InterimGains:
             if gain.relative.count
         )
 
-    def learn(self, rows: pa.Table) -> None:
-        """Add rows of draws, and then every whole block that has no gap before it."""
-        draws = rows["draw"].to_numpy()
-        values = np.stack([rows[name].to_numpy() for name in rows.column_names[1:]], axis=1)
+    def learn(self, index: range, values: NDArray[np.float64]) -> None:
+        """Add the MSE of draws, (D, S), and then every whole block that has no gap before it."""
+        draws = np.array(index)
         for number in np.unique(draws // BLOCK).tolist():
             in_block = draws // BLOCK == number
             if number not in self._waiting:

@@ -1,8 +1,6 @@
 """The draws whose times are chosen one after another, beside the same draws of the comparison."""
 
-from collections.abc import Mapping
-from contextlib import closing
-from dataclasses import replace
+from collections.abc import Generator, Mapping
 
 import numpy as np
 import pyarrow as pa
@@ -10,10 +8,10 @@ import pyarrow as pa
 from pfdist.evaluation.work import Result, Work, cut
 from pfdist.job.online_section import Online
 from pfdist.runner.build import Built
-from pfdist.runner.collect import Collector
+from pfdist.runner.door import Batch, Session
 from pfdist.runner.first_draws import TRAJECTORIES
+from pfdist.runner.kept import OfDraws
 from pfdist.runner.online_planning import planning_of
-from pfdist.runner.progress import Reporter
 from pfdist.sequential.work import OnlineWork
 from pfdist.store import schema
 from pfdist.times.measurement_times import Times
@@ -23,39 +21,41 @@ CHOOSING = "online.times"
 _BLOCK = 200  # draws, whose rows are published together
 
 
-def run_online(
-    built: Built, sets: Mapping[str, Times], collector: Collector, reporter: Reporter
-) -> None:
+def run_online(session: Session, sets: Mapping[str, Times]) -> Generator[Batch, None, None]:
     """Choose the times of the draws that the store lacks, and publish the table ``online``.
 
     Parameters
     ----------
-    built : Built
+    session : Session
         Its job has a section [online].
     sets : mapping of str to tuple of int
         Compared sets by name. The plan before anything is measured is that of the first search.
-    collector : Collector
-    reporter : Reporter
 
     Raises
     ------
     TaskError, PoolError, StoreError
         A task failed, no worker answers, or a file cannot be read or written.
     """
-    store, work = collector.store, online_work(built, sets[built.searches[0].name])
-    draws, present = work.draws[1], store.present("online", "draw")
-    missing = np.setdiff1d(np.arange(draws), np.flatnonzero(present))
-    done = draws - missing.size
-    start = reporter.progress.done
-    reporter.begin("online", evaluations=done)
-    reporter.note(done=start + done * work.steps_a_draw)
-    works = (replace(work, draws=lacking) for lacking in cut(missing, _BLOCK))
-    with closing(collector.run(CHOOSING, "online", works, _rows)) as pieces:
-        for piece, result in pieces:
-            done += len(result.mse)
-            reporter.reach(reporter.progress.done + piece.steps, evaluations=done)
+    built, reporter = session.built, session.reporter
+    work, start = online_work(built, sets[built.searches[0].name]), reporter.progress.done
+    draws = work.draws[1]
+    reporter.begin("online")
+
+    def learn(piece: Work, result: Result) -> None:
+        reporter.reach(
+            reporter.progress.done + piece.steps,
+            evaluations=reporter.progress.evaluations + len(result.mse),
+        )
+
+    works = [work.part(block) for block in cut(range(draws), _BLOCK)]
+    yield Batch(session, CHOOSING, works, OfDraws("online", _rows, _result), learn)
     reporter.reach(start + draws * work.steps_a_draw)
-    store.settle("online", CHOOSING)
+    session.store.settle("online", CHOOSING)
+
+
+def _result(rows: pa.Table) -> Result:
+    """The errors of rows."""
+    return Result(rows["mse"].to_numpy()[:, None])
 
 
 def online_steps(built: Built) -> int:

@@ -2,7 +2,8 @@
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, Generic, TypeVar
 
@@ -10,14 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.evaluation.estimate import Evaluation, Purpose
-from pfdist.evaluation.work import BLOCK
+from pfdist.evaluation.work import BLOCK, Estimation, Result, Work
 from pfdist.kernels.noise import generator
 from pfdist.runner.block_sums import BlockSums, Counted
 from pfdist.runner.build import Built
-from pfdist.runner.collect import Collector
+from pfdist.runner.door import Batch, Session
 from pfdist.runner.evaluation_rows import evaluation_rows
-from pfdist.runner.progress import Reporter
-from pfdist.runner.requests import Request, known
+from pfdist.runner.kept import PER_DRAW
 from pfdist.runner.search_tables import commit_generation, committed_generations, publish_search
 from pfdist.runner.searches import Settings
 from pfdist.runner.window_errors import evaluated_by_errors
@@ -26,6 +26,35 @@ from pfdist.search.probe import new_leaders
 from pfdist.times.measurement_times import validated
 
 E = TypeVar("E", bound=Evaluation)
+
+
+@dataclass(eq=False)
+class Request:
+    """An evaluation that is asked for, and the draws that are known of it.
+
+    Parameters
+    ----------
+    id : str
+        Hash of everything on which the per-draw MSE depends.
+    candidate : Candidate
+    end : int
+        Last instant whose error counts.
+    stream : int
+        Key of draws and filter noise: their roles keep them apart.
+    estimation : Estimation
+    mse : array of float64, (D,)
+        NaN for a draw that is not known yet.
+    known : int
+        How many draws are known.
+    """
+
+    id: str
+    candidate: Candidate
+    end: int
+    stream: int
+    estimation: Estimation
+    mse: NDArray[np.float64]
+    known: int = 0
 
 
 class Phase(Generic[E]):
@@ -93,17 +122,15 @@ class Phase(Generic[E]):
         source = self.built.source.truth if self.knows_truth else self.built.source
         id_ = source.evaluation_id(times, last, stream, estimation)
         mse = np.full(draws or self.settings.draws, np.nan)
-        return Request(
-            self.name,
-            id_,
-            candidate,
-            last,
-            stream,
-            estimation,
-            self.knows_truth,
-            mse,
-            missing=np.isnan(mse),
-        )
+        return Request(id_, candidate, last, stream, estimation, mse)
+
+    def recall(self, request: Request) -> None:
+        """Let a request know the draws that were evaluated before in this session."""
+        if self.settings.common_noise:  # with fresh noise no evaluation is asked for twice
+            before = self.evaluated.get(request.id, request.mse[:0])[: request.mse.size]
+            request.mse[: before.size], request.known = before, before.size
+            if before.size < request.mse.size:
+                self.evaluated[request.id] = request.mse
 
     def stream(self, *keyed_by: Any) -> int:
         """Key of the draws and of the filters' noise."""
@@ -124,14 +151,13 @@ class Phase(Generic[E]):
         return self.purpose.evaluation(times, request.mse, policy, exact, end)
 
 
-def run_phase(phase: Phase[E], collector: Collector, reporter: Reporter) -> Sequence[E]:
-    """Finalists of an optimiser that runs to its end, with evaluations of the store where possible.
+def run_phase(phase: Phase[E], session: Session) -> Generator[Batch, None, Sequence[E]]:
+    """Finalists of an optimiser that runs to its end.
 
     Parameters
     ----------
     phase : Phase
-    collector : Collector
-    reporter : Reporter
+    session : Session
 
     Raises
     ------
@@ -140,8 +166,8 @@ def run_phase(phase: Phase[E], collector: Collector, reporter: Reporter) -> Sequ
     TaskError, PoolError, StoreError
         A task failed, no worker answers, or a file cannot be read or written.
     """
-    optimiser, name, store = phase.optimiser, phase.name, collector.store
-    committed = committed_generations(store, name)
+    optimiser, name, reporter = phase.optimiser, phase.name, session.reporter
+    committed = committed_generations(session.store, name)
     state, generation = optimiser.init(), 0
     share, start = phase.steps() / max(1, optimiser.generations), reporter.progress.done
     reporter.begin(name, generation=1, generations=optimiser.generations)
@@ -155,23 +181,18 @@ def run_phase(phase: Phase[E], collector: Collector, reporter: Reporter) -> Sequ
         requests = [phase.request(each, generation) for each in copies if each.since is None]
         windows = [each for each in copies if each.since is not None]
         found = optimiser.finalists(state)
-        evaluations: dict[Candidate, E] = {}
-        least = math.inf
-        for candidate, evaluation in _evaluate(phase, requests, windows, collector):
-            evaluations[candidate] = evaluation
-            if not found and (costs := _whole_costs([evaluation])):  # nothing better to show yet
-                least = min(least, *costs)
-                reporter.note(best=least)
-            part = min(generation + len(evaluations) / len(copies), optimiser.generations)
-            reporter.reach(
-                start + share * part,
-                evaluations=reporter.progress.evaluations + copies[candidate],
-                generation=generation + 1,
-                generations=max(generation + 1, optimiser.generations),
-            )
+        known = _Known(phase, session, copies, generation, (start, share), shows_best=not found)
+        if windows:
+            for candidate, evaluation in (yield from _errors(phase, windows, session)):
+                known(candidate, evaluation)
+        if phase.built.evaluator.exact:
+            _exactly(phase, requests, known)
+        else:
+            yield from _per_draw(phase, requests, session, known)
+        evaluations = known.evaluations
         if requests and generation not in committed:
             rows = partial(evaluation_rows, name, generation, asked, requests, evaluations)
-            collector.later(partial(commit_generation, store, name, generation, rows))
+            session.later(partial(commit_generation, session.store, name, generation, rows))
         told = [evaluations[candidate] for candidate in asked]
         if phase.keep_leaders:
             phase.leaders.extend(new_leaders(_whole_or_prefixes(told), phase.leaders))
@@ -180,7 +201,7 @@ def run_phase(phase: Phase[E], collector: Collector, reporter: Reporter) -> Sequ
         mean = float(np.mean(costs)) if costs else None
         reporter.note(best=finalists[0] if finalists else None, mean=mean)
     reporter.note(done=start + phase.steps())
-    collector.later(partial(publish_search, store, name))
+    session.later(partial(publish_search, session.store, name))
     return optimiser.finalists(state)
 
 
@@ -198,40 +219,110 @@ def _whole_costs(evaluations: Iterable[Evaluation]) -> list[float]:
     ]
 
 
-def _evaluate(
-    phase: Phase[E], requests: list[Request], windows: list[Candidate], collector: Collector
-) -> Iterator[tuple[Candidate, E]]:
-    """Yield the evaluation of each request; known draws come from the store and this session.
+class _Known(Generic[E]):
+    """The evaluations of a generation that are known, and the progress that they make."""
 
-    Candidates whose errors of each instant are wanted are evaluated first, all together.
-    """
-    evaluator = phase.built.evaluator
-    if windows:
-        yield from _errors(phase, windows, collector)
-    if evaluator.exact:  # it takes no time, so neither pool nor store is needed
-        sets = [request.candidate.measurement_times for request in requests]
-        costs = evaluator.expected_mse(sets, [request.end for request in requests])
-        for request, cost in zip(requests, costs, strict=True):
-            request.mse = np.empty(0)
-            yield request.candidate, phase.evaluation(request, float(cost))
-        return
+    def __init__(
+        self,
+        phase: Phase[E],
+        session: Session,
+        copies: Counter[Candidate],
+        generation: int,
+        steps: tuple[float, float],
+        *,
+        shows_best: bool,
+    ) -> None:
+        self.evaluations: dict[Candidate, E] = {}
+        self._reporter, self._copies = session.reporter, copies
+        self._generations, self._generation = phase.optimiser.generations, generation
+        self._steps, self._shows_best, self._least = steps, shows_best, math.inf
+
+    def __call__(self, candidate: Candidate, evaluation: E) -> None:
+        """Know the evaluation of a candidate."""
+        self.evaluations[candidate] = evaluation
+        reporter, (start, share) = self._reporter, self._steps
+        if self._shows_best and (costs := _whole_costs([evaluation])):
+            self._least = min(self._least, *costs)
+            reporter.note(best=self._least)
+        part = self._generation + len(self.evaluations) / len(self._copies)
+        reporter.reach(
+            start + share * min(part, self._generations),
+            evaluations=reporter.progress.evaluations + self._copies[candidate],
+            generation=self._generation + 1,
+            generations=max(self._generation + 1, self._generations),
+        )
+
+
+def _exactly(
+    phase: Phase[E], requests: list[Request], know: Callable[[Candidate, E], None]
+) -> None:
+    """Know the evaluation of each request: it takes no time, so neither pool nor store."""
+    sets = [request.candidate.measurement_times for request in requests]
+    costs = phase.built.evaluator.expected_mse(sets, [request.end for request in requests])
+    for request, cost in zip(requests, costs, strict=True):
+        request.mse = np.empty(0)
+        know(request.candidate, phase.evaluation(request, float(cost)))
+
+
+def _per_draw(
+    phase: Phase[E],
+    requests: list[Request],
+    session: Session,
+    know: Callable[[Candidate, E], None],
+) -> Generator[Batch, None, None]:
+    """Know the evaluation of each request as soon as all its draws are known."""
     same = defaultdict[str, list[Request]](list)  # a prefix up to T is a whole set, too
     for request in requests:
         same[request.id].append(request)
-    longest = [max(alike, key=lambda request: request.mse.size) for alike in same.values()]
-    # With fresh noise no evaluation is asked for twice.
-    evaluated = phase.evaluated if phase.settings.common_noise else None
-    for finished in known(longest, evaluated, collector):
-        for request in same[finished.id]:
-            request.mse = finished.mse[: request.mse.size]
-            yield request.candidate, phase.evaluation(request)
+    longest = {id_: max(alike, key=lambda each: each.mse.size) for id_, alike in same.items()}
+
+    def know_all(request: Request) -> None:
+        for alike in same[request.id]:
+            alike.mse = request.mse[: alike.mse.size]
+            know(alike.candidate, phase.evaluation(alike))
+
+    def learn(work: Work, result: Result) -> None:
+        for id_, mse in work.by_id(result).items():
+            request = longest[id_]
+            request.mse[slice(*work.draws)] = mse
+            request.known += mse.size
+            if request.known == request.mse.size:
+                know_all(request)
+
+    for request in longest.values():
+        phase.recall(request)
+        if request.known == request.mse.size:
+            know_all(request)
+    works = list(_works(phase, longest.values()))
+    if works:
+        yield Batch(session, phase.name, works, PER_DRAW, learn, more_follows=True)
+
+
+def _works(phase: Phase[E], requests: Iterable[Request]) -> Iterator[Work]:
+    """Works for the missing draws; sets that lack the same draws of a stream go together."""
+    together = defaultdict[Any, list[Request]](list)
+    for request in requests:
+        first, size = request.known, request.mse.size
+        if first < size:
+            together[request.stream, request.estimation, (first, size)].append(request)
+    for (stream, estimation, draws), group in together.items():
+        yield Work(
+            measurement_times=tuple(request.candidate.measurement_times for request in group),
+            ends=tuple(request.end for request in group),
+            filter_streams=(stream,) * len(group),
+            draws_stream=stream,
+            draws=draws,
+            estimation=estimation,
+            ids=tuple(request.id for request in group),
+            knows_truth=phase.knows_truth,
+        )
 
 
 def _errors(
-    phase: Phase[E], windows: list[Candidate], collector: Collector
-) -> Iterator[tuple[Candidate, E]]:
-    """Yield an evaluation with the errors of each instant for each candidate."""
+    phase: Phase[E], windows: list[Candidate], session: Session
+) -> Generator[Batch, None, list[tuple[Candidate, E]]]:
+    """Evaluations with the errors of each instant, for each candidate, all together."""
     kind = phase.purpose.evaluation
     blocks = math.ceil((windows[0].draws or phase.settings.draws) / BLOCK)
-    evaluations, _ = evaluated_by_errors(windows, kind, phase.built, phase.sums, blocks, collector)
-    yield from zip(windows, evaluations, strict=True)
+    evaluations, _ = yield from evaluated_by_errors(windows, kind, session, phase.sums, blocks)
+    return list(zip(windows, evaluations, strict=True))

@@ -1,8 +1,7 @@
 """The proof of a run's sets: the filters of the relaxation, and of the sets alone."""
 
 import math
-from collections.abc import Collection, Iterator, Mapping
-from contextlib import closing
+from collections.abc import Collection, Generator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -19,12 +18,12 @@ from pfdist.errors import ModelError
 from pfdist.evaluation.compiling import compile_evaluator
 from pfdist.evaluation.engines import ENGINES
 from pfdist.evaluation.estimate import BOUND
-from pfdist.evaluation.work import BLOCK, Estimation, with_truth
+from pfdist.evaluation.work import BLOCK, Estimation, Result, Work, with_truth
 from pfdist.kernels.estimators import FILTER_VARIANCE
 from pfdist.runner.block_sums import GROUPS, BlockSums, Counted
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built
-from pfdist.runner.session import Session
+from pfdist.runner.door import Batch, Session
 from pfdist.runner.sets_alone import sets_alone, steps_of_sets
 from pfdist.runner.window_growth import grown
 from pfdist.search.state_space_relaxation import StateSpaceRelaxation
@@ -114,7 +113,7 @@ class Prover:
         growth = self._most_steps if self.particles else 0.0
         return growth + self._steps((), self._blocks[-1])
 
-    def prove(self, session: Session, run: Run) -> Look:
+    def prove(self, session: Session, run: Run) -> Generator[Batch, None, Look]:
         """Prove the sets of a run, and write the table ``bound``.
 
         Parameters
@@ -128,14 +127,10 @@ class Prover:
         TaskError, PoolError, StoreError
             A task failed, no worker answers, or a file cannot be read or written.
         """
-        looks, within = list[Look](), self._settings.within
         try:
-            for look in self._looks(session, run):
-                looks.append(look)
-                if within is not None and look.is_within(within, self._built.unjudged):
-                    break
-        finally:
-            session.collector.flush()
+            looks = yield from self._looks(session, run)
+        finally:  # also where the driver is closed: it loses nothing that it has
+            session.commit()
             for table in ("error_sums", "draws", "timings"):
                 for phase in session.store.phases_of(table, BOUND_PHASE):
                     session.store.settle(table, phase)
@@ -153,23 +148,27 @@ class Prover:
             enough &= rows[key] == value
         return bool(enough.any())
 
-    def _looks(self, session: Session, run: Run) -> Iterator[Look]:
-        """Yield the gaps after more and more draws."""
+    def _looks(self, session: Session, run: Run) -> Generator[Batch, None, list[Look]]:
+        """The gaps after more and more draws."""
         constraints = self._built.study.widest
         sets = self._built.study.proved(self._built.instants(run.sets()))
-        alone = sets_alone(session, run, sets, self._estimation)
+        alone = yield from sets_alone(session, run, sets, self._estimation)
         feasible = {name: times for name, times in sets.items() if _satisfies(constraints, times)}
         known = tuple(feasible.values())
         foreseen, growth = self._steps_of_windows, 0.0
         if feasible and self._most_steps > 0:
-            self.relaxation, growth = self._grown(session, known)
+            self.relaxation, growth = yield from self._grown(session, known)
         steps = self._steps(known, self._blocks[-1])
         session.reporter.foresee(growth + steps - foreseen)
-        start = session.reporter.progress.done
+        looks, before = list[Look](), 0
+        if self.particles:
+            session.reporter.begin("lower bound")
         for blocks in self._blocks:
-            reason = ""
+            reason, sums = "", None
             try:
-                sums = self._sums(session, known, blocks, start) if feasible else None
+                if feasible:
+                    sums = yield from self._sums(session, known, range(before, blocks))
+                before = blocks
                 gaps = self._gaps(feasible, alone, sums) if sums else {}
             except ModelError as error:
                 reason, gaps = str(error), {}
@@ -177,11 +176,17 @@ class Prover:
                 why = reason if name in feasible else "the set is not feasible"
                 gaps[name] = Gap(name, sets[name], alone[name].expected_mse, why)
             found = [gaps[name] for name in sets]
-            yield Look(blocks * BLOCK, growth + self._steps(known, blocks), found)
+            looks.append(Look(blocks * BLOCK, growth + self._steps(known, blocks), found))
+            within = self._settings.within
             if reason:  # more draws do not help
-                return
+                break
+            if within is not None and looks[-1].is_within(within, self._built.unjudged):
+                break
+        return looks
 
-    def _grown(self, session: Session, known: tuple[Times, ...]) -> tuple[Relaxation, float]:
+    def _grown(
+        self, session: Session, known: tuple[Times, ...]
+    ) -> Generator[Batch, None, tuple[Relaxation, float]]:
         """The relaxation with longer windows where they matter for the sets, and its steps."""
         spent = {self.relaxation.spent(times) for times in known}
         optimiser = StateSpaceRelaxation(
@@ -194,9 +199,8 @@ class Prover:
             start=self.relaxation,
             most_grown=self._settings.most_windows,
         )
-        return grown(
-            session, optimiser, self._estimation, self._most_steps, self._settings.most_cells
-        )
+        most = self._most_steps, self._settings.most_cells
+        return (yield from grown(session, optimiser, self._estimation, *most))
 
     @cached_property
     def _most_steps(self) -> float:
@@ -218,16 +222,17 @@ class Prover:
         }
         return consistent(gaps) if self.particles else gaps
 
-    def _sums(self, session: Session, known: tuple[Times, ...], blocks: int, start: float) -> Sums:
-        """Sums of the errors of all windows and of known sets over the first blocks of draws.
+    def _sums(
+        self, session: Session, known: tuple[Times, ...], blocks: range
+    ) -> Generator[Batch, None, Sums]:
+        """Sums of the errors of all windows and of known sets, up to the last of some blocks.
 
         Parameters
         ----------
         session : Session
         known : tuple of tuples of int, (C,)
-        blocks : int
-        start : float
-            Particle-steps of the progress before the first block.
+        blocks : range
+            Blocks that were not asked for before.
 
         Raises
         ------
@@ -243,15 +248,14 @@ class Prover:
             relaxed = evaluator.expected_errors(counted.sets)[counted.at(evaluator.horizon)]
             return Sums(relaxed[None], evaluator.expected_errors(known)[None], np.ones(1))
         sums, reporter = self._block_sums(known), session.reporter
-        present, a_block = {block for block, _ in sums.known(blocks, session.store)}, sums.steps(1)
-        done = len(present)
-        reporter.note(done=start + done * a_block)
-        reporter.begin("lower bound", evaluations=done * BLOCK)
-        with closing(sums.fill(blocks, session.collector, present)) as filled:
-            for _ in filled:
-                done += 1
-                reporter.reach(start + done * a_block, evaluations=done * BLOCK)
-        errors, draws = sums.by_group(blocks, session.store)
+        a_block = sums.steps(1)
+
+        def learn(_work: Work, _result: Result) -> None:
+            progress = reporter.progress
+            reporter.reach(progress.done + a_block, evaluations=progress.evaluations + BLOCK)
+
+        yield sums.batch(session, blocks, learn, more_follows=False)
+        errors, draws = sums.by_group(blocks.stop, session.store)
         if not np.isfinite(errors).all():
             raise ModelError(
                 "a draw is degenerate or infinite although a particle has its true state: "

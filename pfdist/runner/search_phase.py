@@ -7,7 +7,7 @@ the squared error under another name, and the first results are left aside.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
@@ -23,9 +23,8 @@ from pfdist.evaluation.estimate import (
     ShortlistEvaluation,
 )
 from pfdist.runner.build import Built
-from pfdist.runner.collect import Collector
+from pfdist.runner.door import Batch, Session
 from pfdist.runner.phase import Phase, run_phase
-from pfdist.runner.progress import Reporter
 from pfdist.runner.searches import NamedSearch
 from pfdist.search import Candidate, Exchange, Probe, Race
 from pfdist.search.paired import difference
@@ -100,25 +99,19 @@ class _Runner:
 
     Parameters
     ----------
-    built : Built
-    collector : Collector
-    reporter : Reporter
-    say : callable
-        Receives a line if the estimator of a search fails or cannot be checked.
+    session : Session
+        It receives a line if the estimator of a search fails or cannot be checked.
     """
 
-    def __init__(
-        self, built: Built, collector: Collector, reporter: Reporter, say: Callable[[str], Any]
-    ) -> None:
-        self._built, self._study = built, built.study
-        self._collector, self._reporter, self._say = collector, reporter, say
+    def __init__(self, session: Session) -> None:
+        self._session, self._built, self._study = session, session.built, session.built.study
 
-    def run(self, search: NamedSearch) -> SearchEnd:
+    def run(self, search: NamedSearch) -> Generator[Batch, None, SearchEnd]:
         """Winners of a search, which is run again by the squared error if its estimator fails."""
-        attempt, again = self.attempt(search), search.again
-        distrust = self.distrust(search, attempt) if again else None
+        attempt, again = (yield from self.attempt(search)), search.again
+        distrust = (yield from self.distrust(search, attempt)) if again else None
         if again is None or distrust is None:
-            raced = self.race(search, attempt)
+            raced = yield from self.race(search, attempt)
             wrong = misordered(attempt.believed, raced) if again and raced else None
             if again is None or wrong is None:
                 return SearchEnd(self.winners(search.name, attempt, raced))
@@ -126,41 +119,51 @@ class _Runner:
         estimation = search.settings.estimation
         estimator = f"{estimation.estimator} of {estimation.particles} particles"
         distrust = f"{estimator} cannot be believed: {distrust}"
-        self._say(f"search {search.name}: {distrust}; searching again by the squared error")
-        self._reporter.foresee(search_steps(self._built, again))
-        attempt = self.attempt(again)
-        return SearchEnd(self.winners(search.name, attempt, self.race(again, attempt)), distrust)
+        say, reporter = self._session.say, self._session.reporter
+        say(f"search {search.name}: {distrust}; searching again by the squared error")
+        reporter.foresee(search_steps(self._built, again))
+        attempt = yield from self.attempt(again)
+        raced = yield from self.race(again, attempt)
+        return SearchEnd(self.winners(search.name, attempt, raced), distrust)
 
-    def attempt(self, search: NamedSearch) -> _Attempt:
+    def attempt(self, search: NamedSearch) -> Generator[Batch, None, _Attempt]:
         """Search, and polish the best set found."""
         searching = _searching(self._built, search)
-        found, leaders = self._finalists(searching), searching.leaders
+        found = yield from self._finalists(searching)
+        leaders = searching.leaders
         if found and search.polishing:
-            polished = self._finalists(_polishing(self._built, search, found[0].measurement_times))
+            polishing = _polishing(self._built, search, found[0].measurement_times)
+            polished = yield from self._finalists(polishing)
             leaders = [*leaders, *polished[:1]]
             found = [*polished[:_POLISHED], *found[:_UNPOLISHED]]
         return _Attempt(found, leaders, search.polishing is not None)
 
-    def distrust(self, search: NamedSearch, attempt: _Attempt) -> str | None:
+    def distrust(
+        self, search: NamedSearch, attempt: _Attempt
+    ) -> Generator[Batch, None, str | None]:
         """Say on which probe the estimator of a search failed, if it failed."""
         sought = dict.fromkeys(
             Candidate(evaluation.measurement_times, evaluation.end)
             for evaluation in self._study.probed(attempt.leaders, attempt.found)
         )
         phase = _probing(self._built, search, tuple(sought))
-        probe = run_phase(phase, self._collector, self._reporter)
+        probe = yield from run_phase(phase, self._session)
         if probe and not judged(*probe).known:
             estimator = search.settings.estimation.estimator
-            self._say(
+            self._session.say(
                 f"search {search.name}: {estimator} could not be checked: {unchecked_probe(*probe)}"
             )
             return None
         return failed_probe(*probe) if probe else None
 
-    def race(self, search: NamedSearch, attempt: _Attempt) -> list[ShortlistEvaluation] | None:
+    def race(
+        self, search: NamedSearch, attempt: _Attempt
+    ) -> Generator[Batch, None, list[ShortlistEvaluation] | None]:
         """Evaluations of the sets that raced, the winner first; None if no sets race."""
         sets = self._study.racing(attempt.believed)
-        return self._finalists(_racing(self._built, search, sets)) if sets else None
+        if not sets:
+            return None
+        return (yield from self._finalists(_racing(self._built, search, sets)))
 
     def winners(
         self, name: str, attempt: _Attempt, raced: Sequence[ShortlistEvaluation] | None
@@ -174,9 +177,9 @@ class _Runner:
         winners = self._study.winners(name, ranked)
         return {key: Winner(times, believed[times]) for key, times in winners.items()}
 
-    def _finalists(self, phase: Phase[E]) -> list[E]:
+    def _finalists(self, phase: Phase[E]) -> Generator[Batch, None, list[E]]:
         """Finalists of a phase, without sets that degenerate draws have killed."""
-        found = run_phase(phase, self._collector, self._reporter)
+        found = yield from run_phase(phase, self._session)
         return [evaluation for evaluation in found if np.isfinite(evaluation.cost)]
 
 
@@ -197,35 +200,23 @@ def _uncontradicted(
     return [best, *(evaluation for evaluation in order if evaluation is not best)]
 
 
-def run_search(
-    built: Built,
-    search: NamedSearch,
-    collector: Collector,
-    reporter: Reporter,
-    say: Callable[[str], Any],
-) -> SearchEnd:
-    """Winners of a search: run it to its end, with evaluations of the store where there are any.
+def run_search(session: Session, search: NamedSearch) -> Generator[Batch, None, SearchEnd]:
+    """Winners of a search: run it to its end.
 
     Parameters
     ----------
-    built : Built
+    session : Session
+        It receives a line if the search's estimator fails or cannot be checked.
     search : NamedSearch
-    collector : Collector
-    reporter : Reporter
-    say : callable
-        Receives a line if the search's estimator fails or cannot be checked.
-
-    Returns
-    -------
-    SearchEnd
 
     Raises
     ------
     TaskError, PoolError, StoreError
         A task failed, no worker answers, or a file cannot be read or written.
     """
+    built, reporter = session.built, session.reporter
     start = reporter.progress.done
-    end = _Runner(built, collector, reporter, say).run(search)
+    end = yield from _Runner(session).run(search)
     redone = search_steps(built, search.again) if search.again and end.distrust else 0.0
     reporter.note(done=start + search_steps(built, search) + redone)  # as it was foreseen
     return end

@@ -6,9 +6,8 @@ draws of the comparison are always enough.
 """
 
 import math
-from collections.abc import Mapping
-from contextlib import closing
-from dataclasses import dataclass, replace
+from collections.abc import Generator, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +18,10 @@ from pfdist.bounds.gap import UNKNOWN, ZERO, SetAlone
 from pfdist.bounds.proof import Estimate
 from pfdist.common.streams import stream_key
 from pfdist.evaluation.estimate import BOUND
-from pfdist.evaluation.work import Estimation, Work, cut
+from pfdist.evaluation.work import Estimation, Result, Work
 from pfdist.runner.build import Built
-from pfdist.runner.evaluation_rows import draw_rows
-from pfdist.runner.session import Session
+from pfdist.runner.door import Batch, Session
+from pfdist.runner.kept import PER_DRAW
 from pfdist.store import BOUND_PHASE
 from pfdist.times.measurement_times import Times
 
@@ -59,8 +58,8 @@ def steps_of_sets(built: Built, sets: int, estimation: Estimation) -> int:
 
 def sets_alone(
     session: Session, run: Run, sets: Mapping[str, Times], estimation: Estimation
-) -> dict[str, SetAlone]:
-    """Filter sets alone where the store lacks draws, and give what follows for each.
+) -> Generator[Batch, None, dict[str, SetAlone]]:
+    """Filter sets alone; what follows for each.
 
     Parameters
     ----------
@@ -89,9 +88,9 @@ def sets_alone(
     else:
         draws_stream = purpose.stream(seed, "draws")
     session.reporter.begin("sets alone")
-    found = {
-        name: _per_draw(session, sets, kind, draws_stream, draws) for name, kind in kinds.items()
-    }
+    found = dict[str, dict[str, Array]]()
+    for name, kind in kinds.items():
+        found[name] = yield from _per_draw(session, sets, kind, draws_stream, draws)
     squared, whole = found.get("squared"), dict[str, Moments]()
     if squared is None:
         rows, statistics = run.comparison(draws), run.statistics()
@@ -126,7 +125,7 @@ def _kinds(built: Built, estimation: Estimation, compared: int) -> dict[str, _Ki
 
 def _per_draw(
     session: Session, sets: Mapping[str, Times], kind: _Kind, draws_stream: int, draws: int
-) -> dict[str, Array]:
+) -> Generator[Batch, None, dict[str, Array]]:
     """Errors of so many draws, (draws,), by the name of the set."""
     built, reporter = session.built, session.reporter
     horizon, noise = built.evaluator.horizon, BOUND.stream(built.job.seed, "filter of a set")
@@ -146,34 +145,21 @@ def _per_draw(
         ids=tuple(ids.values()),
         knows_truth=kind.knows_truth,
     )
-    known, start = _known(session, ids, draws), reporter.progress.done
-    lacking = np.flatnonzero(~np.all([present for present, _ in known.values()], axis=0))
-    done = draws - lacking.size
-    reporter.reach(start + done * work.steps_a_draw, evaluations=done)
-    works = (replace(work, draws=piece) for piece in cut(lacking, draws))
+    found = {id_: np.full(draws, math.nan) for id_ in work.ids}
+    start, done = reporter.progress.done, 0
+
+    def learn(piece: Work, result: Result) -> None:
+        nonlocal done
+        for id_, mse in piece.by_id(result).items():
+            found[id_][slice(*piece.draws)] = mse
+        done += result.mse.size
+        reporter.reach(
+            start + done * work.steps / (draws * len(sets)), evaluations=done // len(sets)
+        )
+
     phase = f"{BOUND_PHASE}.{stream_key(work.ids):016x}"
-    with closing(session.collector.run(phase, "draws", works, draw_rows)) as pieces:
-        for piece, _ in pieces:
-            done += piece.draws[1] - piece.draws[0]
-            reporter.reach(start + done * work.steps_a_draw, evaluations=done)
-    if lacking.size:
-        known = _known(session, ids, draws)
-    return {name: mse for name, (_, mse) in known.items()}
-
-
-def _known(
-    session: Session, ids: Mapping[str, str], draws: int
-) -> dict[str, tuple[NDArray[np.bool_], Array]]:
-    """Whether each draw of each set is in the store, and its error, by the name of the set."""
-    found = {}
-    for name, id_ in ids.items():
-        rows = session.store.per_draw([id_])
-        present, mse = np.zeros(draws, np.bool_), np.full(draws, math.nan)
-        index = rows["draw"].to_numpy()
-        wanted = index < draws
-        present[index[wanted]], mse[index[wanted]] = True, rows["mse"].to_numpy()[wanted]
-        found[name] = present, mse
-    return found
+    yield Batch(session, phase, [work], PER_DRAW, learn)
+    return {name: found[id_] for name, id_ in ids.items()}
 
 
 def parts_of(whole: Moments, squared: Array, by_truth: Array, variance: Array) -> SetAlone:

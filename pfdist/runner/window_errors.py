@@ -1,14 +1,13 @@
 """Evaluations by the expected errors of the instants that a search asks for."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from typing import TypeVar
 
 import numpy as np
 
 from pfdist.evaluation.estimate import Evaluation
 from pfdist.runner.block_sums import BlockSums, Counted
-from pfdist.runner.build import Built
-from pfdist.runner.collect import Collector
+from pfdist.runner.door import Batch, Session
 from pfdist.search.base import Candidate
 
 E = TypeVar("E", bound=Evaluation)
@@ -17,12 +16,11 @@ E = TypeVar("E", bound=Evaluation)
 def evaluated_by_errors(
     asked: Sequence[Candidate],
     kind: type[E],
-    built: Built,
+    session: Session,
     sums_of: Callable[[Counted], BlockSums],
     blocks: int,
-    collector: Collector,
-) -> tuple[list[E], float]:
-    """Give evaluations of candidates, and the particle-steps they take.
+) -> Generator[Batch, None, tuple[list[E], float]]:
+    """Evaluations of candidates, and the particle-steps that they take.
 
     Errors are 0 before the instant from which they are wanted, and behind the candidate's end.
 
@@ -31,28 +29,28 @@ def evaluated_by_errors(
     asked : sequence of Candidate
     kind : type
         Class of the evaluations.
-    built : Built
+    session : Session
     sums_of : callable
         Gives the sums over blocks of draws; exact engines need none.
     blocks : int
         Number of blocks of draws.
-    collector : Collector
 
     Raises
     ------
     TaskError, PoolError, StoreError
         A task failed, no worker answers, or a file cannot be read or written.
     """
-    exact, horizon, steps = built.evaluator.exact, built.evaluator.horizon, 0.0
+    evaluator = session.built.evaluator
+    exact, horizon, steps = evaluator.exact, evaluator.horizon, 0.0
     sets = tuple(candidate.measurement_times for candidate in asked)
     first = np.array([candidate.since or 0 for candidate in asked])
     ends = np.array([horizon if each.end is None else each.end for each in asked])
     counted = Counted(sets, first, ends)
     if exact:
-        errors = np.where(counted.at(horizon), built.evaluator.expected_errors(sets), 0.0)
+        errors = np.where(counted.at(horizon), evaluator.expected_errors(sets), 0.0)
     else:
         sums = sums_of(counted)
-        errors, steps = sums.means(blocks, collector), sums.steps(blocks)
+        errors, steps = (yield from sums.means(blocks, session)), sums.steps(blocks)
     costs = errors.sum(axis=1) / (horizon + 1)
     evaluations = [
         kind(

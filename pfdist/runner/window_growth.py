@@ -4,13 +4,15 @@ The bound then has fresh draws. If the same draws chose the windows and gave the
 could lie above the truth: windows would be preferred that happen to have large errors.
 """
 
+from collections.abc import Generator
+
 import numpy as np
 
 from pfdist.bounds.relaxation import Relaxation
 from pfdist.evaluation.estimate import BOUND, SearchEvaluation
 from pfdist.evaluation.work import Estimation
 from pfdist.runner.block_sums import GROUPS, BlockSums, Counted
-from pfdist.runner.session import Session
+from pfdist.runner.door import Batch, Session
 from pfdist.runner.window_errors import evaluated_by_errors
 from pfdist.search.state_space_relaxation import StateSpaceRelaxation
 
@@ -24,8 +26,8 @@ def grown(
     estimation: Estimation,
     most_steps: float,
     most_cells: int,
-) -> tuple[Relaxation, float]:
-    """Give the relaxation that a search for windows ends with, and the particle-steps it took.
+) -> Generator[Batch, None, tuple[Relaxation, float]]:
+    """The relaxation that a search for windows ends with, and the particle-steps that it took.
 
     Parameters
     ----------
@@ -56,13 +58,13 @@ def grown(
     relaxation = state.relaxation
     while not optimiser.done(state):
         asked = optimiser.ask(state, rng)
-        told, work = evaluated_by_errors(
-            asked, SearchEvaluation, built, sums_of, CHOICE_BLOCKS, session.collector
+        evaluations, work = yield from evaluated_by_errors(
+            asked, SearchEvaluation, session, sums_of, CHOICE_BLOCKS
         )
         steps += work
         if work:
             reporter.reach(start + steps)
-        state = optimiser.tell(state, told)
+        state = optimiser.tell(state, evaluations)
         if state.relaxation.offsets[-1] > most_cells:
             break
         relaxation = state.relaxation

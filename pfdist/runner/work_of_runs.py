@@ -8,6 +8,7 @@ from typing import Any
 
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Result, Work
+from pfdist.runner.door import Session
 from pfdist.runner.evaluator_source import EvaluatorSource
 
 _KEPT = 32  # evaluators in a worker; fewer runs are computed at the same time
@@ -28,10 +29,16 @@ class WorkOfRun:
     works: tuple[Work, ...]
 
 
-def of_run(source: EvaluatorSource) -> Callable[[tuple[Work, ...]], WorkOfRun]:
-    """Give the function that adds the evaluator of a run to the works of its tasks."""
-    content = pickle.dumps(source)
-    return lambda works: WorkOfRun(content, works)
+def of_run() -> Callable[[Session, tuple[Work, ...]], WorkOfRun]:
+    """The function that adds the evaluator of a run to the works of its tasks."""
+    contents = dict[Session, bytes]()
+
+    def wrapped(session: Session, works: tuple[Work, ...]) -> WorkOfRun:
+        if session not in contents:
+            contents[session] = pickle.dumps(session.built.source)
+        return WorkOfRun(contents[session], works)
+
+    return wrapped
 
 
 def worker_of_runs() -> Callable[[WorkOfRun], list[Result]]:

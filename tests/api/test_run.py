@@ -25,7 +25,7 @@ from pfdist.errors import (
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Work
 from pfdist.pools.base import Outcome, SerialPool
-from pfdist.runner import collect
+from pfdist.runner import door
 from pfdist.runner.pace import Pace
 from pfdist.runner.progress import Progress
 from pfdist.store import parquet
@@ -121,7 +121,7 @@ def test_a_run_that_failed_goes_on_with_what_is_committed_and_ends_with_the_same
     count_draws: list[int],
 ) -> None:
     monkeypatch.setattr(Pace, "size", lambda pace, remaining: 60 * A_DRAW)
-    monkeypatch.setattr(collect, "COMMIT_SECONDS", 0.0)  # each task is committed
+    monkeypatch.setattr(door, "COMMIT_SECONDS", 0.0)  # each task is committed
     small_job = small_job.with_changes(["execution.failures=0", *changes])
     whole = pfdist.run(small_job, tmp_path / "whole", figures=False)
     needed = sum(count_draws)

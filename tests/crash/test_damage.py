@@ -18,7 +18,7 @@ from oracles.file_layer import Ended, FileLayer
 from pfdist import Job, load_job
 from pfdist.cli.main import main
 from pfdist.errors import StoreError
-from pfdist.runner import collect, first_draws
+from pfdist.runner import door, first_draws
 from pfdist.runner.pace import Pace
 from pfdist.store import files, parquet
 from pfdist.store.repair import repair_run, verify_run
@@ -39,7 +39,7 @@ Record = Callable[[str, object], None]
 @pytest.fixture(scope="module", autouse=True)
 def _small_files() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(collect, "COMMIT_SECONDS", 0.0)
+        patch.setattr(door, "COMMIT_SECONDS", 0.0)
         patch.setattr(Pace, "size", lambda pace, remaining: 90 * A_DRAW)
         patch.setattr(first_draws, "TRAJECTORIES", 20)
         patch.setattr(first_draws, "REPEATED", 10)

@@ -15,7 +15,7 @@ from oracles.counted import A_DRAW, committed_draws, count_draws
 from oracles.file_layer import Ended, FileLayer
 from pfdist import Job, load_job
 from pfdist.errors import StoreError
-from pfdist.runner import collect, first_draws, sets_alone
+from pfdist.runner import door, first_draws, sets_alone
 from pfdist.runner.bound_settings import LEAST_DRAWS, BoundSettings
 from pfdist.runner.pace import Pace
 from pfdist.store import parquet
@@ -47,7 +47,7 @@ SAYS += r" was committed is kept, run the same command again once this is mended
 
 @pytest.fixture
 def layer(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> FileLayer:
-    monkeypatch.setattr(collect, "COMMIT_SECONDS", 0.0)
+    monkeypatch.setattr(door, "COMMIT_SECONDS", 0.0)
     monkeypatch.setattr(Pace, "size", lambda pace, remaining: 150 * A_DRAW)
     monkeypatch.setattr(first_draws, "TRAJECTORIES", 30)
     monkeypatch.setattr(first_draws, "REPEATED", 10)

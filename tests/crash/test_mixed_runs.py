@@ -13,7 +13,7 @@ from oracles.counted import A_DRAW
 from pfdist import Job, load_job
 from pfdist.cli.main import main
 from pfdist.errors import StoreError
-from pfdist.runner import collect
+from pfdist.runner import door
 from pfdist.runner.pace import Pace
 from pfdist.runner.progress import Progress
 from pfdist.store import Store, run_key
@@ -28,7 +28,7 @@ Record = Callable[[str, object], None]
 @pytest.fixture(scope="module", autouse=True)
 def _many_commits() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(collect, "COMMIT_SECONDS", 0.0)
+        patch.setattr(door, "COMMIT_SECONDS", 0.0)
         patch.setattr(Pace, "size", lambda pace, remaining: 90 * A_DRAW)
         yield
 

@@ -35,7 +35,7 @@ pfdist.run(sys.argv[1], sys.argv[2], progress=report, figures=False)
 # A file system without locks, that takes its time; and as many commits as there are tasks.
 WITHOUT_LOCKS = """
 import errno, fcntl, random, sys, time, pfdist
-from pfdist.runner import collect, pace
+from pfdist.runner import door, pace
 from pfdist.store import files
 def no_locks(*_):
     raise OSError(errno.ENOLCK, "No locks available")
@@ -45,7 +45,7 @@ def slow(path, mode):
     flush(path, mode)
     time.sleep(chance.random() * 0.01)
 files._flush = slow
-collect.COMMIT_SECONDS, pace.Pace.size = 0.0, lambda pace, remaining: 60 * 520
+door.COMMIT_SECONDS, pace.Pace.size = 0.0, lambda pace, remaining: 60 * 520
 pfdist.run(sys.argv[1], sys.argv[2], figures=False)
 """
 

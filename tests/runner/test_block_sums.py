@@ -15,10 +15,8 @@ from pfdist.evaluation.work import Estimation, Result, Work
 from pfdist.pools.base import Outcome, SerialPool
 from pfdist.runner.block_sums import BLOCK, BlockSums, Counted
 from pfdist.runner.build import Built, build, make_pool
-from pfdist.runner.collect import Collector
-from pfdist.runner.pace import Pace
+from pfdist.runner.door import Driver, Session, complete
 from pfdist.runner.phase import Phase, run_phase
-from pfdist.runner.progress import Reporter
 from pfdist.search import Candidate
 from pfdist.store import Store
 
@@ -35,9 +33,21 @@ def built(small_job: Job) -> Built:
 
 
 @pytest.fixture
-def collector(built: Built, tmp_path: Path) -> Iterator[Collector]:
-    with make_pool(built, built.job.execution) as pool:
-        yield Collector(Store(tmp_path / "run"), pool, "session", Pace(1e-9, 1))
+def session(built: Built, tmp_path: Path) -> Session:
+    return Session(built, Store(tmp_path / "run"))
+
+
+def completed(driver: Driver, session: Session) -> Any:
+    return complete(driver, make_pool(session.built, session.built.job.execution))
+
+
+def means(session: Session, blocks: int) -> np.ndarray:
+    """Means of a new start of the program."""
+    session = Session(session.built, session.store)
+    sums = BlockSums(session.built, COUNTED, (5, 5), ESTIMATION)
+    found: np.ndarray = completed(sums.means(blocks, session), session)
+    session.commit()
+    return found
 
 
 @pytest.fixture
@@ -63,41 +73,37 @@ def _expected(built: Built, draws: tuple[int, int], stream: int = 5) -> np.ndarr
     return np.where(COUNTS, means, 0.0)
 
 
-def test_means_are_those_of_all_draws_where_errors_count(
-    built: Built, collector: Collector
-) -> None:
-    sums = BlockSums(built, COUNTED, (5, 5), ESTIMATION)
-    found = sums.means(BLOCKS, collector)
+def test_means_are_those_of_all_draws_where_errors_count(built: Built, session: Session) -> None:
+    found = means(session, BLOCKS)
     np.testing.assert_allclose(found, _expected(built, (0, BLOCKS * BLOCK)), rtol=1e-12)
 
 
 def test_blocks_that_are_stored_are_not_filtered_again(
-    built: Built, collector: Collector, handed: list[tuple[int, int]]
+    built: Built, session: Session, handed: list[tuple[int, int]]
 ) -> None:
-    first = BlockSums(built, COUNTED, (5, 5), ESTIMATION).means(2, collector)
-    collector.flush()
+    first = means(session, 2)
     assert handed == [(0, BLOCK), (BLOCK, 2 * BLOCK)]
-    again = BlockSums(built, COUNTED, (5, 5), ESTIMATION).means(2, collector)
+    again = means(session, 2)
     np.testing.assert_array_equal(again, first)
     assert len(handed) == 2
-    more = BlockSums(built, COUNTED, (5, 5), ESTIMATION).means(BLOCKS, collector)
+    more = means(session, BLOCKS)
     assert handed[2:] == [(2 * BLOCK, 3 * BLOCK)]
     np.testing.assert_allclose(more, _expected(built, (0, BLOCKS * BLOCK)), rtol=1e-12)
 
 
 def test_whatever_order_blocks_come_in_the_means_have_the_same_bytes(
-    built: Built, collector: Collector, monkeypatch: pytest.MonkeyPatch
+    built: Built, session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    in_order = BlockSums(built, COUNTED, (5, 5), ESTIMATION).means(7, collector)
+    in_order = means(session, 7)
     do = SerialPool.run
     monkeypatch.setattr(SerialPool, "run", lambda self, tasks: reversed(list(do(self, tasks))))
-    collector.resumed = False  # the store is not read
-    backward = BlockSums(built, COUNTED, (5, 5), ESTIMATION).means(7, collector)
+    elsewhere = Session(built, Store(tmp_path / "another run"))
+    backward = means(elsewhere, 7)
     np.testing.assert_array_equal(backward, in_order)
 
 
 def test_a_block_with_a_degenerate_draw_is_left_out_for_that_set_alone(
-    built: Built, collector: Collector, monkeypatch: pytest.MonkeyPatch
+    built: Built, session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     real = Evaluator.filtered
 
@@ -111,7 +117,7 @@ def test_a_block_with_a_degenerate_draw_is_left_out_for_that_set_alone(
         return Result(np.empty(0), sums=sums[COUNTS])
 
     monkeypatch.setattr(Evaluator, "filtered", degenerate)
-    found = BlockSums(built, COUNTED, (5, 5), ESTIMATION).means(BLOCKS, collector)
+    found = means(session, BLOCKS)
     monkeypatch.undo()
     blocks = [_expected(built, (block * BLOCK, (block + 1) * BLOCK)) for block in range(BLOCKS)]
     whole = np.mean(blocks, axis=0)
@@ -155,14 +161,14 @@ class AsksOnce:
 
 
 def test_a_search_is_told_errors_on_the_draws_of_its_evaluations(
-    built: Built, collector: Collector
+    built: Built, session: Session
 ) -> None:
     """So the errors of a set add up to its cost, where they count from the first instant on."""
     settings = replace(built.searches[0].settings, draws=2 * BLOCK, estimation=ESTIMATION)
     search = AsksOnce()
     search.asked = (*search.asked, Candidate(SETS[3]))
     phase = Phase("mine", search, SEARCH, settings, built)
-    run_phase(phase, collector, Reporter(lambda progress: None, total=1.0))
+    completed(run_phase(phase, session), session)
     _, *windows, whole = search.told
     assert [each.measurement_times for each in windows] == list(SETS)
     expected = _expected(built, (0, 2 * BLOCK), phase.stream())
@@ -179,9 +185,8 @@ def test_an_exact_engine_tells_errors_without_draws(
     exact = build(small_job.with_changes(["model.name=random_walk", "filter.engine=kalman"]))
     search = AsksOnce()
     phase = Phase("mine", search, SEARCH, exact.searches[0].settings, exact)
-    with make_pool(exact, exact.job.execution) as pool:
-        collector = Collector(Store(tmp_path / "run"), pool, "session", Pace(1e-9, 1))
-        run_phase(phase, collector, Reporter(lambda progress: None, total=1.0))
+    session = Session(exact, Store(tmp_path / "run"))
+    completed(run_phase(phase, session), session)
     assert not handed
     errors = np.where(COUNTS, exact.evaluator.expected_errors(SETS), 0.0)
     found = [evaluation.known_errors for evaluation in search.told[1:]]

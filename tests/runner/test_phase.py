@@ -21,11 +21,10 @@ from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Work
 from pfdist.pools.base import Outcome, SerialPool
 from pfdist.runner.build import Built, build, make_pool
-from pfdist.runner.collect import Collector
 from pfdist.runner.comparison_phase import run_comparison
+from pfdist.runner.door import Driver, Session, complete
 from pfdist.runner.pace import Pace
 from pfdist.runner.phase import Phase, run_phase
-from pfdist.runner.progress import Reporter
 from pfdist.search import Candidate, Optimiser, RandomTrials
 from pfdist.store import Store
 
@@ -57,9 +56,12 @@ def built(small_job: Job) -> Built:
 
 
 @pytest.fixture
-def collector(built: Built, tmp_path: Path) -> Iterator[Collector]:
-    with make_pool(built, built.job.execution) as pool:
-        yield Collector(Store(tmp_path / "run"), pool, "session", Pace(1e-9, 1))
+def session(built: Built, tmp_path: Path) -> Session:
+    return Session(built, Store(tmp_path / "run"))
+
+
+def completed(driver: Driver, session: Session) -> Any:
+    return complete(driver, make_pool(session.built, session.built.job.execution))
 
 
 def _counted(calls: list[str], real: Any, *arguments: Any, **more: Any) -> Any:
@@ -67,29 +69,25 @@ def _counted(calls: list[str], real: Any, *arguments: Any, **more: Any) -> Any:
     return real(*arguments, **more)
 
 
-def _reporter() -> Reporter:
-    return Reporter(lambda progress: None, total=1.0)
-
-
 def _phase(built: Built, optimiser: Optimiser[SearchEvaluation]) -> Phase[SearchEvaluation]:
     return Phase("mine", optimiser, SEARCH, built.searches[0].settings, built)
 
 
 def test_a_search_that_asks_for_other_times_than_there_are_is_named_before_anything_is_computed(
-    built: Built, collector: Collector, monkeypatch: pytest.MonkeyPatch
+    built: Built, session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(SerialPool, "run", lambda self, tasks: pytest.fail("a task was handed out"))
     with pytest.raises(MeasurementTimesError, match=r"must lie in 0..12, got 13 \(search mine\)$"):
-        run_phase(_phase(built, Outside()), collector, _reporter())
+        completed(run_phase(_phase(built, Outside()), session), session)
 
 
 def test_a_comparison_of_other_times_than_there_are_computes_nothing(
-    built: Built, collector: Collector, monkeypatch: pytest.MonkeyPatch
+    built: Built, session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(SerialPool, "run", lambda self, tasks: pytest.fail("a task was handed out"))
     sets = {"regular": (0, 4, 8, 12), "genetic": (-1, 3, 6, 9)}
     with pytest.raises(MeasurementTimesError, match=r"0..12, got -1 \(genetic\)$"):
-        run_comparison(built, sets, collector, _reporter())
+        completed(run_comparison(session, sets), session)
 
 
 @pytest.mark.slow
@@ -156,7 +154,7 @@ def test_whatever_order_outcomes_come_in_each_evaluation_has_its_own_results(
 
 
 def test_a_set_that_is_asked_for_twice_is_computed_once(
-    built: Built, collector: Collector, monkeypatch: pytest.MonkeyPatch
+    built: Built, session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     handed: list[str] = []
     do = SerialPool.run
@@ -168,10 +166,11 @@ def test_a_set_that_is_asked_for_twice_is_computed_once(
 
     monkeypatch.setattr(SerialPool, "run", noting)
     phase = _phase(built, RandomTrials(built.job.problem.feasible, 10))
-    run_phase(phase, collector, _reporter())
+    completed(run_phase(phase, session), session)
     assert len(handed) == len(set(handed)) == 10
-    collector.flush()
-    run_phase(phase, collector, _reporter())  # all are in the store
+    session.commit()
+    session = Session(built, session.store)
+    completed(run_phase(phase, session), session)  # all are in the store
     assert len(handed) == 10
 
 
@@ -189,12 +188,12 @@ class Twice(Outside):
 
 
 def test_a_prefix_up_to_the_end_and_the_whole_set_have_one_result(
-    built: Built, collector: Collector
+    built: Built, session: Session
 ) -> None:
     search = Twice()
     for _ in range(2):  # the second time from the store
-        run_phase(_phase(built, search), collector, _reporter())
-        collector.flush()
+        completed(run_phase(_phase(built, search), session), session)
+        session.commit()
         assert [told.end for told in search.told] == [12, None, 12]
         prefix, whole, short = search.told
         np.testing.assert_array_equal(prefix.mse, whole.mse)

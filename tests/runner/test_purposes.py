@@ -1,7 +1,7 @@
 """Draws have one purpose: what searches chose is decided, and proved, on others."""
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from pfdist.api.why import why
 from pfdist.evaluation.estimate import BUDGET
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Work
-from pfdist.runner.collect import Collector
+from pfdist.runner.door import Batch
 from pfdist.search.methods import DEFAULT_METHOD
 
 SMALL = [
@@ -27,18 +27,15 @@ SMALL = [
 def streams(monkeypatch: pytest.MonkeyPatch) -> dict[str, set[int]]:
     """The keys of the draws, and of the filters' noise, that each phase has asked for."""
     seen = defaultdict[str, set[int]](set)
-    run = Collector.run
+    init = Batch.__init__
 
-    def recorded(
-        self: Collector, phase: str, table: str, works: Iterable[Work], *rest: Any, **more: Any
-    ) -> Any:
-        works_handed = list(works)
-        seen[phase.partition(".proof")[0]] |= {  # a bound has several phases
-            key for work in works_handed for key in (work.draws_stream, *work.filter_streams)
+    def recorded(self: Batch, *arguments: Any, **more: Any) -> None:
+        init(self, *arguments, **more)
+        seen[self.phase.partition(".proof")[0]] |= {  # a bound has several phases
+            key for work in self.works for key in (work.draws_stream, *work.filter_streams)
         }
-        return run(self, phase, table, works_handed, *rest, **more)
 
-    monkeypatch.setattr(Collector, "run", recorded)
+    monkeypatch.setattr(Batch, "__init__", recorded)
     return seen
 
 

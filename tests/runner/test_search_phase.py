@@ -1,6 +1,5 @@
 """Which set a search returns after a race, and what guides it where the filter is wrong."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ from pfdist.errors import TaskError
 from pfdist.evaluation.estimate import ShortlistEvaluation
 from pfdist.evaluation.work import Estimation
 from pfdist.runner.build import build
-from pfdist.runner.collect import Collector
+from pfdist.runner.door import Batch
 from pfdist.runner.search_phase import _uncontradicted
 from pfdist.search.methods import DEFAULT_METHOD
 from pfdist.times.measurement_times import Times
@@ -114,16 +113,15 @@ def test_a_default_search_that_was_cut_short_ends_with_the_same_bytes(
         "figures": False,
     }
     whole = pfdist.plan(small_job, tmp_path / "whole", **options)
-    real, cut = Collector.run, f"{DEFAULT_METHOD}{phase}"
+    real, cut = Batch.take, f"{DEFAULT_METHOD}{phase}"
 
-    def cut_short(self: Collector, name: str, *arguments: Any, **more: Any) -> Iterator[Any]:
-        for piece in real(self, name, *arguments, **more):
-            yield piece
-            if name == cut:
-                raise TaskError("the lights went out", "")
+    def cut_short(self: Batch, *arguments: Any) -> None:
+        real(self, *arguments)
+        if self.phase == cut:
+            raise TaskError("the lights went out", "")
 
     with monkeypatch.context() as patch:
-        patch.setattr(Collector, "run", cut_short)
+        patch.setattr(Batch, "take", cut_short)
         with pytest.raises(TaskError, match="the lights went out"):
             pfdist.plan(small_job, tmp_path / "run", **options)
     assert pfdist.open_run(tmp_path / "run").state == "searching"

@@ -7,8 +7,8 @@ import pytest
 from pfdist.job.job import Job, load_job
 from pfdist.job.sections import Execution
 from pfdist.runner.build import build, make_pool
+from pfdist.runner.door import Session, complete
 from pfdist.runner.driver import drive
-from pfdist.runner.session import Session
 from pfdist.store import Store
 
 JOB = """
@@ -45,8 +45,7 @@ def costs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, float]:
     sections = [f'[[search]]\nmethod = "{name}"\n{keys}\n' for name, keys in METHODS.items()]
     (folder / "job.toml").write_text(JOB + "".join(sections))
     built, store = build(load_job(folder / "job.toml")), Store(folder / "run")
-    with make_pool(built, Execution(pool="serial")) as pool:
-        drive(Session.start(built, store, pool))
+    complete(drive(Session(built, store)), make_pool(built, Execution(pool="serial")))
     sets = store.compared_sets()
     return dict(zip(sets, built.evaluator.expected_mse(list(sets.values())), strict=True))
 

@@ -20,7 +20,7 @@ from pfdist.evaluation.work import Work
 from pfdist.plots import costs
 from pfdist.plots.figure import Tables
 from pfdist.runner.build import build
-from pfdist.runner.collect import Collector
+from pfdist.runner.door import Batch
 from pfdist.search.methods import DEFAULT_METHOD
 
 SHARP = Path(pfdist.__file__).parents[1] / "tests" / "oracles" / "sharp_sensor.toml"
@@ -226,16 +226,15 @@ def test_a_run_that_was_cut_short_distrusts_again_and_ends_with_the_same_bytes(
     if pool:
         request.getfixturevalue("ray_cluster")
     whole, said, _ = planned
-    real = Collector.run
+    real = Batch.take
 
-    def cut_short(self: Collector, name: str, *arguments: Any, **more: Any) -> Iterator[Any]:
-        for piece in real(self, name, *arguments, **more):
-            yield piece
-            if name == phase:
-                raise TaskError("the lights went out", "")
+    def cut_short(self: Batch, *arguments: Any) -> None:
+        real(self, *arguments)
+        if self.phase == phase:
+            raise TaskError("the lights went out", "")
 
     with monkeypatch.context() as patch:
-        patch.setattr(Collector, "run", cut_short)
+        patch.setattr(Batch, "take", cut_short)
         with pytest.raises(TaskError, match="the lights went out"):
             pfdist.plan(job, tmp_path / "run", "survivors", SMALL, figures=False)
     reached = pfdist.open_run(tmp_path / "run")

@@ -1,0 +1,505 @@
+"""The one door for numbers, and the loop that serves it.
+
+A driver is a generator: it yields a `Batch` of works and goes on when all their results are known.
+Searches, the comparison, block sums, the worth of measurements, online draws and the proof get
+every number in this way. One loop serves one driver, or the points of a sweep side by side.
+
+What happens to a batch, in this order, and what a kill at each point costs:
+
+1. Each work is looked up: in the tables of its own run, then in those of other runs of the loop.
+   Nothing is computed yet, so a kill costs nothing.
+2. An evaluation that another run computes at this moment is waited for. It is known by its id.
+3. What is still missing is cut into tasks. A task takes 0.3 s at most: that much work a kill of a
+   worker or of the driver costs for each worker.
+4. Results come back in any order. The batch learns each at once, and its rows wait in memory. A
+   kill costs the rows that wait: at most those of `COMMIT_SECONDS`.
+5. Waiting rows are committed once a second, and at the end of a batch unless more follows. A commit
+   writes a file under a temporary name, flushes it and gives it its name: a kill before the last
+   step leaves a temporary file, which the next start removes.
+6. When nothing of the batch is missing, the driver goes on. What it publishes with `Session.later`
+   is written after the next commit, when the workers have their next tasks.
+
+A task that fails is done again after all others, as often as the job allows. Then the driver gets a
+`TaskError`, and commits what it has.
+"""
+
+import contextlib
+import time
+import uuid
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator
+from dataclasses import replace
+from functools import partial
+from itertools import chain
+from typing import Any, NamedTuple, Protocol, TypeVar
+
+import pyarrow as pa
+
+from pfdist.common.streams import stream_key
+from pfdist.errors import PfdistError, TaskError
+from pfdist.evaluation.work import Result, Work
+from pfdist.pools.base import Outcome, Pool, Task
+from pfdist.runner.build import Built
+from pfdist.runner.pace import Pace, bundles
+from pfdist.runner.progress import Reporter, Show
+from pfdist.store import Store, schema
+
+COMMIT_SECONDS = 1.0  # a kill loses at most so much work, and one task of each worker
+COMMIT_ROWS = 100_000  # at most so many rows wait in memory, however fast a model is
+
+Known = Iterator[tuple[Work, Result]]
+Learn = Callable[[Work, Result], object]
+Say = Callable[[str], Any]
+Owner = TypeVar("Owner")
+
+
+class Kept(Protocol):
+    """How results are kept as rows of a table.
+
+    Attributes
+    ----------
+    table : str
+    is_shared : bool
+        Whether runs may take each other's rows: the ids of works name everything on which the rows
+        depend.
+    """
+
+    table: str
+    is_shared: bool
+
+    def known(self, store: Store, works: list[Work]) -> tuple[list[Work], Known]:
+        """The works that a store lacks, and the results that it has."""
+
+    def rows(self, work: Work, result: Result) -> pa.Table:
+        """The rows of a result."""
+
+
+class Batch:
+    """Works whose results a driver needs before it goes on.
+
+    Parameters
+    ----------
+    session : Session
+    phase : str
+        Where the rows belong.
+    works : iterable of Work
+    kept : Kept or None
+        None: the results are not kept, so they are never looked up.
+    learn : callable
+        Learns each piece of a work and its result, in any order. If it returns True, no more
+        results are needed, and the driver goes on.
+    more_follows : bool
+        Whether the last rows may wait for the next batch. A commit takes a while, and between two
+        generations the workers are idle.
+    """
+
+    def __init__(
+        self,
+        session: "Session",
+        phase: str,
+        works: Iterable[Work],
+        kept: Kept | None,
+        learn: Learn = lambda work, result: None,
+        *,
+        more_follows: bool = False,
+    ) -> None:
+        self.session, self.phase, self.works, self.kept = session, phase, list(works), kept
+        self.waiting: list[Work] = []  # for results of other batches
+        self._learn, self._more_follows = learn, more_follows
+        self._cuts: Iterator[_Cut] = iter(())
+        self._next: _Cut | None = None
+        self._again: deque[_Cut] = deque()
+        self._in_flight, self._enough = 0, False
+
+    @property
+    def is_computed(self) -> bool:
+        """Whether no task is left; the batch may still wait for results of others."""
+        left = self._next is not None or self._again or self._in_flight
+        return self._enough or not left
+
+    @property
+    def lacks_results(self) -> bool:
+        """Whether the driver must wait."""
+        return not self._enough and (bool(self.waiting) or not self.is_computed)
+
+    def learn(self, work: Work, result: Result) -> None:
+        """Learn a result."""
+        self._enough = self._learn(work, result) is True or self._enough
+
+    def add(self, works: list[Work], workers: int, *, is_shared: bool) -> None:
+        """Cut works that must be computed into tasks."""
+        if not self._enough:
+            pace = self.session.pace(workers, is_shared=is_shared)
+            table = self.kept.table if self.kept is not None else self.phase
+            self._cuts = chain(self._cuts, _cuts(table, works, pace))
+            self._next = self._next or next(self._cuts, None)
+
+    def next_cut(self) -> "_Cut | None":
+        """The next task; tasks that failed are done again after all others."""
+        cut = self._next or (self._again.popleft() if self._again else None)
+        self._next = next(self._cuts, None)
+        self._in_flight += cut is not None
+        return cut
+
+    def take(self, cut: "_Cut", outcome: Outcome) -> None:
+        """Take the outcome of a task: learn it, and let its rows wait for a commit.
+
+        Raises
+        ------
+        TaskError
+            Too many tasks have failed.
+        StoreError
+            A file cannot be written.
+        """
+        session = self.session
+        self._in_flight -= 1
+        session.note(self.phase, outcome)
+        if outcome.error is not None:
+            self._again.append(cut)
+            session.count_failure(self.phase, outcome.error)
+            return
+        session.learn_pace(cut.steps, outcome.seconds)
+        for work, result in zip(cut.task.work, outcome.value, strict=True):
+            self.keep(work, result)
+            self.learn(work, result)
+        session.commit_if_late()
+
+    def keep(self, work: Work, result: Result) -> None:
+        """Let the rows of a result wait for a commit."""
+        if self.kept is not None:
+            key = f"{stream_key((work.ids, work.draws)):016x}"
+            self.session.keep(self.phase, self.kept.table, key, self.kept.rows(work, result))
+
+    def end(self) -> None:
+        """Commit what waits, unless more follows."""
+        if not self._more_follows:
+            self.session.commit()
+
+
+class _Cut(NamedTuple):
+    """A task, and its particle-steps."""
+
+    task: Task
+    steps: int
+
+
+def _cuts(table: str, works: list[Work], pace: Pace) -> Iterator[_Cut]:
+    for bundle in bundles(works, pace.size):
+        key = f"{table}:{stream_key([(work.ids, work.draws) for work in bundle.works]):016x}"
+        yield _Cut(Task(key, bundle.works, pace.seconds * bundle.steps), bundle.steps)
+
+
+Driver = Generator[Batch, None, Any]
+"""Yields what it needs, one batch after another; its value is what it returns."""
+
+
+class Session:
+    """One start of the program on a run: its objects, its progress, and the rows to commit.
+
+    Parameters
+    ----------
+    built : Built
+    store : Store
+    show, say : callable
+        Receive the progress, and lines for the user.
+    """
+
+    def __init__(
+        self,
+        built: Built,
+        store: Store,
+        show: Show = lambda progress: None,
+        say: Say = lambda line: None,
+    ) -> None:
+        self.built, self.store, self.say, self.reporter = built, store, say, Reporter(show)
+        self.failures = 0
+        self._pace: Pace | None = None
+        self._held = dict[str, bool]()
+        # Names of starts sort in the order of the starts.
+        self._name, self._commits = f"{int(time.time()):08x}{uuid.uuid4().hex[:4]}", 0
+        self._rows: dict[tuple[str, str], list[tuple[str, pa.Table]]] = {}
+        self._outcomes: dict[str, list[Outcome]] = {}
+        self._later: list[Callable[[], None]] = []
+        self._last_commit = time.monotonic()
+        self._waiting = 0
+
+    def keep(self, phase: str, table: str, key: str, rows: pa.Table) -> None:
+        """Let rows wait for the next commit; the key names the work that they come from."""
+        self._rows.setdefault((phase, table), []).append((key, rows))
+        self._waiting += rows.num_rows
+
+    def note(self, phase: str, outcome: Outcome) -> None:
+        """Let the timing of a task wait for the next commit."""
+        self._outcomes.setdefault(phase, []).append(outcome)
+
+    def held(self, table: str) -> bool:
+        """Whether the store had rows of a table when this session first asked for them.
+
+        A driver never asks twice for what it has computed, so nothing else is looked up.
+        """
+        if table not in self._held:
+            self._held[table] = self.store.has(table)
+        return self._held[table]
+
+    def pace(self, workers: int, *, is_shared: bool) -> Pace:
+        """The speed of the workers, learnt from every task."""
+        if self._pace is None:
+            guess = self.built.evaluator.seconds_a_step
+            self._pace = Pace(guess, workers, is_shared=is_shared)
+        return self._pace
+
+    def learn_pace(self, steps: int, seconds: float) -> None:
+        """Learn from a task of so many particle-steps that took so many seconds."""
+        if self._pace is not None:
+            self._pace.learn(steps, seconds)
+
+    def count_failure(self, phase: str, error: str) -> None:
+        """Count a task that failed.
+
+        Raises
+        ------
+        TaskError
+            Too many tasks have failed.
+        """
+        self.failures += 1
+        if self.failures > self.built.job.execution.failures:
+            reason = error.strip().splitlines()[-1].removeprefix("pfdist.errors.")
+            times = f"{self.failures} times, the last: " if self.failures > 1 else ""
+            raise TaskError(f"a task of {phase} failed: {times}{reason}", error)
+
+    def later(self, write: Callable[[], None]) -> None:
+        """Write something after the next commit, while the workers are busy."""
+        self._later.append(write)
+
+    def commit_if_late(self) -> None:
+        """Commit about once a second, or sooner if there are many rows."""
+        late = time.monotonic() - self._last_commit >= COMMIT_SECONDS
+        if late or self._waiting >= COMMIT_ROWS:
+            self.commit()
+
+    def commit(self) -> None:
+        """Commit all waiting rows and timings, then write everything given to `later`."""
+        later, self._later = self._later, []
+        rows, self._rows, self._waiting = self._rows, {}, 0
+        outcomes, self._outcomes = self._outcomes, {}
+        for (phase, table), waiting in rows.items():
+            key = f"{stream_key([key for key, _ in waiting]):016x}"
+            self.store.commit(table, phase, key, pa.concat_tables([rows for _, rows in waiting]))
+        for phase, done in outcomes.items():
+            self._commits += 1  # a task that fails again has the same key and other timings
+            key = f"{stream_key([outcome.task.key for outcome in done]):016x}"
+            name = f"{key}-{self._name}-{self._commits}"
+            self.store.commit("timings", phase, name, self._timings(phase, done))
+        for write in later:
+            write()
+        self._last_commit = time.monotonic()
+
+    def _timings(self, phase: str, outcomes: list[Outcome]) -> pa.Table:
+        rows = [
+            {
+                "phase": phase,
+                "task": outcome.task.key,
+                "session": self._name,
+                "seconds": outcome.seconds,
+                "worker": outcome.worker,
+                "node": outcome.node,
+                "failures": int(outcome.error is not None),
+                "error": outcome.error,
+            }
+            for outcome in outcomes
+        ]
+        return pa.Table.from_pylist(rows, schema=schema("timings"))
+
+
+class Loop:
+    """Serves drivers: hands out their tasks, those of the first driver first.
+
+    Parameters
+    ----------
+    pool : context manager
+        Gives a pool. It is entered with the first task, and left when no driver has another.
+    wrapped : callable, optional
+        Makes the work of a task from its session and its works.
+    at_once : int
+        How many drivers are at work at the same time. If there are several, they take evaluations
+        from each other's tables.
+    """
+
+    def __init__(
+        self,
+        pool: contextlib.AbstractContextManager[Pool],
+        wrapped: Callable[[Session, tuple[Work, ...]], Any] = lambda session, works: works,
+        at_once: int = 1,
+    ) -> None:
+        self._to_enter, self._wrapped, self._at_once = pool, wrapped, at_once
+        self._stack = contextlib.ExitStack()
+        self._pool: Pool | None = None
+        self._ranks: dict[Driver, int] = {}
+        self._batches: dict[Driver, Batch] = {}  # the first driver first
+        self._sent: dict[str, tuple[Driver, Batch, _Cut]] = {}  # tasks of the pool, by their keys
+        self._count = 0
+        self._computing: dict[str, Batch] = {}  # who computes an evaluation, by its id
+        self._stores: dict[str, Store] = {}  # who has an evaluation, by its id
+        self._values: list[Any] = []
+
+    def remember(self, store: Store) -> None:
+        """Let all drivers take the evaluations that a run has committed before."""
+        for id_ in store.evaluations():
+            self._stores.setdefault(id_, store)
+
+    def serve(self, drivers: Iterable[Driver]) -> list[Any]:
+        """Serve drivers to their ends, and return what they return, in the order of their ends.
+
+        Raises
+        ------
+        BaseException
+            What a driver raises, or the pool. All drivers are closed before: each commits what it
+            has.
+        """
+        todo = iter(drivers)
+        with self._stack:
+            try:
+                self._begin(todo)
+                while self._batches:
+                    for outcome in self._entered().run(self._tasks()):
+                        self._take(outcome)
+                        self._begin(todo)
+            finally:
+                for driver in list(self._batches):
+                    driver.close()
+        return self._values
+
+    def _entered(self) -> Pool:
+        if self._pool is None:
+            self._pool = self._stack.enter_context(self._to_enter)
+        return self._pool
+
+    def _begin(self, todo: Iterator[Driver]) -> None:
+        """Let drivers begin as long as few are at work."""
+        while len(self._batches) < self._at_once and (driver := next(todo, None)) is not None:
+            self._go_on(driver)
+
+    def _go_on(self, driver: Driver, error: Exception | None = None) -> None:
+        """Let a driver go on until a batch of it lacks results, or it ends."""
+        self._batches.pop(driver, None)
+        while True:
+            try:
+                batch = next(driver) if error is None else driver.throw(error)
+            except StopIteration as end:
+                self._values.append(end.value)
+                return
+            error = _error_of(partial(self._look_up, batch, batch.works))
+            if error is None and batch.lacks_results:
+                rank = self._ranks.setdefault(driver, len(self._ranks))
+                first = {each: b for each, b in self._batches.items() if self._ranks[each] < rank}
+                self._batches = first | {driver: batch} | self._batches
+                return
+            error = error or _error_of(batch.end)
+
+    def _tasks(self) -> Iterator[Task | None]:
+        """Yield the next task of the first driver that has one; None if one may have one soon."""
+        while self._batches:
+            for driver, batch in self._batches.items():
+                if (cut := batch.next_cut()) is not None:
+                    self._count += 1
+                    key = f"{self._count}:{cut.task.key}"
+                    self._sent[key] = driver, batch, cut
+                    work = self._wrapped(batch.session, cut.task.work)
+                    yield replace(cut.task, key=key, work=work)
+                    break
+            else:
+                if self._at_once == 1:  # the pool ends when it has done what it has
+                    return
+                yield None
+
+    def _take(self, outcome: Outcome) -> None:
+        """Let a batch learn from an outcome, and its driver go on if it was the last."""
+        driver, batch, cut = self._sent.pop(outcome.task.key)
+        if self._batches.get(driver) is not batch:
+            return  # the driver has had enough
+        error = _error_of(partial(batch.take, cut, replace(outcome, task=cut.task)))
+        if error is None and not batch.is_computed:
+            return
+        error = error or _error_of(partial(self._release, batch))
+        if error is not None or not batch.lacks_results:
+            self._go_on(driver, error or _error_of(batch.end))
+
+    def _look_up(self, batch: Batch, works: list[Work]) -> None:
+        """Let a batch learn what is known of works, and cut the others into tasks."""
+        kept, session = batch.kept, batch.session
+        if kept is not None:
+            if session.held(kept.table):
+                works = _learnt(batch, session.store, works)
+            if self._at_once > 1 and kept.is_shared:
+                works = self._own(batch, works)
+        if works:
+            batch.add(works, self._entered().workers, is_shared=self._at_once > 1)
+
+    def _own(self, batch: Batch, works: list[Work]) -> list[Work]:
+        """The works that this batch computes; the others are taken from tables, or waited for."""
+        own = list[Work]()
+        for work in works:
+            for store, part in _by(work, self._stores.get):
+                left = [part] if store is None else _learnt(batch, store, [part], keep=True)
+                for lacking in left:
+                    for computing, piece in _by(lacking, self._computing.get):
+                        (own if computing is None else batch.waiting).append(piece)
+        for work in own:
+            self._computing.update(dict.fromkeys(work.ids, batch))
+        return own
+
+    def _release(self, batch: Batch) -> None:
+        """Let other batches take what a batch has computed, or compute what it has not."""
+        own = [id_ for id_, computing in self._computing.items() if computing is batch]
+        if not own:
+            return
+        batch.session.commit()
+        for id_ in own:
+            del self._computing[id_]
+            self._stores[id_] = batch.session.store
+        for driver, other in list(self._batches.items()):
+            if other.waiting:
+                works, other.waiting = other.waiting, []
+                error = _error_of(partial(self._look_up, other, works))
+                if error is not None or not other.lacks_results:
+                    self._go_on(driver, error or _error_of(other.end))
+
+
+def _error_of(function: Callable[[], object]) -> PfdistError | None:
+    """The error with which a call ends: it belongs to one driver, and the others go on."""
+    try:
+        function()
+    except PfdistError as error:
+        return error
+    return None
+
+
+def _learnt(batch: Batch, store: Store, works: list[Work], *, keep: bool = False) -> list[Work]:
+    """Let a batch learn what a store knows of works; return the works that it lacks."""
+    if batch.kept is None:
+        return works
+    lacking, known = batch.kept.known(store, works)
+    for work, result in known:
+        if keep:
+            batch.keep(work, result)
+        batch.learn(work, result)
+    return lacking
+
+
+def _by(work: Work, of_id: Callable[[str], Owner | None]) -> Iterator[tuple[Owner | None, Work]]:
+    """Split the sets of a work by the owners of their ids."""
+    if work.summed:
+        yield of_id(work.ids[0]), work
+        return
+    owners = [of_id(id_) for id_ in work.ids]
+    for owner in dict.fromkeys(owners):
+        yield (
+            owner,
+            work.part(work.draws, [place for place, each in enumerate(owners) if each is owner]),
+        )
+
+
+def complete(driver: Driver, pool: contextlib.AbstractContextManager[Pool]) -> Any:
+    """Serve a single driver, and return what it returns."""
+    (value,) = Loop(pool).serve([driver])
+    return value

@@ -1,0 +1,148 @@
+"""How results are kept as rows of a table, and found there again."""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from pfdist.analysis import BLOCK
+from pfdist.evaluation.work import BLOCK as SUMMED
+from pfdist.evaluation.work import Result, Work, cut
+from pfdist.runner.door import Known
+from pfdist.store import Store, schema
+
+
+class PerDraw:
+    """Per-draw MSE of evaluations, which their ids name: the table ``draws``."""
+
+    table, is_shared = "draws", True
+
+    def known(self, store: Store, works: list[Work]) -> tuple[list[Work], Known]:
+        """As `pfdist.runner.door.Kept`; sets of a work that lack the same draws stay together."""
+        ids = list(dict.fromkeys(id_ for work in works for id_ in work.ids))
+        rows = store.per_draw(ids)
+        if not rows.num_rows:
+            return works, iter(())
+        of_id = dict[str, tuple[NDArray[Any], NDArray[Any]]]()
+        for id_, found in rows.to_pandas().groupby("evaluation"):
+            of_id[str(id_)] = found["draw"].to_numpy(), found["mse"].to_numpy(np.float64)
+        lacking, known = list[Work](), list[tuple[Work, Result]]()
+        for work in works:
+            first, last = work.draws
+            present = np.zeros((last - first, len(work.ids)), np.bool_)
+            mse = np.full(present.shape, np.nan)
+            for place, id_ in enumerate(work.ids):
+                draws, values = of_id.get(id_, (np.empty(0, np.int64), np.empty(0)))
+                within = (first <= draws) & (draws < last)
+                present[draws[within] - first, place] = True
+                mse[draws[within] - first, place] = values[within]
+            for mask, places in _alike(present):
+                for piece in cut(first + np.flatnonzero(~mask), last):
+                    lacking.append(work.part(piece, places))
+                for piece in cut(first + np.flatnonzero(mask), last):
+                    part = mse[piece[0] - first : piece[1] - first, places]
+                    known.append((work.part(piece, places), Result(part)))
+        return lacking, iter(known)
+
+    def rows(self, work: Work, result: Result) -> pa.Table:
+        """Rows of the table ``draws``: the MSE of every set of a work for every draw."""
+        evaluation = np.repeat(np.arange(len(work.ids)), len(result.mse))
+        columns = [
+            pa.array(work.ids, pa.string()).take(evaluation),
+            pa.array(np.tile(np.arange(*work.draws), len(work.ids))),
+            pa.array(result.mse.T.ravel(), from_pandas=True),
+        ]
+        return pa.Table.from_arrays(columns, schema=schema(self.table))
+
+
+class BlockOfSums:
+    """Sums of the errors of sets over whole blocks of draws: the table ``error_sums``.
+
+    There are too many windows to store the errors of each draw.
+    """
+
+    table, is_shared = "error_sums", True
+
+    def known(self, store: Store, works: list[Work]) -> tuple[list[Work], Known]:
+        """As `pfdist.runner.door.Kept`; each work is one block."""
+        blocks = 1 + max(_block(work) for work in works)
+        sums = dict[tuple[str, int], NDArray[np.float64]]()
+        for id_ in dict.fromkeys(work.ids[0] for work in works):
+            rows = store.sums(id_, blocks)
+            for block, values in zip(rows["block"].to_pylist(), rows["sums"], strict=True):
+                sums[id_, block] = values.values.to_numpy()
+        lacking = [work for work in works if (work.ids[0], _block(work)) not in sums]
+        known = (
+            (work, Result(np.empty(0), sums=sums[work.ids[0], _block(work)]))
+            for work in works
+            if (work.ids[0], _block(work)) in sums
+        )
+        return lacking, known
+
+    def rows(self, work: Work, result: Result) -> pa.Table:
+        """One row."""
+        row = {"evaluation": work.ids[0], "block": _block(work), "sums": result.sums}
+        return pa.Table.from_pylist([row], schema=schema(self.table))
+
+
+class OfDraws:
+    """Rows that the number of their draw names.
+
+    Parameters
+    ----------
+    table : str
+    rows : callable
+        Gives the rows of a work and its result.
+    results : callable, optional
+        Gives the results of some rows, for drivers that need what is known.
+    """
+
+    is_shared = False
+
+    def __init__(
+        self,
+        table: str,
+        rows: Callable[[Work, Result], pa.Table],
+        results: Callable[[pa.Table], Result] | None = None,
+    ) -> None:
+        self.table, self.rows, self._results = table, rows, results
+
+    def known(self, store: Store, works: list[Work]) -> tuple[list[Work], Known]:
+        """As `pfdist.runner.door.Kept`."""
+        most = max((work.draws[1] for work in works), default=0)
+        present, committed = np.zeros(most, np.bool_), store.present(self.table, "draw")[:most]
+        present[: committed.size] = committed
+        lacking = list[Work]()
+        for work in works:
+            first, last = work.draws
+            pieces = cut(first + np.flatnonzero(~present[first:last]), last)
+            lacking += [work.part(piece) for piece in pieces]
+        return lacking, self._known(store, works, most)
+
+    def _known(self, store: Store, works: list[Work], most: int) -> Known:
+        if self._results is None or not works:
+            return
+        for rows in store.blocks(self.table, "draw", BLOCK, most):
+            draws = rows["draw"].to_numpy()
+            for first, last in cut(draws, BLOCK):
+                place = int(np.searchsorted(draws, first))
+                found = self._results(rows.slice(place, last - first))
+                yield works[0].part((first, last)), found
+
+
+PER_DRAW, BLOCK_OF_SUMS = PerDraw(), BlockOfSums()
+
+
+def _block(work: Work) -> int:
+    return work.draws[0] // SUMMED
+
+
+def _alike(present: NDArray[np.bool_]) -> Iterator[tuple[NDArray[np.bool_], list[int]]]:
+    """Yield each column that differs from those before, with the places of all that are alike."""
+    places = dict[bytes, list[int]]()
+    for place, column in enumerate(present.T):
+        places.setdefault(column.tobytes(), []).append(place)
+    for alike in places.values():
+        yield present[:, alike[0]], alike
