@@ -16,10 +16,10 @@ from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import build
 from pfdist.runner.door import Driver, Loop, Session
 from pfdist.runner.identity import opened
-from pfdist.runner.processor import CONTINUED, processor
+from pfdist.runner.processor import lender
 from pfdist.runner.progress import Progress, Show
 from pfdist.runner.work_of_runs import of_run
-from pfdist.store import Store, holds_run, read_run
+from pfdist.store import Store, holds_run
 
 _MORE = 2  # points at work than workers: some wait for others, and some are at their last tasks
 _MOST = 16  # points at work: each needs memory
@@ -80,8 +80,7 @@ class PointsAtWork:
         """
         workers = self._asked.execution.workers or usable_cores()
         at_once = min(len(self._asked.points), workers + _MORE, _MOST)
-        loop = Loop(pool, of_run(), at_once)
-        self._remember_earlier_starts(loop)
+        loop = Loop(pool, of_run(), at_once, self._begun())
         loop.serve(self._point(point.name) for point in self._asked.points)
         runs = {
             name: open_run(self._path / name)
@@ -92,30 +91,24 @@ class PointsAtWork:
             run.made_from = self._asked.jobs[name]
         return runs, {name: one_line(reason) for name, reason in self._failed.items()}
 
-    def _remember_earlier_starts(self, loop: Loop) -> None:
-        """Let searches take the evaluations that points have committed before.
+    def _begun(self) -> list[Store]:
+        """The stores of points that were begun before, whose evaluations all points take.
 
-        Points that another processor has begun are left out: the last digits may differ. So are
-        points with damaged files.
+        Points on another processor are left out, and points with damaged files. The point itself
+        says what is wrong with its folder.
         """
-        if not any(job.search for job in self._asked.jobs.values()):
-            return
-        here, begun, finished = processor(), list[Path](), 0
+        begun, finished = list[Path](), 0
         for path in (self._path / name for name in self._asked.jobs):
-            # The point itself says what is wrong with its folder.
             with contextlib.suppress(StoreError, OSError):
                 if holds_run(path):
                     finished += open_run(path).state == FINISHED
-                    provenance = read_run(path)[0]["provenance"]
-                    if provenance["processor"] == here and CONTINUED not in provenance:
-                        begun.append(path)
-        if finished == len(self._asked.jobs):
-            return
-        for path in begun:
-            with contextlib.suppress(StoreError, OSError):
-                store = Store(path)
-                if not any(store.manifest.damages()):
-                    loop.remember(store)
+                    begun.append(path)
+        stores = list[Store]()
+        if finished < len(self._asked.jobs):
+            for path in begun:
+                with contextlib.suppress(StoreError, OSError):
+                    stores.append(lender(path))
+        return stores
 
     def _point(self, name: str) -> Driver:
         """Compute a point. What is wrong with it does not end the others."""

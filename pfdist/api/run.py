@@ -9,7 +9,7 @@ from pfdist.api.at_work import pool_of_job
 from pfdist.api.following import Say, following, silent
 from pfdist.api.report import try_report
 from pfdist.api.run_of_job import folder_of
-from pfdist.common.arguments import path_argument
+from pfdist.common.arguments import paths_argument
 from pfdist.errors import JobError, ModelError, TaskError
 from pfdist.job.asked import Asked, as_job
 from pfdist.plots import draw_figures, figure_files, remove_figures
@@ -18,12 +18,11 @@ from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built, build, check_pool, say_model_files
 from pfdist.runner.comparison_phase import COMPARISON, comparison_steps
 from pfdist.runner.door import Batch, Session, complete
-from pfdist.runner.driver import FORKED, drive
+from pfdist.runner.driver import drive
 from pfdist.runner.identity import opened
-from pfdist.runner.processor import note_processor
+from pfdist.runner.processor import lender, note_processor
 from pfdist.runner.progress import Show
 from pfdist.runner.prover import Prover
-from pfdist.store import Store
 from pfdist.store.shown_files import has_report
 
 _PATIENCE = 4  # minutes of one core that a bound may take where nobody asked for it alone
@@ -36,7 +35,7 @@ def run(
     workers: int | None = None,
     *,
     address: str | None = None,
-    fork: str | Path | None = None,
+    reuse: str | Path | Iterable[str | Path] = (),
     changes: Iterable[str] = (),
     figures: bool = True,
     bound_draws: int = 0,
@@ -58,9 +57,8 @@ def run(
         Replaces the job's execution.workers; 0 takes all cores.
     address : str, optional
         Address of a Ray cluster to join.
-    fork : str or Path, optional
-        Folder of a new run, whose job differs from the job of `results`. The new run takes every
-        evaluation from `results` that is the same in both.
+    reuse : str, Path or iterable of these, optional
+        Folders of other runs. Every evaluation that one of them has is taken from there.
     changes : iterable of str, optional
         Changes ``key=value``, as `pfdist.load_job` takes them.
     figures : bool
@@ -92,13 +90,11 @@ def run(
     job = as_job(job, changes, settings={"execution": execution})
     check_pool(job.execution)
     path = folder_of(job, results)
-    origin, path = (None, path) if fork is None else (Store(path), path_argument("fork", fork))
-    if origin is not None:
-        open_run(origin.path)  # without a run there is nothing to start from
+    others = paths_argument("reuse", reuse)
     with following(progress, say) as (show, tell):
         say_model_files([job], tell)
         ending = Ending(figures, figures if report is None else report, settings)
-        return run_built(build(job), path, ending, show, tell, origin)
+        return run_built(build(job), path, ending, show, tell, others)
 
 
 @dataclass(frozen=True)
@@ -124,7 +120,7 @@ def run_built(
     ending: Ending,
     show: Show,
     say: Say,
-    origin: Store | None = None,
+    reuse: Iterable[Path] = (),
 ) -> Run:
     """Compute what a run in a folder lacks, and make its figures and its report.
 
@@ -136,17 +132,19 @@ def run_built(
     ending : Ending
     show, say : callable
         Receive the progress and the messages.
-    origin : Store or None
-        The store of a run whose evaluations a new run takes.
+    reuse : iterable of Path
+        Folders of other runs whose evaluations this run takes.
 
     Raises
     ------
     PfdistError
         As `run` raises.
     """
+    lenders = [lender(open_run(other).path, built) for other in reuse]
     with opened(path, built, say) as store:
         session = Session(built, store, show, say)
-        computed = complete(compute(session, ending.bound, origin), pool_of_job(built, say))
+        driver, pool = compute(session, ending.bound), pool_of_job(built, say)
+        computed = complete(driver, pool, lenders)
         finished = open_run(path)
         finished.made_from = built.job
         if ending.figures and not all(file.exists() for file in figure_files(finished)):
@@ -158,9 +156,7 @@ def run_built(
     return finished
 
 
-def compute(
-    session: Session, settings: BoundSettings | None, origin: Store | None = None
-) -> Generator[Batch, None, bool]:
+def compute(session: Session, settings: BoundSettings | None) -> Generator[Batch, None, bool]:
     """Compute what a run lacks, with its lower bound; False if it lacks nothing.
 
     Parameters
@@ -168,8 +164,6 @@ def compute(
     session : Session
     settings : BoundSettings or None
         Settings of the lower bound; None for no bound.
-    origin : Store or None
-        The store of a run whose evaluations a new run takes.
     """
     built, store, say = session.built, session.store, session.say
     path = store.path
@@ -181,8 +175,6 @@ def compute(
     remove_report(path)
     if unfinished:
         remove_figures(path)  # they show fewer draws
-        if origin is not None:
-            store.adopt(origin, FORKED)
     note_processor(path, built, say)
     if prover is not None:
         session.reporter.foresee(prover.steps)

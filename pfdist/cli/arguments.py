@@ -97,7 +97,7 @@ def pool_options(pool: str, workers: str, address: str) -> Callable[[ArgumentPar
 
 
 def computing(
-    results: str, *, fork: bool = True, what: str = "run"
+    results: str, *, reuse: bool = True, what: str = "run"
 ) -> Callable[[ArgumentParser], None]:
     """Give a function that adds what a command needs to compute a run.
 
@@ -105,7 +105,7 @@ def computing(
     ----------
     results : str
         Describes the folder of the run if ``--results`` is not given.
-    fork : bool
+    reuse : bool
         Whether the run may take evaluations from another run.
     what : str
         A noun for what lies in the folder.
@@ -117,12 +117,14 @@ def computing(
         )
         sections = (f"execution.{key} of the job" for key in ("pool", "workers", "address"))
         pool_options(*sections)(parser)
-        if fork:
+        if reuse:
             parser.add_argument(
-                "--fork",
-                metavar="NEW",
-                help="start a new run in the folder NEW, which reuses the evaluations of the run "
-                "in the --results folder",
+                "--reuse",
+                action="append",
+                default=[],
+                metavar="RUN",
+                help="take every evaluation that the run in the folder RUN has, for instance that "
+                "of a similar job; give --reuse once for each run",
             )
         add_no_report(parser)
 

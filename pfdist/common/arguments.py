@@ -54,6 +54,20 @@ def path_argument(name: str, value: Any) -> Path:
     return Path(value)
 
 
+def paths_argument(name: str, value: Any) -> list[Path]:
+    """An argument as a list of paths; a single path is a list of one.
+
+    Raises
+    ------
+    ArgumentError
+        It is no iterable of paths.
+    """
+    paths = [value] if isinstance(value, str | Path) else value
+    if not isinstance(paths, Iterable):
+        raise ArgumentError(f"{name} must be a list of paths, got {shown(value)}", argument=name)
+    return [path_argument(name, path) for path in paths]
+
+
 def texts_argument(name: str, value: Any) -> list[str]:
     """Give an argument as a list of texts; a single text is a list of one.
 

@@ -323,6 +323,8 @@ class Loop:
     at_once : int
         How many drivers are at work at the same time. If there are several, they take evaluations
         from each other's tables.
+    lenders : iterable of Store
+        Further runs whose evaluations all drivers take.
     """
 
     def __init__(
@@ -330,6 +332,7 @@ class Loop:
         pool: contextlib.AbstractContextManager[Pool],
         wrapped: Callable[[Session, tuple[Work, ...]], Any] = lambda session, works: works,
         at_once: int = 1,
+        lenders: Iterable[Store] = (),
     ) -> None:
         self._to_enter, self._wrapped, self._at_once = pool, wrapped, at_once
         self._stack = contextlib.ExitStack()
@@ -339,13 +342,9 @@ class Loop:
         self._sent: dict[str, tuple[Driver, Batch, _Cut]] = {}  # tasks of the pool, by their keys
         self._count = 0
         self._computing: dict[str, Batch] = {}  # who computes an evaluation, by its id
-        self._stores: dict[str, Store] = {}  # who has an evaluation, by its id
+        # Who has an evaluation, by its id; the first lender goes first.
+        self._stores = {id_: store for store in reversed([*lenders]) for id_ in store.evaluations()}
         self._values: list[Any] = []
-
-    def remember(self, store: Store) -> None:
-        """Let all drivers take the evaluations that a run has committed before."""
-        for id_ in store.evaluations():
-            self._stores.setdefault(id_, store)
 
     def serve(self, drivers: Iterable[Driver]) -> list[Any]:
         """Serve drivers to their ends, and return what they return, in the order of their ends.
@@ -430,7 +429,7 @@ class Loop:
         if kept is not None:
             if session.held(kept.table):
                 works = _learnt(batch, session.store, works)
-            if self._at_once > 1 and kept.is_shared:
+            if kept.is_shared and (self._stores or self._at_once > 1):
                 works = self._own(batch, works)
         if works:
             batch.add(works, self._entered().workers, is_shared=self._at_once > 1)
@@ -444,8 +443,9 @@ class Loop:
                 for lacking in left:
                     for computing, piece in _by(lacking, self._computing.get):
                         (own if computing is None else batch.waiting).append(piece)
-        for work in own:
-            self._computing.update(dict.fromkeys(work.ids, batch))
+        if self._at_once > 1:
+            for work in own:
+                self._computing.update(dict.fromkeys(work.ids, batch))
         return own
 
     def _release(self, batch: Batch) -> None:
@@ -499,7 +499,11 @@ def _by(work: Work, of_id: Callable[[str], Owner | None]) -> Iterator[tuple[Owne
         )
 
 
-def complete(driver: Driver, pool: contextlib.AbstractContextManager[Pool]) -> Any:
+def complete(
+    driver: Driver,
+    pool: contextlib.AbstractContextManager[Pool],
+    lenders: Iterable[Store] = (),
+) -> Any:
     """Serve a single driver, and return what it returns."""
-    (value,) = Loop(pool).serve([driver])
+    (value,) = Loop(pool, lenders=lenders).serve([driver])
     return value

@@ -16,8 +16,6 @@ from pfdist.runner.search_tables import unpublished
 from pfdist.store import Store, compared_schema
 from pfdist.times.measurement_times import Times
 
-FORKED = "forked-from"
-"""Phase of rows that a fork takes from another run; the fork publishes those that it needs."""
 COMPARED = "search"
 
 
@@ -49,7 +47,6 @@ def drive(session: Session) -> Generator[Batch, None, None]:
         if built.job.online is not None:
             yield from run_online(session, sets)
         session.commit()
-        store.publish("draws", FORKED, [])
         store.manifest.forget_lost()
     finally:  # also where the driver is closed: it loses nothing that it has
         session.commit()

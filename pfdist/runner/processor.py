@@ -8,9 +8,10 @@ from typing import Any
 
 from llvmlite import binding
 
+from pfdist.errors import StoreError
 from pfdist.evaluation.engines import COMPILED
 from pfdist.runner.build import Built
-from pfdist.store import add_to_provenance, read_run
+from pfdist.store import Store, add_to_provenance, read_run
 
 CONTINUED = "continued_on"
 
@@ -65,6 +66,39 @@ def what_may_differ(built: Built) -> str:
         names = ", ".join(called)
         return f"the last digits may differ, because the formulas call {names} of the C library"
     return ""
+
+
+def lender(path: Path, built: Built | None = None) -> Store:
+    """The store of a run whose evaluations other runs may take.
+
+    Parameters
+    ----------
+    path : Path
+        Folder of the run.
+    built : Built, optional
+        The job of the run that takes them. Without it, a run on another processor lends nothing.
+
+    Raises
+    ------
+    StoreError
+        The last digits of its evaluations may differ from those computed here, a file is damaged,
+        or there is no run.
+    """
+    about = read_run(path)[0]["provenance"]
+    here = about["processor"] == processor() and CONTINUED not in about
+    differs = "the last digits may differ" if built is None else what_may_differ(built)
+    if differs and not here:
+        raise StoreError(
+            f"{path} was computed on another processor ({_described(about['processor'])}), so its "
+            f"evaluations cannot be reused: {differs}"
+        )
+    store = Store(path)
+    for damage in store.manifest.damages():
+        raise StoreError(
+            f"{path / damage.path} {damage.what}, so its evaluations cannot be reused: "
+            f"`pfdist repair {path}` sets damaged files aside"
+        )
+    return store
 
 
 def _described(processor: dict[str, str]) -> str:

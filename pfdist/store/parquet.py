@@ -20,7 +20,7 @@ import pyarrow as pa
 from pfdist.store import files
 from pfdist.store.clock_columns import ClockColumns
 from pfdist.store.reader import Reader
-from pfdist.store.schema import KEYS, QUESTIONS
+from pfdist.store.schema import KEYS
 from pfdist.store.tables import cut_rows, signed, unique
 
 ROWS_IN_A_FILE = {"draws": 1_000_000, "comparison": 50_000, "error_sums": 200}
@@ -118,17 +118,3 @@ class Store(Reader):
         """Publish rows beside the published rows of a phase, and in the place of the same keys."""
         pieces = [self.timed(rows), *self._load(table, phase)]
         self.publish(table, phase, [unique(pieces, KEYS[table])])
-
-    def adopt(self, other: "Store", phase: str) -> None:
-        """Commit all per-draw rows of another run, under a phase of their own.
-
-        An evaluation's id says all that its draws depend on, so they are found as if computed here.
-        """
-        wrong = {other.path / damage.path for damage in other.manifest.damages()}
-
-        def copy() -> None:
-            for path in other._files("draws"):
-                if path not in wrong and not path.name.startswith(QUESTIONS):
-                    self.commit("draws", phase, path.stem.replace(".", "-"), other._read(path))
-
-        self._again(copy)

@@ -122,11 +122,11 @@ def test_verify_and_repair_find_a_file_that_was_edited_whatever_it_holds(
     assert f"it is now quarantine/{name}" in capsys.readouterr().out
 
 
-def test_a_fork_from_a_damaged_run_names_the_file(
+def test_a_damaged_run_that_is_reused_names_the_file(
     run: Path, small_job: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (run / "run.json").write_text("[]")
-    words = ["run", str(small_job.path), "--results", str(run), "--fork", str(tmp_path / "new")]
+    words = ["run", str(small_job.path), "--results", str(tmp_path / "new"), "--reuse", str(run)]
     assert f"{run / 'run.json'}: " in _line(words, capsys)
     assert not (tmp_path / "new").exists()
 

@@ -67,17 +67,16 @@ def test_its_own_folder_unless_the_job_is_the_same(
 def test_the_command_takes_what_run_takes_and_answers_in_the_same_json(
     small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    job, folder, fork = (
-        shlex.quote(str(path)) for path in (small_job.path, tmp_path / "a", tmp_path / "b")
-    )
+    job = shlex.quote(str(small_job.path))
+    a, b = (shlex.quote(str(path)) for path in (tmp_path / "a", tmp_path / "b"))
     changes = f"{' '.join(EXACT)} comparison.draws=3 search.relaxation.paths=3"
-    command = f"plan {job} --results {folder} --pool serial --json --set {changes}"
-    assert main(shlex.split(command)) == 0
+    command = f"plan {job} --pool serial --json --set {changes}"
+    assert main(shlex.split(f"{command} --results {a}")) == 0
     answer = json.loads(capsys.readouterr().out)
     assert main(["status", str(tmp_path / "a"), "--json"]) == 0
     assert answer == json.loads(capsys.readouterr().out)
     assert pfdist.open_run(tmp_path / "a").job["search"][0]["paths"] == 3
-    assert main(shlex.split(f"{command} comparison.draws=4 --fork {fork}")) == 0
+    assert main(shlex.split(f"{command} comparison.draws=4 --results {b} --reuse {a}")) == 0
     assert json.loads(capsys.readouterr().out)["draws_compared"] == 4
 
 

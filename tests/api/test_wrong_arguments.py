@@ -32,7 +32,7 @@ CASES: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = [
     ("run", (PROBLEM,), {"bound_draws": "many"}),
     ("run", (PROBLEM,), {"progress": 5}),
     ("run", (PROBLEM,), {"say": 5}),
-    ("run", (PROBLEM,), {"fork": 5}),
+    ("run", (PROBLEM,), {"reuse": 5}),
     ("plan", (5,), {}),
     ("plan", (PROBLEM,), {"search": 5}),
     ("plan", (PROBLEM,), {"search": "genetc"}),

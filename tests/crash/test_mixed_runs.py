@@ -205,11 +205,11 @@ def test_every_file_of_a_table_names_its_run(runs: dict[tuple[int, str], Path]) 
     assert None not in keys
 
 
-def test_a_run_that_is_started_from_another_signs_what_it_takes(
+def test_a_run_that_reuses_another_signs_what_it_takes(
     job: Job, runs: dict[tuple[int, str], Path], tmp_path: Path
 ) -> None:
     longer = job.with_changes(["search.random.evaluations=12"])
-    forked = pfdist.run(longer, runs[1, "finished"], fork=tmp_path / "new", figures=False)
-    assert not list(verify_run(forked.path))
-    assert hashes(forked.path) == hashes(pfdist.run(longer, tmp_path / "alone", figures=False).path)
-    assert len(Store(forked.path).read("draws")) == len(pfdist.open_run(forked.path).draws())
+    new = pfdist.run(longer, tmp_path / "new", reuse=runs[1, "finished"], figures=False)
+    assert not list(verify_run(new.path))
+    assert hashes(new.path) == hashes(pfdist.run(longer, tmp_path / "alone", figures=False).path)
+    assert len(Store(new.path).read("draws")) == len(pfdist.open_run(new.path).draws())

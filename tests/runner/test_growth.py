@@ -1,7 +1,7 @@
-"""A run that grows, stops early or is forked computes only the new, and gives the same bytes."""
+"""A run that grows, stops early or reuses another computes only the new, with the same bytes."""
 
 import random
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -15,8 +15,9 @@ from oracles.bytes_of import hashes
 from oracles.counted import A_DRAW, SETS, count_draws
 from pfdist import Job
 from pfdist.cli.main import main
-from pfdist.errors import RunMismatchError
+from pfdist.errors import RunMismatchError, StoreError
 from pfdist.pools.base import Outcome, SerialPool
+from pfdist.runner.evaluator_source import EvaluatorSource
 from pfdist.runner.pace import Pace
 from pfdist.runner.progress import Progress
 
@@ -185,20 +186,9 @@ def _tree(run: Path) -> dict[Path, bytes]:
     return {path.relative_to(run): path.read_bytes() for path in run.rglob("*") if path.is_file()}
 
 
-def _damage(run: Path) -> None:
-    (file,) = run.glob("tables/draws/genetic-*")
-    content = file.read_bytes()
-    file.write_bytes(content[:100] + bytes([content[100] ^ 4]) + content[101:])
-
-
 @pytest.mark.parametrize("killed", [pytest.param(False, marks=pytest.mark.slow), True])
-@pytest.mark.parametrize("damage", [None, _damage])
-def test_a_fork_computes_only_what_is_new_and_ends_as_a_run_from_nothing(
-    damage: Callable[[Path], None] | None,
-    killed: bool,
-    small_job: Job,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+def test_a_run_that_reuses_another_computes_only_what_is_new_and_ends_as_a_run_from_nothing(
+    killed: bool, small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     old, new = tmp_path / "old", tmp_path / "new"
     known = set(pfdist.run(small_job, old, figures=False).evaluations()["evaluation"])
@@ -206,9 +196,6 @@ def test_a_fork_computes_only_what_is_new_and_ends_as_a_run_from_nothing(
     longer = small_job.with_changes(["search.genetic.generations=6"])
     nothing = pfdist.run(longer, tmp_path / "nothing", figures=False)
     from_nothing = sum(counted)
-    if damage is not None:
-        damage(old)
-        known &= set(nothing.evaluations().query("phase == 'random'")["evaluation"])
     before = _tree(old)
     counted.clear()
     if killed:
@@ -218,28 +205,54 @@ def test_a_fork_computes_only_what_is_new_and_ends_as_a_run_from_nothing(
                 raise KeyboardInterrupt
 
         with pytest.raises(KeyboardInterrupt):
-            pfdist.run(longer, old, fork=new, progress=stop, figures=False)
-    run = pfdist.run(longer, old, fork=new, figures=False)
+            pfdist.run(longer, new, reuse=old, progress=stop, figures=False)
+    run = pfdist.run(longer, new, reuse=[old], figures=False)
     same = known & set(run.evaluations()["evaluation"])
     assert len(same) == len(known) >= 10  # earlier generations, and all random trials
     assert sum(counted) == from_nothing - len(same) * small_job.evaluation.draws
     assert hashes(new) == hashes(nothing.path)
     assert _tree(old) == before
-    assert pfdist.run(longer, old, fork=new, figures=False).state == "finished"
     assert pfdist.run(longer, new, figures=False).state == "finished"  # it stands on its own
 
 
+def test_a_damaged_run_lends_nothing(small_job: Job, tmp_path: Path) -> None:
+    old, new = tmp_path / "old", tmp_path / "new"
+    pfdist.run(small_job, old, figures=False)
+    (file,) = old.glob("tables/draws/genetic-*")
+    content = file.read_bytes()
+    file.write_bytes(content[:100] + bytes([content[100] ^ 4]) + content[101:])
+    with pytest.raises(StoreError, match=f"{file.name} .* cannot be reused: `pfdist repair"):
+        pfdist.run(small_job, new, reuse=old, figures=False)
+    assert not new.exists()
+
+
+@pytest.mark.parametrize("called", [(), ("cos",)])
+def test_a_run_of_another_processor_lends_what_has_the_same_bytes_here(
+    called: tuple[str, ...], small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The C library's cos may round its last digit in another way there; a sum never does.
+    old, new = tmp_path / "old", tmp_path / "new"
+    pfdist.run(small_job, old, figures=False)
+    elsewhere = {"compiled_for": "other", "model": "another processor"}
+    monkeypatch.setattr("pfdist.runner.processor.processor", lambda: elsewhere)
+    monkeypatch.setattr(EvaluatorSource, "libm_functions", lambda source: called)
+    if called:
+        with pytest.raises(StoreError, match=r"another processor .* the formulas call cos"):
+            pfdist.run(small_job, new, reuse=old, figures=False)
+    else:
+        assert pfdist.run(small_job, new, reuse=old, figures=False).state == "finished"
+
+
 @pytest.mark.usefixtures("no_figures")
-def test_the_command_line_forks(small_job: Job, tmp_path: Path) -> None:
+def test_the_command_line_reuses_runs(small_job: Job, tmp_path: Path) -> None:
     old, new = str(tmp_path / "old"), str(tmp_path / "new")
-    command = ["run", str(small_job.path), "--results", old]
-    assert main(command) == 0
+    command = ["run", str(small_job.path), "--results"]
+    assert main([*command, old]) == 0
     change = ["--set", "search.genetic.generations=5"]
-    assert main([*command, *change]) == 1
-    assert main([*command, *change, "--fork", new]) == 0
+    assert main([*command, old, *change]) == 1
+    assert main([*command, new, *change, "--reuse", old]) == 0
     assert (
         np.unique(pfdist.open_run(new).evaluations().query("phase == 'genetic'").generation).size
         == 5
     )
-    assert main([*command, "--fork", new]) == 1  # another job's
-    assert main(["run", str(small_job.path), "--results", str(tmp_path / "no"), "--fork", new]) == 1
+    assert main([*command, str(tmp_path / "b"), "--reuse", str(tmp_path / "no")]) == 1

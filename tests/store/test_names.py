@@ -55,10 +55,10 @@ def test_a_run_lies_in_a_folder_of_any_name(name: str, small_job: Job, say: Say)
     for command in ("status", "verify", "repair"):
         assert say(command, "--", name).startswith(f"{printed}: ")
     assert json.loads(say("status", "--json", "--", name))["run"] == name
-    fork = f"{name}.fork"
-    words = ["run", job, f"--results={name}", f"--fork={fork}", "--set", *SMALL]
+    new = f"{name}.new"
+    words = ["run", job, f"--results={new}", f"--reuse={name}", "--set", *SMALL]
     assert "finished" in say(*words, "comparison.draws=30")
-    assert "finished" in say("status", "--", fork)
+    assert "finished" in say("status", "--", new)
 
 
 @pytest.mark.slow

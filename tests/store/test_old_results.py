@@ -54,7 +54,7 @@ def test_the_run_of_the_present_schema_is_verified_and_computed_again_to_the_las
     "command",
     ["status {run}", "plot {run}", "verify {run}", "repair {run}", "report {run}",
      "why {run}/job.toml",
-     "run {job} --results {run}", "run {job} --results {run} --fork {run}-new"],
+     "run {job} --results {run}", "run {job} --results {run}-new --reuse {run}"],
 )  # fmt: skip
 @pytest.mark.parametrize("version", [1, 2, SCHEMA_VERSION + 1])
 def test_a_run_of_another_schema_is_refused_in_a_line_that_names_the_version_for_it(

@@ -34,7 +34,7 @@ def _add_sets(parser: ArgumentParser) -> None:
     "compare",
     add_job,
     _add_sets,
-    computing(f"{RESULTS}-compare", fork=False),
+    computing(f"{RESULTS}-compare", reuse=False),
     add_json,
     goes_on=True,
     examples={

@@ -48,7 +48,7 @@ def _add_sweep(parser: ArgumentParser) -> None:
     add_changes,
     computing(
         "results/<name of the sweep file>, or results/<name of the job>-sweep",
-        fork=False,
+        reuse=False,
         what="sweep",
     ),
     add_json,
