@@ -16,6 +16,11 @@ def pool_of_job(built: Built, say: Callable[[str], Any]) -> contextlib.AbstractC
     return said(make_pool(built, built.job.execution), built.job.execution, say)
 
 
+def pool_in_this_process(built: Built) -> Pool:
+    """A serial pool, for questions that take less time than workers take to start."""
+    return make_pool(built, Execution(pool="serial"))
+
+
 @contextlib.contextmanager
 def said(pool: Pool, execution: Execution, say: Callable[[str], Any]) -> Iterator[Pool]:
     """Enter a pool, and say that its workers are ready and how long they took."""

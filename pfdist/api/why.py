@@ -3,7 +3,7 @@
 Everything is computed on new draws, which neither chose the times nor compared them.
 """
 
-from collections.abc import Iterable
+from collections.abc import Generator, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from pfdist.analysis import Run, finite
 from pfdist.analysis.sampling_windows import STRICT, windows_of
+from pfdist.api.at_work import pool_in_this_process
 from pfdist.api.following import Say, following, silent
 from pfdist.api.own_store import own_store
 from pfdist.api.report import renew_report
@@ -25,9 +26,9 @@ from pfdist.common.rounding import with_error
 from pfdist.common.told_times import told_time
 from pfdist.job.asked import Asked
 from pfdist.plots import draw_figures
-from pfdist.runner.build import Built
+from pfdist.runner.door import Batch, Session, complete
 from pfdist.runner.jitter import jitter
-from pfdist.runner.progress import Reporter, Show
+from pfdist.runner.progress import Show
 from pfdist.runner.sampling_windows import sampling_windows, windows_by_percent
 from pfdist.runner.worth import worth_of
 from pfdist.store import WHY_PHASE, frame_of, schema
@@ -181,47 +182,40 @@ def why(
     with following(progress, say) as (show, tell):
         opened, built = asked_run(job, results, changes, tell)
         sets = opened.sets_of_one_number()
-        found = _examine(opened, sets, built, draws, Reporter(show, _STEPS * len(sets)), tell)
+        with own_store(opened, built, tell, must_be=False) as store:
+            session = Session(built, store, show, tell)
+            session.reporter.foresee(_STEPS * len(sets))
+            driver = _examine(session, opened, sets, draws)
+            found: Why = complete(driver, pool_in_this_process(built))
         files = [file for name in FIGURES for file in draw_figures(opened, name)] if figures else []
         renew_report(opened.path, tell)
     return replace(found, figures=files)
 
 
 def _examine(
-    run: Run, sets: dict[str, Times], built: Built, draws: int, reporter: Reporter, say: Say
-) -> Why:
+    session: Session, run: Run, sets: dict[str, Times], draws: int
+) -> Generator[Batch, None, Why]:
     """Compute the worth of all measurements, and store the tables; no figure is drawn."""
-    answers, rows = list[dict[str, Any]](), {part: list[dict[str, Any]]() for part in _PARTS}
-    with own_store(run, built, say, must_be=False) as store:
-        for position, (name, times) in enumerate(sets.items()):
-            reporter.note(phase=f"why {name}", done=_STEPS * position)
-            instants = built.job.problem.clock.instants(times)
-            checked = validated(instants, built.evaluator.horizon, f"{run.path}: {name}")
-            summary, found = _of_a_set(run, name, checked, built, draws, reporter)
-            about = {"position": position, "name": name}
-            for part in _PARTS:
-                rows[part] += [about | row for row in found[part]]
-            answers.append({"name": name, "measurement_times": list(times)} | summary)
-        tables = {name: store.timed(_table(name, rows[name])) for name in rows}
-        for name, table in tables.items():
-            store.publish(name, WHY_PHASE, [table])
+    built, store, rows = session.built, session.store, {part: list[Any]() for part in _PARTS}
+    answers, drawn = list[dict[str, Any]](), 0 if built.evaluator.exact else draws
+    for position, (name, kept) in enumerate(sets.items()):
+        session.reporter.note(phase=f"why {name}", done=_STEPS * position)
+        instants = built.job.problem.clock.instants(kept)
+        times = validated(instants, built.evaluator.horizon, f"{run.path}: {name}")
+        found = yield from worth_of(session, name, times, draws, _measured(run, times))
+        windows = yield from sampling_windows(session, name, times, draws)
+        by_percent = windows_by_percent(windows, times)
+        jittered = yield from jitter(session, name, times, by_percent, draws)
+        answers.append({"name": name, "measurement_times": list(kept)} | found.summary)
+        about = {"position": position, "name": name, "draws": drawn}
+        parts = (found.profile, found.worth, windows, jittered)
+        for part, of_a_part in zip(_PARTS, parts, strict=True):
+            rows[part] += [about | row for row in of_a_part]
+    tables = {name: store.timed(_table(name, rows[name])) for name in rows}
+    for name, table in tables.items():
+        store.publish(name, WHY_PHASE, [table])
     frames = {name: frame_of(table) for name, table in tables.items()}
-    drawn = 0 if built.evaluator.exact else draws
     return Why(run.path, drawn, pd.DataFrame(answers), **frames, figures=[])
-
-
-def _of_a_set(
-    run: Run, name: str, times: Times, built: Built, draws: int, reporter: Reporter
-) -> tuple[dict[str, Any], dict[str, list[dict[str, Any]]]]:
-    """Compute the summary of a set, and the rows of each table, without position and name."""
-    found = worth_of(built, name, times, draws, _measured(run, times), reporter)
-    windows = sampling_windows(built, name, times, draws, reporter)
-    by_percent = windows_by_percent(windows, times)
-    drawn = {"draws": 0 if built.evaluator.exact else draws}
-    rows = {"profile": found.profile, "worth": found.worth, "sampling_windows": windows}
-    rows = {part: [drawn | row for row in of_a_part] for part, of_a_part in rows.items()}
-    rows["jitter"] = jitter(built, name, times, by_percent, draws, reporter)
-    return found.summary, rows
 
 
 def _measured(run: Run, times: Times) -> list[NDArray[np.float64]]:

@@ -277,7 +277,12 @@ class Evaluator:
         ModelError
             A formula failed.
         """
-        return [work.result(self.truth if work.knows_truth else self) for work in works]
+        return [work.result(self._for(work)) for work in works]
+
+    def _for(self, work: Work) -> "Evaluator":
+        """The evaluator with the filter's model and the weights that a work asks for."""
+        evaluator = self.truth if work.knows_truth else self
+        return evaluator if work.weighted else replace(evaluator, weights=None)
 
     def pieces(self, work: Work, seconds: float) -> list[Work]:
         """Cut a work between its draws into works of about as many seconds each.

@@ -85,6 +85,8 @@ class Work:
         sums over the draws. Such a work is not cut: the rounding of a sum depends on its draws.
     knows_truth : bool
         Whether the filter uses the true model, whatever the evaluator's filter model is.
+    weighted : bool
+        Whether the errors of instants have the evaluator's weights; otherwise all count alike.
     """
 
     measurement_times: tuple[Times, ...]
@@ -97,6 +99,7 @@ class Work:
     ids: tuple[str, ...] = ()
     since: tuple[int, ...] = ()
     knows_truth: bool = False
+    weighted: bool = True
 
     def result(self, evaluator: "Evaluator") -> "Result":
         """The result of an evaluator, with arguments that the caller has checked.
@@ -117,7 +120,7 @@ class Work:
             measurement_times=tuple(self.measurement_times[place] for place in sets),
             ends=tuple(self.ends[place] for place in sets),
             filter_streams=tuple(self.filter_streams[place] for place in sets),
-            ids=tuple(self.ids[place] for place in sets),
+            ids=tuple(self.ids[place] for place in sets) if self.ids else (),
             draws=draws,
         )
 

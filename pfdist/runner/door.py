@@ -84,7 +84,7 @@ class Batch:
         Where the rows belong.
     works : iterable of Work
     kept : Kept or None
-        None: the results are not kept, so they are never looked up.
+        None: the results are not kept, nor timings, so they are never looked up.
     learn : callable
         Learns each piece of a work and its result, in any order. If it returns True, no more
         results are needed, and the driver goes on.
@@ -153,7 +153,8 @@ class Batch:
         """
         session = self.session
         self._in_flight -= 1
-        session.note(self.phase, outcome)
+        if self.kept is not None:
+            session.note(self.phase, outcome)
         if outcome.error is not None:
             self._again.append(cut)
             session.count_failure(self.phase, outcome.error)

@@ -3,7 +3,7 @@
 The draws and the noise are fresh: the draws that chose the windows would flatter them.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from pfdist.analysis.relative_loss import RelativeLoss
 from pfdist.evaluation.work import Work, cut
 from pfdist.kernels.noise import generator
-from pfdist.runner.build import Built
+from pfdist.runner.door import Batch, Session
 from pfdist.runner.pace import MOST_SECONDS
-from pfdist.runner.progress import Reporter
-from pfdist.runner.worth import WHY
+from pfdist.runner.worth import WHY, mse_of_sets
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
@@ -29,20 +28,15 @@ Row = dict[str, Any]
 
 
 def jitter(
-    built: Built,
-    name: str,
-    times: Times,
-    windows: Mapping[int, Windows],
-    draws: int,
-    reporter: Reporter,
-) -> list[Row]:
-    """Compute the loss of random times within the windows, for each level.
+    session: Session, name: str, times: Times, windows: Mapping[int, Windows], draws: int
+) -> Generator[Batch, None, list[Row]]:
+    """The loss of random times within the windows, for each level.
 
     Each draw has random times of its own, and the kept times beside them.
 
     Parameters
     ----------
-    built : Built
+    session : Session
     name : str
         Name of the set; keys the noise and the random times.
     times : tuple of int
@@ -50,7 +44,6 @@ def jitter(
     windows : mapping of int to sequence of tuples of int
         For each level, the instants to which each of the times may move, itself among them.
     draws : int
-    reporter : Reporter
 
     Returns
     -------
@@ -58,6 +51,7 @@ def jitter(
         Rows of the table ``jitter``, without position and name. Levels at which nothing can move
         have no draws.
     """
+    built, reporter = session.built, session.reporter
     start, losses = reporter.progress.done, {percent: RelativeLoss() for percent in windows}
     moving = {
         percent: instants
@@ -66,10 +60,10 @@ def jitter(
     }
     if moving:
         draws = min(draws, MOST_EXACT) if built.evaluator.exact else draws
-        jittering = _Jittering(built, name, times, moving)
+        jittering = _Jittering(session, name, times, moving)
         for first, last in jittering.pieces(draws):
-            kept, *jittered = jittering.mse(range(first, last)).T
-            for percent, mse in zip(moving, jittered, strict=True):
+            kept, *others = (yield from jittering.mse(range(first, last))).T
+            for percent, mse in zip(moving, others, strict=True):
                 losses[percent].add(mse, kept)
             reporter.reach(start + last / draws, evaluations=last)
     reporter.reach(start + 1)
@@ -77,7 +71,7 @@ def jitter(
 
 
 def jittered(times: Times, windows: Windows, feasible: Feasible, *key: Any) -> Times:
-    """Give random times within windows: a pure function of the key.
+    """Random times within windows: a pure function of the key.
 
     Each measurement takes an instant of its window, all with the same probability and independently
     of the others. If the job does not allow the times together, or two of them are equal, all are
@@ -114,9 +108,10 @@ class _Jittering:
     """Errors of the kept times and of random times for each level, on the same draws."""
 
     def __init__(
-        self, built: Built, name: str, times: Times, windows: Mapping[int, Windows]
+        self, session: Session, name: str, times: Times, windows: Mapping[int, Windows]
     ) -> None:
-        self._built, self._name, self._times, self._windows = built, name, times, windows
+        self._session, self._built = session, session.built
+        self._name, self._times, self._windows = name, times, windows
 
     def pieces(self, draws: int) -> list[tuple[int, int]]:
         """Cut the draws into ranges that take about as long as a task each."""
@@ -127,22 +122,22 @@ class _Jittering:
         pieces = evaluator.pieces(self._work((0, draws), (self._times,)), seconds)
         return [piece.draws for piece in pieces]
 
-    def mse(self, draws: range) -> NDArray[np.float64]:
+    def mse(self, draws: range) -> Generator[Batch, None, NDArray[np.float64]]:
         """MSE of each draw with the kept times, and with random times for each level."""
         evaluator = self._built.evaluator
         sets = [self._sets(draw) for draw in draws]
         if not evaluator.exact:
-            works = (
+            works = [
                 self._work((draw, draw + 1), of_a_draw)
                 for draw, of_a_draw in zip(draws, sets, strict=True)
-            )
-            return np.concatenate([evaluator.filtered(work).mse for work in works])
+            ]
+            return (yield from mse_of_sets(self._session, works))
         different = list(dict.fromkeys(times for of_a_draw in sets for times in of_a_draw))
         known = dict(zip(different, evaluator.expected_mse(different).tolist(), strict=True))
         return np.array([[known[times] for times in of_a_draw] for of_a_draw in sets])
 
     def _sets(self, draw: int) -> tuple[Times, ...]:
-        """Give the kept times, and the random times of a draw for each level."""
+        """The kept times, and the random times of a draw for each level."""
         problem, seed = self._built.job.problem, self._built.job.seed
         random_sets = (
             jittered(

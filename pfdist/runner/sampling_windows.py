@@ -5,16 +5,15 @@ of a move by one instant agrees with the table of the worth.
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from pfdist.analysis.relative_loss import INSIDE, OPEN, OUTSIDE, RelativeLoss
 from pfdist.evaluation.work import Work
-from pfdist.runner.build import Built
+from pfdist.runner.door import Batch, Session
 from pfdist.runner.pace import MOST_SECONDS
-from pfdist.runner.progress import Reporter
-from pfdist.runner.worth import WHY
+from pfdist.runner.worth import WHY, mse_of_sets
 from pfdist.store import WINDOW_PERCENTS
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
@@ -43,14 +42,14 @@ class _Side:
     sets: list[tuple[int, Times]]
 
     def part(self, first: int, stop: int) -> dict[Move, Times]:
-        """Give some of the moves."""
+        """Some of the moves."""
         return {(self.t, instant): times for instant, times in self.sets[first:stop]}
 
 
 def sampling_windows(
-    built: Built, name: str, times: Times, draws: int, reporter: Reporter
-) -> list[Row]:
-    """Compute the loss of moving each measurement alone, and whether it is within the levels.
+    session: Session, name: str, times: Times, draws: int
+) -> Generator[Batch, None, list[Row]]:
+    """Rows with the loss of moving each measurement alone, and whether it is within the levels.
 
     The instants lie strictly between the neighbouring measurements, and the job allows them. They
     are tried outwards from the measurement. A side ends with the first instant that is clearly
@@ -58,13 +57,12 @@ def sampling_windows(
 
     Parameters
     ----------
-    built : Built
+    session : Session
     name : str
         Name of the set; keys the noise.
     times : tuple of int
     draws : int
         Number of draws.
-    reporter : Reporter
 
     Returns
     -------
@@ -72,11 +70,12 @@ def sampling_windows(
         Rows of the table ``sampling_windows``, without position, name and draws. The measurement's
         own instant is a row, too.
     """
+    reporter, feasible = session.reporter, session.built.job.problem.feasible
     start, first, size, share = reporter.progress.done, 0, FIRST_REACH, 0.5
-    sides, rows = _sides(times, built.job.problem.feasible), list[Row]()
+    sides, rows = _sides(times, feasible), list[Row]()
     while not first or sides:
         asked = {move: moved for side in sides for move, moved in side.part(first, size).items()}
-        found = _rows(built, name, (times, *asked.values()), draws, (reporter, share))
+        found = yield from _rows(session, name, (times, *asked.values()), draws, share)
         kept, known = found[0], dict(zip(asked, found[1:], strict=True))
         if not first:
             rows += [{"t": t, "moved_to": t, "moved_to_instant": t} | kept for t in times]
@@ -91,7 +90,7 @@ def sampling_windows(
 
 
 def windows_by_percent(rows: Sequence[Row], times: Times) -> dict[int, list[Times]]:
-    """Give the instants inside the windows of all measurements, for each level in per cent.
+    """The instants inside the windows of all measurements, for each level in per cent.
 
     A measurement's own instant always belongs to its window.
     """
@@ -109,7 +108,7 @@ def windows_by_percent(rows: Sequence[Row], times: Times) -> dict[int, list[Time
 
 
 def _sides(times: Times, feasible: Feasible) -> list[_Side]:
-    """Give both sides of every measurement that have a feasible instant."""
+    """Both sides of every measurement that have a feasible instant."""
     ends = (-1, *times, feasible.horizon + 1)
     sides = []
     for before, t, after in zip(ends, times, ends[2:], strict=False):
@@ -123,7 +122,7 @@ def _sides(times: Times, feasible: Feasible) -> list[_Side]:
 def _up_to_the_first_beyond(
     moves: Mapping[Move, Times], known: Mapping[Move, Row]
 ) -> tuple[list[Row], bool]:
-    """Give the rows up to the first instant beyond the largest level, and whether there is one."""
+    """The rows up to the first instant beyond the largest level, and whether there is one."""
     rows = list[Row]()
     for t, instant in moves:
         rows.append({"t": t, "moved_to": instant, "moved_to_instant": instant} | known[t, instant])
@@ -133,45 +132,30 @@ def _up_to_the_first_beyond(
 
 
 def _rows(
-    built: Built,
-    name: str,
-    sets: tuple[Times, ...],
-    draws: int,
-    progress: tuple[Reporter, float],
-) -> list[Row]:
-    """Give the columns of the loss of each set against the first, which loses nothing."""
-    if built.evaluator.exact:
-        kept, *_ = mse = built.evaluator.expected_mse(sets).tolist()
-        return [_exact_row((changed - kept) / kept if kept > 0.0 else math.nan) for changed in mse]
-    losses = [RelativeLoss() for _ in sets]
-    for mse in _filtered(built, name, sets, draws, progress):
-        for loss, changed in zip(losses, mse.T, strict=True):
-            loss.add(changed, mse[:, 0])
-    return [_row(loss) for loss in losses]
-
-
-def _filtered(
-    built: Built,
-    name: str,
-    sets: tuple[Times, ...],
-    draws: int,
-    progress: tuple[Reporter, float],
-) -> Iterator[Any]:
-    """Filter the draws with all sets under the same noise, piece by piece: (D, S) each time."""
-    seed, (reporter, share) = built.job.seed, progress
+    session: Session, name: str, sets: tuple[Times, ...], draws: int, share: float
+) -> Generator[Batch, None, list[Row]]:
+    """Columns of the loss of each set against the first, which loses nothing."""
+    evaluator, seed, reporter = session.built.evaluator, session.built.job.seed, session.reporter
     work = Work(
         measurement_times=sets,
-        ends=(built.evaluator.horizon,) * len(sets),
+        ends=(evaluator.horizon,) * len(sets),
         filter_streams=(WHY.stream(seed, "filter", name),) * len(sets),
         draws_stream=WHY.stream(seed, "draws"),
         draws=(0, draws),
-        estimation=built.comparing,
+        estimation=session.built.comparing,
     )
-    start = reporter.progress.done
-    for piece in built.evaluator.pieces(work, MOST_SECONDS):
-        yield built.evaluator.filtered(piece).mse
+    if evaluator.exact:
+        (costs,) = (yield from mse_of_sets(session, [work])).tolist()
+        kept, *_ = costs
+        return [_exact_row((cost - kept) / kept if kept > 0.0 else math.nan) for cost in costs]
+    losses, start = [RelativeLoss() for _ in sets], reporter.progress.done
+    for piece in evaluator.pieces(work, MOST_SECONDS):
+        mse = yield from mse_of_sets(session, [piece])
+        for loss, changed in zip(losses, mse.T, strict=True):
+            loss.add(changed, mse[:, 0])
         _, last = piece.draws
         reporter.reach(start + share * last / draws, evaluations=last)
+    return [_row(loss) for loss in losses]
 
 
 def _row(loss: RelativeLoss) -> Row:

@@ -4,7 +4,7 @@ Everything is computed on new draws, which neither chose the times nor compared 
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 
 from pfdist.analysis import Moments
 from pfdist.evaluation.estimate import Purpose, ReportEvaluation
-from pfdist.evaluation.evaluator import Evaluator
-from pfdist.evaluation.work import Work
+from pfdist.evaluation.work import Result, Work
 from pfdist.filters.settings import FilterSettings
 from pfdist.runner.build import Built
+from pfdist.runner.door import Batch, Session
 from pfdist.runner.pace import MOST_SECONDS
-from pfdist.runner.progress import Reporter
 from pfdist.sequential.effective_sizes import effective_sample_sizes
 from pfdist.sequential.one_filter import begin
 from pfdist.times.feasible import Feasible
@@ -52,16 +51,16 @@ class Worth:
 
 
 def worth_of(
-    built: Built, name: str, times: Times, draws: int, measured: list[Array], reporter: Reporter
-) -> Worth:
-    """Compute the error of a set over time, and the worth of each measurement.
+    session: Session, name: str, times: Times, draws: int, measured: list[Array]
+) -> Generator[Batch, None, Worth]:
+    """The error of a set over time, and the worth of each measurement.
 
     The set up to every instant and all its changes share draws and noise. So common prefixes are
     filtered once, and differences are paired.
 
     Parameters
     ----------
-    built : Built
+    session : Session
     name : str
         Name of the set; keys the noise.
     times : tuple of int
@@ -70,8 +69,8 @@ def worth_of(
     measured : list of arrays of float64, (N, m)
         For each of some other draws, the measurements at these times. The effective sample size is
         a mean over these draws.
-    reporter : Reporter
     """
+    built = session.built
     evaluator, seed, instants = built.evaluator, built.job.seed, built.evaluator.horizon + 1
     changed = list(_changes(times, built.job.problem.feasible))
     sets = [tuple(t for t in times if t <= end) for end in range(instants)]
@@ -85,7 +84,7 @@ def worth_of(
         draws=(0, draws),
         estimation=built.comparing,
     )
-    (cost, *found), degenerate = _means(evaluator, work, reporter)
+    (cost, *found), degenerate = yield from _means(session, work)
     sizes = dict(zip(times, _effective_sizes(built, stream, times, measured), strict=True))
     weights = built.job.problem.weights or (1.0,) * instants
     profile = [
@@ -137,46 +136,53 @@ def _changes(times: Times, feasible: Feasible) -> Iterator[tuple[int, str, Times
 
 
 def _means(
-    evaluator: Evaluator, work: Work, reporter: Reporter
-) -> tuple[list[tuple[float, float]], list[int]]:
+    session: Session, work: Work
+) -> Generator[Batch, None, tuple[list[tuple[float, float]], list[int]]]:
     """Mean and standard error of each column of `_columns`, and degenerate draws up to each t."""
+    evaluator, reporter = session.built.evaluator, session.reporter
     instants, (_, draws), start = evaluator.horizon + 1, work.draws, reporter.progress.done
-    if evaluator.exact:
-        known = _columns(*_mse(evaluator, work))
-        reporter.reach(start + 1, evaluations=draws)
-        return [(float(mean), 0.0) for mean in known[0]], [0] * instants
+    pieces = [work] if evaluator.exact else evaluator.pieces(work, MOST_SECONDS)
     columns = [Moments() for _ in range(1 + len(work.ends))]
     degenerate = np.zeros(instants, np.int64)
-    for piece in evaluator.pieces(work, MOST_SECONDS):
-        mse, alike = _mse(evaluator, piece)
+    for piece in pieces:
+        mse = yield from mse_of_sets(session, [piece])
+        prefixes = replace(piece.part(piece.draws, range(instants)), weighted=False)
+        if evaluator.weights is None:
+            alike = mse[:, :instants]
+        else:
+            alike = yield from mse_of_sets(session, [prefixes])
         degenerate += np.isnan(alike).sum(axis=0)
         for moments, values in zip(columns, _columns(mse, alike).T, strict=True):
             moments.add(values[~np.isnan(values)])
         _, compared = piece.draws
         reporter.reach(start + compared / draws, evaluations=compared)
-    means = [(moments.mean, moments.standard_error) for moments in columns]
-    return means, degenerate.tolist()
+    errors = [0.0 if evaluator.exact else moments.standard_error for moments in columns]
+    means = [moments.mean for moments in columns]
+    return list(zip(means, errors, strict=True)), degenerate.tolist()
 
 
-def _mse(evaluator: Evaluator, work: Work) -> tuple[Array, Array]:
-    """MSE of each set of a work, and of its first T+1 sets with all instants weighted alike."""
-    mse, instants = _mse_of_sets(evaluator, work), evaluator.horizon + 1
-    if evaluator.weights is None:
-        return mse, mse[:, :instants]
-    prefixes = replace(
-        work,
-        measurement_times=work.measurement_times[:instants],
-        ends=work.ends[:instants],
-        filter_streams=work.filter_streams[:instants],
-    )
-    return mse, _mse_of_sets(replace(evaluator, weights=None), prefixes)
+def mse_of_sets(session: Session, works: list[Work]) -> Generator[Batch, None, Array]:
+    """MSE of each set for each draw, (D, S); for an exact engine (1, S).
 
-
-def _mse_of_sets(evaluator: Evaluator, work: Work) -> Array:
-    """MSE of each set of a work for each draw, (D, S); for an exact engine (1, S)."""
+    Parameters
+    ----------
+    session : Session
+    works : list of Work
+        Their draws follow each other; an exact engine takes one work.
+    """
+    (first, _), (_, last) = works[0].draws, works[-1].draws
+    evaluator, (work, *_) = session.built.evaluator, works
     if evaluator.exact:
-        return evaluator.expected_mse(work.measurement_times, work.ends)[None]
-    return evaluator.filtered(work).mse
+        exact = evaluator if work.weighted else replace(evaluator, weights=None)
+        return exact.expected_mse(work.measurement_times, work.ends)[None]
+    mse = np.empty((last - first, len(work.ends)))
+
+    def learn(piece: Work, result: Result) -> None:
+        begin, end = piece.draws
+        mse[begin - first : end - first] = result.mse
+
+    yield Batch(session, "why", works, None, learn)
+    return mse
 
 
 def _columns(mse: Array, alike: Array) -> Array:

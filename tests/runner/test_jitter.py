@@ -7,17 +7,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from oracles.answered import answered
 from pfdist import Job
 from pfdist.filters import kalman
 from pfdist.runner import jitter as module
 from pfdist.runner.build import build
 from pfdist.runner.jitter import jitter, jittered
-from pfdist.runner.progress import Reporter
 from pfdist.times.feasible import Feasible
 
 KALMAN = ["model.name=random_walk", "filter.engine=kalman"]
 COMPILED = ["model.name=random_walk", "filter.engine=compiled"]
-NOTHING = Reporter(lambda progress: None)
 TIMES = (2, 5, 9)
 WINDOWS = ((1, 2, 3, 4), (4, 5, 6), (9,))
 
@@ -60,8 +59,8 @@ def test_times_that_hardly_fit_move_as_the_job_allows() -> None:
 def test_exact_jitter_is_the_mean_loss_over_all_feasible_times(small_job: Job) -> None:
     built = build(small_job.with_changes(KALMAN))
     times, windows = (1, 4, 7, 10), [(0, 1, 2), (4,), (5, 6, 7, 8), (9, 10)]
-    strict, wide = jitter(
-        built, "mine", times, {1: [(t,) for t in times], 5: windows}, 10_000, NOTHING
+    strict, wide = answered(
+        built, jitter, "mine", times, {1: [(t,) for t in times], 5: windows}, 10_000
     )
     assert strict == {"percent": 1, "draws": 0, "degenerate_draws": 0} | dict.fromkeys(
         ("loss", "loss_error", "low", "high"), 0.0
@@ -78,8 +77,9 @@ def test_jitter_of_particles_is_the_exact_jitter_within_the_errors(small_job: Jo
     times, windows = (1, 4, 7, 10), {1: [(1, 2), (4,), (7,), (10, 11)], 5: [(0, 1, 2)] * 1}
     windows[5] += [(3, 4, 5), (6, 7, 8), (9, 10, 11, 12)]
     job = small_job.with_changes([*COMPILED, "filter.particles=200"])
-    found = jitter(build(job), "mine", times, windows, 3000, NOTHING)
-    exact = jitter(build(small_job.with_changes(KALMAN)), "mine", times, windows, 2000, NOTHING)
+    found = answered(build(job), jitter, "mine", times, windows, 3000)
+    kalman_job = build(small_job.with_changes(KALMAN))
+    exact = answered(kalman_job, jitter, "mine", times, windows, 2000)
     for row, true in zip(found, exact, strict=True):
         error = np.hypot(row["loss_error"], true["loss_error"])
         assert abs(row["loss"] - true["loss"]) < 4 * error + 2 * abs(true["loss"]) / 200
@@ -94,6 +94,6 @@ def test_jitter_does_not_depend_on_how_draws_are_cut(
     found = list[Any]()
     for seconds in (1e9, 1e-9):
         monkeypatch.setattr(module, "MOST_SECONDS", seconds)
-        (row,) = jitter(built, "mine", (0, 4, 8, 12), windows, 40, NOTHING)
+        (row,) = answered(built, jitter, "mine", (0, 4, 8, 12), windows, 40)
         found.append([row[key] for key in ("loss", "loss_error", "low", "high")])
     np.testing.assert_allclose(*found, rtol=1e-9)  # sums of other blocks have other last digits

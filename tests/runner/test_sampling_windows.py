@@ -7,20 +7,21 @@ import numpy as np
 import pytest
 
 import pfdist
+from oracles.answered import answered
 from pfdist import Job, StateSpaceModel
 from pfdist.analysis.sampling_windows import is_flat, windows_of
 from pfdist.filters import kalman
 from pfdist.runner import sampling_windows as module
 from pfdist.runner.build import Built, build
+from pfdist.runner.door import Driver, Session
 from pfdist.runner.jitter import jitter
-from pfdist.runner.progress import Progress, Reporter
+from pfdist.runner.progress import Progress
 from pfdist.runner.sampling_windows import sampling_windows, windows_by_percent
 from pfdist.runner.worth import worth_of
 from pfdist.times.measurement_times import Times
 
 KALMAN = ["model.name=random_walk", "filter.engine=kalman"]
 COMPILED = ["model.name=random_walk", "filter.engine=compiled"]
-NOTHING = Reporter(lambda progress: None)
 # Measurements are precise at t = 5 alone.
 SHARP = """
 from pfdist.models.linear_gaussian import linear_gaussian
@@ -31,7 +32,8 @@ model = linear_gaussian("sharp", initial_noise=[[3]], transition=[[1]], process_
 
 
 def _windows(built: Built, times: Times, draws: int = 2) -> list[dict[str, Any]]:
-    return sampling_windows(built, "mine", times, draws, NOTHING)
+    found: list[dict[str, Any]] = answered(built, sampling_windows, "mine", times, draws)
+    return found
 
 
 def _brute_force(built: Built, times: Times) -> dict[tuple[int, int], float]:
@@ -117,7 +119,7 @@ def test_losses_of_particles_are_the_exact_losses_within_their_errors(small_job:
 
 def test_moves_by_one_instant_lose_what_the_worth_says(small_job: Job) -> None:
     built, times = build(small_job.with_changes(COMPILED)), (0, 4, 8, 12)
-    worth = worth_of(built, "mine", times, 60, [np.zeros((4, 1))], NOTHING)
+    worth = answered(built, worth_of, "mine", times, 60, [np.zeros((4, 1))])
     rows = {(row["t"], row["moved_to"]): row for row in _windows(built, times, 60)}
     for row in worth.worth:
         for change, step in (("earlier", -1), ("later", 1)):
@@ -136,7 +138,7 @@ def test_where_measurements_tell_little_the_optimum_is_flat(small_job: Job, engi
     built, times, draws = build(small_job.with_changes(changes)), (3, 10, 17, 24), 2000
     rows = _windows(built, times, draws)
     by_percent = windows_by_percent(rows, times)
-    strict, wide = jitter(built, "mine", times, by_percent, draws, NOTHING)
+    strict, wide = answered(built, jitter, "mine", times, by_percent, draws)
     assert is_flat(windows_of(rows, 1), strict)
     assert is_flat(windows_of(rows, 5), wide)
     # All instants between the neighbours are within 1 %.
@@ -192,10 +194,12 @@ def test_no_measurements_have_no_windows_and_progress_grows(
     small_job: Job, ungm: StateSpaceModel
 ) -> None:
     seen = list[Progress]()
-    reporter = Reporter(seen.append, 6)
-    built = build(small_job)
-    assert sampling_windows(built, "none", (), 5, reporter) == []
-    assert sampling_windows(built, "one", (3,), 300, reporter)
+
+    def both(session: Session) -> Driver:
+        assert (yield from sampling_windows(session, "none", (), 5)) == []
+        assert (yield from sampling_windows(session, "one", (3,), 300))
+
+    answered(build(small_job), both, show=seen.append)
     done = [progress.done for progress in seen]
     assert all(later >= earlier for earlier, later in pairwise(done))
     assert done[-1] == 2

@@ -1,0 +1,22 @@
+"""What a driver returns that asks questions, computed in this process."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from pfdist.api.at_work import pool_in_this_process
+from pfdist.runner.build import Built
+from pfdist.runner.door import Driver, Session, complete
+from pfdist.runner.progress import Progress
+from pfdist.store import Store
+
+
+def answered(
+    built: Built,
+    driver: Callable[..., Driver],
+    *arguments: Any,
+    show: Callable[[Progress], Any] = lambda progress: None,
+) -> Any:
+    """What a driver returns; it keeps nothing, so its store has no folder."""
+    session = Session(built, Store(Path("nowhere")), show)
+    return complete(driver(session, *arguments), pool_in_this_process(built))
