@@ -130,6 +130,10 @@ class StoreError(PfdistError):
     """A run's folder cannot be read or written."""
 
 
+class BusyError(StoreError):
+    """Another process computes the run."""
+
+
 class RunMismatchError(StoreError):
     """The folder holds the run of another job, model or version.
 

@@ -1,14 +1,16 @@
 """The points of a sweep at work: a few at a time, which share the workers."""
 
 import contextlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from pfdist.analysis import Run, open_run
 from pfdist.analysis.listed_run import FINISHED
 from pfdist.api.following import Say
 from pfdist.api.run import compute
-from pfdist.errors import PfdistError, StoreError, one_line
+from pfdist.errors import BusyError, PfdistError, StoreError, one_line
 from pfdist.job.sweep import SweepJob
 from pfdist.pools.base import Pool
 from pfdist.pools.cores import usable_cores
@@ -19,7 +21,7 @@ from pfdist.runner.identity import opened
 from pfdist.runner.processor import lender
 from pfdist.runner.progress import Progress, Show
 from pfdist.runner.work_of_runs import of_run
-from pfdist.store import Store, holds_run
+from pfdist.store import Store, check_not_held, holds_run
 
 _MORE = 2  # points at work than workers: some wait for others, and some are at their last tasks
 _MOST = 16  # points at work: each needs memory
@@ -31,6 +33,24 @@ class _Share:
 
     phase: str = ""
     done: float = 0.0
+
+
+class Points(NamedTuple):
+    """The points of a sweep when a process has done what it can.
+
+    Parameters
+    ----------
+    runs : dict of str to Run
+        The finished run of each point, by the point's name.
+    failed : dict of str to str
+        In a line, why each other point failed, by its name.
+    busy : list of str
+        Points that other processes compute.
+    """
+
+    runs: dict[str, Run]
+    failed: dict[str, str]
+    busy: list[str]
 
 
 class PointsAtWork:
@@ -51,27 +71,21 @@ class PointsAtWork:
         self, asked: SweepJob, path: Path, bound: BoundSettings | None, show: Show, say: Say
     ) -> None:
         self._failed: dict[str, str] = {}
+        self._busy: dict[str, str] = {}  # who computes points that this process leaves out
         self._asked, self._path, self._bound = asked, path, bound
         self._show, self._say = show, say
         self._shares: dict[str, _Share] = {}
         self._finished = 0
 
-    def run(
-        self, pool: contextlib.AbstractContextManager[Pool]
-    ) -> tuple[dict[str, Run], dict[str, str]]:
-        """Compute what the points lack.
+    def run(self, pool: Callable[[], contextlib.AbstractContextManager[Pool]]) -> Points:
+        """Compute what the points lack, but for points that another process computes.
+
+        Those are tried again when all others have ended. Several processes may so share a sweep.
 
         Parameters
         ----------
-        pool : context manager
-            Gives the workers.
-
-        Returns
-        -------
-        runs : dict of str to Run
-            The finished run of each point, by the point's name.
-        failed : dict of str to str
-            In a line, why each other point failed, by its name.
+        pool : callable
+            Gives the workers, as a context manager.
 
         Raises
         ------
@@ -79,17 +93,21 @@ class PointsAtWork:
             No worker answers.
         """
         workers = self._asked.execution.workers or usable_cores()
-        at_once = min(len(self._asked.points), workers + _MORE, _MOST)
-        loop = Loop(pool, of_run(), at_once, self._begun())
-        loop.serve(self._point(point.name) for point in self._asked.points)
-        runs = {
-            name: open_run(self._path / name)
-            for name in self._asked.jobs
-            if name not in self._failed
-        }
+        todo = [*self._asked.jobs]
+        while todo:
+            self._busy = {}
+            at_once = min(len(todo), workers + _MORE, _MOST)
+            Loop(pool(), of_run(), at_once, self._begun()).serve(map(self._point, todo))
+            todo = [name for name in self._busy if not _is_held(self._path / name)]
+        for name, why in self._busy.items():
+            self._say(f"{name}: left out: {why}")
+        left = self._failed | self._busy
+        runs = {name: open_run(self._path / name) for name in self._asked.jobs if name not in left}
         for name, run in runs.items():
             run.made_from = self._asked.jobs[name]
-        return runs, {name: one_line(reason) for name, reason in self._failed.items()}
+        return Points(
+            runs, {name: one_line(why) for name, why in self._failed.items()}, [*self._busy]
+        )
 
     def _begun(self) -> list[Store]:
         """The stores of points that were begun before, whose evaluations all points take.
@@ -125,6 +143,10 @@ class PointsAtWork:
             built = build(self._asked.jobs[name])
             with opened(self._path / name, built, say) as store:
                 yield from compute(Session(built, store, show, say), self._bound)
+        except BusyError as error:
+            self._busy[name] = str(error)
+            self._shares.pop(name, None)
+            return
         except PfdistError as error:
             self._failed[name] = str(error)
             self._shares.pop(name, None)
@@ -148,3 +170,11 @@ class PointsAtWork:
                 doing=f"{self._finished} of {total} points finished{doing}",
             )
         )
+
+
+def _is_held(path: Path) -> bool:
+    try:
+        check_not_held(path)
+    except BusyError:
+        return True
+    return False

@@ -11,7 +11,7 @@ from pfdist.analysis import Run
 from pfdist.analysis.judged import JUDGED, judged_table, times_by_search
 from pfdist.api.at_work import said
 from pfdist.api.following import Say, following, silent
-from pfdist.api.points_at_work import PointsAtWork
+from pfdist.api.points_at_work import Points, PointsAtWork
 from pfdist.api.report import try_report, try_sweep_report
 from pfdist.api.run import bound_settings
 from pfdist.api.table import table
@@ -34,7 +34,7 @@ _NOTHING: Mapping[str, object] = {}
 
 @dataclass(frozen=True)
 class Sweep:
-    """The runs of a finished sweep.
+    """The finished runs of a sweep.
 
     Parameters
     ----------
@@ -45,11 +45,14 @@ class Sweep:
     judges : dict of str to Run
         The run that compares, at each point, the times found at all points, by the point's name;
         empty if the sweep does not judge.
+    busy : tuple of str
+        Points that other processes compute at this moment: they are left out.
     """
 
     path: Path
     runs: Mapping[str, Run] = field(repr=False)
     judges: Mapping[str, Run] = field(default_factory=dict, repr=False)
+    busy: tuple[str, ...] = ()
 
     def table(self) -> pd.DataFrame:
         """Give all runs as one tidy table; see `pfdist.table`."""
@@ -99,7 +102,8 @@ def sweep(
 
     Every point is an ordinary run in its own folder, with the same bytes as if it were run alone.
     All points share the workers, so that no worker idles while the last tasks of a point are done.
-    The first points go first. Evaluations that several points need are computed once.
+    The first points go first. Evaluations that several points need are computed once. Points that
+    another process computes are left out, so several processes may share the points of a sweep.
 
     Parameters
     ----------
@@ -147,27 +151,27 @@ def sweep(
     bound = bound_settings(bound_draws)
     with following(progress, say) as (show, tell):
         say_model_files(asked.jobs.values(), tell)
-        judges, refused = dict[str, Run](), None
+        judges, refused = Points({}, {}, []), None
         with _SharedPool(asked, tell) as shared:
-            runs, failed = PointsAtWork(asked, path, bound, show, tell).run(shared.pool())
-            if failed and judges_points:
+            found = PointsAtWork(asked, path, bound, show, tell).run(shared.pool)
+            if judges_points and len(found.runs) < len(asked.points):
                 tell("the found times are not judged, because not all points are finished")
             elif judges_points:
                 try:
-                    judged = judging(asked, times_by_search(runs))
+                    judged = judging(asked, times_by_search(found.runs))
                 except JobError as error:  # the points are finished, and get their reports
                     refused = error
                 else:
                     tell(f"judges the found times at all {len(asked.points)} points")
                     folder = path / JUDGED / judged.name
                     judging_points = PointsAtWork(judged, folder, None, show, tell)
-                    judges, failed = judging_points.run(shared.pool())
+                    judges = judging_points.run(shared.pool)
         if report:
-            _report(runs, tell)
+            _report(found.runs, tell)
             try_sweep_report(path, tell)
     if refused is not None:
         raise refused
-    if failed:
+    if failed := found.failed | judges.failed:
         first = "; ".join(f"{name}: {reason}" for name, reason in [*failed.items()][:_SHOWN])
         more = f"; {len(failed) - _SHOWN} more" * (len(failed) > _SHOWN)
         raise SweepError(
@@ -175,7 +179,8 @@ def sweep(
             f"{path}: {first}{more}",
             failed,
         )
-    return Sweep(path, runs, judges)
+    busy = (*found.busy, *judges.busy)
+    return Sweep(path, found.runs, {} if judges.busy else judges.runs, busy)
 
 
 def _report(runs: Mapping[str, Run], say: Say) -> None:

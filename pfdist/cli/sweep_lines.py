@@ -46,11 +46,14 @@ def print_foreseen(points: pd.DataFrame, options: Namespace) -> None:
 
 def print_sweep(finished: "Sweep", options: Namespace) -> None:
     """Print the table of a sweep, and where its runs and its report are."""
-    table = finished.table()
+    table = finished.table() if finished.runs else pd.DataFrame()
     if options.json:
         print_records("rows", table, options)
         return
-    print("\n".join(runs_lines(table)))
+    if finished.runs:
+        print("\n".join(runs_lines(table)))
+    if finished.busy:
+        print(f"\nother processes compute {', '.join(finished.busy)}")
     there = [f"runs: {finished.path}"]
     if has_report(finished.path):
         there.append(f"report: {finished.path / REPORT}")

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
-from pfdist.errors import StoreError
+from pfdist.errors import BusyError, StoreError
 from pfdist.store import files
 
 _LOCK = ".lock"
@@ -32,8 +32,10 @@ def held(folder: Path) -> Iterator[None]:
 
     Raises
     ------
+    BusyError
+        Another driver holds it; the error says who, and since when.
     StoreError
-        Another driver holds it; the error says who, and since when. Or it cannot be written to.
+        It cannot be written to.
     """
     files.make_folder(folder)
     try:
@@ -49,7 +51,7 @@ def held(folder: Path) -> Iterator[None]:
 
 
 def check_not_held(folder: Path) -> None:
-    """Raise the `StoreError` of `held` if a driver holds a run's folder; lock nothing."""
+    """Raise the `BusyError` of `held` if a driver holds a run's folder; lock nothing."""
     try:
         lock = _opened(folder, os.O_RDONLY)
     except OSError:  # there was no driver yet, or the run belongs to another user
@@ -99,7 +101,7 @@ def _take(lock: int, kind: int, folder: Path) -> None:
     try:
         fcntl.flock(lock, kind | fcntl.LOCK_NB)
     except BlockingIOError as error:
-        raise StoreError(
+        raise BusyError(
             f"{folder} is being computed by {_holder(folder)}: wait for it, end it, or "
             "give results another folder"
         ) from error

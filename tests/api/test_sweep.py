@@ -13,11 +13,13 @@ from oracles.bytes_of import hashes
 from pfdist import Job
 from pfdist.analysis.judged import times_by_search
 from pfdist.api.foreseen import foreseen
+from pfdist.cli.main import main
 from pfdist.errors import ArgumentError, JobError, PfdistError, RunMismatchError, SweepError
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Result, Work
 from pfdist.job.judging import judged_sets
 from pfdist.runner.progress import Progress
+from pfdist.store import held
 
 SWEEP = """
 job = "small.toml"
@@ -236,6 +238,23 @@ def test_a_point_that_fails_is_said_and_the_others_go_on(small_job: Job, tmp_pat
     assert sum("process_sd=-1.0: failed: " in line for line in said) == 1
     for name in ("process_sd=1.0", "process_sd=2.0"):
         assert pfdist.open_run(tmp_path / "sweep" / name).state == "finished"
+
+
+def test_a_point_that_another_process_computes_is_left_out_and_said(
+    small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, over = tmp_path / "sweep", {"seed": [1, 2]}
+    said: list[str] = []
+    with held(folder / "seed=1"):
+        sweep = pfdist.sweep(small_job, over, results=folder, report=False, say=said.append)
+        assert (list(sweep.runs), sweep.busy) == (["seed=2"], ("seed=1",))
+        words = ["sweep", str(small_job.path), "--results", str(folder), "--no-report", "--over"]
+        assert main([*words, "seed=1:2"]) == 0
+        assert "other processes compute seed=1\n" in capsys.readouterr().out
+        assert main([*words, "seed=1"]) == 0
+    assert any(line.startswith("seed=1: left out: ") and "by process" in line for line in said)
+    again = pfdist.sweep(small_job, over, results=folder, report=False)
+    assert (list(again.runs), again.busy) == (["seed=1", "seed=2"], ())
 
 
 def test_a_folder_of_another_run_fails_its_point_alone(small_job: Job, tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from pfdist import Job
 KILLED = "a run killed at any instant and started again ends with the same bytes"
 ASKED = "Ctrl-C"
 OVER = {"seed": [1, 2, 3], "comparison.draws": [250, 400]}  # six points; two share their searches
+PROMISE = "several processes that compute one sweep share its points, and none fails"
 OPTIONS = ["--over", "seed=1:3", "--over", "comparison.draws=250,400", "--no-report"]
 
 Record = Callable[[str, object], None]
@@ -98,3 +99,20 @@ def test_a_sweep_asked_to_end_keeps_what_is_done_and_goes_on(
         assert driver.said[-1].startswith("pfdist: interrupted")
     assert finished(small_job, sweep) == whole
     record_property("faults", f"{ASKED}: 1")
+
+
+def test_processes_that_start_one_sweep_together_share_its_points(
+    small_job: Job,
+    tmp_path: Path,
+    whole: dict[str, dict[str, str]],
+    record_property: Record,
+) -> None:
+    sweep, options = tmp_path / "sweep", [*OPTIONS, "--pool", "serial"]
+    with (
+        running(small_job.path, sweep, *options, word="sweep") as one,
+        running(small_job.path, sweep, *options, word="sweep") as other,
+    ):
+        assert [one.wait(), other.wait()] == [0, 0], (one.said[-3:], other.said[-3:])
+    # The last to end has left out nothing.
+    assert {name: hashes(sweep / name) for name in whole} == whole
+    record_property("faults", f"{PROMISE}: 1")
