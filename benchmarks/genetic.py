@@ -20,7 +20,7 @@ from benchmarks.results import Tables, markdown
 from benchmarks.search_runs import filtered, search
 from pfdist import load_job
 from pfdist.analysis import relative_gain
-from pfdist.evaluation.estimate import REPORT
+from pfdist.common.streams import stream_of
 from pfdist.job.sections import Execution
 from pfdist.plots.style import COLUMN_INCHES, GREY, RED
 from pfdist.runner.build import build, make_pool
@@ -68,9 +68,9 @@ def measure(quick: bool, say: Say) -> Tables:
         rows += [{"name": BEST, "times": regular if quick else _best_known()}]
         rows += [{"name": REGULAR, "times": regular}]
         sets = [row["times"] for row in rows]
-        streams = [REPORT.stream(0, "filter", row["name"]) for row in rows]
+        streams = [stream_of("comparison", 0, "filter", row["name"]) for row in rows]
         draws = (0, 100 if quick else DRAWS)
-        mse = filtered(build(job), pool, sets, REPORT.stream(0, "draws"), draws, streams)
+        mse = filtered(build(job), pool, sets, stream_of("comparison", 0, "draws"), draws, streams)
     judged = [_judged(column, mse[:, -2], mse[:, -1]) for column in mse.T]
     table = pd.DataFrame([row | costs for row, costs in zip(rows, judged, strict=True)])
     return {"genetic": table.assign(times=[" ".join(map(str, times)) for times in sets])}

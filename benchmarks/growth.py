@@ -17,7 +17,7 @@ import pfdist
 from benchmarks.measure import Say
 from benchmarks.results import Tables, markdown
 from pfdist import StateSpaceModel, linear_gaussian, load_model
-from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.filters.kalman import expected_errors
 from pfdist.plots.style import BLUE, COLUMN_INCHES, RED
 from pfdist.runner.bound_settings import BoundSettings
@@ -90,7 +90,7 @@ def _proved(model: StateSpaceModel, horizon: int, limit: float) -> dict[str, Any
         asked = search.ask(state, np.random.default_rng(0))
         errors = expected_errors(model, horizon, [each.measurement_times for each in asked])
         told = [
-            SearchEvaluation(
+            Evaluation(
                 each.measurement_times,
                 np.empty(0),
                 exact=float(row.mean()),

@@ -21,7 +21,7 @@ import pfdist
 from benchmarks.measure import Say
 from benchmarks.results import Tables, markdown
 from pfdist.api.planner import Planner
-from pfdist.evaluation.estimate import Purpose, ReportEvaluation
+from pfdist.common.streams import stream_key
 from pfdist.evaluation.work import Work
 from pfdist.plots.style import BLUE, COLUMN_INCHES, GREY, RED
 from pfdist.runner.build import Built, build
@@ -32,7 +32,6 @@ TABLES: tuple[str, ...] = ("online",)
 
 HERE = Path(__file__).parent
 SYSTEMS = 200
-PURPOSE = Purpose("benchmark", ReportEvaluation)
 PROBLEMS = {"paper": "online", "tumour": "tumour-online"}
 """Jobs by the name of the problem in ``best_known.csv``."""
 DEFAULT = "default"
@@ -115,7 +114,7 @@ def _measured(wanted: tuple[str, str, bool]) -> dict[str, object]:
 
 def _planned(built: Built, fixed: Times, system: int) -> tuple[Times, list[float], int]:
     """Choose the times of one system: the times, seconds of each step, and plans replaced."""
-    y = built.evaluator.draws(range(system, system + 1), PURPOSE.stream(0, "draws")).y[0]
+    y = built.evaluator.draws(range(system, system + 1), stream_key(0, "benchmark", "draws")).y[0]
     planner, seconds, replaced = Planner.of_built(built, fixed, draw=system), [], 0
     time = planner.next_time()
     while time is not None:
@@ -133,8 +132,8 @@ def _errors(built: Built, system: int, sets: tuple[Times, ...]) -> NDArray[np.fl
     work = Work(
         measurement_times=sets,
         ends=(built.evaluator.horizon,) * len(sets),
-        filter_streams=(PURPOSE.stream(0, "filter"),) * len(sets),
-        draws_stream=PURPOSE.stream(0, "draws"),
+        filter_streams=(stream_key(0, "benchmark", "filter"),) * len(sets),
+        draws_stream=stream_key(0, "benchmark", "draws"),
         draws=(system, system + 1),
         estimation=built.comparing,
     )

@@ -13,8 +13,9 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from pfdist import Job
+from pfdist.common.streams import stream_of
 from pfdist.errors import TaskError
-from pfdist.evaluation.estimate import REPORT, SHORTLIST
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.evaluation.work import Work
 from pfdist.pools.base import Outcome, Pool, Task
 from pfdist.runner.build import Built, build
@@ -134,7 +135,7 @@ def fresh_costs(built: Built, pool: Pool, sets: Sequence[Times], rounds: int) ->
             break
         draws = (number * ROUND, (number + 1) * ROUND)
         wanted = list(dict.fromkeys([best, *wanted]))
-        mse = filtered(built, pool, wanted, REPORT.stream(built.job.seed), draws)
+        mse = filtered(built, pool, wanted, stream_of("comparison", built.job.seed), draws)
         for times, column in zip(wanted, mse.T, strict=True):
             known[times] = np.append(known[times], column)
     return pd.DataFrame([_row(times, mse, known[best]) for times, mse in known.items()]).assign(
@@ -143,7 +144,7 @@ def fresh_costs(built: Built, pool: Pool, sets: Sequence[Times], rounds: int) ->
 
 
 def _winner(built: Built, pool: Pool, sets: Sequence[Times]) -> Times:
-    race, stream = Race(tuple(sets), RACE_DRAWS), SHORTLIST.stream(built.job.seed)
+    race, stream = Race(tuple(sets), RACE_DRAWS), stream_of("shortlist", built.job.seed)
     state, rng = race.init(), np.random.default_rng(0)
     while not race.done(state):
         asked = race.ask(state, rng)
@@ -156,7 +157,7 @@ def _winner(built: Built, pool: Pool, sets: Sequence[Times]) -> Times:
         )
         columns = zip(asked, mse.T, strict=True)
         told = [
-            SHORTLIST.evaluation(candidate.measurement_times, column)
+            Evaluation(candidate.measurement_times, column, purpose="shortlist")
             for candidate, column in columns
         ]
         state = race.tell(state, told)

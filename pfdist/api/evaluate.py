@@ -7,8 +7,9 @@ from typing import Any, overload
 
 import numpy as np
 
+from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, MeasurementTimesError
-from pfdist.evaluation.estimate import Purpose, ReportEvaluation
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Work
 from pfdist.job.asked import Asked, as_job
@@ -20,7 +21,6 @@ from pfdist.times.clock import Clock, Time
 from pfdist.times.measurement_times import REGULAR, Times
 from pfdist.times.written import validated_instants
 
-EVALUATE = Purpose("evaluate", ReportEvaluation)
 UNNAMED = ""
 """Name of a set to which the user gives no name."""
 
@@ -35,7 +35,7 @@ def evaluate(
     draws: int | None = None,
     particles: int | None = None,
     seed: int | None = None,
-) -> dict[str, ReportEvaluation]: ...
+) -> dict[str, Evaluation]: ...
 
 
 @overload
@@ -45,7 +45,7 @@ def evaluate(
     draws: int | None = None,
     particles: int | None = None,
     seed: int | None = None,
-) -> ReportEvaluation: ...
+) -> Evaluation: ...
 
 
 def evaluate(
@@ -54,7 +54,7 @@ def evaluate(
     draws: int | None = None,
     particles: int | None = None,
     seed: int | None = None,
-) -> ReportEvaluation | dict[str, ReportEvaluation]:
+) -> Evaluation | dict[str, Evaluation]:
     """Estimate the expected MSE of a set of measurement times, or of several, in this process.
 
     Parameters
@@ -71,7 +71,7 @@ def evaluate(
 
     Returns
     -------
-    ReportEvaluation, or dict of str to ReportEvaluation
+    Evaluation, or dict of str to Evaluation
         ``expected_mse``, ``standard_error``, ``draws``, ``degenerate_draws`` and the per-draw
         values ``mse``; of sets with names, by name.
 
@@ -90,7 +90,7 @@ def prepare(
     draws: int | None = None,
     particles: int | None = None,
     seed: int | None = None,
-) -> Callable[[], dict[str, ReportEvaluation]]:
+) -> Callable[[], dict[str, Evaluation]]:
     """Compile what `evaluate` needs, and return a function that evaluates without delay.
 
     The name of a set without a name is empty.
@@ -105,7 +105,7 @@ def prepare(
         raise JobError("evaluate needs at least one set of times, got none", argument="times")
     # Sets with names share draws and noise; a single set has its own, if the job wants fresh noise.
     fresh = [] if are_named or job.evaluation.noise != "fresh" else [*sets.values()]
-    stream = EVALUATE.stream(job.seed, *fresh)
+    stream = stream_of("evaluate", job.seed, *fresh)
     evaluator, policy = build(job).source.compiled(), job.evaluation.degenerate_draws
     clock = job.problem.clock
     if evaluator.exact:
@@ -136,27 +136,29 @@ def _instants(job: Job, name: str, written: Iterable[Time | str] | str) -> Times
 
 def _exact(
     evaluator: Evaluator, sets: Mapping[str, Times], policy: str, clock: Clock
-) -> dict[str, ReportEvaluation]:
+) -> dict[str, Evaluation]:
     costs = evaluator.expected_mse([*sets.values()])
     return {
-        name: _on_clock(EVALUATE.evaluation(times, np.empty(0), policy, float(cost)), clock)
+        name: _on_clock(
+            Evaluation(times, np.empty(0), policy, float(cost), purpose="evaluate"), clock
+        )
         for (name, times), cost in zip(sets.items(), costs, strict=True)
     }
 
 
 def _estimated(
     evaluator: Evaluator, work: Work, policy: str, clock: Clock
-) -> dict[str, ReportEvaluation]:
+) -> dict[str, Evaluation]:
     pieces = [evaluator.filtered(piece).mse for piece in evaluator.pieces(work, MOST_SECONDS)]
     return {
-        name: _on_clock(EVALUATE.evaluation(times, mse, policy), clock)
+        name: _on_clock(Evaluation(times, mse, policy, purpose="evaluate"), clock)
         for name, times, mse in zip(
             work.ids, work.measurement_times, np.concatenate(pieces).T.copy(), strict=True
         )
     }
 
 
-def _on_clock(evaluation: ReportEvaluation, clock: Clock) -> ReportEvaluation:
+def _on_clock(evaluation: Evaluation, clock: Clock) -> Evaluation:
     """Give an evaluation with times on the clock in the place of instants."""
     times: Any = tuple(clock.times_of(evaluation.measurement_times))
     return replace(evaluation, measurement_times=times)

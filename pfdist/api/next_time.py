@@ -19,7 +19,7 @@ from pfdist.common.cards import Card, Shown
 from pfdist.common.rounding import with_error
 from pfdist.common.told_times import told_time, told_times
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
-from pfdist.evaluation.estimate import ReportEvaluation
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.filters.cloud import Prior
 from pfdist.job.asked import Asked
 from pfdist.sequential.measurements import Measurements, read_measurements
@@ -47,7 +47,7 @@ class NextTime(Shown):
         Number of measurements that are left of the budget; None if they have costs.
     planned_before : tuple of int or float
         Times of the first plan that are left.
-    expected, expected_before : ReportEvaluation
+    expected, expected_before : Evaluation
         Expected MSE from `now` to T with both plans, on the same fresh simulated systems. An exact
         engine needs none. `expected_before` is None if the first plan is no longer possible.
     surprise : float or None
@@ -63,8 +63,8 @@ class NextTime(Shown):
     plan: tuple[Time, ...]
     left: int | None
     planned_before: tuple[Time, ...]
-    expected: ReportEvaluation
-    expected_before: ReportEvaluation | None
+    expected: Evaluation
+    expected_before: Evaluation | None
     surprise: float | None
     time_unit: str = ""
 

@@ -8,9 +8,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from pfdist.api.filter_of import filter_of
 from pfdist.common.arguments import whole_argument
+from pfdist.common.streams import stream_of
 from pfdist.common.told_times import told_time
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
-from pfdist.evaluation.estimate import ReportEvaluation
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.filters.cloud import Prior
 from pfdist.job.asked import Asked, as_job
 from pfdist.runner.build import Built, build
@@ -18,7 +19,7 @@ from pfdist.runner.online_planning import planning_of
 from pfdist.search.methods import METHODS
 from pfdist.sequential.estimate import Estimate
 from pfdist.sequential.measurements import instant_on
-from pfdist.sequential.planning import ONLINE, Now, Replanner
+from pfdist.sequential.planning import Now, Replanner
 from pfdist.sequential.user_prior import as_prior
 from pfdist.times.clock import Clock, Time
 from pfdist.times.feasible import Feasible
@@ -180,9 +181,7 @@ class Planner:
             return self._on_clock(self._filter.now)
         return self._on_clock(self._filter.predict(instant_on(self.clock, t)))
 
-    def expected(
-        self, *plans: Iterable[Time], draws: int = EXPECTED_DRAWS
-    ) -> list[ReportEvaluation]:
+    def expected(self, *plans: Iterable[Time], draws: int = EXPECTED_DRAWS) -> list[Evaluation]:
         """Estimate the expected MSE from now to T with plans, on the same fresh simulated systems.
 
         Parameters
@@ -219,7 +218,7 @@ class Planner:
         self, built: Built, times: Iterable[Time] | None, prior: Prior | None, draw: int
     ) -> None:
         planning = planning_of(built.job, built.evaluator.cheapest_estimator)
-        stream = ONLINE.stream(built.job.seed, "planner")
+        stream = stream_of("online", built.job.seed, "planner")
         clock = built.job.problem.clock
         planned = None if times is None else validated_instants(times, clock, "times", "times")
         feasible = _feasible(built, planned)

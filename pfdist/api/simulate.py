@@ -4,9 +4,9 @@ import numpy as np
 import pandas as pd
 
 from pfdist.common.arguments import whole_argument
+from pfdist.common.streams import stream_of
 from pfdist.errors import ArgumentError
 from pfdist.evaluation.engines import ENGINES
-from pfdist.evaluation.estimate import Purpose, ReportEvaluation
 from pfdist.filters.draws import Draws
 from pfdist.job.asked import Asked, as_job
 from pfdist.models import StateSpaceModel
@@ -14,7 +14,6 @@ from pfdist.runner.build import build
 from pfdist.store.component_columns import LABELS, labels_of
 from pfdist.times.clock import Clock
 
-SIMULATE = Purpose("simulate", ReportEvaluation)
 DRAWS = 100
 MOST_NUMBERS = 50_000_000  # of a table
 
@@ -60,7 +59,7 @@ def simulate(problem: Asked, draws: int = DRAWS, seed: int | None = None) -> pd.
             argument="draws",
         )
     engine = ENGINES[built.source.engine]
-    simulated = engine.simulate(model, horizon, range(count), SIMULATE.stream(job.seed))
+    simulated = engine.simulate(model, horizon, range(count), stream_of("simulate", job.seed))
     return _table(simulated, model, job.problem.clock)
 
 

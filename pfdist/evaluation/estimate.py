@@ -1,9 +1,8 @@
-"""An estimate of the expected MSE of one set of times, and the purpose of its draws."""
+"""An estimate of the expected MSE of one set of times."""
 
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +10,6 @@ from numpy.typing import NDArray
 from pfdist.common.cards import Card, Shown
 from pfdist.common.percent import heavy_tail_warning
 from pfdist.common.rounding import with_error
-from pfdist.common.streams import stream_key
 from pfdist.common.told_times import told_times
 from pfdist.times.measurement_times import Times
 
@@ -37,6 +35,8 @@ class Evaluation(Shown):
         Last instant whose error counts, if it is not T.
     errors : array of float64, (T+1,), optional
         Expected error of each instant that a search has asked for; 0 at others.
+    purpose : str
+        Purpose of the draws, one of `pfdist.common.streams.CHOOSING` or `PROVING`.
     """
 
     measurement_times: Times
@@ -45,6 +45,7 @@ class Evaluation(Shown):
     exact: float | None = None
     end: int | None = None
     errors: NDArray[np.float64] | None = None
+    purpose: str = "search"
 
     @property
     def draws(self) -> int:
@@ -128,50 +129,3 @@ def top_percent_share(largest: NDArray[np.float64], draws: int, mean: float) -> 
     """
     top = np.sort(largest)[::-1][: draws // 100]
     return float(top.sum()) / draws / mean if top.size and 0 < mean < math.inf else math.nan
-
-
-class SearchEvaluation(Evaluation):
-    """An evaluation on the draws by which a search chooses. Its cost is never reported as proof."""
-
-
-class ProbeEvaluation(Evaluation):
-    """An evaluation on draws that only decide whether a search may trust its estimator."""
-
-
-class ShortlistEvaluation(Evaluation):
-    """An evaluation on draws that only decide between the sets that a search has found."""
-
-
-class ReportEvaluation(Evaluation):
-    """An evaluation on draws that chose nothing."""
-
-
-E = TypeVar("E", bound=Evaluation)
-
-
-@dataclass(frozen=True)
-class Purpose(Generic[E]):
-    """The purpose of draws. Different purposes have different keys, so they share no draw.
-
-    Parameters
-    ----------
-    name : str
-    evaluation : type
-        Class of the evaluations on these draws, so that no purpose uses another's evaluations.
-    """
-
-    name: str
-    evaluation: type[E]
-
-    def stream(self, seed: int, *parts: Any) -> int:
-        """Key of the noise that this purpose, the seed and further parts name."""
-        return stream_key(seed, self.name, *parts)
-
-
-SEARCH = Purpose("search", SearchEvaluation)
-PROBE = Purpose("probe", ProbeEvaluation)
-SHORTLIST = Purpose("shortlist", ShortlistEvaluation)
-REPORT = Purpose("comparison", ReportEvaluation)
-BOUND = Purpose("bound", ReportEvaluation)
-BUDGET = Purpose("budget", ReportEvaluation)
-"""The comparison of a budget study: a later comparison must not reuse draws that chose N."""

@@ -6,6 +6,7 @@ import numpy as np
 import pyarrow as pa
 
 from pfdist.analysis import BLOCK
+from pfdist.common.streams import stream_of
 from pfdist.errors import StoreError
 from pfdist.evaluation.work import Result, Work, cut
 from pfdist.runner.build import Built
@@ -82,8 +83,8 @@ def _work(built: Built, sets: Mapping[str, Times]) -> Work:
     return Work(
         measurement_times=tuple(validated(times, horizon, name) for name, times in sets.items()),
         ends=(horizon,) * len(sets),
-        filter_streams=tuple(purpose.stream(job.seed, "filter", name) for name in sets),
-        draws_stream=purpose.stream(job.seed, "draws"),
+        filter_streams=tuple(stream_of(purpose, job.seed, "filter", name) for name in sets),
+        draws_stream=stream_of(purpose, job.seed, "draws"),
         draws=(0, 0),
         estimation=built.comparing,
         ids=tuple(sets),

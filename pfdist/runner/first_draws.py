@@ -10,9 +10,9 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from pfdist.common.component_names import Component
+from pfdist.common.streams import stream_of
 from pfdist.evaluation.compiling import compile_evaluator
 from pfdist.evaluation.engines import ENGINES
-from pfdist.evaluation.estimate import REPORT
 from pfdist.evaluation.work import Estimation, Result, Work, with_truth
 from pfdist.kernels.estimators import FILTER_NOISE
 from pfdist.models import StateSpaceModel, squared_error
@@ -87,7 +87,7 @@ def repeated(built: Built, work: Work) -> FirstDraws:
     It shows what the filters' noise alone does to a relative gain.
     """
     job = built.job
-    stream = REPORT.stream(job.seed, "filter", job.comparison.reference_name, "again")
+    stream = stream_of("comparison", job.seed, "filter", job.comparison.reference_name, "again")
     again = replace(
         work,
         measurement_times=work.measurement_times[:1],
@@ -129,7 +129,10 @@ def _by_set(
         return None
     if ENGINES[built.source.engine].compiled:  # before the first task, whose time is limited
         compile_evaluator(built.evaluator.truth if knows_truth else built.evaluator, estimation)
-    stream, sets = REPORT.stream(built.job.seed, "filter", table), len(work.measurement_times)
+    stream, sets = (
+        stream_of("comparison", built.job.seed, "filter", table),
+        len(work.measurement_times),
+    )
     of_sets = replace(
         work,
         ends=work.ends[:1] * sets,

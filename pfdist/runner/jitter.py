@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.analysis.relative_loss import RelativeLoss
+from pfdist.common.streams import stream_of
 from pfdist.evaluation.work import Work, cut
 from pfdist.kernels.noise import generator
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.pace import MOST_SECONDS
-from pfdist.runner.worth import WHY, mse_of_sets
+from pfdist.runner.worth import mse_of_sets
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
@@ -144,7 +145,7 @@ class _Jittering:
                 self._times,
                 windows,
                 problem.feasible,
-                WHY.stream(seed, "jitter times", self._name, percent, draw),
+                stream_of("why", seed, "jitter times", self._name, percent, draw),
             )
             for percent, windows in self._windows.items()
         )
@@ -155,8 +156,8 @@ class _Jittering:
         return Work(
             measurement_times=sets,
             ends=(self._built.evaluator.horizon,) * len(sets),
-            filter_streams=(WHY.stream(seed, "jitter filter", self._name),) * len(sets),
-            draws_stream=WHY.stream(seed, "jitter draws"),
+            filter_streams=(stream_of("why", seed, "jitter filter", self._name),) * len(sets),
+            draws_stream=stream_of("why", seed, "jitter draws"),
             draws=draws,
             estimation=self._built.comparing,
         )

@@ -5,6 +5,7 @@ from collections.abc import Generator, Mapping
 import numpy as np
 import pyarrow as pa
 
+from pfdist.common.streams import stream_of
 from pfdist.evaluation.work import Result, Work, cut
 from pfdist.job.online_section import Online
 from pfdist.runner.build import Built
@@ -73,14 +74,14 @@ def online_work(built: Built, plan: Times) -> OnlineWork:
     return OnlineWork(
         measurement_times=(plan,),
         ends=(job.problem.feasible.horizon,),
-        filter_streams=(purpose.stream(job.seed, "filter", planner),),
-        draws_stream=purpose.stream(job.seed, "draws"),
+        filter_streams=(stream_of(purpose, job.seed, "filter", planner),),
+        draws_stream=stream_of(purpose, job.seed, "draws"),
         draws=(0, online.draws),
         estimation=built.comparing,
         ids=("online",),
         feasible=built.feasible,
         planning=planning_of(job, built.evaluator.cheapest_estimator),
-        planning_stream=purpose.stream(job.seed, "planning"),
+        planning_stream=stream_of(purpose, job.seed, "planning"),
         shown=TRAJECTORIES,
     )
 

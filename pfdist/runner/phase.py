@@ -5,12 +5,13 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.evaluation.estimate import Evaluation, Purpose
+from pfdist.common.streams import CHOOSING, stream_of
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.evaluation.work import BLOCK, Estimation, Result, Work
 from pfdist.kernels.noise import generator
 from pfdist.runner.block_sums import BlockSums, Counted
@@ -24,8 +25,6 @@ from pfdist.runner.window_errors import evaluated_by_errors
 from pfdist.search import Candidate, Optimiser
 from pfdist.search.probe import new_leaders
 from pfdist.times.measurement_times import validated
-
-E = TypeVar("E", bound=Evaluation)
 
 
 @dataclass(eq=False)
@@ -57,7 +56,7 @@ class Request:
     known: int = 0
 
 
-class Phase(Generic[E]):
+class Phase:
     """An optimiser with the purpose of its draws and the settings of its evaluations.
 
     Parameters
@@ -65,7 +64,8 @@ class Phase(Generic[E]):
     name : str
         Name in the tables.
     optimiser : Optimiser
-    purpose : Purpose
+    purpose : str
+        Purpose of its draws; they must be draws that choose.
     settings : Settings
     built : Built
     keep_leaders : bool
@@ -84,19 +84,21 @@ class Phase(Generic[E]):
     def __init__(
         self,
         name: str,
-        optimiser: Optimiser[E],
-        purpose: Purpose[E],
+        optimiser: Optimiser,
+        purpose: str,
         settings: Settings,
         built: Built,
         *,
         keep_leaders: bool = False,
         knows_truth: bool = False,
     ) -> None:
+        if purpose not in CHOOSING:
+            raise ValueError(f"no search may choose by draws with the purpose {purpose!r}")
         self.name, self.optimiser, self.purpose = name, optimiser, purpose
         self.settings, self.built, self.keep_leaders = settings, built, keep_leaders
         self.knows_truth = knows_truth
         self.evaluated: dict[str, NDArray[np.float64]] = {}
-        self.leaders: list[E] = []
+        self.leaders: list[Evaluation] = []
 
     def steps(self) -> float:
         """About how many particle-steps the phase takes."""
@@ -134,7 +136,7 @@ class Phase(Generic[E]):
 
     def stream(self, *keyed_by: Any) -> int:
         """Key of the draws and of the filters' noise."""
-        return self.purpose.stream(self.built.job.seed, self.name, *keyed_by)
+        return stream_of(self.purpose, self.built.job.seed, self.name, *keyed_by)
 
     def sums(self, counted: Counted) -> BlockSums:
         """Sums of errors over blocks of draws, for candidates whose errors are wanted."""
@@ -144,14 +146,15 @@ class Phase(Generic[E]):
             self.built, counted, streams, estimation, knows_truth=truth, phase=self.name
         )
 
-    def evaluation(self, request: Request, exact: float | None = None) -> E:
+    def evaluation(self, request: Request, exact: float | None = None) -> Evaluation:
         """The evaluation that was requested."""
         times, end, *_ = request.candidate
         policy = self.settings.degenerate_policy
-        return self.purpose.evaluation(times, request.mse, policy, exact, end)
+        purpose = self.purpose
+        return Evaluation(times, request.mse, policy, exact, end, purpose=purpose)
 
 
-def run_phase(phase: Phase[E], session: Session) -> Generator[Batch, None, Sequence[E]]:
+def run_phase(phase: Phase, session: Session) -> Generator[Batch, None, Sequence[Evaluation]]:
     """Finalists of an optimiser that runs to its end.
 
     Parameters
@@ -205,7 +208,7 @@ def run_phase(phase: Phase[E], session: Session) -> Generator[Batch, None, Seque
     return optimiser.finalists(state)
 
 
-def _whole_or_prefixes(evaluations: Iterable[E]) -> list[E]:
+def _whole_or_prefixes(evaluations: Iterable[Evaluation]) -> list[Evaluation]:
     """Evaluations of sets and their prefixes, whose costs are those of one filter."""
     return [evaluation for evaluation in evaluations if evaluation.errors is None]
 
@@ -219,12 +222,12 @@ def _whole_costs(evaluations: Iterable[Evaluation]) -> list[float]:
     ]
 
 
-class _Known(Generic[E]):
+class _Known:
     """The evaluations of a generation that are known, and the progress that they make."""
 
     def __init__(
         self,
-        phase: Phase[E],
+        phase: Phase,
         session: Session,
         copies: Counter[Candidate],
         generation: int,
@@ -232,12 +235,12 @@ class _Known(Generic[E]):
         *,
         shows_best: bool,
     ) -> None:
-        self.evaluations: dict[Candidate, E] = {}
+        self.evaluations: dict[Candidate, Evaluation] = {}
         self._reporter, self._copies = session.reporter, copies
         self._generations, self._generation = phase.optimiser.generations, generation
         self._steps, self._shows_best, self._least = steps, shows_best, math.inf
 
-    def __call__(self, candidate: Candidate, evaluation: E) -> None:
+    def __call__(self, candidate: Candidate, evaluation: Evaluation) -> None:
         """Know the evaluation of a candidate."""
         self.evaluations[candidate] = evaluation
         reporter, (start, share) = self._reporter, self._steps
@@ -254,7 +257,7 @@ class _Known(Generic[E]):
 
 
 def _exactly(
-    phase: Phase[E], requests: list[Request], know: Callable[[Candidate, E], None]
+    phase: Phase, requests: list[Request], know: Callable[[Candidate, Evaluation], None]
 ) -> None:
     """Know the evaluation of each request: it takes no time, so neither pool nor store."""
     sets = [request.candidate.measurement_times for request in requests]
@@ -265,10 +268,10 @@ def _exactly(
 
 
 def _per_draw(
-    phase: Phase[E],
+    phase: Phase,
     requests: list[Request],
     session: Session,
-    know: Callable[[Candidate, E], None],
+    know: Callable[[Candidate, Evaluation], None],
 ) -> Generator[Batch, None, None]:
     """Know the evaluation of each request as soon as all its draws are known."""
     same = defaultdict[str, list[Request]](list)  # a prefix up to T is a whole set, too
@@ -298,7 +301,7 @@ def _per_draw(
         yield Batch(session, phase.name, works, PER_DRAW, learn, more_follows=True)
 
 
-def _works(phase: Phase[E], requests: Iterable[Request]) -> Iterator[Work]:
+def _works(phase: Phase, requests: Iterable[Request]) -> Iterator[Work]:
     """Works for the missing draws; sets that lack the same draws of a stream go together."""
     together = defaultdict[Any, list[Request]](list)
     for request in requests:
@@ -319,10 +322,11 @@ def _works(phase: Phase[E], requests: Iterable[Request]) -> Iterator[Work]:
 
 
 def _errors(
-    phase: Phase[E], windows: list[Candidate], session: Session
-) -> Generator[Batch, None, list[tuple[Candidate, E]]]:
+    phase: Phase, windows: list[Candidate], session: Session
+) -> Generator[Batch, None, list[tuple[Candidate, Evaluation]]]:
     """Evaluations with the errors of each instant, for each candidate, all together."""
-    kind = phase.purpose.evaluation
     blocks = math.ceil((windows[0].draws or phase.settings.draws) / BLOCK)
-    evaluations, _ = yield from evaluated_by_errors(windows, kind, session, phase.sums, blocks)
+    evaluations, _ = yield from evaluated_by_errors(
+        windows, session, phase.sums, blocks, phase.purpose
+    )
     return list(zip(windows, evaluations, strict=True))

@@ -14,10 +14,10 @@ from pfdist.bounds.first_windows import relaxation_for
 from pfdist.bounds.gap import Gap, SetAlone, consistent, gap_of
 from pfdist.bounds.proof import CONFIDENCE, Sums, prove
 from pfdist.bounds.relaxation import Relaxation
+from pfdist.common.streams import stream_of
 from pfdist.errors import ModelError
 from pfdist.evaluation.compiling import compile_evaluator
 from pfdist.evaluation.engines import ENGINES
-from pfdist.evaluation.estimate import BOUND
 from pfdist.evaluation.work import BLOCK, Estimation, Result, Work, with_truth
 from pfdist.kernels.estimators import FILTER_VARIANCE
 from pfdist.runner.block_sums import GROUPS, BlockSums, Counted
@@ -276,7 +276,9 @@ class Prover:
             np.concatenate([relaxation.first, every]),
             np.concatenate([relaxation.ends, every + relaxation.horizon]),
         )
-        noise, draws = (BOUND.stream(self._built.job.seed, role) for role in ("filter", "draws"))
+        noise, draws = (
+            stream_of("bound", self._built.job.seed, role) for role in ("filter", "draws")
+        )
         return BlockSums(self._built, counted, (noise, draws), self._estimation)
 
     def _columns(self, compared_draws: int) -> dict[str, Any]:

@@ -10,10 +10,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from pfdist.analysis.relative_loss import INSIDE, OPEN, OUTSIDE, RelativeLoss
+from pfdist.common.streams import stream_of
 from pfdist.evaluation.work import Work
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.pace import MOST_SECONDS
-from pfdist.runner.worth import WHY, mse_of_sets
+from pfdist.runner.worth import mse_of_sets
 from pfdist.store import WINDOW_PERCENTS
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
@@ -139,8 +140,8 @@ def _rows(
     work = Work(
         measurement_times=sets,
         ends=(evaluator.horizon,) * len(sets),
-        filter_streams=(WHY.stream(seed, "filter", name),) * len(sets),
-        draws_stream=WHY.stream(seed, "draws"),
+        filter_streams=(stream_of("why", seed, "filter", name),) * len(sets),
+        draws_stream=stream_of("why", seed, "draws"),
         draws=(0, draws),
         estimation=session.built.comparing,
     )

@@ -9,19 +9,10 @@ the squared error under another name, and the first results are left aside.
 import math
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
 
 import numpy as np
 
-from pfdist.evaluation.estimate import (
-    PROBE,
-    SEARCH,
-    SHORTLIST,
-    Evaluation,
-    ProbeEvaluation,
-    SearchEvaluation,
-    ShortlistEvaluation,
-)
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.phase import Phase, run_phase
@@ -42,8 +33,6 @@ _POLISHED, _UNPOLISHED = 3, 1  # so many polished sets race with so many of the 
 _CONTRADICTED = 2.0  # standard errors
 _REACH = 2.5  # mean gaps: an exchange that polishes moves a time at most so far
 
-E = TypeVar("E", bound=Evaluation)
-
 
 @dataclass(frozen=True)
 class Winner:
@@ -52,12 +41,12 @@ class Winner:
     Parameters
     ----------
     measurement_times : tuple of int
-    believed : SearchEvaluation
+    believed : Evaluation
         The evaluation on the draws that chose the set.
     """
 
     measurement_times: Times
-    believed: SearchEvaluation
+    believed: Evaluation
 
 
 @dataclass(frozen=True)
@@ -81,14 +70,14 @@ class SearchEnd:
 class _Attempt:
     """Sets that a search has found, the best first, its leaders, and whether it was polished."""
 
-    found: list[SearchEvaluation]
-    leaders: list[SearchEvaluation]
+    found: list[Evaluation]
+    leaders: list[Evaluation]
     polished: bool
 
     @property
-    def believed(self) -> dict[Times, SearchEvaluation]:
+    def believed(self) -> dict[Times, Evaluation]:
         """The search's evaluation of each set; for a polished set, that of the exchanges."""
-        believed: dict[Times, SearchEvaluation] = {}
+        believed: dict[Times, Evaluation] = {}
         for evaluation in self.found:
             believed.setdefault(evaluation.measurement_times, evaluation)
         return believed
@@ -158,7 +147,7 @@ class _Runner:
 
     def race(
         self, search: NamedSearch, attempt: _Attempt
-    ) -> Generator[Batch, None, list[ShortlistEvaluation] | None]:
+    ) -> Generator[Batch, None, list[Evaluation] | None]:
         """Evaluations of the sets that raced, the winner first; None if no sets race."""
         sets = self._study.racing(attempt.believed)
         if not sets:
@@ -166,7 +155,7 @@ class _Runner:
         return (yield from self._finalists(_racing(self._built, search, sets)))
 
     def winners(
-        self, name: str, attempt: _Attempt, raced: Sequence[ShortlistEvaluation] | None
+        self, name: str, attempt: _Attempt, raced: Sequence[Evaluation] | None
     ) -> dict[str, Winner]:
         """Sets that are compared, by name, with what the search believed of them."""
         believed = attempt.believed
@@ -177,15 +166,13 @@ class _Runner:
         winners = self._study.winners(name, ranked)
         return {key: Winner(times, believed[times]) for key, times in winners.items()}
 
-    def _finalists(self, phase: Phase[E]) -> Generator[Batch, None, list[E]]:
+    def _finalists(self, phase: Phase) -> Generator[Batch, None, list[Evaluation]]:
         """Finalists of a phase, without sets that degenerate draws have killed."""
         found = yield from run_phase(phase, self._session)
         return [evaluation for evaluation in found if np.isfinite(evaluation.cost)]
 
 
-def _uncontradicted(
-    ranked: Sequence[Times], raced: Sequence[ShortlistEvaluation]
-) -> list[ShortlistEvaluation]:
+def _uncontradicted(ranked: Sequence[Times], raced: Sequence[Evaluation]) -> list[Evaluation]:
     """The sets that raced, the winner first.
 
     Exchanges have seen the best set of the search on many draws. So this set wins, unless the race
@@ -228,7 +215,7 @@ def search_steps(built: Built, search: NamedSearch) -> float:
     The forecast leaves out that the search may be run again by the squared error.
     """
     start = built.job.problem.feasible.regular()
-    phases: list[Phase[Any]] = [_searching(built, search)]
+    phases: list[Phase] = [_searching(built, search)]
     if search.polishing:
         phases.append(_polishing(built, search, start))
         phases.append(_racing(built, search, (start,) * (_POLISHED + _UNPOLISHED)))
@@ -237,30 +224,28 @@ def search_steps(built: Built, search: NamedSearch) -> float:
     return sum(phase.steps() for phase in phases)
 
 
-def _searching(built: Built, search: NamedSearch) -> Phase[SearchEvaluation]:
+def _searching(built: Built, search: NamedSearch) -> Phase:
     probed = search.again is not None
-    return Phase(search.name, search.optimiser, SEARCH, search.settings, built, keep_leaders=probed)
+    return Phase(
+        search.name, search.optimiser, "search", search.settings, built, keep_leaders=probed
+    )
 
 
-def _polishing(built: Built, search: NamedSearch, start: Times) -> Phase[SearchEvaluation]:
+def _polishing(built: Built, search: NamedSearch, start: Times) -> Phase:
     """Exchanges on draws of their own: the draws of the search favour the set that it found."""
     feasible, settings = built.feasible, search.polishing or search.settings
     reach = math.ceil(_REACH * (feasible.horizon + 1) / max(1, len(start)))
     exchange = Exchange(feasible, settings.draws, start, reach)
-    return Phase(search.polish, exchange, SEARCH, settings, built)
+    return Phase(search.polish, exchange, "search", settings, built)
 
 
-def _probing(
-    built: Built, search: NamedSearch, sought: tuple[Candidate, ...]
-) -> Phase[ProbeEvaluation]:
+def _probing(built: Built, search: NamedSearch, sought: tuple[Candidate, ...]) -> Phase:
     settings = replace(search.settings, draws=PROBE_DRAWS, common_noise=True)
     dearer = built.comparing.steps_an_instant / settings.estimation.steps_an_instant
     probe = Probe(built.feasible, sought, dearer)
-    return Phase(search.probe, probe, PROBE, settings, built)
+    return Phase(search.probe, probe, "probe", settings, built)
 
 
-def _racing(
-    built: Built, search: NamedSearch, sets: tuple[Times, ...]
-) -> Phase[ShortlistEvaluation]:
+def _racing(built: Built, search: NamedSearch, sets: tuple[Times, ...]) -> Phase:
     race = Race(sets, search.racing.draws)
-    return Phase(search.shortlist, race, SHORTLIST, search.racing, built)
+    return Phase(search.shortlist, race, "shortlist", search.racing, built)

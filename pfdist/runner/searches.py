@@ -8,7 +8,7 @@ from pfdist.job.job import Job
 from pfdist.kernels.estimators import OWN_VARIANCE, SQUARED_ERROR
 from pfdist.runner.memory import check_memory
 from pfdist.runner.study import Study
-from pfdist.search import SearchOptimiser
+from pfdist.search import Optimiser
 from pfdist.search.methods import METHODS
 from pfdist.search.section import AUTO, EvaluationSettings, SearchSection
 
@@ -70,7 +70,7 @@ class NamedSearch:
     Parameters
     ----------
     name : str
-    optimiser : SearchOptimiser
+    optimiser : Optimiser
     settings : Settings
         Settings of the search's evaluations.
     polishing : Settings or None
@@ -85,7 +85,7 @@ class NamedSearch:
     """
 
     name: str
-    optimiser: SearchOptimiser
+    optimiser: Optimiser
     settings: Settings
     polishing: Settings | None
     racing: Settings
@@ -152,7 +152,7 @@ def named_search(study: Study, job: Job, section: SearchSection, guide: str) -> 
 
 
 def _with_settings(
-    job: Job, section: SearchSection, name: str, optimiser: SearchOptimiser, settings: Settings
+    job: Job, section: SearchSection, name: str, optimiser: Optimiser, settings: Settings
 ) -> NamedSearch:
     own = Estimation(job.filter.particles, job.filter.resampling)
     polishing = replace(settings, draws=_POLISH_DRAWS, common_noise=True)

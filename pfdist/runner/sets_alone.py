@@ -16,8 +16,7 @@ from pfdist.analysis import Moments, Run
 from pfdist.analysis.particle_loss import less
 from pfdist.bounds.gap import UNKNOWN, ZERO, SetAlone
 from pfdist.bounds.proof import Estimate
-from pfdist.common.streams import stream_key
-from pfdist.evaluation.estimate import BOUND
+from pfdist.common.streams import stream_key, stream_of
 from pfdist.evaluation.work import Estimation, Result, Work
 from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
@@ -82,11 +81,11 @@ def sets_alone(
         return {name: SetAlone(Estimate(cost)) for name, cost in zip(sets, costs, strict=True)}
     draws = _draws(built, run.draws_compared)
     kinds = _kinds(built, estimation, run.draws_compared)
-    purpose, seed = built.study.purpose, built.job.seed
+    seed = built.job.seed
     if "squared" in kinds:
-        draws_stream = BOUND.stream(seed, "draws of a set")
+        draws_stream = stream_of("bound", seed, "draws of a set")
     else:
-        draws_stream = purpose.stream(seed, "draws")
+        draws_stream = stream_of(built.study.purpose, seed, "draws")
     session.reporter.begin("sets alone")
     found = dict[str, dict[str, Array]]()
     for name, kind in kinds.items():
@@ -128,7 +127,7 @@ def _per_draw(
 ) -> Generator[Batch, None, dict[str, Array]]:
     """Errors of so many draws, (draws,), by the name of the set."""
     built, reporter = session.built, session.reporter
-    horizon, noise = built.evaluator.horizon, BOUND.stream(built.job.seed, "filter of a set")
+    horizon, noise = built.evaluator.horizon, stream_of("bound", built.job.seed, "filter of a set")
     source = built.source.truth if kind.knows_truth else built.source
     key = stream_key(noise, draws_stream)
     ids = {

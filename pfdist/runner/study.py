@@ -12,16 +12,10 @@ from typing import ClassVar, Protocol
 
 from pfdist.bounds.first_windows import relaxation_within
 from pfdist.errors import JobError
-from pfdist.evaluation.estimate import (
-    BUDGET,
-    REPORT,
-    Purpose,
-    ReportEvaluation,
-    SearchEvaluation,
-)
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.job.job import Job
 from pfdist.runner.progress import Found
-from pfdist.search import SearchOptimiser, StateSpaceRelaxation
+from pfdist.search import Optimiser, StateSpaceRelaxation
 from pfdist.search.methods import METHODS
 from pfdist.search.section import SearchSection
 from pfdist.search.state_space_relaxation import MOST_CELLS
@@ -33,7 +27,7 @@ class Study(Protocol):
     """The questions that a run asks about its searches and its comparison."""
 
     @property
-    def purpose(self) -> Purpose[ReportEvaluation]:
+    def purpose(self) -> str:
         """The purpose of the comparison's draws."""
 
     @property
@@ -62,7 +56,7 @@ class Study(Protocol):
     def names(self, search: str) -> list[str]:
         """Names of the sets that a search finds."""
 
-    def optimiser(self, section: SearchSection, draws: int) -> SearchOptimiser:
+    def optimiser(self, section: SearchSection, draws: int) -> Optimiser:
         """Optimiser of a section [[search]] whose evaluations have so many draws.
 
         Raises
@@ -72,15 +66,15 @@ class Study(Protocol):
         """
 
     def probed(
-        self, leaders: Sequence[SearchEvaluation], found: Sequence[SearchEvaluation]
-    ) -> list[SearchEvaluation]:
+        self, leaders: Sequence[Evaluation], found: Sequence[Evaluation]
+    ) -> list[Evaluation]:
         """Evaluations on which the estimator of a search is checked.
 
         Parameters
         ----------
-        leaders : sequence of SearchEvaluation
+        leaders : sequence of Evaluation
             The evaluations that led the search.
-        found : sequence of SearchEvaluation
+        found : sequence of Evaluation
             The evaluations with which the search ended.
         """
 
@@ -107,7 +101,7 @@ class TimesStudy:
 
     job: Job
     widest: Feasible
-    purpose: ClassVar[Purpose[ReportEvaluation]] = REPORT
+    purpose: ClassVar[str] = "comparison"
     first_draws: ClassVar[tuple[str, ...]] = (
         "trajectories",
         "repeated",
@@ -141,7 +135,7 @@ class TimesStudy:
         """The name of the search."""
         return [search]
 
-    def optimiser(self, section: SearchSection, draws: int) -> SearchOptimiser:
+    def optimiser(self, section: SearchSection, draws: int) -> Optimiser:
         """Optimiser of the method that the section names."""
         try:
             return METHODS[section.method].make(self.widest, draws, section.settings)
@@ -149,8 +143,8 @@ class TimesStudy:
             raise JobError(f"search.{section.name}: {error} ({self.job.path})") from error
 
     def probed(
-        self, leaders: Sequence[SearchEvaluation], found: Sequence[SearchEvaluation]
-    ) -> list[SearchEvaluation]:
+        self, leaders: Sequence[Evaluation], found: Sequence[Evaluation]
+    ) -> list[Evaluation]:
         """The leaders; the finalists race by the squared error anyway."""
         return [*leaders]
 
@@ -181,7 +175,7 @@ class BudgetStudy:
 
     job: Job
     budgets: Sequence[int]
-    purpose: ClassVar[Purpose[ReportEvaluation]] = BUDGET
+    purpose: ClassVar[str] = "budget"
     first_draws: ClassVar[tuple[str, ...]] = ()
 
     @cached_property
@@ -215,7 +209,7 @@ class BudgetStudy:
         """The search's name with each measurement budget."""
         return [self._name(search, budget) for budget in self.budgets]
 
-    def optimiser(self, section: SearchSection, draws: int) -> SearchOptimiser:
+    def optimiser(self, section: SearchSection, draws: int) -> Optimiser:
         """State-space relaxation for all measurement budgets at once."""
         start = relaxation_within(self.widest, self.usual, MOST_CELLS)
         sought = tuple(self.budgets)
@@ -224,8 +218,8 @@ class BudgetStudy:
         )
 
     def probed(
-        self, leaders: Sequence[SearchEvaluation], found: Sequence[SearchEvaluation]
-    ) -> list[SearchEvaluation]:
+        self, leaders: Sequence[Evaluation], found: Sequence[Evaluation]
+    ) -> list[Evaluation]:
         """The leaders and all that was found: no race compares the finalists."""
         return [*leaders, *found]
 

@@ -1,7 +1,6 @@
 """Evaluations by the expected errors of the instants that a search asks for."""
 
 from collections.abc import Callable, Generator, Sequence
-from typing import TypeVar
 
 import numpy as np
 
@@ -10,16 +9,14 @@ from pfdist.runner.block_sums import BlockSums, Counted
 from pfdist.runner.door import Batch, Session
 from pfdist.search.base import Candidate
 
-E = TypeVar("E", bound=Evaluation)
-
 
 def evaluated_by_errors(
     asked: Sequence[Candidate],
-    kind: type[E],
     session: Session,
     sums_of: Callable[[Counted], BlockSums],
     blocks: int,
-) -> Generator[Batch, None, tuple[list[E], float]]:
+    purpose: str,
+) -> Generator[Batch, None, tuple[list[Evaluation], float]]:
     """Evaluations of candidates, and the particle-steps that they take.
 
     Errors are 0 before the instant from which they are wanted, and behind the candidate's end.
@@ -27,13 +24,13 @@ def evaluated_by_errors(
     Parameters
     ----------
     asked : sequence of Candidate
-    kind : type
-        Class of the evaluations.
     session : Session
     sums_of : callable
         Gives the sums over blocks of draws; exact engines need none.
     blocks : int
         Number of blocks of draws.
+    purpose : str
+        Purpose of the draws.
 
     Raises
     ------
@@ -53,12 +50,13 @@ def evaluated_by_errors(
         errors, steps = (yield from sums.means(blocks, session)), sums.steps(blocks)
     costs = errors.sum(axis=1) / (horizon + 1)
     evaluations = [
-        kind(
+        Evaluation(
             candidate.measurement_times,
             cost[None],
             exact=float(cost) if exact else None,
             end=candidate.end,
             errors=row,
+            purpose=purpose,
         )
         for candidate, row, cost in zip(asked, errors, costs, strict=True)
     ]

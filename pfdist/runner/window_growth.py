@@ -9,7 +9,7 @@ from collections.abc import Generator
 import numpy as np
 
 from pfdist.bounds.relaxation import Relaxation
-from pfdist.evaluation.estimate import BOUND, SearchEvaluation
+from pfdist.common.streams import stream_of
 from pfdist.evaluation.work import Estimation
 from pfdist.runner.block_sums import GROUPS, BlockSums, Counted
 from pfdist.runner.door import Batch, Session
@@ -46,7 +46,7 @@ def grown(
         A task failed, no worker answers, or a file cannot be read or written.
     """
     built, reporter = session.built, session.reporter
-    stream = BOUND.stream(built.job.seed, "windows")
+    stream = stream_of("bound", built.job.seed, "windows")
 
     def sums_of(counted: Counted) -> BlockSums:
         return BlockSums(built, counted, (stream, stream), estimation)
@@ -59,7 +59,7 @@ def grown(
     while not optimiser.done(state):
         asked = optimiser.ask(state, rng)
         evaluations, work = yield from evaluated_by_errors(
-            asked, SearchEvaluation, session, sums_of, CHOICE_BLOCKS
+            asked, session, sums_of, CHOICE_BLOCKS, "bound"
         )
         steps += work
         if work:

@@ -13,7 +13,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from pfdist.analysis import Moments
-from pfdist.evaluation.estimate import Purpose, ReportEvaluation
+from pfdist.common.streams import stream_of
 from pfdist.evaluation.work import Result, Work
 from pfdist.filters.settings import FilterSettings
 from pfdist.runner.build import Built
@@ -25,7 +25,6 @@ from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 from pfdist.times.moves import moved
 
-WHY = Purpose("why", ReportEvaluation)
 CHANGES = ("removed", "earlier", "later")
 _COLUMNS = [f"{change}{part}" for change in CHANGES for part in ("", "_error")]
 
@@ -75,12 +74,12 @@ def worth_of(
     changed = list(_changes(times, built.job.problem.feasible))
     sets = [tuple(t for t in times if t <= end) for end in range(instants)]
     sets += [other for _, _, other in changed]
-    stream = WHY.stream(seed, "filter", name)
+    stream = stream_of("why", seed, "filter", name)
     work = Work(
         measurement_times=tuple(sets),
         ends=(*range(instants), *(evaluator.horizon,) * len(changed)),
         filter_streams=(stream,) * len(sets),
-        draws_stream=WHY.stream(seed, "draws"),
+        draws_stream=stream_of("why", seed, "draws"),
         draws=(0, draws),
         estimation=built.comparing,
     )

@@ -5,7 +5,7 @@ hands it a generator. This room imports NumPy, but neither Numba nor Ray.
 """
 
 from pfdist.search.annealing import Annealing
-from pfdist.search.base import Candidate, Optimiser, SearchOptimiser
+from pfdist.search.base import Candidate, Optimiser
 from pfdist.search.corridor import Corridor
 from pfdist.search.cross_entropy import CrossEntropy
 from pfdist.search.exchange import Exchange
@@ -32,7 +32,6 @@ __all__ = [
     "Probe",
     "Race",
     "RandomTrials",
-    "SearchOptimiser",
     "StateSpaceRelaxation",
     "Survivors",
 ]

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.search.base import Candidate, best_of
 from pfdist.search.methods import method
 from pfdist.search.section import Count, Fraction
@@ -38,16 +38,16 @@ class AnnealingState:
     ----------
     temperature : float
     step : int
-    chains : tuple of (SearchEvaluation, SearchEvaluation)
+    chains : tuple of (Evaluation, Evaluation)
         For each chain: the present set, and the neighbour that may replace it.
-    best : tuple of SearchEvaluation
+    best : tuple of Evaluation
         The best of all sets tried.
     """
 
     temperature: float = math.inf
     step: int = 0
-    chains: tuple[tuple[SearchEvaluation, SearchEvaluation], ...] = ()
-    best: tuple[SearchEvaluation, ...] = ()
+    chains: tuple[tuple[Evaluation, Evaluation], ...] = ()
+    best: tuple[Evaluation, ...] = ()
 
 
 @method("annealing")
@@ -97,9 +97,7 @@ class Annealing:
             asked += [Candidate(times), Candidate(self._neighbour(times, rng))]
         return asked
 
-    def tell(
-        self, state: AnnealingState, evaluations: Sequence[SearchEvaluation]
-    ) -> AnnealingState:
+    def tell(self, state: AnnealingState, evaluations: Sequence[Evaluation]) -> AnnealingState:
         """Lower the temperature; at first, start the chains from the best random sets."""
         best = best_of([*state.best, *evaluations])
         if not state.chains:
@@ -114,7 +112,7 @@ class Annealing:
         """Whether the chains have made all steps."""
         return state.step >= self.steps
 
-    def finalists(self, state: AnnealingState) -> tuple[SearchEvaluation, ...]:
+    def finalists(self, state: AnnealingState) -> tuple[Evaluation, ...]:
         """Give the best of all sets tried."""
         return state.best
 
@@ -130,7 +128,7 @@ class Annealing:
         return neighbours[rng.integers(len(neighbours))] if neighbours else times
 
 
-def first_temperature(evaluations: Sequence[SearchEvaluation]) -> float:
+def first_temperature(evaluations: Sequence[Evaluation]) -> float:
     """Give about how much an exchange changes the cost: the spread of random sets over root N.
 
     If the cost were a sum of N independent shares, one for each time, this would be the standard

@@ -1,11 +1,11 @@
 """The contract of a search: candidates go out, evaluations come back."""
 
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from pfdist.evaluation.estimate import Evaluation, SearchEvaluation
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.times.measurement_times import Times
 
 
@@ -42,16 +42,14 @@ class Candidate(NamedTuple):
 FINALISTS = 8
 """Largest number of sets of a search that are tried on fresh draws."""
 
-E = TypeVar("E", bound=Evaluation)
 
-
-def best_of(evaluations: Iterable[E]) -> tuple[E, ...]:
+def best_of(evaluations: Iterable[Evaluation]) -> tuple[Evaluation, ...]:
     """Give the best evaluations of different sets, the best first, at most `FINALISTS`."""
     different = {evaluation.measurement_times: evaluation for evaluation in evaluations}
     return tuple(sorted(different.values(), key=lambda evaluation: evaluation.cost)[:FINALISTS])
 
 
-class Optimiser(Protocol[E]):
+class Optimiser(Protocol):
     """A search as pure functions: it asks for evaluations, and is told their results.
 
     An optimiser is frozen. All that changes is in the state, which the caller keeps. The same
@@ -72,14 +70,11 @@ class Optimiser(Protocol[E]):
     def ask(self, state: Any, rng: np.random.Generator) -> Sequence[Candidate]:
         """Give the candidates of the next generation."""
 
-    def tell(self, state: Any, evaluations: Sequence[E]) -> Any:
+    def tell(self, state: Any, evaluations: Sequence[Evaluation]) -> Any:
         """Give the next state, from the evaluations of the last candidates in their order."""
 
     def done(self, state: Any) -> bool:
         """Whether the search has ended."""
 
-    def finalists(self, state: Any) -> Sequence[E]:
+    def finalists(self, state: Any) -> Sequence[Evaluation]:
         """Give the best sets found, the best first. Fresh draws decide between them."""
-
-
-SearchOptimiser = Optimiser[SearchEvaluation]

@@ -18,7 +18,7 @@ from itertools import accumulate
 
 import numpy as np
 
-from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.search.base import Candidate, best_of
 from pfdist.search.methods import method
 from pfdist.search.section import Count, Positive
@@ -74,7 +74,7 @@ class Corridor(Survivors):
         return asked if state.front or middle in asked else [*asked, middle]
 
     def _around(
-        self, middle: Times, number: int = 0, whole: tuple[SearchEvaluation, ...] = ()
+        self, middle: Times, number: int = 0, whole: tuple[Evaluation, ...] = ()
     ) -> SurvivorState:
         """Give the state at the beginning of a round, with a corridor around a set."""
         limits = len(self.feasible.allowed), float(self._moved)
@@ -90,9 +90,7 @@ class Corridor(Survivors):
             if abs(feasible.index[time] - middle) <= self._moved:
                 yield time
 
-    def _whole(
-        self, state: SurvivorState, evaluations: Sequence[SearchEvaluation]
-    ) -> SurvivorState:
+    def _whole(self, state: SurvivorState, evaluations: Sequence[Evaluation]) -> SurvivorState:
         """End the search, or lay the corridor around the best set."""
         whole, number = best_of((*state.whole, *evaluations)), state.round + 1
         best = whole[0].measurement_times

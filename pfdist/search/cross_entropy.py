@@ -20,7 +20,7 @@ from itertools import chain
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.search.base import Candidate, best_of
 from pfdist.search.methods import method
 from pfdist.search.section import Count, Fraction
@@ -41,13 +41,13 @@ class CrossEntropyState:
     probabilities : tuple of float, (T+1,)
         Empty before the first generation.
     generation : int
-    best : tuple of SearchEvaluation
+    best : tuple of Evaluation
         The best of all sets tried.
     """
 
     probabilities: tuple[float, ...] = ()
     generation: int = 0
-    best: tuple[SearchEvaluation, ...] = ()
+    best: tuple[Evaluation, ...] = ()
 
 
 @method("cross_entropy")
@@ -92,7 +92,7 @@ class CrossEntropy:
         return [Candidate(times) for times in sets]
 
     def tell(
-        self, state: CrossEntropyState, evaluations: Sequence[SearchEvaluation]
+        self, state: CrossEntropyState, evaluations: Sequence[Evaluation]
     ) -> CrossEntropyState:
         """Move the probabilities towards the shares in the elite."""
         order = sorted(evaluations, key=lambda evaluation: evaluation.cost)
@@ -107,11 +107,11 @@ class CrossEntropy:
         undecided = [p for p in state.probabilities if _CERTAIN < p < 1 - _CERTAIN]
         return state.generation >= self.generations or (state.generation > 0 and not undecided)
 
-    def finalists(self, state: CrossEntropyState) -> tuple[SearchEvaluation, ...]:
+    def finalists(self, state: CrossEntropyState) -> tuple[Evaluation, ...]:
         """Give the best of all sets tried."""
         return state.best
 
-    def _shares(self, evaluations: Sequence[SearchEvaluation]) -> NDArray[np.float64]:
+    def _shares(self, evaluations: Sequence[Evaluation]) -> NDArray[np.float64]:
         """Give, for each time, the share of the sets that contain it."""
         sets = (evaluation.measurement_times for evaluation in evaluations)
         counts = np.bincount([*chain.from_iterable(sets)], minlength=self.feasible.horizon + 1)

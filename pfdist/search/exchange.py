@@ -18,7 +18,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.search.base import Candidate, best_of
 from pfdist.search.methods import method
 from pfdist.search.paired import difference
@@ -46,7 +46,7 @@ class ExchangeState:
         Number of draws of the next evaluations.
     left : tuple of tuples of int
         Former best sets.
-    evaluations : tuple of SearchEvaluation
+    evaluations : tuple of Evaluation
         The result, the best first. Empty until the search ends.
     """
 
@@ -54,7 +54,7 @@ class ExchangeState:
     neighbours: tuple[Times, ...] = ()
     draws: int = _FEWEST
     left: tuple[Times, ...] = ()
-    evaluations: tuple[SearchEvaluation, ...] = ()
+    evaluations: tuple[Evaluation, ...] = ()
 
 
 @method("exchange", curve="best so far")
@@ -100,7 +100,7 @@ class Exchange:
         """Give the best set and the neighbours that may be better."""
         return [Candidate(times, draws=state.draws) for times in (state.best, *state.neighbours)]
 
-    def tell(self, state: ExchangeState, evaluations: Sequence[SearchEvaluation]) -> ExchangeState:
+    def tell(self, state: ExchangeState, evaluations: Sequence[Evaluation]) -> ExchangeState:
         """Move to the best neighbour if it is better; otherwise drop the worse neighbours."""
         best, *others = evaluations
         order = sorted(others, key=lambda evaluation: evaluation.cost)
@@ -124,7 +124,7 @@ class Exchange:
         """Whether no neighbour was found better."""
         return bool(state.evaluations)
 
-    def finalists(self, state: ExchangeState) -> tuple[SearchEvaluation, ...]:
+    def finalists(self, state: ExchangeState) -> tuple[Evaluation, ...]:
         """Give the best set, and the neighbours that may be as good."""
         return state.evaluations
 

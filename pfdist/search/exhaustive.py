@@ -7,7 +7,7 @@ from itertools import islice
 import numpy as np
 
 from pfdist.errors import JobError
-from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.search.base import Candidate, best_of
 from pfdist.search.methods import method
 from pfdist.search.section import Count
@@ -24,12 +24,12 @@ class ExhaustiveState:
     ----------
     tried : int
         Number of sets evaluated.
-    best : tuple of SearchEvaluation
+    best : tuple of Evaluation
         The best of these sets, the best first.
     """
 
     tried: int = 0
-    best: tuple[SearchEvaluation, ...] = ()
+    best: tuple[Evaluation, ...] = ()
 
 
 @method("exhaustive", curve="trials")
@@ -78,9 +78,7 @@ class Exhaustive:
         following = islice(self.feasible.every(), state.tried, state.tried + _BATCH)
         return [Candidate(times) for times in following]
 
-    def tell(
-        self, state: ExhaustiveState, evaluations: Sequence[SearchEvaluation]
-    ) -> ExhaustiveState:
+    def tell(self, state: ExhaustiveState, evaluations: Sequence[Evaluation]) -> ExhaustiveState:
         """Keep the best sets."""
         best = best_of([*state.best, *evaluations])
         return ExhaustiveState(state.tried + len(evaluations), best)
@@ -89,6 +87,6 @@ class Exhaustive:
         """Whether all sets were evaluated."""
         return state.tried >= self.feasible.size
 
-    def finalists(self, state: ExhaustiveState) -> tuple[SearchEvaluation, ...]:
+    def finalists(self, state: ExhaustiveState) -> tuple[Evaluation, ...]:
         """Give the best of all sets."""
         return state.best

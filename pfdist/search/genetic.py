@@ -26,7 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.search.base import Candidate
 from pfdist.search.methods import method
 from pfdist.search.section import Count, EvaluationSettings, Even, Flag, Positive, Probability
@@ -41,12 +41,12 @@ class GeneticState:
     Parameters
     ----------
     evaluated_generations : int
-    evaluations : tuple of SearchEvaluation
+    evaluations : tuple of Evaluation
         One evaluation for each individual, in the order of the population.
     """
 
     evaluated_generations: int = 0
-    evaluations: tuple[SearchEvaluation, ...] = ()
+    evaluations: tuple[Evaluation, ...] = ()
 
 
 @method("genetic", evaluation=EvaluationSettings())
@@ -111,7 +111,7 @@ class GeneticAlgorithm:
         mutated = [self._mutate(child, rng) for child in children]
         return self._candidates([self.feasible.repair(child, rng) for child in mutated])
 
-    def tell(self, state: GeneticState, evaluations: Sequence[SearchEvaluation]) -> GeneticState:
+    def tell(self, state: GeneticState, evaluations: Sequence[Evaluation]) -> GeneticState:
         """Give the state with the evaluated population."""
         return GeneticState(state.evaluated_generations + 1, tuple(evaluations))
 
@@ -119,7 +119,7 @@ class GeneticAlgorithm:
         """Whether all generations were evaluated."""
         return state.evaluated_generations >= self.generations
 
-    def finalists(self, state: GeneticState) -> list[SearchEvaluation]:
+    def finalists(self, state: GeneticState) -> list[Evaluation]:
         """Give the best individual of the last generation, with its evaluation there."""
         return sorted(state.evaluations, key=lambda evaluation: evaluation.cost)[:1]
 

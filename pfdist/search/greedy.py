@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.search.base import Candidate, best_of
 from pfdist.search.methods import method
 from pfdist.times.feasible import Feasible
@@ -31,12 +31,12 @@ class GreedyState:
     Parameters
     ----------
     chosen : tuple of int
-    evaluations : tuple of SearchEvaluation
+    evaluations : tuple of Evaluation
         The best feasible sets of the last step; of all steps if smaller sets are feasible.
     """
 
     chosen: Times
-    evaluations: tuple[SearchEvaluation, ...] = ()
+    evaluations: tuple[Evaluation, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -49,13 +49,13 @@ class _Greedy:
         steps = self._steps(state.chosen) or [state.chosen]  # a set of all times has no next step
         return [Candidate(times) for times in (*steps, *before)]
 
-    def tell(self, state: GreedyState, evaluations: Sequence[SearchEvaluation]) -> GreedyState:
+    def tell(self, state: GreedyState, evaluations: Sequence[Evaluation]) -> GreedyState:
         """Choose the step that lowers the cost most, or raises it least, for its price."""
         steps, before = list(evaluations), 0.0
         if not self.feasible.counted:
             before = steps.pop().cost
 
-        def worth(evaluation: SearchEvaluation) -> float:
+        def worth(evaluation: Evaluation) -> float:
             price = self.feasible.spent({*state.chosen} ^ {*evaluation.measurement_times})
             return (evaluation.cost - before) / max(1, price)
 
@@ -72,7 +72,7 @@ class _Greedy:
         """Whether a feasible set was evaluated, and there is no next step."""
         return bool(state.evaluations) and not self._steps(state.chosen)
 
-    def finalists(self, state: GreedyState) -> tuple[SearchEvaluation, ...]:
+    def finalists(self, state: GreedyState) -> tuple[Evaluation, ...]:
         """Give the best feasible sets of the last step; of all steps if smaller sets count."""
         return state.evaluations
 

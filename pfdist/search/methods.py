@@ -10,7 +10,7 @@ from pydantic import Field, create_model
 from pydantic.fields import FieldInfo
 
 from pfdist.common.registry import Registry
-from pfdist.search.base import SearchOptimiser
+from pfdist.search.base import Optimiser
 from pfdist.search.section import CommonNoiseSettings, EvaluationSettings, Name, SearchSection
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
@@ -39,7 +39,7 @@ class Method:
     """
 
     name: str
-    optimiser: Callable[..., SearchOptimiser]
+    optimiser: Callable[..., Optimiser]
     section: type[SearchSection]
     curve: Curve
     online: bool
@@ -55,7 +55,7 @@ class Method:
         draws: int,
         settings: dict[str, Any],
         start: Times | None = None,
-    ) -> SearchOptimiser:
+    ) -> Optimiser:
         """Make the optimiser.
 
         Parameters

@@ -12,11 +12,10 @@ halving).
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 
-from pfdist.evaluation.estimate import Evaluation, ProbeEvaluation
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.search.base import Candidate
 from pfdist.search.trust import judged
 from pfdist.times.feasible import Feasible
@@ -26,8 +25,6 @@ PROBE_DRAWS = 500
 
 _MOST_DRAWS = 8000
 _RANDOM_SETS = 3
-
-E = TypeVar("E", bound=Evaluation)
 
 
 @dataclass(frozen=True)
@@ -40,17 +37,17 @@ class ProbeState:
         Sets of the next round. None before the first round.
     draws : int
         Number of draws of the next round.
-    failed : tuple of ProbeEvaluation
+    failed : tuple of Evaluation
         The two evaluations, by the estimator and by the squared error, of the set on which the
         estimator failed; empty if it failed on none.
-    unknown : tuple of ProbeEvaluation
+    unknown : tuple of Evaluation
         The two evaluations of the first set on which the estimator could not be tested.
     """
 
     undecided: tuple[Candidate, ...] | None = None
     draws: int = PROBE_DRAWS
-    failed: tuple[ProbeEvaluation, ...] = ()
-    unknown: tuple[ProbeEvaluation, ...] = ()
+    failed: tuple[Evaluation, ...] = ()
+    unknown: tuple[Evaluation, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -100,7 +97,7 @@ class Probe:
             for squared in (False, True)
         ]
 
-    def tell(self, state: ProbeState, evaluations: Sequence[ProbeEvaluation]) -> ProbeState:
+    def tell(self, state: ProbeState, evaluations: Sequence[Evaluation]) -> ProbeState:
         """Decide where the draws suffice, and continue with the worse half of the other sets."""
         pairs = list(zip(evaluations[::2], evaluations[1::2], strict=True))
         verdicts = [judged(*pair) for pair in pairs]
@@ -126,12 +123,12 @@ class Probe:
         """Whether the estimator has failed, or nothing is undecided."""
         return state.undecided == ()
 
-    def finalists(self, state: ProbeState) -> tuple[ProbeEvaluation, ...]:
+    def finalists(self, state: ProbeState) -> tuple[Evaluation, ...]:
         """Give both evaluations of the set on which the estimator failed or could not be tested."""
         return state.failed or state.unknown
 
 
-def new_leaders(told: Iterable[E], before: Iterable[E]) -> list[E]:
+def new_leaders(told: Iterable[Evaluation], before: Iterable[Evaluation]) -> list[Evaluation]:
     """Give the evaluations of a generation that beat all former leaders of their kind.
 
     Whole sets with the same number of measurements are one kind, and so are prefixes. Prefixes are
@@ -145,7 +142,7 @@ def new_leaders(told: Iterable[E], before: Iterable[E]) -> list[E]:
         The leaders of former generations.
     """
     best = {_kind(leader): leader for leader in before}
-    new: dict[tuple[int, bool], E] = {}
+    new: dict[tuple[int, bool], Evaluation] = {}
     for evaluation in told:
         kind = _kind(evaluation)
         leader = new.get(kind, best.get(kind))

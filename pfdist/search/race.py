@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pfdist.evaluation.estimate import ShortlistEvaluation
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.search.base import Candidate
 from pfdist.search.paired import difference
 from pfdist.times.measurement_times import Times
@@ -33,16 +33,16 @@ class RaceState:
         Sets of the next round.
     draws : int
         Number of draws of the next round.
-    evaluations : tuple of ShortlistEvaluation
+    evaluations : tuple of Evaluation
         Evaluations of the last round, the best first.
-    out : tuple of ShortlistEvaluation
+    out : tuple of Evaluation
         Last evaluations of the sets that dropped out before the last round.
     """
 
     running: tuple[Times, ...]
     draws: int
-    evaluations: tuple[ShortlistEvaluation, ...] = ()
-    out: tuple[ShortlistEvaluation, ...] = ()
+    evaluations: tuple[Evaluation, ...] = ()
+    out: tuple[Evaluation, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class Race:
         """Give the sets of the next round, with its number of draws."""
         return [Candidate(times, draws=state.draws) for times in state.running]
 
-    def tell(self, state: RaceState, evaluations: Sequence[ShortlistEvaluation]) -> RaceState:
+    def tell(self, state: RaceState, evaluations: Sequence[Evaluation]) -> RaceState:
         """Keep the leader and the sets near it."""
         order = sorted(evaluations, key=lambda evaluation: evaluation.cost)
         near = [
@@ -101,6 +101,6 @@ class Race:
         """Whether one set is left."""
         return bool(state.evaluations) and len(state.running) == 1
 
-    def finalists(self, state: RaceState) -> tuple[ShortlistEvaluation, ...]:
+    def finalists(self, state: RaceState) -> tuple[Evaluation, ...]:
         """Give the last evaluation of every set: the winner first, sets of later rounds earlier."""
         return *state.evaluations, *state.out

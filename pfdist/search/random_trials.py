@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.search.base import Candidate
 from pfdist.search.methods import method
 from pfdist.search.section import Count, EvaluationSettings
@@ -22,12 +22,12 @@ class RandomState:
     ----------
     evaluated : int
         Number of sets evaluated.
-    best : SearchEvaluation, optional
+    best : Evaluation, optional
         The best of these sets.
     """
 
     evaluated: int = 0
-    best: SearchEvaluation | None = None
+    best: Evaluation | None = None
 
 
 @method("random", evaluation=EvaluationSettings(), curve="trials")
@@ -59,7 +59,7 @@ class RandomTrials:
         sets = min(_BATCH, self.evaluations - state.evaluated)
         return [Candidate(times) for times in self.feasible.random(sets, rng)]
 
-    def tell(self, state: RandomState, evaluations: Sequence[SearchEvaluation]) -> RandomState:
+    def tell(self, state: RandomState, evaluations: Sequence[Evaluation]) -> RandomState:
         """Count the evaluations and keep the best set."""
         known = [] if state.best is None else [state.best]
         best = min([*known, *evaluations], key=lambda evaluation: evaluation.cost)
@@ -69,6 +69,6 @@ class RandomTrials:
         """Whether all sets were evaluated."""
         return state.evaluated >= self.evaluations
 
-    def finalists(self, state: RandomState) -> list[SearchEvaluation]:
+    def finalists(self, state: RandomState) -> list[Evaluation]:
         """Give the best of all sets."""
         return [] if state.best is None else [state.best]

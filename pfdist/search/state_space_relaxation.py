@@ -27,7 +27,7 @@ from pfdist.bounds.first_windows import relaxation_within
 from pfdist.bounds.growth import longer, near_optimal
 from pfdist.bounds.programme import Programme
 from pfdist.bounds.relaxation import Relaxation, Window
-from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.search.base import Candidate, best_of
 from pfdist.search.methods import method
 from pfdist.search.section import CommonNoiseSettings, Count
@@ -60,7 +60,7 @@ class RelaxationState:
         Number of programmes with few draws that are solved.
     sets : tuple of tuples of int
         Sets to be evaluated next.
-    whole : tuple of SearchEvaluation
+    whole : tuple of Evaluation
         Evaluated sets.
     round : int
         Number of rounds in which windows have grown.
@@ -71,7 +71,7 @@ class RelaxationState:
     errors: Mapping[Window, Array] = field(default_factory=dict)
     level: int = 0
     sets: tuple[Times, ...] = ()
-    whole: tuple[SearchEvaluation, ...] = ()
+    whole: tuple[Evaluation, ...] = ()
     round: int = 0
     done: bool = False
 
@@ -191,9 +191,7 @@ class StateSpaceRelaxation:
         ]
         return [*windows, *map(Candidate, state.sets)]
 
-    def tell(
-        self, state: RelaxationState, evaluations: Sequence[SearchEvaluation]
-    ) -> RelaxationState:
+    def tell(self, state: RelaxationState, evaluations: Sequence[Evaluation]) -> RelaxationState:
         """Solve the programme, and let the windows grow along its best sets."""
         state = _told(state, evaluations)
         if any(len(window) == 1 for window in state.degenerate):
@@ -238,11 +236,11 @@ class StateSpaceRelaxation:
         """Whether the search has ended."""
         return state.done
 
-    def finalists(self, state: RelaxationState) -> tuple[SearchEvaluation, ...]:
+    def finalists(self, state: RelaxationState) -> tuple[Evaluation, ...]:
         """Give the best sets, as their own costs say; with several sums the best of each."""
         if not self.sought:
             return best_of(state.whole)
-        best = dict[int, SearchEvaluation]()
+        best = dict[int, Evaluation]()
         for evaluation in sorted(state.whole, key=lambda evaluation: evaluation.cost):
             best.setdefault(len(evaluation.measurement_times), evaluation)
         return tuple(best[number] for number in sorted(best))
@@ -278,7 +276,7 @@ class StateSpaceRelaxation:
         return max(1, self.draws // _SCREENING[level]) if level < len(_SCREENING) else None
 
 
-def _told(state: RelaxationState, evaluations: Sequence[SearchEvaluation]) -> RelaxationState:
+def _told(state: RelaxationState, evaluations: Sequence[Evaluation]) -> RelaxationState:
     """Give the state that knows what was asked for, without degenerate windows."""
     lacking, relaxation, errors = state.lacking, state.relaxation, {**state.errors}
     for number, evaluation in zip(lacking, evaluations, strict=False):

@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.search.base import Candidate, best_of
 from pfdist.search.methods import method
 from pfdist.search.section import Count, Flag
@@ -51,11 +51,11 @@ class SurvivorState:
         corresponds to the share of the budget spent before it.
     front : tuple of tuples of int
         The survivors to be extended next; all have spent the same.
-    waiting : tuple of SearchEvaluation
+    waiting : tuple of Evaluation
         Evaluated prefixes that have spent more than the front.
     ended : tuple of tuples of int
         Survivors that are whole sets.
-    whole : tuple of SearchEvaluation
+    whole : tuple of Evaluation
         Evaluated whole sets, the best first.
     done : bool
     middle : tuple of int
@@ -67,9 +67,9 @@ class SurvivorState:
     largest_gap: int
     corridor: float
     front: tuple[Times, ...] = ((),)
-    waiting: tuple[SearchEvaluation, ...] = ()
+    waiting: tuple[Evaluation, ...] = ()
     ended: tuple[Times, ...] = ()
-    whole: tuple[SearchEvaluation, ...] = ()
+    whole: tuple[Evaluation, ...] = ()
     done: bool = False
     middle: Times = ()
     round: int = 0
@@ -126,7 +126,7 @@ class Survivors:
         # If the limits leave nothing, they do not apply.
         return [Candidate(times, times[-1]) for times in near or every]
 
-    def tell(self, state: SurvivorState, evaluations: Sequence[SearchEvaluation]) -> SurvivorState:
+    def tell(self, state: SurvivorState, evaluations: Sequence[Evaluation]) -> SurvivorState:
         """Keep the best prefixes of each state; at the end, widen limits that a set reaches."""
         if not state.front:
             return self._whole(state, evaluations)
@@ -139,7 +139,7 @@ class Survivors:
         """Whether the search has ended."""
         return state.done
 
-    def finalists(self, state: SurvivorState) -> tuple[SearchEvaluation, ...]:
+    def finalists(self, state: SurvivorState) -> tuple[Evaluation, ...]:
         """Give the best whole sets."""
         return state.whole
 
@@ -158,8 +158,8 @@ class Survivors:
         """Keep the best of the prefixes that have spent least; the others wait."""
         spent = [self.feasible.spent(evaluation.measurement_times) for evaluation in state.waiting]
         least = min(spent)
-        reached: list[SearchEvaluation] = []
-        waiting: list[SearchEvaluation] = []
+        reached: list[Evaluation] = []
+        waiting: list[Evaluation] = []
         for evaluation, spent_so_far in zip(state.waiting, spent, strict=True):
             (reached if spent_so_far == least else waiting).append(evaluation)
         survivors = surviving(reached, self.survivors, self.by_previous)
@@ -171,9 +171,7 @@ class Survivors:
             ended=(*state.ended, *(times for times in survivors if times in ended)),
         )
 
-    def _whole(
-        self, state: SurvivorState, evaluations: Sequence[SearchEvaluation]
-    ) -> SurvivorState:
+    def _whole(self, state: SurvivorState, evaluations: Sequence[Evaluation]) -> SurvivorState:
         """End the search, or start again with wider limits."""
         whole, before = best_of((*state.whole, *evaluations)), state.whole[:1]
         best = whole[0].measurement_times
@@ -209,14 +207,12 @@ class Survivors:
         return math.floor(proportional - state.corridor), math.ceil(proportional + late)
 
 
-def surviving(
-    prefixes: Iterable[SearchEvaluation], survivors: int, by_previous: bool
-) -> list[Times]:
+def surviving(prefixes: Iterable[Evaluation], survivors: int, by_previous: bool) -> list[Times]:
     """Give the best prefixes of each state, in the order of the states.
 
     Parameters
     ----------
-    prefixes : iterable of SearchEvaluation
+    prefixes : iterable of Evaluation
     survivors : int
         Number of prefixes that survive in each state.
     by_previous : bool
@@ -228,7 +224,7 @@ def surviving(
         The times of the survivors. All prefixes have spent the same, so the sum spent need not be
         part of the state here.
     """
-    reached: dict[Times, list[SearchEvaluation]] = defaultdict(list)
+    reached: dict[Times, list[Evaluation]] = defaultdict(list)
     for prefix in prefixes:
         reached[prefix.measurement_times[-2 if by_previous else -1 :]].append(prefix)
     return [

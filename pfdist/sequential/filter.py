@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pfdist.common.nearest import did_you_mean
+from pfdist.common.streams import stream_of
 from pfdist.errors import (
     ArgumentError,
     CompileError,
@@ -20,7 +21,6 @@ from pfdist.errors import (
     shown,
 )
 from pfdist.evaluation.engines import AUTO, COMPILED, ENGINES, NUMPY, NUMPY_TIMES_SLOWER
-from pfdist.evaluation.estimate import Purpose, ReportEvaluation
 from pfdist.filters.cloud import Cloud, Gaussian, Prior
 from pfdist.filters.draws import check_prior
 from pfdist.filters.matrices import matrices_of
@@ -43,7 +43,6 @@ from pfdist.sequential.user_prior import as_prior
 
 Array = NDArray[np.float64]
 
-FILTER = Purpose("filter", ReportEvaluation)
 LAST = 32_000  # the largest horizon of a job
 SUSPICIOUS = 1e-3  # a smaller surprise is computed again, with this number of particles:
 MANY = 200_000  # 2 / 200,001 times 1,000 measurements is 1 %, the level of the alarm
@@ -120,7 +119,7 @@ class Filter:
             meant = did_you_mean(engine, ENGINES)
             raise ArgumentError(f"engine must be one of {allowed}, got {shown(engine)}{meant}")
         self.horizon = horizon
-        self.stream = FILTER.stream(int(seed))
+        self.stream = stream_of("filter", int(seed))
         """Key of the filter's noise, 64 bits."""
         check_filter(self.model, self.model, particles, resampling, dtype)
         known = None if prior is None else as_prior(prior, self.model)

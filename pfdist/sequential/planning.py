@@ -14,14 +14,14 @@ import numpy as np
 
 from pfdist.common.streams import stream_key
 from pfdist.errors import ModelError
-from pfdist.evaluation.estimate import Purpose, ReportEvaluation, SearchEvaluation
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation
 from pfdist.filters.cloud import Prior
 from pfdist.filters.draws import Draws
 from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.kernels.noise import generator
-from pfdist.search.base import Candidate, SearchOptimiser
+from pfdist.search.base import Candidate, Optimiser
 from pfdist.search.methods import METHODS
 from pfdist.search.paired import difference
 from pfdist.search.section import SearchSection
@@ -29,7 +29,6 @@ from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 from pfdist.times.rest import rest_of
 
-ONLINE = Purpose("online", SearchEvaluation)
 _BETTER = 1.0  # standard errors by which a new plan must be better than the plan at hand
 _ROUNDING = 1e-9  # relative difference of exact costs that counts as none
 _POLICY = "leave_out"  # for degenerate draws: one of many must not decide about a plan
@@ -65,7 +64,7 @@ class Planning:
         """
         return replace(self.estimation, estimator=SQUARED_ERROR.name)
 
-    def optimiser(self, rest: Feasible, start: Times | None = None) -> SearchOptimiser:
+    def optimiser(self, rest: Feasible, start: Times | None = None) -> Optimiser:
         """Make the optimiser of the measurements that are left; see `pfdist.search.methods`.
 
         Raises
@@ -169,7 +168,7 @@ class Replanner:
         draws: int,
         estimation: Estimation,
         draw: int = 0,
-    ) -> list[ReportEvaluation]:
+    ) -> list[Evaluation]:
         """Estimate the expected MSE from now on with each plan, on draws that chose none of them.
 
         Parameters
@@ -192,7 +191,7 @@ class Replanner:
         if evaluator.exact:
             costs = evaluator.expected_mse(plans).tolist()
             return [
-                ReportEvaluation(plan, np.empty(0), _POLICY, cost)
+                Evaluation(plan, np.empty(0), _POLICY, cost, purpose="evaluate")
                 for plan, cost in zip(plans, costs, strict=True)
             ]
         stream = stream_key(self.stream, draw, now.first, "expected")
@@ -201,7 +200,7 @@ class Replanner:
             simulated, plans, ends, stream_key(stream, "filter"), estimation
         )
         return [
-            ReportEvaluation(plan, column, _POLICY)
+            Evaluation(plan, column, _POLICY, purpose="evaluate")
             for plan, column in zip(plans, np.ascontiguousarray(mse.T), strict=True)
         ]
 
@@ -266,7 +265,7 @@ class _Outlook:
 
     def _evaluated(
         self, draws: Draws | None, candidates: Sequence[Candidate], estimation: Estimation
-    ) -> list[SearchEvaluation]:
+    ) -> list[Evaluation]:
         """Evaluate candidates on common draws with common noise."""
         evaluator, last = self.evaluator, self.evaluator.horizon
         first = self.now.first
@@ -275,8 +274,13 @@ class _Outlook:
         if draws is None:
             costs = evaluator.expected_mse(sets, ends)
             return [
-                SearchEvaluation(
-                    each.measurement_times, np.empty(0), _POLICY, float(cost), each.end
+                Evaluation(
+                    each.measurement_times,
+                    np.empty(0),
+                    _POLICY,
+                    float(cost),
+                    each.end,
+                    purpose="online",
                 )
                 for each, cost in zip(candidates, costs, strict=True)
             ]
@@ -285,7 +289,14 @@ class _Outlook:
         mse = evaluator.mse_of_sets(draws, sets, ends, noise, estimation)
         columns = np.ascontiguousarray(mse.T)
         return [
-            SearchEvaluation(each.measurement_times, column[: each.draws], _POLICY, None, each.end)
+            Evaluation(
+                each.measurement_times,
+                column[: each.draws],
+                _POLICY,
+                None,
+                each.end,
+                purpose="online",
+            )
             for each, column in zip(candidates, columns, strict=True)
         ]
 

@@ -10,9 +10,9 @@ import oracles.kalman
 import pfdist
 from pfdist import Job, Planner
 from pfdist.cli.main import main
+from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, MeasurementsError, MeasurementTimesError
 from pfdist.filters.simulation import simulate
-from pfdist.sequential.filter import FILTER
 
 JOB = """
 seed = 3
@@ -98,7 +98,7 @@ def test_its_estimates_are_those_of_the_filter(job: Job) -> None:
         np.testing.assert_array_equal(found.mean, wanted.mean)
     np.testing.assert_array_equal(planner.estimate(5).mean, filtering.predict(5).mean)
     assert planner.estimate().t == 3
-    assert filtering.stream == FILTER.stream(job.seed)
+    assert filtering.stream == stream_of("filter", job.seed)
 
 
 def test_a_missed_measurement_may_be_made_later(job: Job) -> None:

@@ -15,12 +15,13 @@ from pfdist.analysis.sampling_windows import sentences, windows_of
 from pfdist.api.why import why
 from pfdist.cli.main import main
 from pfdist.common.rounding import with_error
+from pfdist.common.streams import stream_of
 from pfdist.errors import ArgumentError, PfdistError, RunMismatchError, StoreError
 from pfdist.evaluation.work import Estimation, Work
 from pfdist.filters import kalman
 from pfdist.kernels.estimators import ESTIMATORS
 from pfdist.runner.build import build
-from pfdist.runner.worth import CHANGES, WHY
+from pfdist.runner.worth import CHANGES
 from pfdist.store.repair import verify_run
 
 RANDOM = "search.random.evaluations=3"
@@ -119,8 +120,8 @@ def test_the_profile_is_the_squared_error_over_time_and_its_mean_the_expected_ms
         alone = Work(
             measurement_times=(tuple(row["measurement_times"]),),
             ends=(12,),
-            filter_streams=(WHY.stream(quick.seed, "filter", row["name"]),),
-            draws_stream=WHY.stream(quick.seed, "draws"),
+            filter_streams=(stream_of("why", quick.seed, "filter", row["name"]),),
+            draws_stream=stream_of("why", quick.seed, "draws"),
             draws=(0, draws),
             estimation=Estimation(quick.filter.particles, quick.filter.resampling),
             trajectories=True,

@@ -18,7 +18,7 @@ from oracles.windows import Array, counted
 from pfdist.bounds.first_windows import relaxation_with
 from pfdist.bounds.programme import least
 from pfdist.bounds.relaxation import Relaxation
-from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.search import Candidate, StateSpaceRelaxation
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
@@ -49,11 +49,11 @@ class Draws:
             self.known[key] = (1.0 if good <= {*measured} else 10.0) + NOISE * self.rng.normal()
         return self.known[key]
 
-    def told(self, candidate: Candidate) -> SearchEvaluation:
+    def told(self, candidate: Candidate) -> Evaluation:
         times, end, _, _, _, since = candidate
         t, last = np.arange(HORIZON + 1), HORIZON if end is None else end
         errors = np.where(((since or 0) <= t) & (t <= last), self.errors(times), 0.0)
-        return SearchEvaluation(times, errors.mean()[None], end=end, errors=errors)
+        return Evaluation(times, errors.mean()[None], end=end, errors=errors)
 
     def bound(self, relaxation: Relaxation) -> float:
         errors = np.array([self.errors(times) for times in relaxation.sets])

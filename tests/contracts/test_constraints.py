@@ -8,10 +8,10 @@ import pytest
 from numpy.typing import NDArray
 
 from oracles.kalman import TRACKING, believed_errors
-from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.filters import kalman
 from pfdist.search import Candidate
-from pfdist.search.base import SearchOptimiser
+from pfdist.search.base import Optimiser
 from pfdist.search.methods import METHODS
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
@@ -58,7 +58,7 @@ TRUTHS = {
 }
 
 
-def _optimiser(method: str, feasible: Feasible) -> SearchOptimiser:
+def _optimiser(method: str, feasible: Feasible) -> Optimiser:
     settings = METHODS[method].section().settings
     small = {key: SMALL.get(key, value) for key, value in settings.items()}
     return METHODS[method].make(feasible, DRAWS, small)
@@ -72,17 +72,17 @@ def _errors(times: Times, constraint: str) -> NDArray[np.float64]:
     return errors
 
 
-def _evaluation(candidate: Candidate, constraint: str) -> SearchEvaluation:
+def _evaluation(candidate: Candidate, constraint: str) -> Evaluation:
     times, end, since = candidate.measurement_times, candidate.end, candidate.since
     errors = _errors(times, constraint).copy()
     errors[: since or 0] = 0.0
     errors[(HORIZON if end is None else end) + 1 :] = 0.0
     known = None if since is None else errors
-    return SearchEvaluation(times, np.empty(0), exact=float(errors.mean()), end=end, errors=known)
+    return Evaluation(times, np.empty(0), exact=float(errors.mean()), end=end, errors=known)
 
 
 @cache
-def _searched(method: str, constraint: str) -> tuple[list[Candidate], list[SearchEvaluation]]:
+def _searched(method: str, constraint: str) -> tuple[list[Candidate], list[Evaluation]]:
     optimiser = _optimiser(method, CONSTRAINTS[constraint])
     state, asked = optimiser.init(), []
     assert optimiser.generations > 0

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.search import Candidate
-from pfdist.search.base import FINALISTS, SearchOptimiser
+from pfdist.search.base import FINALISTS, Optimiser
 from pfdist.search.methods import METHODS
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
@@ -19,7 +19,7 @@ FEASIBLE = Feasible(horizon=15, measurement_budget=4)
 DRAWS = 20
 
 # Every method that a job can name, with its default settings.
-OPTIMISERS: dict[str, SearchOptimiser] = {
+OPTIMISERS: dict[str, Optimiser] = {
     name: method.make(FEASIBLE, DRAWS, method.section().settings)
     for name, method in METHODS.items()
 }
@@ -55,27 +55,25 @@ def _cost(times: Times) -> float:
     return float(np.sum(_errors(times)))
 
 
-def _told(asked: list[Candidate]) -> list[SearchEvaluation]:
+def _told(asked: list[Candidate]) -> list[Evaluation]:
     """Evaluations under common noise: the same in all sets, at all instants."""
     return [_evaluation(candidate) for candidate in asked]
 
 
-def _evaluation(candidate: Candidate) -> SearchEvaluation:
+def _evaluation(candidate: Candidate) -> Evaluation:
     times, end = candidate.measurement_times, candidate.end
     counted = np.arange(FEASIBLE.horizon + 1) <= (FEASIBLE.horizon if end is None else end)
     noise = np.random.default_rng(0).exponential(size=DRAWS)[: candidate.draws]
     errors = np.where(counted, _errors(times) + noise[:, None], 0.0)
     if candidate.since is None:
-        return SearchEvaluation(times, np.mean(errors, axis=1), end=end)
+        return Evaluation(times, np.mean(errors, axis=1), end=end)
     errors[:, : candidate.since] = 0.0
     asked_for = np.mean(errors, axis=0)
     cost = float(np.mean(asked_for))
-    return SearchEvaluation(times, np.empty(0), exact=cost, end=end, errors=asked_for)
+    return Evaluation(times, np.empty(0), exact=cost, end=end, errors=asked_for)
 
 
-def _search(
-    optimiser: SearchOptimiser, seed: int
-) -> tuple[list[list[Candidate]], list[SearchEvaluation]]:
+def _search(optimiser: Optimiser, seed: int) -> tuple[list[list[Candidate]], list[Evaluation]]:
     state, asked = optimiser.init(), []
     while not optimiser.done(state):
         rng = np.random.Generator(np.random.Philox([seed, len(asked)]))

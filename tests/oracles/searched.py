@@ -6,22 +6,20 @@ from typing import Any
 import numpy as np
 
 from pfdist import StateSpaceModel
-from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.filters.kalman import expected_errors
-from pfdist.search import Candidate, SearchOptimiser
+from pfdist.search import Candidate, Optimiser
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
 
-def states(
-    optimiser: SearchOptimiser, cost: Callable[[Times], float], seed: int = 1
-) -> Iterator[Any]:
+def states(optimiser: Optimiser, cost: Callable[[Times], float], seed: int = 1) -> Iterator[Any]:
     """Give the state after each asking."""
     state, rng = optimiser.init(), np.random.default_rng(seed)
     while not optimiser.done(state):
         asked = optimiser.ask(state, rng)
         told = [
-            SearchEvaluation(
+            Evaluation(
                 candidate.measurement_times, np.empty(0), exact=cost(candidate.measurement_times)
             )
             for candidate in asked
@@ -30,15 +28,13 @@ def states(
         yield state
 
 
-def last(optimiser: SearchOptimiser, cost: Callable[[Times], float], seed: int = 1) -> Any:
+def last(optimiser: Optimiser, cost: Callable[[Times], float], seed: int = 1) -> Any:
     """Give the last state."""
     *_, state = states(optimiser, cost, seed)
     return state
 
 
-def exactly(
-    model: StateSpaceModel, horizon: int, asked: Sequence[Candidate]
-) -> list[SearchEvaluation]:
+def exactly(model: StateSpaceModel, horizon: int, asked: Sequence[Candidate]) -> list[Evaluation]:
     """Evaluate candidates by the Kalman filter: whole sets, prefixes, and errors of instants."""
     sets, t, told = [candidate.measurement_times for candidate in asked], np.arange(horizon + 1), []
     for candidate, row in zip(asked, expected_errors(model, horizon, sets), strict=True):
@@ -46,7 +42,7 @@ def exactly(
         counts = (t >= (since or 0)) & (t <= (horizon if end is None else end))
         errors = np.where(counts, row, 0.0)
         told.append(
-            SearchEvaluation(
+            Evaluation(
                 times,
                 np.empty(0),
                 exact=float(errors.mean()),

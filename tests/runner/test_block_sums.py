@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pfdist import Job
-from pfdist.evaluation.estimate import SEARCH, SearchEvaluation
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation, Result, Work
 from pfdist.pools.base import Outcome, SerialPool
@@ -149,14 +149,14 @@ class AsksOnce:
     def ask(self, state: bool, rng: np.random.Generator) -> list[Candidate]:
         return list(self.asked)
 
-    def tell(self, state: bool, evaluations: Sequence[SearchEvaluation]) -> bool:
+    def tell(self, state: bool, evaluations: Sequence[Evaluation]) -> bool:
         self.told = list(evaluations)
         return True
 
     def done(self, state: bool) -> bool:
         return state
 
-    def finalists(self, state: bool) -> tuple[SearchEvaluation, ...]:
+    def finalists(self, state: bool) -> tuple[Evaluation, ...]:
         return ()
 
 
@@ -167,7 +167,7 @@ def test_a_search_is_told_errors_on_the_draws_of_its_evaluations(
     settings = replace(built.searches[0].settings, draws=2 * BLOCK, estimation=ESTIMATION)
     search = AsksOnce()
     search.asked = (*search.asked, Candidate(SETS[3]))
-    phase = Phase("mine", search, SEARCH, settings, built)
+    phase = Phase("mine", search, "search", settings, built)
     completed(run_phase(phase, session), session)
     _, *windows, whole = search.told
     assert [each.measurement_times for each in windows] == list(SETS)
@@ -184,7 +184,7 @@ def test_an_exact_engine_tells_errors_without_draws(
 ) -> None:
     exact = build(small_job.with_changes(["model.name=random_walk", "filter.engine=kalman"]))
     search = AsksOnce()
-    phase = Phase("mine", search, SEARCH, exact.searches[0].settings, exact)
+    phase = Phase("mine", search, "search", exact.searches[0].settings, exact)
     session = Session(exact, Store(tmp_path / "run"))
     completed(run_phase(phase, session), session)
     assert not handed

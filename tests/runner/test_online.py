@@ -17,8 +17,8 @@ from pfdist import Job, load_job
 from pfdist.analysis import Run
 from pfdist.analysis.online import online_draws
 from pfdist.cli.main import main
+from pfdist.common.streams import stream_of
 from pfdist.errors import JobError, RunMismatchError
-from pfdist.evaluation.estimate import REPORT
 from pfdist.evaluation.work import Estimation, Work
 from pfdist.plots.figure import FIGURES, Tables
 from pfdist.plots.figures import drawn
@@ -81,8 +81,8 @@ def _work(times: tuple[int, ...], draw: int) -> Work:
     return Work(
         measurement_times=(times,),
         ends=(HORIZON,),
-        filter_streams=(REPORT.stream(1, "filter", "survivors"),),
-        draws_stream=REPORT.stream(1, "draws"),
+        filter_streams=(stream_of("comparison", 1, "filter", "survivors"),),
+        draws_stream=stream_of("comparison", 1, "draws"),
         draws=(draw, draw + 1),
         estimation=Estimation(PARTICLES),
     )

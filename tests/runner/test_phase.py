@@ -16,7 +16,7 @@ import pfdist
 from oracles.bytes_of import hashes
 from pfdist import Job
 from pfdist.errors import MeasurementTimesError
-from pfdist.evaluation.estimate import SEARCH, SearchEvaluation
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Work
 from pfdist.pools.base import Outcome, SerialPool
@@ -40,13 +40,13 @@ class Outside:
     def ask(self, state: bool, rng: np.random.Generator) -> list[Candidate]:
         return [Candidate((0, 13))]
 
-    def tell(self, state: bool, evaluations: Sequence[SearchEvaluation]) -> bool:
+    def tell(self, state: bool, evaluations: Sequence[Evaluation]) -> bool:
         return True
 
     def done(self, state: bool) -> bool:
         return state
 
-    def finalists(self, state: bool) -> tuple[SearchEvaluation, ...]:
+    def finalists(self, state: bool) -> tuple[Evaluation, ...]:
         return ()
 
 
@@ -69,8 +69,8 @@ def _counted(calls: list[str], real: Any, *arguments: Any, **more: Any) -> Any:
     return real(*arguments, **more)
 
 
-def _phase(built: Built, optimiser: Optimiser[SearchEvaluation]) -> Phase[SearchEvaluation]:
-    return Phase("mine", optimiser, SEARCH, built.searches[0].settings, built)
+def _phase(built: Built, optimiser: Optimiser) -> Phase:
+    return Phase("mine", optimiser, "search", built.searches[0].settings, built)
 
 
 def test_a_search_that_asks_for_other_times_than_there_are_is_named_before_anything_is_computed(
@@ -182,7 +182,7 @@ class Twice(Outside):
     def ask(self, state: bool, rng: np.random.Generator) -> list[Candidate]:
         return list(self.asked)
 
-    def tell(self, state: bool, evaluations: Sequence[SearchEvaluation]) -> bool:
+    def tell(self, state: bool, evaluations: Sequence[Evaluation]) -> bool:
         self.told = list(evaluations)
         return True
 

@@ -11,10 +11,12 @@ import pytest
 import pfdist
 from pfdist import Job
 from pfdist.api.why import why
-from pfdist.evaluation.estimate import BUDGET
+from pfdist.common.streams import CHOOSING, PROVING, stream_of
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Work
+from pfdist.runner.build import build
 from pfdist.runner.door import Batch
+from pfdist.runner.phase import Phase
 from pfdist.search.methods import DEFAULT_METHOD
 
 SMALL = [
@@ -49,12 +51,37 @@ def _phases(*ends: str) -> set[str]:
     return {f"{DEFAULT_METHOD}{end}" for end in ends}
 
 
+def test_what_is_reported_comes_from_draws_that_chose_nothing(
+    small_job: Job, tmp_path: Path, streams: dict[str, set[int]]
+) -> None:
+    run = pfdist.run(small_job, tmp_path / "run", figures=False)
+    assert streams.keys() == {"genetic", "random", "comparison"}
+    for keys, other_keys in combinations(streams.values(), 2):
+        assert keys
+        assert not keys & other_keys
+    assert pfdist.evaluate(small_job, run.sets()["genetic"], draws=20).purpose in PROVING
+
+
+@pytest.mark.parametrize("purpose", PROVING)
+def test_no_search_chooses_by_draws_that_prove(purpose: str, small_job: Job) -> None:
+    built = build(small_job)
+    search = built.searches[0]
+    with pytest.raises(ValueError, match=f"no search may choose by .* '{purpose}'"):
+        Phase("mine", search.optimiser, purpose, search.settings, built)
+
+
+def test_purposes_have_different_keys_and_others_are_refused() -> None:
+    purposes = (*CHOOSING, *PROVING)
+    assert len({stream_of(purpose, 1, "draws") for purpose in purposes}) == len(purposes)
+    with pytest.raises(ValueError, match=r"purpose must be one of .* got 'mine'"):
+        stream_of("mine", 1, "draws")
+
+
 @pytest.mark.slow
 def test_no_two_phases_share_a_draw(
     small_job: Job, tmp_path: Path, streams: dict[str, set[int]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     paper = _asked_by(streams, lambda: pfdist.run(small_job, tmp_path / "run", figures=False))
-    assert paper.keys() == {"genetic", "random", "comparison"}
     plan = _asked_by(
         streams,
         lambda: pfdist.plan(
@@ -72,7 +99,7 @@ def test_no_two_phases_share_a_draw(
     )
     assert budget.keys() == _phases("", ".probe", ".again") | {"comparison", "bound"}
     # The bound filters the compared sets on the draws of the comparison, with noise of its own:
-    draws = BUDGET.stream(small_job.seed, "draws")
+    draws = stream_of("budget", small_job.seed, "draws")
     assert budget["comparison"] & budget["bound"] == {draws}
     budget["bound"].remove(draws)
     for phases in (paper, plan, budget):

@@ -10,7 +10,7 @@ import pfdist
 from oracles.bytes_of import hashes
 from pfdist import Job
 from pfdist.errors import TaskError
-from pfdist.evaluation.estimate import ShortlistEvaluation
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.evaluation.work import Estimation
 from pfdist.runner.build import build
 from pfdist.runner.door import Batch
@@ -23,11 +23,11 @@ PREFERRED, WINNER, THIRD = (0, 4), (1, 5), (2, 6)
 WRONG_FILTER = ["model.filter.parameters.process_sd=2"]
 
 
-def _raced(times: Times, mean: float, standard_error: float) -> ShortlistEvaluation:
+def _raced(times: Times, mean: float, standard_error: float) -> Evaluation:
     """An evaluation whose difference to one of no spread has this mean and standard error."""
     noise = np.random.default_rng(1).normal(size=DRAWS)
     noise = (noise - noise.mean()) / np.std(noise, ddof=1)
-    return ShortlistEvaluation(times, 10.0 + mean + standard_error * np.sqrt(DRAWS) * noise)
+    return Evaluation(times, 10.0 + mean + standard_error * np.sqrt(DRAWS) * noise)
 
 
 @pytest.mark.parametrize(

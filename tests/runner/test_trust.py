@@ -14,8 +14,8 @@ from oracles.bytes_of import hashes
 from pfdist import Job
 from pfdist.analysis import Run
 from pfdist.cli.summary import print_summary
+from pfdist.common.streams import stream_of
 from pfdist.errors import TaskError
-from pfdist.evaluation.estimate import REPORT
 from pfdist.evaluation.work import Work
 from pfdist.plots import costs
 from pfdist.plots.figure import Tables
@@ -86,7 +86,7 @@ def test_so_does_the_default_search(job: Job, tmp_path: Path) -> None:
 
 def _is_near_the_best(times: tuple[int, ...], job: Job) -> bool:
     """Whether the error of the job's own filter is at most 5 % above that of the good set."""
-    draws, stream = 5000, REPORT.stream(123)
+    draws, stream = 5000, stream_of("comparison", 123)
     built = build(job)
     work = Work((times, GOOD), (14, 14), (stream,) * 2, stream, (0, draws), built.comparing)
     mse = built.evaluator(work).mse

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from oracles.kalman import SCALAR, THREE, TRACKING, LinearGaussian, prefix_costs
-from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.search import Candidate
 from pfdist.search.corridor import Corridor
 from pfdist.search.methods import METHODS
@@ -37,7 +37,7 @@ def _steps(
     while not state.done:
         asked = search.ask(state, rng)
         told = [
-            SearchEvaluation(
+            Evaluation(
                 candidate.measurement_times,
                 np.empty(0),
                 exact=cost(
@@ -51,7 +51,7 @@ def _steps(
         yield asked, state
 
 
-def _found(search: Corridor, system: LinearGaussian) -> SearchEvaluation:
+def _found(search: Corridor, system: LinearGaussian) -> Evaluation:
     *_, (_, state) = _steps(search, system)
     return search.finalists(state)[0]
 

@@ -8,7 +8,7 @@ import pytest
 
 from oracles.kalman import SCALAR, THREE, TRACKING, LinearGaussian, riccati_cost
 from oracles.searched import last
-from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.search import Candidate, Exchange
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times, regular
@@ -28,12 +28,12 @@ def test_it_ends_in_a_local_optimum_no_worse_than_regular_times(system: LinearGa
     assert cost(state.best) <= cost(regular(14, 4))
 
 
-def _noisy(candidate: Candidate, noise: float) -> SearchEvaluation:
+def _noisy(candidate: Candidate, noise: float) -> Evaluation:
     """Best at 3, 4, 5, 6, by a cost whose noise is partly each set's own."""
     times = candidate.measurement_times
     own = np.random.default_rng(times).normal(0, noise, DRAWS)
     common = np.random.default_rng(0).normal(0, 10, DRAWS)
-    return SearchEvaluation(
+    return Evaluation(
         times, (sum(map(abs, np.subtract(times, (3, 4, 5, 6)))) + own + common)[: candidate.draws]
     )
 
@@ -63,7 +63,7 @@ def test_it_does_not_go_round_where_few_draws_mislead() -> None:
     few = 32
     error = math.sqrt(2 / few)  # of a difference, on the first draws
 
-    def told(candidate: Candidate) -> SearchEvaluation:
+    def told(candidate: Candidate) -> Evaluation:
         times = candidate.measurement_times
         place = ring.index(times) if times in ring else -1
         # Noise of mean 0 and variance 1, of no correlation between sets.
@@ -73,7 +73,7 @@ def test_it_does_not_go_round_where_few_draws_mislead() -> None:
         )
         mse[:few] += early
         mse[few:] += (DRAWS * whole - few * early) / (DRAWS - few)
-        return SearchEvaluation(times, (mse + 99 * (place < 0))[: candidate.draws])
+        return Evaluation(times, (mse + 99 * (place < 0))[: candidate.draws])
 
     search, rng = Exchange(Feasible(5, 2), DRAWS, start=ring[0]), np.random.default_rng(1)
     state = search.init()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.search import GeneticAlgorithm
 from pfdist.search.base import Candidate
 from pfdist.search.genetic import (
@@ -31,8 +31,8 @@ def _genetic(**changes: Any) -> GeneticAlgorithm:
     return GeneticAlgorithm(**{**settings, **changes})
 
 
-def _evaluation(times: tuple[int, ...], cost: float) -> SearchEvaluation:
-    return SearchEvaluation(times, np.array([np.nan] if np.isinf(cost) else [cost]))
+def _evaluation(times: tuple[int, ...], cost: float) -> Evaluation:
+    return Evaluation(times, np.array([np.nan] if np.isinf(cost) else [cost]))
 
 
 def _rng(seed: int = 1) -> np.random.Generator:

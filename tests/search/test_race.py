@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from pfdist.evaluation.estimate import SearchEvaluation, ShortlistEvaluation
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.search import Candidate, Race
 from pfdist.search.paired import difference
 from pfdist.times.measurement_times import Times
@@ -23,9 +23,7 @@ def _run(race: Race, mse: dict[Times, Array]) -> tuple[Times, list[list[Candidat
         rounds.append(asked)
         columns = [mse[candidate.measurement_times][: candidate.draws] for candidate in asked]
         told = zip(asked, columns, strict=True)
-        state = race.tell(
-            state, [ShortlistEvaluation(asked_for[0], column) for asked_for, column in told]
-        )
+        state = race.tell(state, [Evaluation(asked_for[0], column) for asked_for, column in told])
     return race.finalists(state)[0].measurement_times, rounds
 
 
@@ -65,9 +63,7 @@ def test_it_gives_all_that_ran_the_winner_first_each_on_the_most_draws_it_ran_on
         asked = [
             (candidate.measurement_times, candidate.draws) for candidate in race.ask(state, rng)
         ]
-        state = race.tell(
-            state, [ShortlistEvaluation(times, mse[times][:draws]) for times, draws in asked]
-        )
+        state = race.tell(state, [Evaluation(times, mse[times][:draws]) for times, draws in asked])
     found = race.finalists(state)
     assert [evaluation.draws for evaluation in found] == [1000, 1000, 500, 500, 250, 250, 250, 250]
     assert {evaluation.measurement_times for evaluation in found} == set(sets)
@@ -100,7 +96,7 @@ def test_one_alone_runs_one_round_and_a_killed_one_never_wins() -> None:
 def test_a_difference_is_that_of_the_paired_t_test() -> None:
     rng = np.random.default_rng(2)
     first, other = rng.normal(1.0, 5.0, 300) + rng.normal(size=(2, 300))
-    found = difference(SearchEvaluation((0, 1), first), SearchEvaluation((0, 2), other[:200]))
+    found = difference(Evaluation((0, 1), first), Evaluation((0, 2), other[:200]))
     expected = stats.ttest_rel(first[:200], other[:200])
     assert found.mean / found.standard_error == pytest.approx(expected.statistic)
     assert found.mean == pytest.approx(np.mean(first[:200] - other[:200]))

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.search import RandomTrials
 from pfdist.times.feasible import Feasible
 
@@ -12,7 +12,7 @@ def test_the_best_of_all_trials_is_kept_over_several_askings() -> None:
     state, costs = trials.init(), []
     while not trials.done(state):
         asked = trials.ask(state, rng)
-        told = [SearchEvaluation(candidate.measurement_times, rng.random(1)) for candidate in asked]
+        told = [Evaluation(candidate.measurement_times, rng.random(1)) for candidate in asked]
         costs += [evaluation.cost for evaluation in told]
         state = trials.tell(state, told)
     assert len(costs) == 600
@@ -21,6 +21,6 @@ def test_the_best_of_all_trials_is_kept_over_several_askings() -> None:
 
 def test_a_killed_set_is_never_the_best_while_another_lives() -> None:
     trials = RandomTrials(Feasible(30, 3), 2)
-    killed = SearchEvaluation((1, 2, 3), np.array([np.nan]))
-    alive = SearchEvaluation((4, 5, 6), np.ones(1))
+    killed = Evaluation((1, 2, 3), np.array([np.nan]))
+    alive = Evaluation((4, 5, 6), np.ones(1))
     assert trials.finalists(trials.tell(trials.init(), [killed, alive])) == [alive]

@@ -12,7 +12,7 @@ from oracles.searched import exactly
 from oracles.systems import SYSTEMS
 from pfdist import StateSpaceModel
 from pfdist.bounds.first_windows import relaxation_with
-from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.filters.kalman import expected_mse
 from pfdist.search import Candidate, StateSpaceRelaxation
 from pfdist.search.state_space_relaxation import RelaxationState
@@ -33,7 +33,7 @@ CONSTRAINED = {
         HORIZON, None, forbidden=(2,), required=(8,), minimum_spacing=2, cost=PRICES, total_cost=7
     ),
 }
-Tell = Callable[[list[Candidate]], Sequence[SearchEvaluation]]
+Tell = Callable[[list[Candidate]], Sequence[Evaluation]]
 systems = pytest.mark.parametrize("model", SYSTEMS.values(), ids=list(SYSTEMS))
 
 
@@ -179,7 +179,7 @@ def test_a_limit_ends_it_with_a_bound_and_the_set_that_is_best_in_the_relaxation
 def _unknown(tell: Tell, draws: int) -> Tell:
     """The same costs, but as if they came from draws: the search cannot know that it proves."""
 
-    def told(asked: list[Candidate]) -> list[SearchEvaluation]:
+    def told(asked: list[Candidate]) -> list[Evaluation]:
         return [
             replace(evaluation, mse=np.full(draws, evaluation.cost), exact=None)
             for evaluation in tell(asked)
@@ -196,7 +196,7 @@ def test_with_draws_few_windows_are_left_to_the_programme_with_all_draws(
     search = StateSpaceRelaxation(feasible, DRAWS, paths=6, rounds=8, screened=20)
     asked = list[list[Candidate]]()
 
-    def tell(candidates: list[Candidate]) -> Sequence[SearchEvaluation]:
+    def tell(candidates: list[Candidate]) -> Sequence[Evaluation]:
         asked.append(candidates)
         return exactly(model, 24, candidates)
 
@@ -223,7 +223,7 @@ def test_relaxed_costs_that_are_high_by_chance_do_not_keep_sets_from_being_evalu
     feasible = Feasible(20, 6)
     search = StateSpaceRelaxation(feasible, DRAWS, paths=3)
 
-    def tell(asked: list[Candidate]) -> list[SearchEvaluation]:
+    def tell(asked: list[Candidate]) -> list[Evaluation]:
         told = exactly(model, 20, asked)
         return [
             each if each.errors is None else replace(each, errors=2 * each.errors) for each in told
@@ -249,7 +249,7 @@ def test_no_set_is_evaluated_twice(model: StateSpaceModel) -> None:
 def _degenerate(tell: Tell, is_degenerate: Callable[[Times], bool]) -> Tell:
     """The same, but with a degenerate draw wherever a filter measures at such times."""
 
-    def told(asked: list[Candidate]) -> list[SearchEvaluation]:
+    def told(asked: list[Candidate]) -> list[Evaluation]:
         return [
             replace(
                 evaluation,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from oracles.kalman import SCALAR, THREE, TRACKING, LinearGaussian, prefix_costs, riccati_cost
-from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.search import Survivors
 from pfdist.search.survivors import SurvivorState
 from pfdist.times.feasible import Feasible
@@ -55,7 +55,7 @@ def _states(search: Survivors, cost: Cost) -> Iterator[SurvivorState]:
             for candidate in candidates
         ]
         told = [
-            SearchEvaluation(
+            Evaluation(
                 candidate.measurement_times, np.empty(0),
                 exact=cost(candidate.measurement_times, end),
                 end=candidate.end,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pfdist.evaluation.estimate import ProbeEvaluation, SearchEvaluation, ShortlistEvaluation
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.search import Candidate
 from pfdist.search.paired import CLEAR_ERRORS
 from pfdist.search.probe import PROBE_DRAWS, Probe, ProbeState, new_leaders
@@ -27,8 +27,8 @@ def _with_moments(mean: float, standard_error: float, draws: int = PROBE_DRAWS) 
     return mean + values * standard_error * math.sqrt(draws) / np.std(values, ddof=1)
 
 
-def _pair(estimate: Array, error: Array) -> tuple[ProbeEvaluation, ProbeEvaluation]:
-    return ProbeEvaluation(SET, estimate), ProbeEvaluation(SET, error)
+def _pair(estimate: Array, error: Array) -> tuple[Evaluation, Evaluation]:
+    return Evaluation(SET, estimate), Evaluation(SET, error)
 
 
 @pytest.mark.parametrize(
@@ -87,7 +87,7 @@ def _probe(
         state = probe.tell(
             state,
             [
-                ProbeEvaluation(
+                Evaluation(
                     candidate.measurement_times,
                     error(candidate)[: candidate.draws]
                     if candidate.squared
@@ -147,8 +147,8 @@ def test_what_cannot_be_decided_comes_to_an_end() -> None:
     assert probes == [6, 3, 2, 1, 1]
 
 
-def _leader(times: Times, cost: float, end: int | None = None) -> SearchEvaluation:
-    return SearchEvaluation(times, np.full(2, cost), end=end)
+def _leader(times: Times, cost: float, end: int | None = None) -> Evaluation:
+    return Evaluation(times, np.full(2, cost), end=end)
 
 
 def test_the_leader_of_a_generation_is_the_best_of_its_kind_so_far() -> None:
@@ -156,16 +156,16 @@ def test_the_leader_of_a_generation_is_the_best_of_its_kind_so_far() -> None:
     better, worse = _leader((1, 3), 4.0), _leader((2, 3), 6.0)
     longer = _leader((1, 2, 3), 4.5)
     late, soon = _leader((9,), 5.0, end=9), _leader((3,), 4.1, end=3)  # a half, and 1, an instant
-    dead = SearchEvaluation((1, 2, 4), np.array([1.0, np.nan]))
+    dead = Evaluation((1, 2, 4), np.array([1.0, np.nan]))
     assert new_leaders([worse, better, longer, soon, late, dead], before) == [better, longer, late]
 
 
-def _raced(costs: dict[Times, Array]) -> list[ShortlistEvaluation]:
-    return [ShortlistEvaluation(times, mse) for times, mse in costs.items()]
+def _raced(costs: dict[Times, Array]) -> list[Evaluation]:
+    return [Evaluation(times, mse) for times, mse in costs.items()]
 
 
-def _believed(costs: dict[Times, Array]) -> dict[Times, SearchEvaluation]:
-    return {times: SearchEvaluation(times, mse) for times, mse in costs.items()}
+def _believed(costs: dict[Times, Array]) -> dict[Times, Evaluation]:
+    return {times: Evaluation(times, mse) for times, mse in costs.items()}
 
 
 A, B = (1, 2, 3), (4, 5, 6)

@@ -8,7 +8,7 @@ import pytest
 import oracles.kalman
 from pfdist import StateSpaceModel
 from pfdist.errors import ModelError
-from pfdist.evaluation.estimate import SearchEvaluation
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation
 from pfdist.filters.cloud import Cloud
@@ -177,7 +177,7 @@ def test_a_plan_that_loses_more_draws_never_takes_the_place_of_another(
 
     def evaluated(outlook, draws, candidates, estimation):
         return [
-            SearchEvaluation(each.measurement_times, costs[each.measurement_times], "leave_out")
+            Evaluation(each.measurement_times, costs[each.measurement_times], "leave_out")
             for each in candidates
         ]
 

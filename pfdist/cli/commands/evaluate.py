@@ -12,7 +12,7 @@ from pfdist.cli.words import add_named_times, sets_by_name
 from pfdist.common.number_list import SPELLING
 
 if TYPE_CHECKING:  # a command that evaluates nothing needs no NumPy
-    from pfdist.evaluation.estimate import ReportEvaluation
+    from pfdist.evaluation.estimate import Evaluation
 
 
 def _add_times(parser: ArgumentParser) -> None:
@@ -85,7 +85,7 @@ def evaluate_command(options: Namespace) -> None:
         _print_evaluation(name, evaluation, seconds)
 
 
-def _answer(evaluation: "ReportEvaluation", broken: list[str]) -> dict[str, Any]:
+def _answer(evaluation: "Evaluation", broken: list[str]) -> dict[str, Any]:
     return {
         "expected_mse": evaluation.expected_mse,
         "standard_error": evaluation.standard_error,
@@ -96,7 +96,7 @@ def _answer(evaluation: "ReportEvaluation", broken: list[str]) -> dict[str, Any]
     }
 
 
-def _print_evaluation(name: str, evaluation: "ReportEvaluation", seconds: float) -> None:
+def _print_evaluation(name: str, evaluation: "Evaluation", seconds: float) -> None:
     """Print two lines about a set without a name, or one line about a set with a name."""
     from pfdist.common.percent import heavy_tail_warning
     from pfdist.common.rounding import rounded, with_error
