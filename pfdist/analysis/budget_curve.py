@@ -1,4 +1,4 @@
-"""The budget curve: expected MSE by number of measurements, and how many reach a target."""
+"""Compared sets by number of measurements: expected MSE, and how many reach a target."""
 
 import math
 from collections import defaultdict
@@ -12,7 +12,7 @@ from scipy import stats
 from pfdist.analysis.gains import ComparisonStatistics
 from pfdist.analysis.streaming_moments import CONFIDENCE, Moments
 
-REGULAR, FOUND = "regular", "found"
+FOUND, GIVEN = "found", "given"
 
 BOUND_DEGREES = 19
 """Degrees of freedom of the error of a lower bound: a jackknife over 20 groups of draws."""
@@ -21,7 +21,7 @@ BOUND_DEGREES = 19
 def budget_table(
     compared: pd.DataFrame, statistics: ComparisonStatistics, blocks: Iterable[Any], reference: str
 ) -> pd.DataFrame:
-    """The expected MSE of each number of measurements, with regular and with found times.
+    """The expected MSE of each compared set, with its number of measurements.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def budget_table(
     blocks : iterable of tables
         Per-draw MSE, block by block, in columns ``mse_<name>``.
     reference : str
-        The sets of regular times have names that begin with ``<reference>_``.
+        Kind of the sets over which others gain.
 
     Returns
     -------
@@ -45,7 +45,7 @@ def budget_table(
         known, (low, high) = statistics.mse[name], statistics.mse[name].interval
         rows.append(
             {
-                "kind": REGULAR if name.startswith(f"{reference}_") else FOUND,
+                "kind": _kind(entry, reference if name not in statistics.references else GIVEN),
                 "measurements": len(times),
                 "name": name,
                 "measurement_times": times,
@@ -66,6 +66,10 @@ def budget_table(
     return table
 
 
+def _kind(entry: Mapping[Any, Any], unless_found: str) -> str:
+    return unless_found if math.isnan(float(entry["search_cost"])) else FOUND
+
+
 def with_bounds(table: pd.DataFrame, proofs: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
     """Add the columns bound, bound_error and bound_low to a budget curve.
 
@@ -81,7 +85,7 @@ def with_bounds(table: pd.DataFrame, proofs: Mapping[str, Mapping[str, Any]]) ->
     DataFrame
         See `pfdist.analysis.Run.budget`. The columns are NaN for sets that have no bound.
     """
-    numbers = int((table["kind"] == FOUND).sum())
+    numbers = max(len(proofs), int((table["kind"] == FOUND).sum()))
     columns = []
     for name in table["name"]:
         proof = proofs.get(name)
@@ -114,6 +118,8 @@ def _worse(table: pd.DataFrame, blocks: Iterable[Any]) -> dict[str, int]:
             fewer = sets[sets["measurements"] < measurements].dropna(subset="expected_mse")
             if len(fewer):
                 best_of_fewer[name] = fewer.loc[fewer["expected_mse"].idxmin()]
+    if not best_of_fewer:
+        return {}
     pairs = sum(math.comb(len(sets), 2) for _, sets in table.groupby("kind"))
     for rows in blocks:
         for name, best in best_of_fewer.items():
@@ -139,11 +145,12 @@ def reaching(table: pd.DataFrame, target: float) -> dict[str, dict[str, Any]]:
     Returns
     -------
     dict
-        For each kind, ``regular`` and ``found``, the fields of `pfdist.analysis.Run.reaching`.
+        For each kind of times the fields of `pfdist.analysis.Run.reaching`.
     """
-    answer = {}
-    for kind in (REGULAR, FOUND):
-        rows = table[table["kind"] == kind].set_index("measurements")
+    answer = dict[str, dict[str, Any]]()
+    for kind, sets in table.groupby("kind", sort=False):
+        best = sets.sort_values("expected_mse", kind="stable").drop_duplicates("measurements")
+        rows = best.set_index("measurements").sort_index()
         # The intervals of all numbers hold together (Bonferroni), and so does the least number.
         quantile = stats.t.isf((1 - CONFIDENCE) / 2 / len(rows), rows["draws"] - 1)
         half = quantile * rows["standard_error"]
@@ -152,7 +159,7 @@ def reaching(table: pd.DataFrame, target: float) -> dict[str, dict[str, Any]]:
         proved = rows["bound_low"] > target
         least = _least(rows["expected_mse"][~proved], target)
         above = rows.index[(low > target) & (rows.index > (least or np.inf))]
-        answer[kind] = {
+        answer[str(kind)] = {
             "measurements": least,
             "interval": [_least(low[~proved], target), _least(high[~proved], target)],
             "measurement_times": None if least is None else rows.loc[least, "measurement_times"],
@@ -160,7 +167,7 @@ def reaching(table: pd.DataFrame, target: float) -> dict[str, dict[str, Any]]:
         }
         if kind == FOUND:
             impossible = rows.index[proved]
-            answer[kind]["impossible"] = int(impossible.max()) if len(impossible) else None
+            answer[FOUND]["impossible"] = int(impossible.max()) if len(impossible) else None
     return answer
 
 

@@ -70,8 +70,6 @@ def add_exact_results(run: "Run", results: dict[str, dict[str, Any]]) -> None:
     costs = exact_costs(run)
     for name, cost in costs.items():
         results[name]["exact_mse"] = cost
-    reference = costs.get(run.names[0])
-    if not reference or run.has_budget:
-        return
-    for name in run.names[1:]:
-        results[name]["exact_gain"] = 1 - costs[name] / reference
+    for name, reference in run.references.items():
+        if costs.get(reference):
+            results[name]["exact_gain"] = 1 - costs[name] / costs[reference]

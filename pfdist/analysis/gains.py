@@ -9,6 +9,7 @@ Wilson, "Probable inference, the law of succession, and statistical inference", 
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -236,6 +237,9 @@ class ComparisonStatistics:
         Names of the sets, the reference first.
     total : int, optional
         Number of draws that will be added; `top_percent_share` needs it.
+    references : mapping of str to str, optional
+        The set over which each other set gains, by name. By default the first gains nothing, and
+        all others gain over it.
 
     Attributes
     ----------
@@ -244,14 +248,17 @@ class ComparisonStatistics:
     mse : dict of str to Moments
         Moments of each set's MSE.
     gains : dict of str to Gain
-        Gain of each set but the reference.
+        Gain of each set over its reference.
     """
 
-    def __init__(self, names: list[str], total: int = 0) -> None:
+    def __init__(
+        self, names: list[str], total: int = 0, references: Mapping[str, str] | None = None
+    ) -> None:
         self.names, self.draws, self._most = names, 0, total // 100
+        self.references = dict.fromkeys(names[1:], names[0]) if references is None else references
         self._largest = {name: np.empty(0) for name in names}
         self.mse = {name: Moments() for name in names}
-        self.gains = {name: Gain() for name in names[1:]}
+        self.gains = {name: Gain() for name in self.references}
 
     def add(self, block: Array) -> None:
         """Add a block of draws.
@@ -262,12 +269,13 @@ class ComparisonStatistics:
             Per-draw MSE of each set; NaN marks a degenerate draw.
         """
         self.draws += len(block)
-        for name, column in zip(self.names, block.T, strict=True):
+        columns = dict(zip(self.names, block.T, strict=True))
+        for name, column in columns.items():
             usable = column[~np.isnan(column)]
             self.mse[name].add(usable)
             self._largest[name] = _largest(np.append(self._largest[name], usable), self._most)
-        for name, column in zip(self.names[1:], block.T[1:], strict=True):
-            self.gains[name].add(column, block[:, 0])
+        for name, reference in self.references.items():
+            self.gains[name].add(columns[name], columns[reference])
 
     def top_percent_share(self, name: str) -> float:
         """Share of the expected MSE of a set that 1 % of the draws carry; NaN if it is unknown."""

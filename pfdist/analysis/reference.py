@@ -1,4 +1,4 @@
-"""The sets that no search found, in words: the reference, and those that a job names."""
+"""The sets that no search found: references, and those that a job names."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -42,6 +42,42 @@ def described(job: Mapping[str, Any], name: str, times: Sequence[Time]) -> dict[
     else:
         phrase = f"nearest to regular times of the sets with the most measurements ({number})"
     return {"description": phrase, "broken_constraints": problem.broken(times)}
+
+
+def without_number(name: str, job: Mapping[str, Any]) -> str:
+    """Name of a search or a reference, of which a set has the name.
+
+    A budget curve adds the number of measurements: ``regular_05`` is a set of ``regular``.
+
+    Parameters
+    ----------
+    name : str
+        Name of a compared set.
+    job : mapping
+        The run's resolved job.
+    """
+    return name.rpartition("_")[0] if "budget" in job else name
+
+
+def references_of(names: Sequence[str], job: Mapping[str, Any]) -> dict[str, str]:
+    """The reference of each compared set that is no reference, by name.
+
+    It has as many measurements as the set, if the job has a budget curve.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Names of the compared sets, a reference first.
+    job : mapping
+        The run's resolved job.
+    """
+    bases = {name: without_number(name, job) for name in names}
+    reference = bases[names[0]]
+    return {
+        name: reference + name.removeprefix(base)
+        for name, base in bases.items()
+        if base != reference
+    }
 
 
 def label(name: str) -> str:

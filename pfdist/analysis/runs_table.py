@@ -1,7 +1,6 @@
 """Many runs as one table: the keys in which they differ, and a row for each set."""
 
 import math
-from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,7 +8,6 @@ from typing import Any
 import pandas as pd
 
 from pfdist.analysis.differing_keys import differing_keys
-from pfdist.analysis.gains import Gain
 from pfdist.analysis.stored_run import Run
 from pfdist.common.percent import cost
 
@@ -78,36 +76,18 @@ def _rows(run: Run, summary: Mapping[str, Any]) -> Iterator[Row]:
         "worker_seconds": _seconds(run),
         "path": str(run.path),
     }
-    references = _references(results)
+    references = run.references if results else {}
     if not references:
         known = next(iter(results), None)
         yield shared | ({} if known is None else _reference(known, results[known]))
-    gains = (
-        _gains_of_budget(run, references) if run.has_budget and summary["draws_compared"] else {}
-    )
     for name, reference in references.items():
-        result = results[name] | gains.get(name, {})
+        result = results[name]
         yield (
             shared
             | _reference(reference, results[reference])
             | _set(name, result)
             | _gains(result, results[reference])
         )
-
-
-def _references(results: Mapping[str, Row]) -> dict[str, str]:
-    """Give the reference of each other set: that of the same number of measurements, if any."""
-    regular = {
-        each["measurements"]: name
-        for name, each in results.items()
-        if each.get("kind") == "regular"
-    }
-    first = next(iter(results), "")
-    return {
-        name: regular.get(len(each["measurement_times"]), first)
-        for name, each in results.items()
-        if name != first and name not in regular.values()
-    }
 
 
 def _set(name: str, result: Row) -> Row:
@@ -152,16 +132,6 @@ def _gains(result: Row, reference: Row) -> Row:
             ("gain_of_means", "gain_of_means_low", "gain_of_means_high"), gain_of_means
         )
     return found
-
-
-def _gains_of_budget(run: Run, references: Mapping[str, str]) -> dict[str, Row]:
-    """Give the gains of found times over the regular times of the same number."""
-    gains = defaultdict[str, Gain](Gain)
-    for block in run.blocks():
-        for name, reference in references.items():
-            mse, other = (block[f"mse_{each}"].to_numpy() for each in (name, reference))
-            gains[name].add(mse, other)
-    return {name: gain.summary().columns() for name, gain in gains.items()}
 
 
 def _seconds(run: Run) -> float | None:

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from pfdist.analysis.belief import own_estimation
 from pfdist.analysis.bounds import last_bounds
-from pfdist.analysis.budget_curve import reaching, with_bounds
+from pfdist.analysis.budget_curve import budget_table, reaching, with_bounds
 from pfdist.analysis.exact import exact_costs
 from pfdist.analysis.gains import BLOCK, ComparisonStatistics, relative_gain
 from pfdist.analysis.pairs import pairs_table, ranks_table
 from pfdist.analysis.particle_loss import ParticleLoss, particle_loss
 from pfdist.analysis.recorded import read_recorded
-from pfdist.analysis.results import results_of
+from pfdist.analysis.reference import references_of, without_number
 from pfdist.analysis.run_card import run_card, title_of
 from pfdist.analysis.run_tables import RunTables
 from pfdist.analysis.summary import summary_of
@@ -49,10 +49,9 @@ class Run(RunTables):
     def __init__(self, path: Path) -> None:
         self._about, self.job = read_recorded(path)
         super().__init__(path)
-        self._results = results_of(self.job)
 
     def gains(self, draws: int | None = None) -> pd.DataFrame:
-        """A row for each draw: draw, and gain_<name> for every set but the reference.
+        """A row for each draw: draw, and gain_<name> for every set over its reference.
 
         Parameters
         ----------
@@ -61,9 +60,9 @@ class Run(RunTables):
         """
         rows = self.comparison(draws)
         gains: dict[str, Any] = {"draw": rows["draw"]}
-        for name in self.names[1:]:
+        for name, reference in self.references.items():
             gains[f"gain_{name}"] = relative_gain(
-                rows[f"mse_{name}"].to_numpy(), rows[f"mse_{self.names[0]}"].to_numpy()
+                rows[f"mse_{name}"].to_numpy(), rows[f"mse_{reference}"].to_numpy()
             )
         return pd.DataFrame(gains)
 
@@ -71,6 +70,14 @@ class Run(RunTables):
     def names(self) -> list[str]:
         """Names of the compared sets, the reference first."""
         return self._store.compared_names()
+
+    @cached_property
+    def references(self) -> dict[str, str]:
+        """The reference of each compared set that is no reference, by name.
+
+        In a run of several numbers of measurements it has as many measurements as the set.
+        """
+        return references_of(self.names, self.job)
 
     @property
     def named(self) -> list[str]:
@@ -80,7 +87,7 @@ class Run(RunTables):
     @property
     def found(self) -> list[str]:
         """Names of the sets that searches have found."""
-        return [name for name in self.names[1:] if name not in self.named]
+        return [name for name in self.references if name not in self.named]
 
     @cached_property
     def problem(self) -> ProblemSection:
@@ -112,7 +119,7 @@ class Run(RunTables):
 
     def statistics(self) -> ComparisonStatistics:
         """Statistics of all compared draws; memory does not grow with the draws."""
-        statistics = ComparisonStatistics(self.names, self.draws_compared)
+        statistics = ComparisonStatistics(self.names, self.draws_compared, self.references)
         for block in self._columns():
             statistics.add(block)
         return statistics
@@ -160,7 +167,7 @@ class Run(RunTables):
     @property
     def has_budget(self) -> bool:
         """Whether the run has times of several numbers of measurements."""
-        return self._results.has_budget
+        return "budget" in self.job
 
     def sets_of_one_number(self) -> dict[str, Times]:
         """Compared sets by name, the reference first.
@@ -170,10 +177,17 @@ class Run(RunTables):
         StoreError
             The run has times of several numbers of measurements.
         """
-        return self._results.sets_of_one_number(self)
+        if self.has_budget:
+            raise StoreError(
+                f"{self.path} has times of several numbers of measurements: give a run of one"
+            )
+        return self.sets()
 
-    def budget(self) -> pd.DataFrame:
-        """A row for each kind of times, ``regular`` or ``found``, and number of measurements.
+    def budget(self, statistics: ComparisonStatistics | None = None) -> pd.DataFrame:
+        """A row for each compared set: a number of measurements with a kind of times.
+
+        The kinds are ``found`` (by a search), ``regular`` (or ``reference``, if the job gives its
+        times) and ``given`` (the other sets that the job names).
 
         The columns are kind, measurements, name, measurement_times, expected_mse (on fresh draws),
         standard_error, low and high (ends of the 95 % interval), draws (without the degenerate
@@ -182,18 +196,20 @@ class Run(RunTables):
         smaller number of measurements of the same kind, if it is better on common draws. The
         intervals of all such differences hold together with 95 %.
 
-        For found times, three columns more say what any feasible times of this number can reach:
-        bound (lower bound of the expected MSE), bound_error (standard error), and bound_low
-        (one-sided limit of the bound). The limits of all numbers hold together with 95 %. Exact
-        engines have no error. The three are NaN where there is no bound, and for regular times.
+        Three columns more say what any feasible times of this number can reach: bound (lower bound
+        of the expected MSE), bound_error (standard error), and bound_low (one-sided limit of the
+        bound). The limits of all numbers hold together with 95 %. Exact engines have no error. The
+        three are NaN where there is no bound, as for the regular times of a budget curve.
 
-        Raises
-        ------
-        StoreError
-            The run has times of one number of measurements alone.
+        Parameters
+        ----------
+        statistics : ComparisonStatistics, optional
+            Those of the run, if they are at hand.
         """
-        proofs = last_bounds(self.bounds()) if self.has("bound") else {}
-        return with_bounds(self._results.budget_table(self), proofs)
+        reference = without_number(self.names[0], self.job)
+        statistics = statistics or self.statistics()
+        table = budget_table(self.compared(), statistics, self.blocks(), reference)
+        return with_bounds(table, last_bounds(self.bounds()) if self.has("bound") else {})
 
     def reaching(self, target: float) -> dict[str, dict[str, Any]]:
         """Give the least number of measurements whose expected MSE is at most a target.
@@ -205,7 +221,7 @@ class Run(RunTables):
         Returns
         -------
         dict
-            For ``regular`` and for ``found`` times:
+            For each kind of times, as ``regular`` and ``found``:
 
             - measurements: the least number; None if no number reaches the target.
             - interval, 95 %: the least number whose interval reaches the target, and the least
@@ -257,7 +273,7 @@ class Run(RunTables):
 
     def summary(self) -> dict[str, Any]:
         """How far the run is, and what it has found; see `pfdist.analysis.summary.summary_of`."""
-        return summary_of(self, self._results)
+        return summary_of(self)
 
     def _card(self) -> Card:
         return run_card(self)
@@ -287,7 +303,7 @@ class Run(RunTables):
         """Reason for each search that was run again, by its name."""
         rows = self.compared()
         rows = rows[rows["distrust"].notna()]
-        names = [self._results.search_of(str(name)) for name in rows["name"]]
+        names = [without_number(str(name), self.job) for name in rows["name"]]
         return dict(zip(names, rows["distrust"].astype(str), strict=True))
 
 

@@ -1,31 +1,37 @@
 """The summary of a run, as `pfdist status --json` prints it."""
 
+import math
 from typing import TYPE_CHECKING, Any
 
+import pandas as pd
+
+from pfdist.analysis.belief import belief_of
 from pfdist.analysis.bounds import last_bounds
+from pfdist.analysis.budget_curve import FOUND
 from pfdist.analysis.exact import add_exact_results
 from pfdist.analysis.finite import finite
+from pfdist.analysis.gains import gain_over_itself
 from pfdist.analysis.online import online_draws
-from pfdist.analysis.results import Results
+from pfdist.analysis.particle_loss import hardly_measured
+from pfdist.analysis.reference import described, without_number
 from pfdist.evaluation.engines import is_exact
 
 if TYPE_CHECKING:
     from pfdist.analysis.stored_run import Run
 
 
-def summary_of(run: "Run", kind: Results) -> dict[str, Any]:
+def summary_of(run: "Run") -> dict[str, Any]:
     """How far a run is, and what it has found.
 
     Parameters
     ----------
     run : Run
-    kind : Results
-        The results of the run's study.
 
     Returns
     -------
     dict
-        ``state``, ``run``, ``evaluations`` (copies counted), ``draws_compared``, ``is_exact``
+        ``state``, ``run``, ``evaluations`` (copies counted), ``draws_compared``, ``has_budget``
+        (whether the run has times of several numbers of measurements), ``is_exact``
         (whether the engine knows expected MSEs without draws), ``is_constrained`` (whether the job
         excludes some times, beside their number or cost), ``time_unit`` if the job has a clock,
         ``instant_weights`` (the weight of each instant's error in the MSE, with mean 1) if there
@@ -33,8 +39,8 @@ def summary_of(run: "Run", kind: Results) -> dict[str, Any]:
         of the clock. Fractions are not in per cent; an infinite or unknown value is None. Each
         result has:
 
-        - measurement_times, expected_mse, standard_error, degenerate_draws, search_cost and
-          search_standard_error.
+        - The columns of `pfdist.analysis.Run.budget`, among them measurement_times, expected_mse,
+          standard_error, degenerate_draws, search_cost and search_standard_error.
         - particle_loss and particle_loss_error (by two filters), particle_loss_at_most,
           particle_loss_at_most_error and its 95 % limit particle_loss_limit: the loss by a finite
           number of particles as a fraction of expected_mse, where the engine has particles and the
@@ -44,10 +50,11 @@ def summary_of(run: "Run", kind: Results) -> dict[str, Any]:
         - top_percent_share: the share of expected_mse that 1 % of the draws carry; None with fewer
           than 100 draws. Above 0.25 the standard error and the intervals are too small.
         - For the reference: gain_over_itself (see `pfdist.analysis.gains.gain_over_itself`) with
-          interval and draws. For the reference and sets that the job names: description, and
-          broken_constraints (see `pfdist.job.problem_section.ProblemSection.broken`).
-        - For all but the reference: the fields of `GainSummary`, and gains_disagree
-          (`GainSummary.disagree`).
+          interval and draws. For the reference and sets that the job names, if they have one
+          number of measurements: description, and broken_constraints (see
+          `pfdist.job.problem_section.ProblemSection.broken`).
+        - For all but references: the fields of `GainSummary`, and gains_disagree
+          (`GainSummary.disagree`). The reference has as many measurements.
         - For found sets: search_excess (search_cost over expected_mse, less 1),
           search_estimation (how the search estimated otherwise than the comparison),
           search_cause (why search_cost is not expected_mse), search_distrust (why the search
@@ -59,9 +66,8 @@ def summary_of(run: "Run", kind: Results) -> dict[str, Any]:
           bound was proved, or ``pfdist why`` has computed it; then exact_gain of the others, 1
           less the ratio.
 
-        If the run has several numbers of measurements, the results are the rows of `budget`,
-        with the four search_ fields for found times. Before the comparison has begun, a result
-        has only measurement_times, search_cost and search_standard_error.
+        Before the comparison has begun, a result has only measurement_times, search_cost and
+        search_standard_error.
 
         If the job names sets, ``pairs`` and ``ranks`` hold the rows of `pfdist.analysis.Run.pairs`
         and `pfdist.analysis.Run.ranks`.
@@ -78,7 +84,7 @@ def summary_of(run: "Run", kind: Results) -> dict[str, Any]:
     results: dict[str, Any] = {}
     if run.has("compared"):
         compared = run.has("comparison")
-        results = kind.summary(run) if compared else _before_the_comparison(run)
+        results = _results(run) if compared else _before_the_comparison(run)
         proved = last_bounds(run.bounds()) if run.has("bound") else {}
         for name, columns in proved.items():
             results[name]["lower_bound"] = columns
@@ -91,6 +97,7 @@ def summary_of(run: "Run", kind: Results) -> dict[str, Any]:
         "run": str(run.path),
         "evaluations": evaluations,
         "draws_compared": run.draws_compared,
+        "has_budget": run.has_budget,
         "is_exact": is_exact(run.job["filter"]["engine"]),
         "is_constrained": run.problem.is_constrained,
         **({"time_unit": run.problem.clock.unit} if run.problem.has_clock else {}),
@@ -98,6 +105,47 @@ def summary_of(run: "Run", kind: Results) -> dict[str, Any]:
         "results": finite(results),
         **online,
         **(_pairs_and_ranks(run) if run.has("comparison") and run.named else {}),
+    }
+
+
+def _results(run: "Run") -> dict[str, dict[str, Any]]:
+    """Costs of each set, facts about it, and its gains over its reference."""
+    results, statistics = dict[str, dict[str, Any]](), run.statistics()
+    for row in run.budget(statistics).to_dict("records"):
+        result: dict[str, Any] = {str(key): value for key, value in row.items()}
+        name, worse_than = result.pop("name"), result["worse_than"]
+        result["worse_than"] = None if pd.isna(worse_than) else worse_than
+        if result["kind"] == FOUND:
+            result |= belief_of(run, without_number(name, run.job), result)
+        elif not run.has_budget:
+            result |= described(run.job, name, tuple(result["measurement_times"]))
+        if name in statistics.gains:
+            result |= statistics.gains[name].summary().columns()
+        else:
+            result |= _gain_over_itself(run)
+        results[name] = result
+    losses = run.particle_losses(statistics)
+    unmeasured = float(run.filter_variance()["unmeasured"].mean()) if losses else math.nan
+    for name, loss in losses.items():
+        hardly = hardly_measured(results[name]["expected_mse"], unmeasured)
+        warnings = [loss.warning, hardly if name in statistics.gains else ""]
+        results[name] |= loss.columns() | {"unmeasured_mse": unmeasured}
+        results[name]["warnings"] = [text for text in warnings if text]
+    return results
+
+
+def _gain_over_itself(run: "Run") -> dict[str, Any]:
+    """The effect of filter noise alone on a gain, if the reference was filtered twice."""
+    if not run.has("repeated"):
+        return {}
+    again = run.repeated()
+    last = int(again["draw"].max()) + 1
+    both = again.merge(run.comparison(last), on="draw")
+    gain = gain_over_itself(both[f"mse_{run.names[0]}"].to_numpy(), both["mse"].to_numpy())
+    return {
+        "gain_over_itself": gain.mean,
+        "gain_over_itself_interval": gain.interval,
+        "gain_over_itself_draws": gain.count,
     }
 
 

@@ -15,11 +15,6 @@ _KINDS = ("regular", "found")
 _BOUND = "lower bound"
 
 
-def is_for_several_numbers(summary: dict[str, Any]) -> bool:
-    """Whether a run has times for several numbers of measurements."""
-    return any("kind" in result for result in summary["results"].values())
-
-
 def budget_lines(summary: dict[str, Any]) -> list[str]:
     """Give the expected MSE for each number of measurements, and how many reach a target.
 

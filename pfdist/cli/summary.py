@@ -5,7 +5,7 @@ from typing import Any
 
 from pfdist.cli.belief import belief_line
 from pfdist.cli.bound_lines import proof_lines
-from pfdist.cli.budget_summary import budget_lines, is_for_several_numbers
+from pfdist.cli.budget_summary import budget_lines
 from pfdist.cli.gain_lines import (
     gain_of_means_line,
     mean_relative_gain_line,
@@ -38,11 +38,11 @@ def print_summary(summary: dict[str, Any], files: str) -> None:
     files : str
         Where tables and figures are; the last line.
     """
-    several = is_for_several_numbers(summary)
+    is_curve = summary["has_budget"] and any("kind" in each for each in summary["results"].values())
     lines = [
         f"{one_line(summary['run'])}: {summary['state']}, {summary['evaluations']:,} evaluations, "
         f"{summary['draws_compared']:,} draws compared",
-        *(budget_lines(summary) if several else _lines_of_sets(summary)),
+        *(budget_lines(summary) if is_curve else _lines_of_sets(summary)),
         *comparison_lines(summary),
         *_lines_of_online(summary),
         *(["", files] if files else []),

@@ -105,7 +105,7 @@ def times(
         clock = problem.clock
         barred.update(clock.times_of(problem.feasible.forbidden))
         sets = run.sets()
-        references = _references(run)
+        references = {*run.names} - {*run.references}
     for name, chosen in sets.items():
         check_kind(chosen, (Sequence, np.ndarray), f"sets[{shown(name)}]")
     if clock is None:
@@ -152,14 +152,6 @@ def _room_for_names(ax: Axes) -> int:
     figure = ax.get_figure(root=True)
     inches = ax.get_window_extent().height / figure.dpi if figure else 0.0
     return max(1, int(72 * inches / (_LEADING * points)))
-
-
-def _references(run: Run) -> set[str]:
-    """Names of the sets with which the found sets are compared."""
-    if not run.has_budget:
-        return {run.names[0]}
-    start = f"{run.job['comparison']['reference']}_"
-    return {name for name in run.names if name.startswith(start)}
 
 
 def _shade(ax: Axes, forbidden: Iterable[float], clock: Clock) -> None:

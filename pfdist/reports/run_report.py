@@ -21,10 +21,9 @@ from pfdist.reports.subject import Subject, number_of, without_folder
 from pfdist.store import remove_file
 from pfdist.store.shown_files import REPORT, check_page_replaceable
 
-_SECTIONS = (
-    answer, compared, budget, problem, gains, proof, worth, online, searches, computed, tables,
-    citation,
-)  # fmt: skip
+_END = (searches, computed, tables, citation)
+_OF_ONE_NUMBER = (answer, compared, problem, gains, proof, worth, online, *_END)
+_OF_A_CURVE = (budget, problem, *_END)
 
 
 def write_report(run: Run, seconds: int = 0) -> Path:
@@ -70,7 +69,8 @@ def remove_report(path: Path) -> None:
 def page_of(run: Run, seconds: int = 0) -> Page:
     """Give the report of a run as a page; see `write_report`."""
     subject = Subject(run)
-    sections = [section for make in _SECTIONS if (section := make(subject)) is not None]
+    parts = _OF_A_CURVE if run.has_budget else _OF_ONE_NUMBER
+    sections = [section for make in parts if (section := make(subject)) is not None]
     name = without_folder(subject.run.job["model"]["name"])
     compared = number_of(subject.summary["draws_compared"], "draw")
     unfinished = (

@@ -22,7 +22,7 @@ from pfdist.runner.estimate_columns import check_estimate_columns
 from pfdist.runner.evaluator_source import EvaluatorSource
 from pfdist.runner.online_planning import planning_of
 from pfdist.runner.searches import NamedSearch, Settings, named_search
-from pfdist.runner.study import Study, study_of
+from pfdist.runner.study import Study
 from pfdist.sequential.planning import check_plannable
 from pfdist.times.clock import Time
 from pfdist.times.feasible import Feasible
@@ -97,7 +97,7 @@ def build(job: Job) -> Built:
     # To a filter that is wrong about the truth, one more measurement may do harm.
     feasible, is_wrong = job.problem.feasible, source.filter_model.key != source.model.key
     feasible = replace(feasible, smaller=is_wrong and not feasible.counted)
-    evaluator, study = source.make(), study_of(job, feasible)
+    evaluator, study = source.make(), Study(job, feasible)
     guide = evaluator.guiding_estimator
     searches = tuple(named_search(study, job, section, guide) for section in job.search)
     wanted = [settings.estimation for search in searches for settings in search.all_settings]

@@ -6,6 +6,7 @@ import numpy as np
 import pyarrow as pa
 
 from pfdist.analysis import BLOCK
+from pfdist.analysis.reference import references_of
 from pfdist.common.streams import stream_of
 from pfdist.errors import StoreError
 from pfdist.evaluation.work import Result, Work, cut
@@ -37,7 +38,9 @@ def run_comparison(session: Session, sets: Mapping[str, Times]) -> Generator[Bat
     built, reporter = session.built, session.reporter
     draws, study = built.job.comparison.draws, built.study
     work, start = _work(built, sets), reporter.progress.done
-    interim = InterimGains(list(sets), draws, built.job.comparison.until.half_width)
+    names, half_width = list(sets), built.job.comparison.until.half_width
+    references = references_of(names, built.job.identity())
+    interim = InterimGains(names, references, draws, half_width)
     reporter.begin(COMPARISON)
     for table in study.first_draws:
         first_draws = TABLES[table](built, work)

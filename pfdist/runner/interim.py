@@ -4,6 +4,8 @@ Tasks end in any order. Only whole blocks without a gap before them count, so th
 do not depend on the order, and the comparison stops after the same draws in every run.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,7 +19,9 @@ class InterimGains:
     Parameters
     ----------
     names : list of str
-        Names of the compared sets, the reference first.
+        Names of the compared sets.
+    references : mapping of str to str
+        The set over which each other set gains, by name.
     draws : int
         Draws of the whole comparison; the last block may be shorter than the others.
     half_width : float
@@ -29,8 +33,10 @@ class InterimGains:
         Number of draws that were enough; 0 as long as they are not.
     """
 
-    def __init__(self, names: list[str], draws: int, half_width: float) -> None:
-        self._statistics = ComparisonStatistics(names)
+    def __init__(
+        self, names: list[str], references: Mapping[str, str], draws: int, half_width: float
+    ) -> None:
+        self._statistics = ComparisonStatistics(names, references=references)
         self._draws, self._half_width = draws, half_width
         self._waiting: dict[int, _Block] = {}
         self.enough = 0

@@ -1,14 +1,12 @@
-"""Studies: the best times of one problem, or of each of several measurement budgets.
+"""What a run seeks and compares: sets of times for each number of measurements on an axis.
 
-This module holds everything that differs between the two. Only `study_of` asks which study a job
-wants.
+The axis has one number, unless the job has a section [budget].
 """
 
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, Protocol
 
 from pfdist.bounds.first_windows import relaxation_within
 from pfdist.errors import JobError
@@ -23,120 +21,91 @@ from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
 
-class Study(Protocol):
-    """The questions that a run asks about its searches and its comparison."""
+@dataclass(frozen=True)
+class Study:
+    """The sets that a run seeks and compares.
+
+    Parameters
+    ----------
+    job : Job
+    feasible : Feasible
+        The feasible sets of the job's problem.
+    """
+
+    job: Job
+    feasible: Feasible
+
+    @cached_property
+    def axis(self) -> dict[int, Feasible]:
+        """Feasible sets by number of measurements, the least number first.
+
+        With costs, the number is that of regular times.
+        """
+        if self.job.budget is None:
+            return {self.feasible.measurements: self.feasible}
+        return {number: self.job.feasible(number) for number in self.job.budget.each}
 
     @property
     def purpose(self) -> str:
         """The purpose of the comparison's draws."""
+        return "comparison" if self.job.budget is None else "budget"
 
     @property
     def first_draws(self) -> tuple[str, ...]:
         """Tables that keep the first draws of the comparison; see `pfdist.runner.first_draws`."""
+        tables = ("trajectories", "repeated", "filter_distance", "filter_variance")
+        return tables if self.job.budget is None else ()
 
     @property
     def references(self) -> dict[str, Times]:
-        """Measurement times with which the found times are compared, by name."""
+        """Measurement times with which the found times of each number are compared, by name."""
+        names = self.names(self.job.comparison.reference_name)
+        return {name: self.unsearched[name] for name in names}
 
-    @property
+    @cached_property
     def unsearched(self) -> dict[str, Times]:
-        """All compared sets that no search finds, by name: the references first."""
+        """The references, then the sets that comparison.sets names."""
+        return {
+            self._name(name, number): feasible.regular() if times is None else times
+            for name, times in self.job.given_sets.items()
+            for number, feasible in self.axis.items()
+        }
 
     @property
     def widest(self) -> Feasible:
-        """The feasible sets of the largest number of measurements that is sought."""
+        """The feasible sets of the largest number of measurements."""
+        return self.axis[max(self.axis)]
 
     @property
     def usual(self) -> int:
-        """A number of measurements in the middle of those that are sought."""
+        """The geometric mean of the least and the largest number of measurements."""
+        return round(math.sqrt(min(self.axis) * max(self.axis)))
 
     def proved(self, sets: dict[str, Times]) -> dict[str, Times]:
-        """Those of the compared sets whose gaps are proved."""
+        """Those of the compared sets whose gaps are proved: for a budget curve, the found sets."""
+        if self.job.budget is None:
+            return sets
+        return {name: times for name, times in sets.items() if name not in self.references}
 
     def names(self, search: str) -> list[str]:
-        """Names of the sets that a search finds."""
+        """Names of the sets that a search finds, one for each number of measurements."""
+        return [self._name(search, number) for number in self.axis]
 
     def optimiser(self, section: SearchSection, draws: int) -> Optimiser:
         """Optimiser of a section [[search]] whose evaluations have so many draws.
+
+        For a budget curve, state-space relaxation finds the sets of all numbers at once.
 
         Raises
         ------
         JobError
             The optimiser cannot search this problem.
         """
-
-    def probed(
-        self, leaders: Sequence[Evaluation], found: Sequence[Evaluation]
-    ) -> list[Evaluation]:
-        """Evaluations on which the estimator of a search is checked.
-
-        Parameters
-        ----------
-        leaders : sequence of Evaluation
-            The evaluations that led the search.
-        found : sequence of Evaluation
-            The evaluations with which the search ended.
-        """
-
-    def racing(self, found: Iterable[Times]) -> tuple[Times, ...]:
-        """The found sets that race on fresh draws; empty for no race."""
-
-    def winners(self, search: str, ranked: Sequence[Times]) -> dict[str, Times]:
-        """Compared sets by name, chosen from the found sets, the best of which is the first."""
-
-    def shown(self, gains: Callable[[], tuple[Found, ...]]) -> tuple[Found, ...]:
-        """Gains that the progress of the comparison shows."""
-
-
-@dataclass(frozen=True)
-class TimesStudy:
-    """Find the best times of one problem; each search finds one set.
-
-    Parameters
-    ----------
-    job : Job
-    widest : Feasible
-        The feasible sets of the problem.
-    """
-
-    job: Job
-    widest: Feasible
-    purpose: ClassVar[str] = "comparison"
-    first_draws: ClassVar[tuple[str, ...]] = (
-        "trajectories",
-        "repeated",
-        "filter_distance",
-        "filter_variance",
-    )
-
-    @cached_property
-    def references(self) -> dict[str, Times]:
-        """The reference of the job, under its name."""
-        name = self.job.comparison.reference_name
-        return {name: self.unsearched[name]}
-
-    @cached_property
-    def unsearched(self) -> dict[str, Times]:
-        """The reference, and the sets that comparison.sets names."""
-        regular = self.widest.regular
-        sets = self.job.given_sets
-        return {name: regular() if times is None else times for name, times in sets.items()}
-
-    @property
-    def usual(self) -> int:
-        """N; with costs, the number of measurements of regular times."""
-        return self.widest.measurements
-
-    def proved(self, sets: dict[str, Times]) -> dict[str, Times]:
-        """All compared sets."""
-        return sets
-
-    def names(self, search: str) -> list[str]:
-        """The name of the search."""
-        return [search]
-
-    def optimiser(self, section: SearchSection, draws: int) -> Optimiser:
-        """Optimiser of the method that the section names."""
+        if self.job.budget is not None:
+            start, sought = relaxation_within(self.widest, self.usual, MOST_CELLS), (*self.axis,)
+            return StateSpaceRelaxation(
+                self.widest, draws, sought=sought, start=start, **section.settings
+            )
         try:
             return METHODS[section.method].make(self.widest, draws, section.settings)
         except JobError as error:
@@ -145,104 +114,39 @@ class TimesStudy:
     def probed(
         self, leaders: Sequence[Evaluation], found: Sequence[Evaluation]
     ) -> list[Evaluation]:
-        """The leaders; the finalists race by the squared error anyway."""
-        return [*leaders]
+        """Evaluations on which the estimator of a search is checked.
+
+        A race compares the found sets by the squared error anyway.
+
+        Parameters
+        ----------
+        leaders : sequence of Evaluation
+            The evaluations that led the search.
+        found : sequence of Evaluation
+            The evaluations with which the search ended.
+        """
+        races = self.racing(dict.fromkeys(each.measurement_times for each in found))
+        return [*leaders] if races else [*leaders, *found]
 
     def racing(self, found: Iterable[Times]) -> tuple[Times, ...]:
-        """All sets that were found, unless there is a single set."""
+        """The found sets that race on fresh draws: all, if they are more than are sought."""
         sets = tuple(found)
-        return sets if len(sets) > 1 else ()
+        return sets if len(sets) > len(self.axis) else ()
 
     def winners(self, search: str, ranked: Sequence[Times]) -> dict[str, Times]:
-        """The best set."""
-        return {search: ranked[0]} if ranked else {}
+        """The best set of each number of measurements by name; the best of all is the first."""
+        best = dict[str, Times]()
+        for times in ranked:
+            best.setdefault(self._name(search, len(times)), times)
+        return {name: best[name] for name in self.names(search) if name in best}
 
     def shown(self, gains: Callable[[], tuple[Found, ...]]) -> tuple[Found, ...]:
-        """All gains: there is one reference for all of them."""
-        return gains()
+        """Gains that the progress of the comparison shows: none if there are many references."""
+        return gains() if len(self.references) == 1 else ()
 
-
-@dataclass(frozen=True)
-class BudgetStudy:
-    """Find the best times for each of several measurement budgets; a search finds all of them.
-
-    Parameters
-    ----------
-    job : Job
-    budgets : sequence of int
-        Measurement budgets N, from the least to the largest.
-    """
-
-    job: Job
-    budgets: Sequence[int]
-    purpose: ClassVar[str] = "budget"
-    first_draws: ClassVar[tuple[str, ...]] = ()
-
-    @cached_property
-    def references(self) -> dict[str, Times]:
-        """Regular times of each measurement budget, under the reference's name and the budget."""
-        name = self.job.comparison.reference_name
-        return {
-            self._name(name, budget): self.job.feasible(budget).regular() for budget in self.budgets
-        }
-
-    @property
-    def unsearched(self) -> dict[str, Times]:
-        """The references: a job of several budgets names no sets."""
-        return self.references
-
-    @property
-    def widest(self) -> Feasible:
-        """The feasible sets of the largest budget."""
-        return self.job.feasible(self.budgets[-1])
-
-    @property
-    def usual(self) -> int:
-        """The geometric mean of the least and the largest budget."""
-        return round(math.sqrt(self.budgets[0] * self.budgets[-1]))
-
-    def proved(self, sets: dict[str, Times]) -> dict[str, Times]:
-        """The found sets."""
-        return {name: times for name, times in sets.items() if name not in self.references}
-
-    def names(self, search: str) -> list[str]:
-        """The search's name with each measurement budget."""
-        return [self._name(search, budget) for budget in self.budgets]
-
-    def optimiser(self, section: SearchSection, draws: int) -> Optimiser:
-        """State-space relaxation for all measurement budgets at once."""
-        start = relaxation_within(self.widest, self.usual, MOST_CELLS)
-        sought = tuple(self.budgets)
-        return StateSpaceRelaxation(
-            self.widest, draws, sought=sought, start=start, **section.settings
-        )
-
-    def probed(
-        self, leaders: Sequence[Evaluation], found: Sequence[Evaluation]
-    ) -> list[Evaluation]:
-        """The leaders and all that was found: no race compares the finalists."""
-        return [*leaders, *found]
-
-    def racing(self, found: Iterable[Times]) -> tuple[Times, ...]:
-        """No sets: there is one set for each measurement budget."""
-        return ()
-
-    def winners(self, search: str, ranked: Sequence[Times]) -> dict[str, Times]:
-        """The set of each measurement budget."""
-        by_budget = sorted((len(times), times) for times in ranked)
-        return {self._name(search, budget): times for budget, times in by_budget}
-
-    def shown(self, gains: Callable[[], tuple[Found, ...]]) -> tuple[Found, ...]:
-        """No gains: each set has a reference of its own."""
-        return ()
-
-    def _name(self, name: str, budget: int) -> str:
+    def _name(self, name: str, number: int) -> str:
+        """Name of a set of so many measurements; a budget curve adds the number."""
+        if self.job.budget is None:
+            return name
         digits = len(str(self.job.problem.feasible.horizon + 1))
-        return f"{name}_{budget:0{digits}}"
-
-
-def study_of(job: Job, feasible: Feasible) -> Study:
-    """The study that a job asks for, with the feasible sets of its problem."""
-    if job.budget is None:
-        return TimesStudy(job, feasible)
-    return BudgetStudy(job, job.budget.each)
+        return f"{name}_{number:0{digits}}"

@@ -29,14 +29,15 @@ COSTS = {
 
 def _table(mse: dict[str, np.ndarray]) -> pd.DataFrame:
     comparison = pd.DataFrame({f"mse_{name}": column for name, column in mse.items()})
-    statistics = ComparisonStatistics(list(mse))
+    references = {name: name for name in mse if not name.startswith("regular")}
+    statistics = ComparisonStatistics(list(mse), references=references)
     statistics.add(comparison.to_numpy())
     compared = pd.DataFrame(
         [
             {
                 "name": name,
                 "measurement_times": np.arange(int(name.rpartition("_")[2])),
-                "search_cost": 1.0,
+                "search_cost": math.nan if name.startswith("regular") else 1.0,
                 "search_standard_error": 0.1,
             }
             for name in mse

@@ -1,4 +1,4 @@
-"""The results of a summary: the same questions to a run of one problem and to a budget study."""
+"""The results of a summary: one number of measurements is a budget curve of a single number."""
 
 from pathlib import Path
 
@@ -23,20 +23,40 @@ def budget(small_job: Job, tmp_path: Path) -> pfdist.Run:
     )
 
 
-def test_a_run_of_one_problem_has_its_sets_and_no_budget_curve(times: pfdist.Run) -> None:
-    sets = times.sets_of_one_number()
-    assert list(sets) == times.names == list(times.summary()["results"])
+def test_a_run_of_one_number_has_a_curve_of_one_number(times: pfdist.Run) -> None:
+    sets, table = times.sets_of_one_number(), times.budget()
+    assert list(sets) == times.names
     assert all(len(measurement_times) == 4 for measurement_times in sets.values())
-    for curve in (times.budget, lambda: times.reaching(1.0)):
-        with pytest.raises(StoreError, match=r"times of one number of measurements alone$"):
-            curve()
+    assert table["kind"].tolist() == ["regular", "found", "found"]
+    assert table["measurements"].tolist() == [4, 4, 4]
+    least = table[table["kind"] == "found"]["expected_mse"].min()
+    assert times.reaching(least)["found"]["measurements"] == 4
+    below = times.reaching(least * 0.999)
+    assert (below["found"]["measurements"], below["regular"]["measurements"]) == (None, None)
 
 
-def test_a_budget_study_has_a_result_for_each_row_of_its_curve(budget: pfdist.Run) -> None:
-    results, table = budget.summary()["results"], budget.budget().set_index("name")
-    assert list(results) == budget.names == table.index.tolist()
+@pytest.mark.parametrize("kind", ["times", "budget"])
+def test_a_run_has_a_result_for_each_row_of_its_curve(
+    kind: str, request: pytest.FixtureRequest
+) -> None:
+    run = request.getfixturevalue(kind)
+    results, table = run.summary()["results"], run.budget().set_index("name")
+    assert list(results) == run.names == table.index.tolist()
     for name, result in results.items():
         assert result["expected_mse"] == table.loc[name, "expected_mse"]
         assert ("search_cause" in result) == (result["kind"] == "found")
+
+
+def test_each_set_gains_over_the_reference_with_as_many_measurements(budget: pfdist.Run) -> None:
+    results, gains = budget.summary()["results"], budget.gains()
+    assert len(budget.references) == 3
+    assert gains.columns.tolist() == ["draw", *(f"gain_{name}" for name in budget.references)]
+    for name, reference in budget.references.items():
+        cost, other = (results[each]["expected_mse"] for each in (name, reference))
+        assert results[name]["measurements"] == results[reference]["measurements"]
+        assert results[name]["gain_of_means"] == pytest.approx(1 - cost / other)
+
+
+def test_the_sets_of_several_numbers_are_not_those_of_one(budget: pfdist.Run) -> None:
     with pytest.raises(StoreError, match="times of several numbers of measurements"):
         budget.sets_of_one_number()

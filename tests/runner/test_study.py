@@ -5,7 +5,7 @@ import pytest
 from pfdist import Job
 from pfdist.common.streams import CHOOSING
 from pfdist.errors import JobError
-from pfdist.runner.study import Study, study_of
+from pfdist.runner.study import Study
 from pfdist.search.methods import DEFAULT_METHOD, METHODS
 from pfdist.times.measurement_times import Times
 
@@ -18,7 +18,7 @@ SETS: dict[str, list[Times]] = {
 
 
 def made(job: Job) -> Study:
-    return study_of(job, job.problem.feasible)
+    return Study(job, job.problem.feasible)
 
 
 @pytest.fixture(params=["times", "budget"])

@@ -21,7 +21,7 @@ _KNOWN = "by their expected errors, which are known exactly."
 
 def answer(subject: Subject) -> Section | None:
     """Give the answer of a run in sentences, and the times on an axis."""
-    if subject.run.has_budget or not subject.found:
+    if not subject.found:
         return None
     blocks: list[Block] = []
     for name in [subject.best] if subject.is_compared else subject.found:

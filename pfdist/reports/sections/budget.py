@@ -20,7 +20,7 @@ _BOUND = (
 
 def budget(subject: Subject) -> Section | None:
     """Give the budget curve of a run for several numbers of measurements."""
-    if not subject.run.has_budget or not subject.is_compared:
+    if not subject.is_compared:
         return None
     blocks: list[Block] = [
         *_answer(subject),

@@ -18,7 +18,7 @@ _MEANING = (
 
 def gains(subject: Subject) -> Section | None:
     """Compare all sets of a run on the same draws."""
-    if subject.run.has_budget or not subject.is_compared:
+    if not subject.is_compared:
         return None
     rows = [_row(name, result) for name, result in subject.results.items()]
     draws = number_of(subject.summary["draws_compared"], "draw")

@@ -29,7 +29,7 @@ def proof(subject: Subject) -> Section | None:
     proofs = {
         name: each["lower_bound"] for name, each in subject.others.items() if "lower_bound" in each
     }
-    if subject.run.has_budget or not proofs:
+    if not proofs:
         return None
     rows = [_row(name, each) for name, each in proofs.items() if not each["reason"]]
     tables = [Table("Lower bounds and gaps", _HEAD, rows)] if rows else []

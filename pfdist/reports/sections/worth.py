@@ -24,7 +24,7 @@ _CHANGES = ("removed", "earlier", "later")
 
 def worth(subject: Subject) -> Section | None:
     """Give the rise of the expected error without each measurement."""
-    if subject.run.has_budget or not subject.run.has("worth"):
+    if not subject.run.has("worth"):
         return None
     worth = subject.run.worth()
     tables = []
