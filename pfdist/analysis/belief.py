@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from statistics import NormalDist
 from typing import TYPE_CHECKING, Any
 
+from pfdist.common.estimate import CLEAR_ERRORS
 from pfdist.kernels.estimators import SQUARED_ERROR
-from pfdist.search.paired import CLEAR_ERRORS
 
 if TYPE_CHECKING:
     from pfdist.analysis.stored_run import Run

@@ -10,7 +10,8 @@ import pandas as pd
 from scipy import stats
 
 from pfdist.analysis.gains import ComparisonStatistics
-from pfdist.analysis.streaming_moments import CONFIDENCE, Moments
+from pfdist.analysis.streaming_moments import Moments
+from pfdist.common.estimate import CONFIDENCE
 
 FOUND, GIVEN = "found", "given"
 
@@ -42,7 +43,7 @@ def budget_table(
     rows = []
     for entry in compared.to_dict("records"):
         name, times = str(entry["name"]), entry["measurement_times"].tolist()
-        known, (low, high) = statistics.mse[name], statistics.mse[name].interval
+        known, (low, high) = statistics.mse[name], statistics.mse[name].estimate.interval()
         rows.append(
             {
                 "kind": _kind(entry, reference if name not in statistics.references else GIVEN),
@@ -129,7 +130,7 @@ def _worse(table: pd.DataFrame, blocks: Iterable[Any]) -> dict[str, int]:
     return {
         name: int(best["measurements"])
         for name, best in best_of_fewer.items()
-        if differences[name].interval_of(confidence)[0] > 0
+        if differences[name].estimate.interval(confidence)[0] > 0
     }
 
 

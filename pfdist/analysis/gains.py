@@ -17,14 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from pfdist.analysis.streaming_moments import (
-    CONFIDENCE,
-    UNKNOWN,
-    Array,
-    Interval,
-    Moments,
-    Pairs,
-)
+from pfdist.analysis.streaming_moments import Array, Moments, Pairs
+from pfdist.common.estimate import CONFIDENCE, UNKNOWN, Interval
 from pfdist.evaluation.estimate import top_percent_share
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
@@ -173,7 +167,7 @@ class Gain:
     @property
     def interval(self) -> Interval:
         """95 % interval of the mean relative gain."""
-        return self.relative.interval
+        return self.relative.estimate.interval()
 
     @property
     def of_means(self) -> float:
@@ -223,7 +217,7 @@ class Gain:
             gain_of_means=self.of_means,
             gain_of_means_interval=self.of_means_interval,
             mean_log10_ratio=self.log10_ratio.mean,
-            mean_log10_ratio_interval=self.log10_ratio.interval,
+            mean_log10_ratio_interval=self.log10_ratio.estimate.interval(),
             quantiles={share: self.quantile(share) for share in QUANTILES},
         )
 

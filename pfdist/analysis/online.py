@@ -84,7 +84,7 @@ class OnlineDraws:
             "name": name,
             **self._cost(name),
             "difference": difference.mean,
-            "difference_interval": difference.interval,
+            "difference_interval": difference.estimate.interval(),
             **self.gain("online", name).summary().columns(),
         }
 

@@ -18,14 +18,8 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from pfdist.analysis.streaming_moments import (
-    CONFIDENCE,
-    UNKNOWN,
-    Array,
-    Interval,
-    Moments,
-    Pairs,
-)
+from pfdist.analysis.streaming_moments import Array, Moments, Pairs
+from pfdist.common.estimate import CONFIDENCE, UNKNOWN, Interval
 
 _ROUNDING = 1e-12  # relative to the expected MSE: rounding errors of doubles are smaller
 PAIR_COLUMNS = (
@@ -81,8 +75,8 @@ class Pair:
         exact : (float, float) or None
             Both expected MSEs, if they are known without draws.
         """
-        difference, interval = self.difference.mean, self.difference.interval
-        together = self.difference.interval_of(confidence)
+        apart = self.difference.estimate
+        difference, interval, together = apart.value, apart.interval(), apart.interval(confidence)
         ratio, ratio_interval = self._ratio, self.errors.ratio_interval
         if exact is not None:
             difference = exact[0] - exact[1]

@@ -15,7 +15,7 @@ import numpy as np
 from scipy import stats
 
 from pfdist.analysis.streaming_moments import Array, Moments
-from pfdist.bounds.proof import Estimate
+from pfdist.common.estimate import Estimate
 from pfdist.common.gap_sentence import rounded_up
 from pfdist.common.percent import particle_loss_text
 
@@ -126,8 +126,8 @@ def particle_loss(
     most = less(whole, squared, variance)
     return ParticleLoss(
         particles,
-        Estimate(apart.mean * scale, apart.standard_error * scale),
-        Estimate(most.value * scale, most.standard_error * scale),
+        apart.estimate.times(scale),
+        most.times(scale),
     )
 
 

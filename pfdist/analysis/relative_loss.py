@@ -5,7 +5,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pfdist.analysis.streaming_moments import CONFIDENCE, UNKNOWN, Array, Interval, Pairs
+from pfdist.analysis.streaming_moments import Array, Pairs
+from pfdist.common.estimate import CONFIDENCE, UNKNOWN, Interval
 
 INSIDE, OPEN, OUTSIDE = "inside", "open", "outside"
 """States of a loss against a level: at most the level, undecided, and above the level."""

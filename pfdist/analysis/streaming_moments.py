@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from pfdist.common.estimate import CONFIDENCE, UNKNOWN, Estimate, Interval
+
 Array = NDArray[np.float64]
-Interval = tuple[float, float]
-CONFIDENCE = 0.95
-UNKNOWN: Interval = (math.nan, math.nan)
 
 
 @dataclass
@@ -62,19 +61,9 @@ class Moments:
         return math.sqrt(self.squares / (self.count - 1) / self.count)
 
     @property
-    def interval(self) -> Interval:
-        """95 % interval of the mean, Student's t."""
-        return self.interval_of(CONFIDENCE)
-
-    def interval_of(self, confidence: float) -> Interval:
-        """Interval of the mean with any confidence, Student's t."""
-        mean, error = self.mean, self.standard_error
-        if not (math.isfinite(mean) and math.isfinite(error)):
-            return UNKNOWN
-        if error == 0.0:
-            return (mean, mean)
-        low, high = stats.t.interval(confidence, self.count - 1, mean, error)
-        return float(low), float(high)
+    def estimate(self) -> Estimate:
+        """The mean and its standard error."""
+        return Estimate(self.mean, self.standard_error, self.count - 1)
 
 
 @dataclass

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy import stats
 
 from pfdist.analysis.table_cells import is_missing, keys_of, told_value
+from pfdist.common.estimate import Estimate
 from pfdist.common.natural_order import natural_key
 from pfdist.common.short_names import short_names
 
@@ -17,8 +17,6 @@ SEED = "seed"
 """The key whose values are replicates."""
 SET = "set"
 
-_CONFIDENCE = 0.95
-_NORMAL = float(stats.norm.ppf((1 + _CONFIDENCE) / 2))
 _ERRORS = {"expected_mse": "standard_error", "reference_mse": "reference_standard_error"}
 Values = tuple[Any, ...]
 
@@ -170,25 +168,15 @@ def _average(
 ) -> Average:
     each = tuple(float(row[value]) for row in rows)
     if has_replicates:
-        return Average(at, float(np.mean(each)), *_student(each), each)
+        return Average(at, float(np.mean(each)), *Estimate.of_mean(np.array(each)).interval(), each)
     return Average(at, each[0], *_own_interval(rows[0], value), each)
-
-
-def _student(values: Sequence[float]) -> tuple[float, float]:
-    """Give the 95 % interval of a mean; NaN if there are too few values or one is not finite."""
-    if len(values) < 2 or not np.isfinite(values).all():
-        return math.nan, math.nan
-    mean = float(np.mean(values))
-    error = float(np.std(values, ddof=1)) / math.sqrt(len(values))
-    half = error * float(stats.t.ppf((1 + _CONFIDENCE) / 2, len(values) - 1))
-    return mean - half, mean + half
 
 
 def _own_interval(row: Mapping[Any, Any], value: str) -> tuple[float, float]:
     """Give the 95 % interval that a row holds of a result."""
     error = row.get(_ERRORS.get(value, ""), math.nan)
     if not is_missing(error):
-        return row[value] - _NORMAL * error, row[value] + _NORMAL * error
+        return Estimate(row[value], error).interval()
     return row.get(f"{value}_low", math.nan), row.get(f"{value}_high", math.nan)
 
 

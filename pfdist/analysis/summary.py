@@ -144,7 +144,7 @@ def _gain_over_itself(run: "Run") -> dict[str, Any]:
     gain = gain_over_itself(both[f"mse_{run.names[0]}"].to_numpy(), both["mse"].to_numpy())
     return {
         "gain_over_itself": gain.mean,
-        "gain_over_itself_interval": gain.interval,
+        "gain_over_itself_interval": gain.estimate.interval(),
         "gain_over_itself_draws": gain.count,
     }
 

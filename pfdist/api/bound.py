@@ -15,7 +15,6 @@ from pfdist.api.run_of_job import asked_run, finished_run
 from pfdist.bounds.gap import Gap
 from pfdist.common.cards import Card, Shown
 from pfdist.common.percent import percent
-from pfdist.common.rounding import with_error
 from pfdist.errors import ArgumentError, JobError, shown
 from pfdist.job.asked import Asked
 from pfdist.plots import draw_figures
@@ -183,7 +182,7 @@ def _on_clock(gap: Gap, clock: Clock) -> Gap:
 
 
 def _row(gap: Gap) -> tuple[str, ...]:
-    mse, bound = (with_error(*vars(each).values()) for each in (gap.expected_mse, gap.bound))
+    mse, bound = gap.expected_mse.text, gap.bound.text
     if gap.reason:
         return gap.name, mse, gap.reason, "", ""
     return gap.name, mse, bound, percent(gap.gap), percent(gap.gap_at_most)

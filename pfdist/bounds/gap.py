@@ -5,7 +5,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from pfdist.bounds.proof import Estimate, Proof
+from pfdist.bounds.proof import Proof
+from pfdist.common.estimate import Estimate
 from pfdist.times.measurement_times import Times
 
 _ROUNDING = 1e-12
@@ -110,9 +111,9 @@ def gap_of(
         return Gap(name, times, mse, "a draw is degenerate or infinite with the set itself")
     slack, budget = proof.slack[place], proof.budgets[place]
     total = slack.plus(alone.both)
-    at_most = total.at_most(max(1, proof.groups - 1), confidence)
+    at_most = total.at_most(confidence)
     scale = 1 / mse.value if mse.value > 0 else 0.0
-    is_below = total.is_negative and -total.value * scale > _ROUNDING  # of exact values
+    is_below = total.is_negative() and -total.value * scale > _ROUNDING  # of exact values
     return Gap(
         name,
         times,
@@ -141,7 +142,7 @@ def consistent(gaps: Mapping[str, Gap]) -> dict[str, Gap]:
         All known sets.
     """
     everywhere = ""
-    if any(gap.estimate.is_negative for gap in gaps.values()):
+    if any(gap.estimate.is_negative() for gap in gaps.values()):
         everywhere = "the variance of the particles exceeds their squared error"
     checked = {}
     for name, gap in gaps.items():
@@ -157,6 +158,6 @@ def _contradicted(gap: Gap, gaps: Mapping[str, Gap]) -> str:
     for other in gaps.values():
         error = math.hypot(other.expected_mse.standard_error, gap.bound.standard_error)
         difference = Estimate(gap.bound.value - other.expected_mse.value, error)
-        if other.budget == gap.budget and difference.is_positive:
+        if other.budget == gap.budget and difference.is_positive():
             return f"the set {other.name} costs less than the bound"
     return ""

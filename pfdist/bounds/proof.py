@@ -19,51 +19,13 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from pfdist.bounds.programme import least
 from pfdist.bounds.relaxation import Relaxation
+from pfdist.common.estimate import Estimate
 from pfdist.times.measurement_times import Times
 
-CONFIDENCE = 0.95
-_CLEARLY = 4.0  # standard errors
-
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """An estimate and its standard error.
-
-    Parameters
-    ----------
-    value, standard_error : float
-        The error is 0 if the value is exact.
-    """
-
-    value: float
-    standard_error: float = 0.0
-
-    def plus(self, other: "Estimate") -> "Estimate":
-        """Add an independent estimate."""
-        error = math.hypot(self.standard_error, other.standard_error)
-        return Estimate(self.value + other.value, error)
-
-    def at_most(self, degrees: int, confidence: float = CONFIDENCE) -> float:
-        """Give the upper end of the one-sided interval, by Student's t."""
-        if self.standard_error == 0.0:
-            return self.value
-        return self.value + float(stats.t.ppf(confidence, degrees)) * self.standard_error
-
-    @property
-    def is_positive(self) -> bool:
-        """Whether the value is above 0 by more than 4 standard errors."""
-        return self.value > _CLEARLY * self.standard_error
-
-    @property
-    def is_negative(self) -> bool:
-        """Whether the value is below 0 by more than 4 standard errors."""
-        return -self.value > _CLEARLY * self.standard_error
 
 
 class Sums(NamedTuple):
@@ -112,15 +74,12 @@ class Proof:
     slack : list of Estimate
         For each known set, how much its own expected error, by the same estimate on the same draws,
         lies above the bound of the sum that it spends.
-    groups : int
-        Number of groups of draws of the jackknife; 0 if everything is exact.
     """
 
     bounds: list[Estimate]
     paths: list[Times]
     budgets: list[int]
     slack: list[Estimate]
-    groups: int
 
 
 def prove(relaxation: Relaxation, sums: Sums, sets: Sequence[Times], most: int) -> Proof:
@@ -144,7 +103,6 @@ def prove(relaxation: Relaxation, sums: Sums, sets: Sequence[Times], most: int) 
         found.paths,
         budgets,
         [_jackknifed(own[:, i] - found.mse[:, budget]) for i, budget in enumerate(budgets)],
-        len(sums.draws) if len(sums.draws) > 1 else 0,
     )
 
 
@@ -165,4 +123,4 @@ def _jackknifed(values: Array) -> Estimate:
         return Estimate(whole)
     groups = without.size
     pseudo = groups * whole - (groups - 1) * without
-    return Estimate(whole, float(np.std(pseudo, ddof=1) / math.sqrt(groups)))
+    return Estimate(whole, Estimate.of_mean(pseudo).standard_error, groups - 1)

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pfdist.common.estimate import Estimate
+
 Array = NDArray[np.float64]
 Likelihood = Callable[[Array], Array]
 
@@ -25,22 +27,6 @@ class NoIntegralError(Exception):
 
 
 @dataclass(frozen=True)
-class Integral:
-    """The integral of a likelihood, over its right value.
-
-    Parameters
-    ----------
-    ratio : float
-        1 if the likelihood is normalised.
-    error : float
-        Standard error of the ratio.
-    """
-
-    ratio: float
-    error: float
-
-
-@dataclass(frozen=True)
 class _Axis:
     """Nodes and weights of an integral or a sum from low to high."""
 
@@ -56,7 +42,7 @@ def whole(y: Array) -> NDArray[np.bool_]:
     return found
 
 
-def integral(likelihood: Likelihood, y: Array) -> Integral:
+def integral(likelihood: Likelihood, y: Array) -> Estimate:
     """Integrate a likelihood over y, where measurements were simulated; whole numbers are summed.
 
     With one or two components, the integral over a central region must be the share of measurements
@@ -89,7 +75,7 @@ def integral(likelihood: Likelihood, y: Array) -> Integral:
 
 def _on_a_grid(
     likelihood: Likelihood, fitted: Array, others: Array, counts: NDArray[np.bool_]
-) -> Integral:
+) -> Estimate:
     """Integrate over a box, along the axes of the measurements' covariance."""
     along = np.eye(len(fitted)) if counts.any() else _moments(fitted)[1]
     axes = [
@@ -108,19 +94,18 @@ def _on_a_grid(
     share = float(np.mean(inside))
     error = math.sqrt((share * (1 - share) + 1 / inside.size) / inside.size)
     ratio = float(weight @ likelihood(points)) / share
-    return Integral(ratio, ratio * error / share)
+    return Estimate(ratio, ratio * error / share)
 
 
-def _sampled(likelihood: Likelihood, fitted: Array, others: Array) -> Integral:
+def _sampled(likelihood: Likelihood, fitted: Array, others: Array) -> Estimate:
     mean, root = _moments(fitted)
     root = _NARROWER * root
     distance = np.linalg.solve(root, others - mean[:, None])
     log_determinant = float(np.log(np.abs(np.diag(root))).sum())
     constant = log_determinant + len(others) * math.log(2 * math.pi) / 2
     ratio = np.exp(-np.sum(distance**2, axis=0) / 2 - constant) / likelihood(others)
-    inverse = float(np.mean(ratio))
-    error = float(np.std(ratio, ddof=1)) / math.sqrt(ratio.size)
-    return Integral(1 / inverse, error / inverse**2)
+    inverse = Estimate.of_mean(ratio)
+    return Estimate(1 / inverse.value, inverse.standard_error / inverse.value**2)
 
 
 def _moments(y: Array) -> tuple[Array, Array]:

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from pfdist.checks.formulas import instants_of, likelihood, measured, told, values_of
 from pfdist.checks.integrals import MOST_ON_A_GRID, NoIntegralError, integral, whole
-from pfdist.common.rounding import with_error
 from pfdist.filters.draws import Draws
 from pfdist.models import StateSpaceModel
 
@@ -37,10 +36,10 @@ def normalised(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
             except NoIntegralError as reason:
                 return "note", f"it cannot be checked: {reason}"
             states, summed = states + 1, summed or bool(whole(y).all())
-            if not abs(found.ratio - 1) < _LARGEST_Z * found.error + _INTEGRATION:
+            if not abs(found.value - 1) < _LARGEST_Z * found.standard_error + _INTEGRATION:
                 return "wrong", (
                     "exp(log_likelihood) must have the integral 1 over y, as normalised=True "
-                    f"declares, got {with_error(found.ratio, found.error)} at x = {told(x)}, "
+                    f"declares, got {found.text} at x = {told(x)}, "
                     f"t = {t} (a constant left out, such as -log(sd) - log(2 pi) / 2?)"
                 )
     if summed:

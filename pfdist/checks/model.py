@@ -15,7 +15,8 @@ from pfdist.checks.contract import Look, few_draws, look_at_formulas, looked
 from pfdist.checks.formulas import compiled_as_in_numpy, likelihood
 from pfdist.checks.measured import missing_components, normalised
 from pfdist.checks.speed import speed
-from pfdist.common.rounding import rounded, with_error
+from pfdist.common.estimate import Estimate
+from pfdist.common.rounding import rounded
 from pfdist.errors import CompileError, ModelError
 from pfdist.evaluation.compiling import compile_evaluator, libm_functions
 from pfdist.evaluation.engines import ENGINES, NUMPY_TIMES_SLOWER
@@ -251,10 +252,9 @@ def _filtered(evaluator: Evaluator, estimation: Estimation) -> Iterator[Check]:
         f"{share:.2%} of draws with {len(times)} regular times and {estimation.particles} particles"
     )
     yield Check("degenerate draws", "note" if share else "ok", text)
-    known = Moments()
-    known.add(usable)
-    text = f"{with_error(known.mean, known.standard_error)} with these times"
-    if math.isfinite(known.mean) and math.isfinite(known.standard_error):
+    known = Estimate.of_mean(usable)
+    text = f"{known.text} with these times"
+    if math.isfinite(known.value) and math.isfinite(known.standard_error):
         yield Check("expected MSE", "ok", text)
     else:
         got = text if usable.size else "no usable draw"

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.common.cards import Card, Shown
+from pfdist.common.estimate import Estimate
 from pfdist.common.percent import heavy_tail_warning
 from pfdist.common.rounding import with_error
 from pfdist.common.told_times import told_times
@@ -70,13 +71,12 @@ class Evaluation(Shown):
 
     @cached_property
     def standard_error(self) -> float:
-        """Standard error of `expected_mse`; infinite if that is, or with fewer than 2 draws."""
+        """Standard error of `expected_mse`; infinite if that is, NaN with fewer than 2 draws."""
         if self.exact is not None:
             return 0.0
-        usable = self._usable
-        if usable.size < 2 or not np.isfinite(usable).all():
+        if math.isinf(self.expected_mse):
             return math.inf
-        return float(np.std(usable, ddof=1) / math.sqrt(usable.size))
+        return Estimate.of_mean(self._usable).standard_error
 
     @cached_property
     def top_percent_share(self) -> float:

@@ -12,8 +12,9 @@ import pyarrow as pa
 from pfdist.analysis import Run
 from pfdist.bounds.first_windows import relaxation_for
 from pfdist.bounds.gap import Gap, SetAlone, consistent, gap_of
-from pfdist.bounds.proof import CONFIDENCE, Sums, prove
+from pfdist.bounds.proof import Sums, prove
 from pfdist.bounds.relaxation import Relaxation
+from pfdist.common.estimate import CONFIDENCE
 from pfdist.common.streams import stream_of
 from pfdist.errors import ModelError
 from pfdist.evaluation.compiling import compile_evaluator

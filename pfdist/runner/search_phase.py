@@ -182,7 +182,7 @@ def _uncontradicted(ranked: Sequence[Times], raced: Sequence[Evaluation]) -> lis
         return []
     order, own = list(raced), {evaluation.measurement_times: evaluation for evaluation in raced}
     best = next((own[times] for times in ranked if times in own), order[0])
-    if difference(best, order[0]).is_worse(_CONTRADICTED):
+    if difference(best, order[0]).is_positive(_CONTRADICTED):
         return order
     return [best, *(evaluation for evaluation in order if evaluation is not best)]
 

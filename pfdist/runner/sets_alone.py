@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pfdist.analysis import Moments, Run
 from pfdist.analysis.particle_loss import less
 from pfdist.bounds.gap import UNKNOWN, ZERO, SetAlone
-from pfdist.bounds.proof import Estimate
+from pfdist.common.estimate import Estimate
 from pfdist.common.streams import stream_key, stream_of
 from pfdist.evaluation.work import Estimation, Result, Work
 from pfdist.runner.build import Built
@@ -176,9 +176,9 @@ def parts_of(whole: Moments, squared: Array, by_truth: Array, variance: Array) -
         return _DEGENERATE
     if by_truth is squared:
         both = less(whole, squared, variance)
-        return SetAlone(Estimate(whole.mean, whole.standard_error), both, ZERO, both)
+        return SetAlone(whole.estimate, both, ZERO, both)
     return SetAlone(
-        Estimate(whole.mean, whole.standard_error),
+        whole.estimate,
         _paired(by_truth, variance),
         less(whole, squared, by_truth),
         less(whole, squared, variance),
@@ -188,4 +188,4 @@ def parts_of(whole: Moments, squared: Array, by_truth: Array, variance: Array) -
 def _paired(x: Array, y: Array) -> Estimate:
     difference = Moments()
     difference.add(x - y)
-    return Estimate(difference.mean, difference.standard_error)
+    return difference.estimate

@@ -109,13 +109,15 @@ class Exchange:
             leader = order[0].measurement_times
             # A test on few draws may err. It never leads back, or the search might cycle for ever.
             few = math.inf if leader in state.left else _BETTER
-            if difference(order[0], best).is_better(_BETTER_AT_LAST if last else few):
+            if difference(order[0], best).is_negative(_BETTER_AT_LAST if last else few):
                 return replace(self._around(leader), left=(*state.left, state.best))
         if last:
             return replace(state, evaluations=best_of(evaluations))
         least = min(evaluations, key=lambda evaluation: evaluation.cost)
         near = [
-            evaluation for evaluation in order if not difference(evaluation, least).is_worse(_WORSE)
+            evaluation
+            for evaluation in order
+            if not difference(evaluation, least).is_positive(_WORSE)
         ]
         names = tuple(evaluation.measurement_times for evaluation in near)
         return replace(state, neighbours=names, draws=min(self.draws, 2 * state.draws))

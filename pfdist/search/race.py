@@ -87,7 +87,7 @@ class Race:
         near = [
             evaluation
             for evaluation in order
-            if not difference(evaluation, order[0]).is_worse(_WORSE)
+            if not difference(evaluation, order[0]).is_positive(_WORSE)
         ]
         running = [evaluation.measurement_times for evaluation in near[: (len(order) + 1) // 2]]
         dropped = tuple(

@@ -13,8 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pfdist.common.estimate import CLEAR_ERRORS, Estimate
 from pfdist.evaluation.estimate import Evaluation
-from pfdist.search.paired import CLEAR_ERRORS, difference
+from pfdist.search.paired import difference
 from pfdist.times.measurement_times import Times
 
 BELOW = 0.15
@@ -64,8 +65,10 @@ def judged(estimated: Evaluation, squared: Evaluation) -> Verdict:
 
 
 def _standard_scores(values: np.ndarray) -> float:
-    mean, error = np.mean(values), np.std(values, ddof=1) / math.sqrt(values.size)
-    return float(mean / error) if error > 0 else math.copysign(math.inf, mean) if mean else 0.0
+    mean = Estimate.of_mean(values)
+    if mean.standard_error > 0:
+        return mean.value / mean.standard_error
+    return math.copysign(math.inf, mean.value) if mean.value else 0.0
 
 
 def misordered(
@@ -85,15 +88,13 @@ def misordered(
     """
     for first, second in combinations(squared, 2):
         real = difference(first, second)
-        better, worse = (first, second) if real.mean < 0 else (second, first)
-        told_apart = real.is_worse(CLEAR_ERRORS) or real.is_better(CLEAR_ERRORS)
-        if not math.isfinite(real.mean) or not told_apart:
+        better, worse = (first, second) if real.value < 0 else (second, first)
+        told_apart = real.is_positive() or real.is_negative()
+        if not math.isfinite(real.value) or not told_apart:
             continue
         seen = difference(*(believed[each.measurement_times] for each in (better, worse)))
-        apart = seen.mean + abs(real.mean)
-        if seen.mean > 0 and apart > CLEAR_ERRORS * math.hypot(
-            real.standard_error, seen.standard_error
-        ):
+        apart = seen.plus(real.times(math.copysign(1.0, real.value)))
+        if seen.value > 0 and apart.is_positive():
             return better, worse
     return None
 
@@ -107,12 +108,11 @@ def failed_probe(estimated: Evaluation, squared: Evaluation) -> str:
         As `judged` takes them.
     """
     usable = np.isfinite(estimated.mse) & np.isfinite(squared.mse)
-    estimate, error = np.mean(estimated.mse[usable]), np.mean(squared.mse[usable])
-    spread = np.std(squared.mse[usable], ddof=1) / math.sqrt(np.sum(usable))
+    estimate, error = np.mean(estimated.mse[usable]), Estimate.of_mean(squared.mse[usable])
     up_to = "" if estimated.end is None else f" up to t = {estimated.end}"
     return (
         f"it gives {estimate:.4g} for {_text(estimated.measurement_times)}{up_to}, where the "
-        f"squared error of the job's own filter is {error:.4g} ± {spread:.2g}"
+        f"squared error of the job's own filter is {error.value:.4g} ± {error.standard_error:.2g}"
     )
 
 
@@ -142,7 +142,7 @@ def wrong_order(better: Evaluation, worse: Evaluation) -> str:
     apart = difference(worse, better)
     return (
         f"it prefers {_text(worse.measurement_times)} to {_text(better.measurement_times)}, where "
-        f"the squared error of the job's own filter is larger by {apart.mean:.4g} ± "
+        f"the squared error of the job's own filter is larger by {apart.value:.4g} ± "
         f"{apart.standard_error:.2g}"
     )
 

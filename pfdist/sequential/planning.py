@@ -256,7 +256,7 @@ class _Outlook:
         kept, new = self._evaluated(self._draws(fresh), candidates, planning.judging)
         gain = difference(new, kept)
         rounding = _ROUNDING * kept.cost if math.isfinite(kept.cost) else 0.0
-        lower = gain.mean < -rounding and gain.is_better(_BETTER if keep else 0.0)
+        lower = gain.value < -rounding and gain.is_negative(_BETTER if keep else 0.0)
         # The difference knows only the draws that both plans survive.
         return plans[1] if lower and new.degenerate_draws <= kept.degenerate_draws else plans[0]
 

@@ -111,7 +111,7 @@ def test_noise_gives_a_set_a_negative_gain_over_itself() -> None:
     assert found.count == 4998
     assert abs(found.mean - (1 - np.exp(sd**2))) < 4 * found.standard_error
     one_way = summarise_gain(mse, again).mean_relative_gain_interval
-    low, high = found.interval
+    low, high = found.estimate.interval()
     assert high - low < (one_way[1] - one_way[0]) / 10
     assert high < 0
 

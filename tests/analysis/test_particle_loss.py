@@ -16,7 +16,7 @@ from pfdist.analysis.particle_loss import (
     less,
     particle_loss,
 )
-from pfdist.bounds.proof import Estimate
+from pfdist.common.estimate import Estimate
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation, Work, with_truth
 from pfdist.filters.kalman import expected_mse

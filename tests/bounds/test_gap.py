@@ -5,7 +5,8 @@ from dataclasses import replace
 import pytest
 
 from pfdist.bounds.gap import Gap, SetAlone, consistent, gap_of
-from pfdist.bounds.proof import Estimate, Proof
+from pfdist.bounds.proof import Proof
+from pfdist.common.estimate import Estimate
 
 TIMES = (1, 4)
 GAP = Gap(
@@ -48,16 +49,16 @@ def test_a_known_set_that_costs_less_than_the_bound_withdraws_it() -> None:
 
 def _proof(*bounds: Estimate, slack: Estimate, budget: int = 2) -> Proof:
     paths = [(), (3,), (0, 3)][: len(bounds)]
-    return Proof(list(bounds), paths, [0, budget], [Estimate(77.0), slack], 20)
+    return Proof(list(bounds), paths, [0, budget], [Estimate(77.0), slack])
 
 
 def test_a_gap_is_the_sum_of_its_parts_with_an_error_of_its_own() -> None:
     alone = SetAlone(Estimate(10.0, 0.1), Estimate(0.3), Estimate(0.1), Estimate(0.4, 0.3))
-    slack = Estimate(0.5, 0.4)
+    slack = Estimate(0.5, 0.4, 19)
     proof = _proof(Estimate(99.0), Estimate(99.0), Estimate(9.2, 0.2), slack=slack)
     gap = gap_of("found", TIMES, alone, proof, 1, 0.95)
     assert gap.gap == pytest.approx(0.09)
-    assert gap.gap_at_most == pytest.approx(Estimate(0.9, 0.5).at_most(19) / 10)
+    assert gap.gap_at_most == pytest.approx(Estimate(0.9, 0.5, 19).at_most() / 10)
     assert (gap.bound, gap.path, gap.budget) == (proof.bounds[2], (0, 3), 2)
     assert (gap.relaxation, gap.estimate, gap.filter_model) == (
         slack, alone.estimate, alone.filter_model,
@@ -77,7 +78,7 @@ def test_a_set_clearly_below_the_bound_has_no_bound_and_a_chance_excess_is_no_ga
     alone = SetAlone(Estimate(10.0, 0.1), both=Estimate(-0.1, 0.1))
 
     def gap(slack: float) -> Gap:
-        proof = _proof(*[Estimate(0.0)] * 3, slack=Estimate(slack, 0.1))
+        proof = _proof(*[Estimate(0.0)] * 3, slack=Estimate(slack, 0.1, 19))
         return gap_of("found", TIMES, alone, proof, 1, 0.95)
 
     assert gap(0.0).gap == 0.0

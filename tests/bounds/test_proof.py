@@ -1,6 +1,4 @@
-"""The statistics of a proof: jackknife, limits and paired differences, against closed forms."""
-
-import math
+"""The statistics of a proof: jackknife and paired differences, against closed forms."""
 
 import numpy as np
 import pytest
@@ -8,7 +6,7 @@ from scipy import stats
 
 from oracles.windows import counted, relaxed_errors
 from pfdist.bounds.first_windows import relaxation_with
-from pfdist.bounds.proof import Estimate, Sums, prove
+from pfdist.bounds.proof import Sums, prove
 from pfdist.bounds.relaxation import START
 from pfdist.times.constraints import Constraints
 
@@ -38,7 +36,7 @@ def test_the_bound_of_one_measurement_is_the_least_mean_of_its_sets(sums: Sums) 
     assert proof.bounds[1].value == pytest.approx(own.min(), rel=1e-12)
     assert proof.paths[1] == SETS[int(own.argmin())]
     assert [slack.value for slack in proof.slack] == pytest.approx(list(own - own.min()), abs=1e-12)
-    assert proof.groups == GROUPS
+    assert {estimate.degrees for estimate in (*proof.bounds, *proof.slack)} == {GROUPS - 1}
 
 
 def test_the_jackknife_of_a_mean_is_its_textbook_error(sums: Sums) -> None:
@@ -66,7 +64,6 @@ def test_groups_of_several_sizes_count_by_their_draws(sums: Sums) -> None:
 
 def test_one_group_holds_exact_errors(sums: Sums) -> None:
     proof = prove(RELAXATION, Sums(*(part[:1] for part in sums)), SETS, 1)
-    assert proof.groups == 0
     assert all(estimate.standard_error == 0.0 for estimate in (*proof.bounds, *proof.slack))
 
 
@@ -84,32 +81,3 @@ def test_sets_bought_with_money_have_the_bound_of_all_of_the_money() -> None:
     assert proof.bounds[2].value == pytest.approx(least, rel=1e-12)
     costs = own[0].mean(axis=1)
     assert [slack.value for slack in proof.slack] == pytest.approx(list(costs - least))
-
-
-@pytest.mark.parametrize("confidence", [0.95, 0.99])
-def test_the_limit_is_students(confidence: float) -> None:
-    values = np.random.default_rng(5).normal(2.0, 1.0, 12)
-    limit = Estimate(values.mean(), stats.sem(values)).at_most(11, confidence)
-    one_sided = stats.ttest_1samp(values, 0.0, alternative="less").confidence_interval(confidence)
-    assert limit == pytest.approx(one_sided.high, rel=1e-12)
-    assert Estimate(3.0).at_most(11, confidence) == 3.0
-
-
-def test_independent_estimates_add_their_variances() -> None:
-    both = Estimate(1.0, 3.0).plus(Estimate(2.0, 4.0))
-    assert (both.value, both.standard_error) == (3.0, 5.0)
-
-
-def test_clearly_is_more_than_four_standard_errors() -> None:
-    assert Estimate(4.1, 1.0).is_positive
-    assert not Estimate(3.9, 1.0).is_positive
-    assert Estimate(-4.1, 1.0).is_negative
-    assert not Estimate(-3.9, 1.0).is_negative
-    assert not Estimate(math.nan, math.nan).is_positive
-
-
-def test_the_estimated_bound_is_too_low_on_average() -> None:
-    """E min <= min E: here by chance alone, because all sets cost the same."""
-    rng = np.random.default_rng(11)
-    bounds = [prove(RELAXATION, _sums(rng), SETS, 1).bounds[1].value for _ in range(200)]
-    assert np.mean(bounds) < 1.0 - 4 * stats.sem(bounds)

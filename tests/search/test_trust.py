@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from pfdist.common.estimate import CLEAR_ERRORS
 from pfdist.evaluation.estimate import Evaluation
 from pfdist.search import Candidate
-from pfdist.search.paired import CLEAR_ERRORS
 from pfdist.search.probe import PROBE_DRAWS, Probe, ProbeState, new_leaders
 from pfdist.search.trust import BELOW, judged, misordered, unchecked_probe
 from pfdist.times.feasible import Feasible
