@@ -10,7 +10,7 @@ from pfdist.analysis.gains import ComparisonStatistics
 from pfdist.analysis.stored_run import Run, open_run
 from pfdist.errors import StoreError, one_line, shown_text
 from pfdist.store import check_not_held
-from pfdist.store.runs_below import extent
+from pfdist.store.folder import extent
 
 RUNNING, FINISHED, UNFINISHED, DAMAGED = "running", "finished", "unfinished", "damaged"
 

@@ -5,7 +5,7 @@ from typing import Any
 
 from pfdist.errors import JobError
 from pfdist.job.job import Job
-from pfdist.store import read_run, unreadable
+from pfdist.store import check_key, read_run, unreadable
 
 
 def read_recorded(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -14,10 +14,13 @@ def read_recorded(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     Raises
     ------
     StoreError
-        The folder holds no run, or a file cannot be read; the error names the file.
+        The folder holds no run, a file cannot be read, or the files are another run's than the
+        tables.
     """
     run, job = read_run(path)
     try:
-        return run, Job(**job).identity()  # with every key, even if the file lacks some
+        identity = Job(**job).identity()  # with every key, even if the file lacks some
     except JobError as error:
         raise unreadable(path, "job.toml", str(error)) from error
+    check_key(path, run, job)
+    return run, identity

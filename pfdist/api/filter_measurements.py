@@ -28,7 +28,7 @@ from pfdist.sequential.estimate import Estimate
 from pfdist.sequential.filter import Filter
 from pfdist.sequential.measurements import Measurements, read_measurements
 from pfdist.store import FILTERED_PERCENTS, ClockColumns, filtered_schema, frame_of
-from pfdist.store.shown_files import check_page_replaceable
+from pfdist.store.folder import check_page_replaceable
 from pfdist.store.user_tables import check_table_replaceable, is_parquet, write_user_table
 from pfdist.times.clock import Time
 

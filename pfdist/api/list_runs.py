@@ -6,7 +6,7 @@ import pandas as pd
 
 from pfdist.analysis.listed_run import listed_run
 from pfdist.common.arguments import path_argument
-from pfdist.store.runs_below import runs_below
+from pfdist.store.folder import runs_below
 
 _DEPTH = 3  # levels of folders below the listed folder
 _COLUMNS = {

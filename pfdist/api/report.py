@@ -10,8 +10,7 @@ from pfdist.common.arguments import path_argument
 from pfdist.errors import ArgumentError, PfdistError, StoreError, one_line, shown_text
 from pfdist.reports import write_report, write_sweep_report
 from pfdist.store import check_not_held, holds_run
-from pfdist.store.runs_below import runs_below
-from pfdist.store.shown_files import REPORT
+from pfdist.store.folder import REPORT, runs_below
 
 SECONDS = 5.0
 """Between two reports of a run that goes on."""

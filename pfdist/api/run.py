@@ -23,7 +23,7 @@ from pfdist.runner.identity import opened
 from pfdist.runner.processor import lender, note_processor
 from pfdist.runner.progress import Show
 from pfdist.runner.prover import Prover
-from pfdist.store.shown_files import has_report
+from pfdist.store.folder import has_report
 
 _PATIENCE = 4  # minutes of one core that a bound may take where nobody asked for it alone
 

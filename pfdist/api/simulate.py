@@ -11,7 +11,7 @@ from pfdist.filters.draws import Draws
 from pfdist.job.asked import Asked, as_job
 from pfdist.models import StateSpaceModel
 from pfdist.runner.build import build
-from pfdist.store.component_columns import LABELS, labels_of
+from pfdist.store.schema import LABELS, labels_of
 from pfdist.times.clock import Clock
 
 DRAWS = 100

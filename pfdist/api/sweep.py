@@ -26,7 +26,7 @@ from pfdist.runner.build import check_pool, pool_of, say_model_files
 from pfdist.runner.progress import Show
 from pfdist.runner.work_of_runs import worker_of_runs
 from pfdist.store import holds_run
-from pfdist.store.shown_files import has_report
+from pfdist.store.folder import has_report
 
 _SHOWN = 3  # failures in an error
 _NOTHING: Mapping[str, object] = {}

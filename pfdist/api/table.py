@@ -11,7 +11,7 @@ from pfdist.analysis.runs_table import runs_table
 from pfdist.api.table_file import table_path, write_table_of_runs
 from pfdist.errors import ArgumentError
 from pfdist.store import holds_run
-from pfdist.store.runs_below import runs_below
+from pfdist.store.folder import runs_below
 
 Runs = Run | str | Path | list["Runs"] | tuple["Runs", ...]
 """A run, its folder, a folder with runs in it, or several of these."""

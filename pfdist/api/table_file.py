@@ -21,8 +21,8 @@ from pfdist.common.arguments import path_argument
 from pfdist.common.short_names import short_names
 from pfdist.errors import ArgumentError, shown
 from pfdist.store import write_file
-from pfdist.store.arrow_files import read_schema, write_table
-from pfdist.store.replaceable import check_replaceable
+from pfdist.store.files import check_replaceable
+from pfdist.store.tables import read_schema, write_table
 
 _MARK = b"runs"  # the metadata "table" of a Parquet file
 _COMMENT = "% A table of runs by pfdist. It needs the package booktabs.\n"

@@ -32,7 +32,7 @@ from pfdist.runner.progress import Show
 from pfdist.runner.sampling_windows import sampling_windows, windows_by_percent
 from pfdist.runner.worth import worth_of
 from pfdist.store import WHY_PHASE, frame_of, schema
-from pfdist.store.component_columns import components_in
+from pfdist.store.schema import components_in
 from pfdist.times.measurement_times import Times, validated
 
 DRAWS = 2000

@@ -69,7 +69,7 @@ def print_run(summary: dict[str, Any], options: Namespace) -> None:
         print_json(summary, options)
         return
     # Not above: commands that print no run need none of the libraries of the store.
-    from pfdist.store.shown_files import (  # noqa: PLC0415
+    from pfdist.store.folder import (  # noqa: PLC0415
         FIGURES_FOLDER,
         REPORT,
         figures_in,

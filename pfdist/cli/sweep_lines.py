@@ -9,7 +9,7 @@ from pfdist.cli.aligned import Column, aligned
 from pfdist.cli.answers import print_records
 from pfdist.cli.runs_lines import runs_lines
 from pfdist.errors import one_line
-from pfdist.store.shown_files import REPORT, has_report
+from pfdist.store.folder import REPORT, has_report
 
 if TYPE_CHECKING:
     from pfdist.api.sweep import Sweep

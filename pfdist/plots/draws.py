@@ -25,7 +25,7 @@ from pfdist.plots.panel import (
     write_instead,
 )
 from pfdist.plots.style import BLUE, RED
-from pfdist.store.component_columns import components_in
+from pfdist.store.schema import components_in
 
 MOST_COMPONENTS = 6  # components of z that are shown, each in a panel
 _LONGEST_NAMES = {3: 12, 2: 20}

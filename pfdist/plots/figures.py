@@ -13,7 +13,7 @@ from pfdist.plots.figure import FIGURES, Plot, Tables
 from pfdist.plots.library import styled
 from pfdist.plots.panel import scaled
 from pfdist.store import remove_file, write_file
-from pfdist.store.shown_files import FIGURES_FOLDER, FORMATS, figures_in
+from pfdist.store.folder import FIGURES_FOLDER, FORMATS, figures_in
 
 
 def figure_files(run: Run) -> list[Path]:

@@ -22,8 +22,8 @@ from pfdist.plots.panel import (
     thin,
 )
 from pfdist.plots.style import BLUE, GREY, ORANGE, RED
-from pfdist.store.component_columns import components_in
-from pfdist.store.replaceable import check_replaceable
+from pfdist.store.files import check_replaceable
+from pfdist.store.schema import components_in
 
 MOST_COMPONENTS = 6  # components of z that are shown, each in a panel
 _TITLE = "pfdist: filtered measurements"

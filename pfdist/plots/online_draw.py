@@ -10,7 +10,7 @@ from pfdist.plots.panel import (
     minus,
     verbatim,
 )
-from pfdist.store.component_columns import components_in
+from pfdist.store.schema import components_in
 
 
 @figure("online_draw", applies=has_online)

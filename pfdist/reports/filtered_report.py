@@ -26,7 +26,7 @@ from pfdist.reports.parts import (
 from pfdist.reports.render import write_page
 from pfdist.reports.subject import number_of
 from pfdist.reports.svg import as_svg
-from pfdist.store.component_columns import components_in
+from pfdist.store.schema import components_in
 
 _P_DIGITS = 2
 _BELIEF = "Mean of the quantity of interest over time with 50 and 90 % bands, by the filter."

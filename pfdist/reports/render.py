@@ -14,7 +14,7 @@ from jinja2 import Environment, StrictUndefined
 
 from pfdist.reports.parts import Page
 from pfdist.store import write_file
-from pfdist.store.shown_files import check_page_replaceable
+from pfdist.store.folder import check_page_replaceable
 
 _FOLDER = files("pfdist.reports")
 

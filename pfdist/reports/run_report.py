@@ -19,7 +19,7 @@ from pfdist.reports.sections.searches import searches
 from pfdist.reports.sections.worth import worth
 from pfdist.reports.subject import Subject, number_of, without_folder
 from pfdist.store import remove_file
-from pfdist.store.shown_files import REPORT, check_page_replaceable
+from pfdist.store.folder import REPORT, check_page_replaceable
 
 _END = (searches, computed, tables, citation)
 _OF_ONE_NUMBER = (answer, compared, problem, gains, proof, worth, online, *_END)

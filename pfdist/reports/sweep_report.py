@@ -10,7 +10,7 @@ from pfdist.reports.render import write_page
 from pfdist.reports.subject import number_of
 from pfdist.reports.sweep_sections import answer, computed, figures, points
 from pfdist.reports.sweep_subject import SweepSubject
-from pfdist.store.shown_files import REPORT
+from pfdist.store.folder import REPORT
 
 _SECTIONS = (answer, points, judged, figures, computed)
 _LINKS = "Its links lead to the reports of the points, in the folders beside it."

@@ -32,8 +32,7 @@ from pfdist.common.short_names import short_names
 from pfdist.errors import PfdistError, one_line, shown_text
 from pfdist.reports.subject import without_folder
 from pfdist.store import holds_run
-from pfdist.store.runs_below import runs_below
-from pfdist.store.shown_files import REPORT, has_report
+from pfdist.store.folder import REPORT, has_report, runs_below
 
 _SAFE = "=,+"  # characters of a folder's name that a link holds as they are
 

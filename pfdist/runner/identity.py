@@ -27,7 +27,6 @@ from pfdist.store import (
     held,
     holds_run,
     key_of,
-    own_key,
     write_job,
     write_run,
 )
@@ -60,7 +59,7 @@ def opened(path: Path, built: Built, say: Callable[[str], Any]) -> Iterator[Stor
     """
     identity = _identity(built)
     key = key_of(identity, built.job.identity())
-    known = has_key(path, key) or own_key(path) == key
+    known = has_key(path, key)
     store = store_of(built, path, key if known else None)  # another run is read with its own key
     if not known and not holds_run(path):
         _check_free(path)
@@ -207,6 +206,8 @@ def _check_free(path: Path) -> None:
         raise StoreError(f"results must be a folder, got the file {path}", argument="results")
     # A start that was killed before it wrote run.json leaves these entries.
     strange = {entry.name for entry in path.glob("[!.]*")} - {"job.toml", "manifest"}
+    if not any(path.glob("[pt]a*/*/*")):  # `repair` has moved all files of several runs
+        strange -= {"parts", "tables", "quarantine"}
     if strange:
         raise StoreError(
             f"results must be a new folder, an empty one or a run's, got {path} "

@@ -4,18 +4,22 @@ Only this package touches a run's files. It knows tables, columns and keys; what
 search is the driver's.
 """
 
-from pfdist.store.about import folder_of_run, is_kept_job, read_run, unreadable
-from pfdist.store.clock_columns import ClockColumns, frame_of
-from pfdist.store.files import remove as remove_file
-from pfdist.store.files import write_file
-from pfdist.store.folder import (
+from pfdist.store.about import (
     add_to_provenance,
+    check_key,
     confirm,
-    holds_run,
+    has_key,
+    key_of,
+    own_key,
+    read_run,
+    run_key,
+    unreadable,
     write_job,
     write_run,
 )
-from pfdist.store.keys import ABOUT, has_key, keep_key, kept_keys, key_of, own_key, run_key
+from pfdist.store.files import remove as remove_file
+from pfdist.store.files import write_file
+from pfdist.store.folder import ABOUT, check_entries, folder_of_run, holds_run, is_kept_job
 from pfdist.store.lock import check_not_held, held
 from pfdist.store.manifest import Damage, Manifest
 from pfdist.store.parquet import ROWS_IN_A_FILE, Store
@@ -26,16 +30,16 @@ from pfdist.store.schema import (
     SCHEMA_VERSION,
     WHY_PHASE,
     WINDOW_PERCENTS,
+    ClockColumns,
     compared_schema,
     comparison_schema,
     distance_schema,
     filtered_schema,
+    frame_of,
     schema,
     trajectories_schema,
     variance_schema,
 )
-from pfdist.store.strange import check_entries, strange_entries
-from pfdist.store.verify import lacking_evaluations, verify
 
 __all__ = [
     "ABOUT",
@@ -52,6 +56,7 @@ __all__ = [
     "Store",
     "add_to_provenance",
     "check_entries",
+    "check_key",
     "check_not_held",
     "compared_schema",
     "comparison_schema",
@@ -64,20 +69,15 @@ __all__ = [
     "held",
     "holds_run",
     "is_kept_job",
-    "keep_key",
-    "kept_keys",
     "key_of",
-    "lacking_evaluations",
     "own_key",
     "read_run",
     "remove_file",
     "run_key",
     "schema",
-    "strange_entries",
     "trajectories_schema",
     "unreadable",
     "variance_schema",
-    "verify",
     "write_file",
     "write_job",
     "write_run",

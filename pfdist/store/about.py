@@ -1,16 +1,27 @@
-"""Reads run.json and job.toml of a run, which may have been edited or damaged."""
+"""The files that say what a run is, run.json and job.toml, and the key of the run.
 
-import os
+They may have been edited or damaged, so all that is read is checked.
+"""
+
+import contextlib
+import json
+import tomllib
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from pfdist.common.explained import explained
-from pfdist.common.nearest import did_you_mean_path
 from pfdist.common.parsing import parse_json, parse_toml, read_text
+from pfdist.common.streams import stream_key
 from pfdist.errors import StoreError, shown
+from pfdist.store import files
+from pfdist.store.folder import ABOUT, MANIFEST, is_plain_file, no_run
+from pfdist.store.manifest import Manifest
 from pfdist.store.schema import check_schema_version
+
+_GROWS = {"comparison": ("draws", "until"), "online": ("draws",)}  # keys that may change
 
 
 class _Part(BaseModel):
@@ -98,35 +109,6 @@ def unreadable(path: Path, name: str, reason: str) -> StoreError:
     )
 
 
-def is_kept_job(job_file: Path) -> bool:
-    """Whether a job file is the job.toml that a run keeps in its folder."""
-    return job_file.name == "job.toml" and _has_run_json(job_file.parent)
-
-
-def folder_of_run(job_file: Path) -> Path:
-    """Give the folder of a job's run: results/NAME for NAME.toml.
-
-    The run of a kept job.toml is the run that keeps it.
-    """
-    if not is_kept_job(job_file):
-        return Path("results") / job_file.stem
-    folder = job_file.parent
-    return folder if folder.name not in ("", "..") else Path(os.path.abspath(folder))
-
-
-def no_run(path: Path, lacking: str = "run.json") -> StoreError:
-    """Make the error of a folder that lacks a file of a run; it names a run that may be meant."""
-    if path.suffix == ".toml" and path.is_file():
-        run = folder_of_run(path)
-        return StoreError(f"a run must be a folder, got the job file {path}: its run is {run}")
-    meant = did_you_mean_path(path, (path.parent, Path("results")), _has_run_json)
-    return StoreError(f"{path} holds no run: there is no {lacking} in it{meant}")
-
-
-def _has_run_json(path: Path) -> bool:
-    return (path / "run.json").is_file()
-
-
 def _read(path: Path, name: str, parse: Any) -> Any:
     try:
         return parse(read_text(path / name))
@@ -136,3 +118,148 @@ def _read(path: Path, name: str, parse: Any) -> Any:
         raise StoreError(f"cannot read {path / name}: {error.strerror}") from error
     except ValueError as error:
         raise unreadable(path, name, str(error)) from error
+
+
+def write_job(path: Path, toml: str) -> None:
+    """Write the resolved job."""
+    _write(path / "job.toml", toml)
+
+
+def write_run(path: Path, run: dict[str, Any], key: str) -> None:
+    """Write identity and provenance, and the run's key, which outlives the file."""
+    Manifest(path).keep_key(key)
+    _write(path / "run.json", json.dumps(run, indent=2) + "\n")
+
+
+def add_to_provenance(path: Path, facts: dict[str, Any]) -> None:
+    """Add facts to the provenance of a run whose lock is held."""
+    run, _ = read_run(path)
+    run["provenance"] |= facts
+    _write(path / "run.json", json.dumps(run, indent=2) + "\n")
+
+
+def confirm(path: Path, key: str) -> None:
+    """Record job.toml, run.json and the key in the manifest, if a kill prevented it before."""
+    manifest = Manifest(path)
+    manifest.keep_key(key)
+    for name in ABOUT:
+        manifest.confirm(path / name)
+
+
+def _write(path: Path, text: str) -> None:
+    Manifest(path.parent).give_names([(path, files.prepare_text(path.parent, text))])
+
+
+def key_of(identity: Mapping[str, Any], job: Mapping[str, Any]) -> str:
+    """Hash of everything that must not change between two starts of a run.
+
+    Every file of the run's tables carries this key.
+
+    Parameters
+    ----------
+    identity : mapping
+        The content of run.json, without the provenance.
+    job : mapping
+        The content of job.toml.
+    """
+    kept = {
+        name: {key: value for key, value in job[name].items() if key not in grown}
+        for name, grown in _GROWS.items()
+        if name in job
+    }
+    return f"{stream_key(identity, {**job, **kept}):016x}"
+
+
+def has_key(path: Path, key: str) -> bool:
+    """Whether the run in a folder was started with this key."""
+    return key in (Manifest(path).kept_key(), own_key(path))
+
+
+def own_key(path: Path) -> str | None:
+    """Compute the key of a run from job.toml and run.json.
+
+    It is None if the files are missing or damaged.
+    """
+    run, job = (
+        _committed(path, name, read)
+        for name, read in (("run.json", json.loads), ("job.toml", tomllib.loads))
+    )
+    return None if run is None or job is None else _key_of_content(run, job)
+
+
+def check_key(path: Path, run: dict[str, Any], job: dict[str, Any]) -> None:
+    """Raise a `StoreError` if the contents of run.json and job.toml are another run's.
+
+    The manifest does not vouch for them, and has another key: it came with another run's tables.
+    """
+    kept = Manifest(path).kept_key()
+    if kept and own_key(path) is None and _key_of_content(run, job) not in (None, kept):
+        raise StoreError(
+            f"{path}: job.toml and run.json are not those of the run whose key {MANIFEST} holds; "
+            f"`pfdist repair {path}` moves to quarantine what is not this run's"
+        )
+
+
+def _key_of_content(run: dict[str, Any], job: dict[str, Any]) -> str | None:
+    try:
+        return key_of({k: v for k, v in run.items() if k != "provenance"}, job)
+    except (KeyError, TypeError, AttributeError):
+        return None
+
+
+def run_key(path: Path) -> str | None:
+    """Key of the run in a folder, which each of its tables' files carries.
+
+    It stands in the manifest and follows from job.toml and run.json. Where the two contradict each
+    other, the files of several runs lie in one folder. The key is None where there is no run yet,
+    or where its start was cut short.
+
+    Raises
+    ------
+    StoreError
+        The run is of another schema version; or the manifest has the key of another run, or none.
+    """
+    manifest = Manifest(path)
+    if manifest.exists() and not is_plain_file(path / MANIFEST):
+        return None  # as of every strange entry: it is named before any file is read
+    kept, own = manifest.kept_key(), own_key(path)
+    if kept is not None and own in (None, kept):
+        return kept
+    if kept is None:
+        check_version_of(path)
+        if own is None and not (path / "run.json").exists():
+            return None
+        if not manifest.exists():
+            raise StoreError(
+                f"{path} has lost its manifest, which says what its files must hold: put it back, "
+                "or choose another folder for the results"
+            )
+    given = f"the key {own}, which job.toml and run.json give" if own else "the run's key"
+    raise StoreError(
+        f"{path / MANIFEST} must hold {given}, got {kept or 'none'}: files of another run may lie "
+        f"here; `pfdist repair {path}` moves them to quarantine"
+    )
+
+
+def check_version_of(path: Path) -> None:
+    """Raise a `StoreError` if run.json says that the run is of another schema version."""
+    run: Any = None
+    with contextlib.suppress(OSError, ValueError):  # `read_run` reports such a file
+        if is_plain_file(path / "run.json"):
+            run = parse_json(read_text(path / "run.json"))
+    if isinstance(run, dict):
+        check_schema_version(path, run.get("schema_version"))
+
+
+def _committed(folder: Path, name: str, read: Callable[[str], Any]) -> dict[str, Any] | None:
+    """Content of run.json or job.toml; None if the file is not as committed."""
+    path = folder / name
+    try:
+        if not is_plain_file(path):
+            return None
+        if files.digest(path) not in Manifest(folder).expected().get(Path(name), ()):
+            return None
+        found = read(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):  # `read_run` reports such a file
+        return None
+    return found if isinstance(found, dict) else None

@@ -5,7 +5,7 @@ import hashlib
 import os
 import re
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from uuid import uuid4
 import pyarrow as pa
 
 from pfdist.errors import StoreError
-from pfdist.store.arrow_files import write_table
+from pfdist.store.tables import write_table
 
 _TEMPORARY = re.compile(r"\.(?P<host>.+)-(?P<process>\d+)\.[0-9a-f]{32}\.tmp")
 
@@ -26,12 +26,11 @@ class Prepared:
     Parameters
     ----------
     temporary : Path
-    stamp : str
-        Name of the empty file: ``<rows>-<SHA-256>``.
+    sha256 : str
     """
 
     temporary: Path
-    stamp: str
+    sha256: str
 
 
 def prepare_table(folder: Path, table: pa.Table) -> Prepared:
@@ -41,53 +40,48 @@ def prepare_table(folder: Path, table: pa.Table) -> Prepared:
         write_table(table, path)
         pa.default_memory_pool().release_unused()  # otherwise memory grows with each file
 
-    return _prepare(folder, write, table.num_rows)
+    return _prepare(folder, write)
 
 
 def prepare_text(folder: Path, text: str) -> Prepared:
     """Write a text file for a folder, under a temporary name."""
-    return _prepare(folder, lambda path: path.write_text(text, encoding="utf-8"), 0)
+    return _prepare(folder, lambda path: path.write_text(text, encoding="utf-8"))
 
 
-def give_name(prepared: Prepared, path: Path, *, replace: bool) -> None:
-    """Give a file its final name, in one atomic step.
-
-    Parameters
-    ----------
-    prepared : Prepared
-    path : Path
-    replace : bool
-        Whether a file already there gives way; else it stays, and this is a no-op.
-    """
-    temporary = prepared.temporary
-    with _errors("write", path, temporary):
-        if replace:
-            temporary.replace(path)
-        else:
-            with contextlib.suppress(FileExistsError):  # whoever was first wrote the same
-                os.link(temporary, path)
-            temporary.unlink()
+def give_name(prepared: Prepared, path: Path) -> None:
+    """Give a file its final name, in one atomic step; a file already there gives way."""
+    with _errors("write", path, prepared.temporary):
+        prepared.temporary.replace(path)
         _flush(path.parent, os.O_RDONLY)
 
 
 def write_file(path: Path, write: Callable[[Path], Any]) -> None:
-    """Write a text file atomically; it replaces an earlier file of this name."""
-    give_name(_prepare(path.parent, write, 0), path, replace=True)
+    """Write a file atomically; it replaces an earlier file of this name."""
+    give_name(_prepare(path.parent, write), path)
+
+
+def add_lines(path: Path, lines: list[str]) -> None:
+    """Append lines to a text file, and flush it. A kill may cut the last line short."""
+    with _errors("write", path):
+        is_new = not path.exists()
+        _make_folder(path.parent)
+        # The first line break ends a line that was cut short.
+        append_text(path, "\n" + "".join(f"{line}\n" for line in lines))
+        _flush(path, os.O_RDWR)
+        if is_new:
+            _flush(path.parent, os.O_RDONLY)
+
+
+def append_text(path: Path, text: str) -> None:
+    """Append text to a file."""
+    with path.open("a", encoding="utf-8") as file:
+        file.write(text)
 
 
 def make_folder(folder: Path) -> None:
     """Make a folder and its parents, and flush each entry to disk."""
     with _errors("make", folder):
         _make_folder(folder)
-
-
-def touch(path: Path) -> None:
-    """Make an empty file, whose name is its content."""
-    with _errors("write", path):
-        if not path.exists():
-            _make_folder(path.parent)
-            path.touch()
-            _flush(path.parent, os.O_RDONLY)
 
 
 def remove(path: Path) -> None:
@@ -128,14 +122,40 @@ def sweep(folder: Path) -> None:
             remove(temporary)
 
 
-def _prepare(folder: Path, write: Callable[[Path], Any], rows: int) -> Prepared:
+def check_replaceable(path: Path, is_earlier: Callable[[Path], bool]) -> None:
+    """Raise an error unless a file is missing, or is an earlier result of this kind.
+
+    A result beside a user's own files replaces an earlier result, and no other file.
+
+    Parameters
+    ----------
+    path : Path
+    is_earlier : callable
+        Says whether a plain file is an earlier result.
+
+    Raises
+    ------
+    StoreError
+        Another file, or a link, has this name.
+    """
+    if not os.path.lexists(path):
+        return
+    try:
+        known = path.is_file() and not path.is_symlink() and is_earlier(path)
+    except OSError:
+        known = False  # nobody can tell
+    if not known:
+        raise StoreError(f"{path} exists and is no earlier result: move it out of the way")
+
+
+def _prepare(folder: Path, write: Callable[[Path], Any]) -> Prepared:
     # Readers skip names with a dot. The name contains the machine and the process.
     temporary = folder / f".{_host()}-{os.getpid()}.{uuid4().hex}.tmp"
     with _errors("write", folder, temporary):
         _make_folder(folder)
         write(temporary)
         _flush(temporary, os.O_RDWR)
-        return Prepared(temporary, f"{rows}-{digest(temporary)}")
+        return Prepared(temporary, digest(temporary))
 
 
 def _make_folder(folder: Path) -> None:
@@ -171,7 +191,7 @@ def _flush(path: Path, mode: int) -> None:
 
 
 @contextlib.contextmanager
-def _errors(action: str, path: Path, temporary: Path | None = None) -> Any:
+def _errors(action: str, path: Path, temporary: Path | None = None) -> Iterator[None]:
     try:
         yield
     except OSError as error:

@@ -1,14 +1,32 @@
-"""Write the two files that say what a run is, job.toml and run.json, and find a run by them."""
+"""What a run's folder holds, and which folders hold a run; no file of a run is read here.
 
-import json
+A run's folder may come from anywhere, in an archive for instance, which keeps links. A link would
+lead out of the folder, and opening a pipe would wait for ever: so neither is ever opened.
+"""
+
+import os
+import stat
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
+from pfdist.common.natural_order import natural_key
+from pfdist.common.nearest import did_you_mean_path
 from pfdist.errors import StoreError
-from pfdist.store import files
-from pfdist.store.about import read_run
-from pfdist.store.keys import ABOUT, keep_key
-from pfdist.store.manifest import Manifest
+from pfdist.store.files import check_replaceable
+
+ABOUT = ("job.toml", "run.json")
+MANIFEST, QUARANTINE, FIGURES_FOLDER, REPORT = "manifest", "quarantine", "figures", "report.html"
+FORMATS = ("png", "svg")
+"""Endings of the files of figures."""
+
+_FILES = (*ABOUT, ".lock", MANIFEST, REPORT)
+_FOLDERS = ("parts", "tables", QUARANTINE, FIGURES_FOLDER)  # other names are the user's
+_TABLES_DEEP = 2  # tables/<table>/ and parts/<table>/ hold files alone
+# A start that was cut short, and a run that has lost its run.json, have these.
+_TRACES = ({"job.toml", MANIFEST}, {"tables", MANIFEST})
+_MARK = b'<meta name="generator" content="pfdist">'
+_START = 1024  # bytes of a report in which the mark stands
 
 
 def holds_run(path: Path) -> bool:
@@ -19,38 +37,212 @@ def holds_run(path: Path) -> bool:
         raise StoreError(f"cannot read {path}: {error.strerror}") from error
 
 
-def write_job(path: Path, toml: str) -> None:
-    """Write the resolved job."""
-    _write(path / "job.toml", toml)
+def is_kept_job(job_file: Path) -> bool:
+    """Whether a job file is the job.toml that a run keeps in its folder."""
+    return job_file.name == "job.toml" and _has_run_json(job_file.parent)
 
 
-def write_run(path: Path, run: dict[str, Any], key: str) -> None:
-    """Write identity and provenance, and the run's key, which outlives the file."""
-    keep_key(path, key)
-    _write(path / "run.json", json.dumps(run, indent=2) + "\n")
+def folder_of_run(job_file: Path) -> Path:
+    """Folder of a job's run: results/NAME for NAME.toml.
+
+    The run of a kept job.toml is the run that keeps it.
+    """
+    if not is_kept_job(job_file):
+        return Path("results") / job_file.stem
+    folder = job_file.parent
+    return folder if folder.name not in ("", "..") else Path(os.path.abspath(folder))
 
 
-def add_to_provenance(path: Path, facts: dict[str, Any]) -> None:
-    """Add facts to the provenance of a run whose lock is held."""
-    run, _ = read_run(path)
-    run["provenance"] |= facts
-    _write(path / "run.json", json.dumps(run, indent=2) + "\n")
+def no_run(path: Path, lacking: str = "run.json") -> StoreError:
+    """Make the error of a folder that lacks a file of a run; it names a run that may be meant."""
+    if path.suffix == ".toml" and path.is_file():
+        run = folder_of_run(path)
+        return StoreError(f"a run must be a folder, got the job file {path}: its run is {run}")
+    meant = did_you_mean_path(path, (path.parent, Path("results")), _has_run_json)
+    return StoreError(f"{path} holds no run: there is no {lacking} in it{meant}")
 
 
-def confirm(path: Path, key: str) -> None:
-    """Record job.toml and run.json in the manifest, if a kill prevented it before."""
-    keep_key(path, key)
-    manifest = Manifest(path)
-    for name in ABOUT:
+def _has_run_json(path: Path) -> bool:
+    return (path / "run.json").is_file()
+
+
+def is_plain_file(path: Path) -> bool:
+    """Whether a path is a plain file; nothing else is opened."""
+    try:
+        return stat.S_ISREG(os.lstat(path).st_mode)
+    except OSError:
+        return False
+
+
+def check_page_replaceable(path: Path) -> None:
+    """Raise a `StoreError` unless a file is missing, or is an earlier report."""
+
+    def is_page(path: Path) -> bool:
+        with path.open("rb") as file:
+            return _MARK in file.read(_START)
+
+    check_replaceable(path, is_page)
+
+
+def has_report(path: Path) -> bool:
+    """Whether the folder of a run has a report, and not another file of this name."""
+    try:
+        check_page_replaceable(path / REPORT)
+    except StoreError:
+        return False
+    return (path / REPORT).exists()
+
+
+def figures_in(path: Path) -> Iterator[Path]:
+    """Files of the figures in the folder of a run."""
+    for file in (path / FIGURES_FOLDER).glob("*.*"):
+        if file.suffix.removeprefix(".") in FORMATS:
+            yield file
+
+
+def strange_entries(folder: Path) -> Iterator[tuple[Path, str]]:
+    """Links, pipes, devices, and folders in place of files, each with what is wrong with it.
+
+    Paths are relative to the run's folder. Links are not followed.
+
+    Raises
+    ------
+    StoreError
+        A folder cannot be listed.
+    """
+    for name in (*_FILES, *_FOLDERS):
+        path = folder / name
         try:
-            stamp = f"0-{files.digest(path / name)}"
+            mode = path.lstat().st_mode
+        except (FileNotFoundError, NotADirectoryError):
+            continue
         except OSError as error:
-            raise StoreError(f"cannot read {path / name}: {error.strerror}") from error
-        manifest.settle(path / name, stamp, manifest.expect(path / name, stamp))
+            raise StoreError(f"cannot read {path}: {error.strerror}") from error
+        if wrong := _wrong(mode, file=name in _FILES, folder=name in _FOLDERS):
+            yield Path(name), wrong
+        elif stat.S_ISDIR(mode) and name != QUARANTINE:  # what lies in there is never opened
+            yield from _strange_below(folder, Path(name))
 
 
-def _write(path: Path, text: str) -> None:
-    manifest, prepared = Manifest(path.parent), files.prepare_text(path.parent, text)
-    before = manifest.expect(path, prepared.stamp)
-    files.give_name(prepared, path, replace=True)
-    manifest.settle(path, prepared.stamp, before)
+def check_entries(folder: Path) -> None:
+    """Raise a `StoreError` that names the first strange entry of a run's folder."""
+    for path, wrong in strange_entries(folder):
+        raise StoreError(
+            f"{folder / path} {wrong}; a run holds plain files and folders alone: "
+            f"`pfdist repair {folder}` moves it to quarantine"
+        )
+
+
+def _strange_below(folder: Path, relative: Path) -> Iterator[tuple[Path, str]]:
+    try:
+        entries = sorted(os.scandir(folder / relative), key=lambda entry: entry.name)
+        modes = [entry.stat(follow_symlinks=False).st_mode for entry in entries]
+    except FileNotFoundError:  # published or removed meanwhile
+        return
+    except OSError as error:
+        raise StoreError(f"cannot read {folder / relative}: {error.strerror}") from error
+    holds_files = relative.parts[0] in ("parts", "tables") and len(relative.parts) == _TABLES_DEEP
+    for entry, mode in zip(entries, modes, strict=True):
+        if wrong := _wrong(mode, file=holds_files):
+            yield relative / entry.name, wrong
+        elif stat.S_ISDIR(mode):
+            yield from _strange_below(folder, relative / entry.name)
+
+
+def _wrong(mode: int, *, file: bool = False, folder: bool = False) -> str:
+    """What is wrong with an entry; empty if nothing is wrong."""
+    if stat.S_ISLNK(mode):
+        return "is a link"
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        return "is neither a file nor a folder"
+    if file and stat.S_ISDIR(mode):
+        return "is a folder where a file belongs"
+    if folder and stat.S_ISREG(mode):
+        return "is a file where a folder belongs"
+    return ""
+
+
+def runs_below(folder: Path, depth: int) -> Iterator[Path]:
+    """Yield the folders of runs, in the order of their names; numbers are ordered as numbers.
+
+    Links are not followed, and hidden folders are skipped. So are folders within a run. A folder
+    below that cannot be listed is yielded as if it held a run: whoever opens it is told why.
+
+    Parameters
+    ----------
+    folder : Path
+        If it holds a run, it is the only one.
+    depth : int
+        How many levels of folders below this one are looked into.
+
+    Raises
+    ------
+    StoreError
+        The folder itself cannot be listed.
+    """
+    try:
+        entries = _listed(folder)
+    except OSError as error:
+        raise StoreError(f"cannot list {folder}: {error.strerror}") from error
+    yield from _runs_in(folder, entries, depth)
+
+
+def _runs_in(folder: Path, entries: dict[str, bool], depth: int) -> Iterator[Path]:
+    if "run.json" in entries or any(traces <= entries.keys() for traces in _TRACES):
+        yield folder
+    elif depth:
+        for name in sorted(entries, key=natural_key):
+            if entries[name] and not name.startswith("."):
+                try:
+                    inner = _listed(folder / name)
+                except OSError:
+                    yield folder / name
+                else:
+                    yield from _runs_in(folder / name, inner, depth - 1)
+
+
+def _listed(folder: Path) -> dict[str, bool]:
+    """Names of all entries, and whether each is a folder and no link."""
+    with os.scandir(folder) as entries:
+        return {entry.name: entry.is_dir(follow_symlinks=False) for entry in entries}
+
+
+@dataclass(frozen=True)
+class Extent:
+    """How large a folder is, and when it changed last.
+
+    Parameters
+    ----------
+    bytes : int
+        Sum of the lengths of all files.
+    changed : float
+        Seconds since 1970 at which the newest file or folder changed.
+    """
+
+    bytes: int
+    changed: float
+
+
+def extent(folder: Path) -> Extent:
+    """Measure a folder with all that lies in it; links count as themselves.
+
+    Entries that cannot be read, or that vanish meanwhile, are left out.
+    """
+    total, changed, waiting = 0, 0.0, [os.fspath(folder)]
+    while waiting:
+        try:
+            with os.scandir(waiting.pop()) as found:
+                entries = list(found)
+        except OSError:
+            continue
+        for entry in entries:
+            try:
+                about = entry.stat(follow_symlinks=False)
+            except OSError:
+                continue
+            changed = max(changed, about.st_mtime)
+            if stat.S_ISDIR(about.st_mode):
+                waiting.append(entry.path)
+            else:
+                total += about.st_size
+    return Extent(total, changed)

@@ -1,29 +1,35 @@
-"""The manifest: the content that every committed file of a run must have.
+"""The manifest: the content that every committed file of a run must have, and whose run it is.
 
-A file under ``parts/`` says so in its name. For the rest the folder ``manifest/`` has, for each
-file, a folder of empty files: ``manifest/<the file's path>/<rows>-<SHA-256>``. Names cannot be half
-written. A file that is about to get its name has ``<rows>-<SHA-256>.new`` before, so that one
-which is not there yet is told from one that is gone; where it replaces another, it may be either.
+A file under ``parts/`` has its SHA-256 in its name. For the others the file ``manifest`` has lines,
+the last of which holds::
+
+    run <key>                   the run to which all files belong
+    next <path> <SHA-256>       a file that is about to get its name
+    now <path> <SHA-256>        a file that has got it
+    gone <path> <SHA-256>       a file that is not expected any more
+
+A line is appended and never changed, because drivers that no lock keeps apart may write at the same
+time. A line that a kill cut short means nothing. Between ``next`` and ``now`` a file may be the new
+one, the one before, or not be there yet.
 """
 
 import errno
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from pfdist.errors import StoreError
 from pfdist.store import files
-from pfdist.store.strange import strange_entries
-from pfdist.store.tables import signed_by
+from pfdist.store.folder import ABOUT, MANIFEST, QUARANTINE, is_plain_file, strange_entries
+from pfdist.store.tables import rows_and_run
 
-FOLDER, QUARANTINE = "manifest", "quarantine"
-_STAMP = re.compile(r"\d+-[0-9a-f]{64}")
-_NEW = ".new"
+_LINE = re.compile(r"(next|now|gone) (\S+) ([0-9a-f]{64})|run ([0-9a-f]{16})")
+_PART = re.compile(r"parts/.*\.([0-9a-f]{64})\.parquet", re.DOTALL)
 _MISSING = "is missing"
-_UNKNOWN = f"0-{'0' * 64}"
-_PUBLISHED = re.compile(r"[a-z][a-z0-9_]*-\d{5}\.parquet")
+_UNKNOWN = "0" * 64
+_PUBLISHED = re.compile(r"tables/[a-z_]+/[a-z][a-z0-9_.]*-\d{5}\.parquet")
 
 
 @dataclass(frozen=True)
@@ -63,54 +69,71 @@ class Manifest:
 
     def exists(self) -> bool:
         """Whether the folder has a manifest; a folder without a run has none."""
-        return (self.folder / FOLDER).is_dir()
+        return os.path.lexists(self.folder / MANIFEST)
 
-    def expect(self, path: Path, stamp: str) -> list[Path]:
-        """Record the content that a file will have, before it gets its name.
+    def kept_key(self) -> str | None:
+        """The key of the run; None if the manifest has none."""
+        keys = [key for *_, key in self._lines() if key]
+        return keys[-1] if keys else None
 
-        Returns
-        -------
-        list of Path
-            Former statements about the file, which `settle` removes.
-        """
-        entry = self._entry(path)
-        before = [other for other in entry.glob("*") if other.name != stamp]
-        if not (entry / stamp).exists():
-            files.touch(entry / f"{stamp}{_NEW}")
-        return before
+    def keep_key(self, key: str) -> None:
+        """Record the key of the run."""
+        if self.kept_key() != key:
+            self._add([f"run {key}"])
 
-    def settle(self, path: Path, stamp: str, before: list[Path]) -> None:
-        """Record that a file got its name, and remove the records of its earlier contents."""
-        entry = self._entry(path)
-        files.touch(entry / stamp)
-        for other in (*before, entry / f"{stamp}{_NEW}"):
-            files.remove(other)
+    def give_names(self, prepared: Iterable[tuple[Path, files.Prepared]]) -> None:
+        """Give prepared files their names, and record what they hold, before and after."""
+        about = [(path, path.relative_to(self.folder), each) for path, each in prepared]
+        self._add([f"next {name} {each.sha256}" for _, name, each in about])
+        for path, _, each in about:
+            files.give_name(each, path)
+        self._add([f"now {name} {each.sha256}" for _, name, each in about])
+
+    def confirm(self, path: Path) -> None:
+        """Record what a file holds, if a kill prevented it before."""
+        name = path.relative_to(self.folder)
+        try:
+            sha256 = files.digest(path)
+        except OSError as error:
+            raise StoreError(f"cannot read {path}: {error.strerror}") from error
+        if self.expected().get(name) != {sha256: True}:
+            self._add([f"{word} {name} {sha256}" for word in ("next", "now")])
 
     def forget_lost(self) -> None:
-        """Remove the records of missing files, after everything that can be made was made again."""
-        for path in self.lost():
-            for entry in self._entry(self.folder / path).glob("*"):
-                files.remove(entry)
+        """Expect missing files no more, after everything that can be made was made again."""
+        self._add([f"gone {path} {_UNKNOWN}" for path in self.lost()])
 
     def lost(self) -> list[Path]:
         """Files that are expected and not there, relative to the run's folder."""
-        return sorted(path for path in self._entries() if not (self.folder / path).exists())
+        return sorted(path for path in self.expected() if not (self.folder / path).exists())
 
-    def stamps(self) -> dict[Path, set[str]]:
-        """The contents that each file may have, by its path relative to the run's folder."""
-        return {
-            path: {name.removesuffix(_NEW) for name in names}
-            for path, names in self._entries().items()
-        }
+    def expected(self) -> dict[Path, dict[str, bool]]:
+        """The contents that each file may have, and whether it had them once.
 
-    def stamps_of(self, path: Path) -> set[str]:
-        """The contents that one file may have."""
-        return {entry.name.removesuffix(_NEW) for entry in self._entry(path).glob("*")}
+        Files are named by their paths relative to the run's folder, contents by their SHA-256.
+        """
+        found: dict[Path, dict[str, bool]] = {}
+        for word, name, sha256, _ in self._lines():
+            if not name:
+                continue
+            contents = found.setdefault(Path(name), {})
+            if word == "gone":
+                del found[Path(name)]
+            elif word == "next":  # the last one from here on, as `now` needs it
+                contents[sha256] = contents.pop(sha256, False)
+            else:
+                # What another driver has announced since then may be there, too.
+                since = list(contents)
+                for former in since[: since.index(sha256) if sha256 in since else 0]:
+                    del contents[former]
+                contents.pop(sha256, None)
+                contents[sha256] = True
+        return found
 
     def damages(self) -> Iterator[Damage]:
         """Read every file of the run and give those that are not what was committed.
 
-        Where the folder holds strange entries (see `pfdist.store.strange`), these alone are given:
+        Where the folder holds strange entries (see `pfdist.store.folder`), these alone are given:
         nothing is read past them.
 
         Raises
@@ -122,15 +145,13 @@ class Manifest:
         if strange:
             yield from strange
             return
-        entries, stamps = self._entries(), self.stamps()
         present = {file.relative_to(self.folder) for file in self._files()}
-        for path in sorted(present | entries.keys()):
+        expected = self.expected()  # after the files: each was announced before it was there
+        for path in sorted(present | expected.keys()):
             if path not in present:
-                if any(not name.endswith(_NEW) for name in entries[path]):
+                if any(expected[path].values()):
                     yield Damage(path, _MISSING)
-                continue
-            expected = {_own_stamp(path)} if path.parts[0] == "parts" else stamps.get(path, set())
-            if wrong := self._wrong(path, expected):
+            elif wrong := self._wrong(path, _PART.findall(str(path)) or expected.get(path, {})):
                 yield Damage(path, wrong)
 
     def quarantine(self, damage: Damage) -> Path | None:
@@ -141,59 +162,64 @@ class Manifest:
         path, folder = self.folder / damage.path, self.folder / QUARANTINE / damage.path.parent
         if not os.path.lexists(path):
             return None
-        if damage.path.parts[0] in (FOLDER, QUARANTINE):
+        if damage.path.parts[0] in (MANIFEST, QUARANTINE):
             raise StoreError(f"{path} {damage.what}: pfdist moves nothing out of it; remove it")
-        if damage.path.parts[0] == "tables" and _PUBLISHED.fullmatch(path.name):
-            files.touch(self._entry(path) / _UNKNOWN)
+        if _PUBLISHED.fullmatch(damage.path.as_posix()):
+            self._add([f"now {damage.path} {_UNKNOWN}"])
         place, number = folder / path.name, 1
         while os.path.lexists(place):
             place, number = folder / f"{path.name}.{number}", number + 1
         files.move(path, place)
         return place
 
-    def _wrong(self, path: Path, expected: set[str]) -> str:
+    def _wrong(self, path: Path, expected: Iterable[str]) -> str:
         """Say what is wrong with an existing file; empty if nothing is wrong."""
-        if not any(map(_STAMP.fullmatch, expected)):
+        known = {sha256 for sha256 in expected if sha256 != _UNKNOWN}
+        if not known:
             return "is not a file of this run"
         try:
-            digest = files.digest(self.folder / path)
-            if digest not in {stamp.partition("-")[2] for stamp in expected}:
+            if files.digest(self.folder / path) not in known:
                 return "is not what was committed: its SHA-256 differs"
-            key = signed_by(self.folder / path) if path.suffix == ".parquet" else self._run_key
+            return self._wrong_table(path) if path.suffix == ".parquet" else ""
         except FileNotFoundError:  # published meanwhile
             return ""
-        except StoreError:
-            return "is not a Parquet file"
         except OSError as error:
             if error.errno != errno.EIO:  # the disk's fault, and not that of who asks
                 raise StoreError(f"cannot read {path}: {error.strerror}") from error
             return f"cannot be read: {error.strerror}"
-        return "" if key == self._run_key else "belongs to another run"
 
-    def _entry(self, path: Path) -> Path:
-        return self.folder / FOLDER / path.relative_to(self.folder)
-
-    def _entries(self) -> dict[Path, set[str]]:
-        found: dict[Path, set[str]] = {}
-        root = self.folder / FOLDER
+    def _wrong_table(self, path: Path) -> str:
         try:
-            for entry in root.rglob("*"):
-                if _STAMP.fullmatch(entry.name.removesuffix(_NEW)):
-                    found.setdefault(entry.parent.relative_to(root), set()).add(entry.name)
+            rows, key = rows_and_run(self.folder / path)
+        except StoreError:
+            return "is not a Parquet file"
+        if key != self._run_key:
+            return "belongs to another run"
+        return "" if rows or path.parts[0] == "parts" else "has no rows"
+
+    def _add(self, lines: list[str]) -> None:
+        if lines:
+            files.add_lines(self.folder / MANIFEST, lines)
+
+    def _lines(self) -> Iterator[tuple[str, str, str, str]]:
+        """Word, path, SHA-256 and key of each whole line; the key or the others are empty."""
+        path = self.folder / MANIFEST
+        if not is_plain_file(path):
+            return
+        try:
+            text = path.read_text(encoding="utf-8", errors="replace")
         except OSError as error:
-            raise StoreError(f"cannot read {root}: {error.strerror}") from error
-        return found
+            raise StoreError(f"cannot read {path}: {error.strerror}") from error
+        for line in text.splitlines():
+            if found := _LINE.fullmatch(line):
+                word, name, sha256, key = found.groups(default="")
+                yield word, name, sha256, key
 
     def _files(self) -> Iterator[Path]:
-        for name in ("job.toml", "run.json"):
+        for name in ABOUT:
             if (self.folder / name).exists():
                 yield self.folder / name
         for folder in ("parts", "tables"):
             for path in (self.folder / folder).rglob("*"):
                 if path.is_file() and not files.is_temporary(path):
                     yield path
-
-
-def _own_stamp(path: Path) -> str:
-    """The content that the name of a part promises."""
-    return path.name.removesuffix(".parquet").rpartition(".")[2]

@@ -2,55 +2,81 @@
 
 ::
 
-    parts/<table>/<phase>-<key>.<rows>-<SHA-256>.parquet
-                                             committed one by one, gone when their phase is done
-    tables/<table>/<phase>-00000.parquet     published: sorted, cut at fixed counts
-    manifest/tables/<table>/<phase>-00000.parquet/<rows>-<SHA-256>
-                                             what a published file must hold
+    parts/<table>/<phase>-<key>.<SHA-256>.parquet   committed one by one, gone when their phase ends
+    tables/<table>/<phase>-00000.parquet            published: sorted, cut at fixed counts
+    manifest                                        what published files must hold
 
 A reader sees both as one. A phase may be published again and again with the same outcome, so a
-process may die at any instant of it.
+process may die at any instant of it. A commit reads and lists nothing, so it costs the same however
+much was committed before.
 """
 
-from collections.abc import Iterable
+import time
+from collections import Counter, defaultdict
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
+import numpy as np
+import pandas as pd
 import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
 
+from pfdist.errors import StoreError
 from pfdist.store import files
-from pfdist.store.clock_columns import ClockColumns
-from pfdist.store.reader import Reader
-from pfdist.store.schema import KEYS
-from pfdist.store.tables import cut_rows, signed, unique
+from pfdist.store.about import run_key as folder_key
+from pfdist.store.manifest import Manifest
+from pfdist.store.schema import KEYS, QUESTIONS, ClockColumns, frame_of, schema
+from pfdist.store.tables import (
+    check_names,
+    cut_rows,
+    first_occurrences,
+    read_file,
+    rows_and_run,
+    signed,
+    unique,
+)
 
 ROWS_IN_A_FILE = {"draws": 1_000_000, "comparison": 50_000, "error_sums": 200}
 _MANY = 1_000_000_000  # rows of the other tables: one file a phase
+_ATTEMPTS, _PAUSE_SECONDS = 50, 0.02  # another driver may be publishing what is read
+Found = TypeVar("Found")
 
 
-class Store(Reader):
+class Store:
     """Tables of one run, to be read and written.
 
     Parameters
     ----------
     path : Path
+        The run's folder.
     run_key : str, optional
-        As of `Reader`.
+        The run that every file must belong to; that of the folder, unless it is given.
     clock : ClockColumns, optional
         The clock of the run. Callers hand over instants, and the tables hold times on the clock.
+
+    Every reading raises a `StoreError` where a file cannot be read, is of another schema version,
+    belongs to another run, or is a published file without rows.
     """
 
     def __init__(
         self, path: Path, run_key: str | None = None, clock: ClockColumns | None = None
     ) -> None:
-        super().__init__(path, run_key)
+        self.path = path
+        self._run_key = run_key or folder_key(path)
         self._clock = clock
+        self.manifest = Manifest(path, self._run_key)
+        # Files of the draws table by evaluation; None until somebody asks for them.
+        self._holders: dict[str, set[Path]] | None = None
 
     def timed(self, rows: pa.Table) -> pa.Table:
-        """Give rows with times on the clock of the run in the place of instants."""
+        """Rows with times on the clock of the run in the place of instants."""
         return rows if self._clock is None else self._clock.table(rows)
 
     def own_schema(self, schema: pa.Schema) -> pa.Schema:
-        """Give the schema that a table has in this store: with a clock, times are numbers."""
+        """Schema that a table has in this store: with a clock, times are numbers."""
         return schema if self._clock is None else self._clock.schema(schema)
 
     def sweep(self) -> None:
@@ -58,7 +84,7 @@ class Store(Reader):
         files.sweep(self.path)
 
     def commit(self, table: str, phase: str, key: str, rows: pa.Table) -> None:
-        """Commit rows of a phase; committing the same key again does nothing.
+        """Commit rows of a phase; committing the same rows again changes nothing.
 
         Parameters
         ----------
@@ -69,13 +95,11 @@ class Store(Reader):
         rows : pyarrow.Table
         """
         folder = self.path / "parts" / table
-        path = next(folder.glob(f"{phase}-{key}.*.parquet"), None)
-        if path is None:
-            prepared = files.prepare_table(folder, self._prepared(rows))
-            path = folder / f"{phase}-{key}.{prepared.stamp}.parquet"
-            files.give_name(prepared, path, replace=False)
-        if table == "draws":  # even if it was there: another driver may have committed it
-            self._draw_files.add(path, rows["evaluation"])
+        prepared = files.prepare_table(folder, self._prepared(rows))
+        path = folder / f"{phase}-{key}.{prepared.sha256}.parquet"
+        files.give_name(prepared, path)  # where it is already, it holds the same
+        if table == "draws":
+            self._note_holder(path, rows)
 
     def publish(self, table: str, phase: str, pieces: Iterable[pa.Table]) -> None:
         """Write all rows of a phase as files of its table, and remove the phase's parts.
@@ -89,24 +113,22 @@ class Store(Reader):
         pieces : iterable of pyarrow.Table
             All rows of the phase in their order, in pieces of any sizes.
         """
-        settled = []
+        prepared = []
         for number, rows in enumerate(cut_rows(pieces, ROWS_IN_A_FILE.get(table, _MANY))):
             path = self.path / "tables" / table / f"{phase}-{number:05d}.parquet"
-            prepared = files.prepare_table(path.parent, self._prepared(rows.combine_chunks()))
-            before = self.manifest.expect(path, prepared.stamp)
-            files.give_name(prepared, path, replace=True)
-            settled.append((path, prepared.stamp, before))
+            file = files.prepare_table(path.parent, self._prepared(rows.combine_chunks()))
+            prepared.append((path, file))
             if table == "draws":
-                self._draw_files.add(path, rows["evaluation"])
-        for path, stamp, before in settled:
-            self.manifest.settle(path, stamp, before)
+                self._note_holder(path, rows)
+        self.manifest.give_names(prepared)
         gone = self._parts(table, phase)
         for path in gone:
             files.remove(path)
-        self._draw_files.remove(gone)
+        for holders in (self._holders or {}).values():
+            holders.difference_update(gone)
 
     def _prepared(self, rows: pa.Table) -> pa.Table:
-        """Give rows as files hold them."""
+        """Rows as files hold them."""
         return signed(self.timed(rows), self._run_key)
 
     def settle(self, table: str, phase: str) -> None:
@@ -118,3 +140,251 @@ class Store(Reader):
         """Publish rows beside the published rows of a phase, and in the place of the same keys."""
         pieces = [self.timed(rows), *self._load(table, phase)]
         self.publish(table, phase, [unique(pieces, KEYS[table])])
+
+    def read(self, table: str, draws: int | None = None, phase: str = "") -> pd.DataFrame:
+        """Read a table, parts and published files as one, sorted by key.
+
+        Parameters
+        ----------
+        table : str
+        draws : int, optional
+            Only so many first draws.
+        phase : str, optional
+            Only the rows of a phase.
+        """
+        wanted = None if draws is None else pc.field("draw") < draws
+        pieces = self._load(table, phase, filters=wanted)
+        if not pieces:
+            raise self._lacking(table)
+        frame: pd.DataFrame = pd.concat([frame_of(piece) for piece in pieces])
+        return frame.drop_duplicates(KEYS[table]).sort_values(KEYS[table], ignore_index=True)
+
+    def compared(self) -> pd.DataFrame:
+        """Read the table of the compared sets, and check their names.
+
+        The names become parts of the names of columns and files.
+
+        Raises
+        ------
+        StoreError
+            A name is not one that a job could have given; or as any reading.
+        """
+        rows = self.read("compared")
+        check_names(rows["name"], self.path / "tables" / "compared")
+        return rows
+
+    def compared_names(self) -> list[str]:
+        """Read the names of the compared sets alone, the reference first; errors as `compared`."""
+        columns = [*KEYS["compared"], "name"]
+        pieces = self._again(lambda: list(self.pieces("compared", columns)))
+        if not pieces:
+            raise self._lacking("compared")
+        names: list[str] = unique(pieces, KEYS["compared"])["name"].to_pylist()
+        check_names(names, self.path / "tables" / "compared")
+        return names
+
+    def compared_sets(self) -> dict[str, tuple[int, ...]]:
+        """Read the compared sets by name, the reference first; times are those of the clock."""
+        rows = self.compared()
+        return {
+            str(name): tuple(times.tolist())
+            for name, times in zip(rows["name"], rows["measurement_times"], strict=True)
+        }
+
+    def has(self, table: str, phase: str = "") -> bool:
+        """Whether anything of a table, or of a phase in it, was committed."""
+        return bool(self._files(table, phase))
+
+    def has_parts(self, table: str = "*", phase: str = "*", without: tuple[str, ...] = ()) -> bool:
+        """Whether a phase, or the run without some phases, has rows that are not published yet."""
+        parts = self._parts(table, phase)
+        return any(not path.name.startswith(without) for path in parts)
+
+    def lost(self) -> list[Path]:
+        """Missing files that a run needs to be finished; those of `QUESTIONS` are left out."""
+        return [path for path in self.manifest.lost() if not path.name.startswith(QUESTIONS)]
+
+    def phases_of(self, table: str, start: str) -> list[str]:
+        """Phases with parts of a table whose names begin so; these names have no hyphen."""
+        parts = (self.path / "parts" / table).glob(f"{start}*.parquet")
+        return sorted({path.name.partition("-")[0] for path in parts})
+
+    def blocks(
+        self, table: str, column: str, rows: int, last: int | None = None
+    ) -> Iterator[pa.Table]:
+        """Give the rows whose column lies in 0..last-1, or all, in blocks of so many values.
+
+        The rows of a block are sorted and unique; empty blocks are skipped. Only the files that
+        reach into a block are read, so memory does not grow with the table.
+        """
+        spans: list[tuple[Path, int, int]] | None = None
+        if last is None:
+            spans = self._again(partial(self._spans, table, column))
+            last = 1 + max((most for _, _, most in spans), default=-1)
+
+        def look(first: int) -> pa.Table | None:
+            nonlocal spans
+            spans = self._spans(table, column) if spans is None else spans
+            try:
+                return self._between(spans, column, first, min(first + rows, last))
+            except FileNotFoundError:
+                spans = None
+                raise
+
+        for first in range(0, last, rows):
+            block = self._again(partial(look, first))
+            if block is not None:
+                yield block
+
+    def pieces(self, table: str, columns: list[str]) -> Iterator[pa.Table]:
+        """Some columns of a table, a file at a time; rows may come twice."""
+        for path in self._files(table):
+            yield self._read(path, columns)
+
+    def present(self, table: str, column: str, without: Container[Path] = ()) -> NDArray[np.bool_]:
+        """Whether each value 0..largest occurs in a column of counts.
+
+        Parameters
+        ----------
+        table, column : str
+        without : container of Path
+            Files that are not looked at.
+        """
+
+        def look() -> NDArray[np.bool_]:
+            found = np.zeros(0, np.bool_)
+            for path in self._files(table):
+                if path not in without:
+                    values = self._read(path, [column])[column].to_numpy()
+                    found = np.pad(found, (0, max(0, int(values.max(initial=-1)) + 1 - found.size)))
+                    found[values] = True
+            return found
+
+        return self._again(look)
+
+    def per_draw(self, evaluations: Sequence[str]) -> pa.Table:
+        """Rows of the draws table of these evaluations, in their order and by draw, each once."""
+        ids = list(evaluations)
+        wanted = pc.field("evaluation").isin(ids)
+
+        def look() -> list[pa.Table]:
+            paths = sorted(set[Path]().union(*(self._found_holders().get(id_, ()) for id_ in ids)))
+            return [self._read(path, filters=wanted) for path in paths]
+
+        found = self._again(look)
+        if not found:
+            return schema("draws").empty_table()
+        rows = pa.concat_tables(found)
+        place = pc.index_in(rows["evaluation"], pa.array(ids)).to_numpy()
+        draw = rows["draw"].to_numpy()
+        order = np.lexsort((draw, place))
+        return rows.take(order[first_occurrences(place[order], draw[order])])
+
+    def evaluations(self, *tables: str) -> dict[str, int]:
+        """Number of committed rows of each evaluation; a row that is found twice counts twice.
+
+        Parameters
+        ----------
+        tables : str
+            Where to look; ``draws`` and ``error_sums`` unless they are given.
+        """
+
+        def look() -> dict[str, int]:
+            rows = Counter[str]()
+            for table in tables or ("draws", "error_sums"):
+                for piece in self.pieces(table, ["evaluation"]):
+                    counted = piece["evaluation"].value_counts().to_pylist()
+                    rows.update({each["values"]: each["counts"] for each in counted})
+            return rows
+
+        return self._again(look)
+
+    def sums(self, evaluation: str, blocks: int) -> pa.Table:
+        """Rows of the table of sums of one evaluation, for its first blocks of draws, in order."""
+        wanted = (pc.field("evaluation") == evaluation) & (pc.field("block") < blocks)
+        pieces = [schema("error_sums").empty_table(), *self._load("error_sums", filters=wanted)]
+        return unique(pieces, KEYS["error_sums"])
+
+    def _lacking(self, table: str) -> StoreError:
+        return StoreError(f"the run {self.path} has no table {table!r} yet")
+
+    def _parts(self, table: str, phase: str) -> list[Path]:
+        return sorted((self.path / "parts").glob(f"{table}/{phase}-*.parquet"))
+
+    def _files(self, table: str, phase: str = "") -> list[Path]:
+        pattern = f"{phase}-*.parquet" if phase else "[!.]*.parquet"
+        # Parts are listed first, so a row that is published meanwhile is seen twice, not never.
+        parts = sorted((self.path / "parts" / table).glob(pattern))
+        tables = sorted((self.path / "tables" / table).glob(pattern))
+        return tables + parts
+
+    def _load(
+        self,
+        table: str,
+        phase: str = "",
+        filters: pc.Expression | None = None,
+    ) -> list[pa.Table]:
+        """Read all files of a table, or those of one phase."""
+        return self._again(
+            lambda: [self._read(path, filters=filters) for path in self._files(table, phase)]
+        )
+
+    def _spans(self, table: str, column: str) -> list[tuple[Path, int, int]]:
+        """Files of a table, and the smallest and largest value of a column in each."""
+        spans = []
+        for path in self._files(table):
+            values = self._read(path, [column])[column].to_numpy()
+            if values.size:
+                spans.append((path, int(values.min()), int(values.max())))
+        return spans
+
+    def _again(self, look: Callable[[], Found]) -> Found:
+        """Read files, and start again if another driver published a file meanwhile."""
+        for _ in range(_ATTEMPTS):
+            try:
+                return look()
+            except FileNotFoundError:
+                self._holders = None
+                time.sleep(_PAUSE_SECONDS)
+        raise StoreError(f"the run {self.path} changes faster than it can be read: try again")
+
+    def _between(
+        self, spans: list[tuple[Path, int, int]], column: str, first: int, last: int
+    ) -> pa.Table | None:
+        """Sorted rows whose column lies in first..last-1, each once; None if there is none."""
+        bounds = (pc.field(column) >= first) & (pc.field(column) < last)
+        pieces = [
+            # A file within the block is read as it is, which takes a third of the time.
+            self._read(path, filters=None if first <= least and most < last else bounds)
+            for path, least, most in spans
+            if least < last and most >= first
+        ]
+        if not pieces:
+            return None
+        found = pa.concat_tables(pieces).sort_by(column)
+        return found.filter(pa.array(first_occurrences(found[column].to_numpy())))
+
+    def _read(
+        self,
+        path: Path,
+        columns: list[str] | None = None,
+        filters: pc.Expression | None = None,
+    ) -> pa.Table:
+        rows = read_file(path, columns, filters, self._run_key)
+        if not rows.num_rows and path.parts[-3] == "tables" and not rows_and_run(path)[0]:
+            raise StoreError(f"{path} has no rows; the job, run again, makes it anew")
+        return rows
+
+    def _found_holders(self) -> dict[str, set[Path]]:
+        """Files of the draws table by evaluation, which are read at the first question."""
+        if self._holders is None:
+            self._holders = defaultdict(set)
+            for path in self._files("draws"):
+                self._note_holder(path, self._read(path, ["evaluation"]))
+        return self._holders
+
+    def _note_holder(self, path: Path, rows: pa.Table) -> None:
+        """Note which evaluations a file of the draws table holds."""
+        if self._holders is not None:
+            for id_ in rows["evaluation"].unique().to_pylist():
+                self._holders[id_].add(path)

@@ -4,28 +4,18 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from pfdist.errors import StoreError
-from pfdist.store import (
-    ABOUT,
-    Damage,
-    Manifest,
-    Store,
-    check_not_held,
-    held,
-    holds_run,
-    keep_key,
-    kept_keys,
-    lacking_evaluations,
-    own_key,
-    run_key,
-    strange_entries,
-    verify,
-)
-from pfdist.store.about import no_run
-from pfdist.store.keys import check_version_of
+from pfdist.store.about import check_version_of, own_key, run_key
+from pfdist.store.folder import ABOUT, holds_run, no_run, strange_entries
+from pfdist.store.lock import check_not_held, held
+from pfdist.store.manifest import Damage, Manifest
+from pfdist.store.parquet import Store
+from pfdist.store.schema import KEYS
 
 
 def verify_run(path: Path) -> Iterator[Damage]:
-    """Check every byte, row and key of a run; see `pfdist.store.verify`.
+    """Check every byte, row and key of a run.
+
+    First each file's SHA-256 and key; if all files are what was committed, the keys of the rows.
 
     Raises
     ------
@@ -35,7 +25,9 @@ def verify_run(path: Path) -> Iterator[Damage]:
     """
     _check_verifiable(path)
     check_not_held(path)
-    yield from verify(Store(path))
+    store = Store(path)
+    damages = list(store.manifest.damages())
+    yield from damages or _wrong_rows(store)
 
 
 def repair_run(path: Path) -> Iterator[str]:
@@ -66,23 +58,24 @@ def run_again(path: Path) -> str:
 
 
 def _with_one_key(path: Path) -> Iterator[str]:
-    """Make a folder hold the key of one run only, and say what was done."""
-    keys, own = kept_keys(path), own_key(path)
+    """Make the manifest hold the run's own key, and say what was done."""
+    manifest, own = Manifest(path), own_key(path)
     try:
         run_key(path)
     except StoreError:
-        kept = ", ".join(keys[:3]) + (", ..." if len(keys) > 3 else "") if keys else "no key"
+        kept = manifest.kept_key() or "no key"
     else:
         return
     if own is not None:
-        keep_key(path, own)
-        yield f"manifest/run held {kept}: it holds {own} now, which job.toml and run.json give"
+        manifest.keep_key(own)
+        yield f"manifest held {kept}: it holds {own} now, which job.toml and run.json give"
         return
-    yield f"manifest/run holds {kept}, and job.toml and run.json do not say which is the run's own"
+    yield f"manifest holds {kept}, and job.toml and run.json do not say which is the run's own"
     found = [Path(name) for name in ABOUT]
-    found += [file.relative_to(path) for file in sorted(path.glob("tables/*/*.parquet"))]
-    found += [file.relative_to(path) for file in sorted(path.glob("parts/*/*.parquet"))]
-    yield from _moved(Manifest(path), [Damage(file, "may be another run's") for file in found])
+    for files in ("tables/*/*.parquet", "parts/*/*.parquet"):
+        found += [file.relative_to(path) for file in sorted(path.glob(files))]
+    yield from _moved(manifest, [Damage(file, "may be another run's") for file in found])
+    manifest.forget_lost()  # so that either run may begin here again
 
 
 def _moved(manifest: Manifest, damages: list[Damage]) -> Iterator[str]:
@@ -96,7 +89,7 @@ def _moved(manifest: Manifest, damages: list[Damage]) -> Iterator[str]:
 def _to_do(store: Store) -> str:
     lost = {path.parent.name or path.name for path in store.manifest.lost()}
     parts = []
-    if store.has("evaluations") and (lacking := lacking_evaluations(store)):
+    if store.has("evaluations") and (lacking := _lacking_evaluations(store)):
         parts.append(f"{len(lacking):,} evaluations")
     if "comparison" in lost or store.has_parts("comparison"):
         there = int(store.present("comparison", "draw").sum())
@@ -111,4 +104,30 @@ def _check_verifiable(path: Path) -> None:
         return
     if not holds_run(path):
         raise no_run(path)
-    raise StoreError(f"{path} has lost its folder manifest, which says what its files must hold")
+    raise StoreError(f"{path} has lost its manifest, which says what its files must hold")
+
+
+def _wrong_rows(store: Store) -> Iterator[Damage]:
+    """Keys of rows that are twice there, or lacking."""
+    if store.has("evaluations"):
+        evaluations = store.read("evaluations")
+        if evaluations.duplicated(KEYS["evaluations"]).any():
+            yield Damage(Path("tables/evaluations"), "has an evaluation twice")
+        lacking = _lacking_evaluations(store)
+        if lacking:
+            text = f"lacks draws of {len(lacking):,} evaluations, {lacking[0]} among them"
+            yield Damage(Path("tables/draws"), text)
+    if store.has("comparison") and not store.has_parts("comparison"):
+        present = store.present("comparison", "draw")
+        counted = sum(piece.num_rows for piece in store.pieces("comparison", ["draw"]))
+        if not present.all() or counted != present.size:
+            text = f"must have each draw once, got {counted:,} rows of {int(present.sum()):,} draws"
+            yield Damage(Path("tables/comparison"), f"{text} up to {present.size:,}")
+
+
+def _lacking_evaluations(store: Store) -> list[str]:
+    """Ids of evaluations that lack some of their draws."""
+    rows = store.evaluations("draws")
+    evaluations = store.read("evaluations")
+    wanted = dict(zip(evaluations["evaluation"], evaluations["draws"], strict=True))
+    return [id_ for id_, draws in wanted.items() if rows.get(id_, 0) < draws]

@@ -1,13 +1,18 @@
-"""Tables, columns and units.
+"""Tables, columns and units; columns of times on a clock, and columns of components.
 
 Every file carries the schema's version, its table's name and the key of its run in its metadata,
 every column a unit and a description. ``mse`` and the like are in the square of the unit of z.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
+import numpy as np
+import pandas as pd
 import pyarrow as pa
+from numpy.typing import NDArray
 
 from pfdist.common.component_names import Component
 from pfdist.errors import StoreError
@@ -23,7 +28,11 @@ FILTERED_PERCENTS = (5, 25, 50, 75, 95)
 WINDOW_PERCENTS = (1, 5)
 """Largest losses, in per cent, within the sampling windows of a measurement."""
 
+LABELS = "labels"
+"""Under this name the attributes of a DataFrame hold the labels of its columns."""
+
 _MSE = "square of z's unit"
+_INSTANTS: Final = ("t", "moved_to", "end", "measurement_times", "path")
 
 KEYS: dict[str, list[str]] = {
     "evaluations": ["phase", "generation", "individual"],
@@ -331,3 +340,104 @@ def filtered_schema(quantities: Sequence[Component]) -> pa.Schema:
         _column("surprise", pa.float64(), "", "p-value of the measurement; null: not measured"),
     ]
     return _schema("filtered", columns)
+
+
+@dataclass(frozen=True)
+class ClockColumns:
+    """Turns columns of instants into columns of times, in the clock's unit.
+
+    Parameters
+    ----------
+    times : tuple of float, (T+1,)
+        The time of each instant.
+    unit : str
+        The unit, for the metadata of the columns.
+    """
+
+    times: tuple[float, ...]
+    unit: str
+
+    def table(self, rows: pa.Table) -> pa.Table:
+        """Table with times in the place of instants; columns of times stay as they are."""
+        clock = np.array(self.times)
+        for index, field in enumerate(rows.schema):
+            if _holds_instants(field):
+                column = rows.column(index).combine_chunks()
+                rows = rows.set_column(index, self._field(field), _timed(column, clock))
+        return rows
+
+    def schema(self, schema: pa.Schema) -> pa.Schema:
+        """Schema of such a table."""
+        for index, field in enumerate(schema):
+            if _holds_instants(field):
+                schema = schema.set(index, self._field(field))
+        return schema
+
+    def _field(self, field: pa.Field) -> pa.Field:
+        kind = pa.list_(pa.float64()) if pa.types.is_list(field.type) else pa.float64()
+        metadata = dict(field.metadata or {}) | {b"unit": self.unit.encode()}
+        return pa.field(field.name, kind, metadata=metadata)
+
+
+def frame_of(table: pa.Table) -> pd.DataFrame:
+    """DataFrame with what the metadata says of the columns.
+
+    If the column t has times on a clock, the DataFrame has the attribute ``time_unit``. If columns
+    are those of components with names, it has the attribute ``labels``: names and units by column.
+    """
+    frame: pd.DataFrame = table.to_pandas()
+    index = table.schema.get_field_index("t")
+    if index >= 0 and pa.types.is_floating(table.schema.field(index).type):
+        metadata = table.schema.field(index).metadata or {}
+        frame.attrs["time_unit"] = metadata.get(b"unit", b"").decode()
+    labels = {
+        field.name: field.metadata[b"label"].decode(errors="replace")
+        for field in table.schema
+        if b"label" in (field.metadata or {})
+    }
+    if labels:
+        frame.attrs[LABELS] = labels
+    return frame
+
+
+def _holds_instants(field: pa.Field) -> bool:
+    kind = field.type.value_type if pa.types.is_list(field.type) else field.type
+    return field.name in _INSTANTS and pa.types.is_integer(kind)
+
+
+def _timed(column: pa.Array, clock: NDArray[np.float64]) -> pa.Array:
+    if isinstance(column, pa.ChunkedArray):
+        column = pa.concat_arrays(column.chunks) if column.num_chunks else pa.array([], column.type)
+    if pa.types.is_list(column.type):
+        values = pa.array(clock[column.flatten().to_numpy(zero_copy_only=False)])
+        offsets = column.offsets.to_numpy()  # a slice of a column begins later
+        return pa.ListArray.from_arrays(
+            pa.array(offsets - offsets[0]), values, mask=column.is_null()
+        )
+    return pa.array(clock[column.to_numpy(zero_copy_only=False)])
+
+
+def components_in(table: pd.DataFrame, start: str) -> tuple[Component, ...]:
+    """Components whose columns begin with these characters, such as ``z_``.
+
+    The names and units are those of the attribute ``labels`` of the table. A column without a label
+    is called after its suffix, unless that is a number.
+    """
+    labels = table.attrs.get(LABELS, {})
+    return tuple(
+        _component(str(column).removeprefix(start), labels.get(column, ""))
+        for column in table.columns
+        if str(column).startswith(start)
+    )
+
+
+def _component(suffix: str, label: str) -> Component:
+    if not label:
+        return Component(suffix, "" if suffix.isdecimal() else suffix)
+    name, _, unit = label.partition(" [")
+    return Component(suffix, name, unit.removesuffix("]"))
+
+
+def labels_of(start: str, components: Sequence[Component]) -> dict[str, str]:
+    """Labels of the columns of components that have names, by column."""
+    return {f"{start}{each.suffix}": each.label for each in components if each.name}

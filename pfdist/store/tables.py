@@ -1,5 +1,10 @@
-"""Tables as rows: read one file, sign with the run's key, cut at fixed counts, check names."""
+"""One Parquet file, written and read; and its rows, cut at fixed counts and made unique.
 
+Given a path as text, pyarrow takes ``a:b`` for the address of a file system and refuses names that
+are not UTF-8. So it is given open files, and these are opened by the bytes of their names.
+"""
+
+import os
 import re
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -8,14 +13,104 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from pfdist.errors import StoreError
-from pfdist.store.arrow_files import read_schema, read_table
 from pfdist.store.schema import RUN_KEY, check_schema_version
 
 _LONGEST_NAME = 64  # a search's name and a number of measurements
 _NAME = re.compile(rf"[a-z][a-z0-9_]{{0,{_LONGEST_NAME - 1}}}")
+
+
+def write_table(table: pa.Table, path: Path) -> None:
+    """Write a table as a Parquet file."""
+    with pa.OSFile(os.fsencode(path), "wb") as file:
+        pq.write_table(table, file, compression="zstd", write_page_checksum=True)
+
+
+def read_schema(path: Path) -> pa.Schema:
+    """Read the schema of a Parquet file."""
+    with pa.OSFile(os.fsencode(path)) as file:
+        return pq.read_schema(file)
+
+
+def rows_and_run(path: Path) -> tuple[int, str | None]:
+    """Number of rows of a file, and the key of the run that wrote it, if the file names one.
+
+    Raises
+    ------
+    FileNotFoundError
+        There is no such file.
+    StoreError
+        The file is not a readable Parquet file.
+    """
+
+    def read() -> Any:
+        with pa.OSFile(os.fsencode(path)) as file:
+            return pq.read_metadata(file)
+
+    about = _guarded(path, read)
+    key = (about.metadata or {}).get(RUN_KEY)
+    return about.num_rows, None if key is None else key.decode(errors="replace")
+
+
+def read_file(
+    path: Path,
+    columns: list[str] | None = None,
+    filters: pc.Expression | None = None,
+    run_key: str | None = None,
+) -> pa.Table:
+    """Read columns and rows of a file of this schema version.
+
+    Parameters
+    ----------
+    path : Path
+    columns : list of str, optional
+        All, unless they are given.
+    filters : pyarrow.compute.Expression, optional
+        Which rows are wanted.
+    run_key : str, optional
+        The run that the file must belong to; None: the file must carry no key.
+
+    Raises
+    ------
+    FileNotFoundError
+        There is no such file.
+    StoreError
+        The file cannot be read, is of another schema version, or belongs to another run.
+    """
+
+    def read() -> pa.Table:
+        with pa.OSFile(os.fsencode(path)) as file:
+            return pq.read_table(
+                file,
+                columns=columns,
+                filters=filters,
+                partitioning=None,
+                use_threads=False,  # each thread would keep its own memory
+                page_checksum_verification=True,
+            )
+
+    table: pa.Table = _guarded(path, read)
+    metadata = table.schema.metadata or {}
+    if metadata.get(RUN_KEY) != (run_key.encode() if run_key else None):
+        carries = f"the run's key {run_key}" if run_key else "no key"
+        raise StoreError(
+            f"{path} belongs to another run: every file here must carry {carries}, "
+            f"got {metadata.get(RUN_KEY, b'none').decode(errors='replace')}; `pfdist repair` moves "
+            "such files to quarantine"
+        )
+    check_schema_version(path, int(metadata.get(b"pfdist_schema_version", b"0")))
+    return table
+
+
+def signed(table: pa.Table, run_key: str | None) -> pa.Table:
+    """Table whose metadata says which run it belongs to."""
+    if run_key is None:
+        return table
+    metadata = table.schema.metadata or {}
+    return table.replace_schema_metadata({**metadata, RUN_KEY: run_key.encode()})
 
 
 def cut_rows(pieces: Iterable[pa.Table], count: int) -> Iterator[pa.Table]:
@@ -69,27 +164,7 @@ def check_names(names: Iterable[object], where: Path) -> None:
             )
 
 
-def signed(table: pa.Table, run_key: str | None) -> pa.Table:
-    """Table whose metadata says which run it belongs to."""
-    if run_key is None:
-        return table
-    metadata = table.schema.metadata or {}
-    return table.replace_schema_metadata({**metadata, RUN_KEY: run_key.encode()})
-
-
-def signed_by(path: Path) -> str | None:
-    """Key of the run that wrote a file; None if the file names no run.
-
-    Raises
-    ------
-    StoreError
-        The file is not a readable Parquet file.
-    """
-    metadata = guarded(path, lambda: read_schema(path)).metadata or {}
-    return metadata[RUN_KEY].decode(errors="replace") if RUN_KEY in metadata else None
-
-
-def guarded(path: Path, read: Callable[[], Any]) -> Any:
+def _guarded(path: Path, read: Callable[[], Any]) -> Any:
     """Call a function that reads a file, and name the file in its error."""
     try:
         return read()
@@ -100,50 +175,3 @@ def guarded(path: Path, read: Callable[[], Any]) -> Any:
         raise StoreError(
             f"cannot read {path}: {reason}; the job, run again, makes it anew if it is damaged"
         ) from error
-
-
-def read_file(
-    path: Path,
-    columns: list[str] | None = None,
-    filters: pc.Expression | None = None,
-    run_key: str | None = None,
-) -> pa.Table:
-    """Read columns and rows of a file of this schema version.
-
-    Parameters
-    ----------
-    path : Path
-    columns : list of str, optional
-        All, unless they are given.
-    filters : pyarrow.compute.Expression, optional
-        Which rows are wanted.
-    run_key : str, optional
-        The run that the file must belong to; None: the file must carry no key.
-
-    Raises
-    ------
-    FileNotFoundError
-        There is no such file.
-    StoreError
-        The file cannot be read, is of another schema version, or belongs to another run.
-    """
-    table: pa.Table = guarded(
-        path,
-        lambda: read_table(
-            path,
-            columns=columns,
-            filters=filters,
-            use_threads=False,  # each thread would keep its own memory
-            page_checksum_verification=True,
-        ),
-    )
-    metadata = table.schema.metadata or {}
-    if metadata.get(RUN_KEY) != (run_key.encode() if run_key else None):
-        carries = f"the run's key {run_key}" if run_key else "no key"
-        raise StoreError(
-            f"{path} belongs to another run: every file here must carry {carries}, "
-            f"got {metadata.get(RUN_KEY, b'none').decode(errors='replace')}; `pfdist repair` moves "
-            "such files to quarantine"
-        )
-    check_schema_version(path, int(metadata.get(b"pfdist_schema_version", b"0")))
-    return table

@@ -12,9 +12,8 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from pfdist.errors import shown
-from pfdist.store.arrow_files import read_schema, write_table
-from pfdist.store.files import write_file
-from pfdist.store.replaceable import check_replaceable
+from pfdist.store.files import check_replaceable, write_file
+from pfdist.store.tables import read_schema, write_table
 
 Array = NDArray[np.float64]
 CheckHeader = Callable[[list[str]], None]

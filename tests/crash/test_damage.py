@@ -1,6 +1,7 @@
 """Whatever is damaged is named, put out of the way, and made again: the same bytes."""
 
 import errno
+import io
 import os
 import random
 import re
@@ -9,12 +10,15 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 import pfdist
 from oracles.bytes_of import hashes
 from oracles.counted import A_DRAW, committed_draws, count_draws
 from oracles.file_layer import Ended, FileLayer
+from oracles.manifest_lines import change, said_of
 from pfdist import Job, load_job
 from pfdist.cli.main import main
 from pfdist.errors import StoreError
@@ -101,7 +105,8 @@ def _alone(run: Path, file: Path, folder: Path) -> Path:
     """One file of a run, and what its manifest says of it: what is looked at 40,000 times."""
     (folder / file).parent.mkdir(parents=True)
     shutil.copy(run / file, folder / file)
-    shutil.copytree(run / "manifest" / file, folder / "manifest" / file)
+    key = said_of(run, "run")
+    (folder / "manifest").write_text("".join(f"{line}\n" for line in key + said_of(run, file)))
     return folder
 
 
@@ -214,7 +219,7 @@ def test_a_deleted_entry_makes_its_file_a_stranger_and_is_made_again(
     whole, committed_files = hashes(runs["finished"]), _files(runs["finished"])
     for file in committed_files:
         run = shutil.copytree(runs["finished"], tmp_path / "run")
-        shutil.rmtree(run / "manifest" / file)
+        change(run, file, [])
         assert [str(damage.path) for damage in verify_run(run)] == [str(file)]
         (line,) = _run_again(job, run)
         assert f"{run / file} is not a file of this run" in line
@@ -250,13 +255,55 @@ def test_a_file_that_the_disk_cannot_read_is_named_and_made_again(
     record_property("faults", f"{PROMISE}: 1")
 
 
+def _replace(run: Path, file: Path, rows: pa.Table) -> None:
+    """Put other rows in the place of a file, and let the manifest vouch for them."""
+    with (run / file).open("wb") as target:
+        pq.write_table(rows, target)
+    digest = files.digest(run / file)
+    change(run, file, [f"now {file} {digest}"])
+
+
 def test_rows_are_counted(runs: dict[str, Path], tmp_path: Path, record_property: Record) -> None:
     run = shutil.copytree(runs["finished"], tmp_path / "run")
-    file = Path("tables/comparison/comparison-00002.parquet")
-    (entry,) = (run / "manifest" / file).iterdir()
-    assert entry.name.startswith("20-")
-    entry.rename(entry.with_name(entry.name.replace("20-", "21-", 1)))
-    assert _named(run) == [file]
+    file = Path("tables/comparison/comparison-00001.parquet")
+    rows = pq.read_table(io.BytesIO((run / file).read_bytes()))
+    _replace(run, file, pa.concat_tables([rows.slice(0, 7), rows.slice(8)]))
+    (damage,) = verify_run(run)
+    assert damage.path == Path("tables/comparison")
+    assert damage.what == "must have each draw once, got 119 rows of 119 draws up to 120"
+    record_property("faults", f"{PROMISE}: 1")
+
+
+@pytest.mark.parametrize("table", ["compared", "comparison"])
+@pytest.mark.parametrize("vouched", [True, False])
+def test_an_empty_table_is_damage_for_whoever_reads_it_and_made_again(
+    table: str,
+    vouched: bool,
+    job: Job,
+    runs: dict[str, Path],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    record_property: Record,
+) -> None:
+    run = shutil.copytree(runs["finished"], tmp_path / "runs" / "run")
+    said = (run / "manifest").read_text()
+    found = sorted(file.relative_to(run) for file in (run / "tables" / table).iterdir())
+    for file in found:
+        rows = pq.read_table(io.BytesIO((run / file).read_bytes()))
+        _replace(run, file, rows.slice(0, 0))
+    if not vouched:
+        (run / "manifest").write_text(said)
+    with pytest.raises(StoreError, match=rf"{found[0]} has no rows"):
+        pfdist.open_run(run).summary()
+    assert main(["status", str(run)]) == 1
+    assert f"{found[0]} has no rows" in capsys.readouterr().err
+    (row,) = pfdist.list_runs(run.parent).to_dict("records")
+    assert row["state"] == "damaged"
+    assert row["fault"] == f"{found[0]} has no rows"
+    assert _named(run) == found
+    assert len(_run_again(job, run)) == len(found)
+    assert hashes(run) == hashes(runs["finished"])
+    assert _named(run) == []
     record_property("faults", f"{PROMISE}: 1")
 
 
@@ -368,7 +415,7 @@ BREAK: dict[str, Callable[[Path], object]] = {
     "run.json": lambda run: _flip(run / "run.json", 3),
     "no job.toml": lambda run: (run / "job.toml").unlink(),
     "no run.json": lambda run: (run / "run.json").unlink(),
-    "no manifest": lambda run: shutil.rmtree(run / "manifest"),
+    "no manifest": lambda run: (run / "manifest").unlink(),
     "a stranger": lambda run: (run / "parts/draws/mine.parquet").write_text("mine"),
 }
 
@@ -391,10 +438,10 @@ def test_without_its_manifest_a_run_says_so_and_moves_nothing(
     job: Job, runs: dict[str, Path], tmp_path: Path, record_property: Record
 ) -> None:
     run = shutil.copytree(runs["finished"], tmp_path / "run")
-    shutil.rmtree(run / "manifest")
+    (run / "manifest").unlink()
     before = _tree(run)
     for act in (partial(_run_again, job), _named, lambda run: list(repair_run(run))):
-        with pytest.raises(StoreError, match="has lost its folder manifest"):
+        with pytest.raises(StoreError, match="has lost its manifest"):
             act(run)
     assert _tree(run) == before
     record_property("faults", f"{PROMISE}: 1")
@@ -404,7 +451,7 @@ def test_a_run_that_lost_what_says_whose_it_is_is_known_by_its_manifest(
     job: Job, runs: dict[str, Path], tmp_path: Path, record_property: Record
 ) -> None:
     run = shutil.copytree(runs["finished"], tmp_path / "run")
-    shutil.rmtree(run / "manifest" / "run")
+    change(run, "run", [])
     assert _run_again(job, run) == []  # what the manifest lacks is put back
     for name in ("job.toml", "run.json"):
         (run / name).unlink()

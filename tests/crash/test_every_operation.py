@@ -13,6 +13,7 @@ import pfdist
 from oracles.bytes_of import hashes
 from oracles.counted import A_DRAW, committed_draws, count_draws
 from oracles.file_layer import Ended, FileLayer
+from oracles.manifest_lines import change
 from pfdist import Job, load_job
 from pfdist.errors import StoreError
 from pfdist.runner import door, first_draws, sets_alone
@@ -72,7 +73,7 @@ def _damaged(job: Job, path: Path) -> Job:
     first, second = sorted((path / "tables" / "draws").glob("genetic-*"))[:2]
     first.write_bytes(bytes([first.read_bytes()[0] ^ 1]) + first.read_bytes()[1:])
     second.unlink()
-    shutil.rmtree(path / "manifest/tables/comparison/comparison-00001.parquet")
+    change(path, "tables/comparison/comparison-00001.parquet", [])
     (path / "job.toml").write_text("seed = 2")
     return job
 

@@ -10,6 +10,7 @@ import pytest
 import pfdist
 from oracles.bytes_of import hashes
 from oracles.counted import A_DRAW
+from oracles.manifest_lines import change, said_of
 from pfdist import Job, load_job
 from pfdist.cli.main import main
 from pfdist.errors import StoreError
@@ -18,7 +19,7 @@ from pfdist.runner.pace import Pace
 from pfdist.runner.progress import Progress
 from pfdist.store import Store, run_key
 from pfdist.store.repair import repair_run, verify_run
-from pfdist.store.tables import signed_by
+from pfdist.store.tables import rows_and_run
 
 PROMISE = "damage is found"
 SEEDS = (1, 2)
@@ -71,28 +72,28 @@ def _end_in(phase: str, progress: Progress) -> None:
 @pytest.mark.parametrize(
     ("state", "copied"),
     [
-        ("comparing", ["parts/comparison"]),
-        ("searching", ["parts/draws"]),
-        ("searching", ["parts/evaluations"]),
-        ("finished", ["tables/comparison", "manifest/tables/comparison"]),
-        ("finished", ["tables/draws", "manifest/tables/draws"]),
-        ("finished", ["tables/compared", "manifest/tables/compared"]),
+        ("comparing", "parts/comparison"),
+        ("searching", "parts/draws"),
+        ("searching", "parts/evaluations"),
+        ("finished", "tables/comparison"),
+        ("finished", "tables/draws"),
+        ("finished", "tables/compared"),
     ],
 )
 def test_rows_of_another_run_are_named_put_aside_and_computed(
     state: str,
-    copied: list[str],
+    copied: str,
     job: Job,
     runs: dict[tuple[int, str], Path],
     tmp_path: Path,
     record_property: Record,
 ) -> None:
     run = shutil.copytree(runs[1, state], tmp_path / "run")
-    for folder in copied:
-        shutil.copytree(runs[2, state] / folder, run / folder, dirs_exist_ok=True)
+    shutil.copytree(runs[2, state] / copied, run / copied, dirs_exist_ok=True)
+    change(run, f"{copied}/", said_of(runs[2, state], f"{copied}/"))
     foreign = {
         path.relative_to(run)
-        for path in run.glob(f"{copied[0]}/*.parquet")
+        for path in run.glob(f"{copied}/*.parquet")
         if (runs[2, state] / path.relative_to(run)).exists()
         and path.read_bytes() == (runs[2, state] / path.relative_to(run)).read_bytes()
     }
@@ -116,10 +117,8 @@ def test_a_reader_refuses_rows_of_another_run_and_repair_moves_them(
 ) -> None:
     run = shutil.copytree(runs[1, "finished"], tmp_path / "run")
     file = Path("tables/comparison/comparison-00000.parquet")
-    for part in (file, "manifest" / file):
-        shutil.rmtree(run / part) if (run / part).is_dir() else (run / part).unlink()
-        copy = shutil.copytree if (runs[2, "finished"] / part).is_dir() else shutil.copy
-        copy(runs[2, "finished"] / part, run / part)
+    shutil.copy(runs[2, "finished"] / file, run / file)
+    change(run, file, said_of(runs[2, "finished"], file))
     with pytest.raises(StoreError, match=r"comparison-00000\.parquet belongs to another run"):
         pfdist.open_run(run).statistics()
     assert main(["status", str(run)]) == 1
@@ -129,22 +128,10 @@ def test_a_reader_refuses_rows_of_another_run_and_repair_moves_them(
     record_property("faults", f"{PROMISE}: 1")
 
 
-def _with_the_others_key_alone(run: Path, other: Path) -> None:
-    shutil.rmtree(run / "manifest" / "run")
-    shutil.copytree(other / "manifest" / "run", run / "manifest" / "run")
-
-
-MIX: dict[str, Callable[[Path, Path], object]] = {
-    "both keys": lambda run, other: None,
-    "the other's key alone": _with_the_others_key_alone,
-    "no key": lambda run, other: shutil.rmtree(run / "manifest" / "run"),
-}
-
-
-@pytest.mark.parametrize("how", MIX)
+@pytest.mark.parametrize("key", ["the other's", "none"])
 @pytest.mark.parametrize("state", ["finished", "comparing"])
 def test_two_runs_in_one_folder_are_told_apart_by_job_and_model(
-    how: str,
+    key: str,
     state: str,
     job: Job,
     runs: dict[tuple[int, str], Path],
@@ -153,13 +140,14 @@ def test_two_runs_in_one_folder_are_told_apart_by_job_and_model(
     record_property: Record,
 ) -> None:
     run, other = shutil.copytree(runs[1, state], tmp_path / "run"), runs[2, state]
-    for folder in ["tables", "manifest", *(["parts"] if state == "comparing" else [])]:
+    for folder in ["tables", *(["parts"] if state == "comparing" else [])]:
         shutil.copytree(other / folder, run / folder, dirs_exist_ok=True)
-    MIX[how](run, other)
+    change(run, "tables/", said_of(other, "tables/"))
+    change(run, "run", said_of(other, "run") if key == "the other's" else [])
     for command in ("status", "verify", "plot"):
         assert main([command, str(run)]) == 1
         (line,) = capsys.readouterr().err.splitlines()
-        assert "manifest/run must hold the key" in line
+        assert "manifest" in line
         assert f"`pfdist repair {run}`" in line
     with pytest.raises(StoreError):
         pfdist.open_run(run)
@@ -174,15 +162,56 @@ def test_two_runs_in_one_folder_are_told_apart_by_job_and_model(
     record_property("faults", f"{PROMISE}: 2")
 
 
+def _content(run: Path) -> dict[Path, bytes]:
+    files = [path for path in run.rglob("*") if path.is_file() and path.name != ".lock"]
+    return {path: path.read_bytes() for path in files}
+
+
+@pytest.mark.parametrize("how", ["copied", "appended"])
+@pytest.mark.parametrize("state", ["finished", "comparing"])
+def test_a_folder_is_of_the_run_whose_manifest_came_last(
+    how: str,
+    state: str,
+    job: Job,
+    runs: dict[tuple[int, str], Path],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    record_property: Record,
+) -> None:
+    run, other = shutil.copytree(runs[1, state], tmp_path / "run"), runs[2, state]
+    for folder in ["tables", *(["parts"] if state == "comparing" else [])]:
+        shutil.copytree(other / folder, run / folder, dirs_exist_ok=True)
+    with (run / "manifest").open("w" if how == "copied" else "a") as manifest:
+        manifest.write((other / "manifest").read_text())
+    for command in ("status", "plot"):
+        assert main([command, str(run)]) == 1
+        (line,) = capsys.readouterr().err.splitlines()
+        assert "job.toml and run.json are not those of the run whose key manifest holds" in line
+        assert f"`pfdist repair {run}`" in line
+    assert {Path("job.toml"), Path("run.json")} <= {damage.path for damage in verify_run(run)}
+    before = _content(run)
+    with pytest.raises(StoreError, match="nothing was touched"):
+        pfdist.run(job, run, figures=False)
+    assert _content(run) == before
+    again = shutil.copytree(run, tmp_path / "again")  # going on heals it, too
+    assert len(list(repair_run(run))) > 2
+    for folder in (run, again):
+        pfdist.run(job.with_changes(["seed=2"]), folder, figures=False)
+        assert hashes(folder) == hashes(runs[2, "finished"])
+        assert not list(verify_run(folder))
+    record_property("faults", f"{PROMISE}: 2")
+
+
 def test_where_nothing_says_whose_files_they_are_repair_moves_them_all(
     job: Job, runs: dict[tuple[int, str], Path], tmp_path: Path, record_property: Record
 ) -> None:
     run = shutil.copytree(runs[1, "finished"], tmp_path / "run")
-    for folder in ("tables", "manifest"):
-        shutil.copytree(runs[2, "finished"] / folder, run / folder, dirs_exist_ok=True)
+    shutil.copytree(runs[2, "finished"] / "tables", run / "tables", dirs_exist_ok=True)
+    shutil.copy(runs[2, "finished"] / "manifest", run)
+    change(run, "run", [])
     (run / "run.json").write_text("{}")
     files = [path.relative_to(run) for path in run.glob("tables/*/*.parquet")]
-    with pytest.raises(StoreError, match="must hold one run's key, got 2 keys"):
+    with pytest.raises(StoreError, match="must hold the run's key, got none"):
         list(verify_run(run))
     said = list(repair_run(run))
     assert "do not say which is the run's own" in said[0]
@@ -199,7 +228,7 @@ def test_every_file_of_a_table_names_its_run(runs: dict[tuple[int, str], Path]) 
     for run in runs.values():
         files = [*run.glob("tables/*/*.parquet"), *run.glob("parts/*/*.parquet")]
         assert len(files) > 3
-        assert {signed_by(file) for file in files} == {run_key(run)}
+        assert {rows_and_run(file)[1] for file in files} == {run_key(run)}
         keys.add(run_key(run))
     assert len(keys) == len(SEEDS)
     assert None not in keys

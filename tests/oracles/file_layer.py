@@ -10,6 +10,8 @@ import pytest
 
 from pfdist.store import files
 
+_WRITES = ("write_table", "write_text", "append_text")
+
 
 class Ended(BaseException):
     """Stands for a kill: nothing handles it, and no file is touched any more."""
@@ -33,9 +35,8 @@ class FileLayer:
         for place, name, needs_space in (
             (files, "write_table", True),
             (Path, "write_text", True),
-            (Path, "touch", True),
+            (files, "append_text", True),
             (Path, "mkdir", True),
-            (os, "link", True),
             (os, "replace", False),
             (os, "unlink", False),
         ):
@@ -74,11 +75,12 @@ class FileLayer:
             wrong = self._wrong(needs_space)
             if wrong is None:
                 return operation(*arguments, **options)
-            if operation.__name__.startswith("write_") and not isinstance(wrong, Again):
+            if operation.__name__ in _WRITES and not isinstance(wrong, Again):
                 fault, self._fault = self._fault, None  # what the operation itself does is real
+                before = paths[0].stat().st_size if paths[0].exists() else 0
                 operation(*arguments, **options)
                 self._fault = fault
-                os.truncate(paths[0], paths[0].stat().st_size // 2)
+                os.truncate(paths[0], (before + paths[0].stat().st_size) // 2)
             raise wrong
 
         return counted

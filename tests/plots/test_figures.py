@@ -31,7 +31,7 @@ from pfdist.plots.library import styled
 from pfdist.plots.measured_online import measured_at
 from pfdist.plots.online_draw import with_online
 from pfdist.plots.style import COLUMN_INCHES
-from pfdist.store.component_columns import components_in
+from pfdist.store.schema import components_in
 from pfdist.times.clock import Clock
 
 EVALUATIONS = pd.DataFrame(

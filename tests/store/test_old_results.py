@@ -10,9 +10,10 @@ import pandas as pd
 import pytest
 
 import pfdist
+from oracles.manifest_lines import change
 from pfdist import load_job
 from pfdist.cli.main import main
-from pfdist.store import SCHEMA_VERSION, keep_key, own_key, write_run
+from pfdist.store import SCHEMA_VERSION, Manifest, own_key, write_run
 
 pytestmark = [pytest.mark.fault, pytest.mark.usefixtures("no_figures")]
 Record = Callable[[str, object], None]
@@ -67,10 +68,13 @@ def test_a_run_of_another_schema_is_refused_in_a_line_that_names_the_version_for
     run = json.loads((kept / "run.json").read_text())
     if version < SCHEMA_VERSION:  # as of a run that knew its model by the file alone
         del run["model"], run["filter_model"]
-    write_run(kept, {**run, "schema_version": version}, "0")
-    keep_key(kept, str(own_key(kept)))
-    if version < SCHEMA_VERSION:  # version 1 had no manifest, and version 2 had no keys
-        shutil.rmtree(kept / "manifest" / ("run" if version == 2 else ""))
+    key = Manifest(kept).kept_key()
+    write_run(kept, {**run, "schema_version": version}, str(key))
+    change(kept, "run", [f"run {own_key(kept)}"])
+    if version == 1:  # which had no manifest, and version 2 had no keys
+        (kept / "manifest").unlink()
+    elif version == 2:
+        change(kept, "run", [])
     before, job = _content(kept), ASSETS.with_name("small.toml")
     assert main(shlex.split(command.format(run=kept, job=job))) == 1
     reads = f"this pfdist reads version {SCHEMA_VERSION}"

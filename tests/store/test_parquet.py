@@ -20,7 +20,7 @@ from pfdist.store import (
     Store,
     comparison_schema,
     distance_schema,
-    reader,
+    parquet,
     schema,
     trajectories_schema,
     variance_schema,
@@ -29,8 +29,8 @@ from pfdist.store.schema import TABLES
 from pfdist.store.tables import cut_rows
 
 
-def _draws(evaluation: str, first: int, last: int, value: float = 1.0) -> pa.Table:
-    rows = [{"evaluation": evaluation, "draw": d, "mse": value + d} for d in range(first, last)]
+def _draws(evaluation: str, first: int, last: int) -> pa.Table:
+    rows = [{"evaluation": evaluation, "draw": d, "mse": 1.0 + d} for d in range(first, last)]
     return pa.Table.from_pylist(rows, schema=schema("draws"))
 
 
@@ -54,9 +54,10 @@ def test_what_is_committed_is_read_sorted_and_by_a_new_store_too(store: Store) -
         ]  # fmt: skip
 
 
-def test_the_same_key_again_is_a_no_op(store: Store) -> None:
-    store.commit("draws", "genetic", "key", _draws("a", 0, 2))
-    store.commit("draws", "genetic", "key", _draws("a", 0, 2, value=99.0))
+def test_the_same_rows_again_change_nothing(store: Store) -> None:
+    for _ in range(2):
+        store.commit("draws", "genetic", "key", _draws("a", 0, 2))
+    assert len(list((store.path / "parts" / "draws").iterdir())) == 1
     assert store.read("draws")["mse"].tolist() == [1.0, 2.0]
 
 
@@ -129,14 +130,14 @@ def test_parts_that_become_tables_while_they_are_read_are_read_all_the_same(
     }
     known = Store(store.path)
     assert known.per_draw(["a"]).num_rows == 6  # it has an index now, of parts
-    opened, writer = reader.read_file, Store(store.path)
+    opened, writer = parquet.read_file, Store(store.path)
 
     def published_in_between(path: Path, *arguments: Any, **options: Any) -> pa.Table:
         if writer.has_parts():
             writer.publish("draws", "genetic", [_draws("a", 0, 6)])
         return opened(path, *arguments, **options)
 
-    monkeypatch.setattr(reader, "read_file", published_in_between)
+    monkeypatch.setattr(parquet, "read_file", published_in_between)
     assert readers[read]() == 6
     assert known.per_draw(["a"]).num_rows == 6
 
@@ -155,7 +156,7 @@ def test_nothing_but_whole_tables_lies_in_a_tables_folder(store: Store) -> None:
     store.commit("draws", "genetic", "key", _draws("a", 0, 5))
     files = [path.name for path in store.path.rglob("*.parquet") if path.is_file()]
     assert len(files) == 2
-    assert sorted(re.sub(r"\.\d+-[0-9a-f]{64}", "", name) for name in files) == [
+    assert sorted(re.sub(r"\.[0-9a-f]{64}", "", name) for name in files) == [
         "genetic-00000.parquet",
         "genetic-key.parquet",
     ]
