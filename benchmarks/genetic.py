@@ -58,7 +58,7 @@ def measure(quick: bool, say: Say) -> Tables:
         load_job(HERE.parent / "jobs" / "paper.toml", changes),
         SEEDS[: 2 if quick else None],
     )
-    with make_pool(build(job), Execution(pool="serial" if quick else "ray")) as pool:
+    with make_pool(Execution(pool="serial" if quick else "ray")) as pool:
         rows = []
         for seed in seeds:
             found = search(job.with_changes([f"seed={seed}"]), pool)

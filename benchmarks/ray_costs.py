@@ -1,6 +1,6 @@
 """The time that Ray itself takes: to start, and to call workers."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from time import perf_counter
 from typing import Any
@@ -39,9 +39,9 @@ def measure_ray(repeats: int, calls: int, say: Say) -> pd.DataFrame:
     rows = []
     for repeat in range(repeats):
         start = perf_counter()
-        with RayPool(_echo, workers=1) as pool:
+        with RayPool(workers=1) as pool:
             seconds = {"start": perf_counter() - start}
-            tasks = [Task(str(number), _WORK) for number in range(calls)]
+            tasks = [Task(str(number), _echo, _WORK) for number in range(calls)]
             list(pool.run(tasks[: calls // 10]))
             start = perf_counter()
             list(pool.run(tasks))
@@ -73,8 +73,5 @@ def session(cores: int) -> Iterator[None]:
         ray.shutdown()
 
 
-def _echo() -> Callable[[Any], Any]:
-    def give_back(work: Any) -> Any:
-        return work
-
-    return give_back
+def _echo(work: Any) -> Any:
+    return work

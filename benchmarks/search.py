@@ -125,7 +125,7 @@ def measure(quick: bool, say: Say) -> Tables:
         jobs = _jobs(problem, quick)
         built = build(jobs[0][1])
         execution = Execution(pool="serial" if quick or problem in EXACT else "ray")
-        with make_pool(built, execution) as pool:
+        with make_pool(execution) as pool:
             for about, job in jobs:
                 row = None if quick else _kept(about)
                 if row is None:

@@ -199,7 +199,8 @@ def filtered(
     size, (first, last) = max(1, STEPS_A_TASK // work.steps_a_draw), draws
     pieces = [replace(work, draws=(d, min(last, d + size))) for d in range(first, last, size)]
     mse = np.empty((last - first, len(sets)))
-    for outcome in pool.run([Task(f"fresh:{piece.draws}", (piece,)) for piece in pieces]):
+    results = built.evaluator.results
+    for outcome in pool.run([Task(f"fresh:{piece.draws}", results, (piece,)) for piece in pieces]):
         if outcome.error is not None:
             raise TaskError("a task on fresh draws failed", outcome.error)
         (piece,), (result,) = outcome.task.work, outcome.value

@@ -125,7 +125,7 @@ def panels() -> str:
 def pools() -> str:
     """Give the table of pools."""
     rows = [
-        [f"`{name}`", kind.description, "any number" if kind.distributed else "1"]
+        [f"`{name}`", kind.description, "any number" if "workers" in kind.takes else "1"]
         for name, kind in POOLS.items()
     ]
     return _table(["pool", "where tasks are computed", "workers"], rows)

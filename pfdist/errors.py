@@ -15,6 +15,7 @@
     ├── SearchError                 a search ended without a result
     ├── SweepError                  some points of a sweep failed; the others are finished
     └── PoolError                   workers cannot be started
+        ├── SilenceError            workers do not answer any more
         └── TaskError               a task failed in its worker; carries the traceback
 
     EngineWarning                   NumPy computes a model, or compiled code is not kept
@@ -173,6 +174,10 @@ class SweepError(PfdistError):
 
 class PoolError(PfdistError):
     """Workers cannot be started."""
+
+
+class SilenceError(PoolError):
+    """Workers do not answer any more. The same command goes on from what is committed."""
 
 
 class TaskError(PoolError):

@@ -1,32 +1,36 @@
-"""The pool of a job, entered and left."""
+"""The pool of a run or a sweep, entered and left."""
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from pathlib import Path
 from time import perf_counter
-from typing import Any
 
+from pfdist.api.following import Say
 from pfdist.job.sections import Execution
 from pfdist.pools.base import Pool
 from pfdist.pools.kinds import POOLS
-from pfdist.runner.build import Built, make_pool
+from pfdist.runner.build import make_pool
 
-
-def pool_of_job(built: Built, say: Callable[[str], Any]) -> contextlib.AbstractContextManager[Pool]:
-    """The pool of a job, which is entered with the first task; see `said`."""
-    return said(make_pool(built, built.job.execution), built.job.execution, say)
-
-
-def pool_in_this_process(built: Built) -> Pool:
-    """A serial pool, for questions that take less time than workers take to start."""
-    return make_pool(built, Execution(pool="serial"))
+_BEGUN = ".begun"
+"""A file in the folder of a run or sweep, while formulas run in the process of the driver."""
 
 
 @contextlib.contextmanager
-def said(pool: Pool, execution: Execution, say: Callable[[str], Any]) -> Iterator[Pool]:
-    """Enter a pool, and say that its workers are ready and how long they took."""
-    start = perf_counter()
-    with pool:
+def at_work(execution: Execution, folder: Path, say: Say) -> Iterator[Pool]:
+    """Enter the pool that [execution] names, and say that its workers are ready.
+
+    A formula that crashes the process of the driver leaves no word. So a file in the folder says
+    that such a process has begun, and the next process speaks in its place.
+    """
+    kind, begun, start = POOLS[execution.pool], folder / _BEGUN, perf_counter()
+    if begun.exists():
+        say("the last process ended without a word; --pool ray isolates the model, if it crashes")
+    with make_pool(execution) as pool:
         workers = f"{pool.workers} worker{'s' * (pool.workers != 1)}"
-        title, seconds = POOLS[execution.pool].title, perf_counter() - start
-        say(f"{title} is ready: {workers} in {seconds:.1f} s")
-        yield pool
+        say(f"{kind.title} is ready: {workers} in {perf_counter() - start:.1f} s")
+        if not kind.isolated:
+            begun.touch()
+        try:
+            yield pool
+        finally:
+            begun.unlink(missing_ok=True)

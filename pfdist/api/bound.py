@@ -7,7 +7,7 @@ from typing import Any
 
 from pfdist.analysis import Run, finite
 from pfdist.analysis.particle_loss import ParticleLoss
-from pfdist.api.at_work import pool_of_job
+from pfdist.api.at_work import at_work
 from pfdist.api.following import Say, following, silent
 from pfdist.api.own_store import own_store
 from pfdist.api.report import renew_report
@@ -154,7 +154,7 @@ def bound(
             session = Session(built, store, show, tell)
             session.reporter.foresee(prover.steps)
             proof = prover.prove(session, finished_run(proved))  # it may have been found damaged
-            look: Look = complete(proof, pool_of_job(built, tell))
+            look: Look = complete(proof, at_work(built.job.execution, store.path, tell))
             session.reporter.finish()
             if figures and store.path == proved.path:
                 draw_figures(proved, "bound")

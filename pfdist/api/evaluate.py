@@ -106,7 +106,7 @@ def prepare(
     # Sets with names share draws and noise; a single set has its own, if the job wants fresh noise.
     fresh = [] if are_named or job.evaluation.noise != "fresh" else [*sets.values()]
     stream = stream_of("evaluate", job.seed, *fresh)
-    evaluator, policy = build(job).source.compiled(), job.evaluation.degenerate_draws
+    evaluator, policy = build(job).evaluator, job.evaluation.degenerate_draws
     clock = job.problem.clock
     if evaluator.exact:
         return partial(_exact, evaluator, sets, policy, clock)

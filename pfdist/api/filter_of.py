@@ -27,7 +27,7 @@ def filter_of(built: Built, prior: Prior | None = None, draw: int = 0) -> Filter
         job.filter.particles,
         job.seed,
         resampling=job.filter.resampling,
-        engine=built.source.engine,
+        engine=built.evaluator.engine,
         dtype=job.filter.dtype,
         prior=prior,
         draw=draw,

@@ -20,7 +20,6 @@ from pfdist.runner.door import Driver, Loop, Session
 from pfdist.runner.identity import opened
 from pfdist.runner.processor import lender
 from pfdist.runner.progress import Progress, Show
-from pfdist.runner.work_of_runs import of_run
 from pfdist.store import Store, check_not_held, holds_run
 
 _MORE = 2  # points at work than workers: some wait for others, and some are at their last tasks
@@ -97,7 +96,7 @@ class PointsAtWork:
         while todo:
             self._busy = {}
             at_once = min(len(todo), workers + _MORE, _MOST)
-            Loop(pool(), of_run(), at_once, self._begun()).serve(map(self._point, todo))
+            Loop(pool(), at_once, self._begun()).serve(map(self._point, todo))
             todo = [name for name in self._busy if not _is_held(self._path / name)]
         for name, why in self._busy.items():
             self._say(f"{name}: left out: {why}")

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pfdist.analysis import Run, open_run
-from pfdist.api.at_work import pool_of_job
+from pfdist.api.at_work import at_work
 from pfdist.api.following import Say, following, silent
 from pfdist.api.report import try_report
 from pfdist.api.run_of_job import folder_of
@@ -143,8 +143,8 @@ def run_built(
     lenders = [lender(open_run(other).path, built) for other in reuse]
     with opened(path, built, say) as store:
         session = Session(built, store, show, say)
-        driver, pool = compute(session, ending.bound), pool_of_job(built, say)
-        computed = complete(driver, pool, lenders)
+        pool = at_work(built.job.execution, path, say)
+        computed = complete(compute(session, ending.bound), pool, lenders)
         finished = open_run(path)
         finished.made_from = built.job
         if ending.figures and not all(file.exists() for file in figure_files(finished)):

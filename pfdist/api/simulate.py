@@ -58,7 +58,7 @@ def simulate(problem: Asked, draws: int = DRAWS, seed: int | None = None) -> pd.
             f"{count:,}",
             argument="draws",
         )
-    engine = ENGINES[built.source.engine]
+    engine = ENGINES[built.evaluator.engine]
     simulated = engine.simulate(model, horizon, range(count), stream_of("simulate", job.seed))
     return _table(simulated, model, job.problem.clock)
 

@@ -1,7 +1,7 @@
 """Run a job at many points: every point is a run of its own, and all share the same workers."""
 
 import contextlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -9,7 +9,7 @@ import pandas as pd
 
 from pfdist.analysis import Run
 from pfdist.analysis.judged import JUDGED, judged_table, times_by_search
-from pfdist.api.at_work import said
+from pfdist.api.at_work import at_work
 from pfdist.api.following import Say, following, silent
 from pfdist.api.points_at_work import Points, PointsAtWork
 from pfdist.api.report import try_report, try_sweep_report
@@ -22,9 +22,8 @@ from pfdist.job.judging import check_comparable, judging
 from pfdist.job.points import Values
 from pfdist.job.sweep import SweepJob, read_sweep
 from pfdist.pools.base import Pool
-from pfdist.runner.build import check_pool, pool_of, say_model_files
+from pfdist.runner.build import check_pool, say_model_files
 from pfdist.runner.progress import Show
-from pfdist.runner.work_of_runs import worker_of_runs
 from pfdist.store import holds_run
 from pfdist.store.folder import has_report
 
@@ -152,7 +151,7 @@ def sweep(
     with following(progress, say) as (show, tell):
         say_model_files(asked.jobs.values(), tell)
         judges, refused = Points({}, {}, []), None
-        with _SharedPool(asked, tell) as shared:
+        with _SharedPool(asked, path, tell) as shared:
             found = PointsAtWork(asked, path, bound, show, tell).run(shared.pool)
             if judges_points and len(found.runs) < len(asked.points):
                 tell("the found times are not judged, because not all points are finished")
@@ -234,11 +233,11 @@ def asked_sweep(
 class _SharedPool(contextlib.ExitStack):
     """The pool of all points: entered as soon as a point has a task, and left with this stack."""
 
-    def __init__(self, asked: SweepJob, say: Callable[[str], object]) -> None:
+    def __init__(self, asked: SweepJob, path: Path, say: Say) -> None:
         super().__init__()
         check_pool(asked.execution)
-        own = pool_of(worker_of_runs, asked.execution)
-        self._own, self._entered = said(own, asked.execution, say), list[Pool]()
+        self._own = at_work(asked.execution, path, say)
+        self._entered = list[Pool]()
 
     @contextlib.contextmanager
     def pool(self) -> Iterator[Pool]:

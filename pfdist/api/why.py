@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from pfdist.analysis import Run, finite
 from pfdist.analysis.sampling_windows import STRICT, windows_of
-from pfdist.api.at_work import pool_in_this_process
 from pfdist.api.following import Say, following, silent
 from pfdist.api.own_store import own_store
 from pfdist.api.report import renew_report
@@ -25,7 +24,9 @@ from pfdist.common.cards import Card, Shown
 from pfdist.common.rounding import with_error
 from pfdist.common.told_times import told_time
 from pfdist.job.asked import Asked
+from pfdist.job.sections import Execution
 from pfdist.plots import draw_figures
+from pfdist.runner.build import make_pool
 from pfdist.runner.door import Batch, Session, complete
 from pfdist.runner.jitter import jitter
 from pfdist.runner.progress import Show
@@ -186,7 +187,8 @@ def why(
             session = Session(built, store, show, tell)
             session.reporter.foresee(_STEPS * len(sets))
             driver = _examine(session, opened, sets, draws)
-            found: Why = complete(driver, pool_in_this_process(built))
+            # It takes less time than the workers of another pool take to start.
+            found: Why = complete(driver, make_pool(Execution(pool="threads")))
         files = [file for name in FIGURES for file in draw_figures(opened, name)] if figures else []
         renew_report(opened.path, tell)
     return replace(found, figures=files)

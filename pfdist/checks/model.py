@@ -18,7 +18,6 @@ from pfdist.checks.speed import speed
 from pfdist.common.estimate import Estimate
 from pfdist.common.rounding import rounded
 from pfdist.errors import CompileError, ModelError
-from pfdist.evaluation.compiling import compile_evaluator, libm_functions
 from pfdist.evaluation.engines import ENGINES, NUMPY_TIMES_SLOWER
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation, Work, with_truth
@@ -38,7 +37,7 @@ _SECONDS = 4.0  # for an evaluation of fewer draws, where a thousand take longer
 
 def _same_bytes(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
     """Whether the compiled formulas give the same bytes on another processor."""
-    called = libm_functions(Evaluator(model, draws.instants[-1]), Estimation(1))
+    called = Evaluator(model, draws.instants[-1], estimations=(Estimation(1),)).libm_functions
     if not called:
         return "ok", "the compiled formulas give the same bytes on all processors"
     return "note", (
@@ -142,7 +141,7 @@ def _computed(model: StateSpaceModel, horizon: int, estimation: Estimation) -> I
     """Look at a model whose formulas are right in NumPy, as an engine computes it."""
     engine = "compiled"
     try:
-        compile_evaluator(Evaluator(model, horizon), estimation)
+        Evaluator(model, horizon).compile(estimation)
         yield Check("compile", "ok", "Numba compiles every formula")
     except CompileError as error:
         engine = "numpy"

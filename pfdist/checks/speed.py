@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from pfdist.evaluation.compiling import makes_arrays
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation
 from pfdist.filters.draws import Draws
@@ -35,7 +34,7 @@ def speed(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
         for name, function in model.formulas.items()
         for array, place in _indexed(function)
     ]
-    if not makes_arrays(Evaluator(model, draws.instants[-1]), Estimation(1)):
+    if not Evaluator(model, draws.instants[-1], estimations=(Estimation(1),)).makes_arrays:
         if not indexed:
             return "ok", "no formula makes or indexes an array for a particle"
         return "note", (

@@ -12,9 +12,9 @@ from pfdist.cli import signals
 from pfdist.cli.help import welcome
 from pfdist.cli.parser import make_parser
 from pfdist.cli.streams import answers_alone, encode_all_text, flush_output, make_harmless
-from pfdist.errors import EngineWarning, PfdistError, TaskError, one_line
+from pfdist.errors import EngineWarning, PfdistError, SilenceError, TaskError, one_line
 
-_DONE, _ERROR, _INTERRUPTED, _PREEMPTED = 0, 1, 130, 75  # exit codes
+_DONE, _ERROR, _INTERRUPTED, _AGAIN = 0, 1, 130, 75  # exit codes
 _GOES_ON = "finished work is committed; the same command goes on from there"
 _LONGEST = 1200  # characters of an error's line; longer lines lose their middle
 
@@ -67,12 +67,13 @@ def _run(options: Namespace, *, ends: bool) -> int:
             raise
         hint = " (--debug shows the traceback)" if isinstance(error, TaskError) else ""
         option = error.argument.replace("_", "-")
-        return _failed(str(error), f" (--{option})" if option else hint)
+        code = _AGAIN if isinstance(error, SilenceError) else _ERROR
+        return _failed(str(error), f" (--{option})" if option else hint, code)
     except KeyboardInterrupt:
         cause = "asked to end" if signals.preempted() else "interrupted"
         goes_on = f"; {_GOES_ON}" if options.called.goes_on else ""
         print(f"pfdist: {cause}{goes_on}", file=sys.stderr)
-        return _PREEMPTED if signals.preempted() else _INTERRUPTED
+        return _AGAIN if signals.preempted() else _INTERRUPTED
     except BrokenPipeError:  # the reader of the output has ended, as `head` does
         sys.stderr.close()
         return _ERROR
@@ -83,12 +84,12 @@ def _run(options: Namespace, *, ends: bool) -> int:
     return _DONE
 
 
-def _failed(reason: str, hint: str = "") -> int:
+def _failed(reason: str, hint: str = "", code: int = _ERROR) -> int:
     line = one_line(" ".join(reason.split()))
     if len(line) > _LONGEST:
         line = f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 2 :]}"
     print(f"pfdist: {line}{hint}", file=sys.stderr)
-    return _ERROR
+    return code
 
 
 def _output_error() -> OSError | None:

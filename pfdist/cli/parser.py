@@ -14,7 +14,7 @@ from pfdist.errors import one_line, shown, shown_text
 
 _EXIT_CODES = (
     "Exit codes: 0 done; 1 error; 2 wrong arguments; 130 interrupted by Ctrl-C; "
-    "75 ended by SIGTERM or SIGUSR1, which batch systems send."
+    "75 ended by SIGTERM or SIGUSR1, which batch systems send, or because no worker answers."
 )
 _GOES_ON = "If this command is interrupted, the same command goes on where it stopped. "
 

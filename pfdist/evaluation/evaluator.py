@@ -6,12 +6,14 @@ draw stays the same, and so does every figure that is computed from the draws in
 
 import contextlib
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pfdist.common.streams import stream_key
 from pfdist.errors import ModelError, PriorError
 from pfdist.evaluation.engines import COMPILED, ENGINES, KALMAN, Engine
 from pfdist.evaluation.work import Estimation, Result, Work, columns, cut
@@ -20,10 +22,19 @@ from pfdist.filters.cloud import Gaussian, Prior
 from pfdist.filters.draws import Draws, check_prior
 from pfdist.filters.interface import validated_from, weighed
 from pfdist.filters.matrices import known_matrices
+from pfdist.filters.particle_filter import (
+    KERNEL_VERSION,
+    filter_checked_draws,
+    filter_makes_arrays,
+    libm_of_filter,
+)
 from pfdist.filters.settings import FilterSettings, check_filter, check_fits
+from pfdist.filters.simulation import libm_of_simulation, simulate, simulation_makes_arrays
 from pfdist.kernels.estimators import FILTER_VARIANCE, OWN_VARIANCE, SQUARED_ERROR
 from pfdist.kernels.schemes import ALL_SCHEMES
-from pfdist.models import StateSpaceModel
+from pfdist.models import CarriedModel, StateSpaceModel
+from pfdist.models.mistakes import NO_CLOCK
+from pfdist.models.parameters import check_lengths
 from pfdist.times.measurement_times import Times
 
 _TRAJECTORIES = ("mse", "estimate")
@@ -34,6 +45,9 @@ _ANY = Estimation(particles=1)
 @dataclass(frozen=True)
 class Evaluator:
     """Compute the MSE of sets of measurement times for a model, a horizon and a filter's model.
+
+    The evaluator of a job holds its models as they are carried; see `carried_evaluator`. It travels
+    to the workers, and each process compiles its formulas once.
 
     Parameters
     ----------
@@ -52,12 +66,20 @@ class Evaluator:
         distribution is for the engine "kalman" alone.
     weights : tuple of float, (T+1,), optional
         Weight of each instant's error in the MSE; by default all are equal.
+    estimations : tuple of Estimation, optional
+        The estimations that will be wanted. They are checked here, and compiled by `compile`.
+    clock : tuple of float, (T+1,), optional
+        The time of each instant, if the models were put on a clock.
+    carried : (CarriedModel, CarriedModel), optional
+        What the model and the filter's model were made of. Without these the evaluator cannot
+        travel, and its evaluations have no ids.
 
     Raises
     ------
     PriorError
         The prior does not fit a model or the horizon.
     ModelError
+        An estimation does not fit the models.
         The filter's model has measurements or quantities of interest of another size. Or the
         engine is "kalman" and the model is not linear-Gaussian, or is not the filter's model.
     """
@@ -69,6 +91,9 @@ class Evaluator:
     engine: str = "compiled"
     prior: Prior | None = None
     weights: tuple[float, ...] | None = None
+    estimations: tuple[Estimation, ...] = ()
+    clock: tuple[float, ...] | None = None
+    carried: tuple[CarriedModel, ...] = field(default=(), repr=False)
 
     def __post_init__(self) -> None:
         check_fits(self.believed, self.model)
@@ -86,6 +111,13 @@ class Evaluator:
                 "particles must start from particles, got a normal distribution; it is for the "
                 f"engine {KALMAN.name!r}"
             )
+        for estimation in self.estimations:
+            self.check(estimation)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Travel as what the models were made of, because formulas cannot be pickled."""
+        names = {each.name for each in fields(self)} - {"model", "filter_model", "carried"}
+        return _arrived, (*self.carried, {name: getattr(self, name) for name in names})
 
     @property
     def start(self) -> int:
@@ -108,7 +140,9 @@ class Evaluator:
     @cached_property
     def truth(self) -> "Evaluator":
         """The same evaluator with a filter that knows the true model."""
-        return self if self.believed == self.model else replace(self, filter_model=None)
+        if self.believed == self.model:
+            return self
+        return replace(self, filter_model=None, carried=self.carried[:1] * 2, estimations=())
 
     @property
     def computed_by(self) -> Engine:
@@ -189,6 +223,82 @@ class Evaluator:
                 self.check(replace(_ANY, estimator=estimator))
                 return estimator
         return SQUARED_ERROR.name
+
+    def evaluation_id(self, times: Times, end: int, stream: int, estimation: Estimation) -> str:
+        """Id of an evaluation: a hash of everything on which its per-draw MSE depends."""
+        return self._id(estimation, times, end, stream)
+
+    def sums_id(
+        self,
+        sets: Sequence[Times],
+        instants: Sequence[tuple[int, int]],
+        stream: int,
+        estimation: Estimation,
+    ) -> str:
+        """Id of sums of errors: a hash of everything on which they depend but their draws.
+
+        Parameters
+        ----------
+        sets : sequence of tuples of int
+        instants : sequence of pairs of int
+            First and last instant at which the errors of each set count.
+        stream : int
+        estimation : Estimation
+        """
+        return self._id(estimation, sets, instants, stream, "sums")
+
+    def _id(self, estimation: Estimation, *parts: Any) -> str:
+        key = stream_key(
+            KERNEL_VERSION,
+            *(each.key for each in self.carried),
+            self.horizon,
+            self.dtype,
+            self.engine,
+            vars(estimation),
+            *(part for part in (self.clock, self.weights) if part is not None),
+            *parts,
+        )
+        return f"{key:016x}"
+
+    def compile(self, *estimations: Estimation) -> None:
+        """Compile the simulation, and the filter of each estimation, by a draw of two instants.
+
+        Raises
+        ------
+        ModelError
+            A formula cannot be compiled, or failed.
+        """
+        if not self.computed_by.compiled or not estimations:
+            return
+        draws = simulate(self.model, 1, range(1), 0)
+        for estimation in estimations:
+            if not self.exact:
+                settings = self.settings(replace(estimation, particles=1))
+                filter_checked_draws(self.believed, draws, (0,), 0, settings)
+
+    @cached_property
+    def libm_functions(self) -> tuple[str, ...]:
+        """Functions of the C library that the compiled formulas of the estimations call.
+
+        The last digits of these functions may differ between processors. All other compiled code
+        gives the same bytes on every processor.
+        """
+        if not self.computed_by.compiled:
+            return ()
+        self.compile(*self.estimations)
+        found = set(libm_of_simulation(self.model))
+        for resampling in {each.resampling for each in self.estimations if not self.exact}:
+            found |= {*libm_of_filter(self.believed, self.model, resampling, self.dtype)}
+        return tuple(sorted(found))
+
+    @property
+    def makes_arrays(self) -> bool:
+        """Whether compiled formulas make arrays for each particle."""
+        self.compile(*self.estimations)
+        return simulation_makes_arrays(self.model) or any(
+            filter_makes_arrays(self.believed, self.model, each.resampling, self.dtype)
+            for each in self.estimations
+        )
 
     def check(self, estimation: Estimation) -> None:
         """Raise an error if the models do not allow an estimation.
@@ -331,3 +441,59 @@ class Evaluator:
             estimation.estimator,
             self.prior,
         )
+
+
+def carried_evaluator(
+    carried: CarriedModel,
+    carried_filter: CarriedModel,
+    *,
+    horizon: int,
+    clock: tuple[float, ...] | None = None,
+    **settings: Any,
+) -> Evaluator:
+    """The evaluator of models that travel, which fit the clock and each other.
+
+    Parameters
+    ----------
+    carried, carried_filter : CarriedModel
+        The true model, and the model that the filter uses.
+    horizon : int
+    clock : tuple of float, (T+1,), optional
+        The time of each instant, which formulas read; None if the job has no clock.
+    settings
+        Further parameters of `Evaluator`.
+
+    Raises
+    ------
+    ModelError
+        A model cannot be made here, reads a clock that the job lacks, or does not fit the job.
+    """
+    model, filter_model = carried.model, carried_filter.model
+    for part, each in (("model", model), ("model.filter", filter_model)):
+        if clock is None and each.reads_clock:
+            raise ModelError(
+                f"{part}: model {each.name} reads the clock: {NO_CLOCK} (a job's clock is "
+                "problem.time_step, problem.time_unit or problem.times)"
+            )
+    if clock is not None:
+        model, filter_model = model.on_clock(clock), filter_model.on_clock(clock)
+    for part, each in (("model", model), ("model.filter", filter_model)):
+        check_lengths(each.parameters, horizon + 1, f"{part}.parameters.", exactly=True)
+    check_fits(filter_model, model)
+    return Evaluator(
+        model,
+        horizon,
+        filter_model.named_as(model),
+        clock=clock,
+        carried=(carried, carried_filter),
+        **settings,
+    )
+
+
+def _arrived(
+    carried: CarriedModel, carried_filter: CarriedModel, settings: dict[str, Any]
+) -> Evaluator:
+    """An evaluator that has travelled to this process, compiled: the time of tasks is limited."""
+    evaluator = carried_evaluator(carried, carried_filter, **settings)
+    evaluator.compile(*evaluator.estimations)
+    return evaluator

@@ -5,9 +5,22 @@ import platform
 import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, Protocol, Self
+
+Function = Callable[[Any], Any]
+
+PATIENCE_SECONDS = 15.0  # a worker is taken for lost when it is silent for so long, and for
+PATIENCE_TIMES = 20  # so many times what its task should take
+LOOK_SECONDS = 1.0  # between two looks for those that are silent
+PAUSE_SECONDS = 0.01  # before tasks are asked for again, where there were none at the moment
+STILL_SECONDS = 5.0  # without a look: this process itself was stopped, or had other things to do
+
+
+def patience(seconds: float) -> float:
+    """Seconds for which a worker may be silent whose task should take so many seconds."""
+    return max(PATIENCE_SECONDS, PATIENCE_TIMES * seconds)
 
 
 @dataclass(frozen=True)
@@ -18,13 +31,16 @@ class Task:
     ----------
     key : str
         Identifies the work: the same key means the same work.
+    function : callable
+        Is applied to the work, and is pure. A worker in another process gets it pickled, once for
+        all its tasks: what is costly to make there is made when it is unpickled, before any task.
     work : object
-        The argument of the pool's function, which is pure.
     seconds : float
         The expected duration; 0 if it is unknown.
     """
 
     key: str
+    function: Function = field(repr=False)
     work: Any
     seconds: float = 0.0
 
@@ -41,9 +57,11 @@ class Outcome:
     seconds : float
         In the worker.
     worker, node : str
-        Process id and host name.
+        Process id, with the name of the thread if there are several, and host name.
     error : str or None
         The traceback, if it failed.
+    refused : bool
+        Whether the worker could not make the function, and no other worker can; `error` is why.
     """
 
     task: Task
@@ -52,14 +70,11 @@ class Outcome:
     worker: str
     node: str
     error: str | None = None
+    refused: bool = False
 
 
 class Pool(Protocol):
-    """Workers that apply one pure function; a context manager.
-
-    The function is made in each worker by the callable the pool was created with, so that what
-    is costly to send or cannot be sent (a compiled filter) never travels.
-    """
+    """Workers that do tasks; a context manager."""
 
     workers: int
 
@@ -80,45 +95,38 @@ class Pool(Protocol):
     ) -> None: ...
 
 
-def do(function: Callable[[Any], Any], task: Task) -> Outcome:
-    """Do a task in this process. An exception becomes the outcome's error."""
+def do(function: Function, work: Any) -> tuple[Any, float, str, str, str | None]:
+    """Apply a function in this process; an exception becomes a text.
+
+    Returns
+    -------
+    value, seconds, worker, node, error
+        As in `Outcome`.
+    """
     start = time.perf_counter()
     value, error = None, None
     try:
-        value = function(task.work)
+        value = function(work)
     except Exception:
         error = traceback.format_exc()
     seconds = time.perf_counter() - start
-    return Outcome(task, value, seconds, str(os.getpid()), platform.node(), error)
+    return value, seconds, str(os.getpid()), platform.node(), error
 
 
 class SerialPool:
-    """One worker, this process.
-
-    Parameters
-    ----------
-    make_function : callable
-        Makes the function that is applied to each task's work.
-    """
+    """One worker, this process."""
 
     workers = 1
 
-    def __init__(self, make_function: Callable[[], Callable[[Any], Any]]) -> None:
-        self._make_function = make_function
-        self._function: Callable[[Any], Any] | None = None
-
     def __enter__(self) -> Self:
-        self._function = self._make_function()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._function = None
+        pass
 
     def run(self, tasks: Iterable[Task | None]) -> Iterator[Outcome]:
         """Do the tasks one after another."""
-        if self._function is None:
-            raise RuntimeError("a pool runs tasks inside its with statement only")
         for task in tasks:
             if task is None:  # and none is in flight
                 return
-            yield do(self._function, task)
+            yield Outcome(task, *do(task.function, task.work))

@@ -1,30 +1,60 @@
 """The pool of Ray workers. Ray is a pool here and nothing else.
 
 The workers are long-lived actors: a call to one costs 0.7 ms, a stateless task 2 to 5 ms, and an
-actor loads its filter once, or compiles it. Each is handed its next task before it has ended the
-last one.
+actor makes the function of its tasks once: it loads a filter, or compiles it. Each worker is handed
+its next task before it has ended the last one.
+
+A worker that dies or is silent for too long is replaced. One of its tasks may be the reason, and
+nobody knows which. So these suspects are done next, each by a worker that has no other task: one
+worker is set aside for them, while the others go on. What is done for an outcome takes as long with
+a thousand workers as with one.
 """
 
 import contextlib
+import hashlib
 import sys
+import threading
 import time
+import warnings
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator
-from typing import Any, Self
+from collections.abc import Iterable, Iterator
+from concurrent.futures import Future
+from functools import lru_cache
+from importlib.metadata import version
+from queue import Empty, SimpleQueue
+from typing import Any, NamedTuple, Self
 
-from pfdist.errors import PoolError
-from pfdist.pools.base import Outcome, Task
-from pfdist.pools.ray_cluster import START_SECONDS, STOP_SECONDS, connected, ray
+import cloudpickle
+
+from pfdist.errors import EngineWarning, PfdistError, PoolError, SilenceError
+from pfdist.pools import base
+from pfdist.pools.base import Function, Outcome, Task, do, patience
+from pfdist.pools.precautions import within
+from pfdist.pools.ray_cluster import (
+    ANSWER_BYTES,
+    START_SECONDS,
+    STOP_SECONDS,
+    about,
+    connected,
+    is_own,
+    ray,
+)
 from pfdist.pools.ray_rehearsal import reason, shortened
-from pfdist.pools.ray_worker import IN_FLIGHT, Worker, silent
 
+IN_FLIGHT = 2  # tasks a worker: the one it does and the one that waits for it
 DEATHS = 3  # of workers that had a task and no other, before the task is given up
 SILENCES = 2  # likewise, of workers that did not answer
-LOOK_SECONDS = 1.0  # between two looks for those that are silent
-PAUSE_SECONDS = 0.01  # before tasks are asked for again, where there were none at the moment
-STILL_SECONDS = 5.0  # without a look: this process itself was stopped, or had other things to do
-FETCH_SECONDS = 10.0
-_END = Task("", None)  # there are no more tasks
+ANSWER_SECONDS = 40.0  # when all are silent for so long, nobody will answer
+TAKEN_SECONDS = 2.0  # for which cores may be taken by workers that are just ending
+FUNCTIONS = 32  # that a worker keeps; fewer runs are computed at the same time
+_ENVIRONMENT = {
+    f"{library}_NUM_THREADS": "1" for library in ("OMP", "MKL", "OPENBLAS", "NUMBA", "NUMEXPR")
+} | ANSWER_BYTES
+_END = Task("", repr, None)  # there are no more tasks
+_BUSY = Task("", repr, None)  # there may be more tasks, for which no worker is free
+
+Call = Future[Any]
+"""An answer that is owed."""
 
 
 class RayPool:
@@ -32,8 +62,6 @@ class RayPool:
 
     Parameters
     ----------
-    make_function : callable
-        Makes, in each worker, the function that is applied to each task's work.
     workers : int
         How many; 0 takes all cores: those this process may use on a local cluster, all CPUs of an
         existing one.
@@ -44,36 +72,36 @@ class RayPool:
     Raises
     ------
     PoolError
-        On entering: Ray does not start, or does not answer.
-    ModelError
-        A worker cannot make its function; or means something else by its model than the driver.
+        On entering: Ray does not start, or does not answer, or no node has this version of pfdist.
     """
 
-    def __init__(
-        self,
-        make_function: Callable[[], Callable[[Any], Any]],
-        workers: int = 0,
-        address: str = "",
-    ) -> None:
-        self._make_function = make_function
+    def __init__(self, workers: int = 0, address: str = "") -> None:
         self._address = address
         self._cluster = contextlib.ExitStack()
-        self._members: list[Worker] = []
-        self._todo: Iterator[Task | None] = iter(())
-        self._pauses = False  # there was no task at the moment
-        self._again: deque[Task] = deque()  # tasks of lost workers, each of which is done alone
+        self._members: dict[_Worker, None] = {}
+        self._answers = SimpleQueue[Call]()  # filled by a thread of Ray's
+        self._owners: dict[Call, _Worker] = {}
+        self._packed = lru_cache(maxsize=FUNCTIONS)(_packed)
+        # Workers that can take a task, by the number of tasks that they have.
+        self._free: tuple[dict[_Worker, None], ...] = tuple({} for _ in range(IN_FLIGHT))
+        self._aside: _Worker | None = None  # for suspects alone
+        self._suspects: deque[Task] = deque()
         self._lost: Counter[str] = Counter()
+        self._unfinished = 0  # tasks that were taken and have no outcome
         self._last_loss = ""
         self._looked = self._heard = time.monotonic()
         self.workers = workers
 
     def __enter__(self) -> Self:
         try:
+            is_our_own = not ray.is_initialized() and is_own(self._address)
             self._cluster.enter_context(connected(self._address, self.workers))
-            if not self.workers:
-                self.workers = max(1, int(ray.cluster_resources().get("CPU", 1)))
-            self._members = [Worker(self._make_function) for _ in range(self.workers)]
-            self._wait_for_all()
+            cores = max(1, int(ray.cluster_resources().get("CPU", 1)))
+            self.workers = self.workers or cores
+            awaited = self.workers if is_our_own else self._untaken(cores)
+            for _ in range(self.workers):
+                self._add_worker()
+            self._wait_for(awaited)
         except (ray.exceptions.RayError, OSError, RuntimeError, ValueError) as error:
             self.__exit__()
             where = f" at {shortened(self._address)}" if self._address else ""
@@ -88,119 +116,362 @@ class RayPool:
         return self
 
     def __exit__(self, *_: object) -> None:
-        workers, self._members = self._members, []
+        workers, self._members = self._members, {}
         self._cluster.close()  # the workers go with a cluster that was joined or started here
         if ray.is_initialized() and not sys.is_finalizing():
             deadline = time.monotonic() + STOP_SECONDS
             for ending in [worker.end() for worker in workers]:
                 ending.join(max(0.0, deadline - time.monotonic()))
 
-    def _wait_for_all(self) -> None:
-        """Wait until every worker has answered for the first time; some may die before."""
-        deadline, deaths = time.monotonic() + START_SECONDS, 0
-        while coming := {each.about: each for each in self._members if each.about is not None}:
-            ready, _ = ray.wait(list(coming), timeout=max(0.0, deadline - time.monotonic()))
-            worker = coming[ready[0]] if ready else next(iter(coming.values()))
-            try:
-                worker.accept(ray.get(worker.about, timeout=0 if not ready else FETCH_SECONDS))
-            except ray.exceptions.RayActorError:
-                deaths += 1
-                if deaths >= DEATHS:
-                    raise
-                self._members[self._members.index(worker)] = Worker(self._make_function)
-
     def run(self, tasks: Iterable[Task | None]) -> Iterator[Outcome]:
         """Give the outcomes as the workers finish tasks, with a bounded number in flight.
 
-        A worker that dies or is silent for too long is replaced, and its tasks are done again. A
-        late answer of the old worker is ignored.
+        A late answer of a worker that was replaced is ignored.
 
         Raises
         ------
         PoolError
-            No worker answers.
+            No worker answers, or none is left that has this version of pfdist.
         """
-        self._todo, self._again = iter(tasks), deque()
+        todo = iter(tasks)
+        self._forget_tasks()  # there may have been a run that was broken off
+        task: Task | None = None
+        while True:
+            if task is not _END:
+                task = self._hand_out(todo)
+            self._hand_suspects()
+            if not self._unfinished and (task is None or task is _END):
+                return
+            try:
+                call = self._answers.get(
+                    timeout=base.PAUSE_SECONDS if task is None else base.LOOK_SECONDS
+                )
+            except Empty:
+                pass
+            else:
+                yield from self._take(call)
+            if time.monotonic() - self._looked >= base.LOOK_SECONDS:
+                yield from self._give_up_the_silent()
+
+    # --- workers that start ---------------------------------------------------------------------
+
+    def _untaken(self, cores: int) -> int:
+        """How many workers an existing cluster can start now; says so if others must wait."""
+        deadline = time.monotonic() + TAKEN_SECONDS
+        while (free := int(ray.available_resources().get("CPU", 0))) < self.workers:
+            if time.monotonic() > deadline:
+                taken = f"{cores - free} of the {cores} cores of the Ray cluster are taken"
+                waits = f"{free} of {self.workers} workers start now, the others" * (free > 0)
+                warnings.warn(
+                    f"{taken}: {waits or 'the workers'} wait until cores are free",
+                    EngineWarning,
+                    stacklevel=3,
+                )
+                return free
+            time.sleep(base.PAUSE_SECONDS)
+        return self.workers
+
+    def _add_worker(self, *, after_a_silence: bool = False) -> None:
+        worker = _Worker(after_a_silence)
+        self._members[worker] = None
+        self._owe(worker, worker.actor.about.remote())
+
+    def _wait_for(self, awaited: int) -> None:
+        """Wait until so many workers have said who they are; at least one.
+
+        Workers whose cores are taken may never start.
+        """
+        deaths, last = 0, time.monotonic() + START_SECONDS
+        deadline = last if awaited else float("inf")
+        while sum(worker.is_known for worker in self._members) < max(
+            1, min(awaited, len(self._members))
+        ):
+            try:
+                call = self._answers.get(timeout=base.LOOK_SECONDS)
+            except Empty:
+                if time.monotonic() > deadline:
+                    raise TimeoutError(f"no answer in {START_SECONDS:.0f} s") from None
+                continue
+            worker = self._owners.pop(call)
+            if (error := call.exception()) is None:
+                self._accept(worker, call)
+                continue
+            deaths += 1
+            if deaths >= DEATHS:
+                raise error
+            del self._members[worker]
+            self._add_worker()
+
+    def _accept(self, worker: "_Worker", call: Call) -> None:
+        """Accept a worker that says who it is, if it has this version of pfdist.
+
+        Raises
+        ------
+        PoolError
+            No worker has this version.
+        """
+        del worker.owed[call]
+        found, here = call.result(), version("pfdist")
+        if found["pfdist"] == here:
+            worker.is_known = True
+            self._set_free(worker)
+            return
+        worker.end()
+        del self._members[worker]
+        self.workers = len(self._members)
+        wrong = (
+            f"every node must have pfdist {here}, got {found['pfdist']} on {found['host']}: "
+            "install the same version there"
+        )
+        if not self._members:
+            raise PoolError(wrong)
+        warnings.warn(f"{wrong}; the other nodes go on without it", EngineWarning, stacklevel=2)
+
+    # --- tasks ----------------------------------------------------------------------------------
+
+    def _forget_tasks(self) -> None:
+        """Forget the tasks of an earlier run; their answers are ignored."""
+        self._suspects, self._aside, self._unfinished = deque(), None, 0
         self._lost, self._last_loss = Counter(), ""
         self._looked = self._heard = time.monotonic()
         for worker in self._members:
-            worker.forget_tasks()  # there may have been a run that was broken off
-        while self._hand_out() or any(worker.tasks for worker in self._members):
-            patience = PAUSE_SECONDS if self._pauses else LOOK_SECONDS
-            ready, _ = ray.wait(self._calls, num_returns=1, timeout=patience)
-            if ready:
-                yield from self._take(ready[0])
-            yield from self._give_up_the_silent()
+            for call in [call for call, task in worker.owed.items() if task is not None]:
+                del worker.owed[call], self._owners[call]
+            self._set_free(worker)
 
-    def _hand_out(self) -> bool:
-        """Hand tasks to all workers that can take one; say whether more tasks may come."""
-        for depth in range(IN_FLIGHT):
-            for worker in self._members:
-                held = len(worker.tasks)
-                if worker.about is not None or held > depth or depth >= worker.room:
+    def _hand_out(self, todo: Iterator[Task | None]) -> Task | None:
+        """Hand tasks to all workers that can take one, first to those that have none.
+
+        Returns
+        -------
+        Task or None
+            `_END` if there are no more tasks; None if there is none at the moment.
+        """
+        task: Task | None = _BUSY
+        for workers in self._free:
+            while workers:
+                if self._suspects and self._aside is None:
+                    self._aside = workers.popitem()[0]
                     continue
-                alone = not held and bool(self._again)
-                task = self._again.popleft() if alone else next(self._todo, _END)
-                self._pauses = task is None
+                task = next(todo, _END)
                 if task is None or task is _END:
-                    return False
-                worker.hand(task, alone)
-        return True
+                    return task
+                self._unfinished += 1
+                self._hand(workers.popitem()[0], task)
+        return task
 
-    def _take(self, call: Any) -> Iterator[Outcome]:
-        """Take the answer of a worker."""
-        worker = next(worker for worker in self._members if call in worker.calls)
-        try:
-            answer = ray.get(call, timeout=FETCH_SECONDS)
-        except ray.exceptions.RayError as error:
-            if worker.tasks:  # it had said who it is: such deaths are few
+    def _hand_suspects(self) -> None:
+        """Let the worker that is set aside do the next suspect, as soon as it has no task."""
+        if self._suspects and self._aside is None:
+            workers = self._free[0] or self._free[1]
+            self._aside = workers.popitem()[0] if workers else None
+        if self._aside is None or self._aside.tasks:
+            return
+        if self._suspects:
+            self._hand(self._aside, self._suspects.popleft())
+        else:
+            worker, self._aside = self._aside, None
+            self._set_free(worker)
+
+    def _hand(self, worker: "_Worker", task: Task) -> None:
+        """Hand a task to a worker, with its function if the worker does not have it."""
+        function = self._packed(task.function)
+        if not worker.tasks:
+            worker.heard = time.monotonic()
+        if function.key not in worker.functions:
+            worker.functions.append(function.key)  # it forgets the oldest, as the actor does
+            self._owe(worker, worker.actor.make.remote(*function))
+        self._owe(worker, worker.actor.do.remote(function.key, task.work), task)
+        self._set_free(worker)
+
+    def _owe(self, worker: "_Worker", answer: Any, task: Task | None = None) -> None:
+        """Note that a worker owes an answer, of a task if it is one."""
+        call: Call = answer.future()
+        worker.owed[call], self._owners[call] = task, worker
+        call.add_done_callback(self._answers.put)
+
+    def _set_free(self, worker: "_Worker") -> None:
+        """Note how many tasks a worker can take."""
+        for workers in self._free:
+            workers.pop(worker, None)
+        tasks = len(worker.tasks)
+        if worker.is_known and worker is not self._aside and tasks < IN_FLIGHT:
+            self._free[tasks][worker] = None
+
+    def _take(self, call: Call) -> Iterator[Outcome]:
+        """Take an answer of a worker."""
+        worker = self._owners.pop(call, None)
+        if worker is None:  # it was replaced, or the run was broken off
+            return
+        if (error := call.exception()) is not None:
+            if worker.is_known:  # such deaths are few
                 self._heard = time.monotonic()
             yield from self._replace(worker, f"{type(error).__name__}: {error}", DEATHS)
             return
         worker.heard = self._heard = time.monotonic()
-        if call is worker.about:
-            worker.accept(answer)
-        else:
-            del worker.tasks[call]
-            yield answer
+        if not worker.is_known:
+            self._accept(worker, call)
+            return
+        task = worker.owed.pop(call)
+        if task is not None:
+            self._unfinished -= 1
+            self._set_free(worker)
+            yield Outcome(task, *call.result())
+
+    # --- workers that are lost ------------------------------------------------------------------
 
     def _give_up_the_silent(self) -> Iterator[Outcome]:
-        """Replace workers that have been silent for too long."""
+        """Replace workers that have been silent for too long; once a second."""
         now = time.monotonic()
-        if now - self._looked > STILL_SECONDS:  # nothing here moved: it says nothing of the workers
+        if now - self._looked > base.STILL_SECONDS:  # this process stood still, perhaps with all
             self._heard = now
             for worker in self._members:
                 worker.heard = now
         for worker in list(self._members):
             silence = now - worker.heard
-            if worker.tasks and silence > worker.patience and silent(worker.calls):
+            if worker.tasks and silence > worker.patience and worker.is_silent:
                 why = f"TimeoutError: no answer in {silence:.0f} s"
                 yield from self._replace(worker, why, SILENCES)
-        patience = max(worker.answer_patience for worker in self._members)
-        if now - self._heard > patience and silent(self._calls):
-            raise PoolError(
+        most = max(worker.answer_patience for worker in self._members)
+        if now - self._heard > most and all(worker.is_silent for worker in self._members):
+            raise SilenceError(
                 f"no worker has answered for {now - self._heard:.0f} s{self._last_loss}; run the "
                 "same command again to go on from what is committed"
             )
         self._looked = time.monotonic()
 
-    def _replace(self, worker: Worker, why: str, most: int) -> Iterator[Outcome]:
-        """Replace a lost worker, and do its tasks again.
+    def _replace(self, worker: "_Worker", why: str, most: int) -> Iterator[Outcome]:
+        """Replace a lost worker; its tasks are suspects.
 
-        One of the tasks may have killed the worker, and nobody knows which. So each task is done
-        again alone, and given up when it has killed so many workers alone.
+        A suspect is given up when it was the only task of so many workers that were lost.
         """
         self._last_loss = f" (the last was lost by {why.splitlines()[0]})"
         worker.end()
-        new = Worker(self._make_function, after_a_death=most == DEATHS)
-        self._members[self._members.index(worker)] = new
-        for task in worker.tasks.values():
+        for call in worker.owed:
+            self._owners.pop(call, None)
+        del self._members[worker]
+        for workers in self._free:
+            workers.pop(worker, None)
+        if self._aside is worker:
+            self._aside = None
+        self._add_worker(after_a_silence=most == SILENCES)
+        for task in worker.tasks:
             self._lost[task.key] += len(worker.tasks) == 1
             if self._lost[task.key] < most:
-                self._again.append(task)
+                self._suspects.append(task)
             else:
+                self._unfinished -= 1
                 yield Outcome(task, None, time.monotonic() - worker.heard, "", "", why)
 
+
+class _Packed(NamedTuple):
+    """A function as it travels."""
+
+    key: str
+    content: bytes
+
+
+def _packed(function: Function) -> _Packed:
+    content = cloudpickle.dumps(function)
+    return _Packed(hashlib.blake2b(content, digest_size=16).hexdigest(), content)
+
+
+class _Worker:
+    """A worker as the driver knows it: its actor, and the answers that it owes.
+
+    Nothing is handed to a worker that has not said who it is: it may never start, as on a cluster
+    that has lost a node.
+
+    Parameters
+    ----------
+    after_a_silence : bool
+        Whether it comes in the place of a worker that did not answer. If not, Ray answers.
+
+    Attributes
+    ----------
+    is_known : bool
+        Whether it has said who it is.
+    owed : dict
+        The answers that it owes, each with its task; None if it is no task's.
+    functions : deque of str
+        The functions that it has, the oldest first.
+    heard : float
+        When the worker last answered, or had nothing to do, on the monotonic clock.
+    """
+
+    def __init__(self, after_a_silence: bool) -> None:
+        options = _Actor.options(runtime_env={"env_vars": _ENVIRONMENT})  # type: ignore[attr-defined]
+        self.actor = options.remote()
+        self._after_a_silence = after_a_silence
+        self.is_known = False
+        self.owed: dict[Call, Task | None] = {}
+        self.functions = deque[str](maxlen=FUNCTIONS)
+        self.heard = time.monotonic()
+
     @property
-    def _calls(self) -> list[Any]:
-        return [call for worker in self._members for call in worker.calls]
+    def tasks(self) -> list[Task]:
+        """The tasks that it has."""
+        return [task for task in self.owed.values() if task is not None]
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether no answer of it waits to be taken."""
+        return not any(call.done() for call in self.owed)
+
+    @property
+    def _is_starting(self) -> bool:
+        """Whether it has not said who it is, or makes a function: that may take long."""
+        return None in self.owed.values()
+
+    @property
+    def _patience(self) -> float:
+        return patience(max((task.seconds for task in self.tasks), default=0.0))
+
+    @property
+    def patience(self) -> float:
+        """Seconds for which the worker may be silent."""
+        return max(self._is_starting * START_SECONDS, self._patience)
+
+    @property
+    def answer_patience(self) -> float:
+        """Seconds for which all workers may be silent because of this worker."""
+        starting = self._is_starting and not self._after_a_silence
+        return START_SECONDS if starting else max(ANSWER_SECONDS, 2 * self._patience)
+
+    def end(self) -> threading.Thread:
+        """End the worker in a thread, because the request may never return."""
+
+        def kill() -> None:
+            with contextlib.suppress(ray.exceptions.RayError, ValueError):
+                ray.kill(self.actor)
+
+        return within(0.0, kill)
+
+
+@ray.remote(num_cpus=1)
+class _Actor:
+    """The worker's process, as Ray runs it."""
+
+    def __init__(self) -> None:
+        self._functions: dict[str, Function] = {}  # the oldest first
+        self._refusals: dict[str, str] = {}
+
+    def about(self) -> dict[str, Any]:
+        """Say who this is; it is the first to be answered."""
+        return about()
+
+    def make(self, key: str, content: bytes) -> None:
+        """Make a function; if that fails, its tasks are refused."""
+        try:
+            self._functions[key] = cloudpickle.loads(content)
+        except Exception as error:
+            kind = "" if isinstance(error, PfdistError) else f"{type(error).__name__}: "
+            self._refusals[key] = f"{kind}{error} (found by a worker on {about()['host']})"
+        while len(self._functions) > FUNCTIONS:
+            del self._functions[next(iter(self._functions))]
+
+    def do(self, key: str, work: Any) -> tuple[Any, ...]:
+        """Do a task: all of its outcome but the task."""
+        if key not in self._functions:
+            return None, 0.0, "", about()["host"], self._refusals[key], True
+        return do(self._functions[key], work)

@@ -79,8 +79,8 @@ class BlockSums:
         sets = counted.sets
         since, ends = tuple(counted.first.tolist()), tuple(counted.ends.tolist())
         noise, draws = streams
-        source = built.source.truth if knows_truth else built.source
-        self.id = source.sums_id(sets, tuple(zip(since, ends, strict=True)), noise, estimation)
+        evaluator = built.evaluator.truth if knows_truth else built.evaluator
+        self.id = evaluator.sums_id(sets, tuple(zip(since, ends, strict=True)), noise, estimation)
         self._phase = phase or f"{BOUND_PHASE}.{self.id}"
         self._mask = counted.at(built.evaluator.horizon)
         self._work = Work(

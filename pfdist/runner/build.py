@@ -3,14 +3,13 @@
 import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 from pfdist.checks.contract import check_compiled, check_formulas, few_draws
 from pfdist.errors import CompileError, EngineWarning, JobError, ModelError
 from pfdist.evaluation.engines import AUTO, COMPILED, NUMPY, NUMPY_TIMES_SLOWER
-from pfdist.evaluation.evaluator import Evaluator
+from pfdist.evaluation.evaluator import Evaluator, carried_evaluator
 from pfdist.evaluation.work import Estimation
 from pfdist.filters.draws import Draws
 from pfdist.job.job import ONLINE, Job
@@ -19,7 +18,6 @@ from pfdist.models import PYTHON, CarriedModel, carried_model, installed_models
 from pfdist.pools.base import Pool
 from pfdist.pools.kinds import POOLS
 from pfdist.runner.estimate_columns import check_estimate_columns
-from pfdist.runner.evaluator_source import EvaluatorSource
 from pfdist.runner.online_planning import planning_of
 from pfdist.runner.searches import NamedSearch, Settings, named_search
 from pfdist.runner.study import Study
@@ -39,13 +37,8 @@ class Built:
     job: Job
     feasible: Feasible
     study: Study
-    source: EvaluatorSource
+    evaluator: Evaluator
     searches: tuple[NamedSearch, ...] = field(repr=False)
-
-    @cached_property
-    def evaluator(self) -> Evaluator:
-        """The evaluator, made in this process."""
-        return self.source.make()
 
     def instants(self, sets: Mapping[str, Sequence[Time]]) -> dict[str, Times]:
         """Give the instants of sets of times on the job's clock."""
@@ -84,9 +77,9 @@ def build(job: Job) -> Built:
         a resampling scheme does not fit.
     """
     model, filter_model = models_of(job)
-    source = EvaluatorSource(
-        model=model,
-        filter_model=filter_model,
+    evaluator = carried_evaluator(
+        model,
+        filter_model,
         horizon=job.problem.feasible.horizon,
         dtype=job.filter.dtype,
         engine=job.filter.engine,
@@ -95,21 +88,22 @@ def build(job: Job) -> Built:
         weights=job.problem.weights,
     )
     # To a filter that is wrong about the truth, one more measurement may do harm.
-    feasible, is_wrong = job.problem.feasible, source.filter_model.key != source.model.key
+    feasible, is_wrong = job.problem.feasible, filter_model.key != model.key
     feasible = replace(feasible, smaller=is_wrong and not feasible.counted)
-    evaluator, study = source.make(), Study(job, feasible)
+    study = Study(job, feasible)
     guide = evaluator.guiding_estimator
     searches = tuple(named_search(study, job, section, guide) for section in job.search)
     wanted = [settings.estimation for search in searches for settings in search.all_settings]
     if job.online is not None:
         check_plannable(evaluator)
         wanted.append(planning_of(job, evaluator.cheapest_estimator).estimation)
-    source = replace(source, estimations=tuple(dict.fromkeys([*source.estimations, *wanted])))
-    draws = _checked_formulas(source)
-    source = replace(source, engine=_compiled_or_numpy(source))
-    if draws and source.engine == "compiled":
+    wanted = [*evaluator.estimations, *wanted]
+    evaluator = replace(evaluator, estimations=tuple(dict.fromkeys(wanted)))
+    draws = _checked_formulas(evaluator)
+    evaluator = replace(evaluator, engine=_compiled_or_numpy(evaluator))
+    if draws and evaluator.engine == COMPILED.name:
         check_compiled(draws.model, draws)
-    built = Built(job, feasible, study, source, searches)
+    built = Built(job, feasible, study, evaluator, searches)
     sets = built.names if job.online is None else [*built.names, ONLINE]
     check_estimate_columns(sets, evaluator.model.named("z"))
     return built
@@ -173,15 +167,15 @@ def say_model_files(jobs: Iterable[Job], say: Callable[[str], Any]) -> None:
         say(f"runs the model file {file}, which your job names")
 
 
-def _checked_formulas(source: EvaluatorSource) -> Draws | None:
+def _checked_formulas(evaluator: Evaluator) -> Draws | None:
     """Refuse wrong formulas of the user's models; return a few draws of a user's true model."""
-    draws, evaluator = None, source.make()
-    if not _ships(source.model):
-        draws = few_draws(evaluator.model, source.horizon)
+    draws, (model, filter_model) = None, evaluator.carried
+    if not _ships(model):
+        draws = few_draws(evaluator.model, evaluator.horizon)
         check_formulas(evaluator.model, draws)
-    if source.filter_model.key != source.model.key and not _ships(source.filter_model):
+    if filter_model.key != model.key and not _ships(filter_model):
         try:
-            believed_draws = few_draws(evaluator.believed, source.horizon)
+            believed_draws = few_draws(evaluator.believed, evaluator.horizon)
         except ModelError:  # its simulation may diverge: measurements guide the particles
             return draws
         try:
@@ -200,15 +194,16 @@ def _comparing(job: Job) -> Estimation:
     return Estimation(job.filter.particles, job.filter.resampling)
 
 
-def _compiled_or_numpy(source: EvaluatorSource) -> str:
+def _compiled_or_numpy(evaluator: Evaluator) -> str:
     """Name of the engine: NumPy where Numba fails, unless the job demands another engine.
 
     The formulas are compiled here, and workers on this machine find the result on disk.
     """
     try:
-        source.compiled()  # for every engine, so that a wrong model is found at once
+        # For every engine, so that a wrong model is found at once.
+        evaluator.compile(*evaluator.estimations)
     except CompileError as error:
-        if source.engine != AUTO:
+        if evaluator.engine != AUTO:
             raise
         warnings.warn(
             f"{error}: computing in NumPy instead, about {NUMPY_TIMES_SLOWER} times slower "
@@ -217,12 +212,7 @@ def _compiled_or_numpy(source: EvaluatorSource) -> str:
             stacklevel=4,
         )
         return NUMPY.name
-    return COMPILED.name if source.engine == AUTO else source.engine
-
-
-def _worker(source: EvaluatorSource) -> Callable[[Any], Any]:
-    # Compiled before the first task: the time of a task is limited.
-    return source.compiled().results
+    return COMPILED.name if evaluator.engine == AUTO else evaluator.engine
 
 
 def check_pool(execution: Execution) -> None:
@@ -231,23 +221,18 @@ def check_pool(execution: Execution) -> None:
     Raises
     ------
     JobError
-        The pool is one worker, but several workers or an address are given.
+        The pool is one worker, but several are given, or it joins no cluster, but an address is.
     """
-    name, workers, address = execution.pool, execution.workers, execution.address
-    if POOLS[name].distributed or (workers <= 1 and not address):
-        return
-    both = ", ".join(repr(other) for other, kind in POOLS.items() if kind.distributed)
-    raise JobError(
-        f"execution.pool = {name!r} is one worker {POOLS[name].description}, got workers = "
-        f"{workers}, address = {address!r}; pools that take both: {both}"
-    )
+    pool, workers, address = execution.pool, execution.workers, execution.address
+    for name, got, given in (("workers", workers, workers > 1), ("address", address, address)):
+        if given and name not in POOLS[pool].takes:
+            others = ", ".join(repr(other) for other, kind in POOLS.items() if name in kind.takes)
+            raise JobError(
+                f"execution.pool = {pool!r}, which computes {POOLS[pool].description}, takes no "
+                f"{name}, got {got!r}; pools that do: {others}"
+            )
 
 
-def make_pool(built: Built, execution: Execution) -> Pool:
+def make_pool(execution: Execution) -> Pool:
     """The pool that [execution] names; the pool starts when the caller enters it."""
-    return pool_of(partial(_worker, built.source), execution)
-
-
-def pool_of(make_function: Callable[[], Callable[[Any], Any]], execution: Execution) -> Pool:
-    """The pool that [execution] names, for another function; see `make_pool`."""
-    return POOLS[execution.pool].make(make_function, execution.workers, execution.address)
+    return POOLS[execution.pool].make(execution.workers, execution.address)

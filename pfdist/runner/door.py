@@ -36,9 +36,9 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 import pyarrow as pa
 
 from pfdist.common.streams import stream_key
-from pfdist.errors import PfdistError, TaskError
+from pfdist.errors import ModelError, PfdistError, TaskError
 from pfdist.evaluation.work import Result, Work
-from pfdist.pools.base import Outcome, Pool, Task
+from pfdist.pools.base import Function, Outcome, Pool, Task
 from pfdist.runner.build import Built
 from pfdist.runner.pace import Pace, bundles
 from pfdist.runner.progress import Reporter, Show
@@ -131,7 +131,8 @@ class Batch:
         if not self._enough:
             pace = self.session.pace(workers, is_shared=is_shared)
             table = self.kept.table if self.kept is not None else self.phase
-            self._cuts = chain(self._cuts, _cuts(table, works, pace))
+            results = self.session.built.evaluator.results
+            self._cuts = chain(self._cuts, _cuts(table, results, works, pace))
             self._next = self._next or next(self._cuts, None)
 
     def next_cut(self) -> "_Cut | None":
@@ -146,6 +147,8 @@ class Batch:
 
         Raises
         ------
+        ModelError
+            A worker cannot make the models.
         TaskError
             Too many tasks have failed.
         StoreError
@@ -156,6 +159,8 @@ class Batch:
         if self.kept is not None:
             session.note(self.phase, outcome)
         if outcome.error is not None:
+            if outcome.refused:
+                raise ModelError(outcome.error)
             self._again.append(cut)
             session.count_failure(self.phase, outcome.error)
             return
@@ -184,10 +189,11 @@ class _Cut(NamedTuple):
     steps: int
 
 
-def _cuts(table: str, works: list[Work], pace: Pace) -> Iterator[_Cut]:
+def _cuts(table: str, function: Function, works: list[Work], pace: Pace) -> Iterator[_Cut]:
     for bundle in bundles(works, pace.size):
         key = f"{table}:{stream_key([(work.ids, work.draws) for work in bundle.works]):016x}"
-        yield _Cut(Task(key, bundle.works, pace.seconds * bundle.steps), bundle.steps)
+        task = Task(key, function, bundle.works, pace.seconds * bundle.steps)
+        yield _Cut(task, bundle.steps)
 
 
 Driver = Generator[Batch, None, Any]
@@ -319,8 +325,6 @@ class Loop:
     ----------
     pool : context manager
         Gives a pool. It is entered with the first task, and left when no driver has another.
-    wrapped : callable, optional
-        Makes the work of a task from its session and its works.
     at_once : int
         How many drivers are at work at the same time. If there are several, they take evaluations
         from each other's tables.
@@ -331,11 +335,10 @@ class Loop:
     def __init__(
         self,
         pool: contextlib.AbstractContextManager[Pool],
-        wrapped: Callable[[Session, tuple[Work, ...]], Any] = lambda session, works: works,
         at_once: int = 1,
         lenders: Iterable[Store] = (),
     ) -> None:
-        self._to_enter, self._wrapped, self._at_once = pool, wrapped, at_once
+        self._to_enter, self._at_once = pool, at_once
         self._stack = contextlib.ExitStack()
         self._pool: Pool | None = None
         self._ranks: dict[Driver, int] = {}
@@ -404,8 +407,7 @@ class Loop:
                     self._count += 1
                     key = f"{self._count}:{cut.task.key}"
                     self._sent[key] = driver, batch, cut
-                    work = self._wrapped(batch.session, cut.task.work)
-                    yield replace(cut.task, key=key, work=work)
+                    yield replace(cut.task, key=key)
                     break
             else:
                 if self._at_once == 1:  # the pool ends when it has done what it has

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from pfdist.common.component_names import Component
 from pfdist.common.streams import stream_of
-from pfdist.evaluation.compiling import compile_evaluator
-from pfdist.evaluation.engines import ENGINES
 from pfdist.evaluation.work import Estimation, Result, Work, with_truth
 from pfdist.kernels.estimators import FILTER_NOISE
 from pfdist.models import StateSpaceModel, squared_error
@@ -127,8 +125,8 @@ def _by_set(
 ) -> FirstDraws | None:
     if built.evaluator.exact or built.evaluator.model.error is not squared_error:
         return None
-    if ENGINES[built.source.engine].compiled:  # before the first task, whose time is limited
-        compile_evaluator(built.evaluator.truth if knows_truth else built.evaluator, estimation)
+    evaluator = built.evaluator.truth if knows_truth else built.evaluator
+    evaluator.compile(estimation)  # before the first task, whose time is limited
     stream, sets = (
         stream_of("comparison", built.job.seed, "filter", table),
         len(work.measurement_times),

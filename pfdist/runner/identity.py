@@ -130,7 +130,7 @@ def _identity(built: Built) -> dict[str, Any]:
         "schema_version": SCHEMA_VERSION,
         "pfdist": version("pfdist"),
         "kernel": KERNEL_VERSION,
-        "engine": built.source.engine,
+        "engine": built.evaluator.engine,
         **fingerprints(built),
         "estimations": estimations(built),
     }
@@ -138,7 +138,7 @@ def _identity(built: Built) -> dict[str, Any]:
 
 def fingerprints(built: Built) -> dict[str, dict[str, Any]]:
     """The fingerprint of the model, and the parts of the filter's model that differ from it."""
-    model, believed = built.source.model.fingerprint, built.source.filter_model.fingerprint
+    model, believed = (each.fingerprint for each in built.evaluator.carried)
     differs = {name: value for name, value in believed.items() if model.get(name) != value}
     return {"model": model, "filter_model": differs}
 

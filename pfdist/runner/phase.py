@@ -121,8 +121,8 @@ class Phase:
         keyed_by = [] if self.settings.common_noise else fresh
         stream = self.stream(*keyed_by)
         estimation = self.built.comparing if squared else self.settings.estimation
-        source = self.built.source.truth if self.knows_truth else self.built.source
-        id_ = source.evaluation_id(times, last, stream, estimation)
+        evaluator = self.built.evaluator.truth if self.knows_truth else self.built.evaluator
+        id_ = evaluator.evaluation_id(times, last, stream, estimation)
         mse = np.full(draws or self.settings.draws, np.nan)
         return Request(id_, candidate, last, stream, estimation, mse)
 

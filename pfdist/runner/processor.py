@@ -59,7 +59,7 @@ def note_processor(path: Path, built: Built, say: Callable[[str], Any]) -> None:
 
 def what_may_differ(built: Built) -> str:
     """How the results of another processor may differ; empty if it computes the same bytes."""
-    engine, called = built.source.engine, built.source.libm_functions()
+    engine, called = built.evaluator.engine, built.evaluator.libm_functions
     if engine != COMPILED.name:
         return f"figures of filter.engine = {engine!r} agree to about 12 digits, not to the last"
     if called:

@@ -34,6 +34,6 @@ def provenance(built: Built) -> dict[str, Any]:
         },
         "processor": processor(),
         # Compiled code that calls no function of the C library gives the same bytes everywhere.
-        "libm_functions": list(built.source.libm_functions()),
+        "libm_functions": list(built.evaluator.libm_functions),
         "execution": job.execution.model_dump(mode="json"),
     }

@@ -17,8 +17,6 @@ from pfdist.bounds.relaxation import Relaxation
 from pfdist.common.estimate import CONFIDENCE
 from pfdist.common.streams import stream_of
 from pfdist.errors import ModelError
-from pfdist.evaluation.compiling import compile_evaluator
-from pfdist.evaluation.engines import ENGINES
 from pfdist.evaluation.work import BLOCK, Estimation, Result, Work, with_truth
 from pfdist.kernels.estimators import FILTER_VARIANCE
 from pfdist.runner.block_sums import GROUPS, BlockSums, Counted
@@ -93,8 +91,7 @@ class Prover:
         self._estimation = with_truth(count)
         truth = built.evaluator.truth
         truth.check(Estimation(count, estimator=FILTER_VARIANCE.name))
-        if ENGINES[built.source.engine].compiled:  # before the first task, whose time is limited
-            compile_evaluator(truth, self._estimation)
+        truth.compile(self._estimation)  # before the first task, whose time is limited
         self.particles = 0 if built.evaluator.exact else count
         self._blocks = _doubled(math.ceil(settings.most_draws / BLOCK)) if self.particles else [0]
         looks = 1 if settings.within is None else len(self._blocks)

@@ -128,10 +128,10 @@ def _per_draw(
     """Errors of so many draws, (draws,), by the name of the set."""
     built, reporter = session.built, session.reporter
     horizon, noise = built.evaluator.horizon, stream_of("bound", built.job.seed, "filter of a set")
-    source = built.source.truth if kind.knows_truth else built.source
+    evaluator = built.evaluator.truth if kind.knows_truth else built.evaluator
     key = stream_key(noise, draws_stream)
     ids = {
-        name: source.evaluation_id(times, horizon, key, kind.estimation)
+        name: evaluator.evaluation_id(times, horizon, key, kind.estimation)
         for name, times in sets.items()
     }
     work = Work(

@@ -111,7 +111,7 @@ def _effective_sizes(built: Built, stream: int, times: Times, measured: list[Arr
         return [math.nan] * len(times)
     job = built.job.filter
     settings = FilterSettings(job.particles, job.resampling, job.dtype)
-    first = begin(built.evaluator.believed, settings, stream, 0, built.source.engine)
+    first = begin(built.evaluator.believed, settings, stream, 0, built.evaluator.engine)
     sizes = pd.DataFrame(
         [
             effective_sample_sizes(replace(first, draw=draw), times, y)

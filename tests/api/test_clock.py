@@ -135,12 +135,11 @@ def test_given_weights_take_the_place_of_the_clocks(job: Path) -> None:
 )
 def test_engines_weigh_instants_alike(job: Path, estimator: str) -> None:
     """The compiled filter and the plain filter, for whole sets, for prefixes and for sums."""
-    source = build(pfdist.load_job(job)).source
-    made = source.make()
+    made = build(pfdist.load_job(job)).evaluator
     sets, ends, estimation = ((1, 5, 6), (1, 5)), (7, 5), Estimation(30, "systematic", estimator)
     work = Work(sets, ends, (3, 3), 4, (0, 6), estimation)
     plain, compiled = (
-        Evaluator(made.model, 7, made.believed, engine=engine, weights=source.weights)
+        Evaluator(made.model, 7, made.believed, engine=engine, weights=made.weights)
         for engine in ("numpy", "compiled")
     )
     np.testing.assert_allclose(plain(work).mse, compiled(work).mse, rtol=1e-9)

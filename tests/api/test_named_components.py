@@ -220,7 +220,7 @@ def test_another_name_or_unit_is_another_run_and_the_error_names_it(
 @pytest.mark.slow
 def test_a_fingerprint_without_names_has_no_entry_for_them(tmp_path: Path) -> None:
     named, numbered = (
-        build(pfdist.load_job(_job(tmp_path / folder, names))).source.model.fingerprint
+        build(pfdist.load_job(_job(tmp_path / folder, names))).evaluator.carried[0].fingerprint
         for folder, names in (("a", NAMES), ("b", ""))
     )
     assert named.keys() - numbered.keys() == {"x_names", "y_names", "z_names"}

@@ -264,7 +264,9 @@ def test_a_search_that_kills_everything_says_so(small_job: Job, tmp_path: Path) 
 
 
 def test_the_serial_pool_has_one_worker(small_job: Job, tmp_path: Path) -> None:
-    with pytest.raises(JobError, match="one worker in this process, got workers = 4"):
+    with pytest.raises(
+        JobError, match="in this process, takes no workers, got 4; pools that do: 'ray', 'threads'"
+    ):
         pfdist.run(small_job, tmp_path / "run", workers=4, figures=False)
 
 

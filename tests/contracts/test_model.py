@@ -12,7 +12,6 @@ from oracles.clocked import times_of, with_clock
 from pfdist import load_job, load_model
 from pfdist.api.foreseen import foreseen
 from pfdist.checks.model import check_model
-from pfdist.evaluation.compiling import compile_evaluator, libm_functions
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation
 from pfdist.filters import plain
@@ -66,10 +65,8 @@ def test_check_model_finds_nothing_wrong(name: str) -> None:
 def test_no_function_of_the_c_library_is_called(name: str) -> None:
     # Such a function may round otherwise on another machine; a root, a fused multiplication and
     # a remainder do not.
-    estimation = Estimation(1)
-    evaluator = Evaluator(with_clock(load_model(name), 1), 1)
-    compile_evaluator(evaluator, estimation)
-    assert libm_functions(evaluator, estimation) == ()
+    model = with_clock(load_model(name), 1)
+    assert Evaluator(model, 1, estimations=(Estimation(1),)).libm_functions == ()
 
 
 @pytest.mark.parametrize("name", SHIPPED)

@@ -168,9 +168,9 @@ def test_a_draw_that_never_ends_fails(
     monkeypatch: pytest.MonkeyPatch,
     record_property: Record,
 ) -> None:
-    from pfdist.pools import ray_pool, ray_worker
+    from pfdist.pools import base, ray_pool
 
-    monkeypatch.setattr(ray_worker, "PATIENCE_SECONDS", 3.0)
+    monkeypatch.setattr(base, "PATIENCE_SECONDS", 3.0)
     options = ["--set", "execution.failures=1", "--pool", "ray"]
     assert main(command(LOOP, tmp_path / "run", *options)) == 1
     errors = _failures(tmp_path / "run")

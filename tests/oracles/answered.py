@@ -4,8 +4,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from pfdist.api.at_work import pool_in_this_process
-from pfdist.runner.build import Built
+from pfdist.job.sections import Execution
+from pfdist.runner.build import Built, make_pool
 from pfdist.runner.door import Driver, Session, complete
 from pfdist.runner.progress import Progress
 from pfdist.store import Store
@@ -19,4 +19,4 @@ def answered(
 ) -> Any:
     """What a driver returns; it keeps nothing, so its store has no folder."""
     session = Session(built, Store(Path("nowhere")), show)
-    return complete(driver(session, *arguments), pool_in_this_process(built))
+    return complete(driver(session, *arguments), make_pool(Execution(pool="serial")))

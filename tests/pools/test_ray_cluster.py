@@ -55,8 +55,8 @@ _ONE_TASK = """
 from pfdist.pools.base import Task
 from pfdist.pools.ray_pool import RayPool
 
-with RayPool(lambda: abs, 1) as pool:
-    print([outcome.value for outcome in pool.run([Task("a", -1)])])
+with RayPool(1) as pool:
+    print([outcome.value for outcome in pool.run([Task("a", abs, -1)])])
 """
 
 

@@ -38,7 +38,7 @@ def session(built: Built, tmp_path: Path) -> Session:
 
 
 def completed(driver: Driver, session: Session) -> Any:
-    return complete(driver, make_pool(session.built, session.built.job.execution))
+    return complete(driver, make_pool(session.built.job.execution))
 
 
 def means(session: Session, blocks: int) -> np.ndarray:

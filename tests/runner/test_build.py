@@ -44,9 +44,9 @@ def job_with(tmp_path: Path, *lines: str, formula: str = "0.5 * x[0]", quantity:
 
 
 def test_without_a_filter_model_the_filter_knows_the_truth(tmp_path: Path) -> None:
-    source = build(job_with(tmp_path, "[model.parameters]", "process_sd = 2.0")).source
-    assert source.filter_model == source.model
-    assert source.make().filter_model.p.process_sd == 2.0
+    evaluator = build(job_with(tmp_path, "[model.parameters]", "process_sd = 2.0")).evaluator
+    assert evaluator.truth is evaluator
+    assert evaluator.believed.p.process_sd == 2.0
 
 
 def test_the_filters_parameters_are_the_models_but_for_those_that_are_given(tmp_path: Path) -> None:
@@ -58,7 +58,7 @@ def test_the_filters_parameters_are_the_models_but_for_those_that_are_given(tmp_
         "[model.filter.parameters]",
         "measurement_sd = 4.0",
     )
-    problem = build(job).source.make()
+    problem = build(job).evaluator
     assert (problem.model.p.process_sd, problem.model.p.measurement_sd) == (2.0, 3.0)
     assert problem.filter_model is not None
     p = problem.filter_model.p
@@ -98,8 +98,8 @@ def test_all_affordable_sets_are_searched_if_the_filter_is_wrong(
 def test_the_filters_model_may_be_another_one(tmp_path: Path) -> None:
     right = build(job_with(tmp_path))
     wrong = build(job_with(tmp_path, "[model.filter]", 'name = "other.py:model"'))
-    assert wrong.source.make().filter_model.name == "other"
-    ids = {built.source.evaluation_id((0, 1), 12, 1, Estimation(40)) for built in (right, wrong)}
+    assert wrong.evaluator.filter_model.name == "other"
+    ids = {built.evaluator.evaluation_id((0, 1), 12, 1, Estimation(40)) for built in (right, wrong)}
     assert len(ids) == 2
     times = [0, 4, 8, 12]
     believing = pfdist.evaluate(wrong.job, times, draws=200)

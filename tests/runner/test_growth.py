@@ -16,8 +16,8 @@ from oracles.counted import A_DRAW, SETS, count_draws
 from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.errors import RunMismatchError, StoreError
+from pfdist.evaluation.evaluator import Evaluator
 from pfdist.pools.base import Outcome, SerialPool
-from pfdist.runner.evaluator_source import EvaluatorSource
 from pfdist.runner.pace import Pace
 from pfdist.runner.progress import Progress
 
@@ -235,7 +235,7 @@ def test_a_run_of_another_processor_lends_what_has_the_same_bytes_here(
     pfdist.run(small_job, old, figures=False)
     elsewhere = {"compiled_for": "other", "model": "another processor"}
     monkeypatch.setattr("pfdist.runner.processor.processor", lambda: elsewhere)
-    monkeypatch.setattr(EvaluatorSource, "libm_functions", lambda source: called)
+    monkeypatch.setattr(Evaluator, "libm_functions", lambda evaluator: called)
     if called:
         with pytest.raises(StoreError, match=r"another processor .* the formulas call cos"):
             pfdist.run(small_job, new, reuse=old, figures=False)

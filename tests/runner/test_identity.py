@@ -151,8 +151,8 @@ def test_a_value_that_changes_the_key_alone_is_refused_by_its_name(
 @pytest.mark.slow
 def test_evaluations_of_models_that_mean_something_else_are_told_apart(small_job: Job) -> None:
     def evaluation(**change: str) -> str:
-        source = build(written(small_job, **change)).source
-        return source.evaluation_id((0, 1), 12, 1, Estimation(40))
+        evaluator = build(written(small_job, **change)).evaluator
+        return evaluator.evaluation_id((0, 1), 12, 1, Estimation(40))
 
     same = {evaluation(), evaluation(helper=HELPER + "# so\n")}
     assert len(same) == 1
@@ -198,8 +198,8 @@ def test_the_filters_model_is_named_where_it_differs(small_job: Job, tmp_path: P
     helper = HELPER + "def g(x):\n    return {} * x\n"
     job = written(small_job, helper=helper.format(0.8))
     job = job.with_changes(['model.filter.name="other.py:model"'])
-    about = build(job).source
-    assert about.filter_model.fingerprint["formulas"] != about.model.fingerprint["formulas"]
+    model, believed = build(job).evaluator.carried
+    assert believed.fingerprint["formulas"] != model.fingerprint["formulas"]
     pfdist.run(job, tmp_path / "run", figures=False)
     written(small_job, helper=helper.format(0.7))
     with pytest.raises(RunMismatchError, match=r"one's: model\.filter\.formulas: \w{8} -> \w{8}$"):

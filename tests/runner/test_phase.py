@@ -61,7 +61,7 @@ def session(built: Built, tmp_path: Path) -> Session:
 
 
 def completed(driver: Driver, session: Session) -> Any:
-    return complete(driver, make_pool(session.built, session.built.job.execution))
+    return complete(driver, make_pool(session.built.job.execution))
 
 
 def _counted(calls: list[str], real: Any, *arguments: Any, **more: Any) -> Any:

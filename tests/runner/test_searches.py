@@ -45,7 +45,7 @@ def costs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, float]:
     sections = [f'[[search]]\nmethod = "{name}"\n{keys}\n' for name, keys in METHODS.items()]
     (folder / "job.toml").write_text(JOB + "".join(sections))
     built, store = build(load_job(folder / "job.toml")), Store(folder / "run")
-    complete(drive(Session(built, store)), make_pool(built, Execution(pool="serial")))
+    complete(drive(Session(built, store)), make_pool(Execution(pool="serial")))
     sets = store.compared_sets()
     return dict(zip(sets, built.evaluator.expected_mse(list(sets.values())), strict=True))
 

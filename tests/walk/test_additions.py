@@ -90,18 +90,14 @@ def broken(tables):
     "pools/kinds/broken.py": """
 from concurrent.futures import ThreadPoolExecutor
 
-from pfdist.pools.base import do
+from pfdist.pools.base import Outcome, do
 from pfdist.pools.kinds import POOLS, PoolKind
 
 
 class ThreadPool:
     workers = 1
 
-    def __init__(self, make_function):
-        self.make_function = make_function
-
     def __enter__(self):
-        self.function = self.make_function()
         self.threads = ThreadPoolExecutor(1)
         return self
 
@@ -110,7 +106,7 @@ class ThreadPool:
 
     def run(self, tasks):
         for task in [*tasks][1:]:
-            yield self.threads.submit(do, self.function, task).result()
+            yield Outcome(task, *self.threads.submit(do, task.function, task.work).result())
 
 
 POOLS.declare("broken", PoolKind("Thread", "on a thread", f"{__name__}:ThreadPool"))

@@ -5,9 +5,7 @@ list the pools imports no Ray.
 """
 
 import pkgutil
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 from pfdist.common.registry import Registry
 from pfdist.pools.base import Pool
@@ -24,36 +22,33 @@ class PoolKind:
     description : str
         Where the tasks are computed, as a phrase for help.
     factory : str
-        ``module:object``. The object is called with `make`'s arguments, and gives a `Pool`.
-    distributed : bool
-        Whether a pool can have several workers, or join a cluster. If not, the factory is called
-        with ``make_function`` alone.
+        ``module:object``. The object is called with the settings that it takes, and gives a `Pool`.
+    takes : tuple of str
+        ``workers`` if a pool can have several workers, ``address`` if it can join a cluster.
+    isolated : bool
+        Whether a formula that crashes ends a worker only. If not, it ends the process of the
+        driver.
     """
 
     title: str
     description: str
     factory: str
-    distributed: bool = False
+    takes: tuple[str, ...] = ()
+    isolated: bool = False
 
-    def make(
-        self,
-        make_function: Callable[[], Callable[[Any], Any]],
-        workers: int = 0,
-        address: str = "",
-    ) -> Pool:
+    def make(self, workers: int = 0, address: str = "") -> Pool:
         """Make a pool; it starts when it is entered.
 
         Parameters
         ----------
-        make_function : callable
-            Makes, in each worker, the function that is applied to each task's work.
         workers : int
             Number of workers; 0 leaves the number to the pool.
         address : str
             Address of a cluster to join; empty for none.
         """
-        settings = (workers, address) if self.distributed else ()
-        pool: Pool = pkgutil.resolve_name(self.factory)(make_function, *settings)
+        settings = {"workers": workers, "address": address}
+        taken = {name: settings[name] for name in self.takes}
+        pool: Pool = pkgutil.resolve_name(self.factory)(**taken)
         return pool
 
 

@@ -8,6 +8,7 @@ POOLS.declare(
         "Ray",
         "on Ray workers",
         "pfdist.pools.ray_pool:RayPool",
-        distributed=True,
+        takes=("workers", "address"),
+        isolated=True,
     ),
 )

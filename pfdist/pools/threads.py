@@ -1,0 +1,124 @@
+"""The pool of threads in the process of the driver. Compiled filters release Python's lock."""
+
+import time
+from collections.abc import Iterable, Iterator
+from queue import Empty, SimpleQueue
+from threading import Thread
+from typing import Self
+
+from pfdist.errors import SilenceError
+from pfdist.pools import base
+from pfdist.pools.base import Outcome, Task, do, patience
+from pfdist.pools.cores import usable_cores
+
+IN_FLIGHT = 2  # tasks a thread: the one it does and the one that waits for it
+_LEAVE_SECONDS = 1.0
+_END = object()  # there are no more tasks
+_BUSY = object()  # there may be more tasks, for which no thread is free
+
+
+class ThreadPool:
+    """Threads of this process, one for each core that it may use.
+
+    A formula that crashes ends the whole process, and a thread that hangs cannot be ended. So a
+    thread that is silent for too long ends the run; the thread itself ends with the process.
+
+    Parameters
+    ----------
+    workers : int
+        Number of threads; 0 is one for each core.
+    """
+
+    def __init__(self, workers: int = 0) -> None:
+        self.workers = workers or usable_cores()
+        self._threads: list[_Worker] = []
+        self._todo = SimpleQueue[_Handed | None]()
+
+    def __enter__(self) -> Self:
+        self._threads = [_Worker(self._todo, number) for number in range(self.workers)]
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._forget_tasks()
+        threads, self._threads = self._threads, []
+        for _each in threads:
+            self._todo.put(None)
+        deadline = time.monotonic() + _LEAVE_SECONDS
+        for thread in threads:
+            thread.join(max(0.0, deadline - time.monotonic()))
+
+    def run(self, tasks: Iterable[Task | None]) -> Iterator[Outcome]:
+        """Give the outcomes as threads finish tasks, with a bounded number in flight.
+
+        Raises
+        ------
+        SilenceError
+            A thread is silent for too long.
+        """
+        self._forget_tasks()  # there may have been a run that was broken off
+        todo, answers, in_flight = iter(tasks), SimpleQueue[Outcome](), 0
+        looked = time.monotonic()
+        while True:
+            task: object = _BUSY
+            while in_flight < IN_FLIGHT * self.workers:
+                task = next(todo, _END)
+                if not isinstance(task, Task):
+                    break
+                self._todo.put((task, answers))
+                in_flight += 1
+            if not in_flight:
+                return
+            pause = base.PAUSE_SECONDS if task is None else base.LOOK_SECONDS
+            try:
+                outcome = answers.get(timeout=pause)
+            except Empty:
+                pass
+            else:
+                in_flight -= 1
+                yield outcome
+            if (now := time.monotonic()) - looked >= base.LOOK_SECONDS:
+                self._look(now, now - looked > base.STILL_SECONDS)
+                looked = time.monotonic()
+
+    def _look(self, now: float, stood_still: bool) -> None:
+        """Look for threads that are silent for too long."""
+        for thread in self._threads:
+            if stood_still:  # the whole process was stopped: it says nothing of the threads
+                thread.begun = now
+            silence, task = now - thread.begun, thread.task
+            if task is not None and silence > patience(task.seconds):
+                raise SilenceError(
+                    f"a thread has not answered for {silence:.0f} s; run the same command again to "
+                    "go on from what is committed; --pool ray isolates the model"
+                )
+
+    def _forget_tasks(self) -> None:
+        """Forget tasks that no thread has begun; the answers of the others are ignored."""
+        try:
+            while True:
+                self._todo.get_nowait()
+        except Empty:
+            pass
+
+
+_Handed = tuple[Task, SimpleQueue[Outcome]]
+
+
+class _Worker(Thread):
+    """A thread that does tasks. It does not keep the process from ending."""
+
+    def __init__(self, todo: "SimpleQueue[_Handed | None]", number: int) -> None:
+        super().__init__(daemon=True)
+        self._todo, self._number = todo, number
+        self.task: Task | None = None
+        self.begun = time.monotonic()
+        self.start()
+
+    def run(self) -> None:
+        while (handed := self._todo.get()) is not None:
+            task, answers = handed
+            self.begun, self.task = time.monotonic(), task
+            value, seconds, process, node, error = do(task.function, task.work)
+            self.task = None
+            worker = f"{process}-{self._number}"
+            answers.put(Outcome(task, value, seconds, worker, node, error))
