@@ -1,7 +1,7 @@
 """The points of a sweep at work: a few at a time, which share the workers."""
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -12,11 +12,10 @@ from pfdist.api.following import Say
 from pfdist.api.run import compute
 from pfdist.errors import BusyError, PfdistError, StoreError, one_line
 from pfdist.job.sweep import SweepJob
-from pfdist.pools.base import Pool
 from pfdist.pools.cores import usable_cores
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import build
-from pfdist.runner.door import Driver, Loop, Session
+from pfdist.runner.door import Driver, Session
 from pfdist.runner.identity import opened
 from pfdist.runner.processor import lender
 from pfdist.runner.progress import Progress, Show
@@ -53,7 +52,7 @@ class Points(NamedTuple):
 
 
 class PointsAtWork:
-    """Runs the points of a sweep, the first points first.
+    """The points of a sweep at work, the first points first.
 
     Parameters
     ----------
@@ -74,41 +73,42 @@ class PointsAtWork:
         self._asked, self._path, self._bound = asked, path, bound
         self._show, self._say = show, say
         self._shares: dict[str, _Share] = {}
-        self._finished = 0
+        self._at_work = self._finished = 0
 
-    def run(self, pool: Callable[[], contextlib.AbstractContextManager[Pool]]) -> Points:
-        """Compute what the points lack, but for points that another process computes.
+    def drivers(self) -> Iterator[Driver | None]:
+        """Yield what computes each point; None while others must end first.
 
-        Those are tried again when all others have ended. Several processes may so share a sweep.
-
-        Parameters
-        ----------
-        pool : callable
-            Gives the workers, as a context manager.
-
-        Raises
-        ------
-        PoolError
-            No worker answers.
+        Points that another process computes are left out, and tried again when all others have
+        ended. Several processes may so share a sweep.
         """
-        workers = self._asked.execution.workers or usable_cores()
         todo = [*self._asked.jobs]
         while todo:
             self._busy = {}
-            at_once = min(len(todo), workers + _MORE, _MOST)
-            Loop(pool(), at_once, self._begun()).serve(map(self._point, todo))
+            for name in todo:
+                self._at_work += 1
+                yield self._point(name)
+            while self._at_work:
+                yield None
             todo = [name for name in self._busy if not _is_held(self._path / name)]
         for name, why in self._busy.items():
             self._say(f"{name}: left out: {why}")
+
+    def points(self) -> Points:
+        """The points when all drivers have ended."""
         left = self._failed | self._busy
         runs = {name: open_run(self._path / name) for name in self._asked.jobs if name not in left}
         for name, run in runs.items():
             run.made_from = self._asked.jobs[name]
-        return Points(
-            runs, {name: one_line(why) for name, why in self._failed.items()}, [*self._busy]
-        )
+        failed = {name: one_line(why) for name, why in self._failed.items()}
+        return Points(runs, failed, [*self._busy])
 
-    def _begun(self) -> list[Store]:
+    @property
+    def at_once(self) -> int:
+        """How many points are at work at the same time."""
+        workers = self._asked.execution.workers or usable_cores()
+        return min(len(self._asked.points), workers + _MORE, _MOST)
+
+    def begun(self) -> list[Store]:
         """The stores of points that were begun before, whose evaluations all points take.
 
         Points on another processor are left out, and points with damaged files. The point itself
@@ -144,15 +144,15 @@ class PointsAtWork:
                 yield from compute(Session(built, store, show, say), self._bound)
         except BusyError as error:
             self._busy[name] = str(error)
-            self._shares.pop(name, None)
             return
         except PfdistError as error:
             self._failed[name] = str(error)
-            self._shares.pop(name, None)
             self._say(f"{name}: failed: {error}; the other points go on")
             return
+        finally:
+            self._at_work -= 1
+            self._shares.pop(name, None)
         self._finished += 1
-        self._shares.pop(name, None)
         self._tell()
         self._say(f"{name}: finished ({self._finished} of {len(self._asked.points)})")
 

@@ -1,6 +1,5 @@
 """Run a job at many points: every point is a run of its own, and all share the same workers."""
 
-import contextlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,8 +20,8 @@ from pfdist.job.asked import Asked
 from pfdist.job.judging import check_comparable, judging
 from pfdist.job.points import Values
 from pfdist.job.sweep import SweepJob, read_sweep
-from pfdist.pools.base import Pool
 from pfdist.runner.build import check_pool, say_model_files
+from pfdist.runner.door import Driver, Loop
 from pfdist.runner.progress import Show
 from pfdist.store import holds_run
 from pfdist.store.folder import has_report
@@ -147,24 +146,26 @@ def sweep(
     """
     asked = asked_sweep(job, over, parallel, points, changes, pool, workers, address)
     path, judges_points = checked_folder(asked, results, judge)
+    check_pool(asked.execution)
     bound = bound_settings(bound_draws)
     with following(progress, say) as (show, tell):
         say_model_files(asked.jobs.values(), tell)
-        judges, refused = Points({}, {}, []), None
-        with _SharedPool(asked, path, tell) as shared:
-            found = PointsAtWork(asked, path, bound, show, tell).run(shared.pool)
-            if judges_points and len(found.runs) < len(asked.points):
-                tell("the found times are not judged, because not all points are finished")
-            elif judges_points:
-                try:
-                    judged = judging(asked, times_by_search(found.runs))
-                except JobError as error:  # the points are finished, and get their reports
-                    refused = error
-                else:
-                    tell(f"judges the found times at all {len(asked.points)} points")
-                    folder = path / JUDGED / judged.name
-                    judging_points = PointsAtWork(judged, folder, None, show, tell)
-                    judges = judging_points.run(shared.pool)
+        searched, refused = PointsAtWork(asked, path, bound, show, tell), None
+        stages = [searched]
+
+        def drivers() -> Iterator[Driver | None]:
+            yield from searched.drivers()
+            if judges_points and (judged := _judged(asked, searched.points().runs, tell)):
+                folder = path / JUDGED / judged.name
+                stages.append(PointsAtWork(judged, folder, None, show, tell))
+                yield from stages[-1].drivers()
+
+        workers_at_work = at_work(asked.execution, path, tell)
+        try:
+            Loop(workers_at_work, searched.at_once, searched.begun()).serve(drivers())
+        except JobError as error:  # the points are finished, and get their reports
+            refused = error
+        found, judges = [*(stage.points() for stage in stages), Points({}, {}, [])][:2]
         if report:
             _report(found.runs, tell)
             try_sweep_report(path, tell)
@@ -180,6 +181,22 @@ def sweep(
         )
     busy = (*found.busy, *judges.busy)
     return Sweep(path, found.runs, {} if judges.busy else judges.runs, busy)
+
+
+def _judged(asked: SweepJob, runs: Mapping[str, Run], say: Say) -> SweepJob | None:
+    """The sweep that judges the found times; None if not all points are finished.
+
+    Raises
+    ------
+    JobError
+        The found times cannot be judged.
+    """
+    if len(runs) < len(asked.points):
+        say("the found times are not judged, because not all points are finished")
+        return None
+    judged = judging(asked, times_by_search(runs))
+    say(f"judges the found times at all {len(asked.points)} points")
+    return judged
 
 
 def _report(runs: Mapping[str, Run], say: Say) -> None:
@@ -228,20 +245,3 @@ def asked_sweep(
     """Give the sweep that somebody asks for; parameters and errors as of `sweep`."""
     execution = {"pool": pool, "workers": workers, "address": address}
     return read_sweep(job, over, parallel, points, changes, {"execution": execution})
-
-
-class _SharedPool(contextlib.ExitStack):
-    """The pool of all points: entered as soon as a point has a task, and left with this stack."""
-
-    def __init__(self, asked: SweepJob, path: Path, say: Say) -> None:
-        super().__init__()
-        check_pool(asked.execution)
-        self._own = at_work(asked.execution, path, say)
-        self._entered = list[Pool]()
-
-    @contextlib.contextmanager
-    def pool(self) -> Iterator[Pool]:
-        """Give the pool to some points."""
-        if not self._entered:
-            self._entered.append(self.enter_context(self._own))
-        yield self._entered[0]

@@ -350,8 +350,10 @@ class Loop:
         self._stores = {id_: store for store in reversed([*lenders]) for id_ in store.evaluations()}
         self._values: list[Any] = []
 
-    def serve(self, drivers: Iterable[Driver]) -> list[Any]:
+    def serve(self, drivers: Iterable[Driver | None]) -> list[Any]:
         """Serve drivers to their ends, and return what they return, in the order of their ends.
+
+        None in the place of a driver says that another must end before the next can begin.
 
         Raises
         ------
@@ -377,7 +379,7 @@ class Loop:
             self._pool = self._stack.enter_context(self._to_enter)
         return self._pool
 
-    def _begin(self, todo: Iterator[Driver]) -> None:
+    def _begin(self, todo: Iterator[Driver | None]) -> None:
         """Let drivers begin as long as few are at work."""
         while len(self._batches) < self._at_once and (driver := next(todo, None)) is not None:
             self._go_on(driver)

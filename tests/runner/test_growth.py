@@ -235,7 +235,7 @@ def test_a_run_of_another_processor_lends_what_has_the_same_bytes_here(
     pfdist.run(small_job, old, figures=False)
     elsewhere = {"compiled_for": "other", "model": "another processor"}
     monkeypatch.setattr("pfdist.runner.processor.processor", lambda: elsewhere)
-    monkeypatch.setattr(Evaluator, "libm_functions", lambda evaluator: called)
+    monkeypatch.setattr(Evaluator, "libm_functions", property(lambda evaluator: called))
     if called:
         with pytest.raises(StoreError, match=r"another processor .* the formulas call cos"):
             pfdist.run(small_job, new, reuse=old, figures=False)
