@@ -19,7 +19,7 @@ from pfdist.runner.build import Built, build, check_pool, say_model_files
 from pfdist.runner.comparison_phase import COMPARISON, comparison_steps
 from pfdist.runner.door import Batch, Session, complete
 from pfdist.runner.driver import drive
-from pfdist.runner.identity import opened
+from pfdist.runner.identity import is_sealed, opened
 from pfdist.runner.processor import lender, note_processor
 from pfdist.runner.progress import Show
 from pfdist.runner.prover import Prover
@@ -140,6 +140,11 @@ def run_built(
     PfdistError
         As `run` raises.
     """
+    if is_sealed(path, built):
+        say(f"{path} cannot be written: its figures and its report stay as they are")
+        finished = open_run(path)
+        finished.made_from = built.job
+        return finished
     lenders = [lender(open_run(other).path, built) for other in reuse]
     with opened(path, built, say) as store:
         session = Session(built, store, show, say)

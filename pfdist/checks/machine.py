@@ -111,8 +111,6 @@ def _results(results: Path) -> Finding:
                 file.flush()
                 doing = "flushed (fsync)"
                 os.fsync(file.fileno())
-            doing = "given a second name (a hard link)"
-            os.link(path, other)
             doing = "replaced"
             path.replace(other)
             doing = "locked (flock)"
@@ -121,7 +119,7 @@ def _results(results: Path) -> Finding:
         reason = error.strerror or error
         return "wrong", f"files in {folder} cannot be {doing}: {reason}; runs must lie elsewhere"
     free = shutil.disk_usage(folder).free
-    text = f"{folder}: files can be flushed, linked and locked, {free / 1e9:.1f} GB free"
+    text = f"{folder}: files can be flushed and locked, {free / 1e9:.1f} GB free"
     return ("ok" if free > LEAST_DISK else "note"), text
 
 

@@ -2,13 +2,14 @@
 
 import contextlib
 import json
+import os
 import re
 from collections.abc import Callable, Iterator, Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from pfdist.analysis import read_recorded
+from pfdist.analysis import open_run, read_recorded
 from pfdist.common.leaves import leaves
 from pfdist.errors import RunMismatchError, StoreError, shown_text
 from pfdist.filters.particle_filter import KERNEL_VERSION
@@ -82,6 +83,25 @@ def opened(path: Path, built: Built, say: Callable[[str], Any]) -> Iterator[Stor
         _quarantine(store, damages, say)
         _write_about(path, built, identity, key)
         yield store_of(built, path, key)
+
+
+def is_sealed(path: Path, built: Built) -> bool:
+    """Whether a folder that cannot be written holds the finished run of this very job.
+
+    Raises
+    ------
+    RunMismatchError
+        It holds another run.
+    StoreError
+        It cannot be read.
+    """
+    if not holds_run(path) or os.access(path, os.W_OK):
+        return False
+    check_entries(path)
+    store = store_of(built, path)
+    _check_same(store, built, _identity(built), _committed(store, []))
+    run = open_run(path)
+    return run.job == built.job.identity() and run.state == "finished"
 
 
 def store_of(built: Built, path: Path, run_key: str | None = None) -> Store:

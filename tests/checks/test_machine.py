@@ -98,11 +98,6 @@ def _os_error(number: int) -> OSError:
             r"cannot be flushed \(fsync\): Invalid argument",
         ),
         (
-            _failing(os, "link", _os_error(errno.EPERM)),
-            "results folder",
-            r"\(a hard link\): Operation not permitted",
-        ),
-        (
             _failing(lock.fcntl, "flock", _os_error(errno.ENOLCK)),
             "results folder",
             r"cannot be locked \(flock\): No locks available",

@@ -1,5 +1,6 @@
 """A run's folder may come from anywhere: nothing in it leads out of it, and nothing in it hangs."""
 
+import errno
 import json
 import os
 import shutil
@@ -8,6 +9,7 @@ import subprocess
 import sys
 import tarfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pyarrow as pa
@@ -15,6 +17,7 @@ import pytest
 
 import pfdist
 from oracles.bytes_of import hashes
+from oracles.file_layer import FileLayer
 from pfdist import Job, load_job
 from pfdist.cli.main import main
 from pfdist.errors import StoreError
@@ -238,3 +241,45 @@ def test_python_makes_no_folder_that_its_owner_cannot_use(job: Job, tmp_path: Pa
     finally:
         os.umask(mask)
     assert not (tmp_path / "results").exists()
+
+
+def test_a_finished_run_that_cannot_be_written_shows_what_it_has_found(
+    run: Path, job: Job, monkeypatch: pytest.MonkeyPatch, record_property: Record
+) -> None:
+    access, opened, said = os.access, os.open, list[str]()
+
+    def refusing(path: Path, flags: int, *mode: int) -> int:
+        if flags & (os.O_RDWR | os.O_WRONLY) and Path(path).is_relative_to(run):
+            raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+        return opened(path, flags, *mode)
+
+    monkeypatch.setattr(os, "open", refusing)
+    monkeypatch.setattr(os, "access", lambda path, mode: path != run and access(path, mode))
+    layer = FileLayer(monkeypatch, run)
+    assert layer.run(lambda: pfdist.run(job, run, say=said.append), "EROFS", 0) == 0
+    assert said == [f"{run} cannot be written: its figures and its report stay as they are"]
+    for changes, words in (("comparison.draws=130", "cannot lock .*Read-only"), ("seed=2", "seed")):
+        with pytest.raises(StoreError, match=words):
+            layer.run(partial(pfdist.run, job.with_changes([changes]), run), "EROFS", 0)
+        assert layer.count == 0
+    record_property("faults", f"{PROMISE}: 3")
+
+
+def test_commands_read_a_run_on_a_file_system_that_cannot_be_written(run: Path, job: Job) -> None:
+    """In a mount of its own, where the tests may make one."""
+    mount = f"mount --bind {run} {run} && mount -o remount,ro,bind {run}"
+    if subprocess.run(["unshare", "-m", "sh", "-c", mount], check=False).returncode:
+        pytest.skip("no mount can be made here")
+    pfdist = f"{sys.executable} -m pfdist"
+    words = f"{pfdist} run {job.path} --results {run} --set {' '.join(SMALL)}"
+    reads = [f"{pfdist} {command} {run}" for command in ("status", "verify", "list")]
+    done = subprocess.run(
+        ["unshare", "-m", "sh", "-c", " && ".join([mount, words, *reads])],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count(f"{run}: finished") == 2
+    assert f"{run}: all files are unchanged" in done.stdout
+    assert "cannot be written" in done.stderr

@@ -1,5 +1,6 @@
 """The store: committed is committed, once, and parts and tables read as one."""
 
+import errno
 import os
 import re
 import socket
@@ -191,6 +192,37 @@ def test_a_file_that_cannot_be_written_is_an_error_that_says_what_to_do(tmp_path
     (tmp_path / "parts").write_text("a file where a folder should be")
     with pytest.raises(StoreError, match=r"cannot write .*run the same command again"):
         Store(tmp_path).commit("draws", "genetic", "key", _draws("a", 0, 1))
+
+
+def test_no_file_gets_a_second_name(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Some file systems have no hard links: exFAT, and some in networks."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(errno.EPERM, os.strerror(errno.EPERM))
+
+    monkeypatch.setattr(os, "link", refuse)
+    monkeypatch.setattr(os, "symlink", refuse)
+    store.commit("draws", "genetic", "key", _draws("a", 0, 5))
+    store.settle("draws", "genetic")
+    assert len(Store(store.path).read("draws")) == 5
+
+
+def test_a_commit_does_as_much_however_much_was_committed_before(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done = list[str]()
+    with monkeypatch.context() as patch:
+        for name in ("open", "scandir", "listdir", "stat", "lstat", "replace", "mkdir", "fsync"):
+            act = getattr(os, name)
+            patch.setattr(os, name, lambda *a, n=name, f=act, **k: done.append(n) or f(*a, **k))
+        counts = []
+        for key in range(100):
+            done.clear()
+            store.commit("draws", "genetic", f"{key}", _draws("a", key, key + 1))
+            counts.append(sorted(done))
+    assert counts[1] == counts[99]
+    assert "scandir" not in counts[99]
+    assert "listdir" not in counts[99]
 
 
 def test_a_damaged_file_is_an_error_that_names_it(store: Store) -> None:
