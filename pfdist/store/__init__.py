@@ -19,9 +19,16 @@ from pfdist.store.about import (
 )
 from pfdist.store.files import remove as remove_file
 from pfdist.store.files import write_file
-from pfdist.store.folder import ABOUT, check_entries, folder_of_run, holds_run, is_kept_job
+from pfdist.store.folder import (
+    ABOUT,
+    Damage,
+    check_entries,
+    folder_of_run,
+    holds_run,
+    is_kept_job,
+)
 from pfdist.store.lock import check_not_held, held
-from pfdist.store.manifest import Damage, Manifest
+from pfdist.store.manifest import Manifest
 from pfdist.store.parquet import ROWS_IN_A_FILE, Store
 from pfdist.store.schema import (
     BOUND_PHASE,

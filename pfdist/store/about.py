@@ -5,8 +5,7 @@ They may have been edited or damaged, so all that is read is checked.
 
 import contextlib
 import json
-import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -180,11 +179,15 @@ def own_key(path: Path) -> str | None:
 
     It is None if the files are missing or damaged.
     """
-    run, job = (
-        _committed(path, name, read)
-        for name, read in (("run.json", json.loads), ("job.toml", tomllib.loads))
-    )
-    return None if run is None or job is None else _key_of_content(run, job)
+    expected = Manifest(path).expected()
+    try:
+        for name in ABOUT:
+            file = path / name
+            if not is_plain_file(file) or files.digest(file) not in expected.get(Path(name), ()):
+                return None
+        return _key_of_content(*read_run(path))
+    except (OSError, StoreError):  # `read_run` reports such a file
+        return None
 
 
 def check_key(path: Path, run: dict[str, Any], job: dict[str, Any]) -> None:
@@ -249,17 +252,3 @@ def check_version_of(path: Path) -> None:
             run = parse_json(read_text(path / "run.json"))
     if isinstance(run, dict):
         check_schema_version(path, run.get("schema_version"))
-
-
-def _committed(folder: Path, name: str, read: Callable[[str], Any]) -> dict[str, Any] | None:
-    """Content of run.json or job.toml; None if the file is not as committed."""
-    path = folder / name
-    try:
-        if not is_plain_file(path):
-            return None
-        if files.digest(path) not in Manifest(folder).expected().get(Path(name), ()):
-            return None
-        found = read(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):  # `read_run` reports such a file
-        return None
-    return found if isinstance(found, dict) else None

@@ -20,6 +20,7 @@ MANIFEST, QUARANTINE, FIGURES_FOLDER, REPORT = "manifest", "quarantine", "figure
 FORMATS = ("png", "svg")
 """Endings of the files of figures."""
 
+MISSING = "is missing"
 _FILES = (*ABOUT, ".lock", MANIFEST, REPORT)
 _FOLDERS = ("parts", "tables", QUARANTINE, FIGURES_FOLDER)  # other names are the user's
 _TABLES_DEEP = 2  # tables/<table>/ and parts/<table>/ hold files alone
@@ -100,10 +101,29 @@ def figures_in(path: Path) -> Iterator[Path]:
             yield file
 
 
-def strange_entries(folder: Path) -> Iterator[tuple[Path, str]]:
-    """Links, pipes, devices, and folders in place of files, each with what is wrong with it.
+@dataclass(frozen=True)
+class Damage:
+    """A file that is not what was committed.
 
-    Paths are relative to the run's folder. Links are not followed.
+    Parameters
+    ----------
+    path : Path
+        Relative to the run's folder.
+    what : str
+        The damage.
+    """
+
+    path: Path
+    what: str
+
+    @property
+    def is_missing(self) -> bool:
+        """Whether the file is not there, so that nothing has to be moved: the job makes it."""
+        return self.what == MISSING
+
+
+def strange_entries(folder: Path) -> Iterator[Damage]:
+    """Links, pipes, devices, and folders in place of files. Links are not followed.
 
     Raises
     ------
@@ -119,21 +139,21 @@ def strange_entries(folder: Path) -> Iterator[tuple[Path, str]]:
         except OSError as error:
             raise StoreError(f"cannot read {path}: {error.strerror}") from error
         if wrong := _wrong(mode, file=name in _FILES, folder=name in _FOLDERS):
-            yield Path(name), wrong
+            yield Damage(Path(name), wrong)
         elif stat.S_ISDIR(mode) and name != QUARANTINE:  # what lies in there is never opened
             yield from _strange_below(folder, Path(name))
 
 
 def check_entries(folder: Path) -> None:
     """Raise a `StoreError` that names the first strange entry of a run's folder."""
-    for path, wrong in strange_entries(folder):
+    for damage in strange_entries(folder):
         raise StoreError(
-            f"{folder / path} {wrong}; a run holds plain files and folders alone: "
+            f"{folder / damage.path} {damage.what}; a run holds plain files and folders alone: "
             f"`pfdist repair {folder}` moves it to quarantine"
         )
 
 
-def _strange_below(folder: Path, relative: Path) -> Iterator[tuple[Path, str]]:
+def _strange_below(folder: Path, relative: Path) -> Iterator[Damage]:
     try:
         entries = sorted(os.scandir(folder / relative), key=lambda entry: entry.name)
         modes = [entry.stat(follow_symlinks=False).st_mode for entry in entries]
@@ -144,7 +164,7 @@ def _strange_below(folder: Path, relative: Path) -> Iterator[tuple[Path, str]]:
     holds_files = relative.parts[0] in ("parts", "tables") and len(relative.parts) == _TABLES_DEEP
     for entry, mode in zip(entries, modes, strict=True):
         if wrong := _wrong(mode, file=holds_files):
-            yield relative / entry.name, wrong
+            yield Damage(relative / entry.name, wrong)
         elif stat.S_ISDIR(mode):
             yield from _strange_below(folder, relative / entry.name)
 

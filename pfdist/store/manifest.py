@@ -17,40 +17,25 @@ import errno
 import os
 import re
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 from pfdist.errors import StoreError
 from pfdist.store import files
-from pfdist.store.folder import ABOUT, MANIFEST, QUARANTINE, is_plain_file, strange_entries
+from pfdist.store.folder import (
+    ABOUT,
+    MANIFEST,
+    MISSING,
+    QUARANTINE,
+    Damage,
+    is_plain_file,
+    strange_entries,
+)
 from pfdist.store.tables import rows_and_run
 
 _LINE = re.compile(r"(next|now|gone) (\S+) ([0-9a-f]{64})|run ([0-9a-f]{16})")
 _PART = re.compile(r"parts/.*\.([0-9a-f]{64})\.parquet", re.DOTALL)
-_MISSING = "is missing"
 _UNKNOWN = "0" * 64
 _PUBLISHED = re.compile(r"tables/[a-z_]+/[a-z][a-z0-9_.]*-\d{5}\.parquet")
-
-
-@dataclass(frozen=True)
-class Damage:
-    """A file that is not what was committed.
-
-    Parameters
-    ----------
-    path : Path
-        Relative to the run's folder.
-    what : str
-        The damage.
-    """
-
-    path: Path
-    what: str
-
-    @property
-    def is_missing(self) -> bool:
-        """Whether the file is not there, so that nothing has to be moved: the job makes it."""
-        return self.what == _MISSING
 
 
 class Manifest:
@@ -141,8 +126,7 @@ class Manifest:
         StoreError
             A file cannot be read.
         """
-        strange = [Damage(path, wrong) for path, wrong in strange_entries(self.folder)]
-        if strange:
+        if strange := list(strange_entries(self.folder)):
             yield from strange
             return
         present = {file.relative_to(self.folder) for file in self._files()}
@@ -150,7 +134,7 @@ class Manifest:
         for path in sorted(present | expected.keys()):
             if path not in present:
                 if any(expected[path].values()):
-                    yield Damage(path, _MISSING)
+                    yield Damage(path, MISSING)
             elif wrong := self._wrong(path, _PART.findall(str(path)) or expected.get(path, {})):
                 yield Damage(path, wrong)
 

@@ -155,7 +155,7 @@ class Store:
         wanted = None if draws is None else pc.field("draw") < draws
         pieces = self._load(table, phase, filters=wanted)
         if not pieces:
-            raise self._lacking(table)
+            raise StoreError(f"the run {self.path} has no table {table!r} yet")
         frame: pd.DataFrame = pd.concat([frame_of(piece) for piece in pieces])
         return frame.drop_duplicates(KEYS[table]).sort_values(KEYS[table], ignore_index=True)
 
@@ -174,22 +174,14 @@ class Store:
         return rows
 
     def compared_names(self) -> list[str]:
-        """Read the names of the compared sets alone, the reference first; errors as `compared`."""
-        columns = [*KEYS["compared"], "name"]
-        pieces = self._again(lambda: list(self.pieces("compared", columns)))
-        if not pieces:
-            raise self._lacking("compared")
-        names: list[str] = unique(pieces, KEYS["compared"])["name"].to_pylist()
-        check_names(names, self.path / "tables" / "compared")
-        return names
+        """Read the names of the compared sets, the reference first; errors as `compared`."""
+        return [str(name) for name in self.compared()["name"]]
 
     def compared_sets(self) -> dict[str, tuple[int, ...]]:
         """Read the compared sets by name, the reference first; times are those of the clock."""
         rows = self.compared()
-        return {
-            str(name): tuple(times.tolist())
-            for name, times in zip(rows["name"], rows["measurement_times"], strict=True)
-        }
+        times = [tuple(each.tolist()) for each in rows["measurement_times"]]
+        return dict(zip(map(str, rows["name"]), times, strict=True))
 
     def has(self, table: str, phase: str = "") -> bool:
         """Whether anything of a table, or of a phase in it, was committed."""
@@ -304,9 +296,6 @@ class Store:
         wanted = (pc.field("evaluation") == evaluation) & (pc.field("block") < blocks)
         pieces = [schema("error_sums").empty_table(), *self._load("error_sums", filters=wanted)]
         return unique(pieces, KEYS["error_sums"])
-
-    def _lacking(self, table: str) -> StoreError:
-        return StoreError(f"the run {self.path} has no table {table!r} yet")
 
     def _parts(self, table: str, phase: str) -> list[Path]:
         return sorted((self.path / "parts").glob(f"{table}/{phase}-*.parquet"))

@@ -1,13 +1,13 @@
 """Verifies the files of a run, and moves damaged files to quarantine."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from pfdist.errors import StoreError
 from pfdist.store.about import check_version_of, own_key, run_key
-from pfdist.store.folder import ABOUT, holds_run, no_run, strange_entries
+from pfdist.store.folder import ABOUT, Damage, holds_run, no_run, strange_entries
 from pfdist.store.lock import check_not_held, held
-from pfdist.store.manifest import Damage, Manifest
+from pfdist.store.manifest import Manifest
 from pfdist.store.parquet import Store
 from pfdist.store.schema import KEYS
 
@@ -41,11 +41,10 @@ def repair_run(path: Path) -> Iterator[str]:
     _check_verifiable(path)
     with held(path):
         manifest = Manifest(path)
-        strange = [Damage(*entry) for entry in strange_entries(path)]
-        moved = list(_moved(manifest, strange))  # first: nothing is read past a link
+        moved = list(_moved(manifest, strange_entries(path)))  # first: no link is read past
         moved += _with_one_key(path)
         store = Store(path)
-        moved += _moved(store.manifest, list(store.manifest.damages()))
+        moved += _moved(store.manifest, store.manifest.damages())
         yield from moved
         if moved:
             yield f"{run_again(path)} to compute what is missing: {_to_do(store)}"
@@ -78,9 +77,9 @@ def _with_one_key(path: Path) -> Iterator[str]:
     manifest.forget_lost()  # so that either run may begin here again
 
 
-def _moved(manifest: Manifest, damages: list[Damage]) -> Iterator[str]:
+def _moved(manifest: Manifest, damages: Iterable[Damage]) -> Iterator[str]:
     """Move damaged files to quarantine; say what was wrong with each and where it is now."""
-    for damage in damages:
+    for damage in list(damages):
         place = manifest.quarantine(damage)
         moved = f": it is now {place.relative_to(manifest.folder)}" if place else ""
         yield f"{damage.path} {damage.what}{moved}"
