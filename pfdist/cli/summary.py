@@ -38,7 +38,7 @@ def print_summary(summary: dict[str, Any], files: str) -> None:
     files : str
         Where tables and figures are; the last line.
     """
-    is_curve = summary["has_budget"] and any("kind" in each for each in summary["results"].values())
+    is_curve = summary["has_budget"] and summary["draws_compared"]
     lines = [
         f"{one_line(summary['run'])}: {summary['state']}, {summary['evaluations']:,} evaluations, "
         f"{summary['draws_compared']:,} draws compared",

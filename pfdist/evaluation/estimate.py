@@ -1,4 +1,4 @@
-"""An estimate of the expected MSE of one set of times."""
+"""An estimate of the expected MSE of one set of times, and the difference of two."""
 
 import math
 from dataclasses import dataclass
@@ -112,6 +112,21 @@ class Evaluation(Shown):
         if self.degenerate_draws and self.degenerate_policy == "kill":
             return np.empty(0)
         return self.mse[~np.isnan(self.mse)]
+
+
+def difference(first: Evaluation, second: Evaluation) -> Estimate:
+    """Cost of the first set minus that of the second, on the draws that both have.
+
+    Errors common to both sets cancel in each draw, and with them most of the variance.
+    """
+    if not (math.isfinite(first.cost) and math.isfinite(second.cost)):
+        mean = 0.0 if first.cost == second.cost else first.cost - second.cost
+        return Estimate(mean)
+    if first.exact is not None and second.exact is not None:
+        return Estimate(first.exact - second.exact)
+    draws = min(first.draws, second.draws)
+    apart = first.mse[:draws] - second.mse[:draws]
+    return Estimate.of_mean(apart[~np.isnan(apart)])
 
 
 def top_percent_share(largest: NDArray[np.float64], draws: int, mean: float) -> float:

@@ -12,13 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pfdist.evaluation.estimate import Evaluation
+from pfdist.evaluation.estimate import Evaluation, difference
 from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.phase import Phase, run_phase
 from pfdist.runner.searches import NamedSearch
 from pfdist.search import Candidate, Exchange, Probe, Race
-from pfdist.search.paired import difference
 from pfdist.search.probe import PROBE_DRAWS
 from pfdist.search.trust import (
     failed_probe,

@@ -18,10 +18,9 @@ from functools import cached_property
 
 import numpy as np
 
-from pfdist.evaluation.estimate import Evaluation
+from pfdist.evaluation.estimate import Evaluation, difference
 from pfdist.search.base import Candidate, best_of
 from pfdist.search.methods import method
-from pfdist.search.paired import difference
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 from pfdist.times.shifts import shifts

@@ -15,9 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pfdist.evaluation.estimate import Evaluation
+from pfdist.evaluation.estimate import Evaluation, difference
 from pfdist.search.base import Candidate
-from pfdist.search.paired import difference
 from pfdist.times.measurement_times import Times
 
 _WORSE = 3.0  # standard errors from which a set is worse than the leader

@@ -14,7 +14,7 @@ import numpy as np
 
 from pfdist.common.streams import stream_key
 from pfdist.errors import ModelError
-from pfdist.evaluation.estimate import Evaluation
+from pfdist.evaluation.estimate import Evaluation, difference
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation
 from pfdist.filters.cloud import Prior
@@ -23,7 +23,6 @@ from pfdist.kernels.estimators import SQUARED_ERROR
 from pfdist.kernels.noise import generator
 from pfdist.search.base import Candidate, Optimiser
 from pfdist.search.methods import METHODS
-from pfdist.search.paired import difference
 from pfdist.search.section import SearchSection
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times

@@ -7,9 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from pfdist.evaluation.estimate import Evaluation
+from pfdist.evaluation.estimate import Evaluation, difference
 from pfdist.search import Candidate, Race
-from pfdist.search.paired import difference
 from pfdist.times.measurement_times import Times
 
 Array = NDArray[np.float64]
