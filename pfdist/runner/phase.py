@@ -17,9 +17,13 @@ from pfdist.kernels.noise import generator
 from pfdist.runner.block_sums import BlockSums, Counted
 from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
-from pfdist.runner.evaluation_rows import evaluation_rows
 from pfdist.runner.kept import PER_DRAW
-from pfdist.runner.search_tables import commit_generation, committed_generations, publish_search
+from pfdist.runner.search_tables import (
+    commit_generation,
+    committed_generations,
+    evaluation_rows,
+    publish_search,
+)
 from pfdist.runner.searches import Settings
 from pfdist.runner.window_errors import evaluated_by_errors
 from pfdist.search import Candidate, Optimiser

@@ -1,14 +1,50 @@
 """The tables of a search: evaluations, generation by generation, and their per-draw MSE."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from types import SimpleNamespace
+from typing import Any
 
 import pyarrow as pa
 
 from pfdist.errors import StoreError
+from pfdist.search import Candidate
 from pfdist.store import Store, schema
 
 _TABLES = ("evaluations", "draws", "error_sums")
 _EVALUATIONS_AT_ONCE = 200  # evaluations that are read together when a phase is published
+
+
+def evaluation_rows(
+    phase: str,
+    generation: int,
+    asked: list[Candidate],
+    requests: Sequence[Any],
+    evaluations: dict[Candidate, Any],
+) -> pa.Table:
+    """Rows of the table ``evaluations``: a row for each request of a generation.
+
+    A column holds the value of that name from the first record of the row that has the name.
+    """
+    table, copies = schema("evaluations"), Counter(asked)
+    individuals = {candidate: place for place, candidate in reversed([*enumerate(asked)])}
+    records = [
+        (
+            SimpleNamespace(
+                evaluation=request.id,
+                phase=phase,
+                generation=generation,
+                individual=individuals[request.candidate],
+                copies=copies[request.candidate],
+                end=request.end,
+            ),
+            evaluations[request.candidate],
+            request.estimation,
+        )
+        for request in requests
+    ]
+    columns = {name: _column(name, records) for name in table.names}
+    return pa.Table.from_pydict(columns, schema=table)
 
 
 def commit_generation(
@@ -56,3 +92,9 @@ def _draws_of(store: Store, wanted: dict[str, int]) -> Iterator[pa.Table]:
                 "Run the same command again"
             )
         yield rows
+
+
+def _column(name: str, records: Sequence[tuple[Any, ...]]) -> list[Any]:
+    """Give the values of a name, from the first record of each row that has the name."""
+    owner = next(place for place, record in enumerate(records[0]) if hasattr(record, name))
+    return [getattr(row[owner], name) for row in records]  # all rows have the same records
