@@ -73,8 +73,8 @@ def _search(session: Session) -> Generator[Batch, None, dict[str, Times]]:
             {
                 "name": name,
                 "measurement_times": winner.measurement_times,
-                "search_cost": winner.believed.cost,
-                "search_standard_error": winner.believed.standard_error,
+                "search_cost": winner.cost,
+                "search_standard_error": winner.standard_error,
                 "distrust": end.distrust,
             }
             for name, winner in end.winners.items()

@@ -34,34 +34,20 @@ _REACH = 2.5  # mean gaps: an exchange that polishes moves a time at most so far
 
 
 @dataclass(frozen=True)
-class Winner:
-    """A set of times that a search returns, with the search's own evaluation of it.
-
-    Parameters
-    ----------
-    measurement_times : tuple of int
-    believed : Evaluation
-        The evaluation on the draws that chose the set.
-    """
-
-    measurement_times: Times
-    believed: Evaluation
-
-
-@dataclass(frozen=True)
 class SearchEnd:
     """How a search ended.
 
     Parameters
     ----------
-    winners : dict of str to Winner
-        Keyed by the name under which the set is compared. Empty if every set at the end of the
-        search or of the race had a degenerate draw.
+    winners : dict of str to Evaluation
+        The search's own evaluation of each set that is compared, by name. It is on draws that
+        chose the set. Empty if every set at the end of the search or of the race had a degenerate
+        draw.
     distrust : str or None
         Why the search was run again by the squared error; None if it was not.
     """
 
-    winners: dict[str, Winner]
+    winners: dict[str, Evaluation]
     distrust: str | None = None
 
 
@@ -155,7 +141,7 @@ class _Runner:
 
     def winners(
         self, name: str, attempt: _Attempt, raced: Sequence[Evaluation] | None
-    ) -> dict[str, Winner]:
+    ) -> dict[str, Evaluation]:
         """Sets that are compared, by name, with what the search believed of them."""
         believed = attempt.believed
         ranked = list(believed)
@@ -163,7 +149,7 @@ class _Runner:
             order = _uncontradicted(ranked, raced) if attempt.polished else raced
             ranked = [evaluation.measurement_times for evaluation in order]
         winners = self._study.winners(name, ranked)
-        return {key: Winner(times, believed[times]) for key, times in winners.items()}
+        return {key: believed[times] for key, times in winners.items()}
 
     def _finalists(self, phase: Phase) -> Generator[Batch, None, list[Evaluation]]:
         """Finalists of a phase, without sets that degenerate draws have killed."""
