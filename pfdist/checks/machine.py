@@ -13,8 +13,7 @@ import psutil
 
 from pfdist.checks.model import Check
 from pfdist.errors import PfdistError
-from pfdist.pools.control_group import settings
-from pfdist.pools.cores import limits, usable_cores
+from pfdist.pools.cores import limits, settings, usable_cores
 from pfdist.store.lock import try_lock
 
 LEAST_MEMORY = 1.5e9  # Ray takes 0.5e9, the driver and a worker 0.3e9 each

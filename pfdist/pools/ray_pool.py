@@ -11,7 +11,6 @@ a thousand workers as with one.
 """
 
 import contextlib
-import hashlib
 import sys
 import threading
 import time
@@ -22,7 +21,7 @@ from concurrent.futures import Future
 from functools import lru_cache
 from importlib.metadata import version
 from queue import Empty, SimpleQueue
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import cloudpickle
 
@@ -45,7 +44,7 @@ IN_FLIGHT = 2  # tasks a worker: the one it does and the one that waits for it
 DEATHS = 3  # of workers that had a task and no other, before the task is given up
 SILENCES = 2  # likewise, of workers that did not answer
 ANSWER_SECONDS = 40.0  # when all are silent for so long, nobody will answer
-TAKEN_SECONDS = 2.0  # for which cores may be taken by workers that are just ending
+TAKEN_SECONDS = 3.0  # for which cores may be taken by workers that are just ending
 FUNCTIONS = 32  # that a worker keeps; fewer runs are computed at the same time
 _ENVIRONMENT = {
     f"{library}_NUM_THREADS": "1" for library in ("OMP", "MKL", "OPENBLAS", "NUMBA", "NUMEXPR")
@@ -81,7 +80,7 @@ class RayPool:
         self._members: dict[_Worker, None] = {}
         self._answers = SimpleQueue[Call]()  # filled by a thread of Ray's
         self._owners: dict[Call, _Worker] = {}
-        self._packed = lru_cache(maxsize=FUNCTIONS)(_packed)
+        self._pickled = lru_cache(maxsize=FUNCTIONS)(cloudpickle.dumps)
         # Workers that can take a task, by the number of tasks that they have.
         self._free: tuple[dict[_Worker, None], ...] = tuple({} for _ in range(IN_FLIGHT))
         self._aside: _Worker | None = None  # for suspects alone
@@ -174,53 +173,46 @@ class RayPool:
     def _add_worker(self, *, after_a_silence: bool = False) -> None:
         worker = _Worker(after_a_silence)
         self._members[worker] = None
-        self._owe(worker, worker.actor.about.remote())
+        worker.starting = self._owe(worker, worker.actor.about.remote())
 
     def _wait_for(self, awaited: int) -> None:
         """Wait until so many workers have said who they are; at least one.
 
         Workers whose cores are taken may never start.
         """
-        deaths, last = 0, time.monotonic() + START_SECONDS
-        deadline = last if awaited else float("inf")
-        while sum(worker.is_known for worker in self._members) < max(
+        deaths, deadline = 0, time.monotonic() + START_SECONDS
+        while sum(not worker.starting for worker in self._members) < max(
             1, min(awaited, len(self._members))
         ):
             try:
                 call = self._answers.get(timeout=base.LOOK_SECONDS)
             except Empty:
-                if time.monotonic() > deadline:
+                if awaited and time.monotonic() > deadline:
                     raise TimeoutError(f"no answer in {START_SECONDS:.0f} s") from None
                 continue
-            worker = self._owners.pop(call)
-            if (error := call.exception()) is None:
-                self._accept(worker, call)
-                continue
-            deaths += 1
-            if deaths >= DEATHS:
-                raise error
-            del self._members[worker]
-            self._add_worker()
+            if (error := call.exception()) is not None:
+                deaths += 1
+                if deaths == DEATHS:
+                    raise error
+            for _outcome in self._take(call):
+                pass  # there are no tasks yet
 
-    def _accept(self, worker: "_Worker", call: Call) -> None:
-        """Accept a worker that says who it is, if it has this version of pfdist.
+    def _check_version(self, worker: "_Worker", about: dict[str, Any]) -> None:
+        """Leave out a worker that says that it has another version of pfdist.
 
         Raises
         ------
         PoolError
             No worker has this version.
         """
-        del worker.owed[call]
-        found, here = call.result(), version("pfdist")
-        if found["pfdist"] == here:
-            worker.is_known = True
-            self._set_free(worker)
+        here = version("pfdist")
+        if about["pfdist"] == here:
             return
         worker.end()
         del self._members[worker]
         self.workers = len(self._members)
         wrong = (
-            f"every node must have pfdist {here}, got {found['pfdist']} on {found['host']}: "
+            f"every node must have pfdist {here}, got {about['pfdist']} on {about['host']}: "
             "install the same version there"
         )
         if not self._members:
@@ -235,8 +227,11 @@ class RayPool:
         self._lost, self._last_loss = Counter(), ""
         self._looked = self._heard = time.monotonic()
         for worker in self._members:
-            for call in [call for call, task in worker.owed.items() if task is not None]:
-                del worker.owed[call], self._owners[call]
+            for call in list(worker.owed):
+                if call is worker.starting:
+                    worker.owed[call] = None
+                else:
+                    del worker.owed[call], self._owners[call]
             self._set_free(worker)
 
     def _hand_out(self, todo: Iterator[Task | None]) -> Task | None:
@@ -274,28 +269,31 @@ class RayPool:
             self._set_free(worker)
 
     def _hand(self, worker: "_Worker", task: Task) -> None:
-        """Hand a task to a worker, with its function if the worker does not have it."""
-        function = self._packed(task.function)
+        """Hand a task to a worker; before it, its function, if the worker does not have it."""
+        content = self._pickled(task.function)
+        key = hash(content)
         if not worker.tasks:
             worker.heard = time.monotonic()
-        if function.key not in worker.functions:
-            worker.functions.append(function.key)  # it forgets the oldest, as the actor does
-            self._owe(worker, worker.actor.make.remote(*function))
-        self._owe(worker, worker.actor.do.remote(function.key, task.work), task)
+        if key in worker.functions:
+            self._owe(worker, worker.actor.do.remote(key, task.work), task)
+        else:
+            worker.makes = key
+            worker.starting = self._owe(worker, worker.actor.make.remote(key, content), task)
         self._set_free(worker)
 
-    def _owe(self, worker: "_Worker", answer: Any, task: Task | None = None) -> None:
-        """Note that a worker owes an answer, of a task if it is one."""
+    def _owe(self, worker: "_Worker", answer: Any, task: Task | None = None) -> Call:
+        """Note that a worker owes an answer, which a task waits for."""
         call: Call = answer.future()
         worker.owed[call], self._owners[call] = task, worker
         call.add_done_callback(self._answers.put)
+        return call
 
     def _set_free(self, worker: "_Worker") -> None:
         """Note how many tasks a worker can take."""
         for workers in self._free:
             workers.pop(worker, None)
         tasks = len(worker.tasks)
-        if worker.is_known and worker is not self._aside and tasks < IN_FLIGHT:
+        if not worker.starting and worker is not self._aside and tasks < IN_FLIGHT:
             self._free[tasks][worker] = None
 
     def _take(self, call: Call) -> Iterator[Outcome]:
@@ -304,19 +302,28 @@ class RayPool:
         if worker is None:  # it was replaced, or the run was broken off
             return
         if (error := call.exception()) is not None:
-            if worker.is_known:  # such deaths are few
+            if worker.tasks:  # such deaths are few
                 self._heard = time.monotonic()
             yield from self._replace(worker, f"{type(error).__name__}: {error}", DEATHS)
             return
         worker.heard = self._heard = time.monotonic()
-        if not worker.is_known:
-            self._accept(worker, call)
-            return
-        task = worker.owed.pop(call)
+        task, outcome = worker.owed.pop(call), call.result()
+        if call is worker.starting:
+            worker.starting = None
+            if isinstance(outcome, dict):
+                self._check_version(worker, outcome)
+            elif outcome:  # it cannot make the function
+                outcome = None, 0.0, "", "", outcome, True
+            else:
+                worker.functions.append(worker.makes)
+                if task is not None:
+                    self._hand(worker, task)
+                    task = None
+        if worker in self._members:
+            self._set_free(worker)
         if task is not None:
             self._unfinished -= 1
-            self._set_free(worker)
-            yield Outcome(task, *call.result())
+            yield Outcome(task, *outcome)
 
     # --- workers that are lost ------------------------------------------------------------------
 
@@ -364,23 +371,11 @@ class RayPool:
                 yield Outcome(task, None, time.monotonic() - worker.heard, "", "", why)
 
 
-class _Packed(NamedTuple):
-    """A function as it travels."""
-
-    key: str
-    content: bytes
-
-
-def _packed(function: Function) -> _Packed:
-    content = cloudpickle.dumps(function)
-    return _Packed(hashlib.blake2b(content, digest_size=16).hexdigest(), content)
-
-
 class _Worker:
     """A worker as the driver knows it: its actor, and the answers that it owes.
 
-    Nothing is handed to a worker that has not said who it is: it may never start, as on a cluster
-    that has lost a node.
+    Nothing is handed to a worker that has not said who it is, for it may never start, as on a
+    cluster that has lost a node; nor while it makes a function, which may take long.
 
     Parameters
     ----------
@@ -389,23 +384,25 @@ class _Worker:
 
     Attributes
     ----------
-    is_known : bool
-        Whether it has said who it is.
+    starting : Call or None
+        Who it is, or the function that it makes, while it owes this.
     owed : dict
-        The answers that it owes, each with its task; None if it is no task's.
-    functions : deque of str
-        The functions that it has, the oldest first.
+        The answers that it owes, and the task of each.
+    makes : int
+        Hash of the function that it makes, or has made last.
+    functions : deque of int
+        Hashes of the functions that it has, the oldest first.
     heard : float
         When the worker last answered, or had nothing to do, on the monotonic clock.
     """
 
     def __init__(self, after_a_silence: bool) -> None:
-        options = _Actor.options(runtime_env={"env_vars": _ENVIRONMENT})  # type: ignore[attr-defined]
-        self.actor = options.remote()
+        self.actor: Any = _RemoteActor.remote()
         self._after_a_silence = after_a_silence
-        self.is_known = False
+        self.starting: Call | None = None
         self.owed: dict[Call, Task | None] = {}
-        self.functions = deque[str](maxlen=FUNCTIONS)
+        self.makes = 0
+        self.functions = deque[int](maxlen=FUNCTIONS)  # it forgets the oldest, as its actor does
         self.heard = time.monotonic()
 
     @property
@@ -419,24 +416,20 @@ class _Worker:
         return not any(call.done() for call in self.owed)
 
     @property
-    def _is_starting(self) -> bool:
-        """Whether it has not said who it is, or makes a function: that may take long."""
-        return None in self.owed.values()
-
-    @property
     def _patience(self) -> float:
         return patience(max((task.seconds for task in self.tasks), default=0.0))
 
     @property
     def patience(self) -> float:
         """Seconds for which the worker may be silent."""
-        return max(self._is_starting * START_SECONDS, self._patience)
+        return START_SECONDS if self.starting else self._patience
 
     @property
     def answer_patience(self) -> float:
         """Seconds for which all workers may be silent because of this worker."""
-        starting = self._is_starting and not self._after_a_silence
-        return START_SECONDS if starting else max(ANSWER_SECONDS, 2 * self._patience)
+        if self.starting and not self._after_a_silence:
+            return START_SECONDS
+        return max(ANSWER_SECONDS, 2 * self._patience)
 
     def end(self) -> threading.Thread:
         """End the worker in a thread, because the request may never return."""
@@ -448,30 +441,30 @@ class _Worker:
         return within(0.0, kill)
 
 
-@ray.remote(num_cpus=1)
 class _Actor:
     """The worker's process, as Ray runs it."""
 
     def __init__(self) -> None:
-        self._functions: dict[str, Function] = {}  # the oldest first
-        self._refusals: dict[str, str] = {}
+        self._functions: dict[int, Function] = {}  # the oldest first
 
     def about(self) -> dict[str, Any]:
         """Say who this is; it is the first to be answered."""
         return about()
 
-    def make(self, key: str, content: bytes) -> None:
-        """Make a function; if that fails, its tasks are refused."""
+    def make(self, key: int, content: bytes) -> str:
+        """Make a function; say what is wrong if that fails."""
         try:
             self._functions[key] = cloudpickle.loads(content)
         except Exception as error:
             kind = "" if isinstance(error, PfdistError) else f"{type(error).__name__}: "
-            self._refusals[key] = f"{kind}{error} (found by a worker on {about()['host']})"
-        while len(self._functions) > FUNCTIONS:
+            return f"{kind}{error} (found by a worker on {about()['host']})"
+        if len(self._functions) > FUNCTIONS:
             del self._functions[next(iter(self._functions))]
+        return ""
 
-    def do(self, key: str, work: Any) -> tuple[Any, ...]:
+    def do(self, key: int, work: Any) -> tuple[Any, ...]:
         """Do a task: all of its outcome but the task."""
-        if key not in self._functions:
-            return None, 0.0, "", about()["host"], self._refusals[key], True
         return do(self._functions[key], work)
+
+
+_RemoteActor: Any = ray.remote(num_cpus=1, runtime_env={"env_vars": _ENVIRONMENT})(_Actor)

@@ -15,7 +15,7 @@ import pytest
 from pfdist.checks import machine as doctor
 from pfdist.checks.model import Check
 from pfdist.cli.main import main
-from pfdist.pools import control_group
+from pfdist.pools import cores
 from pfdist.store import lock
 
 Fault = Callable[[pytest.MonkeyPatch, Path], None]
@@ -50,8 +50,8 @@ def _limited_memory(patch: pytest.MonkeyPatch, folder: Path) -> None:
     (folder / "own").write_text("0::/job\n")
     (folder / "job").mkdir()
     (folder / "job" / "memory.max").write_text(f"{10**9}\n")
-    patch.setattr(control_group, "_OWN", folder / "own")
-    patch.setattr(control_group, "_ROOT", folder)
+    patch.setattr(cores, "_OWN", folder / "own")
+    patch.setattr(cores, "_ROOT", folder)
 
 
 def _little_shared_memory(patch: pytest.MonkeyPatch, folder: Path) -> None:

@@ -150,6 +150,9 @@ def test_a_run_that_is_broken_off_leaves_the_pool_to_the_next(
 
 # --- what befalls workers -------------------------------------------------------------------------
 
+# A core is free some seconds after its worker was stopped and killed, and the next test is quicker.
+ending = pytest.mark.filterwarnings("ignore:.*cores of the Ray cluster are taken")
+
 
 def _faulty(fault: str, *, times: int) -> str:
     """Source of a function of (number, folder): number 3 meets a fault, so many times."""
@@ -197,6 +200,7 @@ def impatient(ray_cluster: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(base, "LOOK_SECONDS", 0.1)
 
 
+@ending
 @pytest.mark.fault
 @pytest.mark.parametrize(
     "fault", [KILL, *(pytest.param(each, marks=pytest.mark.crash) for each in (STOP, LOOP))]
@@ -214,6 +218,22 @@ def test_a_ray_worker_that_is_lost_is_replaced_and_its_tasks_are_done(
     record_property("faults", f"{DIES if fault == KILL else HANGS}: 1")
 
 
+@ending
+@pytest.mark.fault
+def test_tasks_of_a_lost_worker_are_done_next_while_the_others_go_on(
+    impatient: None, tmp_path: Path, record_property: Record
+) -> None:
+    from pfdist.pools.ray_pool import RayPool
+
+    fault = _faulty(KILL, times=1).replace("return", "time.sleep(0.02); return")
+    with RayPool(2) as pool:
+        outcomes = [outcome.value for outcome in pool.run(_tasks_in(tmp_path, 300, fault))]
+    assert sorted(outcomes) == list(range(300))
+    assert outcomes.index(3) < 30
+    record_property("faults", f"{DIES}: 1")
+
+
+@ending
 @pytest.mark.crash
 @pytest.mark.parametrize("fault", [KILL, STOP])
 def test_a_task_that_costs_every_worker_is_given_up_with_an_error(
@@ -235,6 +255,7 @@ def test_a_task_that_costs_every_worker_is_given_up_with_an_error(
     record_property("faults", f"{DIES if fault == KILL else HANGS}: {lost}")
 
 
+@ending
 @pytest.mark.fault
 def test_when_no_worker_answers_the_pool_says_so_and_nothing_hangs(
     impatient: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, record_property: Record
@@ -256,6 +277,7 @@ def test_when_no_worker_answers_the_pool_says_so_and_nothing_hangs(
     record_property("faults", f"{HANGS}: {len(stopped)}")
 
 
+@ending
 @pytest.mark.crash
 def test_workers_that_were_all_killed_are_replaced_however_long_it_takes_to_load(
     impatient: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, record_property: Record
@@ -288,6 +310,7 @@ if pathlib.Path({str(slow)!r}).exists():
     record_property("faults", f"{DIES}: 2")
 
 
+@ending
 @pytest.mark.crash
 def test_nobody_listens_to_an_answer_that_comes_too_late(
     impatient: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, record_property: Record
@@ -318,6 +341,7 @@ def test_nobody_listens_to_an_answer_that_comes_too_late(
     record_property("faults", f"{HANGS}: 1")
 
 
+@ending
 @pytest.mark.crash
 def test_workers_that_stood_still_with_everything_else_are_kept(
     impatient: None, monkeypatch: pytest.MonkeyPatch, record_property: Record

@@ -14,7 +14,7 @@ import psutil
 from psutil import Process
 
 from oracles.bytes_of import hashes
-from pfdist.pools.processes import end
+from pfdist.pools.guard import end
 
 WORKER = "ray::_Actor"  # begins the title of a worker's process
 PATIENCE_SECONDS = 180.0

@@ -1,5 +1,6 @@
 """Models that raise, loop or take all memory: it stands in `timings`, and has an end."""
 
+import signal
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -14,11 +15,13 @@ from oracles.bytes_of import hashes
 from pfdist import Job
 from pfdist.cli.main import main
 from pfdist.common.streams import stream_key
+from pfdist.evaluation.evaluator import Evaluator
 from pfdist.kernels.noise import TRUTH_MEASUREMENT, variates
 from pfdist.runner import first_draws
 
 pytestmark = pytest.mark.usefixtures("no_figures")
 FAILS = "a model that fails does not end the run silently, nor retry for ever"
+HANGS = "nothing hangs"
 DRAW, DRAWS = 30, 60  # the one that the fault is in, and how many are compared
 SMALL = [
     "evaluation.draws=10",
@@ -28,7 +31,9 @@ SMALL = [
 ]  # NumPy takes its time
 MODEL = """
 import dataclasses
+import os
 import resource
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -66,6 +71,7 @@ model = dataclasses.replace(ungm.model, measurement=measurement)
 RAISE = 'raise RuntimeError("no such state")'
 RAISE_ONCE = 'if not Path(FLAG).exists(): Path(FLAG).touch(); raise RuntimeError("no such state")'
 LOOP = "while True: pass"
+CRASH_ONCE = "if not Path(FLAG).exists(): Path(FLAG).touch(); os.kill(os.getpid(), signal.SIGSEGV)"
 
 Record = Callable[[str, object], None]
 Make = Callable[..., list[str]]
@@ -90,7 +96,7 @@ def command(small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     return make
 
 
-@pytest.fixture(params=["serial", "ray"])
+@pytest.fixture(params=["serial", "threads", "ray"])
 def pool(request: pytest.FixtureRequest) -> str:
     if request.param == "ray":
         request.getfixturevalue("ray_cluster")
@@ -143,6 +149,21 @@ def test_a_draw_that_fails_once_is_done_again_and_the_run_ends_with_the_same_byt
     record_property("faults", f"{FAILS}: 1")
 
 
+def test_models_that_a_worker_cannot_make_end_the_run_in_a_line(
+    ray_cluster: None,
+    small_job: Job,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    made = "exec(\"from pfdist.errors import ModelError; raise ModelError('no such package')\")"
+    monkeypatch.setattr(Evaluator, "__reduce__", lambda evaluator: (eval, (made,)))
+    options = ["--results", str(tmp_path / "run"), "--pool", "ray"]
+    assert main(["run", str(small_job.path), *options]) == 1
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith("pfdist: no such package (found by a worker on ")
+
+
 @pytest.mark.parametrize("failures", [0, 5])
 def test_a_model_that_always_fails_is_tried_so_often_and_no_more(
     failures: int,
@@ -178,6 +199,51 @@ def test_a_draw_that_never_ends_fails(
     assert all("no answer in" in error for error in errors)
     assert DRAW not in _compared(tmp_path / "run")
     record_property("faults", f"{FAILS}: {len(errors) * ray_pool.SILENCES}")
+
+
+@pytest.mark.fault
+@pytest.mark.parametrize("end", ["patience", "Ctrl-C"])
+def test_a_thread_that_never_ends_ends_the_run_after_a_commit_and_the_command_soon(
+    end: str, command: Make, tmp_path: Path, record_property: Record
+) -> None:
+    run = tmp_path / "run"
+    words = command(LOOP, run, "--pool", "threads", "--workers", "2")
+    with running(Path(words[1]), run, *words[4:], "--no-report") as driver:
+        driver.wait_for(lambda: driver.parts("comparison"))
+        if end == "Ctrl-C":
+            time.sleep(2.0)
+            start = time.monotonic()
+            driver.process.send_signal(signal.SIGINT)
+            assert driver.wait() == 130
+            assert time.monotonic() - start < 3.0
+        else:
+            assert driver.wait() == 75
+            assert "a thread has not answered for" in driver.said[-1]
+            assert "--pool ray isolates the model" in driver.said[-1]
+    assert _compared(run)
+    assert DRAW not in _compared(run)
+    assert not (run / ".begun").exists()
+    record_property("faults", f"{HANGS}: 1")
+
+
+@pytest.mark.fault
+@pytest.mark.parametrize("pool", ["serial", "threads"])
+def test_after_a_model_has_crashed_the_process_the_next_start_says_so(
+    pool: str, command: Make, tmp_path: Path, record_property: Record
+) -> None:
+    run = tmp_path / "run"
+    words = command(CRASH_ONCE, run)
+    job, options = Path(words[1]), [*words[4:], "--pool", pool, "--no-report"]
+    with running(job, run, *options) as driver:
+        assert driver.wait() == -signal.SIGSEGV
+        assert not any("ended without a word" in line for line in driver.said)
+    with running(job, run, *options) as driver:
+        assert driver.wait() == 0, driver.said[-3:]
+        (said,) = (line for line in driver.said if "ended without a word" in line)
+        assert "--pool ray isolates the model" in said
+    assert main(command(CRASH_ONCE, tmp_path / "whole", "--pool", "serial")) == 0
+    assert hashes(run) == hashes(tmp_path / "whole")
+    record_property("faults", f"{FAILS}: 1")
 
 
 def test_a_draw_that_takes_all_memory_it_may_have_fails_with_its_traceback(

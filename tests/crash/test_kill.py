@@ -81,6 +81,7 @@ SEARCHING, COMPARING = ("draws", "compared"), ("comparison", "comparison")
     ("pool", "phases"),
     [
         ("serial", [SEARCHING, COMPARING]),
+        ("threads", [SEARCHING, COMPARING]),
         ("ray", [COMPARING]),
     ],
 )
@@ -98,13 +99,18 @@ def test_a_run_killed_in_a_phase_ends_with_the_same_bytes(
             driver.wait_for(lambda: driver.parts(parts))  # noqa: B023
             driver.kill()
         assert not (run / "tables" / table).exists()  # it was in the midst of the phase
-    assert finish(job, run, "--pool", "serial") == never_killed
+    with running(job, run, "--pool", "threads") as driver:
+        assert driver.wait() == 0, driver.said[-3:]
+        said = [line for line in driver.said if "ended without a word" in line]
+    assert len(said) == (len(phases) if pool != "ray" else 0)
+    assert hashes(run) == never_killed
     assert not list(run.rglob(".*.tmp"))
+    assert not (run / ".begun").exists()
     record_property("faults", f"{KILLED}: {len(phases)}")
 
 
 @pytest.mark.crash
-@pytest.mark.parametrize("pool", ["serial", "ray"])
+@pytest.mark.parametrize("pool", ["serial", "threads", "ray"])
 def test_a_run_killed_while_it_chooses_times_one_after_another_ends_with_the_same_bytes(
     pool: str, tmp_path: Path, record_property: Record
 ) -> None:

@@ -50,6 +50,7 @@ def finished(job: Job, sweep: Path) -> dict[str, dict[str, str]]:
     [
         ("serial", 2),
         pytest.param("serial", 20, marks=pytest.mark.crash),
+        pytest.param("threads", 10, marks=pytest.mark.crash),
         pytest.param("ray", 4, marks=pytest.mark.crash),
     ],
 )

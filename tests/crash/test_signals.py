@@ -15,7 +15,7 @@ import pfdist
 from crash.runs import GONE_SECONDS, PATIENCE_SECONDS, all_gone, finish, running, until
 from oracles.bytes_of import hashes
 from pfdist import Job
-from pfdist.pools.processes import marked
+from pfdist.pools.guard import marked
 
 ASKED = "Ctrl-C"
 NOTICE_SECONDS = 20.0  # what a batch system gives

@@ -16,7 +16,7 @@ import pfdist
 from crash.runs import family, until
 from oracles.bytes_of import hashes
 from oracles.model_text import MEASURED
-from pfdist.pools.processes import end
+from pfdist.pools.guard import end
 
 _ENVIRONMENT = {
     "RAY_USAGE_STATS_ENABLED": "0",

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from pfdist.pools import control_group
+from pfdist.pools import cores
 from pfdist.pools.cores import limits, usable_cores
 
 
@@ -14,14 +14,14 @@ def host(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A host of 64 cores, on which nothing limits this process yet; give its control groups."""
     monkeypatch.setattr(os, "sched_getaffinity", lambda process: set(range(64)))
     monkeypatch.delenv("SLURM_CPUS_PER_TASK", raising=False)
-    monkeypatch.setattr(control_group, "_ROOT", tmp_path / "cgroup")
-    monkeypatch.setattr(control_group, "_OWN", tmp_path / "own")
+    monkeypatch.setattr(cores, "_ROOT", tmp_path / "cgroup")
+    monkeypatch.setattr(cores, "_OWN", tmp_path / "own")
     return tmp_path / "cgroup"
 
 
 def _write(own: str, folder: Path, **files: str) -> None:
     folder.mkdir(parents=True, exist_ok=True)
-    control_group._OWN.write_text(own)
+    cores._OWN.write_text(own)
     for name, text in files.items():
         (folder / name.replace("_", ".", 1)).write_text(text + "\n")
 

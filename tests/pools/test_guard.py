@@ -11,8 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from pfdist.pools.guard import Guard, environment, python_command
-from pfdist.pools.processes import end, marked
+from pfdist.pools.guard import Guard, end, environment, marked, python_command
 
 # Begins something that leaves its session and its parent, as Ray's agents do.
 ORPHAN = "import subprocess; subprocess.Popen(['sleep', '60'], start_new_session=True)"
