@@ -1,4 +1,4 @@
-"""Pools: they apply one function to many tasks, in this process or on Ray workers.
+"""Pools: they apply functions to works, in this process, on its threads or on Ray workers.
 
 A pool knows nothing of models, searches or files. Only the modules whose names begin
 with ``ray_`` know Ray.
