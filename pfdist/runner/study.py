@@ -1,4 +1,4 @@
-"""What a run seeks and compares: sets of times for each number of measurements on an axis.
+"""The sets that a run seeks and compares, for each number of measurements on an axis.
 
 The axis has one number, unless the job has a section [budget].
 """
