@@ -100,7 +100,7 @@ class BlockSums:
         return blocks * BLOCK * self._work.steps_a_draw
 
     def batch(self, session: Session, blocks: range, learn: Learn, *, more_follows: bool) -> Batch:
-        """What a driver asks for that needs the sums of some blocks."""
+        """A batch of the sums of some blocks."""
         works = [
             replace(self._work, draws=(block * BLOCK, (block + 1) * BLOCK)) for block in blocks
         ]
