@@ -109,14 +109,13 @@ def unreadable(path: Path, name: str, reason: str) -> StoreError:
 
 
 def _read(path: Path, name: str, parse: Any) -> Any:
-    try:
-        return parse(read_text(path / name))
-    except (FileNotFoundError, NotADirectoryError) as error:
-        raise no_run(path, name) from error
-    except OSError as error:
-        raise StoreError(f"cannot read {path / name}: {error.strerror}") from error
-    except ValueError as error:
-        raise unreadable(path, name, str(error)) from error
+    with files.reading(path / name):
+        try:
+            return parse(read_text(path / name))
+        except (FileNotFoundError, NotADirectoryError) as error:
+            raise no_run(path, name) from error
+        except ValueError as error:
+            raise unreadable(path, name, str(error)) from error
 
 
 def write_job(path: Path, toml: str) -> None:
@@ -146,7 +145,8 @@ def confirm(path: Path, key: str) -> None:
 
 
 def _write(path: Path, text: str) -> None:
-    Manifest(path.parent).give_names([(path, files.prepare_text(path.parent, text))])
+    prepared = files.prepare(path.parent, lambda file: file.write_text(text, encoding="utf-8"))
+    Manifest(path.parent).give_names([(path, prepared)])
 
 
 def key_of(identity: Mapping[str, Any], job: Mapping[str, Any]) -> str:

@@ -19,6 +19,30 @@ from pfdist.store.tables import write_table
 _TEMPORARY = re.compile(r"\.(?P<host>.+)-(?P<process>\d+)\.[0-9a-f]{32}\.tmp")
 
 
+@contextlib.contextmanager
+def reading(path: Path, action: str = "read") -> Iterator[None]:
+    """Turn each `OSError` into a `StoreError` that names the file or folder."""
+    try:
+        yield
+    except OSError as error:
+        raise StoreError(f"cannot {action} {path}: {error.strerror or error}") from error
+
+
+@contextlib.contextmanager
+def writing(action: str, path: Path, temporary: Path | None = None) -> Iterator[None]:
+    """Turn each `OSError` into a `StoreError` that says what to do; remove a temporary file."""
+    try:
+        yield
+    except OSError as error:
+        if temporary is not None:
+            with contextlib.suppress(OSError):  # else it is swept at the next start
+                temporary.unlink(missing_ok=True)
+        raise StoreError(
+            f"cannot {action} {path}: {error.strerror or error}; what was committed is kept, "
+            "run the same command again once this is mended"
+        ) from error
+
+
 @dataclass(frozen=True)
 class Prepared:
     """A file that was written and flushed to disk, and has only a temporary name.
@@ -33,6 +57,17 @@ class Prepared:
     sha256: str
 
 
+def prepare(folder: Path, write: Callable[[Path], Any]) -> Prepared:
+    """Write a file for a folder, under a temporary name."""
+    # Readers skip names with a dot. The name contains the machine and the process.
+    temporary = folder / f".{_host()}-{os.getpid()}.{uuid4().hex}.tmp"
+    with writing("write", folder, temporary):
+        _make_folder(folder)
+        write(temporary)
+        _flush(temporary, os.O_RDWR)
+        return Prepared(temporary, digest(temporary))
+
+
 def prepare_table(folder: Path, table: pa.Table) -> Prepared:
     """Write a table as a Parquet file for a folder, under a temporary name."""
 
@@ -40,29 +75,24 @@ def prepare_table(folder: Path, table: pa.Table) -> Prepared:
         write_table(table, path)
         pa.default_memory_pool().release_unused()  # otherwise memory grows with each file
 
-    return _prepare(folder, write)
-
-
-def prepare_text(folder: Path, text: str) -> Prepared:
-    """Write a text file for a folder, under a temporary name."""
-    return _prepare(folder, lambda path: path.write_text(text, encoding="utf-8"))
+    return prepare(folder, write)
 
 
 def give_name(prepared: Prepared, path: Path) -> None:
     """Give a file its final name, in one atomic step; a file already there gives way."""
-    with _errors("write", path, prepared.temporary):
+    with writing("write", path, prepared.temporary):
         prepared.temporary.replace(path)
         _flush(path.parent, os.O_RDONLY)
 
 
 def write_file(path: Path, write: Callable[[Path], Any]) -> None:
     """Write a file atomically; it replaces an earlier file of this name."""
-    give_name(_prepare(path.parent, write), path)
+    give_name(prepare(path.parent, write), path)
 
 
 def add_lines(path: Path, lines: list[str]) -> None:
     """Append lines to a text file, and flush it. A kill may cut the last line short."""
-    with _errors("write", path):
+    with writing("write", path):
         is_new = not path.exists()
         _make_folder(path.parent)
         # The first line break ends a line that was cut short.
@@ -80,19 +110,19 @@ def append_text(path: Path, text: str) -> None:
 
 def make_folder(folder: Path) -> None:
     """Make a folder and its parents, and flush each entry to disk."""
-    with _errors("make", folder):
+    with writing("make", folder):
         _make_folder(folder)
 
 
 def remove(path: Path) -> None:
     """Remove a file that is no longer needed; it may already be gone."""
-    with _errors("remove", path):
+    with writing("remove", path):
         path.unlink(missing_ok=True)
 
 
 def move(path: Path, other: Path) -> None:
     """Move a file out of the way."""
-    with _errors("move", path):
+    with writing("move", path):
         _make_folder(other.parent)
         path.replace(other)
 
@@ -148,16 +178,6 @@ def check_replaceable(path: Path, is_earlier: Callable[[Path], bool]) -> None:
         raise StoreError(f"{path} exists and is no earlier result: move it out of the way")
 
 
-def _prepare(folder: Path, write: Callable[[Path], Any]) -> Prepared:
-    # Readers skip names with a dot. The name contains the machine and the process.
-    temporary = folder / f".{_host()}-{os.getpid()}.{uuid4().hex}.tmp"
-    with _errors("write", folder, temporary):
-        _make_folder(folder)
-        write(temporary)
-        _flush(temporary, os.O_RDWR)
-        return Prepared(temporary, digest(temporary))
-
-
 def _make_folder(folder: Path) -> None:
     if not folder.is_dir():
         _make_folder(folder.parent)
@@ -188,17 +208,3 @@ def _flush(path: Path, mode: int) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-@contextlib.contextmanager
-def _errors(action: str, path: Path, temporary: Path | None = None) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        if temporary is not None:
-            with contextlib.suppress(OSError):  # else it is swept at the next start
-                temporary.unlink(missing_ok=True)
-        raise StoreError(
-            f"cannot {action} {path}: {error.strerror or error}; what was committed is kept, "
-            "run the same command again once this is mended"
-        ) from error

@@ -13,7 +13,7 @@ from pathlib import Path
 from pfdist.common.natural_order import natural_key
 from pfdist.common.nearest import did_you_mean_path
 from pfdist.errors import StoreError
-from pfdist.store.files import check_replaceable
+from pfdist.store.files import check_replaceable, reading
 
 ABOUT = ("job.toml", "run.json")
 MANIFEST, QUARANTINE, FIGURES_FOLDER, REPORT = "manifest", "quarantine", "figures", "report.html"
@@ -32,10 +32,8 @@ _START = 1024  # bytes of a report in which the mark stands
 
 def holds_run(path: Path) -> bool:
     """Whether a folder holds a run, which has a run.json."""
-    try:
+    with reading(path):
         return (path / "run.json").exists()
-    except OSError as error:
-        raise StoreError(f"cannot read {path}: {error.strerror}") from error
 
 
 def is_kept_job(job_file: Path) -> bool:
@@ -132,12 +130,11 @@ def strange_entries(folder: Path) -> Iterator[Damage]:
     """
     for name in (*_FILES, *_FOLDERS):
         path = folder / name
-        try:
-            mode = path.lstat().st_mode
-        except (FileNotFoundError, NotADirectoryError):
-            continue
-        except OSError as error:
-            raise StoreError(f"cannot read {path}: {error.strerror}") from error
+        with reading(path):
+            try:
+                mode = path.lstat().st_mode
+            except (FileNotFoundError, NotADirectoryError):
+                continue
         if wrong := _wrong(mode, file=name in _FILES, folder=name in _FOLDERS):
             yield Damage(Path(name), wrong)
         elif stat.S_ISDIR(mode) and name != QUARANTINE:  # what lies in there is never opened
@@ -154,13 +151,12 @@ def check_entries(folder: Path) -> None:
 
 
 def _strange_below(folder: Path, relative: Path) -> Iterator[Damage]:
-    try:
-        entries = sorted(os.scandir(folder / relative), key=lambda entry: entry.name)
-        modes = [entry.stat(follow_symlinks=False).st_mode for entry in entries]
-    except FileNotFoundError:  # published or removed meanwhile
-        return
-    except OSError as error:
-        raise StoreError(f"cannot read {folder / relative}: {error.strerror}") from error
+    with reading(folder / relative):
+        try:
+            entries = sorted(os.scandir(folder / relative), key=lambda entry: entry.name)
+            modes = [entry.stat(follow_symlinks=False).st_mode for entry in entries]
+        except FileNotFoundError:  # published or removed meanwhile
+            return
     holds_files = relative.parts[0] in ("parts", "tables") and len(relative.parts) == _TABLES_DEEP
     for entry, mode in zip(entries, modes, strict=True):
         if wrong := _wrong(mode, file=holds_files):
@@ -200,10 +196,8 @@ def runs_below(folder: Path, depth: int) -> Iterator[Path]:
     StoreError
         The folder itself cannot be listed.
     """
-    try:
+    with reading(folder, "list"):
         entries = _listed(folder)
-    except OSError as error:
-        raise StoreError(f"cannot list {folder}: {error.strerror}") from error
     yield from _runs_in(folder, entries, depth)
 
 

@@ -38,10 +38,8 @@ def held(folder: Path) -> Iterator[None]:
         It cannot be written to.
     """
     files.make_folder(folder)
-    try:
+    with files.writing("lock", folder):
         lock = _opened(folder, os.O_RDWR | os.O_CREAT)
-    except OSError as error:
-        raise _cannot_lock(folder, error) from error
     try:
         _take(lock, fcntl.LOCK_EX, folder)
         _sign(lock, folder)
@@ -98,23 +96,17 @@ def _no_file(path: Path) -> StoreError:
 
 
 def _take(lock: int, kind: int, folder: Path) -> None:
-    try:
-        fcntl.flock(lock, kind | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        raise BusyError(
-            f"{folder} is being computed by {_holder(folder)}: wait for it, end it, or "
-            "give results another folder"
-        ) from error
-    except OSError as error:
-        if error.errno not in _NO_LOCKS:
-            raise _cannot_lock(folder, error) from error
-
-
-def _cannot_lock(folder: Path, error: OSError) -> StoreError:
-    return StoreError(
-        f"cannot lock {folder}: {error.strerror}; what was committed is kept, run the same command "
-        "again once this is mended"
-    )
+    with files.writing("lock", folder):
+        try:
+            fcntl.flock(lock, kind | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise BusyError(
+                f"{folder} is being computed by {_holder(folder)}: wait for it, end it, or "
+                "give results another folder"
+            ) from error
+        except OSError as error:
+            if error.errno not in _NO_LOCKS:
+                raise
 
 
 def _sign(lock: int, folder: Path) -> None:
@@ -123,11 +115,9 @@ def _sign(lock: int, folder: Path) -> None:
         "host": socket.gethostname(),
         "since": datetime.now(UTC).isoformat(timespec="seconds"),
     }
-    try:
+    with files.writing("lock", folder):
         os.ftruncate(lock, 0)
         os.pwrite(lock, json.dumps(holder).encode(), 0)
-    except OSError as error:
-        raise _cannot_lock(folder, error) from error
 
 
 def _holder(folder: Path) -> str:

@@ -77,10 +77,8 @@ class Manifest:
     def confirm(self, path: Path) -> None:
         """Record what a file holds, if a kill prevented it before."""
         name = path.relative_to(self.folder)
-        try:
+        with files.reading(path):
             sha256 = files.digest(path)
-        except OSError as error:
-            raise StoreError(f"cannot read {path}: {error.strerror}") from error
         if self.expected().get(name) != {sha256: True}:
             self._add([f"{word} {name} {sha256}" for word in ("next", "now")])
 
@@ -190,10 +188,8 @@ class Manifest:
         path = self.folder / MANIFEST
         if not is_plain_file(path):
             return
-        try:
+        with files.reading(path):
             text = path.read_text(encoding="utf-8", errors="replace")
-        except OSError as error:
-            raise StoreError(f"cannot read {path}: {error.strerror}") from error
         for line in text.splitlines():
             if found := _LINE.fullmatch(line):
                 word, name, sha256, key = found.groups(default="")

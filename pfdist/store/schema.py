@@ -406,8 +406,6 @@ def _holds_instants(field: pa.Field) -> bool:
 
 
 def _timed(column: pa.Array, clock: NDArray[np.float64]) -> pa.Array:
-    if isinstance(column, pa.ChunkedArray):
-        column = pa.concat_arrays(column.chunks) if column.num_chunks else pa.array([], column.type)
     if pa.types.is_list(column.type):
         values = pa.array(clock[column.flatten().to_numpy(zero_copy_only=False)])
         offsets = column.offsets.to_numpy()  # a slice of a column begins later
