@@ -146,7 +146,7 @@ def confirm(path: Path, key: str) -> None:
 
 def _write(path: Path, text: str) -> None:
     prepared = files.prepare(path.parent, lambda file: file.write_text(text, encoding="utf-8"))
-    Manifest(path.parent).give_names([(path, prepared)])
+    Manifest(path.parent).give_name(prepared, path)
 
 
 def key_of(identity: Mapping[str, Any], job: Mapping[str, Any]) -> str:

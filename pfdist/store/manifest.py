@@ -66,13 +66,12 @@ class Manifest:
         if self.kept_key() != key:
             self._add([f"run {key}"])
 
-    def give_names(self, prepared: Iterable[tuple[Path, files.Prepared]]) -> None:
-        """Give prepared files their names, and record what they hold, before and after."""
-        about = [(path, path.relative_to(self.folder), each) for path, each in prepared]
-        self._add([f"next {name} {each.sha256}" for _, name, each in about])
-        for path, _, each in about:
-            files.give_name(each, path)
-        self._add([f"now {name} {each.sha256}" for _, name, each in about])
+    def give_name(self, prepared: files.Prepared, path: Path) -> None:
+        """Give a prepared file its name, and record what it holds, before and after."""
+        what = f"{path.relative_to(self.folder)} {prepared.sha256}"
+        self._add([f"next {what}"])
+        files.give_name(prepared, path)
+        self._add([f"now {what}"])
 
     def confirm(self, path: Path) -> None:
         """Record what a file holds, if a kill prevented it before."""

@@ -113,14 +113,12 @@ class Store:
         pieces : iterable of pyarrow.Table
             All rows of the phase in their order, in pieces of any sizes.
         """
-        prepared = []
         for number, rows in enumerate(cut_rows(pieces, ROWS_IN_A_FILE.get(table, _MANY))):
             path = self.path / "tables" / table / f"{phase}-{number:05d}.parquet"
-            file = files.prepare_table(path.parent, self._prepared(rows.combine_chunks()))
-            prepared.append((path, file))
+            prepared = files.prepare_table(path.parent, self._prepared(rows.combine_chunks()))
+            self.manifest.give_name(prepared, path)
             if table == "draws":
                 self._note_holder(path, rows)
-        self.manifest.give_names(prepared)
         gone = self._parts(table, phase)
         for path in gone:
             files.remove(path)
