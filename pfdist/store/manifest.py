@@ -1,7 +1,6 @@
 """The manifest: the content that every committed file of a run must have, and whose run it is.
 
-A file under ``parts/`` has its SHA-256 in its name. For the others the file ``manifest`` has lines,
-the last of which holds::
+A file under ``parts/`` has its SHA-256 in its name. All others have lines in ``manifest``::
 
     run <key>                   the run to which all files belong
     next <path> <SHA-256>       a file that is about to get its name
