@@ -196,7 +196,7 @@ def check_key(path: Path, run: dict[str, Any], job: dict[str, Any]) -> None:
     The manifest does not vouch for them, and has another key: it came with another run's tables.
     """
     kept = Manifest(path).kept_key()
-    if kept and own_key(path) is None and _key_of_content(run, job) not in (None, kept):
+    if kept and _key_of_content(run, job) not in (None, kept) and own_key(path) is None:
         raise StoreError(
             f"{path}: job.toml and run.json are not those of the run whose key {MANIFEST} holds; "
             f"`pfdist repair {path}` moves to quarantine what is not this run's"
