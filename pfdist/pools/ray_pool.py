@@ -136,9 +136,9 @@ class RayPool:
         self._forget_tasks()  # there may have been a run that was broken off
         task: Task | None = None
         while True:
+            self._hand_suspects()
             if task is not _END:
                 task = self._hand_out(todo)
-            self._hand_suspects()
             if not self._unfinished and (task is None or task is _END):
                 return
             try:
@@ -245,9 +245,6 @@ class RayPool:
         task: Task | None = _BUSY
         for workers in self._free:
             while workers:
-                if self._suspects and self._aside is None:
-                    self._aside = workers.popitem()[0]
-                    continue
                 task = next(todo, _END)
                 if task is None or task is _END:
                     return task
@@ -258,8 +255,9 @@ class RayPool:
     def _hand_suspects(self) -> None:
         """Let the worker that is set aside do the next suspect, as soon as it has no task."""
         if self._suspects and self._aside is None:
-            workers = self._free[0] or self._free[1]
-            self._aside = workers.popitem()[0] if workers else None
+            for workers in filter(None, self._free):
+                self._aside, _ = workers.popitem()
+                break
         if self._aside is None or self._aside.tasks:
             return
         if self._suspects:
@@ -277,7 +275,6 @@ class RayPool:
         if key in worker.functions:
             self._owe(worker, worker.actor.do.remote(key, task.work), task)
         else:
-            worker.makes = key
             worker.starting = self._owe(worker, worker.actor.make.remote(key, content), task)
         self._set_free(worker)
 
@@ -312,10 +309,10 @@ class RayPool:
             worker.starting = None
             if isinstance(outcome, dict):
                 self._check_version(worker, outcome)
-            elif outcome:  # it cannot make the function
+            elif isinstance(outcome, str):  # it cannot make the function
                 outcome = None, 0.0, "", "", outcome, True
             else:
-                worker.functions.append(worker.makes)
+                worker.functions.append(outcome)
                 if task is not None:
                     self._hand(worker, task)
                     task = None
@@ -388,8 +385,6 @@ class _Worker:
         Who it is, or the function that it makes, while it owes this.
     owed : dict
         The answers that it owes, and the task of each.
-    makes : int
-        Hash of the function that it makes, or has made last.
     functions : deque of int
         Hashes of the functions that it has, the oldest first.
     heard : float
@@ -401,7 +396,6 @@ class _Worker:
         self._after_a_silence = after_a_silence
         self.starting: Call | None = None
         self.owed: dict[Call, Task | None] = {}
-        self.makes = 0
         self.functions = deque[int](maxlen=FUNCTIONS)  # it forgets the oldest, as its actor does
         self.heard = time.monotonic()
 
@@ -451,8 +445,8 @@ class _Actor:
         """Say who this is; it is the first to be answered."""
         return about()
 
-    def make(self, key: int, content: bytes) -> str:
-        """Make a function; say what is wrong if that fails."""
+    def make(self, key: int, content: bytes) -> int | str:
+        """Make a function and give its key, or say why that failed."""
         try:
             self._functions[key] = cloudpickle.loads(content)
         except Exception as error:
@@ -460,7 +454,7 @@ class _Actor:
             return f"{kind}{error} (found by a worker on {about()['host']})"
         if len(self._functions) > FUNCTIONS:
             del self._functions[next(iter(self._functions))]
-        return ""
+        return key
 
     def do(self, key: int, work: Any) -> tuple[Any, ...]:
         """Do a task: all of its outcome but the task."""

@@ -12,7 +12,7 @@ from pfdist.pools.base import Outcome, Task, do, patience
 from pfdist.pools.cores import usable_cores
 
 IN_FLIGHT = 2  # tasks a thread: the one it does and the one that waits for it
-_LEAVE_SECONDS = 1.0
+_LEAVE_SECONDS = 0.5
 _END = object()  # there are no more tasks
 _BUSY = object()  # there may be more tasks, for which no thread is free
 

@@ -129,6 +129,7 @@ def _per_draw(
     built, reporter = session.built, session.reporter
     horizon, noise = built.evaluator.horizon, stream_of("bound", built.job.seed, "filter of a set")
     evaluator = built.evaluator.truth if kind.knows_truth else built.evaluator
+    evaluator.compile(kind.estimation)  # before the first task, whose time is limited
     key = stream_key(noise, draws_stream)
     ids = {
         name: evaluator.evaluation_id(times, horizon, key, kind.estimation)

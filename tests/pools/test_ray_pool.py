@@ -95,7 +95,7 @@ def test_tasks_of_a_lost_worker_are_done_next_and_alone(started: Started) -> Non
 def test_a_worker_makes_each_function_once_as_long_as_it_keeps_it(started: Started) -> None:
     actor, made = ray_pool._Actor(), list[int]()
 
-    def make(key: int, content: bytes) -> str:
+    def make(key: int, content: bytes) -> int | str:
         made.append(key)
         return actor.make(key, content)
 
