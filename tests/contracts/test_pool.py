@@ -1,5 +1,6 @@
 """The contract of every pool."""
 
+import contextlib
 import os
 import signal
 import threading
@@ -11,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from pfdist.errors import SilenceError
+from pfdist.errors import EngineWarning, SilenceError
 from pfdist.pools.base import Function, Pool, Task
 from pfdist.pools.kinds import POOLS
 
@@ -146,6 +147,28 @@ def test_a_run_that_is_broken_off_leaves_the_pool_to_the_next(
         again = list(pool.run(Task(f"again {number}", SQUARE, number) for number in range(5)))
     assert sorted(outcome.value for outcome in again) == [0, 1, 4, 9, 16]
     assert all(outcome.task.key.startswith("again") for outcome in again)
+
+
+@pytest.mark.slow
+def test_cores_that_are_taken_are_said_and_their_workers_join_when_they_are_free(
+    ray_cluster: None,
+) -> None:
+    from pfdist.pools.ray_pool import RayPool
+
+    slow = Made("import time\ndef function(work): time.sleep(0.05)")
+    with contextlib.ExitStack() as other:
+        other.enter_context(RayPool(1))
+        with contextlib.ExitStack() as stack:
+            said = r"^1 of the 2 cores of the Ray cluster are taken: 1 of 2 workers start now"
+            with pytest.warns(EngineWarning, match=said):
+                pool = stack.enter_context(RayPool(2))
+            run = pool.run(_tasks(300, slow))
+            first = {next(run).worker for _ in range(10)}
+            other.close()
+            rest = [outcome.worker for outcome in run]
+    assert len(first) == 1
+    assert len(rest) == 290
+    assert len(set(rest)) == 2
 
 
 # --- what befalls workers -------------------------------------------------------------------------
