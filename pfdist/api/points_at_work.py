@@ -128,7 +128,7 @@ class PointsAtWork:
         return stores
 
     def _point(self, name: str) -> Driver:
-        """Compute a point. What is wrong with it does not end the others."""
+        """Compute a point. An error of it does not end the others."""
 
         def show(progress: Progress) -> None:
             share = progress.done / progress.total if progress.total else 0.0

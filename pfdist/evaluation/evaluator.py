@@ -71,7 +71,7 @@ class Evaluator:
     clock : tuple of float, (T+1,), optional
         The time of each instant, if the models were put on a clock.
     carried : (CarriedModel, CarriedModel), optional
-        What the model and the filter's model were made of. Without these the evaluator cannot
+        The carried model and the carried filter's model. Without these the evaluator cannot
         travel, and its evaluations have no ids.
 
     Raises

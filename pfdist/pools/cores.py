@@ -1,4 +1,4 @@
-"""What this process may use of the machine: its number of cores, and limits of control groups."""
+"""The cores and the memory that this process may use, and limits of control groups."""
 
 import math
 import os

@@ -6,7 +6,7 @@ its next task before it has ended the last one.
 
 A worker that dies or is silent for too long is replaced. One of its tasks may be the reason, and
 nobody knows which. So these suspects are done next, each by a worker that has no other task: one
-worker is set aside for them, while the others go on. What is done for an outcome takes as long with
+worker is set aside for them, while the others go on. An outcome costs the driver as much time with
 a thousand workers as with one.
 """
 

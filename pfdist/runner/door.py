@@ -4,20 +4,20 @@ A driver is a generator: it yields a `Batch` of works and goes on when all their
 Searches, the comparison, block sums, the worth of measurements, online draws and the proof get
 every number in this way. One loop serves one driver, or the points of a sweep side by side.
 
-What happens to a batch, in this order, and what a kill at each point costs:
+These things happen to a batch, in this order; a kill at each point costs:
 
 1. Each work is looked up: in the tables of its own run, then in those of other runs of the loop.
    Nothing is computed yet, so a kill costs nothing.
 2. An evaluation that another run computes at this moment is waited for. It is known by its id.
-3. What is still missing is cut into tasks. A task takes 0.3 s at most: that much work a kill of a
-   worker or of the driver costs for each worker.
+3. Missing works are cut into tasks. A task takes 0.3 s at most: that much work a kill of a worker
+   or of the driver costs for each worker.
 4. Results come back in any order. The batch learns each at once, and its rows wait in memory. A
    kill costs the rows that wait: at most those of `COMMIT_SECONDS`.
 5. Waiting rows are committed once a second, and at the end of a batch unless more follows. A commit
    writes a file under a temporary name, flushes it and gives it its name: a kill before the last
    step leaves a temporary file, which the next start removes.
-6. When nothing of the batch is missing, the driver goes on. What it publishes with `Session.later`
-   is written after the next commit, when the workers have their next tasks.
+6. When nothing of the batch is missing, the driver goes on. Tables that it publishes with
+   `Session.later` are written after the next commit, when the workers have their next tasks.
 
 A task that fails is done again after all others, as often as the job allows. Then the driver gets a
 `TaskError`, and commits what it has.
@@ -358,8 +358,7 @@ class Loop:
         Raises
         ------
         BaseException
-            What a driver raises, or the pool. All drivers are closed before: each commits what it
-            has.
+            A driver or the pool raises it. All drivers are closed before: each commits what it has.
         """
         todo = iter(drivers)
         with self._stack:

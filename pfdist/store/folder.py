@@ -1,4 +1,4 @@
-"""What a run's folder holds, and which folders hold a run; no file of a run is read here.
+"""The entries of a run's folder, and which folders hold a run; no file of a run is read here.
 
 A run's folder may come from anywhere, in an archive for instance, which keeps links. A link would
 lead out of the folder, and opening a pipe would wait for ever: so neither is ever opened.
@@ -166,7 +166,7 @@ def _strange_below(folder: Path, relative: Path) -> Iterator[Damage]:
 
 
 def _wrong(mode: int, *, file: bool = False, folder: bool = False) -> str:
-    """What is wrong with an entry; empty if nothing is wrong."""
+    """The fault of an entry; empty if nothing is wrong."""
     if stat.S_ISLNK(mode):
         return "is a link"
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):

@@ -103,7 +103,7 @@ class Manifest:
             elif word == "next":  # the last one from here on, as `now` needs it
                 contents[sha256] = contents.pop(sha256, False)
             else:
-                # What another driver has announced since then may be there, too.
+                # Another driver may have announced contents since then: they may be there, too.
                 since = list(contents)
                 for former in since[: since.index(sha256) if sha256 in since else 0]:
                     del contents[former]

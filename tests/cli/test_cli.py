@@ -43,7 +43,7 @@ def test_run_and_status_print_the_same_json_and_nothing_else(
         assert captured.err == ""
     run, status = outputs
     assert run == status
-    facts = {"is_exact", "is_constrained"}
+    facts = {"is_exact", "is_constrained", "has_budget"}
     assert set(run) == {"state", "run", "evaluations", "draws_compared", "results", *facts}
     assert (run["state"], run["evaluations"], run["draws_compared"]) == ("finished", 34, 250)
     regular, genetic = run["results"]["regular"], run["results"]["genetic"]
@@ -317,7 +317,8 @@ def test_without_a_terminal_progress_is_plain_lines(
 ) -> None:
     assert main(["run", str(small_job.path), "--results", str(tmp_path / "run")]) == 0
     lines = capsys.readouterr().err.splitlines()
-    assert lines[0].startswith("Serial pool is ready: 1 worker")
+    assert lines[0].startswith("  0.0 %  genetic  generation 1/4")
+    assert lines[1].startswith("Serial pool is ready: 1 worker")  # it starts with the first task
     assert lines[-1].startswith("100.0 %  comparison  250 draws")
     assert "\x1b" not in "".join(lines)  # no escape codes
     found = pfdist.open_run(tmp_path / "run").summary()["results"]["genetic"]

@@ -110,10 +110,10 @@ def test_processes_that_start_one_sweep_together_share_its_points(
 ) -> None:
     sweep, options = tmp_path / "sweep", [*OPTIONS, "--pool", "serial"]
     with (
-        running(small_job.path, sweep, *options, word="sweep") as one,
-        running(small_job.path, sweep, *options, word="sweep") as other,
+        running(small_job.path, sweep, *options, word="sweep") as first,
+        running(small_job.path, sweep, *options, word="sweep") as second,
     ):
-        assert [one.wait(), other.wait()] == [0, 0], (one.said[-3:], other.said[-3:])
+        assert [first.wait(), second.wait()] == [0, 0], (first.said[-3:], second.said[-3:])
     # The last to end has left out nothing.
     assert {name: hashes(sweep / name) for name in whole} == whole
     record_property("faults", f"{PROMISE}: 1")

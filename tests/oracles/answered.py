@@ -1,4 +1,4 @@
-"""What a driver returns that asks questions, computed in this process."""
+"""The answer of a driver, computed in this process."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -17,6 +17,6 @@ def answered(
     *arguments: Any,
     show: Callable[[Progress], Any] = lambda progress: None,
 ) -> Any:
-    """What a driver returns; it keeps nothing, so its store has no folder."""
+    """The value of a driver; it keeps nothing, so its store has no folder."""
     session = Session(built, Store(Path("nowhere")), show)
     return complete(driver(session, *arguments), make_pool(Execution(pool="serial")))

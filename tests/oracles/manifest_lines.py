@@ -1,4 +1,4 @@
-"""What the manifest of a run says, read and changed by hand."""
+"""The lines of a run's manifest, read and changed by hand."""
 
 from pathlib import Path
 
