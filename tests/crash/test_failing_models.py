@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 import pfdist
-from crash.runs import finish, running
+from crash.runs import finish, running, until
 from oracles.bytes_of import hashes
 from pfdist import Job
 from pfdist.cli.main import main
@@ -212,10 +212,9 @@ def test_a_thread_that_never_ends_ends_the_run_after_a_commit_and_the_command_so
         if end == "Ctrl-C":
             driver.wait_for((run / "tables" / "evaluations").exists)
             time.sleep(3.0)
-            start = time.monotonic()
             driver.process.send_signal(signal.SIGINT)
+            until(lambda: driver.said[-1].startswith("pfdist: interrupted"), 3.0)
             assert driver.wait() == 130
-            assert time.monotonic() - start < 3.0
         else:
             assert driver.wait() == 75
             assert "a thread has not answered for" in driver.said[-1]
