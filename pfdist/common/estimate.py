@@ -1,4 +1,8 @@
-"""An estimate with its standard error, as every room of the program computes and compares it."""
+"""An estimate with its standard error, as every room of the program compares it.
+
+The error of a mean over a block of values is computed here, and over blocks that are added one by
+one in `pfdist.analysis.streaming_moments`.
+"""
 
 import math
 from dataclasses import dataclass

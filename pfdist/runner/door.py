@@ -9,18 +9,24 @@ These things happen to a batch, in this order; a kill at each point costs:
 1. Each work is looked up: in the tables of its own run, then in those of other runs of the loop.
    Nothing is computed yet, so a kill costs nothing.
 2. An evaluation that another run computes at this moment is waited for. It is known by its id.
-3. Missing works are cut into tasks. A task takes 0.3 s at most: that much work a kill of a worker
-   or of the driver costs for each worker.
+3. Missing works are cut into tasks of about 0.3 s; a slow model has longer tasks at first, and a
+   block of sums is never cut. A worker holds a task or two: these are lost with it.
 4. Results come back in any order. The batch learns each at once, and its rows wait in memory. A
-   kill costs the rows that wait: at most those of `COMMIT_SECONDS`.
-5. Waiting rows are committed once a second, and at the end of a batch unless more follows. A commit
-   writes a file under a temporary name, flushes it and gives it its name: a kill before the last
-   step leaves a temporary file, which the next start removes.
+   kill of the driver costs the rows that wait.
+5. Waiting rows are committed with the first result after `COMMIT_SECONDS`, and at the end of a
+   batch unless more follows. A commit writes a file under a temporary name, flushes it and gives it
+   its name: a kill before the last step leaves a temporary file, which the next start removes. The
+   timings of the tasks follow in a file of their own: a kill between the two costs these timings.
 6. When nothing of the batch is missing, the driver goes on. Tables that it publishes with
-   `Session.later` are written after the next commit, when the workers have their next tasks.
+   `Session.later` are written after the next commit, when the workers have their next tasks. A kill
+   before costs nothing: the driver finds all rows committed, and publishes them again.
 
 A task that fails is done again after all others, as often as the job allows. Then the driver gets a
 `TaskError`, and commits what it has.
+
+The door commits rows and timings; to publish them (`Store.settle`) is left to the driver, which
+knows when a table is complete. Estimations that the evaluator does not name are compiled with
+`Evaluator.compile` before their first batch, because the time of a task is limited.
 """
 
 import contextlib
@@ -44,7 +50,9 @@ from pfdist.runner.pace import Pace, bundles
 from pfdist.runner.progress import Reporter, Show
 from pfdist.store import Store, schema
 
-COMMIT_SECONDS = 1.0  # a kill loses at most so much work, and one task of each worker
+COMMIT_SECONDS = (
+    1.0  # between two commits; a kill loses about so much work, and the tasks in flight
+)
 COMMIT_ROWS = 100_000  # at most so many rows wait in memory, however fast a model is
 
 Known = Iterator[tuple[Work, Result]]

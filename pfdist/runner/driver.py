@@ -1,4 +1,4 @@
-"""The driver: search phases, then the comparison. It uses a pool and a store, and knows no Ray."""
+"""The driver of a run: searches, then the comparison, then online draws. It knows no pool."""
 
 from collections.abc import Generator
 from functools import partial
@@ -10,7 +10,7 @@ from pfdist.errors import SearchError
 from pfdist.runner.build import Built
 from pfdist.runner.comparison_phase import COMPARISON, comparison_steps, run_comparison
 from pfdist.runner.door import Batch, Session
-from pfdist.runner.online_phase import CHOOSING, online_steps, run_online
+from pfdist.runner.online_phase import ONLINE_TIMES, online_steps, run_online
 from pfdist.runner.search_phase import run_search, search_steps
 from pfdist.runner.search_tables import unpublished
 from pfdist.store import Store, compared_schema
@@ -50,7 +50,7 @@ def drive(session: Session) -> Generator[Batch, None, None]:
         store.manifest.forget_lost()
     finally:  # also where the driver is closed: it loses nothing that it has
         session.commit()
-        for phase in (*built.phases, COMPARISON, CHOOSING):
+        for phase in (*built.phases, COMPARISON, ONLINE_TIMES):
             store.settle("timings", phase)
 
 

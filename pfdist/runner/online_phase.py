@@ -17,7 +17,7 @@ from pfdist.sequential.work import OnlineWork
 from pfdist.store import schema
 from pfdist.times.measurement_times import Times
 
-CHOOSING = "online.times"
+ONLINE_TIMES = "online.times"
 """Name of the phase; no search is named so."""
 _BLOCK = 200  # draws, whose rows are published together
 
@@ -49,9 +49,9 @@ def run_online(session: Session, sets: Mapping[str, Times]) -> Generator[Batch, 
         )
 
     works = [work.part(block) for block in cut(range(draws), _BLOCK)]
-    yield Batch(session, CHOOSING, works, OfDraws("online", _rows, _result), learn)
+    yield Batch(session, ONLINE_TIMES, works, OfDraws("online", _rows, _result), learn)
     reporter.reach(start + draws * work.steps_a_draw)
-    session.store.settle("online", CHOOSING)
+    session.store.settle("online", ONLINE_TIMES)
 
 
 def _result(rows: pa.Table) -> Result:

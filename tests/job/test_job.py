@@ -370,7 +370,10 @@ def test_settings_come_after_overrides_and_leave_the_other_keys_of_a_section(wri
     [
         ({"filter": {"particles": 0}}, r"particles .* got 0 \(.* with filter\.particles=0\)"),
         ({"filter": {"particle": 5}}, r"unknown key 'particle' in \[filter\]"),
-        ({"execution": {"pool": "thread"}}, r"got 'thread'; did you mean 'threads'\? \(.* with execution"),
+        (
+            {"execution": {"pool": "thread"}},
+            r"got 'thread'; did you mean 'threads'\? \(.* with execution",
+        ),
         ({"seed": 10**400}, r"seed .* got a whole number of .* bits \(.* with seed=a whole"),
         ({"seed": 1.5}, r"seed must be .* got 1\.5"),
     ],
