@@ -7,7 +7,7 @@ from typing import Any
 
 from pfdist.analysis import Run, finite
 from pfdist.analysis.particle_loss import ParticleLoss
-from pfdist.api.at_work import at_work
+from pfdist.api.at_work import at_work, noted
 from pfdist.api.following import Say, following, silent
 from pfdist.api.own_store import own_store
 from pfdist.api.report import renew_report
@@ -154,7 +154,8 @@ def bound(
             session = Session(built, store, show, tell)
             session.reporter.foresee(prover.steps)
             proof = prover.prove(session, finished_run(proved))  # it may have been found damaged
-            look: Look = complete(proof, at_work(built.job.execution, store.path, tell))
+            with noted(session):
+                look: Look = complete(proof, at_work(built.job.execution, tell))
             session.reporter.finish()
             if figures and store.path == proved.path:
                 draw_figures(proved, "bound")

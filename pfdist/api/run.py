@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pfdist.analysis import Run, open_run
-from pfdist.api.at_work import at_work
+from pfdist.api.at_work import at_work, noted
 from pfdist.api.following import Say, following, silent
 from pfdist.api.report import try_report
 from pfdist.api.run_of_job import folder_of
@@ -148,7 +148,7 @@ def run_built(
     lenders = [lender(open_run(other).path, built) for other in reuse]
     with opened(path, built, say) as store:
         session = Session(built, store, show, say)
-        pool = at_work(built.job.execution, path, say)
+        pool = at_work(built.job.execution, say)
         computed = complete(compute(session, ending.bound), pool, lenders)
         finished = open_run(path)
         finished.made_from = built.job
@@ -183,12 +183,13 @@ def compute(session: Session, settings: BoundSettings | None) -> Generator[Batch
     note_processor(path, built, say)
     if prover is not None:
         session.reporter.foresee(prover.steps)
-    yield from drive(session)
-    if prover is not None and not _is_long(prover, built, path, say):
-        try:
-            yield from prover.prove(session, open_run(path))
-        except TaskError as error:  # the results of the run stand
-            say(f"there is no lower bound: {error}")
+    with noted(session):
+        yield from drive(session)
+        if prover is not None and not _is_long(prover, built, path, say):
+            try:
+                yield from prover.prove(session, open_run(path))
+            except TaskError as error:  # the results of the run stand
+                say(f"there is no lower bound: {error}")
     session.reporter.finish()
     return True
 

@@ -392,7 +392,7 @@ class Evaluator:
     def _for(self, work: Work) -> "Evaluator":
         """The evaluator with the filter's model and the weights that a work asks for."""
         evaluator = self.truth if work.knows_truth else self
-        return evaluator if work.weighted else replace(evaluator, weights=None)
+        return evaluator if work.weighted else replace(evaluator, weights=None, estimations=())
 
     def pieces(self, work: Work, seconds: float) -> list[Work]:
         """Cut a work between its draws into works of about as many seconds each.

@@ -338,10 +338,8 @@ class RayPool:
                 yield from self._replace(worker, why, SILENCES)
         most = max(worker.answer_patience for worker in self._members)
         if now - self._heard > most and all(worker.is_silent for worker in self._members):
-            raise SilenceError(
-                f"no worker has answered for {now - self._heard:.0f} s{self._last_loss}; run the "
-                "same command again to go on from what is committed"
-            )
+            silence = now - self._heard
+            raise SilenceError(f"no worker has answered for {silence:.0f} s{self._last_loss}")
         self._looked = time.monotonic()
 
     def _replace(self, worker: "_Worker", why: str, most: int) -> Iterator[Outcome]:

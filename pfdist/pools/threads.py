@@ -85,12 +85,10 @@ class ThreadPool:
         for thread in self._threads:
             if stood_still:  # the whole process was stopped: it says nothing of the threads
                 thread.begun = now
-            silence, task = now - thread.begun, thread.task
+            task = thread.task  # before `begun`, which the thread writes first
+            silence = now - thread.begun
             if task is not None and silence > patience(task.seconds):
-                raise SilenceError(
-                    f"a thread has not answered for {silence:.0f} s; run the same command again to "
-                    "go on from what is committed; --pool ray isolates the model"
-                )
+                raise SilenceError(f"a thread has not answered for {silence:.0f} s")
 
     def _forget_tasks(self) -> None:
         """Forget tasks that no thread has begun; the answers of the others are ignored."""

@@ -32,7 +32,7 @@ knows when a table is complete. Estimations that the evaluator does not name are
 import contextlib
 import time
 import uuid
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import replace
 from functools import partial
@@ -42,7 +42,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 import pyarrow as pa
 
 from pfdist.common.streams import stream_key
-from pfdist.errors import ModelError, PfdistError, TaskError
+from pfdist.errors import ModelError, PfdistError, PoolError, TaskError
 from pfdist.evaluation.work import Result, Work
 from pfdist.pools.base import Function, Outcome, Pool, Task
 from pfdist.runner.build import Built
@@ -356,6 +356,7 @@ class Loop:
         self._computing: dict[str, Batch] = {}  # who computes an evaluation, by its id
         # Who has an evaluation, by its id; the first lender goes first.
         self._stores = {id_: store for store in reversed([*lenders]) for id_ in store.evaluations()}
+        self._ready: dict[Driver, Exception | None] = {}  # drivers that go on next
         self._values: list[Any] = []
 
     def serve(self, drivers: Iterable[Driver | None]) -> list[Any]:
@@ -371,11 +372,11 @@ class Loop:
         todo = iter(drivers)
         with self._stack:
             try:
-                self._begin(todo)
+                self._advance(todo)
                 while self._batches:
                     for outcome in self._entered().run(self._tasks()):
                         self._take(outcome)
-                        self._begin(todo)
+                        self._advance(todo)
             finally:
                 for driver in list(self._batches):
                     driver.close()
@@ -386,27 +387,39 @@ class Loop:
             self._pool = self._stack.enter_context(self._to_enter)
         return self._pool
 
-    def _begin(self, todo: Iterator[Driver | None]) -> None:
-        """Let drivers begin as long as few are at work."""
-        while len(self._batches) < self._at_once and (driver := next(todo, None)) is not None:
-            self._go_on(driver)
+    def _advance(self, todo: Iterator[Driver | None]) -> None:
+        """Let all drivers go on that can, and others begin as long as few are at work."""
+        while True:
+            if self._ready:
+                driver = next(iter(self._ready))
+                self._go_on(driver, self._ready.pop(driver))
+            elif len(self._batches) < self._at_once and (new := next(todo, None)) is not None:
+                self._go_on(new)
+            else:
+                return
 
     def _go_on(self, driver: Driver, error: Exception | None = None) -> None:
         """Let a driver go on until a batch of it lacks results, or it ends."""
-        self._batches.pop(driver, None)
-        while True:
-            try:
+        batch = self._batches.pop(driver, None)
+        try:
+            while True:
+                if batch is not None:
+                    error = error or _error_of(batch.end)
                 batch = next(driver) if error is None else driver.throw(error)
-            except StopIteration as end:
-                self._values.append(end.value)
-                return
-            error = _error_of(partial(self._look_up, batch, batch.works))
-            if error is None and batch.lacks_results:
-                rank = self._ranks.setdefault(driver, len(self._ranks))
-                first = {each: b for each, b in self._batches.items() if self._ranks[each] < rank}
-                self._batches = first | {driver: batch} | self._batches
-                return
-            error = error or _error_of(batch.end)
+                error = _error_of(partial(self._look_up, batch, batch.works))
+                if error is not None:
+                    self._forget(batch)
+                elif batch.lacks_results:
+                    rank = self._ranks.setdefault(driver, len(self._ranks))
+                    before = [each for each in self._batches if self._ranks[each] < rank]
+                    first = {each: self._batches[each] for each in before}
+                    self._batches = first | {driver: batch} | self._batches
+                    return
+        except StopIteration as end:
+            self._values.append(end.value)
+        except BaseException:
+            driver.close()  # it commits what it has, while its folder is still locked
+            raise
 
     def _tasks(self) -> Iterator[Task | None]:
         """Yield the next task of the first driver that has one; None if one may have one soon."""
@@ -424,16 +437,22 @@ class Loop:
                 yield None
 
     def _take(self, outcome: Outcome) -> None:
-        """Let a batch learn from an outcome, and its driver go on if it was the last."""
+        """Let a batch learn from an outcome; its driver goes on if the batch lacks nothing more."""
         driver, batch, cut = self._sent.pop(outcome.task.key)
         if self._batches.get(driver) is not batch:
             return  # the driver has had enough
         error = _error_of(partial(batch.take, cut, replace(outcome, task=cut.task)))
         if error is None and not batch.is_computed:
             return
-        error = error or _error_of(partial(self._release, batch))
+        own = self._forget(batch)
+        if own and error is None:
+            error = _error_of(batch.session.commit)
+            if error is None:
+                self._stores.update(dict.fromkeys(own, batch.session.store))
         if error is not None or not batch.lacks_results:
-            self._go_on(driver, error or _error_of(batch.end))
+            self._ready[driver] = error
+        if own:
+            self._serve_the_waiting()
 
     def _look_up(self, batch: Batch, works: list[Work]) -> None:
         """Let a batch learn what is known of works, and cut the others into tasks."""
@@ -448,40 +467,58 @@ class Loop:
 
     def _own(self, batch: Batch, works: list[Work]) -> list[Work]:
         """The works that this batch computes; the others are taken from tables, or waited for."""
-        own = list[Work]()
+        by_store = defaultdict[Store | None, list[Work]](list)
         for work in works:
             for store, part in _by(work, self._stores.get):
-                left = [part] if store is None else _learnt(batch, store, [part], keep=True)
-                for lacking in left:
-                    for computing, piece in _by(lacking, self._computing.get):
-                        (own if computing is None else batch.waiting).append(piece)
+                by_store[store].append(part)
+        lacking = by_store.pop(None, [])
+        for store, parts in by_store.items():
+            if store is not None:
+                lacking += _learnt(batch, store, parts, keep=True)
+        own = list[Work]()
+        for work in lacking:
+            for computing, part in _by(work, self._computing.get):
+                (own if computing is None else batch.waiting).append(part)
         if self._at_once > 1:
             for work in own:
                 self._computing.update(dict.fromkeys(work.ids, batch))
         return own
 
-    def _release(self, batch: Batch) -> None:
-        """Let other batches take what a batch has computed, or compute what it has not."""
+    def _forget(self, batch: Batch) -> list[str]:
+        """Forget that a batch computes evaluations, and return their ids."""
         own = [id_ for id_, computing in self._computing.items() if computing is batch]
-        if not own:
-            return
-        batch.session.commit()
         for id_ in own:
             del self._computing[id_]
-            self._stores[id_] = batch.session.store
-        for driver, other in list(self._batches.items()):
-            if other.waiting:
-                works, other.waiting = other.waiting, []
-                error = _error_of(partial(self._look_up, other, works))
-                if error is not None or not other.lacks_results:
-                    self._go_on(driver, error or _error_of(other.end))
+        return own
+
+    def _serve_the_waiting(self) -> None:
+        """Let batches that wait take what was computed, or compute what was not."""
+        waits = True
+        while waits:
+            waits = False
+            for driver, batch in self._batches.items():
+                if batch.waiting and driver not in self._ready:
+                    works, batch.waiting = batch.waiting, []
+                    error = _error_of(partial(self._look_up, batch, works))
+                    if error is not None:
+                        waits = bool(self._forget(batch)) or waits  # others may wait for these
+                    if error is not None or not batch.lacks_results:
+                        self._ready[driver] = error
 
 
 def _error_of(function: Callable[[], object]) -> PfdistError | None:
-    """The error with which a call ends: it belongs to one driver, and the others go on."""
+    """The error with which a call ends, if it belongs to one driver and the others can go on.
+
+    Raises
+    ------
+    PoolError
+        There are no workers: no driver can go on.
+    """
     try:
         function()
     except PfdistError as error:
+        if isinstance(error, PoolError) and not isinstance(error, TaskError):
+            raise
         return error
     return None
 

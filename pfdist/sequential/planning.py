@@ -185,7 +185,7 @@ class Replanner:
         ModelError
             A formula failed.
         """
-        evaluator = replace(self.evaluator, prior=now.prior)
+        evaluator = replace(self.evaluator, prior=now.prior, estimations=())
         ends = [evaluator.horizon] * len(plans)
         if evaluator.exact:
             costs = evaluator.expected_mse(plans).tolist()
@@ -302,4 +302,4 @@ class _Outlook:
     @property
     def evaluator(self) -> Evaluator:
         """The evaluator from now on."""
-        return replace(self.replanner.evaluator, prior=self.now.prior)
+        return replace(self.replanner.evaluator, prior=self.now.prior, estimations=())

@@ -224,6 +224,7 @@ def run_key(path: Path) -> str | None:
     """
     manifest = Manifest(path)
     if manifest.exists() and not is_plain_file(path / MANIFEST):
+        check_version_of(path)  # up to version 2 the manifest was a folder
         return None  # as of every strange entry: it is named before any file is read
     kept, own = manifest.kept_key(), own_key(path)
     if kept is not None and own in (None, kept):

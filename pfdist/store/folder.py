@@ -144,9 +144,10 @@ def strange_entries(folder: Path) -> Iterator[Damage]:
 def check_entries(folder: Path) -> None:
     """Raise a `StoreError` that names the first strange entry of a run's folder."""
     for damage in strange_entries(folder):
+        moves = f"`pfdist repair {folder}` moves it to quarantine"
         raise StoreError(
             f"{folder / damage.path} {damage.what}; a run holds plain files and folders alone: "
-            f"`pfdist repair {folder}` moves it to quarantine"
+            f"{'remove it' if damage.path.parts[0] == MANIFEST else moves}"
         )
 
 

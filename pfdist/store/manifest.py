@@ -31,10 +31,14 @@ from pfdist.store.folder import (
 )
 from pfdist.store.tables import rows_and_run
 
-_LINE = re.compile(r"(next|now|gone) (\S+) ([0-9a-f]{64})|run ([0-9a-f]{16})")
+_TABLE = r"tables/[a-z_]+/[a-z][a-z0-9_.]*-\d{5}\.parquet"
+# No other path: whoever changed the manifest could have any file moved to quarantine.
+_LINE = re.compile(
+    rf"(next|now|gone) (job\.toml|run\.json|{_TABLE}) ([0-9a-f]{{64}})|run ([0-9a-f]{{16}})"
+)
 _PART = re.compile(r"parts/.*\.([0-9a-f]{64})\.parquet", re.DOTALL)
 _UNKNOWN = "0" * 64
-_PUBLISHED = re.compile(r"tables/[a-z_]+/[a-z][a-z0-9_.]*-\d{5}\.parquet")
+_PUBLISHED = re.compile(_TABLE)
 
 
 class Manifest:

@@ -66,3 +66,16 @@ def test_a_line_that_was_cut_short_means_nothing_and_spoils_no_other(manifest: M
     for size in range(len(KEY)):
         path.write_text(f"{whole}\nrun {'f' * size}")
         assert manifest.kept_key() == KEY
+
+
+@pytest.mark.parametrize(
+    "path", ["../thesis.tex", "{folder}/thesis.tex", "tables/../../thesis.tex"]
+)
+def test_a_manifest_that_names_files_outside_the_run_moves_none(path: str, tmp_path: Path) -> None:
+    thesis = tmp_path / "thesis.tex"
+    thesis.write_text("precious")
+    (tmp_path / "run").mkdir()
+    manifest = Manifest(tmp_path / "run")
+    _add(manifest, f"now {path.format(folder=tmp_path)} {A}")
+    assert not [manifest.quarantine(damage) for damage in manifest.damages()]
+    assert thesis.read_text() == "precious"

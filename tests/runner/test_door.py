@@ -1,0 +1,85 @@
+"""The loop serves every driver to its end, whatever happens to another one."""
+
+import contextlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import pfdist
+from oracles.bytes_of import hashes
+from pfdist import Job
+from pfdist.cli.main import main
+from pfdist.errors import SweepError
+from pfdist.evaluation.evaluator import Evaluator
+from pfdist.evaluation.work import Estimation, Work
+from pfdist.runner.build import build
+from pfdist.runner.door import Batch, Driver, Session, complete
+from pfdist.store import Store
+
+WORK = Work(((0,),), (12,), (1,), 1, (0, 10), Estimation(particles=10), ids=("a",))
+ALIKE = {"comparison.draws": [250, 300]}  # two points with one search
+
+
+@pytest.fixture
+def fails(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
+    """Let the task of this number fail."""
+    results, done = Evaluator.results, list[object]()
+
+    def let(number: int) -> None:
+        def fail(evaluator: Evaluator, works: Any) -> Any:
+            done.append(works)
+            if len(done) == number:
+                raise MemoryError("one bad task")
+            return results(evaluator, works)
+
+        monkeypatch.setattr(Evaluator, "results", fail)
+
+    return let
+
+
+@pytest.mark.parametrize("number", [1, 3, 7])
+def test_points_that_wait_for_a_point_that_fails_compute_what_it_has_not(
+    number: int, fails: Callable[[int], None], small_job: Job, tmp_path: Path
+) -> None:
+    alone = pfdist.run(small_job, tmp_path / "a", changes=["comparison.draws=300"], figures=False)
+    fails(number)
+    options: Any = {"results": tmp_path / "sweep", "report": False}
+    with pytest.raises(SweepError) as caught:
+        pfdist.sweep(small_job, ALIKE, changes=["execution.failures=0"], **options)
+    (name,) = caught.value.failed
+    assert "one bad task" in caught.value.failed[name]
+    assert hashes(tmp_path / "sweep" / "comparison.draws=300") == hashes(alone.path)
+    assert len(pfdist.sweep(small_job, ALIKE, **options).runs) == 2
+
+
+def test_a_sweep_without_workers_ends_with_one_line(
+    small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["sweep", str(small_job.path), "--over", "seed=1:2", "--results", str(tmp_path / "s")]
+    assert main([*words, "--pool", "ray", "--address", "127.0.0.1:1"]) == 1
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith("pfdist: ")
+    assert "127.0.0.1:1" in last
+
+
+def test_a_driver_is_closed_before_the_loop_ends_however_it_ends(
+    small_job: Job, tmp_path: Path
+) -> None:
+    session, events = Session(build(small_job), Store(tmp_path / "run")), list[str]()
+
+    @contextlib.contextmanager
+    def interrupted() -> Iterator[Any]:
+        raise KeyboardInterrupt
+        yield
+
+    def driver() -> Driver:
+        try:
+            yield Batch(session, "none", [WORK], None)
+        finally:
+            events.append("closed")
+
+    with pytest.raises(KeyboardInterrupt):
+        complete(driver(), interrupted())
+    assert events == ["closed"]
