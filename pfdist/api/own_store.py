@@ -10,7 +10,7 @@ from pfdist.analysis import Run
 from pfdist.errors import RunMismatchError, StoreError
 from pfdist.runner.build import Built
 from pfdist.runner.identity import opened, store_of
-from pfdist.runner.processor import note_processor
+from pfdist.runner.provenance import note_processor
 from pfdist.store import Store
 
 

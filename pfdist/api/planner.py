@@ -15,7 +15,7 @@ from pfdist.evaluation.estimate import Evaluation
 from pfdist.filters.cloud import Prior
 from pfdist.job.asked import Asked, as_job
 from pfdist.runner.build import Built, build
-from pfdist.runner.online_planning import planning_of
+from pfdist.runner.searches import planning_of
 from pfdist.search.methods import METHODS
 from pfdist.sequential.estimate import Estimate
 from pfdist.sequential.measurements import instant_on

@@ -17,8 +17,8 @@ from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import build
 from pfdist.runner.door import Driver, Session
 from pfdist.runner.identity import opened
-from pfdist.runner.processor import lender
 from pfdist.runner.progress import Progress, Show
+from pfdist.runner.provenance import lender
 from pfdist.store import Store, check_not_held, holds_run
 
 _MORE = 2  # points at work than workers: some wait for others, and some are at their last tasks

@@ -20,8 +20,8 @@ from pfdist.runner.comparison_phase import COMPARISON, comparison_steps
 from pfdist.runner.door import Batch, Session, complete
 from pfdist.runner.driver import drive
 from pfdist.runner.identity import is_sealed, opened
-from pfdist.runner.processor import lender, note_processor
 from pfdist.runner.progress import Show
+from pfdist.runner.provenance import lender, note_processor
 from pfdist.runner.prover import Prover
 from pfdist.store.folder import has_report
 

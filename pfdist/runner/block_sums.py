@@ -1,25 +1,37 @@
-"""Sums of the errors of sets over blocks of draws.
+"""Sums of the errors of sets over blocks of draws, for searches and proofs by windows.
 
 There are too many windows to store the errors of each draw. A task adds up the errors of one block
 of draws, and the driver adds the blocks in their order. So any number of workers gives the same
 bytes.
+
+The windows of a proof are grown on draws of their own, along the sets that are best in them. If the
+same draws chose the windows and gave the bound, the bound could lie above the truth: windows would
+be preferred that happen to have large errors.
 """
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pfdist.bounds.relaxation import Relaxation
+from pfdist.common.streams import stream_of
+from pfdist.evaluation.estimate import Evaluation
 from pfdist.evaluation.work import BLOCK, Estimation, Result, Work
 from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Learn, Session
 from pfdist.runner.kept import BLOCK_OF_SUMS
+from pfdist.search.base import Candidate
+from pfdist.search.state_space_relaxation import StateSpaceRelaxation
 from pfdist.store import BOUND_PHASE, Store
 from pfdist.times.measurement_times import Times
 
 GROUPS = 20
 """Groups of blocks; the jackknife leaves one group out. Block b belongs to group b modulo 20."""
+
+CHOICE_BLOCKS = GROUPS
+"""Blocks of draws that choose windows."""
 
 Array = NDArray[np.float64]
 
@@ -148,3 +160,109 @@ class BlockSums:
         with np.errstate(invalid="ignore"):
             means: Array = np.where(usable > 0, sums.T / (BLOCK * usable), np.nan).T
         return means
+
+
+def evaluated_by_errors(
+    asked: Sequence[Candidate],
+    session: Session,
+    sums_of: Callable[[Counted], BlockSums],
+    blocks: int,
+    purpose: str,
+) -> Generator[Batch, None, tuple[list[Evaluation], float]]:
+    """Evaluations of candidates, and the particle-steps that they take.
+
+    Errors are 0 before the instant from which they are wanted, and behind the candidate's end.
+
+    Parameters
+    ----------
+    asked : sequence of Candidate
+    session : Session
+    sums_of : callable
+        Gives the sums over blocks of draws; exact engines need none.
+    blocks : int
+        Number of blocks of draws.
+    purpose : str
+        Purpose of the draws.
+
+    Raises
+    ------
+    TaskError, PoolError, StoreError
+        A task failed, no worker answers, or a file cannot be read or written.
+    """
+    evaluator = session.built.evaluator
+    exact, horizon, steps = evaluator.exact, evaluator.horizon, 0.0
+    sets = tuple(candidate.measurement_times for candidate in asked)
+    first = np.array([candidate.since or 0 for candidate in asked])
+    ends = np.array([horizon if each.end is None else each.end for each in asked])
+    counted = Counted(sets, first, ends)
+    if exact:
+        errors = np.where(counted.at(horizon), evaluator.expected_errors(sets), 0.0)
+    else:
+        sums = sums_of(counted)
+        errors, steps = (yield from sums.means(blocks, session)), sums.steps(blocks)
+    costs = errors.sum(axis=1) / (horizon + 1)
+    evaluations = [
+        Evaluation(
+            candidate.measurement_times,
+            cost[None],
+            exact=float(cost) if exact else None,
+            end=candidate.end,
+            errors=row,
+            purpose=purpose,
+        )
+        for candidate, row, cost in zip(asked, errors, costs, strict=True)
+    ]
+    return evaluations, steps
+
+
+def grown(
+    session: Session,
+    optimiser: StateSpaceRelaxation,
+    estimation: Estimation,
+    most_steps: float,
+    most_cells: int,
+) -> Generator[Batch, None, tuple[Relaxation, float]]:
+    """The relaxation that a search for windows ends with, and the particle-steps that it took.
+
+    Parameters
+    ----------
+    session : Session
+    optimiser : StateSpaceRelaxation
+    estimation : Estimation
+        An estimation by the variance of the particles.
+    most_steps : float
+        Particle-steps after which no window is added.
+    most_cells : int
+        Largest number of errors of a relaxation.
+
+    Raises
+    ------
+    TaskError, PoolError, StoreError
+        A task failed, no worker answers, or a file cannot be read or written.
+    """
+    built, reporter = session.built, session.reporter
+    stream = stream_of("bound", built.job.seed, "windows")
+
+    def sums_of(counted: Counted) -> BlockSums:
+        return BlockSums(built, counted, (stream, stream), estimation)
+
+    state, steps, rng = optimiser.init(), 0.0, np.random.default_rng(0)
+    if not built.evaluator.exact:  # which takes no particle-steps
+        reporter.begin("windows of the bound")
+    start = reporter.progress.done
+    relaxation = state.relaxation
+    while not optimiser.done(state):
+        asked = optimiser.ask(state, rng)
+        evaluations, work = yield from evaluated_by_errors(
+            asked, session, sums_of, CHOICE_BLOCKS, "bound"
+        )
+        steps += work
+        if work:
+            reporter.reach(start + steps)
+        state = optimiser.tell(state, evaluations)
+        if state.relaxation.offsets[-1] > most_cells:
+            break
+        relaxation = state.relaxation
+        if steps >= most_steps:
+            break
+    return relaxation, steps

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from pfdist.checks.contract import check_compiled, check_formulas, few_draws
+from pfdist.common.component_names import Component
 from pfdist.errors import CompileError, EngineWarning, JobError, ModelError
 from pfdist.evaluation.engines import AUTO, COMPILED, NUMPY, NUMPY_TIMES_SLOWER
 from pfdist.evaluation.evaluator import Evaluator, carried_evaluator
@@ -17,9 +18,7 @@ from pfdist.job.sections import Execution, FilterModel, Model
 from pfdist.models import PYTHON, CarriedModel, carried_model, installed_models
 from pfdist.pools.base import Pool
 from pfdist.pools.kinds import POOLS
-from pfdist.runner.estimate_columns import check_estimate_columns
-from pfdist.runner.online_planning import planning_of
-from pfdist.runner.searches import NamedSearch, Settings, named_search
+from pfdist.runner.searches import NamedSearch, Settings, named_search, planning_of
 from pfdist.runner.study import Study
 from pfdist.sequential.planning import check_plannable
 from pfdist.times.clock import Time
@@ -236,3 +235,25 @@ def check_pool(execution: Execution) -> None:
 def make_pool(execution: Execution) -> Pool:
     """The pool that [execution] names; the pool starts when the caller enters it."""
     return POOLS[execution.pool].make(execution.workers, execution.address)
+
+
+def check_estimate_columns(sets: Sequence[str], components: Sequence[Component]) -> None:
+    """Raise an error if the estimates of two sets would have columns of one name.
+
+    Raises
+    ------
+    JobError
+        The set ``a`` with the component ``b c`` and the set ``a_b`` with the component ``c``, say.
+    """
+    known = dict[str, tuple[str, str]]()
+    for name in sets:
+        for each in components:
+            column = f"estimate_{name}_{each.suffix}"
+            if column in known:
+                other, other_suffix = known[column]
+                raise JobError(
+                    "estimates must have different columns, got the column "
+                    f"{column!r} for {other_suffix!r} of the set {other!r} and for {each.suffix!r} "
+                    f"of the set {name!r}: give a search, or a set of comparison.sets, another name"
+                )
+            known[column] = name, each.suffix

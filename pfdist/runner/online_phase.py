@@ -12,7 +12,7 @@ from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.first_draws import TRAJECTORIES
 from pfdist.runner.kept import OfDraws
-from pfdist.runner.online_planning import planning_of
+from pfdist.runner.searches import planning_of
 from pfdist.sequential.work import OnlineWork
 from pfdist.store import schema
 from pfdist.times.measurement_times import Times

@@ -14,7 +14,7 @@ from pfdist.common.streams import CHOOSING, stream_of
 from pfdist.evaluation.estimate import Evaluation
 from pfdist.evaluation.work import BLOCK, Estimation, Result, Work
 from pfdist.kernels.noise import generator
-from pfdist.runner.block_sums import BlockSums, Counted
+from pfdist.runner.block_sums import BlockSums, Counted, evaluated_by_errors
 from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.kept import PER_DRAW
@@ -25,7 +25,6 @@ from pfdist.runner.search_tables import (
     publish_search,
 )
 from pfdist.runner.searches import Settings
-from pfdist.runner.window_errors import evaluated_by_errors
 from pfdist.search import Candidate, Optimiser
 from pfdist.search.probe import new_leaders
 from pfdist.times.measurement_times import validated

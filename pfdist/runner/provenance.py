@@ -1,15 +1,26 @@
-"""The provenance of a run: who started it, with which libraries, on which machine."""
+"""The provenance of a run: with which libraries and on which processors it was computed.
+
+The last digits of some results differ between processors. So a run names its processors, and a run
+of another processor may lend no results that may differ.
+"""
 
 import os
 import platform
 import sys
+from collections.abc import Callable
 from datetime import UTC, datetime
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
-from pfdist.runner.build import Built, folder_of_models
-from pfdist.runner.processor import processor
+from llvmlite import binding
 
+from pfdist.errors import StoreError
+from pfdist.evaluation.engines import COMPILED
+from pfdist.runner.build import Built, folder_of_models
+from pfdist.store import Store, add_to_provenance, read_run
+
+CONTINUED = "continued_on"
 _LIBRARIES = ("numpy", "scipy", "numba", "ray", "pandas", "pyarrow", "matplotlib")
 
 
@@ -37,3 +48,92 @@ def provenance(built: Built) -> dict[str, Any]:
         "libm_functions": list(built.evaluator.libm_functions),
         "execution": job.execution.model_dump(mode="json"),
     }
+
+
+def processor() -> dict[str, str]:
+    """The processor's name, and the name for which code is compiled."""
+    return {
+        "compiled_for": os.environ.get("NUMBA_CPU_NAME") or binding.get_host_cpu_name(),
+        "model": _model(),
+    }
+
+
+def _model() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:  # not Linux
+        lines = []
+    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(names, platform.processor() or platform.machine())
+
+
+def note_processor(path: Path, built: Built, say: Callable[[str], Any]) -> None:
+    """Record the processor that resumes a run, and say how its results may differ.
+
+    Parameters
+    ----------
+    path : Path
+        The run's folder, held by this process.
+    built : Built
+    say : callable
+        Receives a line if results may differ.
+    """
+    provenance, here = read_run(path)[0]["provenance"], processor()
+    before = provenance["processor"]
+    if here == before:
+        return
+    others = provenance.get(CONTINUED, [])
+    if here not in others:
+        add_to_provenance(path, {CONTINUED: [*others, here]})
+    differs = what_may_differ(built)
+    if differs:
+        processors = f"was started on {_described(before)} and goes on on {_described(here)}"
+        say(f"this run {processors}: {differs}")
+
+
+def what_may_differ(built: Built) -> str:
+    """How the results of another processor may differ; empty if it computes the same bytes."""
+    engine, called = built.evaluator.engine, built.evaluator.libm_functions
+    if engine != COMPILED.name:
+        return f"figures of filter.engine = {engine!r} agree to about 12 digits, not to the last"
+    if called:
+        names = ", ".join(called)
+        return f"the last digits may differ, because the formulas call {names} of the C library"
+    return ""
+
+
+def lender(path: Path, built: Built | None = None) -> Store:
+    """The store of a run whose evaluations other runs may take.
+
+    Parameters
+    ----------
+    path : Path
+        Folder of the run.
+    built : Built, optional
+        The job of the run that takes them. Without it, a run on another processor lends nothing.
+
+    Raises
+    ------
+    StoreError
+        The last digits of its evaluations may differ from those computed here, a file is damaged,
+        or there is no run.
+    """
+    about = read_run(path)[0]["provenance"]
+    here = about["processor"] == processor() and CONTINUED not in about
+    differs = "the last digits may differ" if built is None else what_may_differ(built)
+    if differs and not here:
+        raise StoreError(
+            f"{path} was computed on another processor ({_described(about['processor'])}), so its "
+            f"evaluations cannot be reused: {differs}"
+        )
+    store = Store(path)
+    for damage in store.manifest.damages():
+        raise StoreError(
+            f"{path / damage.path} {damage.what}, so its evaluations cannot be reused: "
+            f"`pfdist repair {path}` sets damaged files aside"
+        )
+    return store
+
+
+def _described(processor: dict[str, str]) -> str:
+    return f"{processor['model']} ({processor['compiled_for']})"

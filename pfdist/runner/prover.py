@@ -19,12 +19,11 @@ from pfdist.common.streams import stream_of
 from pfdist.errors import ModelError
 from pfdist.evaluation.work import BLOCK, Estimation, Result, Work, with_truth
 from pfdist.kernels.estimators import FILTER_VARIANCE
-from pfdist.runner.block_sums import GROUPS, BlockSums, Counted
+from pfdist.runner.block_sums import GROUPS, BlockSums, Counted, grown
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.sets_alone import sets_alone, steps_of_sets
-from pfdist.runner.window_growth import grown
 from pfdist.search.state_space_relaxation import StateSpaceRelaxation
 from pfdist.store import BOUND_PHASE, schema
 from pfdist.times.constraints import Constraints

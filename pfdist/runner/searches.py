@@ -1,20 +1,28 @@
-"""From the sections [[search]] of a job to optimisers and the settings of their evaluations."""
+"""From sections of a job to optimisers, and to the settings of their evaluations and plans."""
 
 from dataclasses import dataclass, replace
 
+import psutil
+
+from pfdist.errors import JobError
 from pfdist.evaluation.engines import is_exact
 from pfdist.evaluation.work import Estimation, in_blocks
 from pfdist.job.job import Job
+from pfdist.job.online_section import Online
 from pfdist.kernels.estimators import OWN_VARIANCE, SQUARED_ERROR
-from pfdist.runner.memory import check_memory
 from pfdist.runner.study import Study
 from pfdist.search import Optimiser
 from pfdist.search.methods import METHODS
 from pfdist.search.section import AUTO, EvaluationSettings, SearchSection
+from pfdist.sequential.planning import Planning
 
 _POLISH_DRAWS = 4096  # at most
 _RACE_DRAWS = 1000  # of the first round
 _NOTHING_OWN = EvaluationSettings()
+_BYTES_A_DRAW = 32  # the index and the MSE of a draw, in a worker's answer and in the table
+_BYTES_A_SET = 1000  # the times, the evaluation and the row of a set
+_SETS = {"population": 1, "chains": 2}
+"""Settings for the number of sets in a generation, and how many sets each unit stands for."""
 
 
 @dataclass(frozen=True)
@@ -161,3 +169,40 @@ def _with_settings(
         polishing = replace(polishing, estimation=believed)
     racing = replace(settings, draws=_RACE_DRAWS, common_noise=True, estimation=own)
     return NamedSearch(name, optimiser, settings, polishing if section.polish else None, racing)
+
+
+def check_memory(job: Job, section: SearchSection, draws: int) -> None:
+    """Raise a `JobError` if a generation of a search does not fit into this machine's memory.
+
+    Parameters
+    ----------
+    job : Job
+    section : SearchSection
+        A section of the job.
+    draws : int
+        Draws of an evaluation.
+    """
+    for key, sets in _SETS.items():
+        count = section.settings.get(key, 0)
+        wanted = count * sets * (_BYTES_A_SET + _BYTES_A_DRAW * draws)
+        present = psutil.virtual_memory().total
+        if wanted > present:
+            raise JobError(
+                f"search.{section.name}.{key} = {count} on {draws:,} draws each takes about "
+                f"{wanted / 1e9:.3g} GB of memory, and this machine has {present / 1e9:.3g} GB: "
+                f"take at most {present * count // wanted:,} ({job.path})"
+            )
+
+
+def planning_of(job: Job, cheapest: str) -> Planning:
+    """How the measurements that are left are planned, by the section [online] or its defaults.
+
+    Parameters
+    ----------
+    job : Job
+    cheapest : str
+        The estimator that "auto" stands for.
+    """
+    online = job.online or Online()
+    settings = Settings.from_job(job, online.search.evaluation, cheapest)
+    return Planning(online.search, settings.draws, online.judging_draws, settings.estimation)

@@ -26,7 +26,7 @@ BLOCK, MOST = 50, 430
 
 @pytest.fixture(autouse=True)
 def _small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in ("analysis.stored_run", "runner.comparison_phase", "runner.interim"):
+    for module in ("analysis.stored_run", "runner.comparison_phase"):
         monkeypatch.setattr(f"pfdist.{module}.BLOCK", BLOCK)
     monkeypatch.setattr(Pace, "size", lambda pace, remaining: BLOCK * SETS * A_DRAW)
 
@@ -234,7 +234,7 @@ def test_a_run_of_another_processor_lends_what_has_the_same_bytes_here(
     old, new = tmp_path / "old", tmp_path / "new"
     pfdist.run(small_job, old, figures=False)
     elsewhere = {"compiled_for": "other", "model": "another processor"}
-    monkeypatch.setattr("pfdist.runner.processor.processor", lambda: elsewhere)
+    monkeypatch.setattr("pfdist.runner.provenance.processor", lambda: elsewhere)
     monkeypatch.setattr(Evaluator, "libm_functions", property(lambda evaluator: called))
     if called:
         with pytest.raises(StoreError, match=r"another processor .* the formulas call cos"):
