@@ -1,10 +1,13 @@
 """Fixtures that tests share: models, small jobs, and one Ray cluster a process."""
 
+import contextlib
+import os
 import shutil
 import signal
 import sys
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from hashlib import sha256
 from pathlib import Path
 
 import pytest
@@ -46,17 +49,32 @@ def small_job(tmp_path: Path) -> Job:
 
 
 @pytest.fixture(scope="session")
-def finished_small_job(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of a finished run of the small job, for all tests of this process."""
-    path = tmp_path_factory.mktemp("finished") / "run"
-    pfdist.run(load_job(Path(__file__).parent / "small.toml"), path, figures=False)
-    return path
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """Finished runs without figures, shared by all tests of the session; nobody changes them.
+
+    ``finished("comparison.draws=60")`` is the folder of the small job's run with this change,
+    ``finished(job="...")`` that of another job, given as TOML.
+    """
+    base = tmp_path_factory.getbasetemp()
+    shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base  # by all processes
+
+    def find(*changes: str, job: str = SMALL_JOB) -> Path:
+        folder = shared / f"finished-{sha256(repr((job, changes)).encode()).hexdigest()[:12]}"
+        if not folder.exists():
+            scratch = tmp_path_factory.mktemp("scratch")
+            (scratch / "job.toml").write_text(job)
+            pfdist.run(scratch / "job.toml", scratch / "run", changes=changes, figures=False)
+            with contextlib.suppress(OSError):  # another process was quicker
+                scratch.rename(folder)
+        return folder / "run"
+
+    return find
 
 
 @pytest.fixture
-def small_run(finished_small_job: Path, tmp_path: Path) -> pfdist.Run:
+def small_run(finished: Callable[..., Path], tmp_path: Path) -> pfdist.Run:
     """A finished run of the small job, in a copy of its own: ``tmp_path / "run"``."""
-    return pfdist.open_run(shutil.copytree(finished_small_job, tmp_path / "run"))
+    return pfdist.open_run(shutil.copytree(finished(), tmp_path / "run"))
 
 
 @pytest.fixture

@@ -21,7 +21,7 @@ from pfdist.pools.threads import ThreadPool
 def test_compiled_filters_release_pythons_lock(ungm: StateSpaceModel) -> None:
     """Otherwise this thread stands still while another one filters."""
     evaluator = Evaluator(ungm, 60)
-    work = Work(((0, 30, 60),), (60,), (1,), 2, (0, 400), Estimation(4000))
+    work = Work(((0, 30, 60),), (60,), (1,), 2, (0, 1000), Estimation(4000))
     evaluator.compile(work.estimation)
     with ThreadPool(1) as pool:
         task = Task("a", evaluator.filtered, work)

@@ -55,8 +55,12 @@ def test_points_that_wait_for_a_point_that_fails_compute_what_it_has_not(
 
 
 def test_a_sweep_without_workers_ends_with_one_line(
-    small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    small_job: Job,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr("ray.is_initialized", lambda: False)  # other tests share a cluster
     words = ["sweep", str(small_job.path), "--over", "seed=1:2", "--results", str(tmp_path / "s")]
     assert main([*words, "--pool", "ray", "--address", "127.0.0.1:1"]) == 1
     last = capsys.readouterr().err.splitlines()[-1]
