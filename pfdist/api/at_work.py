@@ -2,11 +2,12 @@
 
 import contextlib
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from time import perf_counter
 
 from pfdist.api.following import Say
 from pfdist.errors import SilenceError
+from pfdist.evaluation.engines import COMPILED, ENGINES
 from pfdist.job.sections import Execution
 from pfdist.pools.base import Pool
 from pfdist.pools.kinds import POOLS
@@ -23,8 +24,15 @@ _CRASHED = (
 
 
 @contextlib.contextmanager
-def at_work(execution: Execution, say: Say) -> Iterator[Pool]:
+def at_work(execution: Execution, engines: Iterable[str], say: Say) -> Iterator[Pool]:
     """Enter the pool that [execution] names, and say that its workers are ready.
+
+    Parameters
+    ----------
+    execution : Execution
+    engines : iterable of str
+        What computes, as ``filter.engine`` names it. What is compiled releases Python's lock.
+    say : callable
 
     Raises
     ------
@@ -32,7 +40,8 @@ def at_work(execution: Execution, say: Say) -> Iterator[Pool]:
         The pool does not start. If its workers fall silent, the error says what to do.
     """
     kind, start = POOLS[execution.pool], perf_counter()
-    with make_pool(execution) as pool:
+    threaded = all(ENGINES.get(name, COMPILED).compiled for name in engines)
+    with make_pool(execution, threaded=threaded) as pool:
         workers = f"{pool.workers} worker{'s' * (pool.workers != 1)}"
         say(f"{kind.title} is ready: {workers} in {perf_counter() - start:.1f} s")
         try:

@@ -155,7 +155,8 @@ def bound(
             session.reporter.foresee(prover.steps)
             proof = prover.prove(session, finished_run(proved))  # it may have been found damaged
             with noted(session):
-                look: Look = complete(proof, at_work(built.job.execution, tell))
+                workers_at_work = at_work(built.job.execution, [built.evaluator.engine], tell)
+                look: Look = complete(proof, workers_at_work)
             session.reporter.finish()
             if figures and store.path == proved.path:
                 draw_figures(proved, "bound")

@@ -148,7 +148,7 @@ def run_built(
     lenders = [lender(open_run(other).path, built) for other in reuse]
     with opened(path, built, say) as store:
         session = Session(built, store, show, say)
-        pool = at_work(built.job.execution, say)
+        pool = at_work(built.job.execution, [built.evaluator.engine], say)
         computed = complete(compute(session, ending.bound), pool, lenders)
         finished = open_run(path)
         finished.made_from = built.job

@@ -160,7 +160,8 @@ def sweep(
                 stages.append(PointsAtWork(judged, folder, None, show, tell))
                 yield from stages[-1].drivers()
 
-        workers_at_work = at_work(asked.execution, tell)
+        engines = [each.filter.engine for each in asked.jobs.values()]
+        workers_at_work = at_work(asked.execution, engines, tell)
         try:
             Loop(workers_at_work, searched.at_once, searched.begun()).serve(drivers())
         except JobError as error:  # the points are finished, and get their reports

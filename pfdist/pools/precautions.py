@@ -18,11 +18,9 @@ LONGEST_FOLDER = 38  # a socket's path has 107 characters, of which Ray needs 69
 
 @contextlib.contextmanager
 def signals_wait() -> Iterator[None]:
-    """Let signals wait inside a with statement, because Ray may lose the errors that they raise.
+    """Let signals wait inside a with statement, because what has half started cannot be left.
 
-    Ray starts its servers by forks. An error that a signal raises in such a fork is ignored, and
-    may leave a lock behind that is never released. So this program's handlers are called at the
-    end; a second signal is not kept waiting.
+    This program's handlers are called at the end; a second signal is not kept waiting.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

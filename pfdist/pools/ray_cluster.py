@@ -11,8 +11,11 @@ import os
 import platform
 import secrets
 import sys
+import threading
 import warnings
+from collections import Counter
 from collections.abc import Iterator
+from concurrent.futures import Future
 from importlib.metadata import version
 from typing import Any
 
@@ -32,20 +35,27 @@ from pfdist.pools.guard import Guard, environment
 from pfdist.pools.precautions import private_folder, signals_wait, within
 from pfdist.pools.ray_rehearsal import (
     host_and_port,
-    only_loopback,
     reach,
     reason,
     rehearse,
     shortened,
 )
 
-__all__ = ["about", "connected", "describe_nodes", "ray"]
+__all__ = [
+    "NodeAffinitySchedulingStrategy",
+    "about",
+    "all_cores",
+    "connected",
+    "describe_nodes",
+    "free_cores",
+    "idle_cores",
+    "ray",
+]
 
-ANSWER_BYTES = {name: os.environ[name] for name in ("RAY_max_direct_call_object_size",)}
-"""What our own cluster and our workers on any must know of the size of answers."""
 START_SECONDS = 120.0
 STOP_SECONDS = 5.0
 _ADDRESS = "RAY_ADDRESS"
+_GROUP_SECONDS = 10.0  # for which Ray may look for the nodes of free cores
 _OBJECT_STORE_BYTES = 100 * 1024**2  # outcomes are kilobytes
 _QUIET: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.CRITICAL}
 
@@ -74,15 +84,16 @@ def connected(address: str, cores: int = 0) -> Iterator[None]:
     if address == "auto":
         address = os.environ.get(_ADDRESS) or address
     with contextlib.ExitStack() as stack:
-        guard = stack.enter_context(Guard())
+        guard, left = stack.enter_context(Guard()), threading.Event()
+        stack.callback(left.set)
         if is_own(address):
             folder = private_folder()
             stack.enter_context(_token())
             stack.callback(_leave, guard)
-            _start(cores, folder, guard)
+            _start(cores, folder, guard, left)
         else:
             stack.callback(_leave, guard)
-            _join(address, guard)
+            _join(address, guard, left)
         yield
 
 
@@ -91,9 +102,37 @@ def is_own(address: str) -> bool:
     return address in {"", "local"}
 
 
-def _start(cores: int, folder: str, guard: Guard) -> None:
-    with guard.watching(), _starting(loopback=True):
-        ray.init(
+def all_cores() -> int:
+    """How many cores the cluster has."""
+    return int(ray.cluster_resources().get("CPU", 0))
+
+
+def idle_cores() -> int:
+    """How many of them nobody has taken."""
+    return int(ray.available_resources().get("CPU", 0))
+
+
+def free_cores(most: int) -> dict[str, int]:
+    """How many cores are free on which nodes, at most so many in all.
+
+    Only a placement group tells on which nodes they are.
+    """
+    cores = min(most, idle_cores())
+    if cores <= 0:
+        return {}
+    group = ray.util.placement_group([{"CPU": 1}] * cores)
+    try:
+        if not group.wait(_GROUP_SECONDS):
+            return {}
+        return Counter(ray.util.placement_group_table(group)["bundles_to_node_id"].values())
+    finally:
+        ray.util.remove_placement_group(group)
+
+
+def _start(cores: int, folder: str, guard: Guard, left: threading.Event) -> None:
+    with guard.watching(), only_loopback(ray):
+        _init(
+            left,
             address="local",
             num_cpus=cores or usable_cores(),
             num_gpus=0,
@@ -105,20 +144,20 @@ def _start(cores: int, folder: str, guard: Guard) -> None:
         )
 
 
-def _join(address: str, guard: Guard) -> None:
+def _join(address: str, guard: Guard, left: threading.Event) -> None:
     host_and_port(address)  # what is no address is no cluster's fault
     try:
         with guard.watching():
-            loopback = rehearse(address)
+            rehearse(address)
     except PoolError as error:
         raise PoolError(
             f"the Ray cluster at {shortened(address)} does not answer: {error}; "
             "the serial pool computes without Ray",
             argument="pool",
         ) from error
-    with _starting(loopback):
-        # Ray's client (ray://) takes no settings, and leaves the working directory out by itself.
-        ray.init(address=address, job_config=None if "://" in address else _job_config(), **_QUIET)
+    # Ray's client (ray://) takes no settings, and leaves the working directory out by itself.
+    job_config = None if "://" in address else _job_config()
+    _init(left, address=address, job_config=job_config, **_QUIET)
 
 
 def _job_config() -> Any:
@@ -129,27 +168,43 @@ def _job_config() -> Any:
     return ray.job_config.JobConfig(_client_job=not {"", os.getcwd()} & {*sys.path})
 
 
-@contextlib.contextmanager
-def _starting(loopback: bool) -> Iterator[None]:
-    with (
-        signals_wait(),
-        _keeping_sigterm(),
-        only_loopback(ray, loopback),
-        warnings.catch_warnings(),
-    ):
+def _init(left: threading.Event, **options: Any) -> None:
+    """Start Ray in a thread of its own, which waits until the cluster is left.
+
+    In the main thread, Ray would take the handler of SIGTERM. The servers that Ray starts end with
+    the thread that has started them.
+    """
+    started = Future[None]()
+
+    def start() -> None:
+        try:
+            ray.init(**options)
+        except BaseException as error:
+            started.set_exception(error)
+        else:
+            started.set_result(None)
+            left.wait()
+
+    with signals_wait(), warnings.catch_warnings():
         warnings.simplefilter("ignore", FutureWarning)
-        yield
+        within(0.0, start)
+        started.result()
 
 
 @contextlib.contextmanager
-def _keeping_sigterm() -> Iterator[None]:
-    """Keep this program's handler of SIGTERM, which Ray would replace with its own."""
-    replace = ray._private.utils.set_sigterm_handler
-    ray._private.utils.set_sigterm_handler = lambda handler: None
+def only_loopback(ray: Any) -> Iterator[None]:
+    """Have Ray take 127.0.0.1 for this machine's address, so that what it starts listens there.
+
+    Ray does so by itself where it builds no clusters, on macOS and Windows. At any other address,
+    also at 127.0.0.2, its servers listen on all interfaces.
+    """
+    constants, name = ray._private.ray_constants, "ENABLE_RAY_CLUSTER"
+    before = getattr(constants, name)
+    setattr(constants, name, False)
     try:
         yield
     finally:
-        ray._private.utils.set_sigterm_handler = replace
+        setattr(constants, name, before)
 
 
 @contextlib.contextmanager

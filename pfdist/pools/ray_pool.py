@@ -1,13 +1,17 @@
 """The pool of Ray workers. Ray is a pool here and nothing else.
 
-The workers are long-lived actors: a call to one costs 0.7 ms, a stateless task 2 to 5 ms, and an
-actor makes the function of its tasks once: it loads a filter, or compiles it. Each worker is handed
-its next task before it has ended the last one.
+A worker is a long-lived actor with a thread for each core that it has: one worker a node, because
+compiled filters release Python's lock. Where tasks keep the lock, every core has a worker of its
+own. An actor makes the function of its tasks once: it loads a filter, or compiles it. Each thread
+is handed its next task before it has ended the last one.
 
-A worker that dies or is silent for too long is replaced. One of its tasks may be the reason, and
-nobody knows which. So these suspects are done next, each by a worker that has no other task: one
-worker is set aside for them, while the others go on. An outcome costs the driver as much time with
-a thousand workers as with one.
+Cores that become free while tasks are done get workers too: those of a node that joins, of another
+driver that has ended, or of a worker that was lost.
+
+A worker that dies or is silent for too long is ended. One of its tasks may be the reason, and
+nobody knows which. So these suspects are done next, one after another, by one more worker with one
+thread, while the others go on. An outcome costs the driver as much time with a thousand workers as
+with one.
 """
 
 import contextlib
@@ -24,33 +28,33 @@ from queue import Empty, SimpleQueue
 from typing import Any, Self
 
 import cloudpickle
+from threadpoolctl import threadpool_limits
 
 from pfdist.errors import EngineWarning, PfdistError, PoolError, SilenceError
 from pfdist.pools import base
 from pfdist.pools.base import Function, Outcome, Task, do, patience
 from pfdist.pools.precautions import within
 from pfdist.pools.ray_cluster import (
-    ANSWER_BYTES,
     START_SECONDS,
     STOP_SECONDS,
+    NodeAffinitySchedulingStrategy,
     about,
+    all_cores,
     connected,
-    is_own,
+    free_cores,
+    idle_cores,
     ray,
 )
 from pfdist.pools.ray_rehearsal import reason, shortened
 
-IN_FLIGHT = 2  # tasks a worker: the one it does and the one that waits for it
+IN_FLIGHT = 2  # tasks a thread: the one it does and the one that waits for it
 DEATHS = 3  # of workers that had a task and no other, before the task is given up
 SILENCES = 2  # likewise, of workers that did not answer
 ANSWER_SECONDS = 40.0  # when all are silent for so long, nobody will answer
 TAKEN_SECONDS = 3.0  # for which cores may be taken by workers that are just ending
 FUNCTIONS = 32  # that a worker keeps; fewer runs are computed at the same time
-_ENVIRONMENT = {
-    f"{library}_NUM_THREADS": "1" for library in ("OMP", "MKL", "OPENBLAS", "NUMBA", "NUMEXPR")
-} | ANSWER_BYTES
 _END = Task("", repr, None)  # there are no more tasks
-_BUSY = Task("", repr, None)  # there may be more tasks, for which no worker is free
+_BUSY = Task("", repr, None)  # there may be more tasks, for which no thread is free
 
 Call = Future[Any]
 """An answer that is owed."""
@@ -62,11 +66,19 @@ class RayPool:
     Parameters
     ----------
     workers : int
-        How many; 0 takes all cores: those this process may use on a local cluster, all CPUs of an
-        existing one.
+        How many cores to use; 0 takes all: those this process may use on a local cluster, all CPUs
+        of an existing one, also of nodes that join it later.
     address : str
         Address of an existing cluster. If it is empty or local, a cluster is started, unless this
         process has joined one.
+    threaded : bool
+        Whether a worker has all free cores of a node. If not, because tasks keep Python's lock, it
+        has one.
+
+    Attributes
+    ----------
+    workers : int
+        Number of tasks that are done at the same time, when all cores are free.
 
     Raises
     ------
@@ -74,33 +86,31 @@ class RayPool:
         On entering: Ray does not start, or does not answer, or no node has this version of pfdist.
     """
 
-    def __init__(self, workers: int = 0, address: str = "") -> None:
-        self._address = address
+    def __init__(self, workers: int = 0, address: str = "", threaded: bool = True) -> None:
+        self._asked, self._address, self._threaded = workers, address, threaded
         self._cluster = contextlib.ExitStack()
         self._members: dict[_Worker, None] = {}
         self._answers = SimpleQueue[Call]()  # filled by a thread of Ray's
         self._owners: dict[Call, _Worker] = {}
-        self._pickled = lru_cache(maxsize=FUNCTIONS)(cloudpickle.dumps)
-        # Workers that can take a task, by the number of tasks that they have.
-        self._free: tuple[dict[_Worker, None], ...] = tuple({} for _ in range(IN_FLIGHT))
+        self._sent = lru_cache(maxsize=FUNCTIONS)(_send)
+        # Workers that can take a task: with a thread that is free; with all threads at work.
+        self._free: tuple[dict[_Worker, None], dict[_Worker, None]] = {}, {}
         self._aside: _Worker | None = None  # for suspects alone
         self._suspects: deque[Task] = deque()
         self._lost: Counter[str] = Counter()
         self._unfinished = 0  # tasks that were taken and have no outcome
-        self._last_loss = ""
+        self._last_loss = self._last_node = ""
+        self._was_silent = False  # the worker that was lost last; Ray itself may not answer
         self._looked = self._heard = time.monotonic()
+        self._seeker = threading.Thread()  # asks Ray for free cores, and may never return
+        self._found = SimpleQueue[_FreeCores]()  # by it
+        self._left_out = 0  # cores of nodes with another version
         self.workers = workers
 
     def __enter__(self) -> Self:
         try:
-            is_our_own = not ray.is_initialized() and is_own(self._address)
             self._cluster.enter_context(connected(self._address, self.workers))
-            cores = max(1, int(ray.cluster_resources().get("CPU", 1)))
-            self.workers = self.workers or cores
-            awaited = self.workers if is_our_own else self._untaken(cores)
-            for _ in range(self.workers):
-                self._add_worker()
-            self._wait_for(awaited)
+            self._start_workers()
         except (ray.exceptions.RayError, OSError, RuntimeError, ValueError) as error:
             self.__exit__()
             where = f" at {shortened(self._address)}" if self._address else ""
@@ -125,7 +135,7 @@ class RayPool:
     def run(self, tasks: Iterable[Task | None]) -> Iterator[Outcome]:
         """Give the outcomes as the workers finish tasks, with a bounded number in flight.
 
-        A late answer of a worker that was replaced is ignored.
+        A late answer of a worker that was lost is ignored.
 
         Raises
         ------
@@ -150,52 +160,78 @@ class RayPool:
             else:
                 yield from self._take(call)
             if time.monotonic() - self._looked >= base.LOOK_SECONDS:
-                yield from self._give_up_the_silent()
+                yield from self._look()
 
     # --- workers that start ---------------------------------------------------------------------
 
-    def _untaken(self, cores: int) -> int:
-        """How many workers an existing cluster can start now; says so if others must wait."""
-        deadline = time.monotonic() + TAKEN_SECONDS
-        while (free := int(ray.available_resources().get("CPU", 0))) < self.workers:
-            if time.monotonic() > deadline:
-                taken = f"{cores - free} of the {cores} cores of the Ray cluster are taken"
-                waits = f"{free} of {self.workers} workers start now, the others" * (free > 0)
-                warnings.warn(
-                    f"{taken}: {waits or 'the workers'} wait until cores are free",
-                    EngineWarning,
-                    stacklevel=3,
-                )
-                return free
-            time.sleep(base.PAUSE_SECONDS)
-        return self.workers
+    def _start_workers(self) -> None:
+        """Start workers on the cores that are free, and wait until they have said who they are.
 
-    def _add_worker(self, *, after_a_silence: bool = False) -> None:
-        worker = _Worker(after_a_silence)
-        self._members[worker] = None
-        worker.starting = self._owe(worker, worker.actor.about.remote())
-
-    def _wait_for(self, awaited: int) -> None:
-        """Wait until so many workers have said who they are; at least one.
-
-        Workers whose cores are taken may never start.
+        It does not wait for cores that are taken, but says so; unless all are.
         """
+        self.workers, deadline = self._asked or all_cores(), time.monotonic() + TAKEN_SECONDS
+        while (free := idle_cores()) < self.workers and time.monotonic() < deadline:
+            time.sleep(base.PAUSE_SECONDS)
+        if free < self.workers:
+            cores = all_cores()
+            taken = f"{cores - free} of the {cores} cores of the Ray cluster are taken"
+            waits = f"{free} of {self.workers} workers start now, the others" * (free > 0)
+            warnings.warn(
+                f"{taken}: {waits or 'the workers'} wait until cores are free",
+                EngineWarning,
+                stacklevel=3,
+            )
+        while not self._members:
+            self._add_workers(self._free_cores())
+            time.sleep(base.PAUSE_SECONDS)
         deaths, deadline = 0, time.monotonic() + START_SECONDS
-        while sum(not worker.starting for worker in self._members) < max(
-            1, min(awaited, len(self._members))
-        ):
+        while any(worker.is_loading for worker in self._members):
             try:
                 call = self._answers.get(timeout=base.LOOK_SECONDS)
             except Empty:
-                if awaited and time.monotonic() > deadline:
+                if time.monotonic() > deadline:
                     raise TimeoutError(f"no answer in {START_SECONDS:.0f} s") from None
                 continue
             if (error := call.exception()) is not None:
                 deaths += 1
                 if deaths == DEATHS:
                     raise error
+                self._add_workers(self._free_cores())
             for _outcome in self._take(call):
                 pass  # there are no tasks yet
+
+    @property
+    def _used(self) -> int:
+        """How many cores have workers."""
+        return sum(worker.cores for worker in self._members)
+
+    def _free_cores(self) -> "_FreeCores":
+        """The cores that are wanted, and those of them that are free and have no worker yet."""
+        wanted = (self._asked or all_cores()) - self._left_out
+        return max(1, wanted), free_cores(wanted - self._used)
+
+    def _seek_cores(self) -> None:
+        """Look for cores that have become free, in a thread, because Ray may never answer."""
+
+        def seek() -> None:
+            with contextlib.suppress(ray.exceptions.RayError, OSError, RuntimeError, ValueError):
+                self._found.put(self._free_cores())
+
+        if not self._seeker.is_alive() and (not self._asked or self._used < self.workers):
+            self._seeker = within(0.0, seek)
+
+    def _add_workers(self, found: "_FreeCores") -> None:
+        """Start workers on free cores."""
+        self.workers, nodes = found
+        for node, cores in nodes.items():
+            for each in [cores] if self._threaded else [1] * cores:
+                self._add_worker(node, each)
+
+    def _add_worker(self, node: str, cores: int) -> "_Worker":
+        worker = _Worker(node, cores)
+        self._members[worker] = None
+        self._owe(worker, worker.actor.about.remote())
+        return worker
 
     def _check_version(self, worker: "_Worker", about: dict[str, Any]) -> None:
         """Leave out a worker that says that it has another version of pfdist.
@@ -208,9 +244,9 @@ class RayPool:
         here = version("pfdist")
         if about["pfdist"] == here:
             return
-        worker.end()
-        del self._members[worker]
-        self.workers = len(self._members)
+        self._end(worker)
+        self._left_out += worker.cores
+        self.workers -= worker.cores
         wrong = (
             f"every node must have pfdist {here}, got {about['pfdist']} on {about['host']}: "
             "install the same version there"
@@ -223,19 +259,18 @@ class RayPool:
 
     def _forget_tasks(self) -> None:
         """Forget the tasks of an earlier run; their answers are ignored."""
-        self._suspects, self._aside, self._unfinished = deque(), None, 0
-        self._lost, self._last_loss = Counter(), ""
+        self._suspects, self._unfinished = deque(), 0
+        self._lost, self._last_loss, self._was_silent = Counter(), "", False
         self._looked = self._heard = time.monotonic()
         for worker in self._members:
-            for call in list(worker.owed):
-                if call is worker.starting:
-                    worker.owed[call] = None
-                else:
+            for call, task in list(worker.owed.items()):
+                if task is not None:
                     del worker.owed[call], self._owners[call]
+            worker.tasks = 0
             self._set_free(worker)
 
     def _hand_out(self, todo: Iterator[Task | None]) -> Task | None:
-        """Hand tasks to all workers that can take one, first to those that have none.
+        """Hand tasks to all workers that can take one, first to those with a thread that is free.
 
         Returns
         -------
@@ -249,179 +284,192 @@ class RayPool:
                 if task is None or task is _END:
                     return task
                 self._unfinished += 1
-                self._hand(workers.popitem()[0], task)
+                self._hand(next(iter(workers)), task)
         return task
 
     def _hand_suspects(self) -> None:
-        """Let the worker that is set aside do the next suspect, as soon as it has no task."""
-        if self._suspects and self._aside is None:
-            for workers in filter(None, self._free):
-                self._aside, _ = workers.popitem()
-                break
-        if self._aside is None or self._aside.tasks:
-            return
-        if self._suspects:
-            self._hand(self._aside, self._suspects.popleft())
-        else:
-            worker, self._aside = self._aside, None
-            self._set_free(worker)
+        """Let a worker that does nothing else do the next suspect."""
+        worker = self._aside
+        if worker is None:
+            if self._suspects:
+                nodes = [worker.node for worker in self._members]
+                self._aside = self._add_worker(next(iter(nodes), self._last_node), 0)
+        elif not worker.owed:
+            if self._suspects:
+                self._hand(worker, self._suspects.popleft())
+            else:
+                self._end(worker)
 
     def _hand(self, worker: "_Worker", task: Task) -> None:
-        """Hand a task to a worker; before it, its function, if the worker does not have it."""
-        content = self._pickled(task.function)
-        key = hash(content)
-        if not worker.tasks:
-            worker.heard = time.monotonic()
-        if key in worker.functions:
-            self._owe(worker, worker.actor.do.remote(key, task.work), task)
-        else:
-            worker.starting = self._owe(worker, worker.actor.make.remote(key, content), task)
+        key, content = self._sent(task.function)
+        if key not in worker.functions:
+            worker.functions.add(key)
+            self._owe(worker, worker.actor.load.remote(key, content))
+        self._owe(worker, worker.actor.do.remote(key, content, task.work), task)
+        worker.tasks += 1
         self._set_free(worker)
 
-    def _owe(self, worker: "_Worker", answer: Any, task: Task | None = None) -> Call:
+    def _owe(self, worker: "_Worker", answer: Any, task: Task | None = None) -> None:
         """Note that a worker owes an answer, which a task waits for."""
         call: Call = answer.future()
         worker.owed[call], self._owners[call] = task, worker
         call.add_done_callback(self._answers.put)
-        return call
 
     def _set_free(self, worker: "_Worker") -> None:
-        """Note how many tasks a worker can take."""
-        for workers in self._free:
-            workers.pop(worker, None)
-        tasks = len(worker.tasks)
-        if not worker.starting and worker is not self._aside and tasks < IN_FLIGHT:
-            self._free[tasks][worker] = None
+        """Note whether a worker can take a task."""
+        idle, waiting = self._free
+        idle.pop(worker, None)
+        waiting.pop(worker, None)
+        if worker not in self._members or not worker.has_started:
+            return
+        if worker.tasks < worker.cores:
+            idle[worker] = None
+        elif worker.tasks < IN_FLIGHT * worker.cores:
+            waiting[worker] = None
 
     def _take(self, call: Call) -> Iterator[Outcome]:
         """Take an answer of a worker."""
         worker = self._owners.pop(call, None)
-        if worker is None:  # it was replaced, or the run was broken off
+        if worker is None:  # it was lost, or the run was broken off
             return
         if (error := call.exception()) is not None:
             if worker.tasks:  # such deaths are few
                 self._heard = time.monotonic()
-            yield from self._replace(worker, f"{type(error).__name__}: {error}", DEATHS)
+            yield from self._lose(worker, f"{type(error).__name__}: {error}", DEATHS)
             return
-        worker.heard = self._heard = time.monotonic()
-        task, outcome = worker.owed.pop(call), call.result()
-        if call is worker.starting:
-            worker.starting = None
-            if isinstance(outcome, dict):
-                self._check_version(worker, outcome)
-            elif isinstance(outcome, str):  # it cannot make the function
-                outcome = None, 0.0, "", "", outcome, True
-            else:
-                worker.functions.append(outcome)
-                if task is not None:
-                    self._hand(worker, task)
-                    task = None
-        if worker in self._members:
-            self._set_free(worker)
+        self._heard = time.monotonic()
+        task, answer = worker.owed.pop(call), call.result()
         if task is not None:
+            worker.tasks -= 1
             self._unfinished -= 1
-            yield Outcome(task, *outcome)
+            yield Outcome(task, *answer)
+        elif not worker.has_started:
+            worker.has_started = True
+            self._check_version(worker, answer)
+        self._set_free(worker)
 
     # --- workers that are lost ------------------------------------------------------------------
 
-    def _give_up_the_silent(self) -> Iterator[Outcome]:
-        """Replace workers that have been silent for too long; once a second."""
+    def _look(self) -> Iterator[Outcome]:
+        """Look for workers that are silent for too long, and for cores that are free."""
         now = time.monotonic()
         if now - self._looked > base.STILL_SECONDS:  # this process stood still, perhaps with all
             self._heard = now
             for worker in self._members:
-                worker.heard = now
+                worker.since = now
         for worker in list(self._members):
-            silence = now - worker.heard
-            if worker.tasks and silence > worker.patience and worker.is_silent:
+            silence = worker.silence(now)
+            if silence > worker.patience and worker.is_silent:
                 why = f"TimeoutError: no answer in {silence:.0f} s"
-                yield from self._replace(worker, why, SILENCES)
-        most = max(worker.answer_patience for worker in self._members)
-        if now - self._heard > most and all(worker.is_silent for worker in self._members):
-            silence = now - self._heard
+                yield from self._lose(worker, why, SILENCES)
+        silence = now - self._heard
+        if silence > self._patience and all(worker.is_silent for worker in self._members):
             raise SilenceError(f"no worker has answered for {silence:.0f} s{self._last_loss}")
+        with contextlib.suppress(Empty):
+            self._add_workers(self._found.get_nowait())
+        self._seek_cores()
         self._looked = time.monotonic()
 
-    def _replace(self, worker: "_Worker", why: str, most: int) -> Iterator[Outcome]:
-        """Replace a lost worker; its tasks are suspects.
+    @property
+    def _patience(self) -> float:
+        """Seconds for which all workers may be silent."""
+        if not self._was_silent and any(worker.is_loading for worker in self._members):
+            return START_SECONDS
+        return max([ANSWER_SECONDS, *(2 * worker.task_patience for worker in self._members)])
+
+    def _lose(self, worker: "_Worker", why: str, most: int) -> Iterator[Outcome]:
+        """End a lost worker; its tasks are suspects.
 
         A suspect is given up when it was the only task of so many workers that were lost.
         """
         self._last_loss = f" (the last was lost by {why.splitlines()[0]})"
-        worker.end()
-        for call in worker.owed:
-            self._owners.pop(call, None)
-        del self._members[worker]
-        for workers in self._free:
-            workers.pop(worker, None)
-        if self._aside is worker:
-            self._aside = None
-        self._add_worker(after_a_silence=most == SILENCES)
-        for task in worker.tasks:
-            self._lost[task.key] += len(worker.tasks) == 1
+        self._last_node, self._was_silent = worker.node, most == SILENCES
+        self._end(worker)
+        for task in filter(None, worker.owed.values()):
+            self._lost[task.key] += worker.tasks == 1
             if self._lost[task.key] < most:
                 self._suspects.append(task)
             else:
                 self._unfinished -= 1
-                yield Outcome(task, None, time.monotonic() - worker.heard, "", "", why)
+                yield Outcome(task, None, time.monotonic() - worker.since, "", "", why)
+
+    def _end(self, worker: "_Worker") -> None:
+        """End a worker, whose answers are ignored."""
+        worker.end()
+        for call in worker.owed:
+            self._owners.pop(call, None)
+        del self._members[worker]
+        if self._aside is worker:
+            self._aside = None
+        self._set_free(worker)
 
 
 class _Worker:
     """A worker as the driver knows it: its actor, and the answers that it owes.
 
-    Nothing is handed to a worker that has not said who it is, for it may never start, as on a
-    cluster that has lost a node; nor while it makes a function, which may take long.
+    Nothing is handed to a worker that has not said who it is, for it may never start, as on a node
+    that is lost.
 
     Parameters
     ----------
-    after_a_silence : bool
-        Whether it comes in the place of a worker that did not answer. If not, Ray answers.
+    node : str
+        Ray's name of its node.
+    cores : int
+        How many it has, with a thread for each. 0 is one thread that has no core to itself.
 
     Attributes
     ----------
-    starting : Call or None
-        Who it is, or the function that it makes, while it owes this.
+    has_started : bool
+        Whether it has said who it is.
     owed : dict
-        The answers that it owes, and the task of each.
-    functions : deque of int
-        Hashes of the functions that it has, the oldest first.
-    heard : float
-        When the worker last answered, or had nothing to do, on the monotonic clock.
+        The answers that it owes, the oldest first, and the task of each; None where it starts or
+        loads a function.
+    tasks : int
+        How many tasks it has.
+    functions : set of int
+        Those that it has been given.
+    since : float
+        When a look first found the oldest answer to be the oldest, on the monotonic clock.
     """
 
-    def __init__(self, after_a_silence: bool) -> None:
-        self.actor: Any = _RemoteActor.remote()
-        self._after_a_silence = after_a_silence
-        self.starting: Call | None = None
+    def __init__(self, node: str, cores: int) -> None:
+        where = NodeAffinitySchedulingStrategy(node, soft=cores == 0)
+        self.actor: Any = _RemoteActor.options(
+            num_cpus=cores, max_concurrency=max(1, cores), scheduling_strategy=where
+        ).remote()
+        self.node, self.cores, self.has_started = node, cores, False
         self.owed: dict[Call, Task | None] = {}
-        self.functions = deque[int](maxlen=FUNCTIONS)  # it forgets the oldest, as its actor does
-        self.heard = time.monotonic()
-
-    @property
-    def tasks(self) -> list[Task]:
-        """The tasks that it has."""
-        return [task for task in self.owed.values() if task is not None]
+        self.tasks = 0
+        self.functions = set[int]()
+        self._oldest: Call | None = None
+        self.since = time.monotonic()
 
     @property
     def is_silent(self) -> bool:
         """Whether no answer of it waits to be taken."""
         return not any(call.done() for call in self.owed)
 
+    def silence(self, now: float) -> float:
+        """Seconds for which it has owed its oldest answer. Another thread may answer meanwhile."""
+        oldest = next(iter(self.owed), None)
+        if oldest is not self._oldest:
+            self._oldest, self.since = oldest, now
+        return 0.0 if oldest is None else now - self.since
+
     @property
-    def _patience(self) -> float:
-        return patience(max((task.seconds for task in self.tasks), default=0.0))
+    def is_loading(self) -> bool:
+        """Whether it starts, or loads a function."""
+        return None in self.owed.values()
 
     @property
     def patience(self) -> float:
-        """Seconds for which the worker may be silent."""
-        return START_SECONDS if self.starting else self._patience
+        """Seconds for which it may be silent."""
+        return START_SECONDS if self.is_loading else self.task_patience
 
     @property
-    def answer_patience(self) -> float:
-        """Seconds for which all workers may be silent because of this worker."""
-        if self.starting and not self._after_a_silence:
-            return START_SECONDS
-        return max(ANSWER_SECONDS, 2 * self._patience)
+    def task_patience(self) -> float:
+        """Seconds for which it may do its tasks."""
+        return patience(max((task.seconds for task in self.owed.values() if task), default=0.0))
 
     def end(self) -> threading.Thread:
         """End the worker in a thread, because the request may never return."""
@@ -437,26 +485,55 @@ class _Actor:
     """The worker's process, as Ray runs it."""
 
     def __init__(self) -> None:
-        self._functions: dict[int, Function] = {}  # the oldest first
+        threadpool_limits(1)  # of BLAS; its cores have threads of ours
+        self._functions: dict[int, Function | str] = {}  # the oldest first
+        self._lock = threading.Lock()
 
     def about(self) -> dict[str, Any]:
         """Say who this is; it is the first to be answered."""
         return about()
 
-    def make(self, key: int, content: bytes) -> int | str:
-        """Make a function and give its key, or say why that failed."""
+    def load(self, key: int, content: bytes) -> None:
+        """Make a function, which the first of its tasks would have to wait for."""
+        self._function(key, content)
+
+    def do(self, key: int, content: bytes, work: Any) -> tuple[Any, ...]:
+        """Do a task, of a function with a key and a content: all of its outcome but the task."""
+        function = self._function(key, content)
+        if isinstance(function, str):
+            return None, 0.0, "", "", function, True
+        value, seconds, process, node, error = do(function, work)
+        return value, seconds, f"{process}-{threading.get_native_id()}", node, error, False
+
+    def _function(self, key: int, content: bytes) -> Function | str:
+        """The function, made once, or why that failed."""
+        function = self._functions.get(key)
+        if function is None:
+            with self._lock:  # threads that want the same function wait for it
+                function = self._functions.get(key) or self._make(key, content)
+        return function
+
+    def _make(self, key: int, content: bytes) -> Function | str:
+        function: Function | str
         try:
-            self._functions[key] = cloudpickle.loads(content)
+            function = cloudpickle.loads(content)
         except Exception as error:
             kind = "" if isinstance(error, PfdistError) else f"{type(error).__name__}: "
-            return f"{kind}{error} (found by a worker on {about()['host']})"
+            function = f"{kind}{error} (found by a worker on {about()['host']})"
+        self._functions[key] = function
         if len(self._functions) > FUNCTIONS:
             del self._functions[next(iter(self._functions))]
-        return key
-
-    def do(self, key: int, work: Any) -> tuple[Any, ...]:
-        """Do a task: all of its outcome but the task."""
-        return do(self._functions[key], work)
+        return function
 
 
-_RemoteActor: Any = ray.remote(num_cpus=1, runtime_env={"env_vars": _ENVIRONMENT})(_Actor)
+_RemoteActor: Any = ray.remote(_Actor)
+
+
+def _send(function: Function) -> tuple[int, Any]:
+    """A key of a function, and its content, which Ray hands to workers."""
+    content = cloudpickle.dumps(function)
+    return hash(content), ray.put(content)
+
+
+_FreeCores = tuple[int, dict[str, int]]
+"""The cores that are wanted in all, and those that are free on nodes."""

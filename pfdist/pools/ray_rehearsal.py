@@ -4,7 +4,6 @@ Ray waits for minutes where nobody answers, writes its log on standard error mea
 never return. Here this happens to a process that nobody sees, and that the kernel ends in time.
 """
 
-import contextlib
 import json
 import logging
 import os
@@ -12,8 +11,6 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
-from typing import Any
 
 from pfdist.errors import PoolError
 from pfdist.pools.guard import python_command
@@ -26,18 +23,13 @@ _SHOWN = 300  # characters of what Ray says
 _SHOWN_ADDRESS = 80
 
 
-def rehearse(address: str) -> bool:
+def rehearse(address: str) -> None:
     """Try to join a Ray cluster.
 
     Parameters
     ----------
     address : str
         host:port, ray://host:port, or auto.
-
-    Returns
-    -------
-    bool
-        Whether the cluster listens on loopback alone.
 
     Raises
     ------
@@ -55,40 +47,35 @@ def rehearse(address: str) -> bool:
             if trial.returncode == -signal.SIGALRM
             else f"Ray ended with code {trial.returncode} as it joined the cluster"
         )
-    found = json.loads(answer)
-    if "refusal" in found:
-        raise PoolError(found["refusal"])
-    return bool(found["loopback"])
+    if refusal := json.loads(answer):
+        raise PoolError(refusal)
 
 
 def main() -> None:
-    """Print whether the cluster at the address in the command line can be joined, and how."""
+    """Print why the cluster at the address in the command line cannot be joined; "" if it can."""
     answer = os.dup(1)
     with open(os.devnull, "w") as nowhere:
         for stream in (1, 2):
             os.dup2(nowhere.fileno(), stream)
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.alarm(LOAD_SECONDS)
-    found: dict[str, bool | str]
+    refusal = ""
     try:
-        found = {"loopback": _join(sys.argv[1])}
+        _join(sys.argv[1])
     except Exception as error:
-        found = {"refusal": reason(error)}
-    os.write(answer, json.dumps(found).encode() + b"\n")
+        refusal = reason(error)
+    os.write(answer, json.dumps(refusal).encode() + b"\n")
     os.close(answer)
     _leave()
 
 
-def _join(address: str) -> bool:
+def _join(address: str) -> None:
     reach(address)
     # Here and not above: where nobody listens, this is said at once.
     import ray  # noqa: PLC0415
 
     signal.alarm(ANSWER_SECONDS)
-    loopback = "://" not in address and _is_loopback_alone(ray, address)
-    with only_loopback(ray, loopback):
-        ray.init(address=address, log_to_driver=False, logging_level=logging.CRITICAL)
-    return loopback
+    ray.init(address=address, log_to_driver=False, logging_level=logging.CRITICAL)
 
 
 def host_and_port(address: str) -> tuple[str, int]:
@@ -135,47 +122,6 @@ def reach(address: str) -> None:
     except (OSError, UnicodeError) as error:
         said = getattr(error, "strerror", None) or reason(error)
         raise PoolError(f"nobody can be reached at {where}: {said}") from error
-
-
-def _is_loopback_alone(ray: Any, address: str) -> bool:
-    """Whether a cluster is heard at 127.0.0.1, and not at this machine's address.
-
-    Ray takes the latter for the former, unless it is told to stay on loopback.
-    """
-    places = []
-    for loopback in (False, True):
-        with only_loopback(ray, loopback):
-            places.append(ray._private.services.canonicalize_bootstrap_address(address))
-    try:
-        reach(places[0])
-    except PoolError as error:
-        try:
-            reach(places[1])
-        except PoolError:
-            raise error from None
-        return True
-    return False
-
-
-@contextlib.contextmanager
-def only_loopback(ray: Any, alone: bool) -> Iterator[None]:
-    """Have Ray take 127.0.0.1 for this machine's address, so that what it starts listens there.
-
-    Ray does so by itself where it builds no clusters, on macOS and Windows.
-
-    Parameters
-    ----------
-    ray : module
-    alone : bool
-        If not, nothing changes.
-    """
-    constants, name = ray._private.ray_constants, "ENABLE_RAY_CLUSTER"
-    before = getattr(constants, name, True)
-    setattr(constants, name, before and not alone)
-    try:
-        yield
-    finally:
-        setattr(constants, name, before)
 
 
 def reason(error: Exception) -> str:

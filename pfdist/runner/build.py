@@ -232,9 +232,16 @@ def check_pool(execution: Execution) -> None:
             )
 
 
-def make_pool(execution: Execution) -> Pool:
-    """The pool that [execution] names; the pool starts when the caller enters it."""
-    return POOLS[execution.pool].make(execution.workers, execution.address)
+def make_pool(execution: Execution, *, threaded: bool = True) -> Pool:
+    """The pool that [execution] names; the pool starts when the caller enters it.
+
+    Parameters
+    ----------
+    execution : Execution
+    threaded : bool
+        Whether tasks release Python's lock, so that threads of a process do them together.
+    """
+    return POOLS[execution.pool].make(execution.workers, execution.address, threaded)
 
 
 def check_estimate_columns(sets: Sequence[str], components: Sequence[Component]) -> None:

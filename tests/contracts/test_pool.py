@@ -37,7 +37,6 @@ class Made:
 _FUNCTION = "(lambda scope: (exec({}, scope), scope['function'])[1])({{}})"
 SQUARE = Made("def function(work): return work ** 2")
 INVERSE = Made("def function(work): return 1 / work")
-ENVIRONMENT = Made("def function(work): return __import__('os').environ.get(work)")
 
 
 # Every pool that a job can name, with one worker, and with two where it can have two.
@@ -128,13 +127,30 @@ def test_a_pool_runs_again_and_also_nothing(make_pool: Callable[[], Pool]) -> No
             assert len(list(pool.run(_tasks(count)))) == count
 
 
-def test_ray_workers_have_one_thread_each(ray_cluster: None) -> None:
+def test_blas_has_one_thread_in_ray_workers(ray_cluster: None) -> None:
     from pfdist.pools.ray_pool import RayPool
 
-    names = ["OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"]
+    source = """
+import numpy, threadpoolctl
+def function(work): return [each["num_threads"] for each in threadpoolctl.threadpool_info()]
+"""
     with RayPool(1) as pool:
-        outcomes = list(pool.run(Task(name, ENVIRONMENT, name) for name in names))
-    assert {outcome.task.key: outcome.value for outcome in outcomes} == dict.fromkeys(names, "1")
+        (outcome,) = pool.run([Task("threads", Made(source), None)])
+    assert outcome.value
+    assert set(outcome.value) == {1}
+
+
+@pytest.mark.parametrize("threaded", [True, False])
+def test_ray_workers_are_processes_with_threads_or_one_for_each_core(
+    threaded: bool, ray_cluster: None
+) -> None:
+    from pfdist.pools.ray_pool import RayPool
+
+    who = Made("import os, time\ndef function(work): time.sleep(0.05); return os.getpid()")
+    with RayPool(2, threaded=threaded) as pool:
+        outcomes = list(pool.run(_tasks(20, who)))
+    assert len({outcome.value for outcome in outcomes}) == (1 if threaded else 2)
+    assert len({outcome.worker for outcome in outcomes}) == 2
 
 
 def test_a_run_that_is_broken_off_leaves_the_pool_to_the_next(
@@ -286,10 +302,10 @@ def test_when_no_worker_answers_the_pool_says_so_and_nothing_hangs(
     from pfdist.pools import ray_pool
 
     monkeypatch.setattr(ray_pool, "ANSWER_SECONDS", 4.0)
-    stop_all = _faulty(STOP, times=ALWAYS).replace("number == 3", "True")
+    stop_all = _faulty(f"time.sleep(0.5); {STOP}", times=ALWAYS).replace("number == 3", "True")
     # Those that are to replace the stopped ones stop too, as they make their function.
     folder = str(tmp_path)
-    stop_all += f"if len(os.listdir({folder!r})) >= 2: function((3, {folder!r}))"
+    stop_all += f"if os.listdir({folder!r}): function((3, {folder!r}))"
     with ray_pool.RayPool(2) as pool:
         start = time.monotonic()
         with pytest.raises(SilenceError, match=r"no worker has answered for \d s .*no answer in"):
@@ -329,8 +345,8 @@ if pathlib.Path({str(slow)!r}).exists():
             os.kill(worker, signal.SIGKILL)
         rest = [outcome.value for outcome in run]
     assert len(rest) == 50
-    assert len(set(first)) == 2
-    assert set(rest) - set(first)
+    assert len(set(first)) == 1  # one process with two threads
+    assert not set(rest) & set(first)
     record_property("faults", f"{DIES}: 2")
 
 

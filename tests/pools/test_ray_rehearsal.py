@@ -1,11 +1,5 @@
 """Addresses at which there is no Ray cluster; see also the crash tests of joining."""
 
-import re
-import socket
-from collections.abc import Iterator
-from types import SimpleNamespace
-from typing import Any
-
 import pytest
 
 from pfdist.errors import PoolError
@@ -64,30 +58,3 @@ def test_where_nobody_listens_is_said_before_ray_is_loaded(host: str, words: str
         ray_rehearsal.reach(f"{host}:1")
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 250
-
-
-@pytest.fixture
-def listening() -> Iterator[int]:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        yield server.getsockname()[1]
-
-
-def _ray(port: int, refused: int) -> Any:
-    """Ray that takes an address on loopback for another one, which refuses."""
-    constants = SimpleNamespace(ENABLE_RAY_CLUSTER=True)
-
-    def canonicalize(address: str) -> str:
-        return f"127.0.0.1:{refused if constants.ENABLE_RAY_CLUSTER else port}"
-
-    services = SimpleNamespace(canonicalize_bootstrap_address=canonicalize)
-    return SimpleNamespace(_private=SimpleNamespace(ray_constants=constants, services=services))
-
-
-def test_a_cluster_on_loopback_alone_is_found_there(listening: int) -> None:
-    assert ray_rehearsal._is_loopback_alone(_ray(listening, 1), f"127.0.0.1:{listening}")
-    assert not ray_rehearsal._is_loopback_alone(_ray(1, listening), f"127.0.0.1:{listening}")
-
-
-def test_a_stale_note_of_the_last_cluster_is_said_with_its_address() -> None:
-    with pytest.raises(PoolError, match=re.escape("at '127.0.0.1:1': Connection refused")):
-        ray_rehearsal._is_loopback_alone(_ray(1, 1), "auto")

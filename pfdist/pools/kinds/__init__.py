@@ -24,7 +24,8 @@ class PoolKind:
     factory : str
         ``module:object``. The object is called with the settings that it takes, and gives a `Pool`.
     takes : tuple of str
-        ``workers`` if a pool can have several workers, ``address`` if it can join a cluster.
+        ``workers`` if a pool can have several workers, ``address`` if it can join a cluster,
+        ``threaded`` if its workers can be processes with threads, or processes without.
     isolated : bool
         Whether a formula that crashes ends a worker only. If not, it ends the process of the
         driver.
@@ -36,7 +37,7 @@ class PoolKind:
     takes: tuple[str, ...] = ()
     isolated: bool = False
 
-    def make(self, workers: int = 0, address: str = "") -> Pool:
+    def make(self, workers: int = 0, address: str = "", threaded: bool = True) -> Pool:
         """Make a pool; it starts when it is entered.
 
         Parameters
@@ -45,8 +46,10 @@ class PoolKind:
             Number of workers; 0 leaves the number to the pool.
         address : str
             Address of a cluster to join; empty for none.
+        threaded : bool
+            Whether tasks release Python's lock, so that threads of a process do them together.
         """
-        settings = {"workers": workers, "address": address}
+        settings = {"workers": workers, "address": address, "threaded": threaded}
         taken = {name: settings[name] for name in self.takes}
         pool: Pool = pkgutil.resolve_name(self.factory)(**taken)
         return pool

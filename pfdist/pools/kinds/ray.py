@@ -8,7 +8,7 @@ POOLS.declare(
         "Ray",
         "on Ray workers",
         "pfdist.pools.ray_pool:RayPool",
-        takes=("workers", "address"),
+        takes=("workers", "address", "threaded"),
         isolated=True,
     ),
 )
