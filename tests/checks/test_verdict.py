@@ -82,7 +82,7 @@ def written(folder: Path, body: str, likelihood: str = LIKELIHOOD, engine: str =
 
 
 def refused(folder: Path, job: Path) -> list[str]:
-    """Give what `check-model` and `evaluate` call wrong."""
+    """What `check-model` and `evaluate` call wrong."""
     checks = list(check_model("mine.py:model", horizon=8, particles=5, folder=folder))
     with pytest.raises(ModelError) as caught:
         evaluate(job, (0, 3), draws=5)
@@ -94,16 +94,11 @@ def refused(folder: Path, job: Path) -> list[str]:
     [
         pytest.param("return (x[0] if x[0] > 0 else w[0], x[1])", WHERE, id="if on a state"),
         pytest.param(
-            "if t > 3 and x[0] > 0:; return x;  return (x[0] + w[0], x[1])".replace(
-                ":; ", ":\n        "
-            ).replace(";  ", "\n    "),
-            WHERE,
-            id="if on a state from t = 4 on",
+            "return x if t > 3 and x[0] > 0 else (x[0] + w[0], x[1])", WHERE, id="if from t = 4 on"
         ),
         pytest.param("return (where(0 < x[0] < 1, 0.5, w[0]), x[1])", "is &", id="a < b < c"),
         pytest.param("return (max(x[0], w[0]), x[1])", r"np\.maximum\(a, b\)", id="max"),
         pytest.param("return (math.sin(x[0]) + w[0], x[1])", r"write np\.sin in", id="math.sin"),
-        pytest.param("return (math.atan(x[0]) + w[0], x[1])", r"write np\.arctan in", id="atan"),
         pytest.param("return (x[0] + w[1], x[1])", "w has 1, and the first is", id="w[1] of one"),
         pytest.param("return (x[2] + w[0], x[1])", "x has 2", id="x[2] of two"),
         pytest.param(
@@ -160,7 +155,6 @@ def test_a_mistake_is_refused_by_both_with_formula_line_and_remedy(
         ("return (SEEN[0] * x[0] + w[0], x[1])", "SEEN is .* list: use a tuple or an array"),
         ("import math; return (x[0] + w[0], x[1])", "transition imports math when it is called"),
     ],
-    ids=["a dict", "a DataFrame", "a list", "an import"],
 )
 def test_what_could_change_without_notice_is_refused_by_both(
     body: str, says: str, tmp_path: Path
@@ -171,17 +165,11 @@ def test_what_could_change_without_notice_is_refused_by_both(
 
 
 def test_nan_at_the_first_instant_is_named_with_its_formula_and_line(tmp_path: Path) -> None:
-    job = written(tmp_path, "return (x[0] + w[0], x[1])")
-    (tmp_path / "mine.py").write_text(
-        (tmp_path / "mine.py")
-        .read_text()
-        .replace("return (w[0], w[1])", "return (np.log(w[0]), 1)")
-    )
+    job, file = written(tmp_path, "return (x[0] + w[0], x[1])"), tmp_path / "mine.py"
+    file.write_text(file.read_text().replace("(w[0], w[1])", "(np.log(w[0]), 1)"))
+    says = r"got x\[0\] = nan at t = 0 from initial: invalid .* in log \(.*:20\)"
     for text in refused(tmp_path, job):
-        assert re.search(
-            r"stay finite, got x\[0\] = nan at t = 0 from initial: invalid .* in log \(.*:20\)",
-            text,
-        )
+        assert re.search(says, text)
 
 
 @pytest.mark.slow
@@ -196,9 +184,6 @@ def test_nan_at_the_first_instant_is_named_with_its_formula_and_line(tmp_path: P
             "try:\n        a = x[0]\n    except ValueError:\n        a = 0.0\n    return (a, 0.0)",
             "`except` of one kind",
             id="try",
-        ),
-        pytest.param(
-            "return (np.piecewise(x[0], [x[0] > 0], [1, 2]), w[0])", WHERE, id="piecewise"
         ),
     ],
 )
