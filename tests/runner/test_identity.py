@@ -3,8 +3,8 @@
 import json
 import shutil
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -55,36 +55,31 @@ def written(job: Job, *, constant: str = "1.0", helper: str = HELPER, rates: str
     return job.with_changes(['model.name="mine.py:model"', *SHORT])
 
 
-def stopped_in_the_comparison(job: Job, path: Path) -> None:
-    def stop(progress: Any) -> None:
-        if progress.phase == "comparison" and progress.evaluations:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        pfdist.run(job, path, progress=stop, figures=False)
+OTHER_HELPER = HELPER.replace("0.9", "0.5")
 
 
 @pytest.mark.parametrize(
     ("change", "says"),
     [
         pytest.param(
-            {"helper": HELPER.replace("0.9", "0.5")},
-            r"model\.formulas: \w{8} -> \w{8}$",
-            marks=pytest.mark.slow,
+            {"helper": OTHER_HELPER}, r"formulas: \w{8} -> \w{8}$", marks=pytest.mark.slow
         ),
-        ({"constant": "2.0"}, r"model\.C: 1\.0 -> 2\.0$"),
+        ({"constant": "2.0"}, r"C: 1\.0 -> 2\.0$"),
         pytest.param(
-            {"rates": "2\n"},
-            r"model\.data_files\.rates\.csv: \w{8} -> \w{8}$",
-            marks=pytest.mark.slow,
+            {"rates": "2\n"}, r"data_files\.rates\.csv: \w{8} -> \w{8}$", marks=pytest.mark.slow
         ),
     ],
     ids=["helper", "constant", "data"],
 )
 def test_a_run_does_not_go_on_with_another_model(
-    small_job: Job, tmp_path: Path, change: dict[str, str], says: str
+    small_job: Job,
+    tmp_path: Path,
+    stopped: Callable[..., None],
+    change: dict[str, str],
+    says: str,
 ) -> None:
-    stopped_in_the_comparison(written(small_job), tmp_path / "run")
+    says = rf"model\.{says}"
+    stopped(written(small_job), tmp_path / "run", "comparison")
     with pytest.raises(RunMismatchError, match=says):
         pfdist.run(written(small_job, **change), tmp_path / "run", figures=False)
     pfdist.run(written(small_job), tmp_path / "run", figures=False)
@@ -94,8 +89,10 @@ def test_a_run_does_not_go_on_with_another_model(
 
 
 @pytest.mark.slow
-def test_a_run_goes_on_where_words_alone_have_changed(small_job: Job, tmp_path: Path) -> None:
-    stopped_in_the_comparison(written(small_job), tmp_path / "run")
+def test_a_run_goes_on_where_words_alone_have_changed(
+    small_job: Job, tmp_path: Path, stopped: Callable[..., None]
+) -> None:
+    stopped(written(small_job), tmp_path / "run", "comparison")
     other = written(small_job, helper='def f(x):\n    """Pull."""\n    return (0.9 * x)  # so\n')
     assert pfdist.run(other, tmp_path / "run", figures=False).state == "finished"
 
@@ -122,9 +119,13 @@ def test_a_run_goes_on_where_words_alone_have_changed(small_job: Job, tmp_path: 
     ids=["spacing", "clock", "weights"],
 )
 def test_a_run_goes_on_where_whole_times_are_written_as_floats(
-    small_job: Job, tmp_path: Path, first: list[str], again: list[str]
+    small_job: Job,
+    tmp_path: Path,
+    stopped: Callable[..., None],
+    first: list[str],
+    again: list[str],
 ) -> None:
-    stopped_in_the_comparison(small_job.with_changes(first), tmp_path / "run")
+    stopped(small_job.with_changes(first), tmp_path / "run", "comparison")
     assert small_job.with_changes(first) == small_job.with_changes(again)
     run = pfdist.run(small_job.with_changes(again), tmp_path / "run", figures=False)
     assert pfdist.open_run(run.path).state == "finished"
@@ -133,15 +134,13 @@ def test_a_run_goes_on_where_whole_times_are_written_as_floats(
 
 @pytest.mark.slow
 def test_a_value_that_changes_the_key_alone_is_refused_by_its_name(
-    small_job: Job, tmp_path: Path
+    small_job: Job, tmp_path: Path, stopped: Callable[..., None]
 ) -> None:
     """The key of a run tells -0.0 from 0.0, although they are equal."""
     job = written(small_job)
-    text = job.path.with_name("mine.py").read_text()
-    job.path.with_name("mine.py").write_text(
-        text.replace('name="mine",', 'name="mine", parameters={"a": 1.0},')
-    )
-    stopped_in_the_comparison(job.with_changes(["model.parameters.a=0.0"]), tmp_path / "run")
+    file, parameters = job.path.with_name("mine.py"), 'name="mine", parameters={"a": 1.0},'
+    file.write_text(file.read_text().replace('name="mine",', parameters))
+    stopped(job.with_changes(["model.parameters.a=0.0"]), tmp_path / "run", "comparison")
     with pytest.raises(RunMismatchError, match=r"model\.parameters\.a: 0\.0 -> -0\.0$"):
         pfdist.run(job.with_changes(["model.parameters.a=-0.0"]), tmp_path / "run", figures=False)
     run = pfdist.run(job.with_changes(["model.parameters.a=0"]), tmp_path / "run", figures=False)
@@ -207,9 +206,11 @@ def test_the_filters_model_is_named_where_it_differs(small_job: Job, tmp_path: P
 
 
 @pytest.mark.slow
-def test_a_run_of_a_random_constant_does_not_go_on(small_job: Job, tmp_path: Path) -> None:
+def test_a_run_of_a_random_constant_does_not_go_on(
+    small_job: Job, tmp_path: Path, stopped: Callable[..., None]
+) -> None:
     job = written(small_job, constant="np.random.rand()")
-    stopped_in_the_comparison(job, tmp_path / "run")
+    stopped(job, tmp_path / "run", "comparison")
     with pytest.raises(RunMismatchError, match=r"model\.C: 0\.\d+ -> 0\.\d+$") as caught:
         pfdist.run(job, tmp_path / "run", figures=False)
     assert "\n" not in str(caught.value)
