@@ -281,6 +281,18 @@ def test_identity_is_everything_but_the_execution_and_what_is_not_constrained(wr
     assert load_job(path, ["filter.particles=9"]).identity() != here.identity()
 
 
+def test_whole_times_written_as_floats_make_the_same_job(write):
+    path = write()
+    first, again = (
+        load_job(path, [f"problem={{{problem}, measurement_budget=3}}", f"comparison.{reference}"])
+        for problem, reference in [
+            ("time_step=1, horizon=10, forbidden=[3]", "reference=[0, 1, 5]"),
+            ("time_step=1.0, horizon=10.0, forbidden=[3.0]", "reference=[-0.0, 1.0, 5]"),
+        ]
+    )
+    assert repr(first.identity()) == repr(again.identity())
+
+
 @pytest.mark.parametrize("name", ["paper", "quick", "constrained"])
 def test_identity_survives_being_written_as_toml(name, tmp_path):
     identity = load_job(JOBS / f"{name}.toml", ["model.parameters.process_sd=2"]).identity()

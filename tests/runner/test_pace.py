@@ -17,18 +17,14 @@ def work(sets: int, first: int, last: int, stream: int = 0) -> Work:
 @pytest.mark.parametrize("size", [1, 2, 7, 50, 1000])
 def test_every_draw_is_handed_out_once_in_its_order(size: int) -> None:
     works = [work(1, 0, 40, 1), work(3, 5, 30, 2), work(60, 0, 2, 3), work(1, 7, 8, 4)]
-    handed = [piece for bundle in bundles(works, lambda remaining: size) for piece in bundle.works]
+    handed = list(bundles(works, lambda remaining: size))
+    for bundle in handed:
+        assert bundle.steps == sum(piece.steps for piece in bundle.works)
     for whole in works:
-        pieces = [piece for piece in handed if piece.draws_stream == whole.draws_stream]
+        pieces = [piece for bundle in handed for piece in bundle.works]
+        pieces = [piece for piece in pieces if piece.draws_stream == whole.draws_stream]
         assert [draw for piece in pieces for draw in range(*piece.draws)] == [*range(*whole.draws)]
         assert {piece.measurement_times for piece in pieces} == {whole.measurement_times}
-
-
-@pytest.mark.parametrize("size", [1, 7, 50])
-def test_a_bundle_knows_its_particle_steps(size: int) -> None:
-    works = [work(1, 0, 40, 1), work(3, 5, 30, 2), work(60, 0, 2, 3)]
-    for bundle in bundles(works, lambda remaining: size):
-        assert bundle.steps == sum(piece.steps for piece in bundle.works)
 
 
 def test_a_bundle_is_as_large_as_it_may_be() -> None:
