@@ -152,6 +152,7 @@ MISTAKES = [
     (PRICED.format("{'0-9'=1, 9=2}"), r"once, got 9 twice"),
     (PRICED.format("{'0-11'=1}"), r"^problem\.cost must .* once, got 11 for a horizon"),
     ("search.random.name=regular", r"names must not be 'regular', .* got 'regular' "),
+    ("search.random.name=reference", r"names must not be 'regular', .* got 'reference' "),
     ("search.random.name=genetic", r"search names must be unique, got 'genetic' twice"),
     ("comparison.reference=3", r"reference must be 'regular' or a list .* 3 "),
     ("comparison.reference=even", r"reference must be .* got 'even' "),

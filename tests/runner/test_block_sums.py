@@ -100,9 +100,6 @@ def test_a_block_with_a_degenerate_draw_is_left_out_for_that_set_alone(
     assert np.isnan(found[3]).all()
 
 
-# --- in a search ---
-
-
 WHOLE = Candidate((0, 4, 8, 12))
 WINDOWS = [
     Candidate(times, end, draws=2 * BLOCK, since=since)
