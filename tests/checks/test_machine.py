@@ -64,52 +64,32 @@ def _old_ray(patch: pytest.MonkeyPatch, folder: Path) -> None:
     patch.setattr(doctor, "version", lambda name: "2.9.3")
 
 
-def _failing(module: Any, name: str, error: Exception) -> Fault:
+def _failing(module: Any, name: str, number: int) -> Fault:
     def fail(*_: Any, **__: Any) -> None:
-        raise error
+        raise OSError(number, os.strerror(number))
 
     return lambda patch, folder: patch.setattr(module, name, fail)
 
 
-def _os_error(number: int) -> OSError:
-    return OSError(number, os.strerror(number))
+NO_PORT = _failing(doctor.socket, "create_server", errno.EMFILE)
+READ_ONLY = _failing(doctor.tempfile, "TemporaryDirectory", errno.EROFS)
+NO_FLUSH = _failing(os, "fsync", errno.EINVAL)
+NO_LOCK = _failing(lock.fcntl, "flock", errno.ENOLCK)
+FAULTS: list[tuple[Fault, str, str]] = [
+    (_little_memory, "memory", "1.02 GB, and a run wants 1.50: fewer workers need less"),
+    (_limited_memory, "memory", "1.00 GB, and a run wants"),
+    (_little_shared_memory, "shared memory", "0.07 GB, and Ray wants .*--shm-size"),
+    (_old_ray, "Ray", r"2\.9\.3: .*2\.52 mends it"),
+    (NO_PORT, "ports", "Too many open files"),
+    (READ_ONLY, "results folder", "written: Read-only file system; runs must lie elsewhere"),
+    (NO_FLUSH, "results folder", r"cannot be flushed \(fsync\): Invalid argument"),
+    (NO_LOCK, "results folder", r"cannot be locked \(flock\): No locks available"),
+]
 
 
-@pytest.mark.parametrize(
-    ("fault", "look", "words"),
-    [
-        (_little_memory, "memory", "1.02 GB, and a run wants 1.50: fewer workers need less"),
-        (_limited_memory, "memory", "1.00 GB, and a run wants"),
-        (_little_shared_memory, "shared memory", "0.07 GB, and Ray wants .*--shm-size"),
-        (_old_ray, "Ray", r"2\.9\.3: .*2\.52 mends it"),
-        (
-            _failing(doctor.socket, "create_server", _os_error(errno.EMFILE)),
-            "ports",
-            "Too many open files",
-        ),
-        (
-            _failing(doctor.tempfile, "TemporaryDirectory", _os_error(errno.EROFS)),
-            "results folder",
-            "cannot be written: Read-only file system; runs must lie elsewhere",
-        ),
-        (
-            _failing(os, "fsync", _os_error(errno.EINVAL)),
-            "results folder",
-            r"cannot be flushed \(fsync\): Invalid argument",
-        ),
-        (
-            _failing(lock.fcntl, "flock", _os_error(errno.ENOLCK)),
-            "results folder",
-            r"cannot be locked \(flock\): No locks available",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("fault", "look", "words"), FAULTS)
 def test_each_fault_is_found_alone_with_what_to_do(
-    fault: Fault,
-    look: str,
-    words: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    fault: Fault, look: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "results").mkdir()
     with monkeypatch.context() as patch:

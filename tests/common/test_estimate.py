@@ -44,11 +44,8 @@ def test_an_exact_value_is_its_own_interval() -> None:
     assert Estimate(3.0).interval() == (3.0, 3.0)
 
 
-def test_independent_estimates_add_their_variances() -> None:
+def test_independent_estimates_add_their_variances_and_a_multiple_has_a_positive_error() -> None:
     assert Estimate(1.0, 3.0, 19).plus(Estimate(2.0, 4.0)) == Estimate(3.0, 5.0, 19)
-
-
-def test_a_multiple_has_a_positive_error() -> None:
     assert Estimate(1.0, 3.0, 19).times(-2.0) == Estimate(-2.0, 6.0, 19)
 
 
@@ -58,7 +55,3 @@ def test_clearly_is_more_than_four_standard_errors() -> None:
     assert Estimate(-4.1, 1.0).is_negative()
     assert not Estimate(-3.9, 1.0).is_negative()
     assert Estimate(1.1, 1.0).is_positive(errors=1.0)
-
-
-def test_the_text_shows_the_error_to_two_digits() -> None:
-    assert Estimate(22.7345, 0.0304).text == "22.735 ± 0.030"

@@ -1,5 +1,9 @@
-"""Validation errors are explained from their types, in words that pydantic did not write."""
+"""Validation errors are explained from their types, in words that pydantic did not write.
 
+A misspelt name is followed by the name that was meant, or by nothing.
+"""
+
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import pytest
@@ -7,8 +11,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import PydanticCustomError
 
 from pfdist.common.explained import explained
+from pfdist.common.nearest import did_you_mean, did_you_mean_path, quoted_names
 
-pytestmark = pytest.mark.quick
+METHODS = ["annealing", "corridor", "relaxation", "survivors"]
 
 
 class Inner(BaseModel):
@@ -75,3 +80,33 @@ def test_an_unknown_type_of_error_is_named() -> None:
     details = [{"type": PydanticCustomError("strange", "prose"), "loc": ("a",), "input": 3}]
     error = ValidationError.from_exception_data("Section", details)  # type: ignore[arg-type]
     assert explained(error, Section) == "a must be valid (strange), got 3"
+
+
+@pytest.mark.parametrize(
+    ("word", "name"),
+    [
+        ("survivor", "survivors"),
+        ("Relaxation", "relaxation"),
+        ("relxaation", "relaxation"),
+        ("genetic", ""),
+        ("", ""),
+        (3, ""),
+        (["survivors"], ""),
+        ("survivors" * 1_000_000, ""),  # nobody means this
+    ],
+)
+def test_the_nearest_name_is_similar_or_empty(word: object, name: str) -> None:
+    assert did_you_mean(word, METHODS) == (f"; did you mean {name!r}?" if name else "")
+
+
+def test_a_path_of_a_similar_name_and_of_the_wanted_kind_is_suggested(tmp_path: Path) -> None:
+    for name in ("quick", "quack.toml"):
+        (tmp_path / name).mkdir()
+    folders = (tmp_path / "none", tmp_path)
+    meant = did_you_mean_path(Path("quik"), folders, lambda path: not path.suffix)
+    assert meant == f"; did you mean {str(tmp_path / 'quick')!r}?"
+    assert did_you_mean_path(Path("quik"), folders, lambda path: False) == ""
+
+
+def test_names_between_quotes_are_found() -> None:
+    assert quoted_names("'fresh' or 'common'") == ["fresh", "common"]

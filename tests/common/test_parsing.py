@@ -1,7 +1,11 @@
 """Text from outside becomes plain data within limits, or one line."""
 
+from collections.abc import Callable
+from pathlib import Path
+
 import pytest
 
+from pfdist.common.number_list import MOST_NUMBERS, ranges, whole_numbers
 from pfdist.common.parsing import (
     MOST_BYTES,
     MOST_LEVELS,
@@ -14,43 +18,37 @@ from pfdist.common.parsing import (
 from pfdist.common.told_times import told_time
 from pfdist.errors import one_line, shown
 
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        pytest.param("a = " + "[" * 100_000, id="lists that nest too deeply"),
-        pytest.param("a = " + "{a = " * 50_000 + "1" + "}" * 50_000, id="tables in a line"),
-        pytest.param(".".join("a" * 5000) + " = 1", id="a key of 5,000 parts"),
-        pytest.param("[" + ".".join("a" * 5000) + "]", id="a section of 5,000 parts"),
-        pytest.param("a = " + "9" * 5000, id="5,000 digits"),
-        pytest.param("a = 0x" + "f" * 5000, id="5,000 hexadecimal digits"),
-        pytest.param("a = 9223372036854775808", id="65 bits"),
-        pytest.param("a = [1, 2", id="a list without an end"),
-        pytest.param("a = 1\na = 2", id="a key twice"),
-        pytest.param("\0", id="NUL"),
-    ],
-)
-def test_toml_that_no_job_has_is_refused_in_one_short_line(text: str) -> None:
-    with pytest.raises(ValueError, match=r"\S") as refused:
-        parse_toml(text)
-    assert "\n" not in str(refused.value)
-    assert len(str(refused.value)) < 300
+DEEP = 100_000
+NESTED = "{a = " * DEEP + "1" + "}" * DEEP
+LONG_KEY = ".".join("a" * 5000)
 
 
 @pytest.mark.parametrize(
-    "text",
+    ("parse", "text"),
     [
-        pytest.param("[" * 100_000, id="lists that nest too deeply"),
-        pytest.param('{"a":' * 50_000 + "1" + "}" * 50_000, id="objects that nest too deeply"),
-        pytest.param("9" * 5000, id="5,000 digits"),
-        pytest.param("", id="nothing"),
-        pytest.param("{} {}", id="two values"),
-        pytest.param('{"a": 9223372036854775808}', id="65 bits"),
+        pytest.param(parse_toml, "a = " + "[" * DEEP, id="lists that nest too deeply"),
+        pytest.param(parse_toml, f"a = {NESTED}", id="tables that nest too deeply"),
+        pytest.param(parse_toml, f"{LONG_KEY} = 1", id="a key of 5,000 parts"),
+        pytest.param(parse_toml, f"[{LONG_KEY}]", id="a section of 5,000 parts"),
+        pytest.param(parse_toml, "a = " + "9" * 5000, id="5,000 digits"),
+        pytest.param(parse_toml, "a = 0x" + "f" * 5000, id="5,000 hexadecimal digits"),
+        pytest.param(parse_toml, "a = 9223372036854775808", id="65 bits"),
+        pytest.param(parse_toml, "a = [1, 2", id="a list without an end"),
+        pytest.param(parse_toml, "a = 1\na = 2", id="a key twice"),
+        pytest.param(parse_toml, "\0", id="NUL"),
+        pytest.param(parse_json, "[" * DEEP, id="JSON lists that nest too deeply"),
+        pytest.param(parse_json, '{"a":' * DEEP + "1" + "}" * DEEP, id="JSON objects in objects"),
+        pytest.param(parse_json, "9" * 5000, id="5,000 digits in JSON"),
+        pytest.param(parse_json, "", id="nothing"),
+        pytest.param(parse_json, "{} {}", id="two values"),
+        pytest.param(parse_json, '{"a": 9223372036854775808}', id="65 bits in JSON"),
     ],
 )
-def test_json_that_no_run_has_is_refused_in_one_short_line(text: str) -> None:
+def test_text_that_no_job_and_no_run_has_is_refused_in_one_short_line(
+    parse: Callable[[str], object], text: str
+) -> None:
     with pytest.raises(ValueError, match=r"\S") as refused:
-        parse_json(text)
+        parse(text)
     assert "\n" not in str(refused.value)
     assert len(str(refused.value)) < 300
 
@@ -61,7 +59,7 @@ def test_what_is_within_the_limits_is_what_the_text_says() -> None:
     assert parse_json(f'{{"a": {deep}}}')["a"] != []
 
 
-def test_a_file_of_any_size_is_read_up_to_a_limit(tmp_path) -> None:
+def test_a_file_of_any_size_is_read_up_to_a_limit(tmp_path: Path) -> None:
     path = tmp_path / "huge.toml"
     path.write_bytes(b"#" * (MOST_BYTES + 1))
     with pytest.raises(ValueError, match="at most 16,000,000 bytes"):
@@ -107,3 +105,41 @@ def test_no_value_is_shown_whole_that_is_long(value: object) -> None:
 
 def test_a_line_holds_no_control_characters_but_every_name() -> None:
     assert one_line("a\nb\x1b[2J\x00\udcff é  ±") == "a b?[2J?\udcff é  ±"
+
+
+@pytest.mark.parametrize(
+    ("text", "numbers"),
+    [
+        ("7", [7]),
+        ("0,6,12", [0, 6, 12]),
+        ("0 6 12", [0, 6, 12]),
+        (" 0, 6 ,12,", [0, 6, 12]),
+        ("5:8", [5, 6, 7, 8]),
+        ("0:12:6", [0, 6, 12]),
+        ("0:13:6", [0, 6, 12]),
+        ("3:3", [3]),
+        ("12 0:4:2,7", [12, 0, 2, 4, 7]),
+        ("-1", [-1]),
+    ],
+)
+def test_numbers_ranges_commas_and_spaces_mix(text: str, numbers: list[int]) -> None:
+    assert whole_numbers(text) == numbers
+
+
+@pytest.mark.parametrize(
+    "text", ["", ",", "1,,2", "x", "1:", ":2", "1:2:3:4", "3:1", "1:3:0", "1:3:-1", "1.5", "1-3"]
+)
+def test_anything_else_is_refused_with_what_was_given(text: str) -> None:
+    with pytest.raises(ValueError, match=r"must .*got ") as refused:
+        whole_numbers(text)
+    assert repr(text) in str(refused.value)
+
+
+def test_no_range_is_too_long_for_memory() -> None:
+    assert len(whole_numbers(f"1:{MOST_NUMBERS}")) == MOST_NUMBERS
+    for text in (f"0:{MOST_NUMBERS}", "0:" + "9" * 40, f"1:{MOST_NUMBERS} 1"):
+        with pytest.raises(ValueError, match="at most 1,000,000 numbers"):
+            whole_numbers(text)
+    assert ranges("0:5000000 7", float) == [(0.0, 5_000_000.0, 0.0), (7.0, 7.0, 0.0)]
+    with pytest.raises(ValueError, match="at most 1,000,000 numbers"):
+        ranges("0:5000000:1", float)

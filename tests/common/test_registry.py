@@ -7,21 +7,16 @@ import pytest
 from pfdist.common.registry import Registry
 from pfdist.errors import PfdistError
 from pfdist.plots.cost_curves import curve_of
-from pfdist.search.methods import DEFAULT_METHOD, METHODS
+from pfdist.search.methods import METHODS
 
 
-def test_two_declarations_of_one_name_are_refused() -> None:
-    registry = Registry[int]("pfdist.times")
-    registry.declare("a", 1)
-    with pytest.raises(ValueError, match="must be unique; 'a' is declared twice"):
-        registry.declare("a", 2)
-
-
-def test_names_come_in_order() -> None:
+def test_names_come_in_order_and_each_is_declared_once() -> None:
     registry = Registry[int]("pfdist.times")
     for name in ("b", "c", "a"):
         registry.declare(name, 1)
     assert list(registry) == ["a", "b", "c"]
+    with pytest.raises(ValueError, match="must be unique; 'a' is declared twice"):
+        registry.declare("a", 2)
 
 
 def test_an_addition_that_cannot_be_loaded_is_named_at_every_reading(
@@ -43,7 +38,3 @@ def test_a_search_method_declares_all_that_is_made_from_it(name: str) -> None:
     assert method.description.endswith(".")
     assert callable(curve_of(name))
     assert set(section.settings) <= set(method.section.model_fields)
-
-
-def test_the_default_is_one_of_them() -> None:
-    assert DEFAULT_METHOD in METHODS

@@ -40,6 +40,10 @@ def _read(text: str) -> tuple[float, float]:
         (None, None, "unknown"),
         (5.0, math.inf, "5.0000 ± infinite"),
         (5e-324, 5e-324, "(4.9 ± 4.9)e-324"),
+        (9.99e-9, 1e-9, "(1.00 ± 0.10)e-08"),  # the exponent is that of the rounded value
+        (9.99e9, 1e9, "(1.00 ± 0.10)e+10"),
+        (1e-320, 1e-321, "(1.00 ± 0.10)e-320"),  # a double of few digits
+        (0.0, 1e-9, "(0.0 ± 1.0)e-09"),
     ],
 )
 def test_a_value_has_the_places_of_two_digits_of_its_error(
@@ -80,19 +84,6 @@ def test_an_interval_has_the_places_of_two_digits_of_its_half_width(
     value: float, low: float | None, high: float | None, texts: tuple[str, ...]
 ) -> None:
     assert with_interval(value, low, high) == texts
-
-
-@pytest.mark.parametrize(
-    ("value", "error", "text"),
-    [
-        (9.99e-9, 1e-9, "(1.00 ± 0.10)e-08"),
-        (9.99e9, 1e9, "(1.00 ± 0.10)e+10"),
-        (1e-320, 1e-321, "(1.00 ± 0.10)e-320"),  # a double of few digits
-        (0.0, 1e-9, "(0.0 ± 1.0)e-09"),
-    ],
-)
-def test_the_exponent_is_that_of_the_rounded_value(value: float, error: float, text: str) -> None:
-    assert with_error(value, error) == text
 
 
 def test_a_number_without_an_error_has_five_digits() -> None:

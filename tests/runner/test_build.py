@@ -1,8 +1,9 @@
 """From a job to the problem: the filter's model, and the engine."""
 
 import time
-import warnings
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -43,31 +44,16 @@ def job_with(tmp_path: Path, *lines: str, formula: str = "0.5 * x[0]", quantity:
     return load_job(tmp_path / "small.toml")
 
 
-def test_without_a_filter_model_the_filter_knows_the_truth(tmp_path: Path) -> None:
-    evaluator = build(job_with(tmp_path, "[model.parameters]", "process_sd = 2.0")).evaluator
-    assert evaluator.truth is evaluator
-    assert evaluator.believed.p.process_sd == 2.0
-
-
 def test_the_filters_parameters_are_the_models_but_for_those_that_are_given(tmp_path: Path) -> None:
-    job = job_with(
-        tmp_path,
-        "[model.parameters]",
-        "process_sd = 2.0",
-        "measurement_sd = 3.0",
-        "[model.filter.parameters]",
-        "measurement_sd = 4.0",
-    )
-    problem = build(job).evaluator
-    assert (problem.model.p.process_sd, problem.model.p.measurement_sd) == (2.0, 3.0)
-    assert problem.filter_model is not None
-    p = problem.filter_model.p
-    assert (p.process_sd, p.measurement_sd) == (2.0, 4.0)
-
-
-def test_a_wrong_filter_changes_nothing_where_measurements_are_counted(tmp_path: Path) -> None:
-    job = job_with(tmp_path, "[model.filter.parameters]", "process_sd = 2.0")
-    assert build(job).feasible == job.problem.feasible
+    model = ["[model.parameters]", "process_sd = 2.0", "measurement_sd = 3.0"]
+    knowing = build(job_with(tmp_path, *model)).evaluator
+    assert knowing.truth is knowing
+    assert knowing.believed.p.process_sd == 2.0
+    built = build(job_with(tmp_path, *model, "[model.filter.parameters]", "measurement_sd = 4.0"))
+    p, believed = built.evaluator.model.p, built.evaluator.believed.p
+    assert (p.process_sd, p.measurement_sd) == (2.0, 3.0)
+    assert (believed.process_sd, believed.measurement_sd) == (2.0, 4.0)
+    assert built.feasible == built.job.problem.feasible  # where measurements are counted
 
 
 @pytest.mark.parametrize(
@@ -77,16 +63,15 @@ def test_all_affordable_sets_are_searched_if_the_filter_is_wrong(
     small_job: Job, tmp_path: Path, believed: dict[str, float], smaller: bool
 ) -> None:
     """To a filter that trusts its sensor too much, further measurements do harm."""
-    problem = {"horizon": 5, "cost": [1, 2] * 3, "total_cost": 5}
+    constraints: dict[str, Any] = {"horizon": 5, "cost": [1, 2] * 3, "total_cost": 5}
     truth = {"name": "random_walk", "parameters": {"step_sd": 1.0}, "filter": {}}
     truth["filter"] = {"parameters": believed | ({"measurement_sd": 0.2} if smaller else {})}
     truth["parameters"] |= {"measurement_sd": 6.0, "initial_sd": 2.0}
     search = [{"method": "exhaustive", "evaluation": {"estimator": "squared_error"}}]
-    sections = {"problem": problem, "model": truth, "search": search}
+    sections = {"problem": constraints, "model": truth, "search": search}
     run = pfdist.run(small_job.with_changes(sections=sections), tmp_path / "run", figures=False)
     evaluated = run.evaluations().query("phase == 'exhaustive'")
     costs = {tuple(row.measurement_times): row.expected_mse for row in evaluated.itertuples()}
-    constraints = {"horizon": 5, "cost": [1, 2] * 3, "total_cost": 5}
     maximal = every_set(**constraints)
     assert sorted(costs) == every_set(**constraints, smaller=smaller)
     assert (min(costs, key=lambda times: costs[times]) in maximal) != smaller
@@ -118,61 +103,36 @@ def test_sums_of_errors_of_other_instants_have_another_id(tmp_path: Path) -> Non
     assert len(ids) == len(spans)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        (["model.name=ungn"], r"^model\.name: a model must be one of .*got 'ungn'"),
-        (["model.parameters.sd=1"], r"^model\.parameters: .*unknown parameter 'sd', allowed: "),
-        (["model.parameters.process_sd=-1"], r"^model\.parameters: .* 0\.\.inf, got -1\.0$"),
-    ],
-)
-def test_an_error_about_a_model_names_the_key_of_the_job(
-    changes: list[str], message: str, tmp_path: Path
-) -> None:
-    with pytest.raises(ModelError, match=message):
-        build(job_with(tmp_path).with_changes(changes))
+WRONG = "model.filter.parameters.process_sd=2"
+NO_SCALAR = "model.name=bearings_only"
+REFUSED = [  # changes of the job, and what the error says
+    (["model.name=ungn"], r"^model\.name: a model must be one of .*got 'ungn'"),
+    (["model.parameters.sd=1"], r"^model\.parameters: .*unknown parameter 'sd', allowed: "),
+    (["model.parameters.process_sd=-1"], r"^model\.parameters: .* 0\.\.inf, got -1\.0$"),
+    (["model.filter.name=ungn"], r"^model\.filter\.name: a model must be one of .*got 'ungn'"),
+    (["model.filter.parameters.sd=1"], "model.filter: .*unknown parameter 'sd'"),
+    (["model.filter.name=other.py:model"], "as many components of z as .* 1, got 2"),
+    (
+        [WRONG, "evaluation.estimator=two_filters"],
+        "'two_filters' needs a filter that knows the tru",
+    ),
+    (
+        [WRONG, "search.genetic.evaluation.estimator=filter_variance"],
+        "'filter_variance' needs a fi",
+    ),
+    ([NO_SCALAR, "filter.resampling=sorted_systematic"], "a scalar state"),
+    ([NO_SCALAR, "search.random.evaluation.resampling=sorted_systematic"], "a scalar state"),
+]
 
 
 @pytest.mark.parametrize("engine", ["auto", "numpy"])
-@pytest.mark.parametrize(
-    ("lines", "message"),
-    [
-        (
-            ["[model.filter]", 'name = "ungn"'],
-            r"^model\.filter\.name: a model must be one of .*got 'ungn'",
-        ),
-        (["[model.filter.parameters]", "sd = 1.0"], "model.filter: .*unknown parameter 'sd'"),
-        (["[model.filter]", 'name = "other.py:model"'], "as many components of z as .* 1, got 2"),
-    ],
-)
-def test_a_filter_model_that_cannot_be_is_refused(
-    lines: list[str], message: str, engine: str, tmp_path: Path
-) -> None:
-    job = job_with(tmp_path, *lines, quantity="lambda x, t, p: (x[0], x[0])")
-    with pytest.raises(ModelError, match=message):
-        build(job.with_changes([f"filter.engine={engine}"]))
-
-
-@pytest.mark.parametrize("engine", ["auto", "numpy"])
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        (["evaluation.estimator=two_filters"], "'two_filters' needs a filter that knows the truth"),
-        (["search.genetic.evaluation.estimator=filter_variance"], "'filter_variance' needs a filt"),
-        (["model.name=bearings_only", "filter.resampling=sorted_systematic"], "a scalar state"),
-        (
-            ["model.name=bearings_only", "search.random.evaluation.resampling=sorted_systematic"],
-            "sc",
-        ),
-    ],
-)
-def test_an_estimator_or_a_resampling_that_does_not_fit_is_refused(
+@pytest.mark.parametrize(("changes", "message"), REFUSED)
+def test_what_does_not_fit_together_is_refused_with_the_key_of_the_job(
     changes: list[str], message: str, engine: str, tmp_path: Path
 ) -> None:
-    wrong = [] if "bearings" in changes[0] else ["model.filter.parameters.process_sd=2"]
-    job = job_with(tmp_path).with_changes([*wrong, *changes, f"filter.engine={engine}"])
+    job = job_with(tmp_path, quantity="lambda x, t, p: (x[0], x[0])")
     with pytest.raises(ModelError, match=message):
-        build(job)
+        build(job.with_changes([*changes, f"filter.engine={engine}"]))
 
 
 def test_a_search_has_its_estimator_and_its_race_the_squared_error_of_the_jobs_own_filter(
@@ -192,20 +152,16 @@ def test_a_search_has_its_estimator_and_its_race_the_squared_error_of_the_jobs_o
 
 
 def test_searches_estimate_as_they_like_and_the_comparison_by_the_squared_error(
-    tmp_path: Path,
+    finished: Callable[..., Path],
 ) -> None:
-    job = job_with(tmp_path)
-    paper = pfdist.run(job, tmp_path / "paper", figures=False)
-    other = pfdist.run(
-        job.with_changes(["evaluation.estimator=two_filters"]), tmp_path / "other", figures=False
-    )
+    changed = finished("evaluation.estimator=two_filters")
+    paper, other = map(pfdist.open_run, (finished(), changed))
     regular = [run.comparison()["mse_regular"] for run in (paper, other)]
     np.testing.assert_array_equal(*regular)
     # On the same draws, two filters leave out the truth's own chance.
     first, second = (run.evaluations()["standard_error"].mean() for run in (paper, other))
     assert second < 0.8 * first
-    ids = [set(run.evaluations()["evaluation"]) for run in (paper, other)]
-    assert not ids[0] & ids[1]
+    assert not {*paper.evaluations()["evaluation"]} & {*other.evaluations()["evaluation"]}
 
 
 NEEDS_NUMPY = {"formula": "np.reshape(np.clip(0.5 * x[0], -9, 9), np.shape(x[0]))"}
@@ -216,21 +172,15 @@ OWN = ["[model]", 'name = "other.py:model"']
 def test_what_numba_cannot_compile_is_computed_in_numpy_with_one_warning(tmp_path: Path) -> None:
     few = ["evaluation.draws=3", "comparison.draws=10", "search.genetic.generations=1"]
     job = job_with(tmp_path, *OWN, **NEEDS_NUMPY).with_changes(few)
-    says = (
-        r"(?s)cannot be compiled by Numba: .*reshape.*other\.py:\d+.*NumPy instead, about 100 times"
-    )
+    says = r"(?s)cannot be compiled by Numba: .*reshape.*other\.py:\d+.*NumPy instead, about 100 t"
     with pytest.warns(EngineWarning, match=says) as caught:
         run = pfdist.run(job, tmp_path / "run", figures=False)
     assert len(caught) == 1
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        knowing = pfdist.run(
-            job.with_changes(["filter.engine=numpy"]), tmp_path / "known", figures=False
-        )
+    job = job.with_changes(["filter.engine=numpy"])
+    knowing = pfdist.run(job, tmp_path / "known", figures=False)  # a warning would be an error
     assert run.comparison().equals(knowing.comparison())
-    compilable = job_with(tmp_path, *OWN, formula="np.minimum(np.maximum(0.5 * x[0], -9), 9)")
-    compilable = compilable.with_changes(few)
-    compiled = pfdist.run(compilable, tmp_path / "compiled", figures=False)
+    job = job_with(tmp_path, *OWN, formula="np.minimum(np.maximum(0.5 * x[0], -9), 9)")
+    compiled = pfdist.run(job.with_changes(few), tmp_path / "compiled", figures=False)
     np.testing.assert_allclose(run.comparison(), compiled.comparison(), rtol=1e-9)
 
 
@@ -255,24 +205,19 @@ def test_ray_workers_load_what_the_driver_has_compiled(tmp_path: Path, ray_clust
     assert new <= kept().items()  # a worker that compiled would have saved, and so replaced it
 
 
-def test_the_engine_is_part_of_what_a_run_is(tmp_path: Path) -> None:
-    job = job_with(tmp_path)
-    pfdist.run(job.with_changes(["comparison.draws=20"]), tmp_path / "run", figures=False)
+def test_the_engine_is_part_of_what_a_run_is(small_job: Job, small_run: pfdist.Run) -> None:
     with pytest.raises(RunMismatchError, match="engine: compiled -> numpy"):
-        pfdist.run(job.with_changes(["filter.engine=numpy"]), tmp_path / "run", figures=False)
+        pfdist.run(small_job.with_changes(["filter.engine=numpy"]), small_run.path, figures=False)
 
 
 @pytest.mark.parametrize("name", ["epidemic", "pharmacokinetics"])
 def test_a_model_that_reads_the_clock_needs_one_before_anything_is_compiled(name: str) -> None:
     problem = {"horizon": 12, "measurement_budget": 3}
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")  # no word about Numba
-        with pytest.raises(
-            ModelError, match=r"^model: .* reads the clock: p\.time.* there is no clock: g"
-        ):
-            build(Job(seed=1, model={"name": name}, problem=problem))
-        with pytest.raises(ModelError, match=r"^model\.filter: .* reads the clock: "):
-            build(Job(seed=1, model={"filter": {"name": name}}, problem=problem))
+    words = r"^model: .* reads the clock: p\.time.* there is no clock: g"
+    with pytest.raises(ModelError, match=words):  # and a warning about Numba would be an error
+        build(Job(seed=1, model={"name": name}, problem=problem))
+    with pytest.raises(ModelError, match=r"^model\.filter: .* reads the clock: "):
+        build(Job(seed=1, model={"filter": {"name": name}}, problem=problem))
 
 
 def test_the_command_line_says_it_in_one_line(

@@ -14,9 +14,7 @@ from pfdist.cli.main import main
 from pfdist.errors import SweepError
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation, Work
-from pfdist.runner.build import build
 from pfdist.runner.door import Batch, Driver, Session, complete
-from pfdist.store import Store
 
 WORK = Work(((0,),), (12,), (1,), 1, (0, 10), Estimation(particles=10), ids=("a",))
 ALIKE = {"comparison.draws": [250, 300]}  # two points with one search
@@ -41,16 +39,20 @@ def fails(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
 
 @pytest.mark.parametrize("number", [1, 3, 7])
 def test_points_that_wait_for_a_point_that_fails_compute_what_it_has_not(
-    number: int, fails: Callable[[int], None], small_job: Job, tmp_path: Path
+    number: int,
+    finished: Callable[..., Path],
+    fails: Callable[[int], None],
+    small_job: Job,
+    tmp_path: Path,
 ) -> None:
-    alone = pfdist.run(small_job, tmp_path / "a", changes=["comparison.draws=300"], figures=False)
+    alone = finished("comparison.draws=300")
     fails(number)
     options: Any = {"results": tmp_path / "sweep", "report": False}
     with pytest.raises(SweepError) as caught:
         pfdist.sweep(small_job, ALIKE, changes=["execution.failures=0"], **options)
     (name,) = caught.value.failed
     assert "one bad task" in caught.value.failed[name]
-    assert hashes(tmp_path / "sweep" / "comparison.draws=300") == hashes(alone.path)
+    assert hashes(tmp_path / "sweep" / "comparison.draws=300") == hashes(alone)
     assert len(pfdist.sweep(small_job, ALIKE, **options).runs) == 2
 
 
@@ -69,9 +71,9 @@ def test_a_sweep_without_workers_ends_with_one_line(
 
 
 def test_a_driver_is_closed_before_the_loop_ends_however_it_ends(
-    small_job: Job, tmp_path: Path
+    session: Session,
 ) -> None:
-    session, events = Session(build(small_job), Store(tmp_path / "run")), list[str]()
+    events = list[str]()
 
     @contextlib.contextmanager
     def interrupted() -> Iterator[Any]:

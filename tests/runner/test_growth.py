@@ -1,12 +1,11 @@
 """A run that grows, stops early or reuses another computes only the new, with the same bytes."""
 
 import random
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from scipy import stats
 
@@ -24,18 +23,19 @@ from pfdist.runner.progress import Progress
 BLOCK, MOST = 50, 430
 
 
+@pytest.fixture
+def all_draws(finished: Callable[..., Path]) -> pfdist.Run:
+    return pfdist.open_run(finished(f"comparison.draws={MOST}"))
+
+
 @pytest.fixture(autouse=True)
-def _small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+def _small_blocks(
+    finished: Callable[..., Path], all_draws: pfdist.Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    finished()  # runs that are shared are computed by the program as it is
     for module in ("analysis.stored_run", "runner.comparison_phase"):
         monkeypatch.setattr(f"pfdist.{module}.BLOCK", BLOCK)
     monkeypatch.setattr(Pace, "size", lambda pace, remaining: BLOCK * SETS * A_DRAW)
-
-
-@pytest.fixture
-def all_draws(small_job: Job, tmp_path: Path) -> pfdist.Run:
-    return pfdist.run(
-        small_job.with_changes([f"comparison.draws={MOST}"]), tmp_path / "all", figures=False
-    )
 
 
 def _half_widths(run: pfdist.Run) -> dict[int, float]:
@@ -63,20 +63,17 @@ def test_a_comparison_stops_at_the_first_block_after_which_it_is_narrow_enough(
         run = pfdist.run(_until(small_job, half_width), tmp_path / f"{wanted}", figures=False)
         assert run.state == "finished"
         assert run.comparison().equals(all_draws.comparison()[:first])
-    assert (
-        pfdist.run(_until(small_job, 1e-9), tmp_path / "never", figures=False).draws_compared
-        == MOST
-    )
+    never = pfdist.run(_until(small_job, 1e-9), tmp_path / "never", figures=False)
+    assert never.draws_compared == MOST
 
 
 def test_where_every_gain_is_the_same_all_draws_are_compared_unless_it_is_said(
     small_job: Job, tmp_path: Path
 ) -> None:
+    # All instants are measured: every set is the regular one.
     changes = ["model.name=random_walk", "filter.engine=kalman", "problem.measurement_budget=13"]
     job = small_job.with_changes([*changes, "search.random.evaluations=1"])
-    run = pfdist.run(
-        job, tmp_path / "run", figures=False
-    )  # all instants: every set is the regular one
+    run = pfdist.run(job, tmp_path / "run", figures=False)
     assert (run.gains().drop(columns="draw") == 0).all(axis=None)
     assert run.draws_compared == 250
     until = job.with_changes(["comparison.until.half_width=0.001"])
@@ -120,7 +117,7 @@ def test_where_it_stops_does_not_depend_on_order_or_kills(
     assert hashes(tmp_path / "run") == hashes(whole.path)
 
 
-def test_narrower_goes_on_with_only_new_draws_and_wider_is_refused(
+def test_narrower_or_more_draws_go_on_with_only_new_draws_and_wider_is_refused(
     small_job: Job, all_draws: pfdist.Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     widths = _half_widths(all_draws)
@@ -131,21 +128,14 @@ def test_narrower_goes_on_with_only_new_draws_and_wider_is_refused(
     pfdist.run(_until(small_job, narrow), run.path, figures=False)
     assert sum(counted) == (at_once.draws_compared - before) * SETS > 0
     assert hashes(run.path) == hashes(at_once.path)
+    few = pfdist.run(_until(small_job, narrow, draws=130), tmp_path / "few", figures=False)
+    more = pfdist.run(_until(small_job, narrow), few.path, figures=False)
+    assert 130 < more.draws_compared <= 300
+    assert hashes(more.path) == hashes(at_once.path)
     with pytest.raises(RunMismatchError, match=r"comparison\.until\.half_width: \S+ -> \S+$"):
         pfdist.run(_until(small_job, wide), run.path, figures=False)
     never = pfdist.run(_until(small_job, 0.0), run.path, figures=False)
     assert never.comparison().equals(all_draws.comparison())
-
-
-def test_more_draws_and_until_are_the_same_as_at_once(
-    small_job: Job, all_draws: pfdist.Run, tmp_path: Path
-) -> None:
-    half_width = _half_widths(all_draws)[300] * (1 + 1e-9)
-    at_once = pfdist.run(_until(small_job, half_width), tmp_path / "at once", figures=False)
-    pfdist.run(_until(small_job, half_width, draws=130), tmp_path / "run", figures=False)
-    run = pfdist.run(_until(small_job, half_width), tmp_path / "run", figures=False)
-    assert 130 < run.draws_compared <= 300
-    assert hashes(run.path) == hashes(at_once.path)
 
 
 @pytest.mark.parametrize("half_width", [0.0, 0.1])
@@ -166,13 +156,10 @@ def test_what_is_shown_at_the_end_is_what_the_summary_says(
     assert len({state.found for state in seen}) > 2  # it is shown as it comes
 
 
-def test_a_kill_in_the_midst_shows_what_was_found_before(small_job: Job, tmp_path: Path) -> None:
-    def stop(progress: Progress) -> None:
-        if progress.evaluations >= 200 and progress.phase == "comparison":
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        pfdist.run(small_job, tmp_path / "run", progress=stop, figures=False)
+def test_a_kill_in_the_midst_shows_what_was_found_before(
+    small_job: Job, tmp_path: Path, stopped: Callable[..., None]
+) -> None:
+    stopped(small_job, tmp_path / "run", "comparison", 200)
     seen: list[Progress] = []
     known = pfdist.open_run(tmp_path / "run").summary()
     assert (known["state"], known["draws_compared"]) == ("comparing", 200)
@@ -188,10 +175,15 @@ def _tree(run: Path) -> dict[Path, bytes]:
 
 @pytest.mark.parametrize("killed", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_a_run_that_reuses_another_computes_only_what_is_new_and_ends_as_a_run_from_nothing(
-    killed: bool, small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    killed: bool,
+    small_job: Job,
+    small_run: pfdist.Run,
+    tmp_path: Path,
+    stopped: Callable[..., None],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    old, new = tmp_path / "old", tmp_path / "new"
-    known = set(pfdist.run(small_job, old, figures=False).evaluations()["evaluation"])
+    old, new = small_run.path, tmp_path / "new"
+    known = set(small_run.evaluations()["evaluation"])
     counted = count_draws(monkeypatch)
     longer = small_job.with_changes(["search.genetic.generations=6"])
     nothing = pfdist.run(longer, tmp_path / "nothing", figures=False)
@@ -199,13 +191,7 @@ def test_a_run_that_reuses_another_computes_only_what_is_new_and_ends_as_a_run_f
     before = _tree(old)
     counted.clear()
     if killed:
-
-        def stop(progress: Progress) -> None:
-            if progress.phase == "random":
-                raise KeyboardInterrupt
-
-        with pytest.raises(KeyboardInterrupt):
-            pfdist.run(longer, new, reuse=old, progress=stop, figures=False)
+        stopped(longer, new, "random", 0, reuse=old)
     run = pfdist.run(longer, new, reuse=[old], figures=False)
     same = known & set(run.evaluations()["evaluation"])
     assert len(same) == len(known) >= 10  # earlier generations, and all random trials
@@ -215,44 +201,44 @@ def test_a_run_that_reuses_another_computes_only_what_is_new_and_ends_as_a_run_f
     assert pfdist.run(longer, new, figures=False).state == "finished"  # it stands on its own
 
 
-def test_a_damaged_run_lends_nothing(small_job: Job, tmp_path: Path) -> None:
-    old, new = tmp_path / "old", tmp_path / "new"
-    pfdist.run(small_job, old, figures=False)
-    (file,) = old.glob("tables/draws/genetic-*")
+def test_a_damaged_run_lends_nothing(small_job: Job, small_run: pfdist.Run, tmp_path: Path) -> None:
+    (file,) = small_run.path.glob("tables/draws/genetic-*")
     content = file.read_bytes()
     file.write_bytes(content[:100] + bytes([content[100] ^ 4]) + content[101:])
     with pytest.raises(StoreError, match=f"{file.name} .* cannot be reused: `pfdist repair"):
-        pfdist.run(small_job, new, reuse=old, figures=False)
-    assert not new.exists()
+        pfdist.run(small_job, tmp_path / "new", reuse=small_run.path, figures=False)
+    assert not (tmp_path / "new").exists()
 
 
 @pytest.mark.parametrize("called", [(), ("cos",)])
 def test_a_run_of_another_processor_lends_what_has_the_same_bytes_here(
-    called: tuple[str, ...], small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    called: tuple[str, ...],
+    small_job: Job,
+    small_run: pfdist.Run,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     # The C library's cos may round its last digit in another way there; a sum never does.
-    old, new = tmp_path / "old", tmp_path / "new"
-    pfdist.run(small_job, old, figures=False)
     elsewhere = {"compiled_for": "other", "model": "another processor"}
     monkeypatch.setattr("pfdist.runner.provenance.processor", lambda: elsewhere)
     monkeypatch.setattr(Evaluator, "libm_functions", property(lambda evaluator: called))
+    options: dict[str, Any] = {"reuse": small_run.path, "figures": False}
     if called:
         with pytest.raises(StoreError, match=r"another processor .* the formulas call cos"):
-            pfdist.run(small_job, new, reuse=old, figures=False)
+            pfdist.run(small_job, tmp_path / "new", **options)
     else:
-        assert pfdist.run(small_job, new, reuse=old, figures=False).state == "finished"
+        assert pfdist.run(small_job, tmp_path / "new", **options).state == "finished"
 
 
 @pytest.mark.usefixtures("no_figures")
-def test_the_command_line_reuses_runs(small_job: Job, tmp_path: Path) -> None:
-    old, new = str(tmp_path / "old"), str(tmp_path / "new")
+def test_the_command_line_reuses_runs(
+    small_job: Job, small_run: pfdist.Run, tmp_path: Path
+) -> None:
+    old, new = str(small_run.path), str(tmp_path / "new")
     command = ["run", str(small_job.path), "--results"]
-    assert main([*command, old]) == 0
     change = ["--set", "search.genetic.generations=5"]
     assert main([*command, old, *change]) == 1
     assert main([*command, new, *change, "--reuse", old]) == 0
-    assert (
-        np.unique(pfdist.open_run(new).evaluations().query("phase == 'genetic'").generation).size
-        == 5
-    )
+    rows = pfdist.open_run(new).evaluations().query("phase == 'genetic'")
+    assert rows["generation"].nunique() == 5
     assert main([*command, str(tmp_path / "b"), "--reuse", str(tmp_path / "no")]) == 1

@@ -3,8 +3,8 @@
 import json
 import shutil
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -55,77 +55,44 @@ def written(job: Job, *, constant: str = "1.0", helper: str = HELPER, rates: str
     return job.with_changes(['model.name="mine.py:model"', *SHORT])
 
 
-def stopped_in_the_comparison(job: Job, path: Path) -> None:
-    def stop(progress: Any) -> None:
-        if progress.phase == "comparison" and progress.evaluations:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        pfdist.run(job, path, progress=stop, figures=False)
+OTHER_MODELS = [  # what changes, and what an error says about it
+    ({"helper": HELPER.replace("0.9", "0.5")}, r"model\.formulas: \w{8} -> \w{8}$"),
+    ({"constant": "2.0"}, r"model\.C: 1\.0 -> 2\.0$"),
+    ({"rates": "2\n"}, r"model\.data_files\.rates\.csv: \w{8} -> \w{8}$"),
+]
 
 
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        pytest.param(
-            {"helper": HELPER.replace("0.9", "0.5")},
-            r"model\.formulas: \w{8} -> \w{8}$",
-            marks=pytest.mark.slow,
-        ),
-        ({"constant": "2.0"}, r"model\.C: 1\.0 -> 2\.0$"),
-        pytest.param(
-            {"rates": "2\n"},
-            r"model\.data_files\.rates\.csv: \w{8} -> \w{8}$",
-            marks=pytest.mark.slow,
-        ),
-    ],
-    ids=["helper", "constant", "data"],
-)
-def test_a_run_does_not_go_on_with_another_model(
-    small_job: Job, tmp_path: Path, change: dict[str, str], says: str
+def test_a_run_goes_on_where_words_alone_have_changed_and_not_with_another_model(
+    small_job: Job, tmp_path: Path, stopped: Callable[..., None]
 ) -> None:
-    stopped_in_the_comparison(written(small_job), tmp_path / "run")
-    with pytest.raises(RunMismatchError, match=says):
-        pfdist.run(written(small_job, **change), tmp_path / "run", figures=False)
-    pfdist.run(written(small_job), tmp_path / "run", figures=False)
-    written(small_job, **change)
-    with pytest.raises(RunMismatchError, match=says):
-        why(tmp_path / "run" / "job.toml", draws=2, figures=False)
-
-
-@pytest.mark.slow
-def test_a_run_goes_on_where_words_alone_have_changed(small_job: Job, tmp_path: Path) -> None:
-    stopped_in_the_comparison(written(small_job), tmp_path / "run")
+    path = tmp_path / "run"
+    stopped(written(small_job), path, "comparison")
+    for change, says in OTHER_MODELS:
+        with pytest.raises(RunMismatchError, match=says):
+            pfdist.run(written(small_job, **change), path, figures=False)
     other = written(small_job, helper='def f(x):\n    """Pull."""\n    return (0.9 * x)  # so\n')
-    assert pfdist.run(other, tmp_path / "run", figures=False).state == "finished"
+    assert pfdist.run(other, path, figures=False).state == "finished"
+    for change, says in OTHER_MODELS:
+        written(small_job, **change)
+        with pytest.raises(RunMismatchError, match=says):
+            why(path / "job.toml", draws=2, figures=False)
+    about = json.loads((path / "run.json").read_text())
+    assert about["model"].keys() == {"formulas", "C", "data_files.rates.csv"}
+    assert about["model"]["C"] == 1.0
+    assert about["filter_model"] == {}
 
 
-@pytest.mark.parametrize(
-    ("first", "again"),
-    [
-        (["problem.minimum_spacing=2"], ["problem.minimum_spacing=2.0"]),
-        pytest.param(
-            ["problem.time_step=1", "problem.forbidden=[3]", "comparison.reference=[0, 1, 2, 5]"],
-            [
-                "problem.time_step=1.0",
-                "problem.horizon=12.0",
-                "problem.forbidden=[3.0]",
-                "comparison.reference=[0.0, 1, 2.0, 5]",
-            ],
-            marks=pytest.mark.slow,
-        ),
-        (
-            [f"problem.instant_weights={[1] * 13}", "comparison.sets.mine=[0, 1, 2, 3]"],
-            [f"problem.instant_weights={[1.0] * 13}", "comparison.sets.mine=[-0.0, 1.0, 2, 3]"],
-        ),
-    ],
-    ids=["spacing", "clock", "weights"],
-)
 def test_a_run_goes_on_where_whole_times_are_written_as_floats(
-    small_job: Job, tmp_path: Path, first: list[str], again: list[str]
+    small_job: Job, tmp_path: Path, stopped: Callable[..., None]
 ) -> None:
-    stopped_in_the_comparison(small_job.with_changes(first), tmp_path / "run")
-    assert small_job.with_changes(first) == small_job.with_changes(again)
+    first, again = (
+        [f"problem.minimum_spacing={spacing}", f"problem.instant_weights={weights}", sets]
+        for spacing, weights, sets in [
+            ("2", [1] * 13, "comparison.sets.mine=[0, 1, 2, 3]"),
+            ("2.0", [1.0] * 13, "comparison.sets.mine=[-0.0, 1.0, 2, 3]"),
+        ]
+    )
+    stopped(small_job.with_changes(first), tmp_path / "run", "comparison")
     run = pfdist.run(small_job.with_changes(again), tmp_path / "run", figures=False)
     assert pfdist.open_run(run.path).state == "finished"
     assert main(["verify", str(run.path)]) == 0
@@ -133,15 +100,13 @@ def test_a_run_goes_on_where_whole_times_are_written_as_floats(
 
 @pytest.mark.slow
 def test_a_value_that_changes_the_key_alone_is_refused_by_its_name(
-    small_job: Job, tmp_path: Path
+    small_job: Job, tmp_path: Path, stopped: Callable[..., None]
 ) -> None:
     """The key of a run tells -0.0 from 0.0, although they are equal."""
     job = written(small_job)
-    text = job.path.with_name("mine.py").read_text()
-    job.path.with_name("mine.py").write_text(
-        text.replace('name="mine",', 'name="mine", parameters={"a": 1.0},')
-    )
-    stopped_in_the_comparison(job.with_changes(["model.parameters.a=0.0"]), tmp_path / "run")
+    file, parameters = job.path.with_name("mine.py"), 'name="mine", parameters={"a": 1.0},'
+    file.write_text(file.read_text().replace('name="mine",', parameters))
+    stopped(job.with_changes(["model.parameters.a=0.0"]), tmp_path / "run", "comparison")
     with pytest.raises(RunMismatchError, match=r"model\.parameters\.a: 0\.0 -> -0\.0$"):
         pfdist.run(job.with_changes(["model.parameters.a=-0.0"]), tmp_path / "run", figures=False)
     run = pfdist.run(job.with_changes(["model.parameters.a=0"]), tmp_path / "run", figures=False)
@@ -157,15 +122,6 @@ def test_evaluations_of_models_that_mean_something_else_are_told_apart(small_job
     same = {evaluation(), evaluation(helper=HELPER + "# so\n")}
     assert len(same) == 1
     assert not same & {evaluation(helper=HELPER.replace("9", "8")), evaluation(constant="2.0")}
-
-
-def test_what_a_run_was_made_of_is_kept(small_job: Job, tmp_path: Path) -> None:
-    job = written(small_job)
-    run = pfdist.run(job, tmp_path / "run", figures=False)
-    about = json.loads((run.path / "run.json").read_text())
-    assert about["model"].keys() == {"formulas", "C", "data_files.rates.csv"}
-    assert about["model"]["C"] == 1.0
-    assert about["filter_model"] == {}
 
 
 @pytest.mark.skipif(not shutil.which("git"), reason="git makes the received repository")
@@ -207,9 +163,11 @@ def test_the_filters_model_is_named_where_it_differs(small_job: Job, tmp_path: P
 
 
 @pytest.mark.slow
-def test_a_run_of_a_random_constant_does_not_go_on(small_job: Job, tmp_path: Path) -> None:
+def test_a_run_of_a_random_constant_does_not_go_on(
+    small_job: Job, tmp_path: Path, stopped: Callable[..., None]
+) -> None:
     job = written(small_job, constant="np.random.rand()")
-    stopped_in_the_comparison(job, tmp_path / "run")
+    stopped(job, tmp_path / "run", "comparison")
     with pytest.raises(RunMismatchError, match=r"model\.C: 0\.\d+ -> 0\.\d+$") as caught:
         pfdist.run(job, tmp_path / "run", figures=False)
     assert "\n" not in str(caught.value)

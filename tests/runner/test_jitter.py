@@ -36,9 +36,9 @@ def test_all_feasible_times_within_the_windows_have_the_same_probability() -> No
 
 def test_random_times_are_a_function_of_the_key() -> None:
     feasible = Feasible(horizon=12, measurement_budget=3)
-    first, again = ([jittered(TIMES, WINDOWS, feasible, 7, k) for k in order] for order in
-                    (range(20), reversed(range(20))))  # fmt: skip
-    assert first == again[::-1]
+    first = [jittered(TIMES, WINDOWS, feasible, 7, draw) for draw in range(20)]
+    backward = [jittered(TIMES, WINDOWS, feasible, 7, draw) for draw in reversed(range(20))]
+    assert first == backward[::-1]
     assert len(set(first)) > 5
 
 
@@ -74,8 +74,11 @@ def test_exact_jitter_is_the_mean_loss_over_all_feasible_times(small_job: Job) -
 
 
 def test_jitter_of_particles_is_the_exact_jitter_within_the_errors(small_job: Job) -> None:
-    times, windows = (1, 4, 7, 10), {1: [(1, 2), (4,), (7,), (10, 11)], 5: [(0, 1, 2)] * 1}
-    windows[5] += [(3, 4, 5), (6, 7, 8), (9, 10, 11, 12)]
+    strict, wide = (
+        [(1, 2), (4,), (7,), (10, 11)],
+        [(0, 1, 2), (3, 4, 5), (6, 7, 8), (9, 10, 11, 12)],
+    )
+    times, windows = (1, 4, 7, 10), {1: strict, 5: wide}
     job = small_job.with_changes([*COMPILED, "filter.particles=200"])
     found = answered(build(job), jitter, "mine", times, windows, 3000)
     kalman_job = build(small_job.with_changes(KALMAN))

@@ -1,10 +1,14 @@
-"""Work is cut into tasks that fit: nothing is lost, and none is too long or too short."""
+"""Work is cut into tasks that fit: nothing is lost, and none is too long or too short.
+
+The reporter alone adds up how far a run is.
+"""
 
 import numpy as np
 import pytest
 
 from pfdist.evaluation.work import Estimation, Work
 from pfdist.runner.pace import LEAST_SECONDS, MOST_ROWS, MOST_SECONDS, Pace, bundles
+from pfdist.runner.progress import Progress, Reporter
 
 
 def work(sets: int, first: int, last: int, stream: int = 0) -> Work:
@@ -17,18 +21,14 @@ def work(sets: int, first: int, last: int, stream: int = 0) -> Work:
 @pytest.mark.parametrize("size", [1, 2, 7, 50, 1000])
 def test_every_draw_is_handed_out_once_in_its_order(size: int) -> None:
     works = [work(1, 0, 40, 1), work(3, 5, 30, 2), work(60, 0, 2, 3), work(1, 7, 8, 4)]
-    handed = [piece for bundle in bundles(works, lambda remaining: size) for piece in bundle.works]
+    handed = list(bundles(works, lambda remaining: size))
+    for bundle in handed:
+        assert bundle.steps == sum(piece.steps for piece in bundle.works)
     for whole in works:
-        pieces = [piece for piece in handed if piece.draws_stream == whole.draws_stream]
+        pieces = [piece for bundle in handed for piece in bundle.works]
+        pieces = [piece for piece in pieces if piece.draws_stream == whole.draws_stream]
         assert [draw for piece in pieces for draw in range(*piece.draws)] == [*range(*whole.draws)]
         assert {piece.measurement_times for piece in pieces} == {whole.measurement_times}
-
-
-@pytest.mark.parametrize("size", [1, 7, 50])
-def test_a_bundle_knows_its_particle_steps(size: int) -> None:
-    works = [work(1, 0, 40, 1), work(3, 5, 30, 2), work(60, 0, 2, 3)]
-    for bundle in bundles(works, lambda remaining: size):
-        assert bundle.steps == sum(piece.steps for piece in bundle.works)
 
 
 def test_a_bundle_is_as_large_as_it_may_be() -> None:
@@ -84,3 +84,47 @@ def test_the_pace_is_learnt() -> None:
 
 def test_nothing_is_risked_on_a_first_guess() -> None:
     assert Pace(1e-4, 2).size(10**9) == LEAST_SECONDS / 1e-4
+
+
+# --- progress ---
+
+
+@pytest.fixture
+def reported() -> list[Progress]:
+    return []
+
+
+@pytest.fixture
+def reporter(reported: list[Progress]) -> Reporter:
+    return Reporter(reported.append, total=100.0)
+
+
+def test_a_phase_goes_on_from_where_the_last_phase_ended_and_shows_nothing_of_it(
+    reporter: Reporter, reported: list[Progress]
+) -> None:
+    reporter.begin("genetic", generation=1, generations=5)
+    reporter.reach(20.0, evaluations=7, best=3.0, mean=4.0)
+    reporter.note(done=25.0)
+    reporter.begin("comparison")
+    assert reported[-1] == Progress("comparison", done=25.0, total=100.0)
+
+
+def test_what_is_noted_is_shown_with_the_next_report_only(
+    reporter: Reporter, reported: list[Progress]
+) -> None:
+    reporter.begin("random")
+    reporter.note(best=2.0)
+    assert [state.best for state in reported] == [None]
+    reporter.reach(1.0)
+    assert [state.best for state in reported] == [None, 2.0]
+
+
+def test_work_that_was_not_foreseen_adds_to_the_total_and_at_the_end_nothing_remains(
+    reporter: Reporter, reported: list[Progress]
+) -> None:
+    reporter.begin("survivors")
+    reporter.foresee(50.0)
+    reporter.reach(120.0)
+    assert (reported[-1].done, reported[-1].total) == (120.0, 150.0)
+    reporter.finish()  # an early end: fewer draws were enough
+    assert reported[-1].done == reported[-1].total == 120.0

@@ -1,7 +1,7 @@
 """Evaluations: what is checked, how often, and under which id their results come back."""
 
 import random
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from itertools import islice
@@ -16,52 +16,17 @@ import pfdist
 from oracles.bytes_of import hashes
 from pfdist import Job
 from pfdist.errors import MeasurementTimesError
-from pfdist.evaluation.estimate import Evaluation
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Work
 from pfdist.pools.base import Outcome, SerialPool
-from pfdist.runner.build import Built, build, make_pool
+from pfdist.runner.build import Built
 from pfdist.runner.comparison_phase import run_comparison
-from pfdist.runner.door import Driver, Session, complete
+from pfdist.runner.door import Session
 from pfdist.runner.pace import Pace
 from pfdist.runner.phase import Phase, run_phase
 from pfdist.search import Candidate, Optimiser, RandomTrials
-from pfdist.store import Store
 
-
-class Outside:
-    """A search that asks for a time after T."""
-
-    generations, evaluations = 1, 1.0
-
-    def init(self) -> bool:
-        return False
-
-    def ask(self, state: bool, rng: np.random.Generator) -> list[Candidate]:
-        return [Candidate((0, 13))]
-
-    def tell(self, state: bool, evaluations: Sequence[Evaluation]) -> bool:
-        return True
-
-    def done(self, state: bool) -> bool:
-        return state
-
-    def finalists(self, state: bool) -> tuple[Evaluation, ...]:
-        return ()
-
-
-@pytest.fixture
-def built(small_job: Job) -> Built:
-    return build(small_job)
-
-
-@pytest.fixture
-def session(built: Built, tmp_path: Path) -> Session:
-    return Session(built, Store(tmp_path / "run"))
-
-
-def completed(driver: Driver, session: Session) -> Any:
-    return complete(driver, make_pool(session.built.job.execution))
+Completed = Callable[..., Any]
 
 
 def _counted(calls: list[str], real: Any, *arguments: Any, **more: Any) -> Any:
@@ -73,21 +38,22 @@ def _phase(built: Built, optimiser: Optimiser) -> Phase:
     return Phase("mine", optimiser, "search", built.searches[0].settings, built)
 
 
-def test_a_search_that_asks_for_other_times_than_there_are_is_named_before_anything_is_computed(
-    built: Built, session: Session, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("phase", ["search", "comparison"])
+def test_other_times_than_there_are_end_in_an_error_before_anything_is_computed(
+    phase: str,
+    built: Built,
+    session: Session,
+    asks: Any,
+    completed: Completed,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(SerialPool, "run", lambda self, tasks: pytest.fail("a task was handed out"))
-    with pytest.raises(MeasurementTimesError, match=r"must lie in 0..12, got 13 \(search mine\)$"):
-        completed(run_phase(_phase(built, Outside()), session), session)
-
-
-def test_a_comparison_of_other_times_than_there_are_computes_nothing(
-    built: Built, session: Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(SerialPool, "run", lambda self, tasks: pytest.fail("a task was handed out"))
-    sets = {"regular": (0, 4, 8, 12), "genetic": (-1, 3, 6, 9)}
-    with pytest.raises(MeasurementTimesError, match=r"0..12, got -1 \(genetic\)$"):
-        completed(run_comparison(session, sets), session)
+    if phase == "search":
+        driver = run_phase(_phase(built, asks(Candidate((0, 13)))), session)
+    else:
+        driver = run_comparison(session, {"regular": (0, 4, 8, 12), "mine": (0, 13)})
+    with pytest.raises(MeasurementTimesError, match=r"in 0..12, got 13 \((search )?mine\)$"):
+        completed(driver)
 
 
 @pytest.mark.slow
@@ -104,11 +70,8 @@ def test_what_the_build_has_checked_no_task_checks_again(
     for draws in (10, 400):
         monkeypatch.setattr(Pace, "size", lambda pace, remaining: 13 * 40)
         calls.clear()
-        run = pfdist.run(
-            small_job.with_changes([f"comparison.draws={draws}"]),
-            tmp_path / f"{draws}",
-            figures=False,
-        )
+        job = small_job.with_changes([f"comparison.draws={draws}"])
+        run = pfdist.run(job, tmp_path / f"{draws}", figures=False)
         counts.append(len(calls))
         tasks.append(len(run.timings()))
     assert tasks[1] > tasks[0] + 100
@@ -154,45 +117,24 @@ def test_whatever_order_outcomes_come_in_each_evaluation_has_its_own_results(
 
 
 def test_a_set_that_is_asked_for_twice_is_computed_once(
-    built: Built, session: Session, monkeypatch: pytest.MonkeyPatch
+    built: Built, session: Session, handed: list[Work], completed: Completed
 ) -> None:
-    handed: list[str] = []
-    do = SerialPool.run
-
-    def noting(self: SerialPool, tasks: Any) -> Iterator[Outcome]:
-        for outcome in do(self, tasks):
-            handed.extend(id_ for work in outcome.task.work for id_ in work.ids)
-            yield outcome
-
-    monkeypatch.setattr(SerialPool, "run", noting)
     phase = _phase(built, RandomTrials(built.job.problem.feasible, 10))
-    completed(run_phase(phase, session), session)
-    assert len(handed) == len(set(handed)) == 10
+    completed(run_phase(phase, session))
+    ids = [id_ for work in handed for id_ in work.ids]
+    assert len(ids) == len(set(ids)) == 10
     session.commit()
-    session = Session(built, session.store)
-    completed(run_phase(phase, session), session)  # all are in the store
-    assert len(handed) == 10
-
-
-class Twice(Outside):
-    """A search that asks for a set as a prefix up to T, as a whole set, and on fewer draws."""
-
-    asked = (Candidate((0, 12), 12), Candidate((0, 12)), Candidate((0, 12), 12, 10))
-
-    def ask(self, state: bool, rng: np.random.Generator) -> list[Candidate]:
-        return list(self.asked)
-
-    def tell(self, state: bool, evaluations: Sequence[Evaluation]) -> bool:
-        self.told = list(evaluations)
-        return True
+    works = len(handed)
+    completed(run_phase(phase, Session(built, session.store)))  # all are in the store
+    assert len(handed) == works
 
 
 def test_a_prefix_up_to_the_end_and_the_whole_set_have_one_result(
-    built: Built, session: Session
+    built: Built, session: Session, asks: Any, completed: Completed
 ) -> None:
-    search = Twice()
+    search = asks(Candidate((0, 12), 12), Candidate((0, 12)), Candidate((0, 12), 12, 10))
     for _ in range(2):  # the second time from the store
-        completed(run_phase(_phase(built, search), session), session)
+        completed(run_phase(_phase(built, search), session))
         session.commit()
         assert [told.end for told in search.told] == [12, None, 12]
         prefix, whole, short = search.told

@@ -82,11 +82,9 @@ def test_no_two_phases_share_a_draw(
     small_job: Job, tmp_path: Path, streams: dict[str, set[int]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     paper = _asked_by(streams, lambda: pfdist.run(small_job, tmp_path / "run", figures=False))
+    changes = [*SMALL, "seed=1"]
     plan = _asked_by(
-        streams,
-        lambda: pfdist.plan(
-            small_job, tmp_path / "plan", changes=[*SMALL, "seed=1"], figures=False
-        ),
+        streams, lambda: pfdist.plan(small_job, tmp_path / "plan", changes=changes, figures=False)
     )
     first = {"", ".polish", ".probe"}  # 10 particles fool themselves
     again = {".again", ".again.polish", ".again.shortlist"}

@@ -11,7 +11,7 @@ from pfdist import Job
 from pfdist.analysis.reference import described
 from pfdist.api.evaluate import evaluate
 from pfdist.cli.main import main
-from pfdist.errors import JobError, RunMismatchError
+from pfdist.errors import RunMismatchError
 
 SHORT = ["search.genetic.generations=1", "search.random.evaluations=3", "comparison.draws=60"]
 COUNTED = {"horizon": 12, "measurement_budget": 4}
@@ -45,7 +45,7 @@ def test_the_summary_says_what_it_is(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("times", [(0, 3, 9), pytest.param((), marks=pytest.mark.slow)])
+@pytest.mark.parametrize("times", [(0, 3, 9), ()])
 def test_any_set_is_compared_under_its_name_in_tables_summary_figures_and_why(
     times: tuple[int, ...],
     small_job: Job,
@@ -76,23 +76,18 @@ def test_any_set_is_compared_under_its_name_in_tables_summary_figures_and_why(
 
 
 @pytest.mark.slow
-def test_with_another_reference_it_is_another_run(small_job: Job, tmp_path: Path) -> None:
-    few = small_job.with_changes([*SHORT, "comparison.reference=[0, 3, 9]"])
-    pfdist.run(few, tmp_path / "run")
+def test_with_another_reference_it_is_another_run_of_the_same_searches(
+    small_job: Job, tmp_path: Path
+) -> None:
+    few, runs = small_job.with_changes(SHORT), []
+    for number, reference in enumerate(("'regular'", "[0, 3, 9]")):
+        job = few.with_changes([f"comparison.reference={reference}"])
+        runs.append(pfdist.run(job, tmp_path / f"{number}", figures=False))
+    for name in ("genetic", "random"):
+        np.testing.assert_array_equal(*[run.comparison()[f"mse_{name}"] for run in runs])
     other = few.with_changes(["comparison.reference=[0, 3, 8]"])
     with pytest.raises(RunMismatchError, match=r"comparison.reference: \[0, 3, 9\] -> \[0, 3, 8"):
-        pfdist.run(other, tmp_path / "run")
-
-
-@pytest.mark.slow
-def test_searches_do_not_depend_on_the_reference(small_job: Job, tmp_path: Path) -> None:
-    few, runs = small_job.with_changes(SHORT), []
-    for reference in ("'regular'", "[0, 3, 9]"):
-        job = few.with_changes([f"comparison.reference={reference}"])
-        runs.append(pfdist.run(job, tmp_path / str(len(runs))))
-    for name in ("genetic", "random"):
-        columns = [run.comparison()[f"mse_{name}"] for run in runs]
-        np.testing.assert_array_equal(*columns)
+        pfdist.run(other, runs[-1].path)
 
 
 @pytest.mark.slow
@@ -102,16 +97,7 @@ def test_with_costs_it_spends_all_and_says_so(
     path = small_job.path
     cost = "cost = {'0-5' = 1, '6-12' = 2}\ntotal_cost = 7"
     path.write_text(path.read_text().replace("measurement_budget = 4", cost))
-    pfdist.run(pfdist.load_job(path, SHORT), tmp_path / "run")
+    pfdist.run(pfdist.load_job(path, SHORT), tmp_path / "run", figures=False)
     assert main(["status", str(tmp_path / "run")]) == 0
     text = re.sub(r"\s+", " ", capsys.readouterr().out)
     assert "the sets with the most measurements (N = 6, spends 7 of 7) expected MSE" in text
-
-
-def test_of_many_numbers_regular_times_are_the_only_reference(small_job: Job) -> None:
-    changes = [
-        "search=[{method='relaxation', polish=false}]",
-        "comparison.reference=[0, 3]",
-    ]
-    with pytest.raises(JobError, match=r"budget needs comparison\.reference = 'regular'"):
-        small_job.with_changes([*changes, "budget={least=2, most=3}"])

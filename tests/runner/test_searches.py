@@ -1,14 +1,17 @@
 """Every search, from its section in a job to what it returns, where costs are known exactly."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from pfdist.evaluation.work import Estimation
 from pfdist.job.job import Job, load_job
 from pfdist.job.sections import Execution
 from pfdist.runner.build import build, make_pool
 from pfdist.runner.door import Session, complete
 from pfdist.runner.driver import drive
+from pfdist.search.methods import DEFAULT_METHOD
 from pfdist.store import Store
 
 JOB = """
@@ -50,15 +53,13 @@ def costs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, float]:
     return dict(zip(sets, built.evaluator.expected_mse(list(sets.values())), strict=True))
 
 
+@pytest.mark.parametrize(("method", "draws"), [("relaxation", 48), ("exchange", 30)])
 def test_a_search_for_errors_of_instants_evaluates_all_on_whole_blocks_of_draws(
-    small_job: Job,
+    method: str, draws: int, small_job: Job
 ) -> None:
-    for method, draws in (("relaxation", 48), ("exchange", 30)):
-        search = {"method": method, "evaluation": {"draws": 30}}
-        built = build(load_job(small_job.path, settings={"search": [search]}))
-        assert built.searches[0].settings.draws == draws
-        if method == "relaxation":
-            assert built.searches[0].optimiser.draws == draws
+    changes = [f"search=[{{method='{method}', evaluation={{draws=30}}}}]"]
+    (search,) = build(small_job.with_changes(changes)).searches
+    assert search.settings.draws == getattr(search.optimiser, "draws", draws) == draws
 
 
 def test_no_search_finds_better_than_all_sets_have(costs: dict[str, float]) -> None:
@@ -67,29 +68,30 @@ def test_no_search_finds_better_than_all_sets_have(costs: dict[str, float]) -> N
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_a_search_finds_better_than_regular_times(costs: dict[str, float], name: str) -> None:
-    assert costs[name] < costs["regular"]
-
-
-@pytest.mark.parametrize("name", DO_NOT_GUESS)
-def test_the_best_set_of_a_small_problem_is_found(costs: dict[str, float], name: str) -> None:
-    assert costs[name] == costs["exhaustive"]
-
-
-def test_a_filter_that_is_wrong_guides_a_search_by_its_own_variance_and_decides_nothing(
-    small_job: Job,
+def test_a_search_finds_better_than_regular_times_and_some_find_the_best_set(
+    costs: dict[str, float], name: str
 ) -> None:
-    """Exchanges and races use the squared error, and so does the search if probes distrust it."""
-    section = "[{method='survivors'}]"
-    wrong = ["model.filter.parameters.process_sd=2.0", f"search={section}"]
-    (search,) = build(small_job.with_changes(wrong)).searches
-    assert search.settings.estimation.estimator == "own_variance"
+    assert costs[name] < costs["regular"]
+    if name in DO_NOT_GUESS:
+        assert costs[name] == costs["exhaustive"]
+
+
+@pytest.mark.parametrize("method", ["survivors", DEFAULT_METHOD])
+def test_a_filters_own_variance_guides_a_search_and_polishes_only_if_it_knows_the_truth(
+    method: str, small_job: Job
+) -> None:
+    """What a wrong filter believes decides nothing: exchanges use the squared error, as races."""
+    job = small_job.with_changes([f"search=[{{method='{method}'}}]"])
+    (search,) = build(job).searches
     assert search.polishing is not None
-    assert search.polishing.estimation.estimator == "squared_error"
-    assert search.racing.estimation.estimator == "squared_error"
-    assert search.again is not None
-    assert search.again.settings.estimation.estimator == "squared_error"
-    (search,) = build(small_job.with_changes([f"search={section}"])).searches
     assert search.settings.estimation.estimator == "filter_variance"
-    assert search.polishing is not None
     assert search.polishing.estimation.estimator == "filter_variance"
+    (search,) = build(job.with_changes(["model.filter.parameters.process_sd=2"])).searches
+    assert search.polishing is not None
+    assert search.settings.estimation.estimator == "own_variance"
+    guiding = replace(search.settings.estimation, estimator="squared_error")
+    assert search.polishing.estimation == guiding
+    assert search.racing.estimation == Estimation(40, "multinomial", "squared_error")
+    assert search.again is not None
+    for settings in search.again.all_settings:
+        assert settings.estimation.estimator == "squared_error"

@@ -4,9 +4,8 @@ import pytest
 
 from pfdist import Job
 from pfdist.common.streams import CHOOSING
-from pfdist.errors import JobError
 from pfdist.runner.study import Study
-from pfdist.search.methods import DEFAULT_METHOD, METHODS
+from pfdist.search.methods import DEFAULT_METHOD
 from pfdist.times.measurement_times import Times
 
 PLAN = {"search": [{"method": DEFAULT_METHOD, "polish": False}]}
@@ -66,12 +65,3 @@ def test_the_draws_that_chose_a_number_do_not_prove_it(small_job: Job) -> None:
     }
     assert len(purposes) == 2
     assert not purposes & {*CHOOSING}
-
-
-@pytest.mark.parametrize("method", sorted({*METHODS} - {DEFAULT_METHOD}))
-def test_a_budget_study_by_another_method_is_refused(method: str, small_job: Job) -> None:
-    section = {"method": method, "polish": False}
-    words = rf"budget needs one search of method '{DEFAULT_METHOD}', got {method} \(.*small.toml\)$"
-    with pytest.raises(JobError, match=words) as error:
-        small_job.with_changes(sections=BUDGET | {"search": [section]})
-    assert "\n" not in str(error.value)

@@ -1,6 +1,6 @@
 """A search does not believe a filter that fools itself: a sharp sensor collapses its cloud."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,16 +15,15 @@ from pfdist import Job
 from pfdist.analysis import Run
 from pfdist.cli.summary import print_summary
 from pfdist.common.streams import stream_of
-from pfdist.errors import TaskError
 from pfdist.evaluation.work import Work
 from pfdist.plots import costs
 from pfdist.plots.figure import Tables
 from pfdist.runner.build import build
-from pfdist.runner.door import Batch
 from pfdist.search.methods import DEFAULT_METHOD
 
 SHARP = Path(pfdist.__file__).parents[1] / "tests" / "oracles" / "sharp_sensor.toml"
 GOOD = (1, 3, 6, 9)
+Planned = tuple[Run, list[str], list[Any]]  # a plan, what it has said, and its progress
 SMALL = [
     "seed=3",  # exchanges by the squared error end with several sets, which race
     "search.survivors.evaluation.draws=100",
@@ -47,8 +46,7 @@ def job() -> Job:
 
 
 @pytest.fixture(scope="module")
-def planned(job: Job, tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, list[str], list[Any]]:
-    """A plan, what it has said, and its progress."""
+def planned(job: Job, tmp_path_factory: pytest.TempPathFactory) -> Planned:
     said, seen = list[str](), list[Any]()
     folder = tmp_path_factory.mktemp("sharp") / "run"
     run = pfdist.plan(
@@ -64,11 +62,10 @@ def _rows(run: Run, phase: str) -> pd.DataFrame:
 
 @pytest.mark.slow
 def test_a_plan_ends_near_the_best_set_though_the_filters_variance_prefers_another(
-    planned: tuple[Run, list[str], list[Any]], job: Job
+    planned: Planned, job: Job
 ) -> None:
     """Its own particles' variance says 0.1 for {0, 1, 3, 9}, whose error is 6."""
-    times = planned[0].sets()["survivors"]
-    assert _is_near_the_best(times, job)
+    assert _is_near_the_best(planned[0].sets()["survivors"], job)
 
 
 @pytest.mark.slow
@@ -96,7 +93,7 @@ def _is_near_the_best(times: tuple[int, ...], job: Job) -> bool:
 
 @pytest.mark.slow
 def test_distrust_is_said_in_a_line_with_its_reason_and_kept(
-    planned: tuple[Run, list[str], list[Any]], capsys: pytest.CaptureFixture[str]
+    planned: Planned, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run, said, _ = planned
     (line,) = [line for line in said if "cannot be believed" in line]
@@ -112,9 +109,7 @@ def test_distrust_is_said_in_a_line_with_its_reason_and_kept(
 
 
 @pytest.mark.slow
-def test_probes_are_what_led_the_search_a_prefix_up_to_its_end(
-    planned: tuple[Run, list[str], list[Any]], job: Job
-) -> None:
+def test_probes_are_what_led_the_search_a_prefix_up_to_its_end(planned: Planned, job: Job) -> None:
     run, _, _ = planned
     probes = _rows(run, "survivors.probe")
     searched = _rows(run, "survivors")
@@ -136,21 +131,15 @@ def test_probes_are_what_led_the_search_a_prefix_up_to_its_end(
 
 
 @pytest.mark.slow
-def test_the_race_is_by_the_squared_error_of_the_jobs_own_filter(
-    planned: tuple[Run, list[str], list[Any]],
-) -> None:
-    race = _rows(planned[0], "survivors.again.shortlist")
-    assert len(race) > 1
-    assert set(race["estimator"]) == {"squared_error"}
-    assert set(race["particles"]) == {500}
-    again = _rows(planned[0], "survivors.again")
-    assert (set(again["estimator"]), set(again["particles"])) == ({"squared_error"}, {500})
+def test_the_race_is_by_the_squared_error_of_the_jobs_own_filter(planned: Planned) -> None:
+    assert len(_rows(planned[0], "survivors.again.shortlist")) > 1
+    for phase in ("survivors.again", "survivors.again.shortlist"):
+        rows = _rows(planned[0], phase)
+        assert (set(rows["estimator"]), set(rows["particles"])) == ({"squared_error"}, {500})
 
 
 @pytest.mark.slow
-def test_the_progress_has_room_for_what_is_done_again(
-    planned: tuple[Run, list[str], list[Any]],
-) -> None:
+def test_the_progress_has_room_for_what_is_done_again(planned: Planned) -> None:
     states = planned[2]
     assert states[-1].done == states[-1].total > states[0].total
     shares = [state.done / state.total for state in states]
@@ -191,10 +180,8 @@ def test_where_finalists_change_their_order_the_search_is_done_again(
     run = pfdist.plan(job, tmp_path / "run", "survivors", SMALL, say=said.append, figures=False)
     ((believed, squared),) = seen  # once: the squared error is what it is
     race = _rows(run, "survivors.shortlist")
-    assert {evaluation.measurement_times for evaluation in squared} == set(
-        map(tuple, race["measurement_times"])
-    )
-    assert {evaluation.measurement_times for evaluation in squared} == set(believed)
+    raced = {evaluation.measurement_times for evaluation in squared}
+    assert raced == {*map(tuple, race["measurement_times"])} == {*believed}
     assert set(race["estimator"]) == {"squared_error"}
     (line,) = [line for line in said if "cannot be believed" in line]
     assert "it prefers {" in line
@@ -217,39 +204,27 @@ def test_where_finalists_change_their_order_the_search_is_done_again(
 def test_a_run_that_was_cut_short_distrusts_again_and_ends_with_the_same_bytes(
     phase: str,
     pool: dict[str, Any],
-    planned: tuple[Run, list[str], list[Any]],
+    planned: Planned,
     job: Job,
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    cut_short: Callable[..., None],
     request: pytest.FixtureRequest,
 ) -> None:
     if pool:
         request.getfixturevalue("ray_cluster")
     whole, said, _ = planned
-    real = Batch.take
-
-    def cut_short(self: Batch, *arguments: Any) -> None:
-        real(self, *arguments)
-        if self.phase == phase:
-            raise TaskError("the lights went out", "")
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Batch, "take", cut_short)
-        with pytest.raises(TaskError, match="the lights went out"):
-            pfdist.plan(job, tmp_path / "run", "survivors", SMALL, figures=False)
-    reached = pfdist.open_run(tmp_path / "run")
-    assert reached.state == "searching"
+    cut_short(phase, job, tmp_path / "run", "survivors", SMALL, figures=False)
+    assert pfdist.open_run(tmp_path / "run").state == "searching"
     told: list[str] = []
     pfdist.plan(job, tmp_path / "run", "survivors", SMALL, say=told.append, **pool, figures=False)
     assert hashes(tmp_path / "run") == hashes(whole.path)
-    assert [line for line in told if "believed" in line] == [
-        line for line in said if "believed" in line
-    ]
+    first, again = ([line for line in lines if "believed" in line] for lines in (said, told))
+    assert first == again
 
 
 @pytest.mark.slow
 def test_the_figure_of_costs_shows_the_search_that_was_done_again(
-    planned: tuple[Run, list[str], list[Any]], monkeypatch: pytest.MonkeyPatch
+    planned: Planned, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     drawn: list[Any] = []
     monkeypatch.setattr(costs, "cost", lambda *given, **named: drawn.append((*given, named)))
