@@ -12,7 +12,7 @@ import pytest
 from oracles.kalman import SCALAR, THREE, TRACKING, LinearGaussian, kalman_filter
 from oracles.moments import assert_exact_filter
 from pfdist import StateSpaceModel, where
-from pfdist.errors import ModelError
+from pfdist.errors import MeasurementTimesError, ModelError
 from pfdist.filters import plain
 from pfdist.filters.particle_filter import KERNEL_VERSION, filter_draws
 from pfdist.filters.settings import DTYPES, RESAMPLING
@@ -274,7 +274,7 @@ def test_a_filter_that_is_none_is_refused(
     engine: Callable[..., Any], changes: dict[str, Any], message: str, ungm: StateSpaceModel
 ) -> None:
     right = {"model": ungm, "measurement_times": (1,), "particles": 10, "stream": 1}
-    with pytest.raises((ModelError, ValueError), match=message):
+    with pytest.raises((MeasurementTimesError, ModelError, ValueError), match=message):
         engine(**{**right, "draws": simulate(ungm, 4, range(2), 0), **changes})
 
 
