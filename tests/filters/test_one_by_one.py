@@ -1,6 +1,5 @@
 """Estimates of a draw's MSE by what the filter knows: their means, their bits, their limits."""
 
-import contextlib
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -245,16 +244,6 @@ def test_the_estimators_that_a_problem_suggests(
     evaluator: Evaluator, cheapest: str, guiding: str
 ) -> None:
     assert (evaluator.cheapest_estimator, evaluator.guiding_estimator) == (cheapest, guiding)
-
-
-@pytest.mark.parametrize("engine", ["compiled", "numpy"])
-def test_the_squared_error_alone_is_always_allowed(engine: str) -> None:
-    evaluator, allowed = Evaluator(NORM, 5, replace(NORM, name="another"), engine=engine), []
-    for estimator in ESTIMATORS:
-        with contextlib.suppress(ModelError):
-            evaluator.check(Estimation(10, estimator=estimator))
-            allowed.append(estimator)
-    assert allowed == ["squared_error"]
 
 
 @others

@@ -133,7 +133,7 @@ def test_the_same_files_give_the_same_model(write: Write) -> None:
 def test_a_file_that_hides_a_module_is_refused_by_its_name(
     write: Write, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name in ("random", "numpy", "pfdist"):
+    for name in ("random", "calendar", "numpy", "pfdist"):
         with pytest.raises(ModelError, match=rf"{name}\.py hides the module of this name: rename"):
             write(f"import {name}", name=name, **{name: "A = 1"})
     monkeypatch.delitem(sys.modules, "antigravity", raising=False)
