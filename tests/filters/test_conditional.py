@@ -14,12 +14,11 @@ import pytest
 from numpy.typing import NDArray
 
 from oracles.systems import scalar
-from pfdist.errors import ArgumentError
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Work, with_truth
 from pfdist.filters import plain
 from pfdist.filters.kalman import expected_mse
-from pfdist.filters.particle_filter import filter_checked_sets, filter_draws
+from pfdist.filters.particle_filter import filter_checked_sets
 from pfdist.filters.settings import FilterSettings
 from pfdist.filters.simulation import simulate
 from pfdist.models import StateSpaceModel
@@ -111,13 +110,6 @@ def test_states_are_float64_beside_the_truth_whatever_the_job_says() -> None:
         for dtype in ("float64", "float32")
     )
     assert np.array_equal(double, single)
-
-
-def test_no_public_door_lets_a_filter_see_the_truth() -> None:
-    model = system(1.0)
-    draws = simulate(model, HORIZON, range(1), 1)
-    with pytest.raises(ArgumentError, match="resampling must be one of multinomial"):
-        filter_draws(model, draws, TIMES, 10, 1, "conditional")
 
 
 # --- versions that are wrong, and fail the identity -----------------------------------------------

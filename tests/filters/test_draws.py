@@ -71,11 +71,3 @@ def test_the_transition_is_that_of_the_instants_but_the_last(engine, ungm: State
     shifted = replace(ungm, transition=lambda x, t, w, p: (x[0] + SHIFTS[t],))
     x = engine(shifted, 3, range(4), 1).x[:, :, 0]
     np.testing.assert_allclose(np.diff(x), np.tile(SHIFTS, (4, 1)), rtol=1e-12)
-
-
-def test_a_formula_that_raises_is_the_models_fault_also_in_numpy(ungm: StateSpaceModel) -> None:
-    short = replace(ungm, transition=lambda x, t, w, p: (x[0] + SHIFTS[t],))
-    with pytest.raises(
-        ModelError, match=r"transition failed: IndexError: .* at t = 3 \(\S*test_draws.py:\d+\)"
-    ):
-        plain.simulate(short, 5, range(2), 1)

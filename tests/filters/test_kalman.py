@@ -2,8 +2,10 @@
 
 import itertools
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ import pytest
 import pfdist
 from oracles.figures_under import CORES, figures_under
 from oracles.kalman import SCALAR, THREE, TRACKING, LinearGaussian, riccati_cost
+from oracles.moments import assert_mean
 from pfdist import Job, StateSpaceModel, linear_gaussian, load_model
 from pfdist.errors import ModelError
 from pfdist.evaluation.evaluator import Evaluator
@@ -35,6 +38,7 @@ VARYING = linear_gaussian(
 )
 MODELS = {"varying": VARYING, "tracking": TRACKING.as_model(), "three": THREE.as_model()}
 HORIZON = 7
+WALK = load_model("random_walk")
 
 
 def joint(model: StateSpaceModel) -> tuple[np.ndarray, np.ndarray]:
@@ -80,7 +84,7 @@ def test_draws_have_the_expected_mse(name: str) -> None:
     model, times = load_model(name), (0, 5, 6, 20, 30)
     mse = kalman.filter_draws(model, simulate(model, 30, range(20_000), 1), times, 1, 1).mse
     (expected,) = kalman.expected_mse(model, 30, [times])
-    assert abs(mse.mean() - expected) < 4.5 * mse.std() / math.sqrt(mse.size)
+    assert_mean(mse, expected)
 
 
 @pytest.mark.parametrize("matrices", [SCALAR, TRACKING, THREE])
@@ -93,9 +97,8 @@ def test_many_sets_at_once_are_as_one_by_one(matrices: LinearGaussian) -> None:
 
 def test_a_random_walk_that_is_always_measured_keeps_the_golden_variance() -> None:
     # The positive root of P = (P + 1) / (P + 2): as much is learnt of a step as it adds.
-    model = load_model("random_walk")
-    draws = simulate(model, 60, range(1), 1)
-    variance = kalman.filter_draws(model, draws, range(61), 1, 1, trajectories=True).variance
+    draws = simulate(WALK, 60, range(1), 1)
+    variance = kalman.filter_draws(WALK, draws, range(61), 1, 1, trajectories=True).variance
     assert variance is not None
     assert variance[0, -1, 0] == pytest.approx((math.sqrt(5) - 1) / 2, rel=1e-12)
 
@@ -113,48 +116,47 @@ def test_a_measurement_without_noise_may_be_no_surprise() -> None:
     assert kalman.expected_mse(model, 3, [(), (2,), (1, 2)]) == pytest.approx([4.0, 2.0, 1.0])
 
 
-def test_engine_kalman_evaluates_and_searches_exactly(small_job: Job, tmp_path: Path) -> None:
-    job = small_job.with_changes(["model.name=random_walk", "filter.engine=kalman"])
+def test_engine_kalman_evaluates_and_searches_exactly(
+    small_job: Job, finished: Callable[..., Path]
+) -> None:
+    changes = "model.name=random_walk", "filter.engine=kalman"
+    job, run = small_job.with_changes(changes), pfdist.open_run(finished(*changes))
     evaluation = pfdist.evaluate(job, (0, 4, 8))
-    model = load_model("random_walk")
-    assert evaluation.expected_mse == kalman.expected_mse(model, 12, [(0, 4, 8)])[0]
+    assert evaluation.expected_mse == kalman.expected_mse(WALK, 12, [(0, 4, 8)])[0]
     assert (evaluation.standard_error, evaluation.draws) == (0.0, 0)
-    run = pfdist.run(job, tmp_path / "run", pool="serial", figures=False)
     rows = run.evaluations()
-    exact = kalman.expected_mse(model, 12, [tuple(times) for times in rows["measurement_times"]])
+    exact = kalman.expected_mse(WALK, 12, [tuple(times) for times in rows["measurement_times"]])
     np.testing.assert_array_equal(rows["expected_mse"], exact)
     assert (rows["standard_error"] == 0).all()
     assert len(run.comparison()) == job.comparison.draws
 
 
-NOT_LINEAR = {
-    "does not declare itself": ({"linear_gaussian": False}, "declares itself linear_gaussian"),
-    "noise": ({"process_noise": ("uniform",)}, "process_noise.* must be normal, got 'uniform'"),
-    "error": ({"error": lambda z, e, t, p: abs(z[0] - e[0])}, "error of a linear-Gaussian"),
-    "transition": (
-        {"transition": lambda x, t, w, p: (pfdist.where(t > 3, x[0] * w[0], x[0]),)},
-        "transition at t = 4 must be linear, but component 0 is not",
-    ),
-    "measurement": (
-        {"measurement": lambda x, t, v, p: (x[0] ** 2 + v[0],)},
-        "measurement at t = 0 must be linear",
-    ),
-}
-
-
-@pytest.mark.parametrize("case", NOT_LINEAR)
-def test_what_is_declared_is_checked(case: str) -> None:
-    changes, message = NOT_LINEAR[case]
-    model = replace(load_model("random_walk"), **changes)
+@pytest.mark.parametrize(
+    ("changes", "believed", "message"),
+    [
+        ({"linear_gaussian": False}, {}, "declares itself linear_gaussian"),
+        ({"process_noise": ("uniform",)}, {}, "process_noise.* must be normal, got 'uniform'"),
+        ({"error": lambda z, e, t, p: abs(z[0] - e[0])}, {}, "error of a linear-Gaussian"),
+        (
+            {"transition": lambda x, t, w, p: (pfdist.where(t > 3, x[0] * w[0], x[0]),)},
+            {},
+            "transition at t = 4 must be linear, but component 0 is not",
+        ),
+        (
+            {"measurement": lambda x, t, v, p: (x[0] ** 2 + v[0],)},
+            {},
+            "measurement at t = 0 must be linear",
+        ),
+        ({}, {"step_sd": 2.0}, "knows the truth"),
+    ],
+    ids=["not declared", "noise", "error", "transition", "measurement", "another filter"],
+)
+def test_what_is_declared_is_checked(
+    changes: dict[str, Any], believed: dict[str, float], message: str
+) -> None:
+    model = replace(WALK, **changes)
     with pytest.raises(ModelError, match=message):
-        Evaluator(model, 12, engine="kalman")
-
-
-def test_the_filter_must_know_the_truth() -> None:
-    model = load_model("random_walk")
-    wrong = model.with_parameters({"step_sd": 2.0})
-    with pytest.raises(ModelError, match="knows the truth"):
-        Evaluator(model, 12, filter_model=wrong, engine="kalman")
+        Evaluator(model, 12, filter_model=model.with_parameters(believed), engine="kalman")
 
 
 @pytest.mark.slow

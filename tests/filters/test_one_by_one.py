@@ -1,6 +1,5 @@
 """Estimates of a draw's MSE by what the filter knows: their means, their bits, their limits."""
 
-import contextlib
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -169,37 +168,25 @@ def test_in_line_by_state_the_difference_of_two_sets_has_less_variance() -> None
 
 WRONG = UNGM.with_parameters({"process_sd": 0.5})
 NORM = replace(UNGM, error=lambda z, estimate, t, p: abs(z[0] - estimate[0]))
-REFUSED: list[tuple[Evaluator, dict[str, Any], str]] = (
-    [
-        (
-            Evaluator(UNGM, 5, UNGM.with_parameters({"process_sd": 2.0}), engine=engine),
-            {"estimator": estimator},
-            f"^the estimator '{estimator}' needs a filter that knows the truth, .*'squared_er",
-        )
-        for estimator in ("filter_variance", "two_filters")
+DOUBTFUL = UNGM.with_parameters({"process_sd": 2.0})
+KNOWS = "^the estimator '{}' needs a filter that knows the truth, .*'squared_er"
+REFUSED: list[tuple[Evaluator, dict[str, Any], str]] = [
+    *(
+        (Evaluator(UNGM, 5, DOUBTFUL, engine=engine), {"estimator": name}, KNOWS.format(name))
+        for name in ("filter_variance", "two_filters")
         for engine in ("compiled", "numpy")
-    ]
-    + [
-        (
-            Evaluator(NORM, 5),
-            {"estimator": estimator},
-            "needs an error that is the squared Euclidean",
-        )
-        for estimator in list(ESTIMATORS)[1:]
-    ]
-    + [
-        (
-            Evaluator(UNGM, 5),
-            {"estimator": "best"},
-            "estimator must be one of squared_error, .* 'best'",
-        ),
-        (
-            Evaluator(load_model("bearings_only"), 5),
-            {"resampling": "sorted_systematic"},
-            "'sorted_systematic' needs a model with a scalar state, got bearings_only with 4",
-        ),
-    ]
-)
+    ),
+    *(
+        (Evaluator(NORM, 5), {"estimator": name}, "needs an error that is the squared Euclidean")
+        for name in list(ESTIMATORS)[1:]
+    ),
+    (Evaluator(UNGM, 5), {"estimator": "best"}, "must be one of squared_error, .* 'best'"),
+    (
+        Evaluator(load_model("bearings_only"), 5),
+        {"resampling": "sorted_systematic"},
+        "'sorted_systematic' needs a model with a scalar state, got bearings_only with 4",
+    ),
+]
 
 
 @pytest.mark.parametrize(("evaluator", "changes", "message"), REFUSED)
@@ -257,16 +244,6 @@ def test_the_estimators_that_a_problem_suggests(
     evaluator: Evaluator, cheapest: str, guiding: str
 ) -> None:
     assert (evaluator.cheapest_estimator, evaluator.guiding_estimator) == (cheapest, guiding)
-
-
-@pytest.mark.parametrize("engine", ["compiled", "numpy"])
-def test_the_squared_error_alone_is_always_allowed(engine: str) -> None:
-    evaluator, allowed = Evaluator(NORM, 5, replace(NORM, name="another"), engine=engine), []
-    for estimator in ESTIMATORS:
-        with contextlib.suppress(ModelError):
-            evaluator.check(Estimation(10, estimator=estimator))
-            allowed.append(estimator)
-    assert allowed == ["squared_error"]
 
 
 @others

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from oracles.kalman import SCALAR, THREE, TRACKING, LinearGaussian, kalman_filter
+from oracles.moments import assert_exact_filter
 from pfdist import StateSpaceModel, where
 from pfdist.errors import MeasurementTimesError, ModelError
 from pfdist.filters import plain
@@ -82,17 +83,7 @@ def test_a_linear_gaussian_model_gives_the_kalman_filter(
     filtered = filter_draws(model, draws, times, particles, 2, trajectories=True)
     exact = [kalman_filter(system, y, times) for y in draws.y]
     mean, variance = (np.array(values) for values in zip(*exact, strict=True))
-    # A filter's error over the draws has mean 0, but for a bias of order variance / particles.
-    for estimate, truth, bias in (
-        (filtered.estimate, mean, 5 * np.sqrt(variance) / particles),
-        (filtered.variance, variance, 10 * variance / particles),
-    ):
-        error = estimate - truth
-        standard_error = error.std(axis=0, ddof=1) / np.sqrt(count)
-        assert (np.abs(error.mean(axis=0)) < 4.5 * standard_error + bias[0]).all()
-    # And it is small draw by draw: a tenth of the posterior's standard deviation.
-    rms = np.sqrt(np.mean((filtered.estimate - mean) ** 2, axis=0))
-    assert (rms < 0.1 * np.sqrt(variance[0])).all()
+    assert_exact_filter(filtered.estimate, filtered.variance, mean, variance, particles)
 
 
 def test_the_expected_mse_of_the_regular_times(ungm: StateSpaceModel) -> None:
@@ -162,15 +153,6 @@ def test_particles_that_leave_the_finite_numbers_cost_infinity(ungm: StateSpaceM
     np.testing.assert_array_equal(filter_draws(wild, draws, (), 10, 1).mse, np.inf)
 
 
-@pytest.mark.slow
-def test_without_measurements_the_estimate_is_the_mean_of_the_particles() -> None:
-    model = SCALAR.as_model()
-    draws = simulate(model, 8, range(2), 1)
-    estimate = filter_draws(model, draws, (), 5000, 1, trajectories=True).estimate
-    # x(t) has mean 0 and variance at most b0^2 = 9
-    assert (np.abs(estimate) < 4.5 * 3 / np.sqrt(5000)).all()
-
-
 @pytest.mark.parametrize("particles", [1, 2, 16, 63, 65])
 @pytest.mark.parametrize("resampling", RESAMPLING)
 def test_any_number_of_particles(ungm: StateSpaceModel, particles: int, resampling: str) -> None:
@@ -178,12 +160,6 @@ def test_any_number_of_particles(ungm: StateSpaceModel, particles: int, resampli
     arguments = (ungm, draws, (1, 5, 10), particles, 4, resampling)
     fast, slow = filter_draws(*arguments).mse, plain.filter_draws(*arguments).mse
     np.testing.assert_allclose(fast, slow, rtol=1e-9)
-
-
-def test_times_outside_the_horizon_are_refused(ungm: StateSpaceModel) -> None:
-    draws = simulate(ungm, 10, range(1), 1)
-    with pytest.raises(MeasurementTimesError, match=r"0\.\.10, got 11"):
-        filter_draws(ungm, draws, (3, 11), 10, 1)
 
 
 def test_figures_change_only_with_the_kernels_version(ungm: StateSpaceModel) -> None:
@@ -282,73 +258,24 @@ def test_a_particle_without_weight_does_not_count(ungm: StateSpaceModel) -> None
     assert np.isinf(filter_draws(model, draws, (1,), 50, 1).mse).all()
 
 
-def scaled(a):
-    return a * FACTOR
-
-
-FACTOR = 0.5
-
-
-def test_a_formula_may_call_its_authors_functions(ungm: StateSpaceModel) -> None:
-    def shifted(a):
-        return scaled(a) + 1.0
-
-    model = replace(ungm, transition=lambda x, t, w, p: (shifted(x[0]) + w[0],))
-    draws = simulate(model, 8, range(4), 3)
-    np.testing.assert_allclose(draws.x, plain.simulate(model, 8, range(4), 3).x, rtol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("transition", "message"),
-    [
-        (
-            lambda x, t, w, p: (np.reshape(x[0], np.shape(x[0])),),
-            r"compiled by Numba: .*reshape.*filter\.py:\d+",
-        ),
-        (
-            lambda x, t, w, p: (SETTINGS["a"] * x[0],),
-            r"compiled by Numba: .*SETTINGS.*filter\.py:\d+",
-        ),
-        (lambda x, t, w, p: (x[0] + (1, 2)[t],), "transition failed: IndexError"),
-    ],
-    ids=["a function Numba lacks", "a global dict", "raises"],
-)
-def test_a_formula_that_does_not_work_is_one_line_with_its_place(
-    ungm: StateSpaceModel, transition: Callable[..., Any], message: str
-) -> None:
-    model = replace(ungm, transition=transition)
-    with pytest.raises(ModelError, match=message) as error:
-        simulate(model, 8, range(1), 0)
-    assert "\n" not in str(error.value)
-
-
-SETTINGS = {"a": 1.0}
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
         ({"resampling": "best"}, "resampling must be one of multinomial, .* got 'best'"),
+        ({"resampling": "conditional"}, "resampling must be one of multinomial"),  # sees the truth
         ({"dtype": "float16"}, "dtype must be one of float64, float32, got 'float16'"),
         ({"particles": 0}, "particles must be at least 1, got 0"),
+        ({"measurement_times": (3, 11)}, r"0\.\.4, got 11"),
+        ({"model": THREE.as_model()}, "as many components of y as the model ungm, 1, got 2"),
     ],
 )
 @pytest.mark.parametrize("engine", [filter_draws, plain.filter_draws], ids=["compiled", "plain"])
 def test_a_filter_that_is_none_is_refused(
     engine: Callable[..., Any], changes: dict[str, Any], message: str, ungm: StateSpaceModel
 ) -> None:
-    draws = simulate(ungm, 4, range(2), 0)
-    with pytest.raises(ValueError, match=message):
-        engine(ungm, draws, (1,), **{"particles": 10, "stream": 1, **changes})
-
-
-@pytest.mark.parametrize("engine", [filter_draws, plain.filter_draws], ids=["compiled", "plain"])
-def test_a_filter_of_another_size_is_refused(
-    engine: Callable[..., Any], ungm: StateSpaceModel
-) -> None:
-    draws = simulate(ungm, 4, range(2), 0)
-    with pytest.raises(ModelError, match="as many components of y as the model ungm, 1, got 2"):
-        engine(THREE.as_model(), draws, (1,), 10, 1)
+    right = {"model": ungm, "measurement_times": (1,), "particles": 10, "stream": 1}
+    with pytest.raises((MeasurementTimesError, ModelError, ValueError), match=message):
+        engine(**{**right, "draws": simulate(ungm, 4, range(2), 0), **changes})
 
 
 TABLE = np.array([1.0, 2.0, 3.0])

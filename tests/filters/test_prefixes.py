@@ -12,12 +12,13 @@ from pfdist.filters.simulation import simulate
 from pfdist.kernels.prefixes import plan
 
 HORIZON = 12
+UNGM, BEARINGS = load_model("ungm"), load_model("bearings_only")
 DEGENERATE = replace(
-    load_model("ungm"),
+    UNGM,
     log_likelihood=lambda y, x, t, p: where(y[0] > 20.0, -math.inf, -0.5 * (y[0] - x[0]) ** 2),
 )
 INFINITE = replace(
-    load_model("ungm"),
+    UNGM,
     quantity_of_interest=lambda x, t, p: (where(abs(x[0]) > 22.0, math.inf, x[0]),),
 )
 
@@ -32,40 +33,35 @@ SETS = [*random_sets(40, seed=0), (), tuple(range(HORIZON + 1)), (12,), (0,), (1
 
 
 @pytest.mark.parametrize(
-    ("name", "resampling", "dtype"),
+    ("model", "believed", "resampling", "dtype"),
     [
-        ("ungm", "multinomial", "float64"),
-        pytest.param("ungm", "systematic", "float32", marks=pytest.mark.slow),
-        pytest.param("bearings_only", "multinomial", "float64", marks=pytest.mark.slow),
+        pytest.param(UNGM, UNGM, "multinomial", "float64", id="ungm"),
+        *(
+            pytest.param(*case, marks=pytest.mark.slow, id=name)
+            for name, case in {
+                "systematic": (UNGM, UNGM, "systematic", "float32"),
+                "bearings": (BEARINGS, BEARINGS, "multinomial", "float64"),
+                "degenerate": (UNGM, DEGENERATE, "multinomial", "float64"),
+                "infinite": (UNGM, INFINITE, "multinomial", "float64"),
+            }.items()
+        ),
     ],
 )
 def test_together_they_are_bit_for_bit_as_one_by_one(
-    name: str, resampling: str, dtype: str
+    model: StateSpaceModel, believed: StateSpaceModel, resampling: str, dtype: str
 ) -> None:
-    model = load_model(name)
-    draws = simulate(model, HORIZON, range(5), 3)
-    together = filter_sets(model, draws, SETS, 70, 9, resampling, dtype)
+    ends = believed is not model  # a draw that ended has ended for all that share it
+    draws = simulate(model, HORIZON, range(60 if ends else 5), 3)
+    together = filter_sets(believed, draws, SETS, 70, 9, resampling, dtype)
     alone = [
-        filter_draws(model, draws, times, 70, 9, resampling, dtype=dtype).mse for times in SETS
+        filter_draws(believed, draws, times, 70, 9, resampling, dtype=dtype).mse for times in SETS
     ]
     np.testing.assert_array_equal(together, np.stack(alone, axis=1))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("believed", "value"),
-    [(DEGENERATE, math.nan), pytest.param(INFINITE, math.inf, marks=pytest.mark.slow)],
-)
-def test_a_draw_that_ended_has_ended_for_all_that_share_it(
-    believed: StateSpaceModel, value: float
-) -> None:
-    draws = simulate(load_model("ungm"), HORIZON, range(60), 3)
-    together = filter_sets(believed, draws, SETS, 70, 9)
-    alone = np.stack([filter_draws(believed, draws, times, 70, 9).mse for times in SETS], axis=1)
-    np.testing.assert_array_equal(together, alone)
-    ended = ~np.isfinite(together)
-    np.testing.assert_array_equal(together[ended], value)
-    assert 0.02 < ended.mean() < 0.98
+    if ends:
+        ended = ~np.isfinite(together)
+        value = math.nan if believed is DEGENERATE else math.inf
+        np.testing.assert_array_equal(together[ended], value)
+        assert 0.02 < ended.mean() < 0.98
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -98,21 +94,12 @@ def test_every_distinct_prefix_is_walked_once(with_ends: bool, seed: int) -> Non
 
 
 def test_what_is_wanted_up_to_an_end_is_the_sum_of_the_errors_up_to_there() -> None:
-    model, times = load_model("ungm"), (0, 3, 7)
+    model, times = UNGM, (0, 3, 7)
     draws = simulate(model, HORIZON, range(5), 3)
     estimate = filter_draws(model, draws, times, 70, 9, trajectories=True).estimate
     assert estimate is not None
     errors = np.cumsum((draws.z - estimate)[:, :, 0] ** 2, axis=1) / (HORIZON + 1)
-    cases = [
-        ((), 0),
-        ((0,), 0),
-        ((0,), 2),
-        ((0, 3), 3),
-        ((0, 3), 6),
-        ((0, 3, 7), 7),
-        ((0, 3, 7), 12),
-    ]
-    sets, ends = zip(*cases, strict=True)
+    sets, ends = ((), (0,), (0,), (0, 3), (0, 3), times, times), (0, 0, 2, 3, 6, 7, 12)
     upto = filter_sets(model, draws, sets, 70, 9, ends=ends)
     blind = filter_draws(model, draws, (), 70, 9, trajectories=True).estimate
     assert blind is not None

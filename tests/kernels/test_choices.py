@@ -16,26 +16,27 @@ ONE = np.array([2.5])
 POINTS = [*GRID.tolist(), -3.0, -0.75, -0.25, 0.3, 3.9, 5.0, -math.inf, math.inf, math.nan, -0.0]
 
 
-@pytest.mark.parametrize(
-    "function",
-    [
-        pytest.param(lambda x: np.where(x > 0, x, 0.5), id="where"),
-        pytest.param(lambda x: np.where(x > 0, 1, 2), id="where of integers"),
-        pytest.param(lambda x: numpy_where(x > 0, 1, x), id="from numpy import where"),
-        pytest.param(lambda x: np.where((x > 0) & (x < 2), x, -x), id="where with &"),
-        pytest.param(lambda x: np.clip(x, -1, 0.5), id="clip"),
-        pytest.param(lambda x: np.clip(x, None, 0.5), id="clip above"),
-        pytest.param(lambda x: np.clip(x, a_min=-1.0, a_max=None), id="clip below"),
-        pytest.param(lambda x: np.heaviside(x, 0.5), id="heaviside"),
-        pytest.param(lambda x: np.interp(x, GRID, VALUES), id="interp"),
-        pytest.param(lambda x: np.interp(x, GRID, VALUES, -9.0, 9.0), id="interp with ends"),
-        pytest.param(lambda x: np.interp(x, GRID, VALUES, right=0), id="interp with an end"),
-        pytest.param(lambda x: np.interp(x, WHOLE, WHOLE), id="interp of integers"),
-        pytest.param(lambda x: np.interp(x, ONE, ONE), id="interp at one point"),
-        pytest.param(lambda x: np.select([x > 1, x > 0], [x, 2.0], -1.0), id="select of lists"),
-        pytest.param(lambda x: np.select((x > 1, x > 0), (x, 2 * x)), id="select of tuples"),
-    ],
-)
+CHOICES = {
+    "where": lambda x: np.where(x > 0, x, 0.5),
+    "where of integers": lambda x: np.where(x > 0, 1, 2),
+    "from numpy import where": lambda x: numpy_where(x > 0, 1, x),
+    "where with &": lambda x: np.where((x > 0) & (x < 2), x, -x),
+    "clip": lambda x: np.clip(x, -1, 0.5),
+    "clip above": lambda x: np.clip(x, None, 0.5),
+    "clip below": lambda x: np.clip(x, a_min=-1.0, a_max=None),
+    "heaviside": lambda x: np.heaviside(x, 0.5),
+    "interp": lambda x: np.interp(x, GRID, VALUES),
+    "interp with ends": lambda x: np.interp(x, GRID, VALUES, -9.0, 9.0),
+    "interp with an end": lambda x: np.interp(x, GRID, VALUES, right=0),
+    "interp of integers": lambda x: np.interp(x, WHOLE, WHOLE),
+    "interp at one point": lambda x: np.interp(x, ONE, ONE),
+    "select of lists": lambda x: np.select([x > 1, x > 0], [x, 2.0], -1.0),
+    "select of tuples": lambda x: np.select((x > 1, x > 0), (x, 2 * x)),
+}
+choices = pytest.mark.parametrize("function", CHOICES.values(), ids=CHOICES)
+
+
+@choices
 def test_a_choice_is_numpys_bit_for_bit(function):
     compiled = formula(function)
     for x in POINTS:
@@ -61,16 +62,7 @@ def test_a_table_of_another_length_is_an_error_and_no_figure():
         compiled(0.3)
 
 
-@pytest.mark.parametrize(
-    "function",
-    [
-        pytest.param(lambda x: np.where(x > 0, x, 0.5), id="where"),
-        pytest.param(lambda x: np.clip(x, -1, 1), id="clip"),
-        pytest.param(lambda x: np.heaviside(x, 0.5), id="heaviside"),
-        pytest.param(lambda x: np.interp(x, GRID, VALUES), id="interp"),
-        pytest.param(lambda x: np.select((x > 1, x > 0), (x, 2.0)), id="select of tuples"),
-    ],
-)
+@choices
 def test_a_choice_makes_no_array(function):
     compiled = formula(function)
 

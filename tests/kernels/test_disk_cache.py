@@ -57,6 +57,7 @@ def test_the_same_function_is_compiled_once(folder):
     before = only_file(folder).read_bytes()
     assert called(kept(2.0), 5.0) == (11.0, False)
     assert only_file(folder).read_bytes() == before
+    assert folder.stat().st_mode & 0o777 == 0o700  # its user's alone
 
 
 def test_another_function_or_other_arguments_are_compiled(folder):
@@ -92,24 +93,20 @@ def test_what_is_not_all_inlined_is_compiled_in_each_process(folder):
     assert not list(folder.iterdir())
 
 
-@pytest.mark.parametrize(
-    "spoilt",
-    [
-        lambda data: b"",
-        lambda data: data[:10],
-        lambda data: data[: len(data) // 2],
-        lambda data: data[:-1],
-        lambda data: data + b"\0",
-        lambda data: bytes([data[0] ^ 1]) + data[1:],
-        lambda data: data[:5000] + bytes([data[5000] ^ 1]) + data[5001:],
-        lambda data: data[:-1] + bytes([data[-1] ^ 128]),
-        lambda data: disk_cache._digest(b"no code") + b"no code",
-    ],
-    ids=[
-        *("empty", "less than a hash", "half", "all but a byte", "a byte too many"),
-        *("a bit of the hash", "a bit in the middle", "the last bit", "whole, but no code"),
-    ],
-)
+SPOILT = {
+    "empty": lambda data: b"",
+    "less than a hash": lambda data: data[:10],
+    "half": lambda data: data[: len(data) // 2],
+    "all but a byte": lambda data: data[:-1],
+    "a byte too many": lambda data: data + b"\0",
+    "a bit of the hash": lambda data: bytes([data[0] ^ 1]) + data[1:],
+    "a bit in the middle": lambda data: data[:5000] + bytes([data[5000] ^ 1]) + data[5001:],
+    "the last bit": lambda data: data[:-1] + bytes([data[-1] ^ 128]),
+    "whole, but no code": lambda data: disk_cache._digest(b"no code") + b"no code",
+}
+
+
+@pytest.mark.parametrize("spoilt", SPOILT.values(), ids=SPOILT)
 def test_a_file_that_is_not_whole_is_compiled_anew_and_replaced(folder, spoilt):
     kept(2.0)(5.0)
     file = only_file(folder)
@@ -168,11 +165,6 @@ def test_on_a_full_disk_nothing_is_kept_nor_left(folder, monkeypatch):
     monkeypatch.setattr(Path, "write_bytes", half)
     works_without()
     assert not list(folder.iterdir())
-
-
-def test_a_new_folder_is_its_users_alone(folder):
-    kept(2.0)(5.0)
-    assert folder.stat().st_mode & 0o777 == 0o700
 
 
 # --- other processes ---

@@ -18,6 +18,7 @@ from pfdist.kernels.overloads import ELEMENTARY
 EXTENDED = np.longdouble
 COUNT = 30_000
 SMALLEST, LARGEST = np.finfo(float).smallest_subnormal, np.finfo(float).max
+TURNS, PLANAR = ("sin", "cos", "tan"), ("arctan2", "hypot")
 functions = pytest.mark.parametrize("name", ELEMENTARY)
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")  # NumPy's, of domain errors
 
@@ -80,7 +81,7 @@ PLANE = [
     (magnitudes(-3, 3), np.ones(COUNT)),
 ]
 ARGUMENTS = {
-    **dict.fromkeys(("sin", "cos", "tan"), ANGLES),
+    **dict.fromkeys(TURNS, ANGLES),
     **dict.fromkeys(("exp", "expm1", "sinh", "cosh", "tanh"), EXPONENTS),
     **dict.fromkeys(("log", "log2", "log10"), POSITIVE),
     "log1p": [NEAR_ONE - 1, -np.abs(NEAR_ONE - 1), *POSITIVE, -SUBNORMAL],
@@ -92,7 +93,7 @@ ARGUMENTS = {
 @pytest.mark.skipif(np.finfo(EXTENDED).nmant < 63, reason="no extended precision to compare with")
 @functions
 def test_a_function_is_within_its_ulps(name):
-    for arguments in PLANE if name in ("arctan2", "hypot") else ((x,) for x in ARGUMENTS[name]):
+    for arguments in PLANE if name in PLANAR else ((x,) for x in ARGUMENTS[name]):
         exact = getattr(np, name)(*(x.astype(EXTENDED) for x in arguments))
         assert_within_ulps(ours(name, *arguments), exact)
 
@@ -120,7 +121,7 @@ def reduced(x):
 
 
 @pytest.mark.skipif(np.finfo(EXTENDED).nmant < 63, reason="no extended precision to compare with")
-@pytest.mark.parametrize("name", ["sin", "cos", "tan"])
+@pytest.mark.parametrize("name", TURNS)
 def test_angles_of_many_turns_are_reduced_as_by_exact_arithmetic(name):
     # Also those that are nearest to a multiple of pi/2, where what is left is almost nothing.
     near = [float(k * HALF_PI) for k in RNG.integers(1, 6 * 10**14, 2000).tolist()]
@@ -135,7 +136,7 @@ def test_angles_of_many_turns_are_reduced_as_by_exact_arithmetic(name):
     assert_within_ulps(ours(name, x), exact)
 
 
-@pytest.mark.parametrize("name", ["sin", "cos", "tan"])
+@pytest.mark.parametrize("name", TURNS)
 def test_an_angle_of_which_no_digit_is_known_gives_nan(name):
     known = np.abs(EVERY) < LARGEST_ANGLE
     assert 0.3 < known.mean() < 0.7
@@ -151,34 +152,16 @@ SPECIAL = np.concatenate([SPECIAL, -SPECIAL])
 PAIRS = tuple(grid.ravel() for grid in np.meshgrid(SPECIAL, SPECIAL))
 
 
-def special_values(name):
-    if getattr(np, name).nin == 2:
-        return PAIRS
-    return (
-        (SPECIAL[~(np.isfinite(SPECIAL) & (np.abs(SPECIAL) > 1e15))],)
-        if name in TURNS
-        else (SPECIAL,)
-    )
-
-
-TURNS = ("sin", "cos", "tan")
-
-
 @functions
-def test_special_values_are_numpys(name):
-    arguments = special_values(name)
+def test_special_values_and_their_signs_are_numpys(name):
+    known = ~(np.isfinite(SPECIAL) & (np.abs(SPECIAL) > 1e15))
+    arguments = PAIRS if name in PLANAR else (SPECIAL[known] if name in TURNS else SPECIAL,)
     expected, given = getattr(np, name)(*arguments), ours(name, *arguments)
     np.testing.assert_allclose(
         given, expected, rtol=ULPS * np.finfo(float).eps, atol=ULPS * SMALLEST
     )
     zero_or_infinite = (expected == 0) | np.isinf(expected)
     np.testing.assert_array_equal(given[zero_or_infinite], expected[zero_or_infinite])
-
-
-@functions
-def test_signs_are_numpys_also_of_zeros(name):
-    arguments = special_values(name)
-    expected, given = getattr(np, name)(*arguments), ours(name, *arguments)
     number = ~np.isnan(expected) & ~np.isnan(given)
     np.testing.assert_array_equal(np.signbit(given[number]), np.signbit(expected[number]))
 

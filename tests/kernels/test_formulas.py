@@ -1,5 +1,6 @@
 """Check what a model's author may write in a formula, and what the author is told otherwise."""
 
+import importlib
 import inspect
 import math
 import operator
@@ -13,6 +14,7 @@ import pytest
 from numba import njit
 from numpy import cos
 
+import pfdist.kernels
 from pfdist import clip, where
 from pfdist.errors import CompileError, ModelError
 from pfdist.kernels.formulas import checks_indices, compiled_formulas, formula
@@ -20,7 +22,8 @@ from pfdist.kernels.overloads import ELEMENTARY
 
 FACTOR = 0.25
 PAIR = (2.0, 3.0)
-TABLE = np.array([10.0, 20.0, 30.0])
+TABLE = np.array([1.0, 2.0, 3.0])
+SQUARE = np.arange(6.0).reshape(2, 3)
 NAMES = {"a": 1.0}
 helpers = ModuleType("helpers")
 helpers.OFFSET = 0.5
@@ -161,44 +164,28 @@ def asserting(x):
     return x
 
 
-def assert_told(error, function, reason):
-    line = inspect.getsourcelines(function)[1] + 1
+@pytest.mark.parametrize(
+    ("function", "at_fault", "reason"),
+    [
+        (reshaped, reshaped, "reshape"),
+        (looked_up, looked_up, "NAMES"),
+        (in_a_helper, reshaped, "reshape"),
+    ],
+    ids=["a function Numba lacks", "a dict", "in a helper"],
+)
+def test_what_numba_lacks_is_told_in_one_line_with_its_place(function, at_fault, reason):
+    with pytest.raises(CompileError) as error, compiled_formulas("mine", lambda: "it"):
+        formula(function)(0.5)
+    line = inspect.getsourcelines(at_fault)[1] + 1
     told = rf"model mine cannot be compiled by Numba: .*{reason}.* \(\S*test_formulas\.py:{line}\);"
     assert re.match(told, str(error.value))
     assert "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize(
-    ("function", "reason"),
-    [(reshaped, "reshape"), (looked_up, "NAMES")],
-    ids=["a function Numba lacks", "a dict"],
-)
-def test_what_numba_lacks_is_told_in_one_line_with_its_place(function, reason):
-    with pytest.raises(CompileError) as error, compiled_formulas("mine", lambda: "it"):
-        formula(function)(0.5)
-    assert_told(error, function, reason)
-
-
-def test_the_line_at_fault_is_the_helpers():
-    with pytest.raises(CompileError) as error, compiled_formulas("mine", lambda: "it"):
-        formula(in_a_helper)(0.5)
-    assert_told(error, reshaped, "reshape")
 
 
 @pytest.mark.parametrize("function", [misspelt, asserting])
 def test_a_misspelt_name_and_a_failed_assertion_are_the_models_fault(function):
     with pytest.raises(ModelError), compiled_formulas("mine", lambda: "it"):
         formula(function)(0.5)
-
-
-def raising(x):
-    if x > 0:
-        raise ValueError("x must not be positive")
-    return x
-
-
-TABLE = np.array([1.0, 2.0, 3.0])
-SQUARE = np.arange(6.0).reshape(2, 3)
 
 
 @njit
@@ -347,17 +334,12 @@ def test_each_operation_is_rounded_as_in_numpy(function):
     assert one_by_one.tobytes() == function(*numbers).tobytes()
 
 
-@pytest.mark.parametrize(
-    ("function", "x"),
-    [
-        (lambda x: x * x - 0.1 * 0.1, 0.1),  # fused, it is the rounding error of 0.1 * 0.1
-        (lambda x: x / 49.0 - 1.0, 49.0),  # 49 * (1 / 49) is less than 1
-    ],
-)
-def test_equal_numbers_differ_by_zero(function, x):
-    assert formula(lambda x, p: function(x))(x, 0.1) == 0.0
+def test_equal_numbers_differ_by_zero():
+    # Fused, x * x - p * p is the rounding error of 0.1 * 0.1; and 49 * (1 / 49) is less than 1.
     assert formula(lambda x, p: x * x - p * p)(0.1, 0.1) == 0.0
+    assert formula(lambda x: x * x - 0.1 * 0.1)(0.1) == 0.0
     assert formula(lambda x, p: x / p)(49.0, 49.0) == 1.0
+    assert formula(lambda x: x / 49.0 - 1.0)(49.0) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -368,3 +350,17 @@ def test_llvm_is_given_no_liberty(function):
     compiled(*(0.5,) * function.__code__.co_argcount)
     (module,) = compiled._standing.inspect_llvm().values()
     assert not re.search(r"\bf(add|sub|mul|div) (fast|reassoc|arcp|contract|afn)\b", module)
+
+
+# --- without Numba's compiler there are no filters ---
+
+
+@pytest.mark.parametrize("value", ["1", "yes", "x" * 10_000, "", "0"])
+def test_a_compiler_that_is_switched_off_is_named(value, monkeypatch):
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", value)
+    if value in ("", "0"):
+        assert importlib.reload(pfdist.kernels) is pfdist.kernels
+        return
+    with pytest.raises(CompileError, match=r"NUMBA_DISABLE_JIT must be 0 .* got") as refused:
+        importlib.reload(pfdist.kernels)
+    assert len(str(refused.value)) < 400

@@ -214,8 +214,3 @@ def test_different_parts_give_different_streams():
 def test_generator_repeats_for_the_same_parts_only():
     first, again, other = (generator(1, "search", g).random(4).tolist() for g in (0, 0, 1))
     assert first == again != other
-
-
-@pytest.mark.parametrize(("particles", "length"), [(0, 0), (1, 64), (64, 64), (65, 128)])
-def test_padded_is_the_next_multiple_of_a_tile(particles, length):
-    assert padded(particles) == length

@@ -111,10 +111,3 @@ def test_no_weights_add_up_to_nothing():
     cumulative, total = cumulated(np.zeros(64, np.float32))
     assert total == 0
     assert not cumulative.any()
-
-
-@pytest.mark.parametrize(
-    ("particles", "length"), [(0, 0), (1, 16), (15, 16), (16, 16), (17, 32), (500, 512)]
-)
-def test_width_is_the_next_multiple_of_a_vector(particles, length):
-    assert width(particles) == length

@@ -3,6 +3,7 @@
 import re
 import subprocess
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
@@ -27,7 +28,7 @@ def look_up(k):
 
 @njit
 def compiled_look_up(k):
-    return TABLE[k]
+    return TABLE[k]  # COMPILED
 
 
 def picky(t):
@@ -71,6 +72,7 @@ BAD = {
     "a table too short": ("transition", "TABLE[t]", "IndexError", "HERE"),
     "a tuple too short": ("transition", "PAIR[t]", "IndexError", "HERE"),
     "in a helper": ("transition", "look_up(t)", "IndexError", "HELPER"),
+    "in a compiled helper": ("transition", "compiled_look_up(t)", "IndexError", "COMPILED"),
     "not a number": ("transition", "TABLE[np.int64(np.sqrt(1 - x[0] ** 2))]", "IndexError", "HERE"),
     "by zero": ("transition", "1 // (t - 3)", "ZeroDivisionError", "HERE"),
     "an error of its own": ("transition", "picky(t)", "ValueError", "RAISED"),
@@ -87,6 +89,17 @@ def written(folder: Path, formula: str, term: str) -> str:
     return text
 
 
+def evaluated(folder: Path, engine: str, times: Iterable[int]) -> float:
+    job = folder / f"{engine}.toml"
+    job.write_text(f'{JOB}[filter]\nengine = "{engine}"\nparticles = 20\n')
+    return evaluate(job, times, draws=20).expected_mse
+
+
+def wrong_checks(folder: Path) -> list[str]:
+    checks = check_model("mine.py:model", horizon=12, particles=20, folder=folder)
+    return [check.text for check in checks if check.state == "wrong"]
+
+
 @pytest.mark.parametrize("case", BAD)
 def test_a_bad_formula_is_refused_with_its_line_whatever_computes_it(
     case: str, tmp_path: Path
@@ -96,13 +109,9 @@ def test_a_bad_formula_is_refused_with_its_line_whatever_computes_it(
     (line,) = (i for i, row in enumerate(text.splitlines(), 1) if row.endswith(f"# {mark}"))
     message = rf"^model mine: {formula} failed: {kind}: [^\n]*mine\.py:{line}\)$"
     for engine in ("compiled", "numpy"):
-        job = tmp_path / f"{engine}.toml"
-        job.write_text(f'{JOB}[filter]\nengine = "{engine}"\nparticles = 20\n')
         with pytest.raises(ModelError, match=message):
-            evaluate(job, EVERY_TIME, draws=20)
-    checks = list(check_model("mine.py:model", horizon=12, particles=20, folder=tmp_path))
-    wrong = [check.text for check in checks if check.state == "wrong"]
-    assert any(re.search(message, text) for text in wrong), checks
+            evaluated(tmp_path, engine, EVERY_TIME)
+    assert any(re.search(message, text) for text in wrong_checks(tmp_path))
 
 
 @pytest.mark.slow
@@ -112,23 +121,9 @@ def test_right_indices_and_integers_give_in_compiled_code_what_they_give_in_nump
     terms = ["TABLE[t % 3]", "TABLE[-1 - t % 3]", "PAIR[-1 - t % 2]", "SQUARE[-3, t % 3]"]
     terms += ["7 // (t + 1)", "compiled_look_up(t % 3)", "0.1 * (t << 3)", "0.1 * t**3"]
     written(tmp_path, "transition", " + ".join(terms))
-    found = []
-    for engine in ("compiled", "numpy"):
-        job = tmp_path / f"{engine}.toml"
-        job.write_text(f'{JOB}[filter]\nengine = "{engine}"\nparticles = 20\n')
-        found.append(evaluate(job, (0, 3, 6), draws=20).expected_mse)
-    assert found[0] == pytest.approx(found[1], rel=1e-9)
-    checks = list(check_model("mine.py:model", horizon=12, particles=20, folder=tmp_path))
-    assert not [check for check in checks if check.state == "wrong"]
-
-
-def test_a_compiled_helpers_indices_are_checked_also_where_numpy_calls_it(tmp_path: Path) -> None:
-    written(tmp_path, "transition", "compiled_look_up(t)")
-    for engine in ("compiled", "numpy"):
-        job = tmp_path / f"{engine}.toml"
-        job.write_text(f'{JOB}[filter]\nengine = "{engine}"\nparticles = 20\n')
-        with pytest.raises(ModelError, match=r"transition failed: IndexError: .*mine\.py:\d+\)$"):
-            evaluate(job, (0, 3, 6), draws=20)
+    compiled, plain = (evaluated(tmp_path, engine, (0, 3, 6)) for engine in ("compiled", "numpy"))
+    assert compiled == pytest.approx(plain, rel=1e-9)
+    assert wrong_checks(tmp_path) == []
 
 
 def test_an_index_far_outside_ends_in_a_line_and_not_in_the_process(tmp_path: Path) -> None:

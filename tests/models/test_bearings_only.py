@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
+from oracles.moments import assert_covariance, assert_mean, assert_positive
 from pfdist.filters.particle_filter import filter_draws
 from pfdist.filters.simulation import simulate
 from pfdist.models import load_model
@@ -12,10 +13,6 @@ MODEL = load_model("bearings_only")
 KNOT = 1.852 / 60  # km a minute
 EAST, SOUTH = math.pi / 2, math.pi
 TURNING = {"observer_speed": 1.0, "first_course": EAST, "second_course": 0.0, "turn": 15.0}
-
-
-def assert_mean(values, expected):  # of independent values, within 4.5 standard errors
-    assert abs(values.mean() - expected) < 4.5 * values.std() / np.sqrt(values.size)
 
 
 def test_the_target_starts_at_80_degrees_and_comes_nearer():
@@ -83,9 +80,7 @@ def test_simulated_draws_have_the_moments_of_the_formulas():
     assert_mean(vx**2 - vy**2, 0.0)
     pushed = draws.x[:, 1] - np.stack([x + vx, y + vy, vx, vy], axis=1)
     covariance = 0.3**2 * np.kron([[1 / 4, 1 / 2], [1 / 2, 1]], np.eye(2))
-    for i, j in np.ndindex(4, 4):
-        assert_mean(pushed[:, i], 0.0)
-        assert_mean(pushed[:, i] * pushed[:, j], covariance[i, j])
+    assert_covariance(pushed, covariance)
     assert (np.abs(draws.y) <= np.pi).all()
 
 
@@ -107,5 +102,5 @@ def test_it_is_the_turn_that_shows_the_range():
         filter_draws(model, simulate(model, 30, range(500), 3), times, 2000, 1).mse
         for model, times in ((MODEL, ()), (MODEL, range(31)), (straight, range(31)))
     )
-    for gain in (blind - going_on, going_on - turning):
-        assert gain.mean() > 4.5 * gain.std() / np.sqrt(gain.size)
+    assert_positive(blind - going_on)
+    assert_positive(going_on - turning)

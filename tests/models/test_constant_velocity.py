@@ -5,18 +5,13 @@ import pytest
 from scipy import special, stats
 
 from oracles.kalman import LinearGaussian, kalman_filter
-from pfdist.errors import ModelError
+from oracles.moments import assert_covariance, assert_exact_filter, assert_mean
 from pfdist.filters.particle_filter import filter_draws
 from pfdist.filters.simulation import simulate
 from pfdist.models import load_model
-from pfdist.times.measurement_times import regular
 
 MODEL = load_model("constant_velocity")
 STEP = np.array([[1 / 3, 1 / 2], [1 / 2, 1]])  # of white noise in continuous time, over a unit
-
-
-def assert_mean(values, expected):  # of independent values, within 4.5 standard errors
-    assert abs(values.mean() - expected) < 4.5 * values.std() / np.sqrt(values.size)
 
 
 def wrapped(angle):
@@ -85,9 +80,7 @@ def test_simulated_draws_have_the_moments_of_the_formulas():
         (pushed, 0.3**2 * np.kron(STEP, np.eye(2))),
         (noise, np.diag([0.5, math.radians(4)]) ** 2),
     ):
-        for i, j in np.ndindex(covariance.shape):
-            assert_mean(values[:, i], 0.0)
-            assert_mean(values[:, i] * values[:, j], covariance[i, j])
+        assert_covariance(values, covariance)
 
 
 @pytest.mark.zoo
@@ -133,33 +126,5 @@ def test_far_away_it_is_linear_and_gaussian(bearing):
     y = np.stack([draws.y[..., 0] - far, far * wrapped(draws.y[..., 1] - bearing)], axis=-1)
     exact = [kalman_filter(system, measurements, times) for measurements in y]
     mean, variance = (np.array(values) for values in zip(*exact, strict=True))
-    # A filter's error over the draws has mean 0, but for a bias of order variance / particles.
-    for estimate, truth, bias in (
-        (filtered.estimate - far * along, mean, 5 * np.sqrt(variance) / particles),
-        (filtered.variance, variance, 10 * variance / particles),
-    ):
-        error = estimate - truth
-        standard_error = error.std(axis=0, ddof=1) / np.sqrt(count)
-        assert (np.abs(error.mean(axis=0)) < 4.5 * standard_error + bias[0]).all()
-    # And it is small draw by draw: a tenth of the posterior's standard deviation.
-    rms = np.sqrt(np.mean((filtered.estimate - far * along - mean) ** 2, axis=0))
-    assert (rms < 0.1 * np.sqrt(variance[0])).all()
-
-
-@pytest.mark.zoo
-def test_measurements_help():
-    draws = simulate(MODEL, 40, range(500), 1)
-    nothing, some, everything = (
-        filter_draws(MODEL, draws, times, 500, 1).mse for times in ((), regular(40, 6), range(41))
-    )
-    for worse, better in ((nothing, some), (some, everything)):
-        gain = worse - better
-        assert gain.mean() > 4.5 * gain.std() / np.sqrt(gain.size)
-
-
-@pytest.mark.parametrize(
-    ("name", "value"), [("acceleration_sd", -0.1), ("range_sd", 0.0), ("bearing_sd", 0.0)]
-)
-def test_a_deviation_has_its_range(name, value):
-    with pytest.raises(ModelError, match=f"{name}.*got {value}"):
-        MODEL.with_parameters({name: value})
+    position = filtered.estimate - far * along
+    assert_exact_filter(position, filtered.variance, mean, variance, particles)

@@ -1,4 +1,3 @@
-from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -7,26 +6,16 @@ from scipy import stats
 from scipy.integrate import solve_ivp
 
 import pfdist
-from oracles.quadrature import quadrature_filter
+from oracles.moments import assert_mean
 from pfdist import load_job
-from pfdist.errors import ModelError
-from pfdist.filters.particle_filter import filter_draws
 from pfdist.filters.simulation import simulate
 from pfdist.models import load_model
 from pfdist.models.epidemic import TESTS
-from pfdist.times.measurement_times import regular
 
 SOURCE = load_model("epidemic")
 MODEL = SOURCE.on_clock(range(81))
 REPRODUCTION, DAYS, RETURN, SD = 2.2, 6.0, 20.0, 0.25
 MEAN = np.log(REPRODUCTION / DAYS)
-TIMES = regular(80, 12)
-# A rate that never returns to its mean stays what it was at first: there is no process noise.
-CONSTANT = MODEL.with_parameters({"return_days": 1e12})
-
-
-def assert_mean(values, expected):  # of independent values, within 4.5 standard errors
-    assert abs(values.mean() - expected) < 4.5 * values.std() / np.sqrt(values.size)
 
 
 def after(days, x, step):
@@ -89,70 +78,6 @@ def test_a_measurement_is_a_binomial_count_and_the_likelihood_is_its_probability
 
 def test_the_prevalence_is_wanted_in_per_cent():
     assert MODEL.quantity_of_interest((0.5, 0.25, 0.0), 4, MODEL.p) == pytest.approx((25.0,))
-
-
-@cache
-def filtered():
-    """Draws with a constant rate, and the exact mean and variance of the prevalence."""
-    draws = simulate(CONSTANT, 80, range(300), 2020)
-    return draws, *quadrature_filter(CONSTANT, draws, TIMES)
-
-
-@pytest.mark.zoo
-def test_half_the_step_of_the_quadrature_changes_nothing():
-    draws, mean, _ = filtered()
-    fine, _ = quadrature_filter(CONSTANT, draws[:20], TIMES, points=301)
-    np.testing.assert_allclose(mean[:20], fine, rtol=1e-3, atol=1e-4)
-
-
-@pytest.mark.zoo
-def test_the_exact_filters_mse_is_the_variance_it_believes():
-    draws, mean, variance = filtered()
-    assert_mean(np.mean((draws.z[:, :, 0] - mean) ** 2 - variance, axis=1), 0.0)
-
-
-@pytest.mark.zoo
-@pytest.mark.parametrize("particles", [500, 8000])
-def test_what_the_particle_filter_loses_is_its_distance_from_the_exact_mean(particles):
-    # The exact mean's error is orthogonal to all that is computed from the measurements.
-    draws, mean, _ = filtered()
-    estimate = filter_draws(CONSTANT, draws, TIMES, particles, 1, trajectories=True).estimate
-    z = draws.z[:, :, 0]
-    lost = np.mean((z - estimate[:, :, 0]) ** 2 - (z - mean) ** 2, axis=1)
-    assert_mean(lost - np.mean((estimate[:, :, 0] - mean) ** 2, axis=1), 0.0)
-
-
-@pytest.mark.zoo
-def test_the_particle_filter_comes_near_the_exact_mean():
-    # Particles without process noise do not recover, so this takes many more than a job.
-    draws, mean, _ = filtered()
-    distances = [
-        np.median(np.mean((estimate[:, :, 0] - mean) ** 2, axis=1))
-        for estimate in (
-            filter_draws(CONSTANT, draws, TIMES, particles, 1, trajectories=True).estimate
-            for particles in (500, 8000)
-        )
-    ]
-    assert distances[1] < distances[0] / 4
-
-
-@pytest.mark.zoo
-def test_measurements_help():
-    draws = simulate(MODEL, 80, range(1000), 1)
-    nothing, some, everything = (
-        filter_draws(MODEL, draws, times, 500, 1).mse for times in ((), TIMES, range(81))
-    )
-    for worse, better in ((nothing, some), (some, everything)):
-        gain = worse - better
-        assert gain.mean() > 4.5 * gain.std() / np.sqrt(gain.size)
-
-
-@pytest.mark.parametrize(
-    ("name", "value"), [("sensitivity", 1.0), ("return_days", 0.0), ("first_infectious", 1.5)]
-)
-def test_a_parameter_has_its_range(name, value):
-    with pytest.raises(ModelError, match=f"{name}.*got {value}"):
-        MODEL.with_parameters({name: value})
 
 
 @pytest.mark.zoo

@@ -3,11 +3,9 @@ import pytest
 from scipy import stats
 from scipy.integrate import solve_ivp
 
-from pfdist.errors import ModelError
-from pfdist.filters.particle_filter import filter_draws
+from oracles.moments import assert_covariance, assert_mean
 from pfdist.filters.simulation import simulate
 from pfdist.models import load_model
-from pfdist.times.measurement_times import regular
 
 MODEL = load_model("lotka_volterra")
 BIRTH, PREDATION, DEATH = 0.5, 0.0025, 0.3
@@ -23,10 +21,6 @@ def rates(x):
 
 def conserved(x):
     return PREDATION * (x[0] + x[1]) - DEATH * np.log(x[0]) - BIRTH * np.log(x[1])
-
-
-def assert_mean(values, expected):  # of independent values, within 4.5 standard errors
-    assert abs(values.mean() - expected) < 4.5 * values.std() / np.sqrt(values.size)
 
 
 def after(time, x, transitions):
@@ -77,11 +71,9 @@ def test_simulated_draws_have_the_covariance_of_births_meals_and_deaths():
     short = MODEL.with_parameters({"step": step, "initial_sd": 0.0})
     draws = simulate(short, 1, range(100_000), 5)
     np.testing.assert_allclose(draws.x[:, 0], np.broadcast_to(START, (100_000, 2)), rtol=1e-12)
-    changed = (draws.x[:, 1] - START - step * (STOICHIOMETRY @ rates(START))).T / np.sqrt(step)
+    changed = (draws.x[:, 1] - START - step * (STOICHIOMETRY @ rates(START))) / np.sqrt(step)
     covariance = STOICHIOMETRY @ np.diag(rates(START)) @ STOICHIOMETRY.T
-    for i, j in np.ndindex(2, 2):
-        assert_mean(changed[i], 0.0)
-        assert_mean(changed[i] * changed[j], covariance[i, j])
+    assert_covariance(changed, covariance)
 
 
 def test_without_predation_draws_have_the_moments_of_births_and_of_deaths():
@@ -128,22 +120,3 @@ def test_log_likelihood_is_that_of_a_log_normal_count_up_to_a_constant(count):
     value = MODEL.log_likelihood((np.log(count),), (prey, 50.0), 3, MODEL.p)
     # Rounding of values up to 0.5 * (log(1000) / 0.1)^2 = 2400.
     assert np.ptp(value - exact) < 1e-11
-
-
-@pytest.mark.zoo
-def test_measurements_help():
-    draws = simulate(MODEL, 30, range(1000), 1)
-    nothing, some, everything = (
-        filter_draws(MODEL, draws, times, 500, 1).mse for times in ((), regular(30, 5), range(31))
-    )
-    for worse, better in ((nothing, some), (some, everything)):
-        gain = worse - better
-        assert gain.mean() > 4.5 * gain.std() / np.sqrt(gain.size)
-
-
-@pytest.mark.parametrize(
-    ("name", "value"), [("birth", -0.5), ("step", -1.0), ("measurement_sd", 0.0)]
-)
-def test_a_parameter_has_its_range(name, value):
-    with pytest.raises(ModelError, match=f"{name}.*got {value}"):
-        MODEL.with_parameters({name: value})

@@ -1,14 +1,10 @@
-from functools import cache
-
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
 import pfdist
-from oracles.quadrature import quadrature_filter
+from oracles.moments import assert_mean
 from pfdist import load_job
-from pfdist.errors import ModelError
-from pfdist.filters.particle_filter import filter_draws
 from pfdist.filters.simulation import simulate
 from pfdist.models import load_model
 
@@ -17,12 +13,7 @@ DOSE, CLEARANCE, VOLUME, EXCHANGE, PERIPHERAL = 1000.0, 4.5, 20.0, 6.0, 40.0
 HOURS = (0, 0.25, 0.5, 1, 1.5, 2, 3, 4, 6, 8, 11, 14, 18, 24, 30, 36, 42, 48)
 MODEL = SOURCE.on_clock(HOURS)
 TIMES = (2, 5, 9, 13)
-PATIENTS = MODEL.with_parameters({"process_sd": 0.0})
 SAME = {"clearance_sd": 0.0, "volume_sd": 0.0, "process_sd": 0.2, "measurement_sd": 0.3}
-
-
-def assert_mean(values, expected):  # of independent values, within 4.5 standard errors
-    assert abs(values.mean() - expected) < 4.5 * values.std() / np.sqrt(values.size)
 
 
 def rates(clearance, volume, exchange=EXCHANGE):
@@ -112,72 +103,6 @@ def test_the_expected_mse_is_the_kalman_filters_weighted_by_trapezoids(tmp_path)
     evaluation = pfdist.evaluate(load_job(path), hours, draws=4000)
     assert abs(evaluation.expected_mse - exact) < 4.5 * evaluation.standard_error
     assert abs(variances.mean() - exact) > 20 * evaluation.standard_error
-
-
-# --- many patients, no process noise: all is known but two numbers ---
-
-
-@cache
-def filtered():
-    """Draws without process noise, and the exact mean and variance of log concentration."""
-    draws = simulate(PATIENTS, len(HOURS) - 1, range(400), 2020)
-    return draws, *quadrature_filter(PATIENTS, draws, TIMES)
-
-
-@pytest.mark.zoo
-def test_half_the_step_of_the_quadrature_changes_nothing():
-    draws, mean, _ = filtered()
-    fine, _ = quadrature_filter(PATIENTS, draws[:20], TIMES, points=301)
-    np.testing.assert_allclose(mean[:20], fine, atol=1e-6)
-
-
-@pytest.mark.zoo
-def test_the_exact_filters_mse_is_the_variance_it_believes():
-    draws, mean, variance = filtered()
-    assert_mean(np.mean((draws.z[:, :, 0] - mean) ** 2 - variance, axis=1), 0.0)
-
-
-@pytest.mark.zoo
-@pytest.mark.parametrize("particles", [500, 8000])
-def test_what_the_particle_filter_loses_is_its_distance_from_the_exact_mean(particles):
-    # The exact mean's error is orthogonal to all that is computed from the measurements.
-    draws, mean, _ = filtered()
-    estimate = filter_draws(PATIENTS, draws, TIMES, particles, 1, trajectories=True).estimate
-    z = draws.z[:, :, 0]
-    lost = np.mean((z - estimate[:, :, 0]) ** 2 - (z - mean) ** 2, axis=1)
-    assert_mean(lost - np.mean((estimate[:, :, 0] - mean) ** 2, axis=1), 0.0)
-
-
-@pytest.mark.zoo
-def test_the_particle_filters_estimate_converges_to_the_exact_mean():
-    draws, mean, _ = filtered()
-    distances = [
-        np.median(np.mean((estimate[:, :, 0] - mean) ** 2, axis=1))
-        for estimate in (
-            filter_draws(PATIENTS, draws, TIMES, particles, 1, trajectories=True).estimate
-            for particles in (500, 8000)
-        )
-    ]
-    assert distances[1] < distances[0] / 4
-
-
-@pytest.mark.zoo
-def test_measurements_help():
-    draws = simulate(MODEL, len(HOURS) - 1, range(1000), 1)
-    nothing, some, everything = (
-        filter_draws(MODEL, draws, times, 1000, 1).mse for times in ((), TIMES, range(len(HOURS)))
-    )
-    for worse, better in ((nothing, some), (some, everything)):
-        gain = worse - better
-        assert gain.mean() > 4.5 * gain.std() / np.sqrt(gain.size)
-
-
-@pytest.mark.parametrize(
-    ("name", "value"), [("clearance", 0.0), ("volume_sd", -0.1), ("measurement_sd", 0.0)]
-)
-def test_a_parameter_has_its_range(name, value):
-    with pytest.raises(ModelError, match=f"{name}.*got {value}"):
-        MODEL.with_parameters({name: value})
 
 
 def test_no_sample_is_taken_while_the_patient_sleeps(request):

@@ -77,12 +77,7 @@ def test_what_takes_the_place_of_a_function_of_math_is_the_same_in_both_engines(
     np.testing.assert_allclose([compiled(each, b, c, b) for each in a], expected, rtol=1e-14)
 
 
-@pytest.mark.parametrize("source", ["math.lgamma(a)", "m.lgamma(a)", "lgamma(a)", "abs(lgamma(a))"])
-def test_the_call_that_failed_is_found_in_its_line(source: str, tmp_path: Path) -> None:
-    """The line calls `math.sqrt` of a number before."""
-    advice = advice_of(source, tmp_path)
-    assert advice.startswith("; a component may be an array: NumPy has no lgamma: leave out")
-    assert "sqrt" not in advice
+LGAMMA = "NumPy has no lgamma: leave out"
 
 
 @pytest.mark.parametrize(
@@ -91,7 +86,11 @@ def test_the_call_that_failed_is_found_in_its_line(source: str, tmp_path: Path) 
         ("int(a)", "write np.int64(a) in the place of int(a)"),
         ("float(a)", "leave float() out"),
         ("math.acos(a)", "write np.arccos in the place of math.acos"),
+        *((call, LGAMMA) for call in ("math.lgamma(a)", "m.lgamma(a)", "abs(lgamma(a))")),
     ],
 )
-def test_what_to_write(source: str, says: str, tmp_path: Path) -> None:
-    assert advice_of(source, tmp_path) == f"; a component may be an array: {says}"
+def test_the_call_that_failed_is_found_in_its_line(source: str, says: str, tmp_path: Path) -> None:
+    """The line calls `math.sqrt` of a number before."""
+    advice = advice_of(source, tmp_path)
+    assert advice.startswith(f"; a component may be an array: {says}")
+    assert "sqrt" not in advice

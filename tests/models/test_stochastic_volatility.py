@@ -4,19 +4,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pfdist.errors import ModelError
+from oracles.moments import assert_mean
 from pfdist.filters.particle_filter import filter_draws
 from pfdist.filters.simulation import simulate
 from pfdist.models import load_model
-from pfdist.times.measurement_times import regular
 
 MODEL = load_model("stochastic_volatility")
 MU, PHI, SIGMA = -0.87, 0.98, 0.16
 VARIANCE = SIGMA**2 / (1 - PHI**2)  # stationary
-
-
-def assert_mean(values, expected):  # of independent values, within 4.5 standard errors
-    assert abs(values.mean() - expected) < 4.5 * values.std() / np.sqrt(values.size)
 
 
 def test_formulas_at_a_point():
@@ -59,20 +54,3 @@ def test_without_measurements_the_expected_mse_is_the_variance_of_the_volatility
     mse = filter_draws(MODEL, simulate(MODEL, 60, range(5000), 3), (), particles, 1).mse
     variance = math.exp(MU + VARIANCE / 4) * math.expm1(VARIANCE / 4)
     assert_mean(mse, variance * (1 + 1 / particles))
-
-
-@pytest.mark.zoo
-def test_measurements_help():
-    draws = simulate(MODEL, 60, range(1000), 1)
-    nothing, some, everything = (
-        filter_draws(MODEL, draws, times, 500, 1).mse for times in ((), regular(60, 21), range(61))
-    )
-    for worse, better in ((nothing, some), (some, everything)):
-        gain = worse - better
-        assert gain.mean() > 4.5 * gain.std() / np.sqrt(gain.size)
-
-
-@pytest.mark.parametrize(("name", "value"), [("phi", 1.0), ("sigma", -0.1)])
-def test_a_parameter_has_its_range(name, value):
-    with pytest.raises(ModelError, match=f"{name}.*got {value}"):
-        MODEL.with_parameters({name: value})

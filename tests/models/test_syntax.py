@@ -33,35 +33,31 @@ def made(tmp_path: Path) -> Callable[[str], Any]:
 PLAIN = "def f(x, k=2):\n    y = x + k\n    return y\n"
 
 
-@pytest.mark.parametrize(
-    "other",
-    [
-        "def f(x, k=2):\n    '''Give it.'''\n    y = x + k  # so\n    return y\n",
-        "\n\nX = 1\ndef f( x,k = 2 ) :\n  y=(x+\n   k)\n\n  return (y)\n",
-        "def f(x: float, k: int = 2) -> 'float':\n    y: float = x + k\n    return y\n",
-        "def same(g): return g\n@same\ndef f(x, k=2):\n    y = x + k\n    pass\n    return y\n",
-        "def f(x, k=3):\n    y = x + k\n    return y\n",
-    ],
-    ids=["docstring and comment", "layout", "annotations", "decorator", "default, told as a value"],
-)
-def test_what_does_nothing_makes_no_difference(made: Callable[[str], Any], other: str) -> None:
-    assert syntax_of(made(PLAIN)) == syntax_of(made(other)) is not None
+SAME = {
+    "docstring and comment": "def f(x, k=2):\n    'Words.'\n    y = x + k  # so\n    return y\n",
+    "layout": "\n\nX = 1\ndef f( x,k = 2 ) :\n  y=(x+\n   k)\n\n  return (y)\n",
+    "annotations": "def f(x: float, k: int = 2) -> 'float':\n    y: float = x + k\n    return y\n",
+    "decorator": f"def same(g): return g\n@same\n{PLAIN.replace('return', 'pass; return')}",
+    "default, told as a value": PLAIN.replace("k=2", "k=3"),
+}
+OTHER = {
+    "operator": PLAIN.replace("+", "-"),
+    "constant": PLAIN.replace("+ k", "+ 1 * k"),
+    "result": PLAIN.replace("return y", "return x"),
+    "keyword": PLAIN.replace("k=2", "*, k=2"),
+    "order": PLAIN.replace("x, k=2", "k, x=2"),
+    "function inside": PLAIN.replace("    y =", "    def g(a=1): return a\n    y ="),
+}
 
 
-@pytest.mark.parametrize(
-    "other",
-    [
-        "def f(x, k=2):\n    y = x - k\n    return y\n",
-        "def f(x, k=2):\n    y = x + 1 * k\n    return y\n",
-        "def f(x, k=2):\n    y = x + k\n    return x\n",
-        "def f(x, *, k=2):\n    y = x + k\n    return y\n",
-        "def f(k, x=2):\n    y = x + k\n    return y\n",
-        "def f(x, k=2):\n    def g(a=1): return a\n    y = x + k\n    return y\n",
-    ],
-    ids=["operator", "constant", "result", "keyword", "order", "function inside"],
-)
-def test_what_does_something_makes_a_difference(made: Callable[[str], Any], other: str) -> None:
-    assert syntax_of(made(PLAIN)) != syntax_of(made(other)) is not None
+@pytest.mark.parametrize("text", SAME.values(), ids=SAME)
+def test_what_does_nothing_makes_no_difference(made: Callable[[str], Any], text: str) -> None:
+    assert syntax_of(made(PLAIN)) == syntax_of(made(text)) is not None
+
+
+@pytest.mark.parametrize("text", OTHER.values(), ids=OTHER)
+def test_what_does_something_makes_a_difference(made: Callable[[str], Any], text: str) -> None:
+    assert syntax_of(made(PLAIN)) != syntax_of(made(text)) is not None
 
 
 def test_a_default_of_a_function_inside_makes_a_difference(made: Callable[[str], Any]) -> None:

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pfdist.errors import ModelError
+from oracles.moments import assert_mean, assert_positive
 from pfdist.filters.particle_filter import filter_draws
 from pfdist.filters.simulation import simulate
 from pfdist.models import load_model
@@ -11,10 +11,6 @@ from pfdist.times.measurement_times import regular
 TRUTH = load_model("tumour")
 FILTER = TRUTH.with_parameters({"frequency_sd": 0.005})
 BOX = ((8.8, 24.0), (0.52, 0.84), (-5.8, 5.8))
-
-
-def assert_mean(values, expected):  # of independent values, within 4.5 standard errors
-    assert abs(values.mean() - expected) < 4.5 * values.std() / np.sqrt(values.size)
 
 
 @pytest.mark.parametrize(
@@ -95,11 +91,4 @@ def test_the_expected_mse_is_the_authors(times, authors, again, error):
 def test_measurements_take_nine_tenths_of_the_error_away():
     draws = simulate(TRUTH, 30, range(500), 1)
     blind, seeing = (filter_draws(FILTER, draws, times, 500, 1).mse for times in ((), range(31)))
-    rest = seeing - 0.1 * blind
-    assert rest.mean() < -4.5 * rest.std() / np.sqrt(rest.size)
-
-
-@pytest.mark.parametrize(("name", "value"), [("frequency_sd", -0.1), ("measurement_sd", 0.0)])
-def test_a_deviation_has_its_range(name, value):
-    with pytest.raises(ModelError, match=f"{name}.*got {value}"):
-        TRUTH.with_parameters({name: value})
+    assert_positive(0.1 * blind - seeing)

@@ -1,13 +1,16 @@
+"""The paper's model, and that of Gordon, Salmond and Smith with constant variances."""
+
 import math
 
 import numpy as np
 import pytest
 from scipy import stats
 
-from pfdist.errors import ModelError
+from oracles.moments import assert_mean
+from pfdist.filters.simulation import simulate
 from pfdist.models import load_model
 
-MODEL = load_model("ungm")
+MODEL, GORDON = load_model("ungm"), load_model("ungm_gordon")
 
 
 # Paper, equation 9: x(t+1) = x(t)/2 + 25 x(t) / (1 + x(t)^2) + 8 cos(1.2 t) + w(t), w ~ N(0, 1).
@@ -42,27 +45,11 @@ def test_measurement_is_the_papers(x, t, v, measured):
     assert value == pytest.approx(measured, rel=1e-12)
 
 
-@pytest.mark.parametrize("t", [0, 4, 19, 60])
-@pytest.mark.parametrize("y", [-3.0, 0.0, 11.5])
-def test_log_likelihood_is_that_of_the_measurement_up_to_a_constant(t, y):
-    x = np.linspace(-25, 25, 101)
-    exact = stats.norm.logpdf(y, loc=x**2 / 20, scale=math.sin(0.25 * t) + 2)
-    difference = MODEL.log_likelihood((y,), (x,), t, MODEL.p) - exact
-    # Rounding of values up to 0.5 * (34 / 1)^2 = 600.
-    assert np.ptp(difference) < 1e-11
-
-
-def test_the_first_state_has_the_papers_deviation():  # Paper, equation 12: x(0) ~ N(0, 5^2).
-    assert MODEL.initial((-1.5,), MODEL.p) == (-7.5,)
-
-
-def test_the_quantity_of_interest_is_the_state():  # Paper, equation 11: z(t) = x(t).
-    assert MODEL.quantity_of_interest((3.25,), 7, MODEL.p) == (3.25,)
-
-
-@pytest.mark.parametrize("noise", ["initial_noise", "process_noise", "measurement_noise"])
-def test_every_noise_is_one_normal(noise):
-    assert getattr(MODEL, noise) == ("normal",)
+def test_the_rest_is_the_papers_and_every_noise_is_one_normal():
+    assert MODEL.initial((-1.5,), MODEL.p) == (-7.5,)  # Equation 12: x(0) ~ N(0, 5^2).
+    assert MODEL.quantity_of_interest((3.25,), 7, MODEL.p) == (3.25,)  # Equation 11: z(t) = x(t).
+    noises = MODEL.initial_noise, MODEL.process_noise, MODEL.measurement_noise
+    assert noises == (("normal",),) * 3
 
 
 def test_deviations_multiply_the_noise():
@@ -73,9 +60,34 @@ def test_deviations_multiply_the_noise():
     assert MODEL.log_likelihood((1.0,), (0.0,), 0, p) == -0.5
 
 
-@pytest.mark.parametrize(
-    ("name", "value"), [("initial_sd", -1.0), ("process_sd", -1.0), ("measurement_sd", 0.0)]
-)
-def test_a_deviation_cannot_be_negative_nor_that_of_a_measurement_zero(name, value):
-    with pytest.raises(ModelError, match=f"{name}.*got {value}"):
-        MODEL.with_parameters({name: value})
+# x(t+1) = x/2 + 25 x / (1 + x^2) + 8 cos(1.2 t) + w, w ~ N(0, 10); y = x^2 / 20 + v, v ~ N(0, 1).
+def test_gordons_formulas_at_a_point():
+    p = GORDON.p
+    assert GORDON.initial((2.0,), p) == pytest.approx((2 * math.sqrt(2),), rel=1e-12)
+    following = (1 + 10 + 8 * math.cos(3.6) + 2 * math.sqrt(10),)
+    assert GORDON.transition((2.0,), 3, (2.0,), p) == pytest.approx(following, rel=1e-12)
+    assert GORDON.quantity_of_interest((3.25,), 7, p) == (3.25,)
+    for t in (0, 3, 60):  # the measurement's variance does not depend on t
+        assert GORDON.measurement((-10.0,), t, (1.5,), p) == pytest.approx((6.5,), rel=1e-12)
+
+
+@pytest.mark.parametrize("y", [-3.0, 0.0, 11.5])
+def test_log_likelihoods_are_those_of_the_measurements_up_to_a_constant(y):
+    x = np.linspace(-25, 25, 101)
+    half = GORDON.with_parameters({"measurement_sd": 0.5})
+    cases = [(MODEL, t, math.sin(0.25 * t) + 2) for t in (0, 4, 19, 60)]
+    for model, t, sd in [*cases, (GORDON, 4, 1.0), (half, 4, 0.5)]:
+        exact = stats.norm.logpdf(y, loc=x**2 / 20, scale=sd)
+        # Rounding of values up to 0.5 * (34 / 0.5)^2 = 2400.
+        assert np.ptp(model.log_likelihood((y,), (x,), t, model.p) - exact) < 1e-11
+
+
+def test_simulated_draws_have_gordons_variances():
+    draws = simulate(GORDON, 1, range(100_000), 5)
+    before, after = draws.x[:, :, 0].T
+    pushed = after - before / 2 - 25 * before / (1 + before**2) - 8
+    noise = draws.y[:, :, 0] - draws.x[:, :, 0] ** 2 / 20
+    for values, variance in ((before, 2.0), (pushed, 10.0), (noise[:, 0], 1.0), (noise[:, 1], 1.0)):
+        assert_mean(values, 0.0)
+        assert_mean(values**2, variance)
+    assert_mean(pushed * before, 0.0)

@@ -1,0 +1,59 @@
+"""What holds for models that ship: measurements help, and parameters have their ranges."""
+
+import pytest
+
+from oracles.moments import assert_positive
+from pfdist.errors import ModelError
+from pfdist.filters.particle_filter import filter_draws
+from pfdist.filters.simulation import simulate
+from pfdist.models import load_model
+from pfdist.times.measurement_times import regular
+
+HOURS = (0, 0.25, 0.5, 1, 1.5, 2, 3, 4, 6, 8, 11, 14, 18, 24, 30, 36, 42, 48)
+CLOCKS = {"epidemic": range(81), "pharmacokinetics": HOURS}
+
+
+@pytest.mark.zoo
+@pytest.mark.parametrize(
+    ("name", "horizon", "some_times", "draws", "particles"),
+    [
+        ("ungm_gordon", 60, regular(60, 21), 1000, 500),
+        ("stochastic_volatility", 60, regular(60, 21), 1000, 500),
+        ("lorenz63", 30, regular(30, 6), 1000, 500),
+        ("lotka_volterra", 30, regular(30, 5), 1000, 500),
+        ("constant_velocity", 40, regular(40, 6), 500, 500),
+        ("epidemic", 80, regular(80, 12), 1000, 500),
+        ("pharmacokinetics", 17, (2, 5, 9, 13), 1000, 1000),
+    ],
+)
+def test_measurements_help(name, horizon, some_times, draws, particles):
+    model = load_model(name)
+    model = model.on_clock(CLOCKS[name]) if name in CLOCKS else model
+    drawn = simulate(model, horizon, range(draws), 1)
+    nothing, some, everything = (
+        filter_draws(model, drawn, times, particles, 1).mse
+        for times in ((), some_times, range(horizon + 1))
+    )
+    assert_positive(nothing - some)
+    assert_positive(some - everything)
+
+
+OUTSIDE = {
+    "constant_velocity": {"acceleration_sd": -0.1, "range_sd": 0.0, "bearing_sd": 0.0},
+    "epidemic": {"sensitivity": 1.0, "return_days": 0.0, "first_infectious": 1.5},
+    "lorenz63": {"step": 0.3, "diffusion": -0.1, "measurement_sd": 0.0},
+    "lotka_volterra": {"birth": -0.5, "step": -1.0, "measurement_sd": 0.0},
+    "pharmacokinetics": {"clearance": 0.0, "volume_sd": -0.1, "measurement_sd": 0.0},
+    "stochastic_volatility": {"phi": 1.0, "sigma": -0.1},
+    "tumour": {"frequency_sd": -0.1, "measurement_sd": 0.0},
+    "ungm": {"initial_sd": -1.0, "process_sd": -1.0, "measurement_sd": 0.0},
+    "ungm_gordon": {"process_sd": -1.0, "measurement_sd": 0.0},
+    "xray_tumour": {"damping": 1.0, "lateral_sd": -0.1, "measurement_sd": 0.0},
+}
+
+
+@pytest.mark.parametrize("name", OUTSIDE)
+def test_a_parameter_has_its_range(name):
+    for parameter, value in OUTSIDE[name].items():
+        with pytest.raises(ModelError, match=f"{name}: parameter {parameter} must .*got {value}"):
+            load_model(name).with_parameters({parameter: value})
