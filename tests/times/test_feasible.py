@@ -110,22 +110,18 @@ def test_sets_that_may_be_chosen_break_none_and_those_that_break_none_may_be(cas
 
 @quick
 @given(possible())
-def test_additions_are_those_of_which_a_set_can_come(case: Any) -> None:
+def test_additions_and_removals_lead_towards_some_set(case: Any) -> None:
     feasible, every = case
     for times in subsets(feasible.horizon):
-        larger = [tuple(sorted({*times, t})) for t in range(feasible.horizon + 1) if t not in times]
-        expected = [grown for grown in larger if any(nested(grown, whole) for whole in every)]
-        assert feasible.additions(times) == expected
-
-
-@quick
-@given(possible())
-def test_removals_are_those_that_still_hold_a_set(case: Any) -> None:
-    feasible, every = case
-    for times in subsets(feasible.horizon):
+        others = [t for t in range(feasible.horizon + 1) if t not in times]
+        larger = [tuple(sorted({*times, t})) for t in others]
         smaller = [tuple(t for t in times if t != out) for out in times]
-        expected = [shrunk for shrunk in smaller if any(nested(whole, shrunk) for whole in every)]
-        assert feasible.removals(times) == expected
+        assert feasible.additions(times) == [
+            grown for grown in larger if any(nested(grown, whole) for whole in every)
+        ]
+        assert feasible.removals(times) == [
+            shrunk for shrunk in smaller if any(nested(whole, shrunk) for whole in every)
+        ]
 
 
 @quick
