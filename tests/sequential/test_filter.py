@@ -438,6 +438,7 @@ def test_a_measurement_that_nothing_explains_leaves_the_filter_where_it_was() ->
         ({"engine": "kalman"}, ModelError, "declares itself linear_gaussian, got ungm"),
         ({"seed": 1.5}, ValueError, r"seed must be an integer, got 1\.5"),
         ({"draw": -1}, ValueError, r"draw must be an integer in 0\.\.4294967295, got -1"),
+        ({"horizon": 32_001}, ValueError, r"horizon must be an integer in 0\.\.32000, got 32,?001"),
         ({"model": 3}, ModelError, "a model must be a StateSpaceModel or a name, got 3"),
         ({"prior": np.ones((2, 5))}, PriorError, "as many components of x .* ungm, 1, got 2"),
         ({"prior": "mine"}, PriorError, "a Cloud, a DataFrame or an array .*, got 'mine'"),
