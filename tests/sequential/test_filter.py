@@ -416,6 +416,11 @@ def test_a_missing_component_needs_the_models_word() -> None:
         assert not Filter(silent, 20, engine=engine).update(2, [np.nan, np.nan]).measured
 
 
+def test_a_measurement_that_no_particle_explains_is_named(ungm: StateSpaceModel) -> None:
+    with pytest.raises(MeasurementsError, match=r"no particle of 10 explains .* at t = 3"):
+        begin(ungm, FilterSettings(10), 1).at(3, np.array([np.nan]))
+
+
 @pytest.mark.slow
 def test_a_measurement_that_nothing_explains_leaves_the_filter_where_it_was() -> None:
     bounded = replace(
