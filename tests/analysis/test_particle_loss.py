@@ -1,6 +1,7 @@
 """The loss by a finite number of particles, against the Kalman filter and in a collapse."""
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -8,14 +9,8 @@ import pytest
 
 import pfdist
 from oracles.systems import scalar
-from pfdist import Job
 from pfdist.analysis import Moments
-from pfdist.analysis.particle_loss import (
-    ParticleLoss,
-    hardly_measured,
-    less,
-    particle_loss,
-)
+from pfdist.analysis.particle_loss import ParticleLoss, hardly_measured, less, particle_loss
 from pfdist.common.estimate import Estimate
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Estimation, Work, with_truth
@@ -86,24 +81,24 @@ def loss(particles: int, by_two_filters: float, at_most: float, error: float = 0
     return ParticleLoss(particles, Estimate(by_two_filters, error), Estimate(at_most, error))
 
 
+COARSE = loss(100, 0.2, 0.4)
+
+
 @pytest.mark.parametrize(
-    ("fine", "expected"),
+    ("coarse", "fine", "expected"),
     [
-        (loss(400, 0.05, 0.1), 400),  # as 1/P
-        (loss(400, 0.1, 0.15), 800),  # nearly
-        (loss(400, 0.19, 0.1), None),  # two filters agree in error
-        (loss(400, 0.05, 0.4), None),  # the upper figure does not fall: a collapse
-        (loss(400, 0.19, 0.4, 0.2), 1600),  # noise hides it
+        (COARSE, loss(400, 0.05, 0.1), 400),  # as 1/P
+        (COARSE, loss(400, 0.1, 0.15), 800),  # nearly
+        (COARSE, loss(400, 0.19, 0.1), None),  # two filters agree in error
+        (COARSE, loss(400, 0.05, 0.4), None),  # the upper figure does not fall: a collapse
+        (COARSE, loss(400, 0.19, 0.4, 0.2), 1600),  # noise hides it
+        (loss(500, 100.0, 100.0), loss(2000, 25.0, 25.0), None),  # nobody can afford so many
     ],
 )
 def test_a_number_is_named_only_if_both_figures_follow_one_over_p(
-    fine: ParticleLoss, expected: int | None
+    coarse: ParticleLoss, fine: ParticleLoss, expected: int | None
 ) -> None:
-    assert loss(100, 0.2, 0.4).enough(fine) == expected
-
-
-def test_a_number_that_nobody_can_afford_is_not_named() -> None:
-    assert loss(500, 100.0, 100.0).enough(loss(2000, 25.0, 25.0)) is None
+    assert coarse.enough(fine) == expected
 
 
 def test_a_large_loss_must_be_clear() -> None:
@@ -118,25 +113,21 @@ def test_times_that_hardly_beat_no_measurement_are_named() -> None:
     assert hardly_measured(0.94, 1.0) == ""
 
 
-def test_a_run_tells_the_loss_of_each_set_from_its_tables(small_job: Job, tmp_path: Path) -> None:
+def test_a_run_tells_the_loss_of_each_set_from_its_tables(finished: Callable[..., Path]) -> None:
     changes = ["model.name=random_walk", "filter.particles=5", "comparison.draws=1500"]
-    changes += ["search.random.evaluations=3", "search.genetic.generations=1"]
-    run = pfdist.run(small_job.with_changes(changes), tmp_path / "run", figures=False)
-    results = run.summary()["results"]
+    run = pfdist.open_run(finished(*changes))
     assert len(run.filter_distance()) == len(run.filter_variance()) == 1000
     nothing = expected_mse(pfdist.load_model("random_walk"), 12, [()])[0]
     column = run.filter_variance()["unmeasured"]
     tolerance = 4 * column.std() / math.sqrt(1000)
     assert column.mean() == pytest.approx(nothing * 4 / 5, abs=tolerance)  # (P - 1) / P of it
     for name in run.names:
-        assert results[name]["particle_loss"] > 0.05
-        assert results[name]["particle_loss_at_most"] > results[name]["particle_loss"]
-        assert "5 particles may be too few" in results[name]["warnings"][0]
+        result = run.summary()["results"][name]
+        assert 0.05 < result["particle_loss"] < result["particle_loss_at_most"]
+        assert "5 particles may be too few" in result["warnings"][0]
 
 
-def test_exact_engines_lose_nothing_and_say_nothing(small_job: Job, tmp_path: Path) -> None:
-    changes = ["model.name=random_walk", "filter.engine=kalman", "comparison.draws=20"]
-    changes += ["search.random.evaluations=3", "search.genetic.generations=1"]
-    run = pfdist.run(small_job.with_changes(changes), tmp_path / "run", figures=False)
+def test_exact_engines_lose_nothing_and_say_nothing(finished: Callable[..., Path]) -> None:
+    run = pfdist.open_run(finished("model.name=random_walk", "filter.engine=kalman"))
     assert run.particle_losses() == {}
     assert not any("particle_loss" in result for result in run.summary()["results"].values())

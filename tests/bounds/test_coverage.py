@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 Record = Callable[[str, object], None]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Case:
     """A small problem, and the settings with which its bias is below half a standard error."""
 
@@ -87,12 +87,16 @@ CASES = {
 }
 
 
-def _errors(case: Case, work: Work) -> Array:
+def _alone(
+    case: Case,
+    times: Times,
+    draws: tuple[int, int],
+    estimation: Estimation,
+    streams: tuple[int, int] = (3, 4),
+) -> Array:
+    """Errors of a set; the streams are those of its filter and of the draws."""
+    work = Work((times,), (case.horizon,), streams[:1], streams[1], draws, estimation)
     return case.evaluator.filtered(work).mse[:, 0]
-
-
-def _alone(case: Case, times: Times, draws: tuple[int, int], estimation: Estimation) -> Array:
-    return _errors(case, Work((times,), (case.horizon,), (3,), 4, draws, estimation))
 
 
 def _sums(case: Case, relaxation: Relaxation, known: Times, number: int) -> Sums:
@@ -134,16 +138,7 @@ def _repeated(
     *,
     same_draws: bool = False,
 ) -> Outcome:
-    """Prove the gap of a set many times.
-
-    Parameters
-    ----------
-    case : Case
-    relaxation : Relaxation
-    repetitions : int
-    same_draws : bool
-        Whether the set is chosen on the draws that prove it.
-    """
+    """Prove the gap of a set many times; it may be chosen on the same draws that prove it."""
     sets = list(case.feasible.every())
     m = case.set_draws // 25 if same_draws else case.set_draws  # few draws are easily fooled
     fixed = case.candidate
@@ -174,17 +169,10 @@ def _repeated(
 
 
 @cache
-def _true_cost_of(name: str, times: Times) -> float:
-    case = CASES[name]
-    estimation = Estimation(case.particles, "systematic")
-    work = Work((times,), (case.horizon,), (5,), 6, (0, 1_000_000), estimation)
-    return float(_errors(case, work).mean())
-
-
 def _true_cost(case: Case, times: Times) -> float:
     """Expected MSE of a set with the particles of the case."""
-    name = next(name for name, other in CASES.items() if other is case)
-    return _true_cost_of(name, times)
+    estimation = Estimation(case.particles, "systematic")
+    return float(_alone(case, times, (0, 1_000_000), estimation, streams=(5, 6)).mean())
 
 
 def _exact(case: Case) -> Relaxation:

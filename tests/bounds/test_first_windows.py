@@ -9,9 +9,14 @@ import pytest
 from oracles.searched import exactly
 from oracles.systems import SYSTEMS
 from pfdist import StateSpaceModel
-from pfdist.bounds.first_windows import MOST_UNITS, relaxation_for, relaxation_within
+from pfdist.bounds.first_windows import (
+    MOST_UNITS,
+    relaxation_for,
+    relaxation_with,
+    relaxation_within,
+)
 from pfdist.bounds.programme import Programme
-from pfdist.errors import JobError
+from pfdist.errors import JobError, MeasurementTimesError
 from pfdist.search import StateSpaceRelaxation
 from pfdist.search.state_space_relaxation import MOST_CELLS
 from pfdist.times.constraints import Constraints
@@ -39,10 +44,31 @@ def test_a_search_begins_as_a_proof_where_the_memory_is_enough() -> None:
     assert relaxation_within(constraints, 21, MOST_CELLS) == proof
 
 
+@pytest.mark.parametrize(("horizon", "number"), [(20, 4), (60, 21), (200, 30)])
+@pytest.mark.parametrize("window", [1, 2, 3])
+def test_a_relaxation_has_no_more_errors_than_it_may(
+    horizon: int, number: int, window: int
+) -> None:
+    constraints = Constraints(horizon, number)
+    instants = horizon + 1
+    mean_gap = instants / (number + 1)
+    for most in (10**5, 10**6, 10**7):
+        try:
+            relaxation = relaxation_for(constraints, window, number, most)
+        except JobError:
+            assert instants * (2 * mean_gap) ** window + instants**2 > most
+        else:
+            assert relaxation.offsets[-1] <= most
+            assert 2 * mean_gap <= relaxation.longest_gap <= 3 * mean_gap + 1
+
+
 def test_a_proof_that_needs_more_memory_is_refused_in_words_that_name_no_option() -> None:
     with pytest.raises(JobError, match=r"^window = 3 needs .* allowed: 1,000$") as refused:
         relaxation_for(Constraints(60, 21), 3, 21, 1000)
     assert refused.value.argument == "window"
+    for name in ("window", "longest_gap"):
+        with pytest.raises(MeasurementTimesError, match=f"{name} must be at least 1, got 0"):
+            relaxation_with(Constraints(9, 4), **{"window": 2, "longest_gap": 3, name: 0})
 
 
 @pytest.mark.parametrize("cells", [1, 15_000])

@@ -1,4 +1,4 @@
-"""The relaxation and its programme, on systems whose expected errors are known without draws."""
+"""The relaxation: which window a set is in, and its errors, by brute force."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -7,96 +7,45 @@ import numpy as np
 import pytest
 
 from oracles.systems import SYSTEMS
-from oracles.windows import counted_errors, relaxed_errors
+from oracles.windows import (
+    BUDGET,
+    FEASIBLE,
+    HORIZON,
+    Array,
+    Case,
+    affordable,
+    cases,
+    counted,
+    counted_errors,
+    ends_of,
+    longest_end,
+    relaxed_errors,
+    satisfying,
+)
 from pfdist import StateSpaceModel
-from pfdist.bounds.first_windows import relaxation_for, relaxation_with
-from pfdist.bounds.programme import least
-from pfdist.bounds.relaxation import Window
-from pfdist.errors import JobError, MeasurementTimesError
+from pfdist.bounds.first_windows import relaxation_with
+from pfdist.bounds.programme import Programme, least
+from pfdist.bounds.relaxation import NOTHING, START, Relaxation, Window
 from pfdist.filters.kalman import expected_errors, expected_mse
 from pfdist.times.constraints import Constraints
-from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
-HORIZON, BUDGET = 9, 4
 ROUNDING = 1e-12
-
-
-CONSTRAINTS = {
-    "free": {},
-    "forbidden": {"forbidden": (2, 5, 6)},
-    "required": {"required": (1, 8)},
-    "spaced": {"minimum_spacing": 2},
-    "all": {"forbidden": (3,), "required": (7,), "minimum_spacing": 2},
-}
 systems = pytest.mark.parametrize("model", SYSTEMS.values(), ids=list(SYSTEMS))
-systems = pytest.mark.parametrize("model", SYSTEMS.values(), ids=list(SYSTEMS))
+constrained = pytest.mark.parametrize("name", FEASIBLE)
 
 
-def _feasible(name: str) -> Feasible:
-    return Feasible(HORIZON, BUDGET, **CONSTRAINTS[name])  # type: ignore[arg-type]
+# --- which window a set is in ---
 
 
-def _bound(
-    model: StateSpaceModel, constraints: Constraints, window: int, gap: int, most: int = BUDGET
-) -> tuple[list[float], list[Times]]:
-    relaxation = relaxation_with(constraints, window, gap)
-    found = least(relaxation, counted_errors(model, relaxation), most)
-    return found.mse.tolist(), found.paths
-
-
-@systems
-@pytest.mark.parametrize("name", CONSTRAINTS)
-def test_no_feasible_set_costs_less(model: StateSpaceModel, name: str) -> None:
-    """Brute force finds the optimum; so does k = N + 1, and the bound never falls with k."""
-    feasible = _feasible(name)
-    optimum = expected_mse(model, HORIZON, list(feasible.every())).min()
-    for gap in (3, 6, HORIZON + 1):
-        bounds = [
-            _bound(model, feasible, window, gap)[0][BUDGET] for window in range(1, BUDGET + 2)
-        ]
-        assert bounds[-1] <= optimum * (1 + ROUNDING)
-        assert all(lower <= higher * (1 + ROUNDING) for lower, higher in pairwise(bounds))
-    assert bounds[-1] == pytest.approx(optimum, rel=ROUNDING)  # with no longest gap
-
-
-@systems
-def test_one_programme_gives_every_number_of_measurements(model: StateSpaceModel) -> None:
-    mse, paths = _bound(model, Constraints(HORIZON, 1), 2, 5, most=HORIZON + 1)
-    for number, path in enumerate(paths):
-        assert len(path) == number
-        alone, _ = _bound(model, Constraints(HORIZON, 1), 2, 5, most=max(1, number))
-        assert alone[number] == mse[number]
-    assert mse[0] == pytest.approx(expected_mse(model, HORIZON, [()])[0], rel=ROUNDING)
-    assert mse[-1] == pytest.approx(expected_mse(model, HORIZON, [paths[-1]])[0], rel=ROUNDING)
-
-
-@systems
-@pytest.mark.parametrize(("window", "gap"), [(1, 4), (2, 3), (3, 10)])
-def test_the_relaxed_error_is_at_most_the_sets_own_at_every_instant(
-    model: StateSpaceModel, window: int, gap: int
-) -> None:
-    feasible = _feasible("free")
-    relaxation = relaxation_with(feasible, window, gap)
-    errors = counted_errors(model, relaxation)
-    sets = list(feasible.every())
-    own = expected_errors(model, HORIZON, sets)
-    relaxed = np.array([relaxed_errors(relaxation, errors, times) for times in sets])
-    assert (relaxed <= own * (1 + ROUNDING)).all()
-    # The programme finds the least of these sums, and a set that has it.
-    found = least(relaxation, errors, BUDGET)
-    assert found.mse[BUDGET] == pytest.approx(relaxed.mean(axis=1).min(), rel=ROUNDING)
-    path = sets.index(found.paths[BUDGET])
-    assert relaxed[path].mean() == pytest.approx(found.mse[BUDGET], rel=ROUNDING)
-
-
-def test_each_resample_of_the_draws_has_a_programme_of_its_own() -> None:
-    relaxation = relaxation_with(_feasible("required"), 2, 4)
-    shape = (3, 2, int(relaxation.offsets[-1]))
-    errors = np.random.default_rng(1).exponential(size=shape)
-    together = least(relaxation, errors, BUDGET).mse
-    for place in np.ndindex(shape[:2]):
-        np.testing.assert_array_equal(together[place], least(relaxation, errors[place], BUDGET).mse)
+@cases
+def test_a_set_is_in_the_longest_known_window_that_it_ends_with(case: Case) -> None:
+    """Aho and Corasick's automaton against a search among all ends."""
+    relaxation, _ = case.make()
+    for times in satisfying(relaxation.constraints):
+        found = [relaxation.windows[number] for number in relaxation.windows_of(times)]
+        beginnings = (times[:size] for size in range(len(times) + 1))
+        assert found == [longest_end(relaxation.index, beginning) for beginning in beginnings]
 
 
 @pytest.mark.parametrize(
@@ -113,25 +62,157 @@ def test_the_windows_of_a_set(times: Times, windows: Sequence[Window]) -> None:
     assert [relaxation.windows[number] for number in relaxation.windows_of(times)] == windows
 
 
-@pytest.mark.parametrize("name", ["window", "longest_gap"])
-def test_a_relaxation_needs_a_window_and_a_gap(name: str) -> None:
-    with pytest.raises(MeasurementTimesError, match=f"{name} must be at least 1, got 0"):
-        relaxation_with(Constraints(9, 4), **{"window": 2, "longest_gap": 3, name: 0})
+@cases
+def test_a_window_leads_on_by_the_times_that_the_constraints_allow(case: Case) -> None:
+    relaxation, _ = case.make()
+    sets = satisfying(relaxation.constraints)
+    pairs = {pair for times in sets for pair in pairwise((NOTHING, *times))}
+    leads = {(int(last), time)
+             for last, row in zip(relaxation.last, relaxation.after, strict=True)
+             for time in np.flatnonzero(row >= 0).tolist()}  # fmt: skip
+    assert leads == pairs
 
 
-@pytest.mark.parametrize(("horizon", "number"), [(20, 4), (60, 21), (200, 30)])
-@pytest.mark.parametrize("window", [1, 2, 3])
-def test_a_relaxation_has_no_more_errors_than_it_may(
-    horizon: int, number: int, window: int
+@cases
+def test_the_moves_are_those_of_the_automaton(case: Case) -> None:
+    relaxation, _ = case.make()
+    moves = {
+        (before, moves.time, after)
+        for moves in relaxation.moves
+        for after in moves.after.tolist()
+        for before in moves.leading_to(after).tolist()
+    }
+    windows, times = np.nonzero(relaxation.after >= 0)
+    after = relaxation.after[windows, times]
+    assert moves == {*zip(windows.tolist(), times.tolist(), after.tolist(), strict=True)}
+
+
+@cases
+def test_the_filter_of_a_window_measures_whatever_a_set_in_it_has_measured(case: Case) -> None:
+    relaxation, _ = case.make()
+    allowed = {*relaxation.constraints.allowed}
+    for times in satisfying(relaxation.constraints):
+        for number, window in enumerate(relaxation.windows_of(times)):
+            filtered = relaxation.sets[window]
+            assert list(filtered) == sorted({*filtered})
+            assert {*times[:number]} <= {*filtered} <= allowed
+            assert max(filtered, default=NOTHING) == relaxation.last[window]
+
+
+def test_every_beginning_of_a_window_is_known_with_it() -> None:
+    relaxation = relaxation_with(Constraints(9, 4), 1, 3).grown([(2, 4, 5, 9), (NOTHING, 1, 7)])
+    added = {*relaxation.windows} - {*relaxation_with(Constraints(9, 4), 1, 3).windows}
+    assert added == {(2, 4), (2, 4, 5), (2, 4, 5, 9), (NOTHING, 1), (NOTHING, 1, 7)}
+
+
+def test_what_begins_with_a_forgotten_window_is_forgotten_and_no_time_alone_is() -> None:
+    relaxation = relaxation_with(Constraints(9, 4), 1, 3).grown([(2, 4, 5, 9), (NOTHING, 1, 7)])
+    forgotten = relaxation.without({(2, 4, 5), (NOTHING, 1, 7), (3,), START})
+    gone = {*relaxation.windows} - {*forgotten.windows}
+    assert gone == {(2, 4, 5), (2, 4, 5, 9), (NOTHING, 1, 7)}
+    assert relaxation.without(()) is relaxation
+
+
+# --- its errors ---
+
+
+@systems
+@constrained
+def test_more_windows_never_lower_the_bound(model: StateSpaceModel, name: str) -> None:
+    """Longer windows, and errors that count for longer, add fewer measurements."""
+    feasible = FEASIBLE[name]
+    sets, rng = list(feasible.every()), np.random.default_rng(7)
+    relaxations = [relaxation_with(feasible, 1, 3)]
+    for number in (2, 4, 8, 16):
+        longer = relaxations[-1].grown(ends_of(sets, rng, number))
+        of_a_set = sets[int(rng.integers(len(sets)))]
+        relaxations += [longer, longer.grown((), longer.overreached(of_a_set))]
+    optimum = expected_mse(model, HORIZON, sets).min()
+    bounds = [
+        float(least(each, counted_errors(model, each), feasible.total).mse[feasible.total])
+        for each in relaxations
+    ]
+    assert all(lower <= higher * (1 + ROUNDING) for lower, higher in pairwise(bounds))
+    assert bounds[-1] <= optimum * (1 + ROUNDING)
+    # With the whole beginnings of all paths it is the optimum.
+    paths = affordable(relaxations[-1], feasible.total)
+    every = relaxations[-1].grown((NOTHING, *times) for times in paths)
+    every = every.grown((), [window for times in paths for window in every.overreached(times)])
+    (bound,) = least(every, counted_errors(model, every), feasible.total).mse[-1:]
+    assert bound == pytest.approx(optimum, rel=ROUNDING)
+
+
+@systems
+@constrained
+def test_the_relaxed_error_is_at_most_the_sets_own_at_every_instant(
+    model: StateSpaceModel, name: str
 ) -> None:
-    constraints = Constraints(horizon, number)
-    instants = horizon + 1
-    mean_gap = instants / (number + 1)
-    for most in (10**5, 10**6, 10**7):
-        try:
-            relaxation = relaxation_for(constraints, window, number, most)
-        except JobError:
-            assert instants * (2 * mean_gap) ** window + instants**2 > most
-        else:
-            assert relaxation.offsets[-1] <= most
-            assert 2 * mean_gap <= relaxation.longest_gap <= 3 * mean_gap + 1
+    """Whatever windows are known."""
+    feasible = FEASIBLE[name]
+    sets = list(feasible.every())
+    own = expected_errors(model, HORIZON, sets)
+    relaxations = [Case(name, list(FEASIBLE).index(name), 1).make()[0]]
+    relaxations += [relaxation_with(feasible, *sizes) for sizes in ((1, 4), (2, 3), (3, 10))]
+    for relaxation in relaxations:
+        errors = counted_errors(model, relaxation)
+        relaxed = np.array([relaxed_errors(relaxation, errors, times) for times in sets])
+        assert (relaxed <= own * (1 + ROUNDING)).all()
+
+
+def test_each_resample_of_the_draws_has_a_programme_of_its_own() -> None:
+    relaxation = relaxation_with(FEASIBLE["required"], 2, 4)
+    shape = (3, 2, int(relaxation.offsets[-1]))
+    errors = np.random.default_rng(1).exponential(size=shape)
+    together = least(relaxation, errors, BUDGET).mse
+    for place in np.ndindex(shape[:2]):
+        np.testing.assert_array_equal(together[place], least(relaxation, errors[place], BUDGET).mse)
+
+
+def test_errors_of_a_far_window_count_to_the_horizon() -> None:
+    """And in the place of those of its last time alone, if nothing more is measured."""
+    near = relaxation_with(Constraints(HORIZON, 2), 3, 2)
+    window = (1, 2, 4)
+    number = near.index[window]
+    assert (near.first[number], near.ends[number]) == (4, 5)
+    far = near.grown((), {window})
+    assert (far.first[number], far.ends[number]) == (4, HORIZON)
+    assert (np.delete(far.ends, number) == np.delete(near.ends, number)).all()
+    times = (0, 1, 2, 4)
+    assert near.overreached(times) == [window]
+    assert far.overreached(times) == []
+
+
+def test_a_window_that_grows_from_a_far_one_is_far() -> None:
+    """Else its errors would end sooner, and lower ones would count in their place."""
+    near = relaxation_with(Constraints(HORIZON, 2), 2, 2)
+    far = near.grown((), {(2, 4)})
+    grown = far.grown([(0, 1, 2, 4), (NOTHING, 3, 4)])
+    assert grown.far == {(2, 4), (0, 1, 2, 4)}
+    both = near.grown([(0, 1, 2, 4)], {(2, 4)})  # at once, too
+    assert both.far == {(2, 4), (0, 1, 2, 4)}
+
+
+@systems
+def test_a_set_whose_windows_are_whole_beginnings_has_its_own_error(model: StateSpaceModel) -> None:
+    """However many instants: nothing is lost in sums over the windows, but for rounding."""
+    horizon = 60
+    start = relaxation_with(Constraints(horizon, 10), 2, 4)
+    sets = [tuple(range(3, 60, 6)), (0, 1, 2, 3, 4, 56, 57, 58, 59, 60)]
+    whole = start.grown((NOTHING, *times) for times in sets)
+    relaxation = whole.grown((), [far for times in sets for far in whole.overreached(times)])
+    errors = counted_errors(model, relaxation)
+    own = expected_mse(model, horizon, sets)
+    for times, expected in zip(sets, own, strict=True):
+        alone = relaxation.restricted([times])
+        (found,) = Programme(alone, _of(relaxation, errors, alone), 10).mse[-1:]
+        assert found == pytest.approx(expected, rel=ROUNDING)
+
+
+def _of(relaxation: Relaxation, errors: Array, other: Relaxation) -> Array:
+    """Those of the errors that count in another relaxation with the same windows."""
+    t = np.arange(relaxation.horizon + 1)
+    every = np.full((len(relaxation.windows), t.size), np.nan)
+    every[(relaxation.first[:, None] <= t) & (t <= relaxation.ends[:, None])] = errors
+    found = counted(other, every)
+    assert np.isfinite(found).all()
+    return found

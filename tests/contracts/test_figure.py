@@ -1,7 +1,7 @@
 """The contract of every figure of a run."""
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -26,23 +26,21 @@ def _one_format() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Run]:
+def runs(tmp_path_factory: pytest.TempPathFactory, finished: Callable[..., Path]) -> list[Run]:
     """A kept run; runs with a bound and online times, several numbers, why, and named sets."""
     folder = tmp_path_factory.mktemp("figures")
     shutil.copytree(ROOT / "assets" / "schema-3", folder / "run")
     job = pfdist.load_job(ROOT / "small.toml", [*EXACT, "problem.horizon=6"])
     several = pfdist.budget(job, (2, 3), folder / "budget", draws=20, figures=False)
-    changes = [*EXACT, "search.random.evaluations=3", "search.genetic.generations=1"]
-    changes.append("online.draws=20")
-    proved = pfdist.run(ROOT / "small.toml", folder / "proved", changes=changes, figures=False)
-    pfdist.bound(proved, pool="serial", figures=False)
-    search = ["search=[{method='random', evaluations=3}]", "comparison.draws=20"]
-    explained = pfdist.run(ROOT / "small.toml", folder / "why", changes=search, figures=False)
-    pfdist.why(explained, draws=20, figures=False)
+    proved = shutil.copytree(finished(*EXACT, "online.draws=20"), folder / "proved")
+    pfdist.bound(proved / "job.toml", pool="serial", figures=False)
+    explained = shutil.copytree(finished(), folder / "why")
+    pfdist.why(explained / "job.toml", draws=20, figures=False)
     sets = {"few": [0, 12], "many": "0:12:2"}
     short = pfdist.load_job(ROOT / "small.toml", EXACT)
     named = pfdist.compare(short, times=sets, results=folder / "sets", draws=20, figures=False)
-    return [pfdist.open_run(folder / "run"), proved, several, explained, named]
+    opened = [pfdist.open_run(path) for path in (folder / "run", proved, explained)]
+    return [*opened, several, named]
 
 
 @every
@@ -80,10 +78,6 @@ def test_its_title_is_a_sentence_about_the_run(name: str, runs: list[Run]) -> No
 @every
 def test_the_same_figure_is_the_same_bytes(name: str, runs: list[Run]) -> None:
     for run in runs:
-        first, again = (_bytes(run, name) for _ in range(2))
+        files = (figures.save_plots(run, FIGURES[name].plots(Tables(run))) for _ in range(2))
+        first, again = ([file.read_bytes() for file in some] for some in files)
         assert first == again
-
-
-def _bytes(run: Run, name: str) -> list[bytes]:
-    files = figures.save_plots(run, FIGURES[name].plots(Tables(run)))
-    return [file.read_bytes() for file in files]

@@ -14,8 +14,8 @@ from pfdist.times.measurement_times import Times
 Array = NDArray[np.float64]
 
 
-def _run(race: Race, mse: dict[Times, Array]) -> tuple[Times, list[list[Candidate]]]:
-    """Its winner, and what it asked for round by round."""
+def _run(race: Race, mse: dict[Times, Array]) -> tuple[list[Evaluation], list[list[Candidate]]]:
+    """The sets that ran, the winner first, and what a race asked for round by round."""
     state, rng, rounds = race.init(), np.random.default_rng(0), []
     while not race.done(state):
         asked = race.ask(state, rng)
@@ -23,7 +23,7 @@ def _run(race: Race, mse: dict[Times, Array]) -> tuple[Times, list[list[Candidat
         columns = [mse[candidate.measurement_times][: candidate.draws] for candidate in asked]
         told = zip(asked, columns, strict=True)
         state = race.tell(state, [Evaluation(asked_for[0], column) for asked_for, column in told])
-    return race.finalists(state)[0].measurement_times, rounds
+    return list(race.finalists(state)), rounds
 
 
 def test_it_goes_on_with_those_that_may_be_the_best_and_decides_on_all_their_draws() -> None:
@@ -41,8 +41,8 @@ def test_it_goes_on_with_those_that_may_be_the_best_and_decides_on_all_their_dra
         rng = np.random.default_rng(seed)
         common, own = rng.normal(0, 10, 500), rng.normal(size=(16, 500))
         mse = dict(zip(sets, means[:, None] + own + common, strict=True))
-        winner, rounds = _run(Race(tuple(sets), 250), mse)
-        wins += winner == sets[0]
+        found, rounds = _run(Race(tuple(sets), 250), mse)
+        wins += found[0].measurement_times == sets[0]
         assert [len(asked) for asked in rounds] in ([16, 2], [16])  # seldom one is enough
         spent.append(sum(250 * len(asked) for asked in rounds))  # the first 250 are known by then
     probability = stats.norm.cdf(apart / math.sqrt(2 / 500))
@@ -52,44 +52,30 @@ def test_it_goes_on_with_those_that_may_be_the_best_and_decides_on_all_their_dra
     assert wins / races > evenly + 2 * standard_error
 
 
-def test_it_gives_all_that_ran_the_winner_first_each_on_the_most_draws_it_ran_on() -> None:
-    sets: list[Times] = [(0, t) for t in range(1, 9)]
-    race = Race(tuple(sets), 250)
-    state, rng = race.init(), np.random.default_rng(0)
-    noise = rng.normal(size=(8, 1000))
-    mse = dict(zip(sets, noise - noise.mean(axis=1, keepdims=True), strict=True))
-    while not race.done(state):
-        asked = [
-            (candidate.measurement_times, candidate.draws) for candidate in race.ask(state, rng)
-        ]
-        state = race.tell(state, [Evaluation(times, mse[times][:draws]) for times, draws in asked])
-    found = race.finalists(state)
-    assert [evaluation.draws for evaluation in found] == [1000, 1000, 500, 500, 250, 250, 250, 250]
-    assert {evaluation.measurement_times for evaluation in found} == set(sets)
-    assert found[0].cost <= found[1].cost
-
-
 def test_of_sets_that_no_test_tells_apart_the_worse_half_falls_out() -> None:
+    """All that ran are given, each on the most draws that it ran on, and the winner first."""
     sets: list[Times] = [(0, t) for t in range(1, 9)]
     noise = np.random.default_rng(1).normal(size=(8, 1000))
     mse = dict(zip(sets, noise - noise.mean(axis=1, keepdims=True), strict=True))
-    winner, rounds = _run(Race(tuple(sets), 250), mse)
-    assert [(len(asked), {candidate.draws for candidate in asked}) for asked in rounds] == [
-        (8, {250}),
-        (4, {500}),
-        (2, {1000}),
-    ]
-    assert Race(tuple(sets), 250).generations == 3
+    race = Race(tuple(sets), 250)
+    found, rounds = _run(race, mse)
+    asked = [(len(some), {candidate.draws for candidate in some}) for some in rounds]
+    assert asked == [(8, {250}), (4, {500}), (2, {1000})]
+    assert race.generations == 3
     of_half = sorted(sets, key=lambda times: float(mse[times][:250].mean()))[:4]
     assert {candidate.measurement_times for candidate in rounds[1]} == set(of_half)
-    assert winner in of_half
+    assert [each.draws for each in found] == [1000, 1000, 500, 500, 250, 250, 250, 250]
+    assert {each.measurement_times for each in found} == set(sets)
+    assert {each.measurement_times for each in found[:4]} == set(of_half)
+    assert found[0].cost <= found[1].cost
 
 
 def test_one_alone_runs_one_round_and_a_killed_one_never_wins() -> None:
     alive, dead = np.ones(100), np.r_[np.ones(99), np.nan]
-    assert _run(Race(((0, 1),), 100), {(0, 1): alive}) == ((0, 1), [[Candidate((0, 1), draws=100)]])
-    winner, rounds = _run(Race(((0, 1), (0, 2)), 100), {(0, 1): dead, (0, 2): 5 * alive})
-    assert (winner, len(rounds)) == ((0, 2), 1)
+    (found,), rounds = _run(Race(((0, 1),), 100), {(0, 1): alive})
+    assert (found.measurement_times, rounds) == ((0, 1), [[Candidate((0, 1), draws=100)]])
+    (first, *_), rounds = _run(Race(((0, 1), (0, 2)), 100), {(0, 1): dead, (0, 2): 5 * alive})
+    assert (first.measurement_times, len(rounds)) == ((0, 2), 1)
 
 
 def test_a_difference_is_that_of_the_paired_t_test() -> None:

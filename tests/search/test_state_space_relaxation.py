@@ -38,10 +38,12 @@ systems = pytest.mark.parametrize("model", SYSTEMS.values(), ids=list(SYSTEMS))
 
 
 def _states(search: StateSpaceRelaxation, tell: Tell) -> Iterator[RelaxationState]:
-    """The state after each generation."""
+    """The state after each generation. No set is evaluated twice."""
     state, rng = search.init(), np.random.default_rng(0)
     while not search.done(state):
         state = search.tell(state, tell(search.ask(state, rng)))
+        sets = [evaluation.measurement_times for evaluation in state.whole]
+        assert len(sets) == len({*sets})
         yield state
 
 
@@ -232,15 +234,6 @@ def test_relaxed_costs_that_are_high_by_chance_do_not_keep_sets_from_being_evalu
     *_, state = _states(search, _unknown(tell, DRAWS))
     assert 3 <= len(state.whole) - 1 <= 2 * search.paths
     assert state.least(6) < expected_mse(model, 20, [feasible.regular()])[0]
-
-
-@systems
-def test_no_set_is_evaluated_twice(model: StateSpaceModel) -> None:
-    for tell in (_unknown, lambda tell, _: tell):
-        search = StateSpaceRelaxation(Feasible(20, 6), DRAWS, rounds=4)
-        *_, state = _states(search, tell(lambda asked: exactly(model, 20, asked), DRAWS))
-        sets = [evaluation.measurement_times for evaluation in state.whole]
-        assert len(sets) == len({*sets})
 
 
 # --- degenerate draws ---

@@ -1,4 +1,4 @@
-"""The survivor programme against brute force, where costs are known exactly."""
+"""The survivor programme and the corridor method against brute force, where costs are exact."""
 
 import math
 from collections import Counter
@@ -8,20 +8,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from oracles.kalman import SCALAR, THREE, TRACKING, LinearGaussian, prefix_costs, riccati_cost
+from oracles.kalman import SCALAR, THREE, TRACKING, prefix_costs, riccati_cost
 from pfdist.evaluation.estimate import Evaluation
-from pfdist.search import Survivors
+from pfdist.search import Candidate, Survivors
+from pfdist.search.corridor import Corridor
+from pfdist.search.methods import METHODS
 from pfdist.search.survivors import SurvivorState
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
-PROBLEMS = [
-    (system, Feasible(horizon, budget))
-    for system in (SCALAR, TRACKING, THREE)
-    for horizon, budget in ((10, 3), (12, 4), (14, 5))
-]
+SYSTEMS = {"scalar": SCALAR, "tracking": TRACKING, "three": THREE}
 EARLY_IS_CHEAP, OFTEN_DEAR = (1,) * 6 + (2,) * 7, (1, 3, 2) * 4 + (1,)
-CONSTRAINED = {
+PROBLEMS = {
+    "10, 3": Feasible(10, 3),
+    "12, 4": Feasible(12, 4),
+    "14, 5": Feasible(14, 5),
     "forbidden": Feasible(12, 4, forbidden=(0, 3, 4, 5, 9)),
     "required": Feasible(12, 5, required=(6, 7, 12)),
     "spacing": Feasible(12, 4, minimum_spacing=3),
@@ -38,84 +39,67 @@ Cost = Callable[[Times, int], float]
 
 
 def test_the_costs_are_those_of_the_kalman_filter() -> None:
-    for system in (SCALAR, TRACKING, THREE):
+    for system in SYSTEMS.values():
         cost = prefix_costs(system, 12)
         for times in ((), (0, 3, 12), (5, 6, 7)):
             assert cost(times, 12) == pytest.approx(riccati_cost(system, 12, times), rel=1e-12)
 
 
-def _states(search: Survivors, cost: Cost) -> Iterator[SurvivorState]:
-    """Give each state of the programme before its end, and run it."""
+def _steps(search: Survivors, cost: Cost) -> Iterator[tuple[list[Candidate], SurvivorState]]:
+    """What a search asks for in each generation, and its state afterwards."""
     state, rng = search.init(), np.random.default_rng(0)
     while not state.done:
-        yield state
-        candidates = search.ask(state, rng)
-        ends = [
-            search.feasible.horizon if candidate.end is None else candidate.end
-            for candidate in candidates
-        ]
-        told = [
-            Evaluation(
-                candidate.measurement_times, np.empty(0),
-                exact=cost(candidate.measurement_times, end),
-                end=candidate.end,
-            )
-            for candidate, end in zip(candidates, ends, strict=True)
-        ]  # fmt: skip
+        asked, told = search.ask(state, rng), []
+        for times, end, *_ in asked:
+            exact = cost(times, search.feasible.horizon if end is None else end)
+            told.append(Evaluation(times, np.empty(0), exact=exact, end=end))
         state = search.tell(state, told)
-    yield state
+        yield asked, state
 
 
-def _run(search: Survivors, cost: Cost) -> tuple[SurvivorState, int]:
-    """Its last state, and for how many sets it has asked."""
-    *before, last = _states(search, cost)
-    return last, sum(len(search.ask(state, np.random.default_rng(0))) for state in before)
+def _last(search: Survivors, cost: Cost) -> SurvivorState:
+    *_, (_, state) = _steps(search, cost)
+    return state
 
 
-@pytest.mark.parametrize(("system", "feasible"), PROBLEMS)
+def _optimum(feasible: Feasible, cost: Cost) -> float:
+    return min(cost(times, feasible.horizon) for times in feasible.every())
+
+
+# --- the survivor programme -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("problem", PROBLEMS)
+@pytest.mark.parametrize("system", SYSTEMS)
 @pytest.mark.parametrize(
     "settings", [{"survivors": 2}, {"survivors": 3, "by_previous": True}], ids=["last", "previous"]
 )
 def test_it_finds_what_brute_force_finds(
-    system: LinearGaussian, feasible: Feasible, settings: dict[str, Any]
+    problem: str, system: str, settings: dict[str, Any]
 ) -> None:
-    cost = prefix_costs(system, feasible.horizon)
-    best = min(cost(times, feasible.horizon) for times in feasible.every())
-    state, _ = _run(Survivors(feasible, **settings), cost)
-    assert state.whole[0].cost == pytest.approx(best, rel=1e-12)
-
-
-@pytest.mark.parametrize("constraint", CONSTRAINED)
-@pytest.mark.parametrize("system", [SCALAR, TRACKING, THREE], ids=["scalar", "tracking", "three"])
-@pytest.mark.parametrize(
-    "settings", [{"survivors": 2}, {"survivors": 3, "by_previous": True}], ids=["last", "previous"]
-)
-def test_it_finds_what_brute_force_finds_under_constraints(
-    constraint: str, system: LinearGaussian, settings: dict[str, Any]
-) -> None:
-    feasible = CONSTRAINED[constraint]
-    cost = prefix_costs(system, feasible.horizon)
-    best = min(cost(times, feasible.horizon) for times in feasible.every())
-    state, _ = _run(Survivors(feasible, **settings), cost)
+    feasible = PROBLEMS[problem]
+    cost = prefix_costs(SYSTEMS[system], feasible.horizon)
+    state = _last(Survivors(feasible, **settings), cost)
     assert all(feasible.accepts(evaluation.measurement_times) for evaluation in state.whole)
-    assert state.whole[0].cost == pytest.approx(best, rel=1e-12)
+    assert state.whole[0].cost == pytest.approx(_optimum(feasible, cost), rel=1e-12)
 
 
 def test_more_survivors_are_never_worse_here_and_ask_more() -> None:
-    cost = prefix_costs(THREE, 14)
-    found = [_run(Survivors(Feasible(14, 5), survivors), cost) for survivors in (1, 2, 4)]
-    asked = [count for _, count in found]
-    best = [state.whole[0].cost for state, _ in found]
-    assert asked == sorted(set(asked))
+    cost, number, best = prefix_costs(THREE, 14), [], []
+    for survivors in (1, 2, 4):
+        steps = list(_steps(Survivors(Feasible(14, 5), survivors), cost))
+        number.append(sum(len(asked) for asked, _ in steps))
+        best.append(steps[-1][1].whole[0].cost)
+    assert number == sorted(set(number))
     assert best == sorted(best, reverse=True)
     assert best[0] > best[1]  # one survivor is not enough for this one
 
 
-@pytest.mark.parametrize("constraint", ["together", "dearer", "mixed", "all"])
-def test_of_all_that_end_at_one_time_and_cost_the_same_two_are_extended(constraint: str) -> None:
-    search = Survivors(CONSTRAINED[constraint], survivors=2)
+@pytest.mark.parametrize("problem", ["together", "dearer", "mixed", "all"])
+def test_of_all_that_end_at_one_time_and_cost_the_same_two_are_extended(problem: str) -> None:
+    search = Survivors(PROBLEMS[problem], survivors=2)
     extended: Counter[tuple[int, float, int, int]] = Counter()
-    for state in _states(search, prefix_costs(THREE, search.feasible.horizon)):
+    for _, state in _steps(search, prefix_costs(THREE, search.feasible.horizon)):
         limits = state.largest_gap, state.corridor  # when they are widened, it begins anew
         for times in state.front:
             extended[*limits, times[-1] if times else -1, search.feasible.spent(times)] += 1
@@ -129,17 +113,75 @@ def test_limits_that_are_in_the_way_are_widened() -> None:
         return -sum(math.exp(t - 40) for t in times)
 
     search = Survivors(Feasible(40, 4))
-    state, _ = _run(search, cost)
+    state = _last(search, cost)
     assert state.whole[0].measurement_times == (37, 38, 39, 40)
     assert state.largest_gap > search.init().largest_gap
 
 
-def test_all_times_and_one_time() -> None:
-    cost = prefix_costs(SCALAR, 5)
+@pytest.mark.parametrize("budget", [1, 6])
+def test_one_time_and_all_times(budget: int) -> None:
+    cost, feasible = prefix_costs(SCALAR, 5), Feasible(5, budget)
+    assert _last(Survivors(feasible), cost).whole[0].cost == _optimum(feasible, cost)
 
-    def best(budget: int) -> Times:
-        return _run(Survivors(Feasible(5, budget)), cost)[0].whole[0].measurement_times
 
-    assert best(6) == (0, 1, 2, 3, 4, 5)
-    singles = [cost((t,), 5) for t in range(6)]
-    assert best(1) == (int(np.argmin(singles)),)
+# --- the corridor method --------------------------------------------------------------------------
+
+
+def test_a_corridor_finds_the_optimum_from_regular_times_in_most_cases() -> None:
+    excess = []
+    for system in SYSTEMS.values():
+        for feasible in PROBLEMS.values():
+            cost = prefix_costs(system, feasible.horizon)
+            found = _last(Corridor(feasible), cost).whole[0].cost
+            excess.append(found / _optimum(feasible, cost) - 1)
+    assert min(excess) > -1e-12
+    assert sum(each < 1e-12 for each in excess) >= 0.8 * len(excess)
+
+
+@pytest.mark.parametrize("start", [None, (0, 1, 2, 3, 4), (10, 11, 12, 13, 14), (2, 5, 8, 11, 14)])
+def test_it_starts_from_a_set_and_no_round_is_worse_under_common_noise(start: Times | None) -> None:
+    feasible, cost = Feasible(14, 5), prefix_costs(THREE, 14)
+    search = Corridor(feasible, start=start)
+    middles = [search.init().middle]
+    assert middles == [feasible.regular() if start is None else start]
+    best = [cost(middles[0], 14)]
+    for asked, state in _steps(search, cost):
+        if asked[0].end is None:  # the end of a round
+            assert Candidate(middles[-1]) in asked
+            best.append(state.whole[0].cost)
+            middles.append(state.middle)
+    assert best == sorted(best, reverse=True)
+    assert best[-1] < best[0]
+    assert len(best) - 1 <= search.rounds
+
+
+def test_each_round_moves_each_time_by_the_reach_at_most() -> None:
+    feasible, reach = Feasible(39, 5), 0.5  # a mean gap of 8: 4 instants
+    search = Corridor(feasible, start=(0, 1, 2, 3, 4), reach=reach)
+    middle, rounds = search.init().middle, 0
+    for asked, state in _steps(search, prefix_costs(TRACKING, 39)):
+        for candidate in asked:
+            moves = np.abs(np.subtract(candidate.measurement_times, middle[: len(candidate[0])]))
+            assert moves.max() <= 4
+        rounds += state.middle != middle
+        middle = state.middle
+    assert rounds > 2  # times drift far in several rounds
+    assert state.whole[0].measurement_times[-1] > 20
+
+
+def test_one_round_and_the_best_set_as_a_start_end_at_once() -> None:
+    feasible, cost = Feasible(12, 4), prefix_costs(THREE, 12)
+    best = _last(Corridor(feasible), cost).whole[0].measurement_times
+    for search in (
+        Corridor(feasible, start=best),
+        Corridor(feasible, start=(0, 1, 2, 3), rounds=1),
+    ):
+        steps = list(_steps(search, cost))
+        assert len([asked for asked, _ in steps if asked[0].end is None]) == 1
+        assert search.start != best or steps[-1][1].whole[0].measurement_times == best
+
+
+def test_a_polish_by_the_corridor_starts_from_the_set_it_is_given() -> None:
+    settings = METHODS["corridor"].section().settings
+    made = METHODS["corridor"].make(Feasible(12, 4), 10, settings, (1, 2, 3, 4))
+    assert made == Corridor(Feasible(12, 4), start=(1, 2, 3, 4))

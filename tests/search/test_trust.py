@@ -160,12 +160,13 @@ def test_the_leader_of_a_generation_is_the_best_of_its_kind_so_far() -> None:
     assert new_leaders([worse, better, longer, soon, late, dead], before) == [better, longer, late]
 
 
-def _raced(costs: dict[Times, Array]) -> list[Evaluation]:
-    return [Evaluation(times, mse) for times, mse in costs.items()]
-
-
-def _believed(costs: dict[Times, Array]) -> dict[Times, Evaluation]:
-    return {times: Evaluation(times, mse) for times, mse in costs.items()}
+def _misordered(
+    believed: dict[Times, Array], squared: dict[Times, Array]
+) -> tuple[Evaluation, Evaluation] | None:
+    return misordered(
+        {times: Evaluation(times, mse) for times, mse in believed.items()},
+        [Evaluation(times, mse) for times, mse in squared.items()],
+    )
 
 
 A, B = (1, 2, 3), (4, 5, 6)
@@ -188,7 +189,7 @@ def test_an_estimator_is_distrusted_that_changes_the_order_of_two_finalists(
     common = np.random.default_rng(4).normal(10.0, 5.0, 400)
     squared = {A: common, B: common + _with_moments(real, errors, 400)}
     believed = {A: common[::-1], B: common[::-1] + _with_moments(seen, seen_errors, 400)}
-    wrong = misordered(_believed(believed), _raced(squared))
+    wrong = _misordered(believed, squared)
     assert (wrong is not None) == contradicts
     if wrong is not None:
         assert wrong[0].expected_mse < wrong[1].expected_mse
@@ -197,4 +198,4 @@ def test_an_estimator_is_distrusted_that_changes_the_order_of_two_finalists(
 def test_a_finalist_that_degenerate_draws_have_killed_contradicts_nobody() -> None:
     squared = {A: np.array([1.0, np.nan, 1.0]), B: np.array([2.0, 2.0, 2.5])}
     believed = {A: np.array([1.0, 1.0, 1.1]), B: np.array([3.0, 3.0, 3.1])}
-    assert misordered(_believed(believed), _raced(squared)) is None
+    assert _misordered(believed, squared) is None

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pfdist import StateSpaceModel
+from pfdist import StateSpaceModel, linear_gaussian
 from pfdist.filters.settings import FilterSettings
 from pfdist.sequential.effective_sizes import effective_sample_sizes
 from pfdist.sequential.one_filter import begin
@@ -14,17 +14,10 @@ P = 4000
 
 
 def _walk(sd: float) -> StateSpaceModel:
-    return StateSpaceModel(
-        name="walk",
-        initial_noise=("normal",),
-        process_noise=("normal",),
-        measurement_noise=("normal",),
-        initial=lambda u, p: u,
-        transition=lambda x, t, w, p: (x[0] + w[0],),
-        measurement=lambda x, t, v, p: (x[0] + p.sd * v[0],),
-        log_likelihood=lambda y, x, t, p: -0.5 * ((y[0] - x[0]) / p.sd) ** 2,
-        quantity_of_interest=lambda x, t, p: x,
-        parameters={"sd": sd},
+    one = [[1.0]]
+    noise = {"initial_noise": one, "process_noise": one, "measurement_noise": [[sd]]}
+    return linear_gaussian(
+        "walk", transition=one, measurement=one, quantity_of_interest=one, **noise
     )
 
 

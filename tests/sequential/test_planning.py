@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import oracles.kalman
+from oracles.systems import SYSTEMS
 from pfdist import StateSpaceModel
 from pfdist.errors import ModelError
 from pfdist.evaluation.estimate import Evaluation
@@ -27,26 +28,6 @@ EXACT = {
     "tracking": oracles.kalman.TRACKING,
     "three": oracles.kalman.THREE,
 }
-
-
-def walk(static: bool = False) -> StateSpaceModel:
-    """A scalar state with noisy measurements, whose state moves or stands still."""
-
-    def transition(x, t, w, p):
-        return (x[0] + p.step * w[0],)
-
-    return StateSpaceModel(
-        name="walk",
-        initial=lambda w, p: (3 * w[0],),
-        transition=transition,
-        measurement=lambda x, t, v, p: (x[0] + v[0],),
-        log_likelihood=lambda y, x, t, p: -0.5 * (y[0] - x[0]) ** 2,
-        quantity_of_interest=lambda x, t, p: (x[0],),
-        initial_noise=("normal",),
-        process_noise=("normal",),
-        measurement_noise=("normal",),
-        parameters={"step": 0.0 if static else 1.0},
-    )
 
 
 @pytest.mark.parametrize("name", EXACT)
@@ -122,7 +103,7 @@ def test_the_expected_error_is_the_realised_error_for_a_static_state() -> None:
     planned system is one of them. The error that is planned with the truth left out of the filter
     is that of real filters; with the truth among the particles it is far too small.
     """
-    model, times, systems = walk(static=True), (3, 4, 5, 6, 7, 8), 300
+    model, times, systems = SYSTEMS["static"], (3, 4, 5, 6, 7, 8), 300
     settings = FilterSettings(20, "systematic")
     draws, evaluator = simulate(model, 8, range(systems), 7), Evaluator(model, 8)
     replanner = Replanner(evaluator, Feasible(8, 9), QUICK, 5)

@@ -26,7 +26,7 @@ def ship() -> StateSpaceModel:
 
 def _written(path: Path, rows: dict[str, Any]) -> Path:
     frame = pd.DataFrame(rows)
-    if path.suffix == ".parquet":
+    if path.suffix.lower() == ".parquet":
         frame.to_parquet(path)
     else:
         frame.to_csv(path, index=False)
@@ -40,14 +40,8 @@ def _written(path: Path, rows: dict[str, Any]) -> Path:
 def test_rows_in_any_order_are_read_in_the_order_of_time(
     tmp_path: Path, ship: StateSpaceModel, suffix: str
 ) -> None:
-    path = tmp_path / f"ship.{suffix}"
-    frame = pd.DataFrame(
-        {"y1": [0.5, NAN, 0.1, NAN], "t": [7, 0, 3, 5], "y0": [2.0, 1.5, 1e-3, NAN]}
-    )
-    if suffix.lower() == "parquet":
-        frame.to_parquet(path)
-    else:
-        frame.to_csv(path, index=False)
+    rows = {"y1": [0.5, NAN, 0.1, NAN], "t": [7, 0, 3, 5], "y0": [2.0, 1.5, 1e-3, NAN]}
+    path = _written(tmp_path / f"ship.{suffix}", rows)
     found = read_measurements(path, ship, Clock.counting(10))
     assert found.t == (0, 3, 7)  # nothing was measured at 5
     np.testing.assert_array_equal(found.y, [[1.5, NAN], [1e-3, 0.1], [2.0, 0.5]])
@@ -78,30 +72,20 @@ def test_a_table_without_rows_has_no_measurements(tmp_path: Path, ship: StateSpa
         ("time,y0,y1\n1,2,3", "the columns must be t, y0, y1, got 'time, y0, y1'; write t in the "
          "place of time"),
         ("t,y_0,Y[1]\n1,2,3", "write y0 in the place of y_0, y1 in the place of Y[1]"),
-        ("t,y0\n1,2", "the columns must be t, y0, y1, got 't, y0'"),
         ("t,y0,y1,y2\n1,2,3,4", "the columns must be t, y0, y1, got 't, y0, y1, y2'"),
         ("t;y0;y1\n1;2;3", "the separator of columns is the comma"),
-        ("t;y0;y1\n1;2,5;3", "with commas between them and points in decimals"),
         ("1,2,3\n2,3,4", "the first line must name the columns"),
         ("t,y0,y0\n1,2,3", "the columns must have different names, got 'y0' twice"),
         ("", "must have a line that names the columns, got none"),
         ("t,y0,y1\n1,2,3\n1,2,3", "a time must stand in one row, got t = 1 twice"),
         ("t,y0,y1\n1.5,2,3", "t must be an integer, got 1.5"),
-        ("t,y0,y1\n,2,3", "t must be an integer, got nan"),
-        ("t,y0,y1\ninf,2,3", "t must be an integer, got inf"),
-        ("t,y0,y1\n11,2,3", "t must lie in 1..10, got 11"),
-        ("t,y0,y1\n1e300,2,3", "t must lie in 1..10, got a whole number of 997 bits"),
         ("t,y0,y1\n0,2,3", "t must lie in 1..10, got 0"),
         ("t,y0,y1\n3,inf,3", "got y[0] = inf at t = 3"),
-        ("t,y0,y1\n3,2,1e999", "got y[1] = inf at t = 3"),
         ("t,y0,y1\n2,2,3\n3,high,3", "column 'y0' must hold numbers, got 'high' in row 2"),
         ("t,y0,y1\n3,1_000,3", "column 'y0' must hold numbers, got '1_000' in row 1"),
-        ("t,y0,y1\n3,\0,3", "column 'y0' must hold numbers, got '\\x00'"),
         ("t,y0,y1\n3,1,2,3", "as many values in each line"),
-        ('t,y0,y1\n3,"1,2', "as many values in each line"),
         (b"t,y0,y1\n3,\xff,1", "must be UTF-8 text"),
         ("t,y0,y1\n3," + "x" * 3_000_000 + ",1", "column 'y0' must hold numbers, got 'xxx"),
-        ("x" * 3_000_000 + "\n3", "the columns must be t, y0, y1, got 'xxx"),
         (",".join(map(str, range(1001))) + "\n", "at most 1,000 columns, got 1,001"),
     ],
 )  # fmt: skip
@@ -123,16 +107,13 @@ def test_a_wrong_parquet_table_is_explained_in_one_line(
 ) -> None:
     path = tmp_path / "ship.parquet"
     path.write_bytes(b"PAR1" + b"\xff" * 500 + b"PAR1")
-    with pytest.raises(
-        MeasurementsError, match=r"a Parquet table was expected, got \"Parquet file size"
-    ):
+    words = r"a Parquet table was expected, got \"Parquet file size"
+    with pytest.raises(MeasurementsError, match=words):
         read_measurements(path, ship, Clock.counting(10))
-    _written(path, {"t": [1], "y0": ["high"], "y1": [1.0]})
-    with pytest.raises(MeasurementsError, match=r"'y0' must hold numbers, got '.*string'"):
-        read_measurements(path, ship, Clock.counting(10))
-    _written(path, {"t": [1], "y0": [True], "y1": [1.0]})
-    with pytest.raises(MeasurementsError, match="column 'y0' must hold numbers, got 'bool'"):
-        read_measurements(path, ship, Clock.counting(10))
+    for wrong, kind in (("high", ".*string"), (True, "bool")):
+        _written(path, {"t": [1], "y0": [wrong], "y1": [1.0]})
+        with pytest.raises(MeasurementsError, match=rf"'y0' must hold numbers, got '{kind}'"):
+            read_measurements(path, ship, Clock.counting(10))
     _written(path, {"t": [1, 2], "y0": [1, 2], "y1": [None, None]})
     assert read_measurements(path, ship, Clock.counting(10)).t == (1, 2)
 
@@ -177,11 +158,8 @@ def test_a_prior_is_read_with_its_weights_and_its_instant(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("columns", "words"),
     [
-        ({"x0": [1.0]}, "the columns must be x0, x1, and may be weight and t, got 'x0'"),
         ({"x0": [1.0], "x1": [1.0], "w": [1.0]}, "may be weight and t, got 'x0, x1, w'"),
         ({"x0": [1.0, NAN], "x1": [1.0, 2.0]}, "finite states, got x[0] = nan of particle 1"),
-        ({"x0": [], "x1": []}, "with one particle or more, got (2, 0)"),
-        ({"x0": [1.0], "x1": [1.0], "weight": [-1.0]}, "weights of at least 0, got -1.0"),
         ({"x0": [1.0], "x1": [1.0], "t": [0.5]}, "one integer for all particles, got 0.5"),
         ({"x0": [1.0, 1.0], "x1": [1.0, 1.0], "t": [3, 4]}, "for all particles, got 4"),
     ],

@@ -1,5 +1,7 @@
 """The clock of a problem: times are turned into instants, and instants into times."""
 
+from itertools import combinations, pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -87,12 +89,9 @@ def test_the_end_of_a_range_is_a_time_of_the_clock(text: str) -> None:
 
 WRONG = [
     (3.0, r"^forbidden must be times of the clock, got 3; the nearest are 2 and 4 h$"),
-    (4.00001, r"the nearest are 4 and 8 h$"),
     (12.5, r"^forbidden must lie in 0\.\.12 h, got 12\.5$"),
-    (-1, r"^forbidden must lie in 0\.\.12 h, got -1$"),
     (True, r"^forbidden must be times, got True$"),
     ("noon", r"^forbidden must name times, as 20, and ranges, .* got 'noon'$"),
-    ("2:12:3", r"^forbidden must be times of the clock, got 5; the nearest are 4 and 8 h$"),
     ("8:4", r"^forbidden must have ranges from a number to a larger one"),
     ("4:20", r"^forbidden must lie in 0\.\.12 h, got 20$"),
 ]
@@ -125,19 +124,19 @@ def test_times_are_written_as_numbers_and_ranges(written: object, instants: list
 def test_the_horizon_must_be_a_multiple_of_the_step() -> None:
     with pytest.raises(MeasurementTimesError, match=r"0\.25, got 1\.1; .* 1 and 1\.25$"):
         Clock.regular(1.1, 0.25)
-    with pytest.raises(MeasurementTimesError, match="must be a multiple of time_step = 3e-09"):
-        Clock.regular(1e-8, 3e-9)
 
 
-@pytest.mark.parametrize("times", [(0.0, 2.0, 1.0), (0.0, 1.0, 1.0), (0.0, np.nan)])
-def test_the_times_of_a_clock_ascend(times: tuple[float, ...]) -> None:
-    with pytest.raises(MeasurementTimesError, match=r"^times must be"):
+@pytest.mark.parametrize(
+    ("times", "words"),
+    [
+        ((0.0, 1.0, 1.0), "^times must be in ascending order, got 1 before 1$"),
+        ((1.7e9, 1.7e9 + 60, 1.7e9 + 30), "got 1700000060 before 1700000030$"),
+        ((0.0, np.nan), "^times must be finite numbers, got nan$"),
+    ],
+)
+def test_the_times_of_a_clock_ascend(times: tuple[float, ...], words: str) -> None:
+    with pytest.raises(MeasurementTimesError, match=words):
         Clock(times)
-
-
-def test_an_error_tells_long_times_in_full() -> None:
-    with pytest.raises(MeasurementTimesError, match=r"got 1700000060 before 1700000030$"):
-        Clock((1.7e9, 1.7e9 + 60, 1.7e9 + 30))
 
 
 clocks = st.lists(st.integers(1, 12), min_size=1, max_size=12).map(
@@ -159,8 +158,6 @@ def test_two_instants_are_far_enough_apart_if_their_times_are(clock: Clock, quar
 def test_the_feasible_sets_of_a_clock_are_those_of_brute_force(
     clock: Clock, quarters: int, number: int
 ) -> None:
-    from itertools import combinations, pairwise
-
     least, instants = quarters / 4, range(clock.horizon + 1)
     expected = [
         times

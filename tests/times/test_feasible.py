@@ -1,7 +1,7 @@
 """The feasible sets against a list of all, tried one by one."""
 
 from collections import Counter
-from dataclasses import fields
+from dataclasses import fields, replace
 from itertools import combinations
 from math import comb
 from typing import Any
@@ -110,22 +110,18 @@ def test_sets_that_may_be_chosen_break_none_and_those_that_break_none_may_be(cas
 
 @quick
 @given(possible())
-def test_additions_are_those_of_which_a_set_can_come(case: Any) -> None:
+def test_additions_and_removals_lead_towards_some_set(case: Any) -> None:
     feasible, every = case
     for times in subsets(feasible.horizon):
-        larger = [tuple(sorted({*times, t})) for t in range(feasible.horizon + 1) if t not in times]
-        expected = [grown for grown in larger if any(nested(grown, whole) for whole in every)]
-        assert feasible.additions(times) == expected
-
-
-@quick
-@given(possible())
-def test_removals_are_those_that_still_hold_a_set(case: Any) -> None:
-    feasible, every = case
-    for times in subsets(feasible.horizon):
+        others = [t for t in range(feasible.horizon + 1) if t not in times]
+        larger = [tuple(sorted({*times, t})) for t in others]
         smaller = [tuple(t for t in times if t != out) for out in times]
-        expected = [shrunk for shrunk in smaller if any(nested(whole, shrunk) for whole in every)]
-        assert feasible.removals(times) == expected
+        assert feasible.additions(times) == [
+            grown for grown in larger if any(nested(grown, whole) for whole in every)
+        ]
+        assert feasible.removals(times) == [
+            shrunk for shrunk in smaller if any(nested(whole, shrunk) for whole in every)
+        ]
 
 
 @quick
@@ -244,23 +240,18 @@ def test_where_times_cost_money_regular_ones_spend_the_most_on_the_most_measurem
 
 
 @pytest.mark.parametrize("price", [1, 3])
-@pytest.mark.parametrize("number", [1, 2, 5, 13, 21, 61])
+@pytest.mark.parametrize(
+    ("number", "given_"),
+    [(number, {}) for number in (1, 2, 5, 13, 21, 61)]
+    + [(10, {"forbidden": tuple(range(20, 31))}), (10, {"required": (7, 40)})]
+    + [(10, {"minimum_spacing": 5})],
+)
 def test_where_all_times_cost_the_same_regular_ones_are_those_of_as_many(
-    number: int, price: int
+    number: int, given_: dict[str, Any], price: int
 ) -> None:
     left_over = price - 1
-    paid = Feasible(60, cost=(price,) * 61, total_cost=number * price + left_over)
-    assert paid.regular() == Feasible(60, number).regular()
-
-
-@pytest.mark.parametrize(
-    "given_", [{"forbidden": tuple(range(20, 31))}, {"required": (7, 40)}, {"minimum_spacing": 5}]
-)
-def test_at_one_price_constraints_move_them_as_they_do_where_they_are_counted(
-    given_: dict[str, Any],
-) -> None:
-    paid = Feasible(60, cost=(2,) * 61, total_cost=20, **given_)
-    assert paid.regular() == Feasible(60, 10, **given_).regular()
+    paid = Feasible(60, cost=(price,) * 61, total_cost=number * price + left_over, **given_)
+    assert paid.regular() == Feasible(60, number, **given_).regular()
 
 
 @quick
@@ -318,11 +309,6 @@ def test_exchanges_lead_from_every_set_to_every_other(given_: dict[str, Any]) ->
     assert len(reached) == feasible.size
 
 
-def test_regular_times_leave_no_money_over_where_it_can_be_spent() -> None:
-    early_is_cheap = Feasible(12, cost=(1,) * 6 + (2,) * 7, total_cost=7)
-    assert early_is_cheap.regular() == (0, 2, 3, 4, 5, 12)  # 6 at most; wanted: 0, 2, 5, 7, 10, 12
-
-
 def test_regular_times_for_money_are_found_at_once_among_very_many() -> None:
     rng = np.random.default_rng(1)
     feasible = Feasible(500, cost=tuple(rng.integers(1, 50, 501).tolist()), total_cost=3000)
@@ -347,14 +333,10 @@ def test_many_sets_are_counted_exactly_and_drawn() -> None:
     assert all(map(feasible.accepts, feasible.random(20, np.random.default_rng(1))))
 
 
+BUDGET = {"measurement_budget": 3}
 IMPOSSIBLE = [
     ({}, r"measurement_budget must be given, or cost and total_cost in its place$"),
-    (
-        {"measurement_budget": 3, "total_cost": 5},
-        r"given without .*, got measurement_budget and to",
-    ),
-    ({"measurement_budget": 3, "cost": (1,) * 11}, r"got measurement_budget and cost$"),
-    ({"cost": (1,) * 11}, r"^total_cost must be given with cost$"),
+    (BUDGET | {"total_cost": 5}, r"given without .*, got measurement_budget and total_cost$"),
     ({"cost": ()}, r"^total_cost must be given with cost$"),
     ({"total_cost": 5}, r"^cost must be given with total_cost$"),
     ({"cost": (1, 2), "total_cost": 5}, r"cost must have a number for each of 11 instants, got 2$"),
@@ -362,15 +344,13 @@ IMPOSSIBLE = [
     ({"cost": (3,) * 11, "total_cost": 2}, r"and the cheapest costs 3, got 2$"),
     ({"cost": (3,) * 11, "total_cost": 5, "required": (1, 4)}, r"which cost 6, got 5$"),
     ({"cost": (9999, *(10_000,) * 10), "total_cost": 99_999}, r"10,000 times .* larger units$"),
+    ({"forbidden": tuple(range(11)), "cost": (1,) * 11, "total_cost": 3}, r"leave a time, got all"),
     ({"measurement_budget": 12}, r"at most the number of instants, 11, got 12$"),
     ({"measurement_budget": 5, "minimum_spacing": 3}, r"at most 4, .* minimum_spacing = 3, got 5$"),
     ({"measurement_budget": 1, "required": (1, 2)}, r"at least 2, .* required times, got 1$"),
-    ({"measurement_budget": 2, "forbidden": tuple(range(10))}, r"at most 1, .*forbidden.*, got 2$"),
-    ({"measurement_budget": 3, "forbidden": (11,)}, r"^forbidden .* 0\.\.10, got 11$"),
-    ({"measurement_budget": 3, "required": (-1,)}, r"^required .* 0\.\.10, got -1$"),
-    ({"measurement_budget": 3, "forbidden": (3, 5), "required": (5,)}, r"got 5 in both$"),
-    ({"measurement_budget": 3, "required": (4, 5), "minimum_spacing": 2}, r"= 2, got 4 and 5$"),
-    ({"forbidden": tuple(range(11)), "cost": (1,) * 11, "total_cost": 3}, r"leave a time, got all"),
+    (BUDGET | {"forbidden": (11,)}, r"^forbidden .* 0\.\.10, got 11$"),
+    (BUDGET | {"forbidden": (3, 5), "required": (5,)}, r"got 5 in both$"),
+    (BUDGET | {"required": (4, 5), "minimum_spacing": 2}, r"= 2, got 4 and 5$"),
 ]
 
 
@@ -378,3 +358,33 @@ IMPOSSIBLE = [
 def test_what_is_impossible_is_said_in_a_sentence(given_: dict[str, Any], message: str) -> None:
     with pytest.raises(MeasurementTimesError, match=message):
         Feasible(10, **given_)
+
+
+COUNTED = Feasible(10, 3, forbidden=(3, 4), required=(6,), minimum_spacing=2)
+PAID = replace(COUNTED, measurement_budget=None, cost=(2,) * 11, total_cost=7)
+
+
+@pytest.mark.parametrize(
+    ("feasible", "times", "sentences"),
+    [
+        (COUNTED, (1, 6, 8), []),
+        (PAID, (6,), []),  # money that is left over breaks nothing
+        (COUNTED, (0, 3, 6), ["forbidden: 3 is measured"]),
+        (COUNTED, (5, 6, 7), ["minimum_spacing is 2, got 5 and 6, 6 and 7"]),
+        (PAID, (0, 6, 8, 10), ["total_cost is 7, got times that cost 8"]),
+        (
+            COUNTED,
+            (3, 4, 0, 9),
+            [
+                "measurement_budget is 3, got 4 times",
+                "forbidden: 3, 4 are measured",
+                "required: 6 is not measured",
+                "minimum_spacing is 2, got 3 and 4",
+            ],
+        ),
+    ],
+)
+def test_every_broken_constraint_is_named_with_what_breaks_it(
+    feasible: Feasible, times: Times, sentences: list[str]
+) -> None:
+    assert feasible.broken(times) == sentences
