@@ -323,28 +323,15 @@ def test_closures_and_a_module_beside_the_script_give_the_same_bytes_on_ray(
 
 
 @pytest.mark.slow
-def test_a_script_resumes_its_run_in_another_process(tmp_path: Path) -> None:
-    text = ROBOT.format(slope=0.8) + RUN
-    done = script(tmp_path, text, "run", "serial")
-    assert done.stdout == "finished\n", done.stderr
-    before = hashes(tmp_path / "run")
-    more = text.replace('"draws": 40', '"draws": 60').replace("heading after", "course behind")
-    done = script(tmp_path, more, "run", "serial")
-    assert done.stdout == "finished\n", done.stderr
-    assert len(pfdist.open_run(tmp_path / "run").comparison()) == 60
-    changed = script(tmp_path, ROBOT.format(slope=0.9) + RUN.replace("40", "60"), "run", "serial")
-    assert "RunMismatchError" in changed.stderr
-    assert "model.formulas: " in changed.stderr
-    assert before.keys() == hashes(tmp_path / "run").keys()
-
-
-@pytest.mark.slow
-def test_a_script_gives_the_same_bytes_on_ray_and_in_a_file(tmp_path: Path) -> None:
+def test_a_script_gives_the_same_bytes_on_ray_and_in_a_file_and_resumes_its_run(
+    tmp_path: Path,
+) -> None:
     text = ROBOT.format(slope=0.8) + RUN
     for pool in ("serial", "ray"):
         done = script(tmp_path, text, pool, pool)
         assert done.stdout == "finished\n", done.stderr
-    assert hashes(tmp_path / "serial") == hashes(tmp_path / "ray")
+    before = hashes(tmp_path / "serial")
+    assert before == hashes(tmp_path / "ray")
     (tmp_path / "robot.py").write_text(ROBOT.format(slope=0.8))
     (tmp_path / "robot.toml").write_text(
         'seed = 4\nmodel.name = "robot.py:robot"\ncomparison.draws = 40\n'
@@ -355,6 +342,16 @@ def test_a_script_gives_the_same_bytes_on_ray_and_in_a_file(tmp_path: Path) -> N
     of_file = pfdist.run(tmp_path / "robot.toml", tmp_path / "file", "serial", figures=False)
     of_script = pfdist.open_run(tmp_path / "serial")
     pd.testing.assert_frame_equal(of_file.comparison(), of_script.comparison())
+
+    more = text.replace('"draws": 40', '"draws": 60').replace("heading after", "course behind")
+    done = script(tmp_path, more, "serial", "serial")
+    assert done.stdout == "finished\n", done.stderr
+    assert len(pfdist.open_run(tmp_path / "serial").comparison()) == 60
+    assert before.keys() == hashes(tmp_path / "serial").keys()
+    changed = ROBOT.format(slope=0.9) + RUN.replace("40", "60")
+    done = script(tmp_path, changed, "serial", "serial")
+    assert "RunMismatchError" in done.stderr
+    assert "model.formulas: " in done.stderr
 
 
 def test_simulated_draws_are_a_tidy_table_and_begin_alike() -> None:
