@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-import oracles.kalman
 import pfdist
-from pfdist import Job, Planner
+from oracles.kalman import SCALAR, riccati_cost
+from pfdist import Job, Planner, Problem
 from pfdist.cli.main import main
 from pfdist.common.streams import stream_of
 from pfdist.errors import PfdistError
@@ -122,27 +122,14 @@ def test_without_times_a_search_makes_the_first_plan(job: Job) -> None:
     assert planner.plan() == Planner(job).plan()
 
 
-def test_the_expected_error_of_an_exact_engine(tmp_path: Path) -> None:
-    (tmp_path / "model.py").write_text(
-        "from pfdist import linear_gaussian\n"
-        "model = linear_gaussian('walk', initial_noise=[[1.0]], transition=[[0.9]],\n"
-        "    process_noise=[[0.6]], measurement=[[1.0]], measurement_noise=[[0.4]],\n"
-        "    quantity_of_interest=[[1.0]])\n"
-    )
-    (tmp_path / "job.toml").write_text(
-        JOB.replace("seed = 3", 'seed = 3\n[model]\nname = "model.py:model"').replace(
-            "particles = 50", 'engine = "kalman"'
-        )
-    )
-    planner = Planner(tmp_path / "job.toml", PLAN)
-    scalar = oracles.kalman.LinearGaussian(
-        *(np.array([[value]]) for value in (0.9, 0.6, 1.0, 0.4, 1.0, 1.0))
-    )
+def test_the_expected_error_of_an_exact_engine() -> None:
+    problem = Problem(SCALAR.as_model(), horizon=14, measurement_budget=5, engine="kalman")
+    planner = Planner(problem, PLAN)
     (expected,) = planner.expected()
-    assert expected.expected_mse == pytest.approx(oracles.kalman.riccati_cost(scalar, 14, PLAN))
+    assert expected.expected_mse == pytest.approx(riccati_cost(SCALAR, 14, PLAN))
     planner.update(0.3)
     (left,) = planner.expected((3, 7))
-    kept = oracles.kalman.riccati_cost(scalar, 14, (0, 3, 7))  # from t = 0 on, as before
+    kept = riccati_cost(SCALAR, 14, (0, 3, 7))  # from t = 0 on, as before
     assert left.expected_mse == pytest.approx(kept)
     assert left.standard_error == 0
 
