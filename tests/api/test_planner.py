@@ -1,17 +1,19 @@
 """The planner of one system, and the time to measure next by a run and a table."""
 
 import re
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-import oracles.kalman
 import pfdist
-from pfdist import Job, Planner
+from oracles.kalman import SCALAR, riccati_cost
+from pfdist import Job, Planner, Problem
 from pfdist.cli.main import main
 from pfdist.common.streams import stream_of
-from pfdist.errors import JobError, MeasurementsError, MeasurementTimesError
+from pfdist.errors import PfdistError
 from pfdist.filters.simulation import simulate
 
 JOB = """
@@ -33,6 +35,7 @@ evaluation = { draws = 16, particles = 16 }
 [execution]
 pool = "serial"
 """
+SEARCH = 'search=[{method="survivors", evaluation={draws=20}}]'
 PLAN = (0, 3, 7, 10, 14)
 Y = simulate(pfdist.load_model("ungm"), 14, range(3), 5).y
 
@@ -42,16 +45,6 @@ def job(tmp_path: Path) -> Job:
     path = tmp_path / "job.toml"
     path.write_text(JOB)
     return pfdist.load_job(path)
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> pfdist.Run:
-    """A run that has compared the plan."""
-    folder = tmp_path_factory.mktemp("planner")
-    path = folder / "job.toml"
-    path.write_text(JOB.replace("[online]\ndraws = 2\n", "[online]\ndraws = 2\n"))
-    changes = ['search=[{method="survivors", evaluation={draws=20}}]']
-    return pfdist.run(path, folder / "run", changes=changes, figures=False)
 
 
 def measured(planner: Planner, system: int = 0, most: int = 99) -> list[tuple[int, ...]]:
@@ -111,6 +104,8 @@ def test_a_missed_measurement_may_be_made_later(job: Job) -> None:
     assert planner.plan()[0] > missed
     planner.missed(12)  # two instants are left
     assert planner.plan() == (13, 14)
+    with pytest.raises(PfdistError, match=r"t must be at least 13, .* got 12"):
+        planner.update(1.0, 12)
 
 
 def test_planned_times_that_are_passed_over_count_as_missed(job: Job) -> None:
@@ -127,27 +122,14 @@ def test_without_times_a_search_makes_the_first_plan(job: Job) -> None:
     assert planner.plan() == Planner(job).plan()
 
 
-def test_the_expected_error_of_an_exact_engine(tmp_path: Path) -> None:
-    (tmp_path / "model.py").write_text(
-        "from pfdist import linear_gaussian\n"
-        "model = linear_gaussian('walk', initial_noise=[[1.0]], transition=[[0.9]],\n"
-        "    process_noise=[[0.6]], measurement=[[1.0]], measurement_noise=[[0.4]],\n"
-        "    quantity_of_interest=[[1.0]])\n"
-    )
-    (tmp_path / "job.toml").write_text(
-        JOB.replace("seed = 3", 'seed = 3\n[model]\nname = "model.py:model"').replace(
-            "particles = 50", 'engine = "kalman"'
-        )
-    )
-    planner = Planner(tmp_path / "job.toml", PLAN)
-    scalar = oracles.kalman.LinearGaussian(
-        *(np.array([[value]]) for value in (0.9, 0.6, 1.0, 0.4, 1.0, 1.0))
-    )
+def test_the_expected_error_of_an_exact_engine() -> None:
+    problem = Problem(SCALAR.as_model(), horizon=14, measurement_budget=5, engine="kalman")
+    planner = Planner(problem, PLAN)
     (expected,) = planner.expected()
-    assert expected.expected_mse == pytest.approx(oracles.kalman.riccati_cost(scalar, 14, PLAN))
+    assert expected.expected_mse == pytest.approx(riccati_cost(SCALAR, 14, PLAN))
     planner.update(0.3)
     (left,) = planner.expected((3, 7))
-    kept = oracles.kalman.riccati_cost(scalar, 14, (0, 3, 7))  # from t = 0 on, as before
+    kept = riccati_cost(SCALAR, 14, (0, 3, 7))  # from t = 0 on, as before
     assert left.expected_mse == pytest.approx(kept)
     assert left.standard_error == 0
 
@@ -161,137 +143,123 @@ def test_the_expected_error_is_that_of_the_comparison_before_anything_is_measure
     assert abs(found.expected_mse - wanted.expected_mse) < 4 * error
 
 
-def test_wrong_times_are_named(job: Job) -> None:
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda planner: planner.update(1.0, 3), r"t must be at least 4, .* got 3"),
+        (lambda planner: planner.update(1.0, 15), r"t must lie in 0..14, got 15"),
+        (lambda planner: planner.update(None), "must be a number, got None"),
+        (lambda planner: planner.expected((2, 9)), r"must be at least 4, got 2"),
+        (lambda planner: planner.expected(draws=0), r"at least 2, got 0"),
+        (lambda planner: [planner.update(1.0) for _ in range(9)], "no measurement is left"),
+    ],
+)
+def test_wrong_times_are_named(call: Callable[[Planner], object], words: str, job: Job) -> None:
     planner = Planner(job, PLAN)
     planner.update(Y[0, 3], 3)
-    with pytest.raises(MeasurementsError, match=r"t must be at least 4, .* got 3"):
-        planner.update(1.0, 3)
-    with pytest.raises(MeasurementsError, match=r"t must lie in 0..14, got 15"):
-        planner.update(1.0, 15)
-    with pytest.raises(MeasurementsError, match="must be a number, got None"):
-        planner.update(None)
-    with pytest.raises(ValueError, match="at least 2, got 0"):
-        planner.expected(draws=0)
-    with pytest.raises(MeasurementTimesError, match=r"must be at least 4, got 2"):
-        planner.expected((2, 9))
-    planner.missed(6)
-    with pytest.raises(MeasurementsError, match=r"t must be at least 7, .* got 6"):
-        planner.update(1.0, 6)
-    with pytest.raises(MeasurementTimesError, match=r"times\)|0..14"):
-        Planner(job, (3, 15))
-    with pytest.raises(MeasurementTimesError, match=r"problem.measurement_budget is 5, got 2"):
+    with pytest.raises(PfdistError, match=words):
+        call(planner)
+
+
+def test_the_first_plan_must_be_feasible(job: Job) -> None:
+    with pytest.raises(PfdistError, match=r"problem.measurement_budget is 5, got 2"):
         Planner(job, (3, 9))
-    planner = Planner(job, PLAN)
-    measured(planner)
-    with pytest.raises(MeasurementsError, match="no measurement is left"):
-        planner.update(1.0)
 
 
 # --- pfdist next --------------------------------------------------------------------------------
 
 
-def write(path: Path, times: tuple[int, ...], missed: tuple[int, ...] = ()) -> Path:
+@pytest.fixture
+def kept(finished: Callable[..., Path]) -> Path:
+    """The job of a run that has compared the plan."""
+    return finished(SEARCH, job=JOB) / "job.toml"
+
+
+def table(path: Path, times: tuple[Any, ...], missed: tuple[Any, ...] = ()) -> Path:
     """Write a table of simulated measurements."""
     rows = [(t, f"{t},{float(Y[0, t, 0])!r}") for t in times] + [(t, f"{t},") for t in missed]
     path.write_text("t,y0\n" + "".join(f"{line}\n" for _, line in sorted(rows)))
     return path
 
 
-def test_next_says_what_a_planner_says(run: pfdist.Run, tmp_path: Path) -> None:
-    (planned,) = [times for name, times in run.sets().items() if name == "survivors"]
-    planner = Planner(run.path / "job.toml", planned)
+def planned_in(kept: Path) -> tuple[Any, ...]:
+    return pfdist.open_run(kept.parent).sets()["survivors"]
+
+
+def test_next_says_what_a_planner_says(kept: Path, tmp_path: Path) -> None:
+    planner = Planner(kept, planned_in(kept))
     times = []
     for _ in range(3):
         times.append(planner.next_time())
         planner.update(Y[0, times[-1]])
-        found = pfdist.next_time(run, write(tmp_path / "y.csv", tuple(times)))
+        found = pfdist.next_time(kept, table(tmp_path / "y.csv", tuple(times)))
         assert (found.plan, found.next) == (planner.plan(), planner.next_time())
         assert found.measured == tuple(times)
     planner.missed()
-    found = pfdist.next_time(run, write(tmp_path / "y.csv", tuple(times), missed=(found.next,)))
+    found = pfdist.next_time(kept, table(tmp_path / "y.csv", tuple(times), missed=(found.next,)))
     assert found.plan == planner.plan()
     (expected,) = planner.expected()
     assert found.expected.expected_mse == expected.expected_mse
 
 
-def test_before_anything_is_measured_next_is_the_plan(run: pfdist.Run, tmp_path: Path) -> None:
-    found = pfdist.next_time(run, write(tmp_path / "y.csv", ()), planned="regular")
-    assert found.plan == found.planned_before == run.sets()["regular"]
+def test_before_anything_is_measured_next_is_the_plan(kept: Path, tmp_path: Path) -> None:
+    found = pfdist.next_time(kept, table(tmp_path / "y.csv", ()), planned="regular")
+    assert found.plan == found.planned_before == pfdist.open_run(kept.parent).sets()["regular"]
     assert found.expected.expected_mse == found.expected_before.expected_mse
+    with pytest.raises(PfdistError, match="planned must be a compared set"):
+        pfdist.next_time(kept, table(tmp_path / "y.csv", ()), planned="nothing")
 
 
-def test_time_that_has_passed_replaces_the_plan(run: pfdist.Run, tmp_path: Path) -> None:
-    table = write(tmp_path / "y.csv", (0,))
-    found = pfdist.next_time(run, table, now=9, planned="regular")
+def test_time_that_has_passed_replaces_the_plan(kept: Path, tmp_path: Path) -> None:
+    found = pfdist.next_time(kept, table(tmp_path / "y.csv", (0,)), now=9, planned="regular")
     assert found.plan[0] > 9
     assert len(found.plan) == 4
     assert found.now == 9
-    for now in (15, -1):
-        with pytest.raises(MeasurementsError, match=r"now must lie in 0..14"):
-            pfdist.next_time(run, table, now=now)
-    with pytest.raises(JobError, match="planned must be a compared set"):
-        pfdist.next_time(run, table, planned="nothing")
 
 
-def test_the_command_says_when(
-    run: pfdist.Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_the_command_says_when_or_why_no_measurement_is_left(
+    kept: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    table = write(tmp_path / "y.csv", (0, 3))
-    assert main(["next", str(run.path / "job.toml"), str(table), "--now", "5"]) == 0
-    told = capsys.readouterr().out
-    found = pfdist.next_time(run, table, now=5)
-    assert told.startswith(f"measure next at t = {found.next}; then about ")
-    assert "2 measurements so far" in told
-    assert "from t = " in told
-    assert main(["next", str(run.path / "job.toml"), str(table), "--now", "99"]) == 1
-    assert "now must lie in 3..14, got 99 (--now)" in capsys.readouterr().err
+    def told(times: tuple[Any, ...], *options: str, code: int = 0) -> str:
+        file = table(tmp_path / "y.csv", times)
+        assert main(["next", str(kept), str(file), *options]) == code
+        return "".join(capsys.readouterr())
 
-
-def test_a_first_plan_that_is_no_longer_possible_is_not_compared(
-    run: pfdist.Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """It would cost less than any plan that can be made, because it breaks a constraint."""
-    job = tmp_path / "job.toml"
-    job.write_text(JOB.replace("horizon = 14", "horizon = 14\nminimum_spacing = 3"))
-    changes = ['search=[{method="survivors", evaluation={draws=20}}]']
-    spaced = pfdist.run(job, tmp_path / "run", changes=changes, figures=False)
-    second = spaced.sets()["survivors"][1]
-    table = write(tmp_path / "y.csv", (second - 1,))
-    found = pfdist.next_time(spaced, table)
-    assert found.planned_before[0] == second
-    assert found.expected_before is None
-    assert found.as_json()["expected_mse_before"] is None
-    assert main(["next", str(spaced.path / "job.toml"), str(table)]) == 0
-    assert "no longer possible" in capsys.readouterr().out
+    text = told((0, 3), "--now", "5")
+    found = pfdist.next_time(kept, tmp_path / "y.csv", now=5)
+    assert text.startswith(f"measure next at t = {found.next}; then about ")
+    assert "2 measurements so far" in text
+    assert "from t = " in text
+    assert "now must lie in 3..14, got 99 (--now)" in told((0, 3), "--now", "99", code=1)
+    assert "the budget is spent" in told((0, 3, 7, 10, 13))
+    assert "no further" in told((14,))
+    # The last planned time was missed, and the budget allows a measurement after it.
+    *planned, last = planned_in(kept)
+    text = told(tuple(planned), "--now", str(last))
+    assert text.startswith("measure next at t = ")
+    assert re.search(r"^  survivors +plans no further measurement$", text, re.MULTILINE)
 
 
 def test_measurements_that_contradict_the_model_are_told(
-    run: pfdist.Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    kept: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    table = tmp_path / "y.csv"
-    table.write_text("t,y0\n0,3000.0\n")
-    found = pfdist.next_time(run, table)
-    assert found.is_improbable
-    assert main(["next", str(run.path / "job.toml"), str(table)]) == 0
+    file = tmp_path / "y.csv"
+    file.write_text("t,y0\n0,3000.0\n")
+    assert pfdist.next_time(kept, file).is_improbable
+    assert main(["next", str(kept), str(file)]) == 0
     assert "it may be wrong about this system" in capsys.readouterr().out
 
 
-def test_a_first_plan_that_has_no_time_left_is_said_in_a_sentence(
-    run: pfdist.Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_a_first_plan_that_is_no_longer_possible_is_not_compared(
+    finished: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The last planned time was missed, and the budget allows a measurement after it."""
-    (planned,) = [times for name, times in run.sets().items() if name == "survivors"]
-    table = write(tmp_path / "y.csv", planned[:-1])
-    assert main(["next", str(run.path / "job.toml"), str(table), "--now", str(planned[-1])]) == 0
-    out = capsys.readouterr().out
-    assert out.startswith("measure next at t = ")
-    assert re.search(r"^  survivors +plans no further measurement$", out, re.MULTILINE)
-
-
-def test_why_no_measurement_is_left(
-    run: pfdist.Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for times, why in (((0, 3, 7, 10, 13), "the budget is spent"), ((14,), "no further")):
-        table = write(tmp_path / "y.csv", times)
-        assert main(["next", str(run.path / "job.toml"), str(table)]) == 0
-        assert why in capsys.readouterr().out
+    """It would cost less than any plan that can be made, because it breaks a constraint."""
+    spaced = finished(SEARCH, "problem.minimum_spacing=3", job=JOB) / "job.toml"
+    second = planned_in(spaced)[1]
+    file = table(tmp_path / "y.csv", (second - 1,))
+    found = pfdist.next_time(spaced, file)
+    assert found.planned_before[0] == second
+    assert found.expected_before is None
+    assert found.as_json()["expected_mse_before"] is None
+    assert main(["next", str(spaced), str(file)]) == 0
+    assert "no longer possible" in capsys.readouterr().out

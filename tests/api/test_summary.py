@@ -1,6 +1,7 @@
 """A run's summary: no cost from draws that chose a set is given as the set's own."""
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from pfdist import Job, Problem, StateSpaceModel
 from pfdist.analysis import Run
 from pfdist.cli.summary import print_summary
 from pfdist.common.rounding import with_error, with_interval
-from pfdist.errors import RunMismatchError
+from pfdist.errors import RunMismatchError, StoreError
 from pfdist.reports.run_report import page_of
 from pfdist.search.section import CommonNoiseSettings
 
@@ -55,17 +56,11 @@ def test_what_a_search_believed_is_its_own_and_nothing_of_its_race_is_reported(
     assert result["search_estimation"] == differs
     print_summary(raced.summary(), "")
     text = capsys.readouterr().out
-    excess, side = (
-        abs(100 * result["search_excess"]),
-        "above" if fresh < result["search_cost"] else "below",
-    )
+    excess, side = result["search_excess"], "above" if fresh < result["search_cost"] else "below"
     believed = with_error(result["search_cost"], result["search_standard_error"])
-    cause = result["search_cause"]
-    assert (
-        f"{believed}, {excess:.2f} % "
-        f"{side} the fresh cost ({cause}; particles = 20, "
-        "resampling = systematic, estimator = filter_variance)"
-    ) in text
+    told = f"{believed}, {abs(100 * excess):.2f} % {side} the fresh cost ({result['search_cause']};"
+    how = "particles = 20, resampling = systematic, estimator = filter_variance"
+    assert f"{told} {how})" in text
     for cost in race["expected_mse"]:
         assert not np.isclose(cost, [result["expected_mse"], result["search_cost"]]).any()
         assert f"{cost:.3f}" not in re.findall(r"[\d.]+", text)
@@ -137,7 +132,7 @@ def test_what_was_minimised_comes_first_and_where_the_papers_figure_disagrees_it
     headline = "{} % lower  (95 %: {} to {}; gain of means)".format(*shown)
     assert 0 < text.index(headline) < text.index("mean relative gain")
     noise = run.summary()["results"]["reference"]["gain_over_itself"]
-    words = re.sub(r"\s+", " ", text)
+    words = " ".join(text.split())
     assert f"of the filters alone gives it a mean of {100 * noise:.2f} %." in words
     assert "The two gains differ: a relative gain weighs a draw with a small error as much" in words
     _, told = text.split(headline)
@@ -183,10 +178,56 @@ def test_a_summary_warns_where_few_draws_carry_the_error(
 
 
 def test_the_papers_model_has_no_heavy_tail(
-    small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    finished: Callable[..., Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    job = small_job.with_changes(["search.genetic.generations=1"])
-    summary = pfdist.run(job, tmp_path / "run", figures=False).summary()
+    summary = pfdist.open_run(finished()).summary()
     assert all(0.01 < each["top_percent_share"] < 0.25 for each in summary["results"].values())
     print_summary(summary, "")
     assert "carry" not in capsys.readouterr().out
+
+
+# --- One number of measurements is a budget curve of a single number ----------------------------
+
+EXACT = ["model.name=random_walk", "filter.engine=kalman", "comparison.draws=50"]
+
+
+@pytest.fixture
+def budget(small_job: Job, tmp_path: Path) -> Run:
+    job = small_job.with_changes(EXACT)
+    return pfdist.budget(job, (2, 4), tmp_path / "budget", draws=50, figures=False)
+
+
+def test_a_run_of_one_number_has_a_curve_of_one_number(finished: Callable[..., Path]) -> None:
+    run = pfdist.open_run(finished(*EXACT))
+    sets, table = run.sets_of_one_number(), run.budget()
+    assert list(sets) == run.names
+    assert all(len(measurement_times) == 4 for measurement_times in sets.values())
+    assert table["kind"].tolist() == ["regular", "found", "found"]
+    assert table["measurements"].tolist() == [4, 4, 4]
+    check_results(run)
+    least = table[table["kind"] == "found"]["expected_mse"].min()
+    assert run.reaching(least)["found"]["measurements"] == 4
+    below = run.reaching(least * 0.999)
+    assert (below["found"]["measurements"], below["regular"]["measurements"]) == (None, None)
+
+
+def check_results(run: Run) -> None:
+    """Check that there is a result for each row of the curve."""
+    results, table = run.summary()["results"], run.budget().set_index("name")
+    assert list(results) == run.names == table.index.tolist()
+    for name, result in results.items():
+        assert result["expected_mse"] == table.loc[name, "expected_mse"]
+        assert ("search_cause" in result) == (result["kind"] == "found")
+
+
+def test_each_set_gains_over_the_reference_with_as_many_measurements(budget: Run) -> None:
+    check_results(budget)
+    results, gains = budget.summary()["results"], budget.gains()
+    assert len(budget.references) == 3
+    assert gains.columns.tolist() == ["draw", *(f"gain_{name}" for name in budget.references)]
+    for name, reference in budget.references.items():
+        cost, other = (results[each]["expected_mse"] for each in (name, reference))
+        assert results[name]["measurements"] == results[reference]["measurements"]
+        assert results[name]["gain_of_means"] == pytest.approx(1 - cost / other)
+    with pytest.raises(StoreError, match="times of several numbers of measurements"):
+        budget.sets_of_one_number()

@@ -4,6 +4,7 @@ import csv
 import json
 import re
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,33 +13,23 @@ import pandas as pd
 import pytest
 
 import pfdist
-from pfdist.analysis import Run
-from pfdist.errors import ArgumentError, StoreError
+from pfdist import Job
+from pfdist.errors import PfdistError
 
-SMALL = (Path(__file__).parents[1] / "small.toml").read_text()
-ASSETS = Path(__file__).parents[1] / "assets"
 SHORT = ["comparison.draws=60", "search.genetic.generations=1", "filter.particles=10"]
 KALMAN = ["model.name=random_walk", "filter.engine=kalman"]
 GAINS = ("gain_of_means", "mean_relative_gain", "positive_fraction")
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder as of a sweep over two keys, and other runs beside it."""
-    folder = tmp_path_factory.mktemp("table")
-    (folder / "small.toml").write_text(SMALL)
-    for name, changes in {
-        "sweep/n-4": [],
-        "sweep/n-10": ["seed=2", "problem.measurement_budget=10"],
-        "kalman": KALMAN,
-    }.items():
-        _run(folder, name, changes)
+@pytest.fixture
+def folder(finished: Callable[..., Path], tmp_path: Path) -> Path:
+    """A folder as of a sweep over two keys, and another run beside it."""
+    folder = tmp_path / "folder"
+    shutil.copytree(finished(*SHORT), folder / "sweep" / "n-4")
+    more = ["seed=2", "problem.measurement_budget=10"]
+    shutil.copytree(finished(*SHORT, *more), folder / "sweep" / "n-10")
+    shutil.copytree(finished(*SHORT, *KALMAN), folder / "kalman")
     return folder
-
-
-def _run(folder: Path, name: str, changes: list[str], **options: Any) -> Run:
-    job = pfdist.load_job(folder / "small.toml", [*SHORT, *changes])
-    return pfdist.run(job, folder / name, figures=False, **options)
 
 
 def test_each_row_has_the_numbers_of_the_summary(folder: Path) -> None:
@@ -64,7 +55,9 @@ def test_each_row_has_the_numbers_of_the_summary(folder: Path) -> None:
         assert np.isnan([row["bound"], row["bound_gap"], row["bound_gap_at_most"]]).all()
 
 
-def test_the_keys_that_differ_are_columns_and_no_others(folder: Path) -> None:
+def test_the_keys_that_differ_are_columns_and_no_others(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     frame = pfdist.table(folder / "sweep")
     columns = frame.columns.tolist()
     assert columns[: columns.index("set")] == ["run", "seed", "problem.measurement_budget"]
@@ -72,10 +65,19 @@ def test_the_keys_that_differ_are_columns_and_no_others(folder: Path) -> None:
     assert frame["problem.measurement_budget"].dtype == np.int64
     alone = pfdist.table(folder / "kalman")
     assert alone.columns.tolist()[:2] == ["run", "set"]
+    # and so are versions
+    monkeypatch.setattr("pfdist.analysis.recorded.check_key", lambda *_: None)
+    other = shutil.copytree(folder / "kalman", folder / "other")
+    about = json.loads((other / "run.json").read_text())
+    (other / "run.json").write_text(json.dumps({**about, "pfdist": "0.3.1"}))
+    assert {"0.3.1"} < {*pfdist.table(folder / "kalman", other)["pfdist"]}
 
 
-def test_an_exact_engine_has_exact_errors_and_a_proof_has_its_gap(folder: Path) -> None:
-    run = _run(folder, "proved", KALMAN, bound_draws=480)
+def test_an_exact_engine_has_exact_errors_and_a_proof_has_its_gap(
+    small_job: Job, tmp_path: Path
+) -> None:
+    job = small_job.with_changes([*SHORT, *KALMAN])
+    run = pfdist.run(job, tmp_path / "proved", bound_draws=480, figures=False)
     summary = run.summary()["results"]
     for row in pfdist.table(run).to_dict("records"):
         result = summary[row["set"]]
@@ -95,12 +97,11 @@ def test_runs_lists_and_folders_are_the_same_and_count_once(folder: Path) -> Non
 
 
 def test_a_folder_with_sweeps_stands_for_their_points_but_not_for_judging_runs(
-    folder: Path, tmp_path: Path
+    folder: Path,
 ) -> None:
-    for name in ("alone", "sweep/first", "sweep/second", "sweep/judged/5aa5e1e6/first"):
-        shutil.copytree(folder / "kalman", tmp_path / name)
-    assert set(pfdist.table(tmp_path)["run"]) == {"alone", "first", "second"}
-    assert set(pfdist.table(tmp_path / "sweep")["run"]) == {"first", "second"}
+    shutil.copytree(folder / "kalman", folder / "sweep" / "judged" / "5aa5e1e6" / "n-4")
+    assert set(pfdist.table(folder)["run"]) == {"kalman", "n-4", "n-10"}
+    assert set(pfdist.table(folder / "sweep")["run"]) == {"n-4", "n-10"}
 
 
 def test_names_that_clash_are_told_apart_by_their_paths(folder: Path) -> None:
@@ -110,12 +111,13 @@ def test_names_that_clash_are_told_apart_by_their_paths(folder: Path) -> None:
     assert names.unique().tolist() == ["a/run", "b/run", "other"]
 
 
-def test_a_run_without_results_has_a_row_with_its_state(folder: Path) -> None:
+def test_a_run_without_results_has_a_row_with_its_state(folder: Path, small_job: Job) -> None:
     def stop(progress: Any) -> None:
         raise KeyboardInterrupt
 
+    job = small_job.with_changes([*SHORT, "seed=7"])
     with pytest.raises(KeyboardInterrupt):
-        _run(folder, "stopped", ["seed=7"], progress=stop)
+        pfdist.run(job, folder / "stopped", progress=stop, figures=False)
     row, *others = pfdist.table(folder / "stopped", folder / "sweep" / "n-4").to_dict("records")
     assert [other["seed"] for other in others] == [1, 1]
     assert (row["run"], row["seed"], row["state"]) == ("stopped", 7, "searching")
@@ -124,12 +126,10 @@ def test_a_run_without_results_has_a_row_with_its_state(folder: Path) -> None:
 
 
 def test_found_times_of_several_numbers_are_compared_with_regular_times_of_the_same(
-    folder: Path,
+    small_job: Job, tmp_path: Path
 ) -> None:
-    run = pfdist.budget(
-        folder / "small.toml", (3, 4), folder / "curve", 50, bound_draws=0, figures=False,
-        changes=["filter.particles=10"],
-    )  # fmt: skip
+    job = small_job.with_changes(["filter.particles=10"])
+    run = pfdist.budget(job, (3, 4), tmp_path / "curve", 50, bound_draws=0, figures=False)
     frame, mse = pfdist.table(run), run.comparison()
     assert frame["measurements"].tolist() == [3, 4]
     for row in frame.to_dict("records"):
@@ -140,29 +140,23 @@ def test_found_times_of_several_numbers_are_compared_with_regular_times_of_the_s
         assert row["mean_relative_gain"] == pytest.approx((1 - found / regular).mean())
 
 
-def test_versions_that_differ_are_a_column(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+# --- As a file ----------------------------------------------------------------------------------
+
+
+def test_a_csv_file_and_a_parquet_file_hold_the_table(
+    folder: Path, finished: Callable[..., Path]
 ) -> None:
-    monkeypatch.setattr("pfdist.analysis.recorded.check_key", lambda *_: None)
-    other = shutil.copytree(folder / "kalman", tmp_path / "other")
-    about = json.loads((other / "run.json").read_text())
-    (other / "run.json").write_text(json.dumps({**about, "pfdist": "0.3.1"}))
-    frame = pfdist.table(folder / "kalman", other)
-    assert {"0.3.1"} < {*frame["pfdist"]}
-
-
-def test_a_csv_file_and_a_parquet_file_hold_the_table(folder: Path) -> None:
-    frame = pfdist.table(folder / "kalman", folder / "sweep", out=folder / "t.parquet")
+    """Values of different types are text."""
+    given = finished(*SHORT, "comparison.reference=[0, 3]")
+    frame = pfdist.table(folder, given, out=folder / "t.parquet")
+    assert {(0, 3), "regular"} == {*frame["comparison.reference"]}
     read = pd.read_parquet(folder / "t.parquet")
     assert read.columns.tolist() == frame.columns.tolist()
-    assert [tuple(times) for times in read["measurement_times"]] == frame[
-        "measurement_times"
-    ].tolist()
-    pfdist.table(folder / "kalman", folder / "sweep", out=folder / "t.csv")
+    times = frame["measurement_times"].tolist()
+    assert [tuple(each) for each in read["measurement_times"]] == times
+    pfdist.table(folder, given, out=folder / "t.csv")
     text = pd.read_csv(folder / "t.csv")
-    assert text["measurement_times"].tolist() == [
-        " ".join(map(str, times)) for times in frame["measurement_times"]
-    ]
+    assert text["measurement_times"].tolist() == [" ".join(map(str, each)) for each in times]
     for column in frame.columns:
         if pd.api.types.is_numeric_dtype(frame[column]):
             assert pd.api.types.is_numeric_dtype(read[column])
@@ -171,6 +165,8 @@ def test_a_csv_file_and_a_parquet_file_hold_the_table(folder: Path) -> None:
                     file[column].to_numpy(float, na_value=np.nan),
                     frame[column].to_numpy(float, na_value=np.nan),
                 )
+    for file in (read, text):
+        assert {"0 3", "regular"} == {*file["comparison.reference"]}
 
 
 def test_a_table_for_latex_is_balanced_and_escaped(folder: Path) -> None:
@@ -199,21 +195,9 @@ def test_earlier_tables_are_replaced_and_no_other_file(folder: Path) -> None:
         pfdist.table(folder / "kalman", out=out)
         pfdist.table(folder / "sweep", out=out)  # with other columns
         out.write_text("run,mine\n")
-        with pytest.raises(StoreError, match="exists and is no earlier result"):
+        with pytest.raises(PfdistError, match="exists and is no earlier result"):
             pfdist.table(folder / "kalman", out=out)
         assert out.read_text() == "run,mine\n"
-
-
-def test_values_of_different_types_are_text_in_parquet_and_csv(folder: Path) -> None:
-    given = _run(folder, "given", ["comparison.reference=[0, 3]"])
-    runs = [given, folder / "sweep" / "n-4"]
-    frame = pfdist.table(*runs, out=folder / "mixed.parquet")
-    assert frame["comparison.reference"].tolist() == [(0, 3), (0, 3), "regular", "regular"]
-    read = pd.read_parquet(folder / "mixed.parquet")
-    assert read["comparison.reference"].tolist() == ["0 3", "0 3", "regular", "regular"]
-    pfdist.table(*runs, out=folder / "mixed.csv")
-    with (folder / "mixed.csv").open(newline="") as file:
-        assert next(csv.DictReader(file))["comparison.reference"] == "0 3"
 
 
 @pytest.mark.parametrize("name", ["a,b\nc", "\x1b[2J", "a\udcffb", "x" * 200])
@@ -226,15 +210,16 @@ def test_any_name_of_a_folder_is_written(name: str, folder: Path, tmp_path: Path
     assert len(pd.read_parquet(tmp_path / "t.parquet")) == 2
 
 
-def test_what_is_no_run_or_no_table_is_one_line(folder: Path, tmp_path: Path) -> None:
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(StoreError, match="empty holds no run"):
-        pfdist.table(folder / "kalman", tmp_path / "empty")
-    with pytest.raises(ArgumentError, match=r"must end in one of \.csv, \.parquet, \.tex, got"):
-        pfdist.table(folder / "kalman", out=tmp_path / "t.xlsx")
-    with pytest.raises(ArgumentError, match="at least one run"):
-        pfdist.table([])
-    shutil.copytree(folder / "kalman", tmp_path / "linked")
-    (tmp_path / "linked" / "tables" / "out").symlink_to("/etc")
-    with pytest.raises(StoreError, match="is a link"):
-        pfdist.table(tmp_path / "linked")
+def test_what_is_no_run_or_no_table_is_one_line(folder: Path) -> None:
+    kalman, empty, linked = folder / "kalman", folder / "empty", folder / "linked"
+    empty.mkdir()
+    shutil.copytree(kalman, linked)
+    (linked / "tables" / "out").symlink_to("/etc")
+    for runs, out, words in (
+        ([kalman, empty], None, "empty holds no run"),
+        ([kalman], "t.xlsx", r"must end in one of \.csv, \.parquet, \.tex, got"),
+        ([[]], None, "at least one run"),
+        ([linked], None, "is a link"),
+    ):
+        with pytest.raises(PfdistError, match=words):
+            pfdist.table(*runs, out=out)

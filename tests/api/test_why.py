@@ -2,6 +2,8 @@
 
 import json
 import re
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +12,13 @@ import pytest
 
 import pfdist
 from oracles.bytes_of import hashes
-from pfdist import Job
+from pfdist import Job, Run
 from pfdist.analysis.sampling_windows import sentences, windows_of
-from pfdist.api.why import why
+from pfdist.api.why import Why
 from pfdist.cli.main import main
 from pfdist.common.rounding import with_error
 from pfdist.common.streams import stream_of
-from pfdist.errors import ArgumentError, PfdistError, RunMismatchError, StoreError
+from pfdist.errors import RunMismatchError
 from pfdist.evaluation.work import Estimation, Work
 from pfdist.filters import kalman
 from pfdist.kernels.estimators import ESTIMATORS
@@ -24,20 +26,27 @@ from pfdist.runner.build import build
 from pfdist.runner.worth import CHANGES
 from pfdist.store.repair import verify_run
 
-RANDOM = "search.random.evaluations=3"
+QUICK = [
+    "search.random.evaluations=3",
+    "search.genetic.generations=1",
+    "comparison.draws=20",
+]
+WALK = [*QUICK, "model.name=random_walk"]
+KALMAN = [*WALK, "filter.engine=kalman"]
 
 
 @pytest.fixture
-def quick(small_job: Job) -> Job:
-    return small_job.with_changes([RANDOM, "search.genetic.generations=1", "comparison.draws=20"])
+def run_of(finished: Callable[..., Path], tmp_path: Path) -> Callable[..., Run]:
+    """A function that gives a finished run of the small job with changes."""
+    return lambda *changes: pfdist.open_run(shutil.copytree(finished(*changes), tmp_path / "run"))
 
 
-def _walk(job: Job, engine: str) -> Job:
-    return job.with_changes(["model.name=random_walk", f"filter.engine={engine}"])
+def why(run: Run, draws: int = 1000) -> Why:
+    return pfdist.why(run.path / "job.toml", draws, figures=False)
 
 
 def _by_riccati(times: tuple[int, ...], horizon: int) -> dict[tuple[int, str], float]:
-    """Give the rise of the exact expected MSE with every change there is."""
+    """The rise of the exact expected MSE with every change there is."""
     others: dict[tuple[int, str], set[int]] = {}
     for t in times:
         rest = set(times) - {t}
@@ -66,12 +75,11 @@ def _rises(found: Any, name: str) -> dict[tuple[int, str], tuple[float, float]]:
 
 @pytest.mark.slow
 def test_what_a_measurement_is_worth_is_what_the_riccati_recursion_says(
-    quick: Job, tmp_path: Path
+    run_of: Callable[..., Run],
 ) -> None:
     particles = 200
-    job = _walk(quick, "compiled").with_changes([f"filter.particles={particles}"])
-    run = pfdist.run(job, tmp_path / "run", figures=False)
-    found = why(run, draws=3000, figures=False)
+    run = run_of(*WALK, f"filter.particles={particles}")
+    found = why(run, draws=3000)
     for name, result in run.summary()["results"].items():
         exact = _by_riccati(tuple(result["measurement_times"]), 12)
         rises = _rises(found, name)
@@ -82,9 +90,9 @@ def test_what_a_measurement_is_worth_is_what_the_riccati_recursion_says(
             assert 0 < error < 0.1 * max(abs(exact[key]), 1.0)
 
 
-def test_where_everything_is_known_no_draws_are_taken(quick: Job, tmp_path: Path) -> None:
-    run = pfdist.run(_walk(quick, "kalman"), tmp_path / "run", figures=False)
-    found = why(run, figures=False)
+def test_where_everything_is_known_no_draws_are_taken(run_of: Callable[..., Run]) -> None:
+    run = run_of(*KALMAN)
+    found = why(run)
     assert found.draws == 0
     for name, result in run.summary()["results"].items():
         exact = _by_riccati(tuple(result["measurement_times"]), 12)
@@ -94,11 +102,13 @@ def test_where_everything_is_known_no_draws_are_taken(quick: Job, tmp_path: Path
     np.testing.assert_allclose(means[found.sets["name"]], found.sets["expected_mse"])
 
 
-def test_a_measurement_is_moved_only_to_where_the_job_allows_it(quick: Job, tmp_path: Path) -> None:
+def test_a_measurement_is_moved_only_to_where_the_job_allows_it(
+    run_of: Callable[..., Run], small_job: Job
+) -> None:
     bound = ["problem.forbidden=[7, 9]", "problem.required=[4]", "problem.minimum_spacing=3"]
-    job = _walk(quick, "kalman").with_changes(bound)
-    run = pfdist.run(job, tmp_path / "run", figures=False)
-    found, allowed = why(run, figures=False), set(job.problem.feasible.every())
+    allowed = set(small_job.with_changes(bound).problem.feasible.every())
+    run = run_of(*KALMAN, *bound)
+    found = why(run)
     for name, result in run.summary()["results"].items():
         times = set(result["measurement_times"])
         moves = {(t, "earlier"): t - 1 for t in times} | {(t, "later"): t + 1 for t in times}
@@ -111,11 +121,11 @@ def test_a_measurement_is_moved_only_to_where_the_job_allows_it(quick: Job, tmp_
 
 @pytest.mark.parametrize("estimator", ESTIMATORS)  # of the searches: nothing to the profile
 def test_the_profile_is_the_squared_error_over_time_and_its_mean_the_expected_mse(
-    quick: Job, tmp_path: Path, estimator: str
+    run_of: Callable[..., Run], small_job: Job, estimator: str
 ) -> None:
-    quick = quick.with_changes([f"evaluation.estimator={estimator}"])
-    run, draws = pfdist.run(quick, tmp_path / "run", figures=False), 60
-    found, built = why(run, draws, figures=False), build(quick)
+    changes, draws = [*QUICK, f"evaluation.estimator={estimator}"], 60
+    quick = small_job.with_changes(changes)
+    found, built = why(run_of(*changes), draws), build(quick)
     for row in found.sets.to_dict("records"):
         alone = Work(
             measurement_times=(tuple(row["measurement_times"]),),
@@ -138,9 +148,9 @@ def test_the_profile_is_the_squared_error_over_time_and_its_mean_the_expected_ms
 
 @pytest.mark.slow
 def test_the_command_answers_in_json_draws_a_figure_a_search_and_leaves_the_run_as_it_was(
-    quick: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    run_of: Callable[..., Run], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    run = pfdist.run(quick, tmp_path / "run", figures=False)
+    run = run_of(*QUICK)
     before = hashes(run.path)
     assert main(["why", str(run.path / "job.toml"), "--draws", "30", "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
@@ -156,17 +166,8 @@ def test_the_command_answers_in_json_draws_a_figure_a_search_and_leaves_the_run_
     assert [row["loss"] for row in windows if row["moved_to"] == row["t"]] == [0.0] * 4
     assert [row["percent"] for row in jitter] == [1, 5]
     assert all(row["low"] <= row["loss"] <= row["high"] for row in jitter)
-    names = [
-        f"{name}.{kind}"
-        for name in (
-            "why-genetic",
-            "why-random",
-            "sampling_windows-genetic",
-            "sampling_windows-random",
-            "filters",
-        )
-        for kind in ("png", "svg")
-    ]
+    drawn = "why-genetic why-random sampling_windows-genetic sampling_windows-random filters"
+    names = [f"{name}.{kind}" for name in drawn.split() for kind in ("png", "svg")]
     assert [Path(file).name for file in answer["figures"]] == names
     assert all(Path(file).stat().st_size > 5000 for file in answer["figures"])
     after = {
@@ -186,10 +187,8 @@ def test_the_command_answers_in_json_draws_a_figure_a_search_and_leaves_the_run_
     assert main(["why", str(run.path / "job.toml"), "--draws", "30"]) == 0
     assert hashes(run.path) == again
     text = capsys.readouterr().out
-    assert (
-        f"regular: expected MSE {with_error(regular['expected_mse'], regular['standard_error'])} "
-        in text
-    )
+    cost = with_error(regular["expected_mse"], regular["standard_error"])
+    assert f"regular: expected MSE {cost} " in text
     worth = regular["worth"][1]
     assert with_error(worth["removed"], worth["removed_error"], sign=True) in text
     strict, wide = (windows_of(windows, percent)[1].text for percent in (1, 5))
@@ -200,20 +199,19 @@ def test_the_command_answers_in_json_draws_a_figure_a_search_and_leaves_the_run_
 
 
 def test_the_effective_sample_size_is_that_of_the_draws_with_trajectories(
-    quick: Job, tmp_path: Path
+    run_of: Callable[..., Run], small_job: Job
 ) -> None:
-    run = pfdist.run(_walk(quick, "compiled"), tmp_path / "run", figures=False)
-    profile = why(run, draws=2, figures=False).profile
+    run = run_of(*WALK)
+    profile = why(run, draws=2).profile
     at = profile["effective_sample_size"]
     assert at.notna().tolist() == profile["measured"].tolist()
-    assert at[profile["measured"]].between(1, quick.filter.particles).all()
-    again = why(run, draws=2, figures=False).profile  # from the same noise
-    assert again.equals(profile)
+    assert at[profile["measured"]].between(1, small_job.filter.particles).all()
+    assert why(run, draws=2).profile.equals(profile)  # from the same noise
 
 
 @pytest.mark.slow
-def test_degenerate_draws_are_counted_up_to_each_instant(quick: Job, tmp_path: Path) -> None:
-    (quick.path.parent / "cut.py").write_text(
+def test_degenerate_draws_are_counted_up_to_each_instant(small_job: Job, tmp_path: Path) -> None:
+    (tmp_path / "cut.py").write_text(
         "from dataclasses import replace\n"
         "import numpy as np\n"
         "from pfdist import load_model, where\n"
@@ -221,10 +219,9 @@ def test_degenerate_draws_are_counted_up_to_each_instant(quick: Job, tmp_path: P
         "model = replace(walk, log_likelihood=lambda y, x, t, p:\n"
         "    where(abs(y[0] - x[0]) > 3.5, -np.inf, -0.5 * (y[0] - x[0]) ** 2))\n"
     )
-    changes = ["model.name=random_walk", "model.filter.name=cut.py:model", "filter.particles=5"]
-    job = quick.with_changes([*changes, "evaluation.degenerate_draws=leave_out"])
-    run = pfdist.run(job, tmp_path / "run", figures=False)
-    found = why(run, draws=50, figures=False)
+    changes = ["model.filter.name=cut.py:model", "filter.particles=5"]
+    job = small_job.with_changes([*WALK, *changes, "evaluation.degenerate_draws=leave_out"])
+    found = pfdist.why(pfdist.run(job, tmp_path / "run", figures=False), draws=50, figures=False)
     known = found.sets.set_index("name")["degenerate_draws"]
     for name, rows in found.profile.groupby("name"):
         counts = rows["degenerate_draws"].to_numpy()
@@ -234,45 +231,20 @@ def test_degenerate_draws_are_counted_up_to_each_instant(quick: Job, tmp_path: P
 
 @pytest.mark.slow
 def test_the_model_file_of_a_kept_job_is_found_from_anywhere_and_must_mean_the_same(
-    quick: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    file = quick.path.parent / "mine.py"
+    file = tmp_path / "mine.py"
     file.write_text("from pfdist.models.ungm import model\n")
-    monkeypatch.chdir(tmp_path)
-    run = pfdist.run(
-        quick.with_changes(["model.name=mine.py:model"]), tmp_path / "run", figures=False
-    )
+    job = small_job.with_changes([*QUICK, "model.name=mine.py:model"])
+    run = pfdist.run(job, tmp_path / "run", figures=False)
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
     said: list[str] = []
-    kept = run.path / "job.toml"
-    why(kept, draws=2, say=said.append, figures=False)
+    pfdist.why(run.path / "job.toml", draws=2, say=said.append, figures=False)
     assert said == [f"runs the model file {file}, which your job names"]
     file.write_text('"""Another word."""\nfrom pfdist.models.ungm import model\n# another\n')
-    why(kept, draws=2, figures=False)
+    why(run, draws=2)
     file.write_text("from pfdist.models.ungm_gordon import model\n")
     words = r"model\.formulas: \w{8} -> \w{8}.*model\.parameters\.initial_sd: 5\.0 -> 1\.41"
     with pytest.raises(RunMismatchError, match=words):
-        why(kept, draws=2, figures=False)
-
-
-def test_what_is_impossible_is_said(quick: Job, tmp_path: Path) -> None:
-    def stop(progress: Any) -> None:
-        if progress.phase == "comparison":
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        pfdist.run(quick, tmp_path / "run", progress=stop, figures=False)
-    wrong: list[tuple[type[PfdistError], str, Path, int]] = [
-        (
-            StoreError,
-            r"run is not finished \(comparing\): run its job on first",
-            tmp_path / "run",
-            2,
-        ),
-        (StoreError, "there is no run of this job in .*nowhere: ", tmp_path / "nowhere", 2),
-        (ArgumentError, r"draws must be at least 2, got 1$", tmp_path / "run", 1),
-    ]
-    for error, words, path, draws in wrong:
-        with pytest.raises(error, match=words):
-            why(quick, draws, results=path, figures=False)
+        why(run, draws=2)
