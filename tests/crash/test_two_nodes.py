@@ -1,28 +1,17 @@
 """A model with files beside it, on two nodes that have neither these files nor its folder."""
 
 import os
-import secrets
-import socket
 import subprocess
 import sys
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 import pfdist
-from crash.runs import family, until
+from crash.nodes import nodes
 from oracles.bytes_of import hashes
 from oracles.model_text import MEASURED
-from pfdist.pools.guard import end
 
-_ENVIRONMENT = {
-    "RAY_USAGE_STATS_ENABLED": "0",
-    "RAY_AUTH_MODE": "token",
-    "RAY_AUTH_TOKEN": secrets.token_hex(32),
-}
 HELPER = "from shared.numbers import FACTOR\ndef pulled(x):\n    return FACTOR * x\n"
 NUMBERS = "from . import scale\nFACTOR = 0.9 * scale.SCALE\n"
 MODEL = (
@@ -60,9 +49,9 @@ program = importlib.import_module("pfdist.api.at_work")
 make_pool = program.make_pool
 
 
-def make_pool_without_the_file(*arguments):
+def make_pool_without_the_file(*arguments, **settings):
     Path(model).rename(f"{model}-gone")  # before a worker starts
-    return make_pool(*arguments)
+    return make_pool(*arguments, **settings)
 
 
 program.make_pool = make_pool_without_the_file
@@ -77,52 +66,6 @@ def say(line):
 done = pfdist.run(job, run, pool="ray", workers=2, address=address, say=say, figures=False)
 print(len(nodes), done.timings()["worker"].nunique(), done.timings()["error"].isna().all())
 """
-
-
-def _start(folder: Path, *options: str) -> "subprocess.Popen[bytes]":
-    folder.mkdir()
-    command = [sys.executable, "-m", "ray.scripts.scripts", "start", "--block", "--num-cpus=1"]
-    alone = ["--min-worker-port=0", "--max-worker-port=0", "--object-store-memory=100000000"]
-    with (folder / "said").open("wb") as said:
-        return subprocess.Popen(
-            [*command, *alone, *options],
-            cwd=folder,
-            stdout=said,
-            stderr=said,
-            env=os.environ | _ENVIRONMENT,
-        )
-
-
-def _has_started(node: "subprocess.Popen[bytes]", said: Path) -> bool:
-    assert node.poll() is None, said.read_text()[-2000:]
-    return b"Ray runtime started" in said.read_bytes()
-
-
-@contextmanager
-def _two_nodes(folder: Path) -> Iterator[str]:
-    """Address of a cluster of two nodes on loopback, of one CPU each, with folders of their own."""
-    with socket.socket() as server:
-        server.bind(("127.0.0.1", 0))
-        port = server.getsockname()[1]
-    address, nodes = f"127.0.0.1:{port}", []
-    head = ["--head", f"--port={port}", "--include-dashboard=false"]
-    here = "--node-ip-address=127.0.0.1"
-    # A short path, for Ray's sockets, and not where other clusters say that they are.
-    temporary = tempfile.TemporaryDirectory(prefix="ray-", dir="/tmp", ignore_cleanup_errors=True)
-    head.append(f"--temp-dir={temporary.name}")
-    try:
-        for name, options in (("head", head), ("other", [f"--address={address}"])):
-            nodes.append(_start(folder / name, here, *options))
-            said = folder / name / "said"
-            until(lambda: _has_started(nodes[-1], said))  # noqa: B023
-        yield address
-    finally:
-        for node in nodes:
-            left = family(node.pid)
-            node.kill()
-            node.wait()
-            end(left)
-        temporary.cleanup()
 
 
 @pytest.mark.slow
@@ -142,14 +85,14 @@ def test_helper_modules_and_data_files_arrive_on_nodes_that_lack_them(tmp_path: 
     job = tmp_path / "job.toml"
     job.write_text(f'{small}\n[model]\nname = "model/mine.py:model"\n'.replace("250", "60000"))
     whole = pfdist.run(job, tmp_path / "whole", pool="serial", figures=False)
-    with _two_nodes(tmp_path) as address:
-        arguments = [str(job), str(tmp_path / "run"), address, str(model)]
+    with nodes(tmp_path, 2) as cluster:
+        arguments = [str(job), str(tmp_path / "run"), cluster.address, str(model)]
         done = subprocess.run(
             [sys.executable, "-c", DRIVER, *arguments],
             cwd=tmp_path,
             capture_output=True,
             text=True,
-            env=os.environ | _ENVIRONMENT,
+            env=os.environ | cluster.environment,
             timeout=300,
             check=False,
         )

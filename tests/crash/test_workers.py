@@ -3,8 +3,6 @@
 import os
 import random
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +11,7 @@ import pytest
 from psutil import Process
 
 import pfdist
+from crash.nodes import kill, nodes, signal_all
 from crash.runs import (
     GONE_SECONDS,
     WORKER,
@@ -165,51 +164,30 @@ def test_a_run_whose_servers_are_stopped_goes_on_or_says_so_and_leaves_nothing(
     record_property("faults", f"{HANGS}: {len(stopped)}")
 
 
-CLUSTER = """
-import sys
-from ray.cluster_utils import Cluster
-cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
-nodes = [cluster.add_node(num_cpus=1) for _ in range(2)]
-print(cluster.address, flush=True)
-for line in sys.stdin:
-    if line.strip() == "remove":
-        cluster.remove_node(nodes.pop(0), allow_graceful=False)
-    else:
-        nodes.append(cluster.add_node(num_cpus=1))
-    print("done", flush=True)
-cluster.shutdown()
-"""
-
-
 @pytest.mark.crash
-def test_a_run_whose_nodes_vanish_ends_with_the_same_bytes(
+def test_a_run_whose_nodes_are_killed_added_and_frozen_ends_with_the_same_bytes(
     make_job: Callable[[int], Path], tmp_path: Path, record_property: Record
 ) -> None:
     job = make_job(500_000)
-    with subprocess.Popen(
-        [sys.executable, "-c", CLUSTER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as cluster:
-        assert cluster.stdin is not None
-        assert cluster.stdout is not None
-
-        def ask(what: str) -> None:
-            print(what, file=cluster.stdin, flush=True)
-            assert cluster.stdout.readline() == "done\n"
-
-        address = cluster.stdout.readline().strip()
-        with running(job, tmp_path / "run", "--address", address, "--workers", "3") as driver:
+    with nodes(tmp_path, 3) as cluster:
+        _, first, second = cluster.all
+        address = ("--address", cluster.address)
+        with running(job, tmp_path / "run", *address, **cluster.environment) as driver:
             driver.wait_for(lambda: driver.parts("comparison"))
-            ask("remove")
-            ask("add")
-            time.sleep(5.0)
-            ask("remove")
-            ask("remove")  # from now on there are fewer cores than workers are wanted
+            kill(first)
+            third = cluster.add()
+            used = lambda: WORKER in " ".join(map(command_of, family(third.pid)))  # noqa: E731
+            driver.wait_for(used)
+            signal_all(second, signal.SIGSTOP)
+            time.sleep(50.0)
+            signal_all(second, signal.SIGCONT)
+            kill(third)
             assert driver.process.poll() is None
             assert driver.wait() == 0, driver.said[-3:]
-        ask("add")  # it is not the run's, and goes on
-        cluster.stdin.close()
+        cluster.add()  # the cluster is not the run's, and goes on
     assert hashes(tmp_path / "run") == _whole(job)
-    record_property("faults", f"{DIES}: 3")
+    record_property("faults", f"{DIES}: 2")
+    record_property("faults", f"{HANGS}: 1")
 
 
 @pytest.mark.crash

@@ -1,0 +1,102 @@
+"""A Ray cluster of nodes on loopback, each of which a test may kill, stop and let go on."""
+
+import os
+import secrets
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import psutil
+
+from crash.runs import family, until
+from pfdist.pools.guard import end
+
+Node = subprocess.Popen[bytes]
+
+
+class Nodes:
+    """A cluster whose nodes have a core and a folder of their own.
+
+    Attributes
+    ----------
+    address : str
+    environment : dict of str
+        With which its nodes, and nobody else, can reach it.
+    """
+
+    def __init__(self, folder: Path, sockets: str) -> None:
+        with socket.socket() as server:
+            server.bind(("127.0.0.1", 0))
+            port = server.getsockname()[1]
+        self.address = f"127.0.0.1:{port}"
+        self.environment = {
+            "RAY_USAGE_STATS_ENABLED": "0",
+            "RAY_AUTH_MODE": "token",
+            "RAY_AUTH_TOKEN": secrets.token_hex(32),
+        }
+        self.all: list[Node] = []
+        self._folder = folder
+        temporary = f"--temp-dir={sockets}"
+        self._start("--head", f"--port={port}", "--include-dashboard=false", temporary)
+
+    def add(self) -> Node:
+        """Add a node."""
+        return self._start(f"--address={self.address}")
+
+    def _start(self, *options: str) -> Node:
+        folder = self._folder / f"node-{len(self.all)}"
+        folder.mkdir()
+        alone = ["--min-worker-port=0", "--max-worker-port=0", "--object-store-memory=100000000"]
+        here = ["--block", "--num-cpus=1", "--node-ip-address=127.0.0.1"]
+        with (folder / "said").open("wb") as said:
+            node = subprocess.Popen(
+                [sys.executable, "-m", "ray.scripts.scripts", "start", *here, *alone, *options],
+                cwd=folder,
+                stdout=said,
+                stderr=said,
+                env=os.environ | self.environment,
+            )
+        self.all.append(node)
+
+        def has_started() -> bool:
+            said = (folder / "said").read_text()
+            assert node.poll() is None, said[-2000:]
+            return "Ray runtime started" in said
+
+        until(has_started)
+        return node
+
+
+def signal_all(node: Node, number: signal.Signals) -> None:
+    """Send a signal to all processes of a node."""
+    for process in [psutil.Process(node.pid), *family(node.pid)]:
+        with suppress(psutil.NoSuchProcess):
+            process.send_signal(number)
+
+
+def kill(node: Node) -> None:
+    """End all processes of a node at once."""
+    left = family(node.pid)
+    node.kill()
+    node.wait()
+    end(left)
+
+
+@contextmanager
+def nodes(folder: Path, count: int) -> Iterator[Nodes]:
+    """So many nodes; when the test is over, whatever way, nothing of them is left."""
+    # A short path, for Ray's sockets, and not where other clusters say that they are.
+    with tempfile.TemporaryDirectory(prefix="ray-", dir="/tmp", ignore_cleanup_errors=True) as path:
+        cluster = Nodes(folder, path)
+        try:
+            for _ in range(count - 1):
+                cluster.add()
+            yield cluster
+        finally:
+            for node in cluster.all:
+                kill(node)
