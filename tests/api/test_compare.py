@@ -110,7 +110,7 @@ def test_one_command_gives_the_numbers_of_three_lines_of_python(
     assert answer["results"]["clinic"]["broken_constraints"] == []
 
 
-def test_the_summary_fits_80_columns_and_names_what_is_broken(
+def test_the_summary_fits_80_columns_and_with_the_report_names_what_is_broken(
     compared: Run, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["status", str(compared.path)]) == 0
@@ -121,6 +121,11 @@ def test_the_summary_fits_80_columns_and_names_what_is_broken(
     assert "breaks                problem.measurement_budget is 4, got 2 times" in text
     assert "clinic against late: " in text
     assert "rank 3, expected MSE" in text
+    page = pfdist.report(compared).read_text()
+    assert "How the sets compare" in page
+    assert "problem.measurement_budget is 4, got 2 times" in page
+    for words in ("took no part in the search", "found times", "The answer", "How the times were"):
+        assert words not in page
 
 
 def test_an_interrupted_comparison_takes_more_draws_and_ends_with_the_same_bytes(
@@ -266,16 +271,6 @@ def test_a_job_may_have_searches_and_given_sets(small_job: Job, tmp_path: Path) 
     assert "The times of mine break a constraint of the job." in page
     assert "The times of random have an expected MSE of" in page  # the best of the searches
     assert results["every"]["expected_mse"] < results["random"]["expected_mse"]
-
-
-def test_the_report_of_a_comparison_names_ranks_pairs_and_broken_constraints(
-    compared: Run,
-) -> None:
-    page = pfdist.report(compared).read_text()
-    assert "How the sets compare" in page
-    assert "problem.measurement_budget is 4, got 2 times" in page
-    for words in ("took no part in the search", "found times", "The answer", "How the times were"):
-        assert words not in page
 
 
 @pytest.mark.parametrize(
