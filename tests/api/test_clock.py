@@ -311,13 +311,13 @@ def test_measurements_and_the_next_time_speak_of_the_clock(
     run = pfdist.run(job, tmp_path / "run")
     planned = run.sets()["exhaustive"]
     measured = pd.DataFrame({"t": [planned[0], 12.0], "y0": [0.3, -1.0]})
-    measured.to_csv(tmp_path / "mine.csv", index=False)
-    found = pfdist.filter_measurements(run, tmp_path / "mine.csv", report=False)
+    found = pfdist.filter_measurements(run, measured, out=tmp_path, report=False)
     assert found.table["t"].tolist() == list(TIMES)
     assert found.measured == (planned[0], 12.0)
     assert set(found.missing) == set(planned) - {planned[0], 12.0}
     assert found.as_json()["time_unit"] == "h"
-    assert pd.read_csv(tmp_path / "mine.filtered.csv")["t"].tolist() == list(TIMES)
+    assert pd.read_csv(tmp_path / "measurements.filtered.csv")["t"].tolist() == list(TIMES)
+    measured.to_csv(tmp_path / "mine.csv", index=False)
     capsys.readouterr()
     job_of_run = str(run.path / "job.toml")
     assert main(["filter", job_of_run, str(tmp_path / "mine.csv"), "--no-report"]) == 0
