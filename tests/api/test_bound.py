@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import shutil
 from collections.abc import Callable
 from dataclasses import fields
@@ -35,6 +36,7 @@ QUICK = ["search.random.evaluations=3", "search.genetic.generations=1", "compari
 EXACT = ["model.name=random_walk", "filter.engine=kalman"]
 WALK = ["model.name=random_walk", "filter.particles=20", "comparison.draws=300"]
 OWN = "model.name=own.py:model"
+RunOf = Callable[..., Path]
 
 
 def bound(run: Path | Run, draws: int | None = None, **options: Any) -> Bound:
@@ -45,19 +47,19 @@ def bound(run: Path | Run, draws: int | None = None, **options: Any) -> Bound:
 
 
 @pytest.fixture
-def exact(finished: Callable[..., Path], tmp_path: Path) -> Path:
+def exact(finished: RunOf, tmp_path: Path) -> Path:
     """A finished run whose costs are all exact, in a copy of its own."""
     return shutil.copytree(finished(*QUICK, *EXACT), tmp_path / "run")
 
 
 @pytest.fixture
-def walk(finished: Callable[..., Path], tmp_path: Path) -> Path:
+def walk(finished: RunOf, tmp_path: Path) -> Path:
     """A finished run with particles, in a copy of its own."""
     return shutil.copytree(finished(*QUICK, *WALK), tmp_path / "run")
 
 
 @pytest.fixture
-def run_of(small_job: Job, tmp_path: Path) -> Callable[..., Path]:
+def run_of(small_job: Job, tmp_path: Path) -> RunOf:
     """Make a run of the small job with changes, and with a model in ``own.py``."""
 
     def make(*changes: str, source: str = "") -> Path:
@@ -94,7 +96,7 @@ def test_where_everything_is_known_it_lies_below_the_optimum(
 
 
 def test_with_particles_it_lies_below_the_optimum_but_for_its_error(
-    run_of: Callable[..., Path], small_job: Job
+    run_of: RunOf, small_job: Job
 ) -> None:
     run = run_of("model.name=random_walk", "filter.particles=200")
     found, optimum = bound(run, LEAST_DRAWS), _optimum(small_job)
@@ -137,13 +139,13 @@ def test_many_measurements_are_counted_one_by_one(
     assert all(value > 0 for value in expected)
 
 
-def test_a_wrong_model_of_the_filter_is_a_part_of_the_gap(run_of: Callable[..., Path]) -> None:
+def test_a_wrong_model_of_the_filter_is_a_part_of_the_gap(run_of: RunOf) -> None:
     run = run_of("model.name=random_walk", "model.filter.parameters.step_sd=5.0")
     for gap in bound(run, LEAST_DRAWS).gaps:
         assert gap.filter_model.value > 4 * gap.filter_model.standard_error > 0
 
 
-def test_where_nothing_is_unknown_the_gap_is_zero(run_of: Callable[..., Path]) -> None:
+def test_where_nothing_is_unknown_the_gap_is_zero(run_of: RunOf) -> None:
     source = """
 from pfdist import linear_gaussian
 model = linear_gaussian("known", initial_noise=[[0.0]], transition=[[1.0]],
@@ -223,7 +225,7 @@ model = StateSpaceModel(
 @pytest.mark.slow
 @pytest.mark.parametrize("sd", [0.01, 0.001])
 def test_the_bound_holds_however_few_particles_meet_the_likelihood(
-    run_of: Callable[..., Path], sd: float
+    run_of: RunOf, sd: float
 ) -> None:
     """A position in four dimensions: the median of three readings is a filter, too."""
     changes = ["problem.horizon=8", "problem.measurement_budget=3", "filter.particles=100"]
@@ -251,7 +253,7 @@ CUT = WALK_WITH.format("where(abs(y[0] - x[0]) > 3.0, -np.inf, -0.5 * (y[0] - x[
 
 
 @pytest.mark.slow
-def test_a_likelihood_that_is_not_the_truths_gives_no_bound(run_of: Callable[..., Path]) -> None:
+def test_a_likelihood_that_is_not_the_truths_gives_no_bound(run_of: RunOf) -> None:
     """A likelihood with a larger sd than the noise: its variance exceeds the squared error."""
     for gap in bound(run_of(OWN, "filter.particles=200", source=INFLATED), LEAST_DRAWS).gaps:
         assert "exceeds their squared error" in gap.reason or "costs less" in gap.reason
@@ -266,7 +268,7 @@ def test_a_likelihood_that_is_not_the_truths_gives_no_bound(run_of: Callable[...
     ],
 )
 def test_a_set_with_degenerate_draws_has_no_gap(
-    models: list[str], reason: str, run_of: Callable[..., Path]
+    models: list[str], reason: str, run_of: RunOf
 ) -> None:
     few = ["evaluation.degenerate_draws=leave_out", "filter.particles=5"]
     run = run_of(*models, *few, source=CUT)
@@ -279,7 +281,7 @@ def test_a_set_with_degenerate_draws_has_no_gap(
 # --- what has no bound ----------------------------------------------------------------------------
 
 
-def test_a_reference_that_is_not_feasible_has_no_gap(run_of: Callable[..., Path]) -> None:
+def test_a_reference_that_is_not_feasible_has_no_gap(run_of: RunOf) -> None:
     run = run_of(*EXACT, "comparison.reference=[1, 3, 6, 9]", "problem.forbidden=[3, 4]")
     reasons = {gap.name: gap.reason for gap in bound(run).gaps}
     assert reasons == {"reference": "the set is not feasible", "genetic": "", "random": ""}
@@ -401,9 +403,7 @@ def test_what_is_committed_is_not_computed_again(
         assert len(blocks) == first + 20
 
 
-def test_a_comparison_of_many_draws_is_used_and_not_computed_again(
-    run_of: Callable[..., Path],
-) -> None:
+def test_a_comparison_of_many_draws_is_used_and_not_computed_again(run_of: RunOf) -> None:
     run = pfdist.open_run(run_of(*WALK, f"comparison.draws={SET_DRAWS}"))
     found, statistics = bound(run.path, LEAST_DRAWS), run.statistics()
     for gap in found.gaps:
@@ -528,9 +528,7 @@ def test_plan_says_how_good_its_times_are(
     changes = ["--set", "model.name=random_walk", "filter.particles=50", "comparison.draws=200"]
     command = ["plan", str(small_job.path), *changes, "--pool", "serial", "--results"]
     assert main([*command, str(tmp_path / "plan")]) == 0
-    text = capsys.readouterr().out
-    assert "No other 4 times can lower the error by more than another" in text
-    assert "(95 %: " in text
+    assert re.search(r"No other 4 times can lower .* \(95 %: ", capsys.readouterr().out)
     assert len(pfdist.open_run(tmp_path / "plan").bounds()) == 2  # regular and found times
     tables = _tables(tmp_path / "plan")
     assert main([*command, str(tmp_path / "plan")]) == 0  # nothing is left to do
