@@ -2,7 +2,9 @@
 
 import json
 import math
+import re
 import shutil
+from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -17,9 +19,10 @@ from pfdist.api.bound import Bound
 from pfdist.api.bound import bound as bound_of
 from pfdist.cli.bound_lines import proof_lines
 from pfdist.cli.main import main
-from pfdist.errors import JobError, ModelError, StoreError
-from pfdist.evaluation.evaluator import Evaluator
+from pfdist.errors import JobError, ModelError
+from pfdist.filters.kalman import expected_mse
 from pfdist.filters.simulation import simulate
+from pfdist.models import installed_models
 from pfdist.pools.base import SerialPool
 from pfdist.runner.bound_settings import LEAST_DRAWS, BoundSettings
 from pfdist.runner.build import build
@@ -27,9 +30,165 @@ from pfdist.runner.progress import Progress
 from pfdist.runner.prover import Prover
 from pfdist.runner.sets_alone import SET_DRAWS
 
+JOBS = Path(__file__).parents[2] / "jobs"
 SHARP = Path(__file__).parents[1] / "oracles" / "sharp_sensor.toml"
 QUICK = ["search.random.evaluations=3", "search.genetic.generations=1", "comparison.draws=20"]
 EXACT = ["model.name=random_walk", "filter.engine=kalman"]
+WALK = ["model.name=random_walk", "filter.particles=20", "comparison.draws=300"]
+OWN = "model.name=own.py:model"
+RunOf = Callable[..., Path]
+
+
+def bound(run: Path | Run, draws: int | None = None, **options: Any) -> Bound:
+    names = {field.name for field in fields(BoundSettings)} & options.keys()
+    settings = BoundSettings(**{"draws": draws} | {name: options.pop(name) for name in names})
+    job = run if isinstance(run, Run) else run / "job.toml"
+    return bound_of(job, settings, **{"pool": "serial", "figures": False} | options)
+
+
+@pytest.fixture
+def exact(finished: RunOf, tmp_path: Path) -> Path:
+    """A finished run whose costs are all exact, in a copy of its own."""
+    return shutil.copytree(finished(*QUICK, *EXACT), tmp_path / "run")
+
+
+@pytest.fixture
+def walk(finished: RunOf, tmp_path: Path) -> Path:
+    """A finished run with particles, in a copy of its own."""
+    return shutil.copytree(finished(*QUICK, *WALK), tmp_path / "run")
+
+
+@pytest.fixture
+def run_of(small_job: Job, tmp_path: Path) -> RunOf:
+    """Make a run of the small job with changes, and with a model in ``own.py``."""
+
+    def make(*changes: str, source: str = "") -> Path:
+        (small_job.path.parent / "own.py").write_text(source)
+        job = small_job.with_changes([*QUICK, *changes])
+        return pfdist.run(job, tmp_path / "run", figures=False).path
+
+    return make
+
+
+def _optimum(job: Job) -> float:
+    """The least expected MSE of all feasible sets, by brute force."""
+    sets = list(job.problem.feasible.every())
+    return float(expected_mse(pfdist.load_model("random_walk"), 12, sets).min())
+
+
+# --- what is true of every bound ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("window", [1, 2, 5])
+def test_where_everything_is_known_it_lies_below_the_optimum(
+    exact: Path, small_job: Job, window: int
+) -> None:
+    found, optimum = bound(exact, window=window), _optimum(small_job)
+    assert found.draws == found.particles == 0
+    for gap in found.gaps:
+        assert gap.bound.value <= optimum * (1 + 1e-12)
+        assert gap.bound.standard_error == 0.0
+        assert gap.gap == gap.gap_at_most
+        difference = gap.expected_mse.value - gap.bound.value
+        assert gap.gap * gap.expected_mse.value == pytest.approx(difference)
+    if window == 5:  # nothing is added to 4 measurements, and no gap is too long
+        assert found.gaps[0].bound.value == pytest.approx(optimum)
+
+
+def test_with_particles_it_lies_below_the_optimum_but_for_its_error(
+    run_of: RunOf, small_job: Job
+) -> None:
+    run = run_of("model.name=random_walk", "filter.particles=200")
+    found, optimum = bound(run, LEAST_DRAWS), _optimum(small_job)
+    for gap in found.gaps:
+        assert not gap.reason
+        assert gap.bound.value < optimum + 4 * gap.bound.standard_error
+        assert gap.bound.value > 0.9 * optimum
+        assert gap.gap < gap.gap_at_most < gap.gap + 0.1
+        parts = gap.relaxation.value + gap.estimate.value + gap.filter_model.value
+        assert parts == pytest.approx(gap.gap * gap.expected_mse.value)
+        assert gap.filter_model.value == 0.0
+    assert bound(run, LEAST_DRAWS).as_json() == found.as_json()
+    assert pfdist.open_run(run).state == "finished"
+
+
+@pytest.mark.parametrize("costs", [[3 + t % 2 for t in range(13)], [40 + t for t in range(13)]])
+def test_where_measurements_cost_money_it_lies_below_the_optimum(
+    small_job: Job, tmp_path: Path, costs: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text, money = small_job.path.read_text(), 6 * min(costs) + 2
+    priced = text.replace("measurement_budget = 4", f"total_cost = {money}\ncost = {costs}")
+    small_job.path.write_text(priced)
+    job = load_job(small_job.path, [*QUICK, *EXACT])
+    run, optimum = pfdist.run(job, tmp_path / "run", figures=False).path, _optimum(job)
+    for gap in bound(run).gaps:
+        assert gap.budget == job.problem.feasible.total
+        assert 0.95 * optimum < gap.bound.value <= optimum * (1 + 1e-12)
+    finely = bound(run, window=5).gaps[0].bound.value
+    assert finely == pytest.approx(optimum)
+    monkeypatch.setattr("pfdist.bounds.first_windows.MOST_UNITS", 7)  # costs are rounded down
+    assert bound(run, window=5).gaps[0].bound.value <= finely
+
+
+def test_many_measurements_are_counted_one_by_one(
+    exact: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    expected = [gap.bound.value for gap in bound(exact).gaps]
+    monkeypatch.setattr("pfdist.bounds.first_windows.MOST_UNITS", 3)  # less than N
+    assert [gap.bound.value for gap in bound(exact).gaps] == expected
+    assert all(value > 0 for value in expected)
+
+
+def test_a_wrong_model_of_the_filter_is_a_part_of_the_gap(run_of: RunOf) -> None:
+    run = run_of("model.name=random_walk", "model.filter.parameters.step_sd=5.0")
+    for gap in bound(run, LEAST_DRAWS).gaps:
+        assert gap.filter_model.value > 4 * gap.filter_model.standard_error > 0
+
+
+def test_where_nothing_is_unknown_the_gap_is_zero(run_of: RunOf) -> None:
+    source = """
+from pfdist import linear_gaussian
+model = linear_gaussian("known", initial_noise=[[0.0]], transition=[[1.0]],
+    process_noise=[[0.0]], measurement=[[1.0]], measurement_noise=[[1.0]],
+    quantity_of_interest=[[1.0]])
+"""
+    for gap in bound(run_of(OWN, "filter.engine=kalman", source=source)).gaps:
+        assert (gap.gap, gap.gap_at_most, gap.reason) == (0.0, 0.0, "")
+
+
+SHIPPED = sorted(name for name, (module, _) in installed_models().items() if "pfdist." in module)
+SLOW = {"epidemic", "pharmacokinetics", "tumour"}
+INSTANTS = {"pharmacokinetics": "problem.times=[0, 0.5, 1, 2, 3, 4, 6, 9, 12, 13, 30, 46, 47]"}
+
+
+@pytest.mark.zoo
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in SHIPPED],
+)
+def test_every_model_that_ships_has_a_bound(name: str, tmp_path: Path) -> None:
+    few = ["problem.measurement_budget=4", "comparison.draws=100", "execution.pool=serial"]
+    few.append(INSTANTS.get(name, "problem.horizon=12"))
+    job = load_job(JOBS / f"{'plan' if name == 'ungm' else name}.toml", few)
+    run = pfdist.plan(job, tmp_path / "run", search="random", bound_draws=0, figures=False)
+    for gap in bound(run, LEAST_DRAWS).gaps:
+        assert not gap.reason
+        assert 0.0 <= gap.gap <= gap.gap_at_most < 1.0
+
+
+# --- filters that fool themselves -----------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sharp", [0.03, 0.01])
+def test_a_filter_that_fools_itself_gives_no_false_bound(sharp: float, tmp_path: Path) -> None:
+    """The "bound" by squared errors would be 3.45 for 0.03, above a set that costs 1.00."""
+    changes = [f"model.parameters.sharp={sharp}", "comparison.draws=1000"]
+    run = pfdist.plan(load_job(SHARP, changes), tmp_path / "run", figures=False)
+    for gap in bound(run, LEAST_DRAWS).gaps:
+        assert gap.reason or gap.bound.value < 1.0
+
+
 CLUTTERED = """
 import numpy as np
 from pfdist import StateSpaceModel, where
@@ -63,84 +222,15 @@ model = StateSpaceModel(
 """
 
 
-def bound(run: Path | pfdist.Run, draws: int | None = None, **options: Any) -> Bound:
-    names = {field.name for field in fields(BoundSettings)} & options.keys()
-    settings = BoundSettings(**{"draws": draws} | {name: options.pop(name) for name in names})
-    job = run if isinstance(run, pfdist.Run) else run / "job.toml"
-    return bound_of(job, settings, **{"pool": "serial", "figures": False} | options)
-
-
-def _run(job: Job, folder: Path, *changes: str) -> pfdist.Run:
-    return pfdist.run(job.with_changes([*QUICK, *changes]), folder, figures=False)
-
-
-@pytest.mark.parametrize("window", [1, 2, 5])
-def test_where_everything_is_known_it_lies_below_the_optimum(
-    small_job: Job, tmp_path: Path, window: int
-) -> None:
-    found = bound(_run(small_job, tmp_path / "run", *EXACT).path, window=window)
-    job = small_job.with_changes(EXACT)
-    evaluator = Evaluator(pfdist.load_model("random_walk"), 12, engine="kalman")
-    optimum = min(evaluator.expected_mse(list(job.problem.feasible.every())))
-    assert found.draws == found.particles == 0
-    for gap in found.gaps:
-        assert gap.bound.value <= optimum * (1 + 1e-12)
-        assert gap.bound.standard_error == 0.0
-        assert gap.gap == gap.gap_at_most
-        assert gap.gap * gap.expected_mse.value == pytest.approx(
-            gap.expected_mse.value - gap.bound.value
-        )
-    if window == 5:  # nothing is added to 4 measurements, and no gap is too long
-        assert found.gaps[0].bound.value == pytest.approx(optimum)
-
-
-def test_with_particles_it_lies_below_the_optimum_but_for_its_error(
-    small_job: Job, tmp_path: Path
-) -> None:
-    run = _run(small_job, tmp_path / "run", "model.name=random_walk", "filter.particles=200")
-    found = bound(run, LEAST_DRAWS)
-    evaluator = Evaluator(pfdist.load_model("random_walk"), 12, engine="kalman")
-    optimum = min(evaluator.expected_mse(list(small_job.problem.feasible.every())))
-    for gap in found.gaps:
-        assert not gap.reason
-        assert gap.bound.value < optimum + 4 * gap.bound.standard_error
-        assert gap.bound.value > 0.9 * optimum
-        assert gap.gap < gap.gap_at_most < gap.gap + 0.1
-        parts = gap.relaxation.value + gap.estimate.value + gap.filter_model.value
-        assert parts == pytest.approx(gap.gap * gap.expected_mse.value)
-        assert gap.filter_model.value == 0.0
-    assert bound(run, LEAST_DRAWS).as_json() == found.as_json()
-    assert pfdist.open_run(run.path).state == "finished"
-
-
-def test_a_wrong_model_of_the_filter_is_a_part_of_the_gap(small_job: Job, tmp_path: Path) -> None:
-    wrong = ["model.name=random_walk", "model.filter.parameters.step_sd=5.0"]
-    found = bound(_run(small_job, tmp_path / "run", *wrong).path, LEAST_DRAWS)
-    for gap in found.gaps:
-        assert gap.filter_model.value > 4 * gap.filter_model.standard_error > 0
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("sharp", [0.03, 0.01])
-def test_a_filter_that_fools_itself_gives_no_false_bound(sharp: float, tmp_path: Path) -> None:
-    """The "bound" by squared errors would be 3.45 for 0.03, above a set that costs 1.00."""
-    changes = [f"model.parameters.sharp={sharp}", "comparison.draws=1000"]
-    run = pfdist.plan(load_job(SHARP, changes), tmp_path / "run", figures=False)
-    for gap in bound(run, LEAST_DRAWS).gaps:
-        assert gap.reason or gap.bound.value < 1.0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("sd", [0.01, pytest.param(0.001, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("sd", [0.01, 0.001])
 def test_the_bound_holds_however_few_particles_meet_the_likelihood(
-    small_job: Job, tmp_path: Path, sd: float
+    run_of: RunOf, sd: float
 ) -> None:
     """A position in four dimensions: the median of three readings is a filter, too."""
-    (small_job.path.parent / "cluttered.py").write_text(CLUTTERED)
     changes = ["problem.horizon=8", "problem.measurement_budget=3", "filter.particles=100"]
-    changes += ["model.name=cluttered.py:model", f"model.parameters.sd={sd}"]
-    run = _run(small_job, tmp_path / "run", *changes)
-    draws = simulate(build(load_job(run.path / "job.toml")).evaluator.model, 8, range(20_000), 1)
+    run = run_of(OWN, *changes, f"model.parameters.sd={sd}", source=CLUTTERED)
+    draws = simulate(build(load_job(run / "job.toml")).evaluator.model, 8, range(20_000), 1)
     readings = np.stack([draws.y[:, 0], *[np.median(draws.y[:, :3], axis=1)] * 8], axis=1)
     readings[:, 1] = draws.y[:, 0]
     errors = ((readings - draws.z) ** 2).sum(axis=2).mean(axis=1)
@@ -151,165 +241,106 @@ def test_the_bound_holds_however_few_particles_meet_the_likelihood(
         assert gap.gap_at_most <= 1.0
 
 
-INFLATED = """
+WALK_WITH = """
 from dataclasses import replace
-from pfdist import load_model
+import numpy as np
+from pfdist import load_model, where
 walk = load_model("random_walk")
-model = replace(walk, log_likelihood=lambda y, x, t, p:
-    -0.5 * ((y[0] - x[0]) / (1.2 * p.measurement_sd)) ** 2, linear_gaussian=False)
+model = replace(walk, linear_gaussian=False, log_likelihood=lambda y, x, t, p: {})
 """
+INFLATED = WALK_WITH.format("-0.5 * ((y[0] - x[0]) / (1.2 * p.measurement_sd)) ** 2")
+CUT = WALK_WITH.format("where(abs(y[0] - x[0]) > 3.0, -np.inf, -0.5 * (y[0] - x[0]) ** 2)")
 
 
 @pytest.mark.slow
-def test_a_likelihood_that_is_not_the_truths_gives_no_bound(small_job: Job, tmp_path: Path) -> None:
+def test_a_likelihood_that_is_not_the_truths_gives_no_bound(run_of: RunOf) -> None:
     """A likelihood with a larger sd than the noise: its variance exceeds the squared error."""
-    (small_job.path.parent / "inflated.py").write_text(INFLATED)
-    changes = ("model.name=inflated.py:model", "filter.particles=200")
-    for gap in bound(_run(small_job, tmp_path / "run", *changes).path, LEAST_DRAWS).gaps:
+    for gap in bound(run_of(OWN, "filter.particles=200", source=INFLATED), LEAST_DRAWS).gaps:
         assert "exceeds their squared error" in gap.reason or "costs less" in gap.reason
 
 
-def test_a_reference_that_is_not_feasible_has_no_gap(small_job: Job, tmp_path: Path) -> None:
-    changes = ("comparison.reference=[1, 3, 6, 9]", "problem.forbidden=[3, 4]")
-    found = bound(_run(small_job, tmp_path / "run", *EXACT, *changes).path)
-    reasons = {gap.name: gap.reason for gap in found.gaps}
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("models", "reason"),
+    [
+        (["model.name=random_walk", "model.filter.name=own.py:model"], " with the set itself"),
+        ([OWN], ""),  # the true state is among the particles: only a wrong likelihood excludes it
+    ],
+)
+def test_a_set_with_degenerate_draws_has_no_gap(
+    models: list[str], reason: str, run_of: RunOf
+) -> None:
+    few = ["evaluation.degenerate_draws=leave_out", "filter.particles=5"]
+    run = run_of(*models, *few, source=CUT)
+    for gap in bound(run, LEAST_DRAWS).gaps:
+        assert f"a draw is degenerate or infinite{reason}" in gap.reason
+    assert all("degenerate or infinite" in each for each in pfdist.open_run(run).bounds()["reason"])
+    assert main(["bound", str(run / "job.toml"), "--pool", "serial"]) == 0
+
+
+# --- what has no bound ----------------------------------------------------------------------------
+
+
+def test_a_reference_that_is_not_feasible_has_no_gap(run_of: RunOf) -> None:
+    run = run_of(*EXACT, "comparison.reference=[1, 3, 6, 9]", "problem.forbidden=[3, 4]")
+    reasons = {gap.name: gap.reason for gap in bound(run).gaps}
     assert reasons == {"reference": "the set is not feasible", "genetic": "", "random": ""}
 
 
-def test_where_nothing_is_unknown_the_gap_is_zero(small_job: Job, tmp_path: Path) -> None:
-    (small_job.path.parent / "known.py").write_text(
-        "from pfdist import linear_gaussian\n"
-        "model = linear_gaussian('known', initial_noise=[[0.0]], transition=[[1.0]],\n"
-        "    process_noise=[[0.0]], measurement=[[1.0]], measurement_noise=[[1.0]],\n"
-        "    quantity_of_interest=[[1.0]])\n"
-    )
-    changes = ("model.name=known.py:model", "filter.engine=kalman")
-    for gap in bound(_run(small_job, tmp_path / "run", *changes).path).gaps:
-        assert (gap.gap, gap.gap_at_most, gap.reason) == (0.0, 0.0, "")
-
-
-@pytest.mark.slow
-def test_a_set_with_degenerate_draws_has_no_gap(small_job: Job, tmp_path: Path) -> None:
-    (small_job.path.parent / "cut.py").write_text(
-        "from dataclasses import replace\n"
-        "import numpy as np\n"
-        "from pfdist import load_model, where\n"
-        "walk = load_model('random_walk')\n"
-        "model = replace(walk, log_likelihood=lambda y, x, t, p:\n"
-        "    where(abs(y[0] - x[0]) > 3.5, -np.inf, -0.5 * (y[0] - x[0]) ** 2))\n"
-    )
-    changes = ("model.name=random_walk", "model.filter.name=cut.py:model")
-    leave_out = ("evaluation.degenerate_draws=leave_out", "filter.particles=5")
-    for gap in bound(_run(small_job, tmp_path / "run", *changes, *leave_out).path).gaps:
-        assert gap.reason == "a draw is degenerate or infinite with the set itself"
-
-
-def test_the_command_says_how_much_is_left(
-    small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    run = _run(small_job, tmp_path / "run", *EXACT)
-    assert main(["bound", str(run.path / "job.toml"), "--json", "--pool", "serial"]) == 0
-    answer = json.loads(capsys.readouterr().out)
-    assert list(answer["sets"]) == ["regular", "genetic", "random"]
-    assert answer == bound(run).as_json()
-    assert main(["bound", str(run.path / "job.toml"), "--pool", "serial"]) == 0
-    text = capsys.readouterr().out
-    for name, gap in answer["sets"].items():
-        assert f"{name}: 4 measurements" in text
-        percent = f"{100 * gap['gap']:.2g} %"
-        assert f"No other 4 times can lower the error by more than another {percent}." in text
-
-
-def test_an_unfinished_run_and_wrong_numbers_are_refused(small_job: Job, tmp_path: Path) -> None:
-    def stop(progress: object) -> None:
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        pfdist.run(small_job, tmp_path / "run", progress=stop, figures=False)
-    with pytest.raises(StoreError, match="is not finished"):
-        bound(tmp_path / "run")
-    for wrong in (
-        {"draws": LEAST_DRAWS - 1},
-        {"draws": 100_001},
-        {"draws": 0},
-        {"particles": 0},
-        {"window": 0},
-        {"window": 7},
-        {"within": 0.0},
-        {"within": 1.0},
-    ):
-        (name,) = wrong
-        with pytest.raises(JobError, match=f"{name} must be"):
-            bound(tmp_path / "run", **wrong)  # type: ignore[arg-type]
-
-
-def test_many_measurements_are_counted_one_by_one(
-    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    run = _run(small_job, tmp_path / "run", *EXACT).path
-    expected = [gap.bound.value for gap in bound(run).gaps]
-    monkeypatch.setattr("pfdist.bounds.first_windows.MOST_UNITS", 3)  # less than N
-    assert [gap.bound.value for gap in bound(run).gaps] == expected
-    assert all(value > 0 for value in expected)
-
-
-@pytest.mark.parametrize("costs", [[3 + t % 2 for t in range(13)], [40 + t for t in range(13)]])
-def test_where_measurements_cost_money_it_lies_below_the_optimum(
-    small_job: Job, tmp_path: Path, costs: list[int], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    text, money = small_job.path.read_text(), 6 * min(costs) + 2
-    path = small_job.path.with_name("priced.toml")
-    path.write_text(text.replace("measurement_budget = 4", f"total_cost = {money}\ncost = {costs}"))
-    job = load_job(path).with_changes(EXACT)
-    evaluator = Evaluator(pfdist.load_model("random_walk"), 12, engine="kalman")
-    optimum = min(evaluator.expected_mse(list(job.problem.feasible.every())))
-    run = _run(load_job(path), tmp_path / "run", *EXACT).path
-    for gap in bound(run).gaps:
-        assert gap.budget == job.problem.feasible.total
-        assert gap.bound.value <= optimum * (1 + 1e-12)
-        assert gap.bound.value > 0.95 * optimum
-    finely = bound(run, window=5).gaps[0].bound.value
-    assert finely == pytest.approx(optimum)
-    monkeypatch.setattr("pfdist.bounds.first_windows.MOST_UNITS", 7)  # costs are rounded down
-    roughly = bound(run, window=5).gaps[0].bound.value
-    assert roughly <= finely
-
-
-def test_a_relaxation_that_is_too_large_is_refused_before_a_pool_starts(
-    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    run = _run(small_job, tmp_path / "run", *EXACT).path
-    monkeypatch.delattr("pfdist.api.at_work.make_pool")
-    with pytest.raises(JobError, match=r"; take a smaller window, or more memory$") as refused:
-        bound(run, window=6, memory=1)
-    assert refused.value.argument == "window"
-
-
-def test_where_no_bound_is_known_one_line_says_why(small_job: Job, tmp_path: Path) -> None:
-    mine = small_job.path.parent / "mine.py"
-    mine.write_text(
+def test_an_error_of_the_users_own_has_no_bound(small_job: Job, tmp_path: Path) -> None:
+    """A run that was to have a bound says so and stands; the bound says why."""
+    (tmp_path / "own.py").write_text(
         "from dataclasses import replace\n"
         "from pfdist import load_model\n"
         "model = replace(load_model('ungm'), error=lambda z, e, t, p: abs(z[0] - e[0]))\n"
     )
-    changes = ("model.name=mine.py:model", "filter.engine=numpy", "evaluation.draws=3")
+    few, said = [*QUICK, OWN, "filter.engine=numpy", "evaluation.draws=3"], list[str]()
+    options: Any = {"bound_draws": LEAST_DRAWS, "figures": False, "say": said.append}
+    run = pfdist.run(small_job.with_changes(few), tmp_path / "run", **options)
+    assert run.state == "finished"
+    assert any(line.startswith("there is no lower bound: ") for line in said)
     with pytest.raises(ModelError, match="squared Euclidean norm"):
-        bound(_run(small_job, tmp_path / "own", *changes).path)
+        bound(run)
 
 
-WALK = ("model.name=random_walk", "filter.particles=20", "comparison.draws=300")
+def test_a_run_whose_comparison_was_slow_has_no_bound_yet(
+    walk: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The speed is that of the run's own comparison, not a guess for all models."""
+    timings, said = Run.timings, list[str]()
+
+    def slow(run: Run) -> pd.DataFrame:
+        return timings(run).assign(seconds=lambda rows: 1e7 * rows["seconds"])
+
+    again: Any = {"figures": False, "pool": "serial", "bound_draws": LEAST_DRAWS}
+    with monkeypatch.context() as patched:
+        patched.setattr(Run, "timings", slow)
+        assert not pfdist.run(walk / "job.toml", walk, **again, say=said.append).has("bound")
+    (line,) = said  # no pool was started
+    assert line.startswith("there is no lower bound yet: pfdist bound would take about ")
+    assert pfdist.run(walk / "job.toml", walk, **again).has("bound")
 
 
-@pytest.fixture(scope="module")
-def finished_walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    job = load_job(Path(__file__).parents[1] / "small.toml")
-    return _run(job, tmp_path_factory.mktemp("walk") / "run", *WALK).path
+def test_a_relaxation_that_is_too_large_is_refused_before_a_pool_starts(
+    exact: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delattr("pfdist.api.at_work.make_pool")
+    with pytest.raises(JobError, match=r"; take a smaller window, or more memory$") as refused:
+        bound(exact, window=6, memory=1)
+    assert refused.value.argument == "window"
 
 
-@pytest.fixture
-def walk(finished_walk: Path, tmp_path: Path) -> Path:
-    """A finished run, in a copy of its own."""
-    return shutil.copytree(finished_walk, tmp_path / "run")
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("draws", LEAST_DRAWS - 1), ("draws", 100_001), ("particles", 0), ("window", 0),
+     ("window", 7), ("within", 0.0), ("within", 1.0)],
+)  # fmt: skip
+def test_a_setting_out_of_its_range_is_refused(name: str, value: float) -> None:
+    with pytest.raises(JobError, match=f"{name} must be"):
+        BoundSettings(**{name: value})  # type: ignore[arg-type]
+
+
+# --- what a run keeps of its bounds ---------------------------------------------------------------
 
 
 def _tables(run: Path) -> dict[str, bytes]:
@@ -319,30 +350,24 @@ def _tables(run: Path) -> dict[str, bytes]:
     return {name: content for name, content in found.items() if not name.startswith("timings")}
 
 
-def _stopped(run: Path, reports: int, **options: Any) -> None:
-    """Stop a bound after so many reports of its progress."""
-    left = iter(range(reports))
-
-    def stop(progress: object) -> None:
-        if next(left, None) is None:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        bound(run, progress=stop, **options)
-
-
 def test_a_bound_that_was_stopped_goes_on_and_ends_with_the_same_bytes(
     walk: Path, tmp_path: Path
 ) -> None:
-    shutil.copytree(walk, tmp_path / "other")
-    _stopped(walk, 30, draws=2 * LEAST_DRAWS)
+    other, reports = shutil.copytree(walk, tmp_path / "other"), iter(range(30))
+
+    def stop(progress: object) -> None:
+        if next(reports, None) is None:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        bound(walk, 2 * LEAST_DRAWS, progress=stop)
     stopped = pfdist.open_run(walk)
     assert stopped.state == "finished"
     assert stopped.has("error_sums")
     assert not stopped.has("bound")
     bound(walk, 2 * LEAST_DRAWS)
-    bound(tmp_path / "other", 2 * LEAST_DRAWS)
-    assert _tables(walk) == _tables(tmp_path / "other")
+    bound(other, 2 * LEAST_DRAWS)
+    assert _tables(walk) == _tables(other)
     assert {name.partition("/")[0] for name in _tables(walk)} == {"bound", "error_sums", "draws"}
 
 
@@ -350,10 +375,10 @@ def test_a_bound_that_was_stopped_goes_on_and_ends_with_the_same_bytes(
 def test_it_has_the_same_bytes_with_two_workers_of_ray(
     walk: Path, tmp_path: Path, ray_cluster: None
 ) -> None:
-    shutil.copytree(walk, tmp_path / "other")
+    other = shutil.copytree(walk, tmp_path / "other")
     bound(walk)
-    bound(tmp_path / "other", pool="ray", workers=2)
-    assert _tables(walk) == _tables(tmp_path / "other")
+    bound(other, pool="ray", workers=2)
+    assert _tables(walk) == _tables(other)
 
 
 def test_what_is_committed_is_not_computed_again(
@@ -373,95 +398,14 @@ def test_what_is_committed_is_not_computed_again(
     rounds, rest = divmod(first - 20, 20)  # of growing windows; the bound
     assert rounds >= 1
     assert rest == 0
-    bound(walk, 2 * LEAST_DRAWS)  # the windows are chosen as before
-    assert len(blocks) == first + 20
-    bound(walk, 2 * LEAST_DRAWS)
-    assert len(blocks) == first + 20
+    for _ in range(2):
+        bound(walk, 2 * LEAST_DRAWS)  # the windows are chosen as before
+        assert len(blocks) == first + 20
 
 
-def test_the_table_has_a_row_for_each_set_window_and_number_of_draws(walk: Path) -> None:
-    found = bound(walk, 2 * LEAST_DRAWS)
-    bound(walk, LEAST_DRAWS, window=1)
-    rows = pfdist.open_run(walk).bounds()
-    looks = rows[["window", "draws"]].drop_duplicates().to_numpy().tolist()
-    assert looks == [[1, LEAST_DRAWS], [2, LEAST_DRAWS], [2, 2 * LEAST_DRAWS]]
-    assert list(rows["name"][:3]) == [gap.name for gap in found.gaps]
-    last = rows[(rows["window"] == 2) & (rows["draws"] == 2 * LEAST_DRAWS)]
-    assert list(last["gap_at_most"]) == [gap.gap_at_most for gap in found.gaps]
-    assert [tuple(path) for path in last["path"]] == [gap.path for gap in found.gaps]
-    summary = pfdist.open_run(walk).summary()["results"]
-    for gap in found.gaps:  # the proof of most work
-        assert summary[gap.name]["lower_bound"]["gap"] == gap.gap
-        assert summary[gap.name]["lower_bound"]["window"] == 2
-    assert main(["verify", str(walk)]) == 0
-
-
-@pytest.mark.parametrize("work", [1e6, 3e6])
-def test_the_growth_of_windows_is_foreseen(walk: Path, work: float) -> None:
-    built = build(load_job(walk / "job.toml"))
-    steps = [Prover(built, BoundSettings(LEAST_DRAWS, work=each)).steps for each in (0, work)]
-    assert steps[1] - steps[0] == work
-    seen = list[Progress]()
-    bound(walk, LEAST_DRAWS, work=work, progress=seen.append)
-    assert len({each.total for each in seen if each.phase == "windows of the bound"}) == 1
-    assert max(each.done / each.total for each in seen) == 1.0
-    assert seen[-1].done == seen[-1].total
-
-
-def test_a_plan_whose_windows_would_grow_for_long_has_no_bound_yet(
-    small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(Prover, "_most_steps", 1e13)
-    said = list[str]()
-    job = small_job.with_changes([*WALK, "comparison.draws=20"])
-    run = pfdist.plan(job, tmp_path / "plan", figures=False, pool="serial", say=said.append)
-    assert not run.has("bound")
-    assert any(line.startswith("there is no lower bound yet: ") for line in said)
-    said.clear()
-    pfdist.plan(job, tmp_path / "plan", figures=False, pool="serial", say=said.append)
-    assert len(said) == 1  # no pool was started
-    assert said[0].startswith("there is no lower bound yet: pfdist bound would take about ")
-
-
-def test_a_run_whose_comparison_was_slow_has_no_bound_yet(
-    walk: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The speed is that of the run's own comparison, not a guess for all models."""
-    timings = Run.timings
-
-    def slow(run: Run) -> pd.DataFrame:
-        return timings(run).assign(seconds=lambda rows: 1e7 * rows["seconds"])
-
-    said = list[str]()
-    again = {"figures": False, "pool": "serial", "bound_draws": LEAST_DRAWS, "say": said.append}
-    with monkeypatch.context() as patched:
-        patched.setattr(Run, "timings", slow)
-        assert not pfdist.run(walk / "job.toml", walk, **again).has("bound")
-    assert said[0].startswith("there is no lower bound yet: pfdist bound would take about ")
-    assert pfdist.run(walk / "job.toml", walk, **again).has("bound")
-
-
-def test_it_takes_draws_until_the_gaps_are_within_what_is_demanded(walk: Path) -> None:
-    whole = bound(walk, 4 * LEAST_DRAWS)
-    widest = max(gap.gap_at_most for gap in whole.gaps[1:])  # without the reference's
-    soon = bound(walk, within=0.9)
-    assert soon.draws == LEAST_DRAWS
-    late = bound(walk, 4 * LEAST_DRAWS, within=widest / 2)
-    assert late.draws == 4 * LEAST_DRAWS
-    # With three looks, each limit holds with 1 - 0.05/3.
-    assert late.confidence == pytest.approx(1 - 0.05 / 3)
-    for gap, other in zip(whole.gaps, late.gaps, strict=True):
-        assert gap.bound == other.bound
-        assert gap.gap_at_most < other.gap_at_most
-
-
-def test_a_comparison_of_many_draws_is_used_and_not_computed_again(
-    small_job: Job, tmp_path: Path
-) -> None:
-    changes = ("model.name=random_walk", "filter.particles=20", f"comparison.draws={SET_DRAWS}")
-    run = _run(small_job, tmp_path / "run", *changes)
-    found = bound(run, LEAST_DRAWS)
-    statistics = run.statistics()
+def test_a_comparison_of_many_draws_is_used_and_not_computed_again(run_of: RunOf) -> None:
+    run = pfdist.open_run(run_of(*WALK, f"comparison.draws={SET_DRAWS}"))
+    found, statistics = bound(run.path, LEAST_DRAWS), run.statistics()
     for gap in found.gaps:
         mse = statistics.mse[gap.name]
         assert gap.expected_mse.value == mse.mean
@@ -471,67 +415,11 @@ def test_a_comparison_of_many_draws_is_used_and_not_computed_again(
     assert (of_bounds == SET_DRAWS).sum() == len(found.gaps)  # the variances alone
 
 
-@pytest.mark.slow
-def test_plan_says_how_good_its_times_are(
-    small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str], no_figures: None
-) -> None:
-    path = small_job.path
-    changes = ["--set", "model.name=random_walk", "filter.particles=50", "comparison.draws=200"]
-    command = ["plan", str(path), *changes, "--pool", "serial", "--results"]
-    assert main([*command, str(tmp_path / "plan")]) == 0
-    text = capsys.readouterr().out
-    assert "No other 4 times can lower the error by more than another" in text
-    assert "(95 %: " in text
-    assert len(pfdist.open_run(tmp_path / "plan").bounds()) == 2  # regular and found times
-    tables = _tables(tmp_path / "plan")
-    assert main([*command, str(tmp_path / "plan")]) == 0  # nothing is left to do
-    assert _tables(tmp_path / "plan") == tables
-    assert main([*command, str(tmp_path / "bare"), "--bound-draws", "0"]) == 0
-    assert not pfdist.open_run(tmp_path / "bare").has("bound")
-
-
-@pytest.mark.slow
-def test_a_plan_without_a_bound_says_why_and_stands(small_job: Job, tmp_path: Path) -> None:
-    (small_job.path.parent / "mine.py").write_text(
-        "from dataclasses import replace\n"
-        "from pfdist import load_model\n"
-        "model = replace(load_model('ungm'), error=lambda z, e, t, p: abs(z[0] - e[0]))\n"
-    )
-    said = list[str]()
-    job = small_job.with_changes(["model.name=mine.py:model", "comparison.draws=20"])
-    run = pfdist.plan(job, tmp_path / "plan", figures=False, pool="serial", say=said.append)
-    assert run.state == "finished"
-    assert any(line.startswith("there is no lower bound: ") for line in said)
-
-
-def test_the_figure_shows_the_bound_against_its_work(walk: Path) -> None:
-    bound(walk, 2 * LEAST_DRAWS, figures=True)
-    assert {file.name for file in (walk / "figures").iterdir()} == {"bound.png", "bound.svg"}
-
-
-def test_a_run_of_another_version_is_proved_and_not_written_to(
-    walk: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("pfdist.runner.identity.version", lambda name: "99")
-    said, before = list[str](), sorted(walk.rglob("*"))
-    found = bound(walk, LEAST_DRAWS, say=said.append)
-    assert not any(gap.reason for gap in found.gaps)
-    assert any("is of another program (pfdist: 0.3.0 -> 99)" in line for line in said)
-    assert sorted(walk.rglob("*")) == before
-
-
-def test_more_compared_draws_are_proved_again(small_job: Job, tmp_path: Path) -> None:
-    job = small_job.with_changes([*QUICK, *WALK])
-    job = job.with_changes(["comparison.draws=300"])
-
-    def proved(draws: int) -> pd.DataFrame:
-        more = job.with_changes([f"comparison.draws={draws}"])
-        run = pfdist.run(more, tmp_path / "run", figures=False, bound_draws=LEAST_DRAWS)
-        return run.bounds()
-
-    assert set(proved(300)["compared_draws"]) == {300}
-    assert set(proved(300)["compared_draws"]) == {300}
-    assert set(proved(400)["compared_draws"]) == {400}
+def test_more_compared_draws_are_proved_again(walk: Path) -> None:
+    for draws in (300, 300, 400):
+        job = load_job(walk / "job.toml", [f"comparison.draws={draws}", "execution.pool=serial"])
+        run = pfdist.run(job, walk, figures=False, bound_draws=LEAST_DRAWS)
+        assert set(run.bounds()["compared_draws"]) == {draws}
 
 
 def test_a_damaged_file_of_a_bound_is_made_again_by_the_bound(walk: Path) -> None:
@@ -547,45 +435,103 @@ def test_a_damaged_file_of_a_bound_is_made_again_by_the_bound(walk: Path) -> Non
     assert main(["verify", str(walk)]) == 0
 
 
-@pytest.mark.slow
-def test_a_state_that_the_likelihood_excludes_is_a_reason(small_job: Job, tmp_path: Path) -> None:
-    """The true state is among the particles, so only a wrong likelihood has degenerate draws."""
-    (small_job.path.parent / "cut.py").write_text(
-        "from dataclasses import replace\n"
-        "import numpy as np\n"
-        "from pfdist import load_model, where\n"
-        "walk = load_model('random_walk')\n"
-        "model = replace(walk, linear_gaussian=False, log_likelihood=lambda y, x, t, p:\n"
-        "    where(abs(y[0] - x[0]) > 3.0, -np.inf, -0.5 * (y[0] - x[0]) ** 2))\n"
-    )
-    changes = ("model.name=cut.py:model", "evaluation.degenerate_draws=leave_out")
-    run = _run(small_job, tmp_path / "run", *changes, "filter.particles=5")
-    bound(run, LEAST_DRAWS)
-    rows = pfdist.open_run(run.path).bounds()
-    assert all("degenerate or infinite" in reason for reason in rows["reason"])
-    assert main(["bound", str(run.path / "job.toml"), "--pool", "serial"]) == 0
+def test_a_run_of_another_version_is_proved_and_not_written_to(
+    walk: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pfdist.runner.identity.version", lambda name: "99")
+    said, before = list[str](), sorted(walk.rglob("*"))
+    found = bound(walk, LEAST_DRAWS, say=said.append)
+    assert not any(gap.reason for gap in found.gaps)
+    assert any("is of another program (pfdist: 0.3.0 -> 99)" in line for line in said)
+    assert sorted(walk.rglob("*")) == before
 
 
-def test_a_limit_is_printed_rounded_up(walk: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("work", [1e6, 3e6])
+def test_the_growth_of_windows_is_foreseen(walk: Path, work: float) -> None:
+    built = build(load_job(walk / "job.toml"))
+    steps = [Prover(built, BoundSettings(LEAST_DRAWS, work=each)).steps for each in (0, work)]
+    assert steps[1] - steps[0] == work
+    seen = list[Progress]()
+    bound(walk, LEAST_DRAWS, work=work, progress=seen.append)
+    assert len({each.total for each in seen if each.phase == "windows of the bound"}) == 1
+    assert max(each.done / each.total for each in seen) == 1.0
+    assert seen[-1].done == seen[-1].total
+
+
+# --- what users see -------------------------------------------------------------------------------
+
+
+def test_the_table_has_a_row_for_each_set_window_and_number_of_draws(walk: Path) -> None:
+    found = bound(walk, 2 * LEAST_DRAWS, figures=True)
+    assert {file.name for file in (walk / "figures").iterdir()} == {"bound.png", "bound.svg"}
+    bound(walk, LEAST_DRAWS, window=1)
+    run = pfdist.open_run(walk)
+    rows, summary = run.bounds(), run.summary()["results"]
+    looks = rows[["window", "draws"]].drop_duplicates().to_numpy().tolist()
+    assert looks == [[1, LEAST_DRAWS], [2, LEAST_DRAWS], [2, 2 * LEAST_DRAWS]]
+    assert list(rows["name"][:3]) == [gap.name for gap in found.gaps]
+    last = rows[(rows["window"] == 2) & (rows["draws"] == 2 * LEAST_DRAWS)]
+    assert list(last["gap_at_most"]) == [gap.gap_at_most for gap in found.gaps]
+    assert [tuple(path) for path in last["path"]] == [gap.path for gap in found.gaps]
+    for gap in found.gaps:  # the proof of most work
+        assert summary[gap.name]["lower_bound"]["gap"] == gap.gap
+        assert summary[gap.name]["lower_bound"]["window"] == 2
+    assert main(["verify", str(walk)]) == 0
+
+
+def test_it_takes_draws_until_the_gaps_are_within_what_is_demanded(
+    walk: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = bound(walk, 4 * LEAST_DRAWS)
+    widest = max(gap.gap_at_most for gap in whole.gaps[1:])  # without the reference's
+    soon = bound(walk, within=0.9)
+    late = bound(walk, 4 * LEAST_DRAWS, within=widest / 2)
+    assert (soon.draws, late.draws) == (LEAST_DRAWS, 4 * LEAST_DRAWS)
+    reached = (whole.within_reached, soon.within_reached, late.within_reached)
+    assert reached == (None, True, False)
+    # With three looks, each limit holds with 1 - 0.05/3.
+    assert late.confidence == pytest.approx(1 - 0.05 / 3)
+    for gap, other in zip(whole.gaps, late.gaps, strict=True):
+        assert gap.bound == other.bound
+        assert gap.gap_at_most < other.gap_at_most
+    demand = ["--pool", "serial", "--draws", "480", "--within", "0.0001"]
+    assert main(["bound", str(walk / "job.toml"), *demand]) == 0
+    assert "The limit of a found set is above 0.01 % with 480 draws." in capsys.readouterr().out
+
+
+def test_the_command_says_how_much_is_left(exact: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["bound", str(exact / "job.toml"), "--pool", "serial"]
+    assert main([*words, "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert list(answer["sets"]) == ["regular", "genetic", "random"]
+    assert answer == bound(exact).as_json()
+    assert main(words) == 0
+    text = capsys.readouterr().out
+    for name, gap in answer["sets"].items():
+        assert f"{name}: 4 measurements" in text
+        percent = f"{100 * gap['gap']:.2g} %"
+        assert f"No other 4 times can lower the error by more than another {percent}." in text
+
+
+def test_a_limit_is_printed_rounded_up() -> None:
     for gap, printed in ((0.02901, "3.0 %"), (0.029, "2.9 %"), (0.1, "10 %"), (0.0, "0 %")):
         row = {"reason": "", "budget": 4, "bound_error": 1.0, "confidence": 0.95, "gap": 0.0}
         (line,) = proof_lines(row | {"gap_at_most": gap}, 4, is_constrained=False)
         assert line.endswith(f"(95 %: {printed}).")
 
 
-def test_more_than_is_demanded_is_said(walk: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    command = [
-        "bound",
-        str(walk / "job.toml"),
-        "--pool",
-        "serial",
-        "--draws",
-        "480",
-        "--within",
-        "0.0001",
-    ]
-    assert main(command) == 0
-    assert "The limit of a found set is above 0.01 % with 480 draws." in capsys.readouterr().out
-    assert bound(walk, LEAST_DRAWS, within=0.0001).within_reached is False
-    assert bound(walk, LEAST_DRAWS, within=0.99).within_reached is True
-    assert bound(walk, LEAST_DRAWS).within_reached is None
+@pytest.mark.slow
+@pytest.mark.usefixtures("no_figures")
+def test_plan_says_how_good_its_times_are(
+    small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    changes = ["--set", "model.name=random_walk", "filter.particles=50", "comparison.draws=200"]
+    command = ["plan", str(small_job.path), *changes, "--pool", "serial", "--results"]
+    assert main([*command, str(tmp_path / "plan")]) == 0
+    assert re.search(r"No other 4 times can lower .* \(95 %: ", capsys.readouterr().out)
+    assert len(pfdist.open_run(tmp_path / "plan").bounds()) == 2  # regular and found times
+    tables = _tables(tmp_path / "plan")
+    assert main([*command, str(tmp_path / "plan")]) == 0  # nothing is left to do
+    assert _tables(tmp_path / "plan") == tables
+    assert main([*command, str(tmp_path / "bare"), "--bound-draws", "0"]) == 0
+    assert not pfdist.open_run(tmp_path / "bare").has("bound")

@@ -2,6 +2,7 @@
 
 import os
 import shutil
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -12,20 +13,23 @@ import pfdist
 from pfdist.errors import StoreError
 from pfdist.store import held
 
-SMALL = (Path(__file__).parents[1] / "small.toml").read_text()
 SHORT = ["comparison.draws=60", "search.genetic.generations=1", "filter.particles=10"]
 KALMAN = ["model.name=random_walk", "filter.engine=kalman"]
 
 
-@pytest.fixture(scope="module")
-def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture
+def runs(finished: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Finished runs, two levels deep."""
     folder = tmp_path_factory.mktemp("list")
-    (folder / "small.toml").write_text(SMALL)
     for name, changes in {"plain": [], "sweep/n-10": ["seed=2"], "sweep/n-9": KALMAN}.items():
-        job = pfdist.load_job(folder / "small.toml", [*SHORT, *changes])
-        pfdist.run(job, folder / "results" / name, figures=False)
-    return folder / "results"
+        shutil.copytree(finished(*SHORT, *changes), folder / name)
+    return folder
+
+
+@pytest.fixture
+def run(runs: Path, tmp_path: Path) -> Path:
+    """A finished run, alone in the folder ``tmp_path``."""
+    return shutil.copytree(runs / "plain", tmp_path / "run")
 
 
 def _row(folder: Path) -> dict[Any, Any]:
@@ -46,8 +50,7 @@ def test_the_best_set_and_its_gain_are_those_of_the_summary(runs: Path) -> None:
         assert row["draws"] == row["draws_wanted"] == 60
 
 
-def test_size_and_age_are_those_of_the_files(runs: Path, tmp_path: Path) -> None:
-    run = shutil.copytree(runs / "plain", tmp_path / "run")
+def test_size_and_age_are_those_of_the_files(run: Path, tmp_path: Path) -> None:
     for path in [run, *run.rglob("*")]:
         os.utime(path, (0, 1000.0))
     newest = run / "tables" / "compared"
@@ -68,19 +71,19 @@ def test_links_hidden_folders_and_what_lies_deeper_are_left_out(runs: Path, tmp_
     assert _row(runs / "plain")["run"] == "."
 
 
-def test_a_run_is_running_while_its_lock_is_held(runs: Path, tmp_path: Path) -> None:
-    run = shutil.copytree(runs / "plain", tmp_path / "run")
+def test_a_run_is_running_while_its_lock_is_held(run: Path, tmp_path: Path) -> None:
     with held(run):
         assert _row(tmp_path)["state"] == "running"
     assert _row(tmp_path)["state"] == "finished"
 
 
-def test_an_unfinished_run_says_how_many_draws_it_has(runs: Path, tmp_path: Path) -> None:
-    run = shutil.copytree(runs / "plain", tmp_path / "run")
-    serial = {"execution": {"pool": "serial"}}
-    job = pfdist.load_job(run / "job.toml", ["comparison.draws=500"], sections=serial)
+def test_an_unfinished_run_says_how_many_draws_it_has(run: Path, tmp_path: Path) -> None:
+    def stop(progress: Any) -> None:
+        raise KeyboardInterrupt
+
+    job = pfdist.load_job(run / "job.toml", ["comparison.draws=500", "execution.pool=serial"])
     with pytest.raises(KeyboardInterrupt):
-        pfdist.run(job, run, figures=False, progress=_stop)
+        pfdist.run(job, run, figures=False, progress=stop)
     row = _row(tmp_path)
     assert (row["state"], row["draws_wanted"]) == ("unfinished", 500)
     assert 60 <= row["draws"] < 500
@@ -88,10 +91,6 @@ def test_an_unfinished_run_says_how_many_draws_it_has(runs: Path, tmp_path: Path
         shutil.rmtree(run / table, ignore_errors=True)
     row = _row(tmp_path)
     assert (row["state"], row["draws"], row["best"]) == ("unfinished", 0, None)
-
-
-def _stop(progress: Any) -> None:
-    raise KeyboardInterrupt
 
 
 def _write(name: str, content: bytes) -> Any:
@@ -106,10 +105,8 @@ def _write(name: str, content: bytes) -> Any:
         (_write("job.toml", b"\xff"), "cannot read job.toml: text must be UTF-8"),
         (_write("job.toml", b"seed = 1"), "cannot read job.toml: problem must be given"),
         (_write("tables/comparison/comparison-00000.parquet", b""), "cannot read tables"),
-        (_write("tables/compared/search-00000.parquet", b"x"), "cannot read tables"),
         (lambda run: (run / "run.json").unlink(), "there is no run.json in it"),
         (lambda run: (run / "job.toml").unlink(), "there is no job.toml in it"),
-        (lambda run: (run / "manifest").unlink(), "has lost its manifest"),
         (lambda run: (run / "figures").symlink_to("/etc"), "figures is a link"),
         (lambda run: os.mkfifo(run / "report.html"), "report.html is neither a file"),
     ],

@@ -84,21 +84,17 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> pfdist.Run:
     return pfdist.run(_job(folder, ""), folder / "run", figures=False)
 
 
-def _columns(z: tuple[str, ...], y: tuple[str, ...]) -> list[str]:
-    sets = ("regular", "mine_too")
-    return [
-        "draw", "t", *(f"z_{end}" for end in z), *(f"y_{end}" for end in y),
-        *(f"estimate_{name}_{end}" for name in sets for end in z),
-    ]  # fmt: skip
-
-
 def test_columns_of_trajectories_have_the_names_and_the_numbers_of_the_run_without(
     run: pfdist.Run, plain: pfdist.Run
 ) -> None:
+    def columns(z: tuple[str, ...], y: tuple[str, ...]) -> list[str]:
+        estimates = [f"estimate_{name}_{end}" for name in ("regular", "mine_too") for end in z]
+        return ["draw", "t", *(f"z_{end}" for end in z), *(f"y_{end}" for end in y), *estimates]
+
     named = pd.read_parquet(run.path / "tables" / "trajectories")
     numbered = pd.read_parquet(plain.path / "tables" / "trajectories")
-    assert list(named) == _columns(Z, ("marker", "weight"))
-    assert list(numbered) == _columns(("0", "1"), ("0", "1"))
+    assert list(named) == columns(Z, ("marker", "weight"))
+    assert list(numbered) == columns(("0", "1"), ("0", "1"))
     np.testing.assert_array_equal(named.to_numpy(), numbered.to_numpy())
     assert run.sets() == plain.sets()
 
@@ -163,23 +159,14 @@ def test_filter_reads_both_kinds_of_columns_and_writes_names(
     assert re.search(r"In the end the filter believes Tumour mass to be [\d.]+ mg, and", report)
 
 
-def test_wrong_columns_are_told_with_all_that_is_allowed(
-    run: pfdist.Run, plain: pfdist.Run
-) -> None:
-    believed, without = (build(pfdist.load_job(each.path / "job.toml")).evaluator.believed
-                         for each in (run, plain))  # fmt: skip
-    clock = Clock.counting(9)
+def test_wrong_columns_are_told_with_all_that_is_allowed(run: pfdist.Run) -> None:
+    believed = build(pfdist.load_job(run.path / "job.toml")).evaluator.believed
     mixed = pd.DataFrame({"t": [1], "y0": [1.0], "Weight": [2.0]})
-    words = (r"columns must be t, y0, y1 or t, y_marker, y_weight, got 't, y0, Weight'; "
-             "write y_weight in the place of Weight")  # fmt: skip
+    words = "must be t, y0, y1 or t, y_marker, y_weight, got .*; write y_weight in the place of Wei"
     with pytest.raises(MeasurementsError, match=words):
-        read_measurements(mixed, believed, clock)
-    with pytest.raises(MeasurementsError, match=r"columns must be t, y0, y1, got 't'"):
-        read_measurements(pd.DataFrame({"t": [1]}), without, clock)
+        read_measurements(mixed, believed, Clock.counting(9))
     with pytest.raises(PriorError, match=r"must be x0, x1 or x_tumour_mass, x_plasma, and may be"):
         read_prior(pd.DataFrame({"x0": [1.0], "x_plasma": [1.0]}), believed)
-    with pytest.raises(PriorError, match=r"must be x0, x1, and may be weight and t"):
-        read_prior(pd.DataFrame({"weight": [1.0]}), without)
 
 
 def test_a_prior_may_have_the_names_of_states(run: pfdist.Run) -> None:
@@ -192,8 +179,8 @@ def test_a_prior_may_have_the_names_of_states(run: pfdist.Run) -> None:
 def test_simulations_have_the_names_and_the_same_numbers(tmp_path: Path) -> None:
     named = pfdist.simulate(_job(tmp_path / "a", NAMES), draws=2)
     numbered = pfdist.simulate(_job(tmp_path / "b", ""), draws=2)
-    assert list(named)[2:] == ["x_tumour_mass", "x_plasma", "y_marker", "y_weight",
-                               "z_tumour_mass", "z_change_of_mass"]  # fmt: skip
+    x, y = ["x_tumour_mass", "x_plasma"], ["y_marker", "y_weight"]
+    assert list(named)[2:] == [*x, *y, "z_tumour_mass", "z_change_of_mass"]
     assert list(numbered)[2:] == ["x_0", "x_1", "y_0", "y_1", "z_0", "z_1"]
     np.testing.assert_array_equal(named.to_numpy(), numbered.to_numpy())
     assert named.attrs["labels"]["x_tumour_mass"] == "Tumour mass [mg]"
@@ -238,11 +225,8 @@ def test_the_filters_model_takes_the_names_of_the_truth(tmp_path: Path) -> None:
 
 
 def test_two_estimates_in_one_column_are_refused_before_the_run(tmp_path: Path) -> None:
-    names = 'z_names=("mass", "too mass"),'
+    path = _job(tmp_path, 'z_names=("mass", "too mass"),')
     more = '[[search]]\nmethod = "random"\nname = "mine"\nevaluations = 3\n[evaluation]'
-    path = _job(tmp_path, names)
     path.write_text(JOB.replace("[evaluation]", more))
-    with pytest.raises(
-        JobError, match=r"'estimate_mine_too_mass' for 'mass' of the set 'mine_too'"
-    ):
+    with pytest.raises(JobError, match="'estimate_mine_too_mass' for 'mass' of the set 'mine_too'"):
         build(pfdist.load_job(path))
