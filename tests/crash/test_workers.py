@@ -79,7 +79,7 @@ def _has_come_on(driver: Running, commits: int, killed: set[Process]) -> Callabl
 
 
 def _is_comparing(driver: Running) -> bool:
-    return driver.parts("comparison") > 0 and len(driver.workers()) == 2
+    return driver.parts("comparison") > 0 and bool(driver.workers())
 
 
 @pytest.mark.slow
@@ -123,14 +123,13 @@ def test_a_run_whose_workers_are_killed_ends_with_the_same_bytes(
 
 
 @pytest.mark.crash
-@pytest.mark.parametrize("stopped", ["one", "all"])
-def test_a_run_whose_workers_are_stopped_ends_with_the_same_bytes(
-    stopped: str, make_job: Callable[[int], Path], tmp_path: Path, record_property: Record
+def test_a_run_whose_worker_is_stopped_ends_with_the_same_bytes(
+    make_job: Callable[[int], Path], tmp_path: Path, record_property: Record
 ) -> None:
     job = make_job(100_000)
     with running(job, tmp_path / "run", *TWO) as driver:
         driver.wait_for(lambda: _is_comparing(driver))
-        workers = driver.workers()[: 1 if stopped == "one" else None]
+        workers = driver.workers()
         for worker in workers:
             os.kill(worker.pid, signal.SIGSTOP)
         assert driver.wait() == 0, driver.said[-3:]
@@ -192,13 +191,13 @@ def test_a_run_whose_nodes_are_killed_added_and_frozen_ends_with_the_same_bytes(
 
 @pytest.mark.crash
 @pytest.mark.parametrize("phase", ["search", "comparison"])
-def test_a_run_whose_workers_are_all_killed_at_once_ends_with_the_same_bytes(
+def test_a_run_whose_only_worker_is_killed_ends_with_the_same_bytes(
     phase: str, make_job: Callable[[int], Path], tmp_path: Path, record_property: Record
 ) -> None:
     job = make_job(100_000)
     table = {"search": "draws", "comparison": "comparison"}[phase]
     with running(job, tmp_path / "run", *TWO) as driver:
-        driver.wait_for(lambda: driver.parts(table) and len(driver.workers()) == 2)
+        driver.wait_for(lambda: driver.parts(table) and driver.workers())
         killed = driver.workers()
         for worker in killed:
             os.kill(worker.pid, signal.SIGKILL)
