@@ -1,5 +1,6 @@
 """The paper's figures show what the tables say."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,6 @@ from matplotlib.figure import Figure
 from matplotlib.patches import StepPatch
 
 import pfdist
-from pfdist import Job
 from pfdist.analysis import Gain, Run
 from pfdist.analysis.online import OnlineDraws
 from pfdist.errors import ArgumentError, JobError, MeasurementTimesError
@@ -26,6 +26,7 @@ from pfdist.plots import (
 )
 from pfdist.plots.costs import legend_inches
 from pfdist.plots.draws import plot_of, typical_draw
+from pfdist.plots.figure import FIGURES, Tables
 from pfdist.plots.figures import drawn
 from pfdist.plots.library import styled
 from pfdist.plots.measured_online import measured_at
@@ -78,32 +79,20 @@ def test_cost_of_a_population_is_averaged_over_copies_and_of_trials_over_all_so_
     assert lines["regular times"][1] == [31.2, 31.2]
 
 
-def test_costs_of_another_estimator_stand_beside_no_reference() -> None:
-    axes = cost(EVALUATIONS, {"random": "random"}, title="filter variance", ax=_axes())
-    assert set(_lines(axes)) == {"random, average", "random, minimum"}
-    assert axes.get_legend().get_title().get_text() == "filter variance"
-
-
-@pytest.mark.parametrize(
-    "reference", ["[0, 3, 9]", pytest.param("'regular'", marks=pytest.mark.slow)]
-)
-def test_a_run_draws_a_panel_of_costs_for_each_way_to_estimate(
-    reference: str, small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_run_has_a_panel_of_costs_for_each_way_to_estimate(
+    plain: Run, finished: Callable[..., Path]
 ) -> None:
-    drawn = {}
-
-    def keep(run: Run, name: str, figure: Figure, title: str) -> list[Path]:
-        drawn[name] = [_lines(axes) for axes in figure.axes]
-        return []
-
-    monkeypatch.setattr("pfdist.plots.figures._saved", keep)
-    survivors = "search=[{method='genetic', generations=2, population=6}, {method='survivors'}]"
-    changes = [survivors, f"comparison.reference={reference}", "comparison.draws=20"]
-    pfdist.run(small_job.with_changes(changes), tmp_path / "run")
-    comparable, other = drawn["cost"]
-    line = "regular times" if "regular" in reference else "the reference"
-    assert {"genetic, average", "genetic, minimum", line} == set(comparable)
-    assert {"survivors, best so far"} == set(other)
+    """The reference is known for the estimator of the comparison alone."""
+    [(_, plot)] = FIGURES["cost"].plots(Tables(plain))
+    comparable, other = drawn(plot).axes
+    assert {*_lines(comparable)} == {"genetic, average", "genetic, minimum", "regular times"}
+    assert {*_lines(other)} == {"survivors, best so far"}
+    assert {*_lines(cost(plain, ax=_axes()))} == {*_lines(comparable)}
+    axes = cost(plain, ["survivors"], ax=_axes())
+    assert {*_lines(axes)} == {*_lines(other)}
+    assert "estimated otherwise" in axes.get_legend().get_title().get_text()
+    run = pfdist.open_run(finished("comparison.reference=[0, 3, 9]"))
+    assert "the reference" in _lines(cost(run, ax=_axes()))
 
 
 def test_of_prefixes_and_of_short_tests_the_work_counts_and_not_the_cost() -> None:
@@ -171,10 +160,15 @@ def test_components_beyond_the_sixth_are_counted_below_the_panels() -> None:
     assert panels[-1].get_xlabel() == "$t$; 2 more components are left out"
 
 
-def test_the_draw_shown_has_the_median_gain() -> None:
+def test_the_draw_of_median_gain_is_shown_unless_another_is_wanted(plain: Run) -> None:
     gains = pd.Series([0.1, -8.38, 0.26, 0.9, 0.3], index=[3, 4, 7, 8, 9])  # the mean is -1.36
     assert typical_draw(gains) == 7
     assert typical_draw(gains.drop(4)) == 7  # the lower of two
+    told = one_draw(plain, ax=_axes()).get_legend().get_title().get_text()
+    median = typical_draw(plain.gains().set_index("draw")["gain_genetic"])
+    assert told.startswith(f"draw {median}, relative gain ")
+    z = plain.trajectories().query("draw == 7")["z_0"].tolist()
+    assert _lines(one_draw(plain, draw=7, ax=_axes()))["$z(t)$"][1] == z
 
 
 def test_the_histogram_counts_the_draws_and_marks_zero_mean_and_fraction() -> None:
@@ -297,19 +291,17 @@ def test_a_profile_shows_the_error_its_band_and_the_instants_measured() -> None:
     assert (band.min(), band.max()) == pytest.approx((1 - 0.196, 5 + 0.196))
 
 
-def test_the_mean_of_a_profile_is_weighted_as_the_mse_is() -> None:
+@pytest.mark.parametrize(
+    ("weights", "mean"), [([2.25, 0.75, 0.0], "2.5"), ([1.0, 1.0, 1.0], "nan")]
+)
+def test_the_mean_of_a_profile_is_weighted_as_the_mse_is(weights: list[float], mean: str) -> None:
+    """An error that is unknown counts unless its weight is 0."""
     profile = pd.DataFrame(
-        {
-            "name": ["found"] * 3,
-            "t": [0.0, 1.0, 4.0],
-            "measured": [True, False, False],
-            "error": [2.0, 4.0, np.nan],  # an error of weight 0 is not known
-            "standard_error": [0.1] * 3,
-            "weight": [2.25, 0.75, 0.0],
-        }
+        {"name": "found", "t": [0.0, 1.0, 4.0], "measured": [True, False, False]}
     )
+    profile = profile.assign(error=[2.0, 4.0, np.nan], standard_error=0.1, weight=weights)
     axes = error_profile(profile, ax=_axes())
-    assert axes.get_lines()[0].get_label() == "found, mean 2.5"
+    assert axes.get_lines()[0].get_label() == f"found, mean {mean}"
 
 
 def test_a_measurements_worth_is_a_stem_and_its_shifts_are_triangles_with_intervals() -> None:
@@ -366,12 +358,6 @@ def test_the_budget_has_a_curve_each_for_regular_and_found_times_and_the_bound(
     assert (shade[:, 1].min(), shade[:, 1].max()) == (3.5, 7.8)
     lines = [container[0].get_ydata().tolist() for container in axes.containers]
     assert lines == [[9.0, 7.0, 8.0, 6.0], [8.0, 6.0, 5.0, 4.0]]
-
-
-def test_without_a_bound_the_budget_has_two_curves(curve: pd.DataFrame) -> None:
-    axes = budget(curve.assign(bound=np.nan, bound_low=np.nan), ax=_axes())
-    labels = [entry.get_text() for entry in axes.get_legend().get_texts()]
-    assert labels == ["regular times", "found times"]
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import inspect
 import io
 from collections.abc import Callable, Iterator
+from functools import partial
 from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
@@ -121,113 +122,70 @@ def test_times_that_are_not_whole_are_shown_without_a_run() -> None:
     assert (patch.get_x(), patch.get_x() + patch.get_width()) == (1.0, 1.75)
 
 
-def test_the_error_of_an_instant_is_unknown_only_if_it_weighs_nothing() -> None:
-    table = PROFILE[PROFILE["name"] == "mine"].copy()
-    table.loc[table["t"] == 4, "error"] = np.nan
-
-    def told(table: pd.DataFrame) -> str:
-        legend = plots.error_profile(table, ax=Figure().subplots()).get_legend()
-        assert legend is not None
-        return str(legend.get_texts()[0].get_text())
-
-    assert told(table) == "mine, mean nan"
-    assert told(table.assign(weight=np.where(table["t"] == 4, 0.0, 1.0))) == "mine, mean 1.889"
-
-
 def _trajectory() -> pd.DataFrame:
     columns = {f"estimate_{name}_0": np.arange(10) + 0.5 for name in SETS}
     return pd.DataFrame({"draw": 3, "t": range(10), "z_0": np.arange(10.0), **columns})
 
 
-def _drawings(plain: Run, proved: Run, several: Run) -> dict[str, list[Callable[[Any], Axes]]]:
-    """Ways to call each function."""
-    filtered = SimpleNamespace(table=_filtered(), missing=(1,), extra=(2,), to_come=(4,))
-    sets = {"regular": [0, 3], "mine": [1]}
-    return {
-        "against": [
-            lambda ax: plots.against(STUDY, ax=ax),
-            lambda ax: plots.against(STUDY, "filter.particles", "gain_of_means", ax=ax),
-            lambda ax: plots.against(SimpleNamespace(table=lambda: MINE), group="set", ax=ax),
-        ],
-        "belief": [
-            lambda ax: plots.belief(_filtered(), component=1, ax=ax),
-            lambda ax: plots.belief(filtered, ax=ax),
-        ],
-        "bound": [
-            lambda ax: plots.bound(proved, ax=ax),
-            lambda ax: plots.bound(proved.bounds(), ax=ax),
-        ],
-        "budget": [
-            lambda ax: plots.budget(several, ax=ax),
-            lambda ax: plots.budget(several.budget(), ax=ax),
-        ],
-        "comparison": [
-            lambda ax: plots.comparison(plain, ax=ax),
-            lambda ax: plots.comparison(proved.ranks(), ax=ax),
-        ],
-        "cost": [
-            lambda ax: plots.cost(plain, ax=ax),
-            lambda ax: plots.cost(plain, ["survivors"], ax=ax),
-            lambda ax: plots.cost(proved.evaluations().assign(end=12), ax=ax),
-        ],
-        "degenerate_draws": [
-            lambda ax: plots.degenerate_draws(PROFILE, ax=ax),
-            lambda ax: plots.degenerate_draws(WHY, ["mine"], ax=ax),
-        ],
-        "effective_sample_size": [
-            lambda ax: plots.effective_sample_size(WHY, particles=50, ax=ax),
-            lambda ax: plots.effective_sample_size(filtered, ax=ax),
-        ],
-        "error_profile": [
-            lambda ax: plots.error_profile(PROFILE, ax=ax),
-            lambda ax: plots.error_profile(WHY, SETS, ax=ax),
-        ],
-        "found_times": [
-            lambda ax: plots.found_times(STUDY, ax=ax),
-            lambda ax: plots.found_times(MINE, horizon=9, ax=ax),
-        ],
-        "gain": [
-            lambda ax: plots.gain(plain, "survivors", ax=ax),
-            lambda ax: plots.gain(plain, beside="survivors", ax=ax),
-            lambda ax: plots.gain(plain.comparison(), "genetic", reference="survivors", ax=ax),
-        ],
-        "heat_map": [
-            lambda ax: plots.heat_map(MINE, ax=ax),
-            lambda ax: plots.heat_map(MINE.iloc[1:], value="expected_mse", ax=ax),
-        ],
-        "one_draw": [
-            lambda ax: plots.one_draw(plain, ax=ax),
-            lambda ax: plots.one_draw(plain, "survivors", draw=4, ax=ax),
-            lambda ax: plots.one_draw(_trajectory(), sets, ax=ax),
-        ],
-        "online_gain": [lambda ax: plots.online_gain(proved, ax=ax)],
-        "online_raster": [
-            lambda ax: plots.online_raster(proved, ax=ax),
-            lambda ax: plots.online_raster(proved.online(), ax=ax),
-        ],
-        "online_shares": [
-            lambda ax: plots.online_shares(proved, ax=ax),
-            lambda ax: plots.online_shares(proved.online(), planned=(0, 3), plan="it", ax=ax),
-        ],
-        "shifts": [lambda ax: plots.shifts(WORTH, ax=ax), lambda ax: plots.shifts(WHY, ax=ax)],
-        "times": [
-            lambda ax: plots.times(proved, ax=ax),
-            lambda ax: plots.times(several, ax=ax),
-            lambda ax: plots.times(sets, forbidden=[5, 6], ax=ax),
-        ],
-        "sampling_windows": [
-            lambda ax: plots.sampling_windows(proved, ax=ax),
-            lambda ax: plots.sampling_windows(WINDOWS, "mine", ax=ax),
-            lambda ax: plots.sampling_windows(WHY, ax=ax),
-            lambda ax: plots.sampling_windows(WINDOWS.drop(columns="name").head(4), ax=ax),
-        ],
-        "worth": [lambda ax: plots.worth(WORTH, ax=ax), lambda ax: plots.worth(WHY, ax=ax)],
-    }
+Draw = Callable[..., Axes]
+Call = tuple[tuple[Any, ...], dict[str, Any]]
+
+
+def call(*arguments: Any, **options: Any) -> Call:
+    return arguments, options
+
+
+def _way(name: str, given: Call) -> Draw:
+    """A way to call a function of `plots`; ``ax`` is left open."""
+    arguments, options = given
+    return partial(getattr(plots, name), *arguments, **options)
 
 
 @pytest.fixture(scope="module")
-def drawings(plain: Run, proved: Run, several: Run) -> dict[str, list[Callable[[Any], Axes]]]:
-    return _drawings(plain, proved, several)
+def drawings(plain: Run, proved: Run, several: Run) -> dict[str, list[Draw]]:
+    """Ways to call each function, with a run and with tables."""
+    filtered = SimpleNamespace(table=_filtered(), missing=(1,), extra=(2,), to_come=(4,))
+    sets = {"regular": [0, 3], "mine": [1]}
+    calls = {
+        "against": [
+            call(STUDY),
+            call(STUDY, "filter.particles", "gain_of_means"),
+            call(SimpleNamespace(table=lambda: MINE), group="set"),
+        ],
+        "belief": [call(_filtered(), component=1), call(filtered)],
+        "bound": [call(proved), call(proved.bounds())],
+        "budget": [call(several), call(several.budget())],
+        "comparison": [call(plain), call(proved.ranks())],
+        "cost": [
+            call(plain),
+            call(plain, ["survivors"]),
+            call(proved.evaluations().assign(end=12)),
+        ],
+        "degenerate_draws": [call(PROFILE), call(WHY, ["mine"])],
+        "effective_sample_size": [call(WHY, particles=50), call(filtered)],
+        "error_profile": [call(PROFILE), call(WHY, SETS)],
+        "found_times": [call(STUDY), call(MINE, horizon=9)],
+        "gain": [
+            call(plain, "survivors"),
+            call(plain, beside="survivors"),
+            call(plain.comparison(), "genetic", reference="survivors"),
+        ],
+        "heat_map": [call(MINE), call(MINE.iloc[1:], value="expected_mse")],
+        "one_draw": [call(plain), call(plain, "survivors", draw=4), call(_trajectory(), sets)],
+        "online_gain": [call(proved)],
+        "online_raster": [call(proved), call(proved.online())],
+        "online_shares": [call(proved), call(proved.online(), planned=(0, 3), plan="it")],
+        "shifts": [call(WORTH), call(WHY)],
+        "times": [call(proved), call(several), call(sets, forbidden=[5, 6])],
+        "sampling_windows": [
+            call(proved),
+            call(WINDOWS, "mine"),
+            call(WHY),
+            call(WINDOWS.drop(columns="name").head(4)),
+        ],
+        "worth": [call(WORTH), call(WHY)],
+    }
+    return {name: [_way(name, given) for given in ways] for name, ways in calls.items()}
 
 
 every = pytest.mark.parametrize("name", NAMES)
@@ -240,15 +198,15 @@ def test_plots_are_found_under_pfdist() -> None:
 
 @every
 def test_it_draws_into_given_axes_and_makes_new_ones_in_the_users_style(
-    name: str, drawings: dict[str, list[Callable[[Any], Axes]]]
+    name: str, drawings: dict[str, list[Draw]]
 ) -> None:
     for draw in drawings[name]:
         axes = Figure().subplots()
-        assert draw(axes) is axes
+        assert draw(ax=axes) is axes
         assert axes.has_data()
         assert not pyplot.get_fignums()
         with pyplot.style.context({"lines.linewidth": 7.5, "figure.facecolor": "0.9"}):
-            new = draw(None)
+            new = draw()
         assert new.figure is pyplot.gcf()
         assert new.figure.get_facecolor()[:3] == (0.9, 0.9, 0.9)
         assert _shapes(new) == _shapes(axes)
@@ -261,13 +219,11 @@ def _shapes(axes: Axes) -> list[list[float]]:
 
 @every
 @pytest.mark.parametrize("style", [PRINT, SCREEN])
-def test_its_legend_covers_no_data(
-    name: str, style: str, drawings: dict[str, list[Callable[[Any], Axes]]]
-) -> None:
+def test_its_legend_covers_no_data(name: str, style: str, drawings: dict[str, list[Draw]]) -> None:
     with styled(style):
         for draw in drawings[name]:
             figure = Figure(layout="constrained")
-            draw(figure.subplots())
+            draw(ax=figure.subplots())
             _check_legends(figure)
 
 
@@ -365,27 +321,25 @@ def test_bars_are_thick_within_1_percent_thin_within_5_and_hollow_where_it_is_op
     )
 
 
-def test_a_set_or_a_draw_that_does_not_exist_is_named_with_those_that_do(plain: Run) -> None:
-    for draw, message in (
-        (lambda: plots.gain(plain, "nobody"), "name must be one of genetic, survivors, got 'nob"),
-        (lambda: plots.gain(plain, beside="regular"), "beside must be one of genetic, survivors"),
-        (lambda: plots.one_draw(plain, "nobody"), "sets must be one of genetic, survivors"),
-        (lambda: plots.one_draw(plain, draw=61), "draw must be one of 0, 1, 2"),
-        (lambda: plots.cost(plain, ["nobody"]), "searches must be one of genetic, survivors"),
-        (lambda: plots.worth(WORTH, ["nobody"]), "names must be one of regular, mine, got 'nob"),
-        (
-            lambda: plots.sampling_windows(WINDOWS, "nobody"),
-            "name must be one of regular, mine, got 'nob",
-        ),
-        (lambda: plots.cost(plain, ["genetic", "survivors"]), "must estimate costs alike"),
-    ):
-        with pytest.raises(JobError, match=message):
-            draw()
+@pytest.mark.parametrize(
+    ("draw", "words"),
+    [
+        (lambda run: plots.gain(run, "nobody"), "name must be one of genetic, survivors, got 'nob"),
+        (lambda run: plots.gain(run, beside="regular"), "beside must be one of genetic, survivors"),
+        (lambda run: plots.one_draw(run, "nobody"), "sets must be one of genetic, survivors"),
+        (lambda run: plots.one_draw(run, draw=61), "draw must be one of 0, 1, 2"),
+        (lambda run: plots.cost(run, ["nobody"]), "searches must be one of genetic, survivors"),
+        (lambda run: plots.cost(run, ["genetic", "survivors"]), "must estimate costs alike"),
+        (lambda run: plots.worth(WORTH, ["nobody"]), "names must be one of regular, mine, got 'n"),
+        (lambda run: plots.sampling_windows(WINDOWS, "x"), "name must be one of regular, mine"),
+    ],
+)
+def test_a_name_that_does_not_exist_is_told_with_those_that_do(
+    draw: Callable[[Run], Axes], words: str, plain: Run
+) -> None:
+    with pytest.raises(JobError, match=words):
+        draw(plain)
     assert not pyplot.get_fignums()
-    with pytest.raises(
-        TypeError, match="profile must be a DataFrame, or have the table `profile`, got int"
-    ):
-        plots.error_profile(3)
 
 
 @every
@@ -403,12 +357,12 @@ def test_what_is_no_source_is_refused_in_one_line(name: str, wrong: object) -> N
 
 @every
 def test_what_are_no_axes_is_refused_in_one_line(
-    name: str, drawings: dict[str, list[Callable[[Any], Axes]]]
+    name: str, drawings: dict[str, list[Draw]]
 ) -> None:
     """For instance the array of two axes that pyplot.subplots gives."""
     for draw in drawings[name]:
         with pytest.raises(TypeError, match=r"^ax must be of type Axes, got ndarray$"):
-            draw(np.array([1, 2]))
+            draw(ax=np.array([1, 2]))
 
 
 def test_a_table_of_another_kind_is_refused() -> None:
@@ -422,8 +376,8 @@ def test_a_table_of_another_kind_is_refused() -> None:
 COSTLY = r"US$\frac$_^{"  # what Matplotlib would take for a formula, and could not read
 
 
-def _with_costly_names() -> dict[str, Callable[[Any], Axes]]:
-    """Ways to draw own tables with such names, one or more for each function that shows names."""
+def _with_costly_names() -> dict[str, Draw]:
+    """A way to draw own tables with such names for each function that shows names."""
     mse = np.linspace(1.0, 2.0, 50)
     comparison = pd.DataFrame({"mse_a$b": mse, f"mse_{COSTLY}": mse[::-1], "mse_$": mse**2})
     rows = pd.DataFrame({"draw": range(50), "measurement_times": [[0, 3]] * 50})
@@ -432,33 +386,33 @@ def _with_costly_names() -> dict[str, Callable[[Any], Axes]]:
     bounds = pd.DataFrame({"position": [0, 1], "name": ["a$b", COSTLY], "draws": 5, "steps": 1e9})
     bounds = bounds.assign(compared_draws=5, window=1, work=1.0, memory=1, particles=5)
     bounds = bounds.assign(expected_mse=2.0, bound=1.0, bound_error=0.1)
-    profile, worth = (table.replace({"mine": COSTLY}) for table in (PROFILE, WORTH))
     trajectory = _trajectory().rename(columns={"estimate_mine_0": f"estimate_{COSTLY}_0"})
-    both = {"regular": [0, 3], COSTLY: [1]}
-    study = STUDY.replace({"mine": COSTLY})
+    sets = {"regular": [0, 3], COSTLY: [1]}
+    profile, worth, study = (table.replace("mine", COSTLY) for table in (PROFILE, WORTH, STUDY))
     of_models = MINE.assign(**{"filter.particles": [COSTLY, "a$b"] * 2})
-    return {
-        "against": lambda ax: plots.against(study, ax=ax),
-        "bound": lambda ax: plots.bound(bounds, ax=ax),
-        "cost": lambda ax: plots.cost(evaluations, reference=(COSTLY, 2.0), ax=ax),
-        "degenerate_draws": lambda ax: plots.degenerate_draws(profile, ax=ax),
-        "effective_sample_size": lambda ax: plots.effective_sample_size(profile, ax=ax),
-        "error_profile": lambda ax: plots.error_profile(profile, ax=ax),
-        "gain": lambda ax: plots.gain(comparison, COSTLY, reference="a$b", beside="$", ax=ax),
-        "found_times": lambda ax: plots.found_times(study, ax=ax),
-        "heat_map": lambda ax: plots.heat_map(of_models, ax=ax),
-        "one_draw": lambda ax: plots.one_draw(trajectory, both, ax=ax),
-        "online_shares": lambda ax: plots.online_shares(rows, planned=(1,), plan=COSTLY, ax=ax),
-        "shifts": lambda ax: plots.shifts(worth, ax=ax),
-        "times": lambda ax: plots.times(both, ax=ax),
-        "worth": lambda ax: plots.worth(worth, ax=ax),
+    calls = {
+        "against": call(study),
+        "bound": call(bounds),
+        "cost": call(evaluations, reference=(COSTLY, 2.0)),
+        "degenerate_draws": call(profile),
+        "effective_sample_size": call(profile),
+        "error_profile": call(profile),
+        "gain": call(comparison, COSTLY, reference="a$b", beside="$"),
+        "found_times": call(study),
+        "heat_map": call(of_models),
+        "one_draw": call(trajectory, sets),
+        "online_shares": call(rows, planned=(1,), plan=COSTLY),
+        "shifts": call(worth),
+        "times": call(sets),
+        "worth": call(worth),
     }
+    return {name: _way(name, given) for name, given in calls.items()}
 
 
 @pytest.mark.parametrize("name", _with_costly_names())
 def test_a_name_is_no_formula(name: str) -> None:
     figure = Figure(layout="constrained")
-    axes = _with_costly_names()[name](figure.subplots())
+    axes = _with_costly_names()[name](ax=figure.subplots())
     figure.savefig(io.BytesIO(), format="svg")
     legend = axes.get_legend()
     texts = [*axes.get_yticklabels(), axes.xaxis.label, *(legend.get_texts() if legend else [])]
@@ -491,22 +445,3 @@ def test_names_that_have_no_room_are_left_out_and_the_axis_says_so() -> None:
     assert not any(box.overlaps(other) for box, other in pairwise(boxes))
     small = plots.times(sets, ax=Figure(figsize=(3, 1.5)).subplots())
     assert len(small.get_yticks()) < len(shown)
-
-
-def test_the_searches_of_a_run_that_estimate_like_the_comparison_are_beside_the_reference(
-    plain: Run,
-) -> None:
-    labels = [line.get_label() for line in plots.cost(plain).get_lines()]
-    assert labels == ["genetic, average", "genetic, minimum", "regular times"]
-    other = plots.cost(plain, ["survivors"])
-    assert [line.get_label() for line in other.get_lines()] == ["survivors, best so far"]
-    assert "estimated otherwise" in other.get_legend().get_title().get_text()
-
-
-def test_the_draw_of_median_gain_is_shown_unless_another_is_wanted(plain: Run) -> None:
-    gains = plain.gains().set_index("draw")["gain_genetic"]
-    median = gains.dropna().sort_values().index[(len(gains.dropna()) - 1) // 2]
-    told = plots.one_draw(plain).get_legend().get_title().get_text()
-    assert told.startswith(f"draw {median}, relative gain ")
-    z = plain.trajectories().query("draw == 7")["z_0"].tolist()
-    assert list(plots.one_draw(plain, draw=7).get_lines()[0].get_ydata()) == z
