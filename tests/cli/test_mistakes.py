@@ -5,6 +5,7 @@ import shutil
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -20,6 +21,7 @@ KEPT = Path(__file__).parents[2] / "results" / "example" / "job.toml"
 NINES = "9" * 5000
 LONG = "x" * 3_000_000
 HUGE = str(10**30)
+Refused = Callable[[list[str]], tuple[object, str]]
 
 
 @pytest.fixture(scope="module")
@@ -27,18 +29,19 @@ def run(finished: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory)
     return Path(shutil.copytree(finished(), tmp_path_factory.mktemp("mistakes") / "run"))
 
 
-def _refused(words: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[object, str]:
-    """The exit code and the short line of a command that must refuse."""
-    try:
-        code: object = main(words)
-    except SystemExit as stop:
-        code = stop.code
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert captured.err.count("\n") == 1
-    assert captured.err.startswith("pfdist")
-    assert len(captured.err) < 1300
-    return code, captured.err
+@pytest.fixture
+def refused(call: Callable[..., Any]) -> Refused:
+    """Give the exit code and the short line of a command that must refuse."""
+
+    def called(words: list[str]) -> tuple[object, str]:
+        code, out, error = call("", *words)
+        assert out == ""
+        assert error.count("\n") == 1
+        assert error.startswith("pfdist")
+        assert len(error) < 1300
+        return code, error
+
+    return called
 
 
 @pytest.mark.parametrize(
@@ -91,10 +94,10 @@ def _refused(words: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[obje
     ids=lambda value: str(value)[:50],
 )
 def test_every_mistake_is_one_line(
-    line: str, code: int, words: str, run: Path, capsys: pytest.CaptureFixture[str]
+    line: str, code: int, words: str, run: Path, refused: Refused
 ) -> None:
     filled = line.replace("{job}", str(run / "job.toml")).replace("{run}", str(run))
-    given, told = _refused(filled.split(" "), capsys)
+    given, told = refused(filled.split(" "))
     assert re.search(words, told), told
     assert given == code
 
@@ -140,12 +143,12 @@ FILES = {
 
 @pytest.mark.parametrize("name", FILES)
 def test_a_hostile_job_file_is_refused_in_one_line(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    name: str, tmp_path: Path, refused: Refused
 ) -> None:
     content, words = FILES[name]
     path = tmp_path / "job.toml"
     path.write_bytes(content)
-    code, line = _refused(["run", str(path), "--results", str(tmp_path / "run")], capsys)
+    code, line = refused(["run", str(path), "--results", str(tmp_path / "run")])
     assert code == 1
     assert re.search(words, line), line
     assert not (tmp_path / "run").exists()
@@ -179,7 +182,7 @@ def test_a_misspelt_word_is_followed_by_the_nearest_one(
     meant: str,
     small_job: Job,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    refused: Refused,
 ) -> None:
     folder = small_job.path.parent
     monkeypatch.chdir(folder)
@@ -187,17 +190,17 @@ def test_a_misspelt_word_is_followed_by_the_nearest_one(
         (folder / name).mkdir(parents=True)
         (folder / name / "run.json").touch()
     names = {"job": small_job.path, "folder": folder, "kept": KEPT}
-    given, told = _refused(line.format(**names).split(), capsys)
+    given, told = refused(line.format(**names).split())
     assert given == code
     assert f"; did you mean {meant.format(**names)!r}?" in told
 
 
 def test_online_search_lists_and_suggests_only_methods_that_can_plan_online(
-    small_job: Job, capsys: pytest.CaptureFixture[str]
+    small_job: Job, refused: Refused
 ) -> None:
     for method in ("relaxation", "relaxatoin"):
-        words = ["run", str(small_job.path), "--set", f"online.search.method={method}"]
-        _, line = _refused(words, capsys)
+        change = f"online.search.method={method}"
+        _, line = refused(["run", str(small_job.path), "--set", change])
         allowed = line.partition("must be one of ")[2].partition(", got ")[0]
         assert "'corridor'" in allowed
         assert "relaxation" not in allowed

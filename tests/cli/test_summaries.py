@@ -13,9 +13,10 @@ import pfdist
 from pfdist.cli.budget_summary import budget_lines
 from pfdist.cli.layout import COLUMNS
 from pfdist.cli.list_lines import list_lines
-from pfdist.cli.main import main
 from pfdist.cli.runs_lines import runs_lines
 from pfdist.common.rounding import with_error
+
+Printed = Callable[..., str]
 
 
 @pytest.fixture(scope="module")
@@ -28,17 +29,20 @@ def runs(finished: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory
     return folder
 
 
-def _printed(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
-    assert main(words) == 0
-    captured = capsys.readouterr()
-    assert captured.err == ""
-    return captured.out
+@pytest.fixture
+def printed(call: Callable[..., Any]) -> Printed:
+    """Give what a command prints that says nothing else."""
+
+    def called(line: str, *words: object) -> str:
+        code, out, error = call(line, *words)
+        assert (code, error) == (0, "")
+        return out
+
+    return called
 
 
-def test_a_table_shows_keys_errors_gains_and_seconds(
-    runs: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    lines = _printed(["table", str(runs / "a"), str(runs / "b")], capsys).splitlines()
+def test_a_table_shows_keys_errors_gains_and_seconds(runs: Path, printed: Printed) -> None:
+    lines = printed("table", runs / "a", runs / "b").splitlines()
     assert max(map(len, lines)) <= COLUMNS
     words = lines[0].split() + lines[1].split()
     assert {"run", "seed", "measurement_", "budget", "set", "gain", "seconds"} <= set(words)
@@ -49,10 +53,8 @@ def test_a_table_shows_keys_errors_gains_and_seconds(
     assert lines[-1] == "gain %: how far the expected MSE is below that of regular (95 %)"
 
 
-def test_a_table_that_does_not_fit_names_what_it_leaves_out(
-    runs: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    lines = _printed(["table", str(runs)], capsys).splitlines()
+def test_a_table_that_does_not_fit_names_what_it_leaves_out(runs: Path, printed: Printed) -> None:
+    lines = printed("table", runs).splitlines()
     assert max(map(len, lines)) <= COLUMNS
     (told,) = [number for number, line in enumerate(lines) if line.startswith("--json and --out")]
     left_out = " ".join(lines[told:])
@@ -62,8 +64,8 @@ def test_a_table_that_does_not_fit_names_what_it_leaves_out(
     )
 
 
-def test_json_has_every_column(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    answer = json.loads(_printed(["table", str(runs), "--json"], capsys))
+def test_json_has_every_column(runs: Path, printed: Printed) -> None:
+    answer = json.loads(printed("table", runs, "--json"))
     assert set(answer) == {"rows"}
     frame = pfdist.table(runs)
     assert list(answer["rows"][0]) == frame.columns.tolist()
@@ -77,25 +79,23 @@ def test_json_has_every_column(runs: Path, capsys: pytest.CaptureFixture[str]) -
 
 @pytest.mark.slow
 def test_the_unit_of_the_clock_is_in_the_json_and_in_the_heads(
-    finished: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    finished: Callable[..., Path], tmp_path: Path, printed: Printed
 ) -> None:
     run = finished("problem.time_step=0.5", 'problem.time_unit="h"')
-    answer = json.loads(_printed(["table", str(run), "--json"], capsys))
+    answer = json.loads(printed("table", run, "--json"))
     assert answer["time_unit"] == "h"
     assert all(2 * time == int(2 * time) for time in answer["rows"][0]["measurement_times"])
     out = tmp_path / "t.tex"
-    assert _printed(["table", str(run), "--out", str(out)], capsys) == f"{out}\n"
+    assert printed("table", run, "--out", out) == f"{out}\n"
     assert "measurement times [h]" in out.read_text()
 
 
-def test_a_list_shows_state_age_size_and_gain(
-    runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_list_shows_state_age_size_and_gain(runs: Path, tmp_path: Path, printed: Printed) -> None:
     for name in ("a", "b", "c"):
         shutil.copytree(runs / name, tmp_path / name)
     (tmp_path / "a" / "run.json").write_text("{}")
     shutil.rmtree(tmp_path / "b" / "tables" / "comparison")
-    head, bad, unfinished, good = _printed(["list", str(tmp_path)], capsys).splitlines()
+    head, bad, unfinished, good = printed("list", tmp_path).splitlines()
     assert head.split() == ["run", "state", "age", "size", "found"]
     assert max(map(len, (bad, unfinished, good))) <= COLUMNS
     assert "damaged" in bad
@@ -103,13 +103,13 @@ def test_a_list_shows_state_age_size_and_gain(
     assert unfinished.split()[:2] == ["b", "unfinished"]
     assert unfinished.endswith("0 of 250 draws")
     assert " % below regular" in good or " % above regular" in good
-    answer = json.loads(_printed(["list", str(tmp_path), "--json"], capsys))
+    answer = json.loads(printed("list", tmp_path, "--json"))
     assert [row["state"] for row in answer["runs"]] == ["damaged", "unfinished", "finished"]
     assert answer["runs"][1]["gain_of_means"] is None
 
 
-def test_the_list_of_no_runs_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert _printed(["list", str(tmp_path)], capsys) == f"{tmp_path}: no runs\n"
+def test_the_list_of_no_runs_says_so(tmp_path: Path, printed: Printed) -> None:
+    assert printed("list", tmp_path) == f"{tmp_path}: no runs\n"
 
 
 @pytest.mark.parametrize("name", ["a\nb", "\x1b[2J", "x" * 200])
