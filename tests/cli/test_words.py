@@ -2,6 +2,7 @@
 
 import re
 import subprocess
+from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
@@ -82,8 +83,24 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def _completed(words: list[str], folder: Path) -> set[str]:
-    """Give what bash offers for the last word of a command line, as its Tab key does."""
+LINES = {
+    "pl": {"plan", "plot"},
+    "check-model un": {"ungm", "ungm_gordon"},
+    "plan jobs/": {"jobs/plan.toml"},
+    "filter a.toml p": {"patient.csv"},
+    "plan a.toml --search gr": {"greedy_backward", "greedy_forward"},
+    "run a.toml --pool s": {"serial"},
+    "run a.toml --results n": {"notes"},
+    "budget a.toml --me": {"--measurements"},
+    "budget a.toml --measurements 5:9 --ta": {"--target"},
+}
+
+
+@pytest.mark.parametrize(
+    ("line", "found"),
+    [*LINES.items(), ("status ", {"results"}), ("status results/", {"results/my run"})],
+)
+def test_bash_completes(line: str, found: set[str], folder: Path) -> None:
     ask = (
         ". ./script\n"
         'COMP_WORDS=("$@") COMP_CWORD=$(($# - 1))\n'
@@ -91,30 +108,10 @@ def _completed(words: list[str], folder: Path) -> set[str]:
         'printf "%s\\n" "${COMPREPLY[@]}"\n'
     )
     done = subprocess.run(
-        ["bash", "-c", ask, "bash", "pfdist", *words],
+        ["bash", "-c", ask, "bash", "pfdist", *line.split(" ")],
         cwd=folder, capture_output=True, text=True, check=True, timeout=60,
     )  # fmt: skip
-    return set(done.stdout.split("\n")) - {""}
-
-
-@pytest.mark.parametrize(
-    ("words", "found"),
-    [
-        (["pl"], {"plan", "plot"}),
-        (["check-model", "un"], {"ungm", "ungm_gordon"}),
-        (["plan", "jobs/"], {"jobs/plan.toml"}),
-        (["status", ""], {"results"}),
-        (["status", "results/"], {"results/my run"}),
-        (["filter", "a.toml", "p"], {"patient.csv"}),
-        (["plan", "a.toml", "--search", "gr"], {"greedy_backward", "greedy_forward"}),
-        (["run", "a.toml", "--pool", "s"], {"serial"}),
-        (["run", "a.toml", "--results", "n"], {"notes"}),
-        (["budget", "a.toml", "--me"], {"--measurements"}),
-        (["budget", "a.toml", "--measurements", "5:9", "--ta"], {"--target"}),
-    ],
-)
-def test_bash_completes(words: list[str], found: set[str], folder: Path) -> None:
-    assert _completed(words, folder) == found
+    assert set(done.stdout.split("\n")) - {""} == found
 
 
 @pytest.mark.parametrize("shell", ["zsh", "fish"])
@@ -139,33 +136,25 @@ def test_the_patterns_of_zsh_are_no_qualifiers() -> None:
     assert not [pattern for pattern in patterns if pattern[0] == "(" and "|" not in pattern]
 
 
-LINES = {
-    "pfdist pl": {"plan", "plot"},
-    "pfdist check-model un": {"ungm", "ungm_gordon"},
-    "pfdist plan jobs/": {"plan.toml"},
-    "pfdist filter a.toml p": {"patient.csv"},
-    "pfdist plan a.toml --search gr": {"greedy_backward", "greedy_forward"},
-    "pfdist run a.toml --pool s": {"serial"},
-    "pfdist run a.toml --address ": set(),
-    "pfdist budget a.toml --me": {"--measurements"},
-}
+def _names(words: Iterable[str]) -> set[str]:
+    """Commands, options, and files without their folders."""
+    return {Path(word).name for word in words}
+
+
+@pytest.mark.shells
+@pytest.mark.parametrize("line", [*LINES, "run a.toml --address "])
+def test_zsh_completes(line: str, folder: Path) -> None:
+    (folder / "functions").mkdir(exist_ok=True)
+    (folder / "functions" / "_pfdist").write_text(script("zsh"))
+    assert completed_by_zsh(f"pfdist {line}", folder) == _names(LINES.get(line, ()))
 
 
 @pytest.mark.shells
 @pytest.mark.parametrize("line", LINES)
-def test_zsh_completes(line: str, folder: Path) -> None:
-    (folder / "functions").mkdir(exist_ok=True)
-    (folder / "functions" / "_pfdist").write_text(script("zsh"))
-    assert completed_by_zsh(line, folder) == LINES[line]
-
-
-@pytest.mark.shells
-@pytest.mark.parametrize("line", [line for line in LINES if LINES[line]])
 def test_fish_completes(line: str, folder: Path) -> None:
     (folder / "pfdist.fish").write_text(script("fish"))
     done = subprocess.run(
-        ["fish", "-c", "source pfdist.fish; complete -C $argv[1]", line],
+        ["fish", "-c", "source pfdist.fish; complete -C $argv[1]", f"pfdist {line}"],
         cwd=folder, capture_output=True, text=True, check=True, timeout=60,
     )  # fmt: skip
-    offered = {row.partition("\t")[0] for row in done.stdout.splitlines()}
-    assert {Path(word).name for word in offered} == LINES[line]
+    assert _names(row.partition("\t")[0] for row in done.stdout.splitlines()) == _names(LINES[line])
