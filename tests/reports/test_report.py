@@ -27,6 +27,7 @@ MODEL = ("model.name=random_walk", "filter.engine=kalman")
 EXACT = (*MODEL, "comparison.draws=30", "search=[{method='genetic', generations=1}]")
 BOUND = {"budget": 4, "bound_error": 0.0, "gap": 0.1, "gap_at_most": 0.1, "confidence": 0.95}
 See = Callable[[pfdist.Run], Any]  # the page of a run
+Make = Callable[..., pfdist.Run]
 
 
 @pytest.fixture
@@ -35,7 +36,7 @@ def exact(small_job: Job) -> Job:
 
 
 @pytest.fixture
-def make(finished: Callable[..., Path], tmp_path: Path) -> Callable[..., pfdist.Run]:
+def make(finished: Callable[..., Path], tmp_path: Path) -> Make:
     """A copy of the finished run of the exact job with other changes."""
 
     def copy(*changes: str, name: str = "run") -> pfdist.Run:
@@ -46,7 +47,7 @@ def make(finished: Callable[..., Path], tmp_path: Path) -> Callable[..., pfdist.
 
 
 @pytest.fixture
-def run(make: Callable[..., pfdist.Run]) -> pfdist.Run:
+def run(make: Make) -> pfdist.Run:
     return make()
 
 
@@ -132,9 +133,7 @@ def test_it_loads_nothing_runs_no_script_but_its_own_and_shares_no_id(
     assert set(re.findall(r'(?:url\(#|href="#)([^")]+)', page.html)) <= set(ids)
 
 
-def test_a_name_in_a_runs_files_cannot_become_markup(
-    make: Callable[..., pfdist.Run], see: See
-) -> None:
+def test_a_name_in_a_runs_files_cannot_become_markup(make: Make, see: See) -> None:
     hostile = "<script>alert(1)</script><img src=x onerror=alert(1)>"
     run = make(name="<b>run &amp; co")
     about = run.path / "run.json"
@@ -172,9 +171,7 @@ def test_a_run_that_is_not_finished_has_a_report_that_says_so(
 
 
 @pytest.mark.slow
-def test_of_many_searches_the_best_sets_have_figures(
-    make: Callable[..., pfdist.Run], see: See
-) -> None:
+def test_of_many_searches_the_best_sets_have_figures(make: Make, see: See) -> None:
     many = ", ".join(f"{{method='random', name='s{k}', evaluations=2}}" for k in range(20))
     run = make(f"search=[{many}]")
     page = see(run)
@@ -299,20 +296,18 @@ def test_a_gap_of_rounding_errors_is_no_gap_and_constraints_are_named() -> None:
     )
 
 
-def test_the_reference_itself_is_no_gain(make: Callable[..., pfdist.Run]) -> None:
+def test_the_reference_itself_is_no_gain(make: Make) -> None:
     whole = ("problem.horizon=1", "problem.measurement_budget=2", "search=[{method='exhaustive'}]")
     assert "found no better times than the reference's own" in _text(make(*whole))
 
 
-def test_two_draws_give_no_interval(make: Callable[..., pfdist.Run]) -> None:
+def test_two_draws_give_no_interval(make: Make) -> None:
     text = _text(make("comparison.draws=2"))
     assert "unknown to unknown" not in text
     assert "too few draws" in text
 
 
-def test_the_best_of_several_sets_is_chosen_by_exact_errors(
-    make: Callable[..., pfdist.Run],
-) -> None:
+def test_the_best_of_several_sets_is_chosen_by_exact_errors(make: Make) -> None:
     random = ", ".join(f"{{method='random', name='s{k}', evaluations=1}}" for k in range(4))
     run = make(f"search=[{random}]", "comparison.draws=2")
     subject = Subject(run)
@@ -321,9 +316,7 @@ def test_the_best_of_several_sets_is_chosen_by_exact_errors(
     assert "the best of 4 sets by their expected errors, which are known exactly" in _text(run)
 
 
-def test_an_estimate_without_standard_error_is_not_called_exact(
-    make: Callable[..., pfdist.Run],
-) -> None:
+def test_an_estimate_without_standard_error_is_not_called_exact(make: Make) -> None:
     """A search by particles may see the same error in all of its draws."""
     subject = Subject(make("filter.engine=compiled"))
     for result in subject.found.values():
@@ -351,10 +344,7 @@ def test_columns_without_any_value_are_left_out(small_job: Job, tmp_path: Path) 
     ],
 )
 def test_report_and_commands_say_alike_whether_constraints_exclude_times(
-    make: Callable[..., pfdist.Run],
-    capsys: pytest.CaptureFixture[str],
-    change: str,
-    is_constrained: bool,
+    make: Make, capsys: pytest.CaptureFixture[str], change: str, is_constrained: bool
 ) -> None:
     run = make(change)
     assert main(["bound", str(run.path / "job.toml")]) == 0
@@ -379,9 +369,7 @@ def test_a_report_names_no_folder_of_the_machine(exact: Job, tmp_path: Path) -> 
     assert "When to measure: walk.py:model" in text
 
 
-def test_a_run_with_quotes_in_its_name_is_loaded_as_the_report_says(
-    make: Callable[..., pfdist.Run],
-) -> None:
+def test_a_run_with_quotes_in_its_name_is_loaded_as_the_report_says(make: Make) -> None:
     blocks = [
         block
         for section in page_of(make(name='a "run" \U0001f600')).sections
@@ -396,9 +384,7 @@ def test_a_run_with_quotes_in_its_name_is_loaded_as_the_report_says(
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("error::UserWarning")
-def test_long_names_of_many_searches_leave_room_for_the_curves(
-    make: Callable[..., pfdist.Run],
-) -> None:
+def test_long_names_of_many_searches_leave_room_for_the_curves(make: Make) -> None:
     """Matplotlib warns if a legend leaves no room."""
     names = [f"{'long' * 9}_{number}" for number in range(5)]
     several = ", ".join(f"{{method='random', name='{name}', evaluations=2}}" for name in names)

@@ -183,9 +183,9 @@ def test_a_damaged_run_is_a_row_that_says_so_and_the_others_stay(sweep: Path, se
 
 
 def test_a_folder_with_damaged_runs_alone_has_a_report(tmp_path: Path, see: See) -> None:
-    (tmp_path / "sweep" / "point").mkdir(parents=True)
-    (tmp_path / "sweep" / "point" / "run.json").write_text("{")
-    page = see(tmp_path / "sweep")
+    (tmp_path / "point").mkdir()
+    (tmp_path / "point" / "run.json").write_text("{")
+    page = see(tmp_path)
     assert "Cannot be read: 1 of 1 point." in page.text
     assert page.tags.count("figure") == 0
 
