@@ -4,7 +4,7 @@ import inspect
 import io
 from collections.abc import Callable, Iterator
 from functools import partial
-from itertools import pairwise
+from itertools import pairwise, product
 from types import SimpleNamespace
 from typing import Any
 
@@ -42,25 +42,22 @@ PROFILE = pd.DataFrame(
         for t in range(10)
     ]
 )  # fmt: skip
-WORTH = pd.DataFrame(
-    [
-        {"name": name, "t": t}
-        | dict.fromkeys(("removed", "earlier", "later"), 0.1 * t)
-        | {f"{change}_error": 0.02 for change in ("removed", "earlier", "later")}
-        for name in SETS
-        for t in range(0, 10, 3)
-    ]
-)
+CHANGES = ("removed", "earlier", "later")
+WORTH = pd.DataFrame([{"name": name, "t": t} for name in SETS for t in range(0, 10, 3)])
+WORTH = WORTH.assign(**dict.fromkeys(CHANGES, 0.1 * WORTH["t"]))
+WORTH = WORTH.assign(**{f"{change}_error": 0.02 for change in CHANGES})
 WINDOWS = pd.DataFrame(
     [
-        {"name": name, "t": t, "moved_to": instant, "within_1": strict, "within_5": wide}
+        {"name": name, "t": t, "moved_to": t + step, "within_1": strict, "within_5": wide}
         for name, t in (("regular", 0), ("mine", 3), ("mine", 7))
-        for instant, strict, wide in (
-            (t, "inside", "inside"), (t + 1, "inside", "inside"), (t + 2, "open", "inside"),
-            (t + 3, "outside", "open"),
+        for step, strict, wide in zip(
+            range(4),
+            ("inside", "inside", "open", "outside"),
+            ("inside", "inside", "inside", "open"),
+            strict=True,
         )
     ]
-)  # fmt: skip
+)
 STUDY = pd.DataFrame(
     [
         dict.fromkeys(RESULTS, 0.5)
@@ -75,9 +72,11 @@ STUDY = pd.DataFrame(
     ]
 )[["run", "problem.measurement_budget", "filter.particles", *RESULTS]]  # fmt: skip
 MINE = STUDY[STUDY["set"] == "mine"]
-WHY = SimpleNamespace(
-    profile=PROFILE, worth=WORTH, sampling_windows=WINDOWS
-)  # as what pfdist.why returns
+WHY = SimpleNamespace(profile=PROFILE, worth=WORTH, sampling_windows=WINDOWS)  # of pfdist.why
+
+
+def _axes() -> Axes:
+    return Figure().subplots()
 
 
 @pytest.fixture(autouse=True)
@@ -94,29 +93,22 @@ def _filtered() -> pd.DataFrame:
 
 
 def test_only_a_found_set_is_called_an_optimum_in_a_title() -> None:
-    table = pd.DataFrame(
-        [
-            {"name": name, "t": 3, "moved_to": to, "within_1": "inside", "within_5": "inside"}
-            for name in ("given", "found")
-            for to in (3, 4)
-        ]
-    )
-    loss = {"draws": 9, "loss": 0.0, "low": 0.0, "high": 0.001}
-    jitter = pd.DataFrame([{"name": name, "percent": 1} | loss for name in ("given", "found")])
-    run = SimpleNamespace(sampling_windows=lambda: table, jitter=lambda: jitter, found=["found"])
-    titles = [
-        FIGURES["sampling_windows"].plot(SimpleNamespace(run=run), name).title
-        for name in ("given", "found")
-    ]
+    windows = pd.DataFrame(product(("given", "found"), [3], (3, 4)), columns=WINDOWS.columns[:3])
+    windows = windows.assign(within_1="inside", within_5="inside")
+    jitter = pd.DataFrame({"name": ["given", "found"], "percent": 1, "draws": 9})
+    jitter = jitter.assign(loss=0.0, low=0.0, high=0.001)
+    run = SimpleNamespace(sampling_windows=lambda: windows, jitter=lambda: jitter, found=["found"])
+    tables = SimpleNamespace(run=run)
+    titles = [FIGURES["sampling_windows"].plot(tables, name).title for name in ("given", "found")]
     assert ["optimum is flat" in title for title in titles] == [False, True]
 
 
 def test_times_that_are_not_whole_are_shown_without_a_run() -> None:
-    axes = plots.times({"mine": [0.5, 12.9]}, ax=Figure().subplots())
+    axes = plots.times({"mine": [0.5, 12.9]}, ax=_axes())
     low, high = axes.get_xlim()
     assert low < 0.0
     assert 12.9 < high < 14.0
-    shaded = plots.times({"mine": [0.5, 2.0]}, horizon=2.5, forbidden=[1.5], ax=Figure().subplots())
+    shaded = plots.times({"mine": [0.5, 2.0]}, horizon=2.5, forbidden=[1.5], ax=_axes())
     assert shaded.get_xlim()[1] == pytest.approx(2.5 * 1.03)
     (patch,) = shaded.patches
     assert (patch.get_x(), patch.get_x() + patch.get_width()) == (1.0, 1.75)
@@ -201,7 +193,7 @@ def test_it_draws_into_given_axes_and_makes_new_ones_in_the_users_style(
     name: str, drawings: dict[str, list[Draw]]
 ) -> None:
     for draw in drawings[name]:
-        axes = Figure().subplots()
+        axes = _axes()
         assert draw(ax=axes) is axes
         assert axes.has_data()
         assert not pyplot.get_fignums()
@@ -263,7 +255,7 @@ def _check_legends(figure: Figure) -> None:
 def test_the_reference_of_a_run_is_hollow_and_its_forbidden_instants_are_shaded(
     proved: Run, several: Run
 ) -> None:
-    axes = plots.times(proved, ax=Figure().subplots())
+    axes = plots.times(proved, ax=_axes())
     names = [label.get_text() for label in axes.get_yticklabels()]
     assert names == list(proved.sets()) == ["regular", "genetic", "random"]
     rows = [line for line in axes.get_lines() if line.get_marker() == "o"]
@@ -277,29 +269,29 @@ def test_the_reference_of_a_run_is_hollow_and_its_forbidden_instants_are_shaded(
 
 
 def test_degenerate_draws_are_a_share_that_steps_up() -> None:
-    axes = plots.degenerate_draws(PROFILE, ax=Figure().subplots())
+    axes = plots.degenerate_draws(PROFILE, ax=_axes())
     lines = {str(line.get_label()): line for line in axes.get_lines()}
     assert set(lines) == {"regular, in the end 0 %", "mine, in the end 9 %"}
     assert list(lines["mine, in the end 9 %"].get_ydata()) == list(np.arange(10.0))
 
 
 def test_the_effective_sample_size_has_a_point_where_it_is_known() -> None:
-    axes = plots.effective_sample_size(PROFILE, particles=50, ax=Figure().subplots())
+    axes = plots.effective_sample_size(PROFILE, particles=50, ax=_axes())
     assert list(axes.get_lines()[0].get_xdata()) == [0, 3, 6, 9]
     assert (axes.get_yscale(), axes.get_ylim()[0]) == ("linear", 0.0)
     far = PROFILE.assign(effective_sample_size=PROFILE["effective_sample_size"] ** 3)
-    axes = plots.effective_sample_size(far, ax=Figure().subplots())
+    axes = plots.effective_sample_size(far, ax=_axes())
     assert axes.get_yscale() == "linear"
     far.loc[0, "effective_sample_size"] = 2.0
-    axes = plots.effective_sample_size(far, ax=Figure().subplots())
+    axes = plots.effective_sample_size(far, ax=_axes())
     assert (axes.get_yscale(), axes.get_ylim()[0]) == ("log", 1.0)
     known = PROFILE.assign(effective_sample_size=np.nan, draws=0)
     for draw in (plots.effective_sample_size, plots.degenerate_draws):
-        assert "exact filters" in draw(known, ax=Figure().subplots()).texts[0].get_text()
+        assert "exact filters" in draw(known, ax=_axes()).texts[0].get_text()
 
 
 def test_bars_are_thick_within_1_percent_thin_within_5_and_hollow_where_it_is_open() -> None:
-    axes = plots.sampling_windows(WINDOWS, "mine", ax=Figure().subplots())
+    axes = plots.sampling_windows(WINDOWS, "mine", ax=_axes())
     found = [
         (np.round(box.min, 2).tolist(), np.round(box.size, 2).tolist(), len(bars.get_facecolor()))
         for bars in axes.collections[1:]
@@ -316,9 +308,7 @@ def test_bars_are_thick_within_1_percent_thin_within_5_and_hollow_where_it_is_op
     assert [label.get_text() for label in axes.get_yticklabels()] == ["3", "7"]
     assert axes.get_ylim()[0] > axes.get_ylim()[1]  # the first measurement is on top
     gone = WINDOWS.iloc[:0]
-    assert (
-        "no measurement" in plots.sampling_windows(gone, ax=Figure().subplots()).texts[0].get_text()
-    )
+    assert "no measurement" in plots.sampling_windows(gone, ax=_axes()).texts[0].get_text()
 
 
 @pytest.mark.parametrize(
@@ -419,29 +409,30 @@ def test_a_name_is_no_formula(name: str) -> None:
     assert any(COSTLY.replace("$", r"\$") in text.get_text() for text in texts)
 
 
+def _boxes(axes: Axes) -> list[Any]:
+    """Where the names of sets lie, one below another: no two of them touch."""
+    axes.get_figure().draw_without_rendering()
+    boxes = [label.get_window_extent() for label in axes.get_yticklabels()]
+    assert not any(box.overlaps(other) for box, other in pairwise(boxes))
+    return boxes
+
+
 @pytest.mark.parametrize("style", [PRINT, SCREEN])
 @pytest.mark.parametrize("number", [1, 15, 16, 40])
 def test_each_of_forty_sets_has_its_name_in_a_new_figure(number: int, style: str) -> None:
-    """Names lie one below another, and no two of them touch."""
     sets = {f"set {position}": [position] for position in range(number)}
     with styled(style):
         axes = plots.times(sets)
-        axes.figure.draw_without_rendering()
-        boxes = [label.get_window_extent() for label in axes.get_yticklabels()]
+        assert len(_boxes(axes)) == number
     assert [label.get_text() for label in axes.get_yticklabels()] == list(sets)
-    assert not any(box.overlaps(other) for box, other in pairwise(boxes))
 
 
 def test_names_that_have_no_room_are_left_out_and_the_axis_says_so() -> None:
     sets = {f"set {position}": [position] for position in range(101)}
     axes = plots.times(sets)
-    axes.figure.draw_without_rendering()
-    shown = [label.get_text() for label in axes.get_yticklabels()]
-    step = -(-101 // len(shown))
+    step = -(-101 // len(_boxes(axes)))
     assert step > 1
-    assert shown == list(sets)[::step]
+    assert [label.get_text() for label in axes.get_yticklabels()] == list(sets)[::step]
     assert axes.get_ylabel() == f"101 sets, 1 of {step} is named"
-    boxes = [label.get_window_extent() for label in axes.get_yticklabels()]
-    assert not any(box.overlaps(other) for box, other in pairwise(boxes))
     small = plots.times(sets, ax=Figure(figsize=(3, 1.5)).subplots())
-    assert len(small.get_yticks()) < len(shown)
+    assert len(small.get_yticks()) < len(axes.get_yticks())
