@@ -27,7 +27,7 @@ def test_every_exported_name_is_documented(name: str) -> None:
 
 
 def _printed(code: str) -> str:
-    """What a new process prints."""
+    """Give the output of a new process."""
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     return done.stdout
 

@@ -1,4 +1,4 @@
-"""What commands print, as text and as JSON, and their exit codes."""
+"""Outputs of commands, as text and as JSON, and their exit codes."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""What is written, whatever the terminal takes, and what is imported for it."""
+"""Outputs in any terminal, and the libraries that a command imports."""
 
 import io
 import os

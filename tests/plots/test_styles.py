@@ -114,7 +114,7 @@ def test_print_is_one_column_wide_in_8_points_and_embeds_its_fonts() -> None:
 
 
 def _printed(code: str, settings: dict[str, str]) -> str:
-    """What a process prints with these settings, which says nothing else."""
+    """Give the output of a process with these settings, which says nothing else."""
     done = subprocess.run(
         [sys.executable, "-c", code],
         env=os.environ | settings, capture_output=True, text=True, timeout=120, check=False,
