@@ -11,7 +11,6 @@ import pytest
 
 import pfdist
 from pfdist import Job
-from pfdist.errors import MeasurementTimesError
 
 ROOT = Path(__file__).parents[1]
 
@@ -27,12 +26,16 @@ def test_every_exported_name_is_documented(name: str) -> None:
         assert "Returns" in doc
 
 
+def _printed(code: str) -> str:
+    """Give the output of a new process."""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return done.stdout
+
+
 def test_a_worker_does_not_wait_for_what_it_does_not_need() -> None:
     imports = "import sys, pfdist.pools.ray_pool, pfdist.runner.build"
     heavy = "{'pandas', 'pyarrow', 'matplotlib', 'scipy.stats'}"
-    code = f"{imports}; print({heavy} & {{*sys.modules}})"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout == "set()\n"
+    assert _printed(f"{imports}; print({heavy} & {{*sys.modules}})") == "set()\n"
 
 
 def test_a_compiled_formula_may_call_where_before_anyone_else_has() -> None:
@@ -40,8 +43,7 @@ def test_a_compiled_formula_may_call_where_before_anyone_else_has() -> None:
         "import numpy as np, pfdist; from pfdist.kernels.formulas import formula;"
         "print(formula(lambda x: pfdist.where(x > 1.0, 2.0, 3.0))(0.5))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout == "3.0\n"
+    assert _printed(code) == "3.0\n"
 
 
 def test_evaluate_is_a_function_of_its_arguments(small_job: Job) -> None:
@@ -72,21 +74,8 @@ def test_common_noise_compares_sets_on_the_same_draws(small_job: Job) -> None:
     assert correlations["common"] > 0.5
 
 
-def test_evaluate_refuses_times_outside_the_horizon(small_job: Job) -> None:
-    with pytest.raises(MeasurementTimesError, match=r"0\.\.12, got -1"):
-        pfdist.evaluate(small_job, (-1, 4))
-
-
 def test_load_model_takes_a_path_and_a_name(tmp_path: Path) -> None:
     assert pfdist.load_model("ungm").name == "ungm"
     path = tmp_path / "mine.py"
     path.write_text("from pfdist.models.ungm import model as mine\n")
     assert pfdist.load_model(f"{path}:mine").components == (1, 1, 1)
-
-
-def test_a_run_opens_as_data_frames(small_job: Job, tmp_path: Path) -> None:
-    run = pfdist.run(small_job, results=tmp_path / "run", pool="serial")
-    opened = pfdist.open_run(tmp_path / "run")
-    for table in ("evaluations", "draws", "comparison", "gains"):
-        assert getattr(opened, table)().equals(getattr(run, table)())
-    assert opened.gains().columns.tolist() == ["draw", "gain_genetic", "gain_random"]

@@ -1,66 +1,46 @@
-"""The command line: whole outputs, exit codes, and one line for every mistake."""
+"""Outputs of commands, as text and as JSON, and their exit codes."""
 
 import json
 import re
-import shlex
 import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import pfdist
 from pfdist import Job
-from pfdist.cli.main import main
 from pfdist.common.rounding import with_error
 from pfdist.runner.build import Built, build
 
+Call = Callable[..., Any]  # exit code, output and errors of a line
+
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small finished run, its job file beside it."""
-    folder = tmp_path_factory.mktemp("cli")
-    job = folder / "small.toml"
-    job.write_text((Path(__file__).parents[1] / "small.toml").read_text())
-    assert main(["run", str(job), "--results", str(folder / "run")]) == 0
-    return folder / "run"
+def run(finished: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished run of the small job with its figures."""
+    folder = Path(shutil.copytree(finished(), tmp_path_factory.mktemp("cli") / "run"))
+    pfdist.run(folder / "job.toml", folder)
+    return folder
 
 
-def _job(run: Path) -> str:
-    return str(run.with_name("small.toml"))
-
-
-def test_run_and_status_print_the_same_json_and_nothing_else(
-    finished: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    outputs = []
-    for command in (["run", _job(finished), "--results", str(finished)], ["status", str(finished)]):
-        assert main([*command, "--json"]) == 0
-        captured = capsys.readouterr()
-        outputs.append(json.loads(captured.out))
-        assert captured.err == ""
-    run, status = outputs
-    assert run == status
+def test_run_and_status_print_the_same_json_and_nothing_else(run: Path, call: Call) -> None:
+    again = call(f"run {run}/job.toml --results {run} --json")
+    assert again == call(f"status {run} --json") == (0, again.out, "")
+    answer = json.loads(again.out)
     facts = {"is_exact", "is_constrained", "has_budget"}
-    assert set(run) == {"state", "run", "evaluations", "draws_compared", "results", *facts}
-    assert (run["state"], run["evaluations"], run["draws_compared"]) == ("finished", 34, 250)
-    regular, genetic = run["results"]["regular"], run["results"]["genetic"]
+    assert set(answer) == {"state", "run", "evaluations", "draws_compared", "results", *facts}
+    told = (answer["state"], answer["evaluations"], answer["draws_compared"])
+    assert told == ("finished", 34, 250)
+    regular, genetic = answer["results"]["regular"], answer["results"]["genetic"]
+    of_draws = {"mean_relative_gain", "positive_fraction", "gain_of_means", "mean_log10_ratio"}
+    gains = {*of_draws, *(f"{gain}_interval" for gain in of_draws)}
+    gains |= {"quantiles", "search_excess", "gains_disagree"}
     both = {"measurement_times", "expected_mse", "standard_error", "search_cost"}
-    gains = {
-        "mean_relative_gain",
-        "mean_relative_gain_interval",
-        "positive_fraction",
-        "positive_fraction_interval",
-        "gain_of_means",
-        "gain_of_means_interval",
-        "mean_log10_ratio",
-        "mean_log10_ratio_interval",
-        "quantiles",
-        "search_excess",
-        "gains_disagree",
-    }
     assert both <= set(regular)
     assert both | gains <= set(genetic)
     assert not gains & set(regular)
@@ -69,11 +49,8 @@ def test_run_and_status_print_the_same_json_and_nothing_else(
     assert 0 <= genetic["positive_fraction_interval"][0] <= genetic["positive_fraction"] <= 1
 
 
-def test_the_summary_says_what_a_person_wants_to_know(
-    finished: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["status", str(finished)]) == 0
-    text = capsys.readouterr().out
+def test_the_summary_says_what_a_person_wants_to_know(run: Path, call: Call) -> None:
+    text = call(f"status {run}").out
     for words in (
         "finished, 34 evaluations, 250 draws compared",
         "regular: measure at t = 0, 4, 8, 12",
@@ -89,234 +66,147 @@ def test_the_summary_says_what_a_person_wants_to_know(
         "the fresh cost (its draws chose the set)",
         "gain over itself",
         "95 %",
-        f"tables: {finished}/tables",
-        f"figures: {finished}/figures",
+        f"tables: {run}/tables",
+        f"figures: {run}/figures",
     ):
         assert words in text
 
 
-def test_evaluate_prints_json(finished: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    command = f"evaluate {_job(finished)} --times 8,0,4 --draws 50 --particles 30 --seed 9 --json"
-    assert main(shlex.split(command)) == 0
-    answer = json.loads(capsys.readouterr().out)
-    assert set(answer) == {
-        "expected_mse", "standard_error", "draws", "degenerate_draws", "top_percent_share",
-        "broken_constraints",
-        "seconds",
-    }  # fmt: skip
-    expected = pfdist.evaluate(_job(finished), (0, 4, 8), draws=50, particles=30, seed=9)
-    assert answer["expected_mse"] == expected.expected_mse
-    assert answer["standard_error"] == expected.standard_error
-    assert (answer["draws"], answer["degenerate_draws"]) == (50, 0)
-    assert answer["broken_constraints"] == ["problem.measurement_budget is 4, got 3 times"]
+def test_evaluate_prints_json(run: Path, call: Call) -> None:
+    job = run / "job.toml"
+    line = f"evaluate {job} --times 8,0,4 --draws 50 --particles 30 --seed 9 --json"
+    answer = json.loads(call(line).out)
+    assert answer.pop("seconds") >= 0
+    expected = pfdist.evaluate(job, (0, 4, 8), draws=50, particles=30, seed=9)
+    assert answer == {
+        "expected_mse": expected.expected_mse,
+        "standard_error": expected.standard_error,
+        "draws": 50,
+        "degenerate_draws": 0,
+        "top_percent_share": None,  # it takes more draws
+        "broken_constraints": ["problem.measurement_budget is 4, got 3 times"],
+    }
 
 
 def test_evaluate_names_the_constraints_that_are_broken_and_evaluates_all_the_same(
-    finished: Path, capsys: pytest.CaptureFixture[str]
+    run: Path, call: Call
 ) -> None:
     changes = "--set problem.forbidden=[3] problem.required=[6] problem.minimum_spacing=2"
-    command = f"evaluate {_job(finished)} --draws 20 {changes} --times"
-    assert main(shlex.split(f"{command} 0,2,3,9")) == 0
-    captured = capsys.readouterr()
-    assert re.match(r"expected MSE [\d.]+ ± [\d.]+\n20 draws", captured.out)
+    line = f"evaluate {run}/job.toml --draws 20 {changes} --times"
+    broken = call(line, "0,2,3,9")
+    assert re.match(r"expected MSE [\d.]+ ± [\d.]+\n20 draws", broken.out)
     note = "pfdist: note: these times break a constraint: problem"
-    assert captured.err.splitlines() == [
+    assert broken.err.splitlines() == [
         f"{note}.forbidden: 3 is measured",
         f"{note}.required: 6 is not measured",
         f"{note}.minimum_spacing is 2, got 2 and 3",
     ]
-    assert main(shlex.split(f"{command} 0,2,6,9")) == 0
-    assert capsys.readouterr().err == ""
-
-
-@pytest.mark.parametrize(
-    ("scale", "printed"),
-    [("1e-3", r"\d\.\d{1,2}e-\d\d|\(\d\.\d+ ± \d\.\d+\)e-0\d"), ("1e54", r"\(.* ± .*\)e\+1\d\d")],
-)
-def test_evaluate_prints_small_and_large_errors_with_two_digits(
-    scale: str, printed: str, small_job: Job, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (small_job.path.parent / "mine.py").write_text(
-        "import dataclasses\nfrom pfdist.models.random_walk import model\n"
-        "model = dataclasses.replace(model, linear_gaussian=False,\n"
-        f"    quantity_of_interest=lambda x, t, p: (x[0] * {scale},))\n"
-    )
-    command = ["evaluate", str(small_job.path), "--times", "0,4,8,12"]
-    assert main([*command, "--set", "model.name=mine.py:model", "filter.engine=numpy"]) == 0
-    first, _ = capsys.readouterr().out.splitlines()
-    assert re.fullmatch(f"expected MSE ({printed})", first)
+    assert call(line, "0,2,6,9").err == ""
 
 
 @pytest.mark.usefixtures("no_figures")
-def test_what_is_known_exactly_is_said_to_be(
-    small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_known_exactly_is_said_to_be(small_job: Job, tmp_path: Path, call: Call) -> None:
     exact = "--set model.name=random_walk filter.engine=kalman"
-    job, run = (shlex.quote(str(path)) for path in (small_job.path, tmp_path / "run"))
-    assert main(shlex.split(f"evaluate {job} --times 0,4 {exact}")) == 0
-    assert re.fullmatch(r"expected MSE \d\.\d{4} \(exact\)\n", capsys.readouterr().out)
-    assert main(shlex.split(f"plan {job} --results {run} {exact}")) == 0
-    assert re.search(r"\n  exactly +\d\.\d{4}, as the search knew\n", capsys.readouterr().out)
+    told = call(f"evaluate {small_job.path} --times 0,4 {exact}").out
+    assert re.fullmatch(r"expected MSE \d\.\d{4} \(exact\)\n", told)
+    told = call(f"plan {small_job.path} --results {tmp_path}/run {exact}").out
+    assert re.search(r"\n  exactly +\d\.\d{4}, as the search knew\n", told)
 
 
-def test_what_is_infinite_is_null_in_json(
-    tmp_path: Path, small_job: Job, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_infinite_is_null_in_json(tmp_path: Path, small_job: Job, call: Call) -> None:
     (tmp_path / "mine.py").write_text(
         "import dataclasses\nfrom pfdist.models.ungm import model\n"
         "model = dataclasses.replace(\n"
         "    model, log_likelihood=lambda y, x, t, p: x[0] - x[0] - float('inf'))\n"
     )
-    command = ["evaluate", str(small_job.path), "--times", "3", "--json"]
-    assert main([*command, "--set", "model.name=mine.py:model", "filter.engine=numpy"]) == 0
-    answer = json.loads(capsys.readouterr().out)
+    mine = "--set model.name=mine.py:model filter.engine=numpy"
+    answer = json.loads(call(f"evaluate {small_job.path} --times 3 --json {mine}").out)
     assert answer["expected_mse"] is answer["standard_error"] is None
     assert answer["degenerate_draws"] == answer["draws"] == 30
 
 
-def test_plot_draws_every_figure_as_png_and_svg(
-    finished: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["plot", str(finished)]) == 0
-    files = [Path(line) for line in capsys.readouterr().out.splitlines()]
+def test_plot_draws_every_figure_as_png_and_svg(run: Path, call: Call) -> None:
+    files = [Path(line) for line in call(f"plot {run}").out.splitlines()]
     names = {"cost", "draw-genetic", "gain-genetic", "draw-random", "gain-random", "times"}
-    assert {file.name for file in files} == {
-        f"{n}.{kind}" for n in names for kind in ("png", "svg")
-    }
+    wanted = {f"{name}.{kind}" for name in names for kind in ("png", "svg")}
+    assert {file.name for file in files} == wanted
     assert all(file.stat().st_size > 5000 for file in files)
 
 
-def test_models_lists_every_model_with_a_line(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["models"]) == 0
-    lines = capsys.readouterr().out.splitlines()
+def test_models_lists_every_model_with_a_line(call: Call) -> None:
+    lines = call("models").out.splitlines()
     assert any(line.startswith("ungm ") and "growth model" in line for line in lines)
-
-
-@pytest.mark.parametrize(
-    ("command", "words"),
-    [
-        ("run missing.toml", "cannot read the job file missing.toml"),
-        ("run {job} --results {run} --set seed=9", "another run .* seed: 1 -> 9"),
-        ("run {job} --set filter.partcles=3", "unknown key 'partcles' .* allowed: particles, res"),
-        ("run {job} --set model.name=nothing", "must be one of .*ungm.*, got 'nothing'"),
-        ("run {job} --set model.parameters.process_sd=-1", r"process_sd .* 0\.\.inf, got -1"),
-        (
-            "run {job} --set model.parameters.sd=1",
-            "unknown parameter 'sd', allowed: .*process_sd",
-        ),
-        ("run {job} --results {job}", r"results must be a folder, got the file .* \(--results\)"),
-        ("run {job} --workers -3", "execution.workers .* got -3"),
-        ("evaluate {job} --times 0,3,13", r"must lie in 0\.\.12, got 13 \(--times\)"),
-        ("evaluate {job} --times 3,3", r"got 3 twice \(--times\)"),
-        ("evaluate {job} --times 1 --draws 1", "evaluation.draws .* got 1"),
-        ("evaluate {job} --times 1 --particles 0", "filter.particles .* got 0"),
-        ("status {job}", "a run must be a folder, got the job file"),
-        ("status nowhere", "nowhere holds no run: there is no run.json"),
-        ("plot nowhere", "nowhere holds no run"),
-        ("why nowhere", "cannot read the job file nowhere"),
-        ("why {run}/job.toml --draws 1", r"draws must be at least 2, got 1 \(--draws\)"),
-    ],
-)
-def test_every_mistake_is_one_line_and_exit_code_1(
-    command: str, words: str, finished: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    filled = command.format(job=shlex.quote(_job(finished)), run=shlex.quote(str(finished)))
-    assert main(shlex.split(filled)) == 1
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert captured.err.count("\n") == 1
-    assert captured.err.startswith("pfdist: ")
-    assert re.search(words, captured.err)
 
 
 @pytest.mark.slow
 def test_the_seconds_of_evaluate_are_those_of_the_draws(
-    finished: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    run: Path, monkeypatch: pytest.MonkeyPatch, call: Call
 ) -> None:
     def slowly(job: Job) -> Built:  # as where all must be compiled
         time.sleep(1.5)
         return build(job)
 
     monkeypatch.setattr("pfdist.api.evaluate.build", slowly)
-    seconds = []
-    for _ in range(3):
-        assert main(["evaluate", _job(finished), "--times", "0,3", "--json"]) == 0
-        seconds.append(json.loads(capsys.readouterr().out)["seconds"])
-    assert min(seconds) < 1.0
+    line = f"evaluate {run}/job.toml --times 0,3 --json"
+    assert min(json.loads(call(line).out)["seconds"] for _ in range(3)) < 1.0
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_a_missing_file_is_told_as_what_the_job_makes_again(
-    finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    small_run: pfdist.Run, call: Call
 ) -> None:
-    run = shutil.copytree(finished, tmp_path / "run")
+    run = small_run.path
     damaged = run / "tables" / "comparison" / "comparison-00000.parquet"
     damaged.write_bytes(b"damaged")
-    assert main(["verify", str(run)]) == 1
-    assert "`pfdist repair " in capsys.readouterr().err
-    for command in ("repair", "repair"):  # the second time there is nothing to move
-        assert main([command, str(run)]) == 0
-        said = capsys.readouterr().out
-        assert f"run `pfdist run {run}/job.toml` to compute what is missing" in said
-    assert main(["verify", str(run)]) == 1
-    error = capsys.readouterr().err
-    assert f"missing files: 1. To recompute them, run `pfdist run {run}/job.toml`" in error
-    assert "repair" not in error
-    assert main(["run", _job(finished), "--results", str(run)]) == 0
-    assert main(["verify", str(run)]) == 0
-
-
-@pytest.mark.parametrize("command", ["walk", "run", "run a.toml --pool dask", "evaluate a.toml"])
-def test_a_misuse_is_exit_code_2(command: str) -> None:
-    with pytest.raises(SystemExit) as stop:
-        main(shlex.split(command))
-    assert stop.value.code == 2
+    found = call(f"verify {run}")
+    assert found.code == 1
+    assert "`pfdist repair " in found.err
+    for _ in range(2):  # the second time there is nothing to move
+        repaired = call(f"repair {run}")
+        assert repaired.code == 0
+        assert f"run `pfdist run {run}/job.toml` to compute what is missing" in repaired.out
+    found = call(f"verify {run}")
+    assert found.code == 1
+    assert f"missing files: 1. To recompute them, run `pfdist run {run}/job.toml`" in found.err
+    assert "repair" not in found.err
+    assert call(f"run {run}/job.toml --results {run}").code == 0
+    assert call(f"verify {run}").code == 0
 
 
 @pytest.mark.parametrize(
-    ("command", "function", "goes_on"),
+    ("line", "function", "goes_on"),
     [
-        ("run {job}", "pfdist.api.run.run", True),
-        ("plan {job}", "pfdist.api.plan.plan", True),
-        ("budget {job} --measurements 2:3", "pfdist.api.budget.budget", True),
+        ("run {run}/job.toml", "pfdist.api.run.run", True),
+        ("plan {run}/job.toml", "pfdist.api.plan.plan", True),
+        ("budget {run}/job.toml --measurements 2:3", "pfdist.api.budget.budget", True),
         ("status {run}", "pfdist.analysis.open_run", False),
     ],
 )
 def test_an_interrupted_command_says_whether_the_same_command_goes_on(
-    command: str,
-    function: str,
-    goes_on: bool,
-    finished: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    line: str, function: str, goes_on: bool, run: Path, monkeypatch: pytest.MonkeyPatch, call: Call
 ) -> None:
     def interrupted(*arguments: object, **options: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(function, interrupted)
-    filled = command.format(job=shlex.quote(_job(finished)), run=shlex.quote(str(finished)))
-    assert main(shlex.split(filled)) == 130
-    error = capsys.readouterr().err
+    code, _, error = call(line.format(run=run))
+    assert code == 130
     assert error.startswith("pfdist: interrupted")
     assert error.endswith("the same command goes on from there\n") is goes_on
 
 
-def test_debug_shows_the_traceback() -> None:
-    with pytest.raises(pfdist.PfdistError):
-        main(["run", "missing.toml", "--debug"])
-
-
-def test_python_m_pfdist_is_the_same_and_a_finished_run_answers_at_once(finished: Path) -> None:
-    command = [sys.executable, "-m", "pfdist", "status", str(finished), "--json"]
+def test_python_m_pfdist_is_the_same_and_a_finished_run_answers_at_once(run: Path) -> None:
+    command = [sys.executable, "-m", "pfdist", "status", str(run), "--json"]
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
     assert json.loads(done.stdout)["state"] == "finished"
     assert done.stderr == ""
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_without_a_terminal_progress_is_plain_lines(
-    small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    small_job: Job, tmp_path: Path, call: Call
 ) -> None:
-    assert main(["run", str(small_job.path), "--results", str(tmp_path / "run")]) == 0
-    lines = capsys.readouterr().err.splitlines()
+    lines = call(f"run {small_job.path} --results {tmp_path}/run").err.splitlines()
     assert lines[0].startswith("  0.0 %  genetic  generation 1/4")
     assert lines[1].startswith("Serial pool is ready: 1 worker")  # it starts with the first task
     assert lines[-1].startswith("100.0 %  comparison  250 draws")
@@ -331,16 +221,13 @@ def test_without_a_terminal_progress_is_plain_lines(
 
 
 @pytest.mark.slow
-def test_a_finished_run_holds_no_code(
-    small_job: Job, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_finished_run_holds_no_code(small_job: Job, tmp_path: Path, call: Call) -> None:
     model, flag, run = tmp_path / "mine.py", tmp_path / "flag", tmp_path / "run"
     model.write_text(f"open({str(flag)!r}, 'w').close()\nfrom pfdist.models.ungm import model\n")
-    command = ["run", str(small_job.path), "--results", str(run)]
-    few = ["filter.engine=numpy", "evaluation.draws=3", "comparison.draws=20"]
-    assert main([*command, "--set", 'model.name="mine.py:model"', *few]) == 0
-    assert f"runs the model file {model}, which your job names\n" in capsys.readouterr().err
+    few = "filter.engine=numpy evaluation.draws=3 comparison.draws=20"
+    line = f"run {small_job.path} --results {run} --set model.name=mine.py:model {few}"
+    assert f"runs the model file {model}, which your job names\n" in call(line).err
     assert flag.exists()  # to compute, the model's file was run
     files = [path for path in run.rglob("*") if path.is_file() and path.name != ".lock"]
-    kinds = {path.suffix for path in files if path.stat().st_size}
-    assert kinds == {".toml", ".json", ".parquet", ".png", ".svg", ".html"}
+    kinds = {path.suffix or path.name for path in files if path.stat().st_size}
+    assert kinds == {".toml", ".json", ".parquet", ".png", ".svg", ".html", "manifest"}

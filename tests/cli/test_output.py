@@ -1,6 +1,7 @@
-"""Check what is written, whatever the terminal takes, and what is imported for it."""
+"""Outputs in any terminal, and the libraries that a command imports."""
 
 import io
+import os
 import re
 import subprocess
 import sys
@@ -15,38 +16,47 @@ from pfdist.runner.progress import Found, Progress
 
 HEAVY = ("pandas", "scipy", "matplotlib", "numba", "llvmlite", "pyarrow", "ray", "pydantic", "rich")
 ASSET = Path(__file__).parents[1] / "assets" / "schema-3"
+SAYS = """
+import os, sys
+from pfdist.cli.streams import flush_output, make_harmless
+make_harmless()
+first = os.open(os.devnull, os.O_RDONLY)
+print("display" * 10_000, file=sys.stderr)
+sys.stderr.flush()
+try:
+    print("answer")
+    flush_output()
+    code = 0
+except OSError as error:
+    code = 3 + ("standard output cannot be written" in str(error))
+sys.exit(code if first > 2 else 9)
+"""
 _FOUND = Found("genetic", 0.238, (0.236, 0.24), 0.8, 0.26, (0.259, 0.263))
 
 
-def _loaded_by(statement: str) -> set[str]:
-    script = f"import sys\n{statement}\nprint(*sys.modules, file=sys.stderr)"
+@pytest.mark.parametrize(
+    ("words", "unwanted"),
+    [
+        (["--version"], {*HEAVY, "numpy"}),
+        (["--help"], {*HEAVY, "numpy"}),
+        (["run", "--help"], {*HEAVY, "numpy"}),  # it lists the pools, Ray's too
+        (["status", str(ASSET)], {"matplotlib", "numba", "llvmlite", "ray"}),
+    ],
+    ids=lambda value: " ".join(value)[:10] if isinstance(value, list) else "",
+)
+def test_nothing_is_imported_that_a_command_does_not_need(
+    words: list[str], unwanted: set[str]
+) -> None:
+    script = (
+        "import sys\nfrom pfdist.cli.main import main\n"
+        f"try: main({words!r})\nexcept SystemExit: pass\nprint(*sys.modules, file=sys.stderr)"
+    )
     done = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=120
     )
-    return set(done.stderr.split())
-
-
-def test_the_version_and_the_help_import_no_library() -> None:
-    calls = "".join(
-        f"\ntry: main(['{option}'])\nexcept SystemExit: pass" for option in ("--version", "--help")
-    )
-    assert not _loaded_by(f"from pfdist.cli.main import main{calls}") & {*HEAVY, "numpy"}
-
-
-def test_the_help_of_run_lists_the_pools_and_imports_neither_ray_nor_any_other_library() -> None:
-    statement = """
-from pfdist.cli.main import main
-try: main(["run", "--help"])
-except SystemExit: pass
-"""
-    loaded = _loaded_by(statement)
-    assert "pfdist.pools.kinds.ray" in loaded
-    assert not loaded & {*HEAVY, "numpy"}
-
-
-def test_to_look_at_a_run_imports_neither_numba_nor_matplotlib_nor_ray() -> None:
-    loaded = _loaded_by(f"from pfdist.cli.main import main\nmain(['status', {str(ASSET)!r}])")
-    assert not loaded & {"matplotlib", "numba", "llvmlite", "ray"}
+    loaded = {*done.stderr.split()}
+    assert not loaded & unwanted
+    assert "pfdist.pools.kinds.ray" in loaded or words[0] != "run"
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp437", "utf-8"])
@@ -124,3 +134,24 @@ def test_what_is_said_is_no_markup() -> None:
     out = io.StringIO()
     Display(Console(file=out, width=80)).say("runs/[bold]x[/y]:smile:\n\x1b[2J is ready")
     assert out.getvalue() == "runs/[bold]x[/y]:smile: ?[2J is ready\n"
+
+
+@pytest.mark.parametrize(
+    ("redirections", "code"),
+    [
+        pytest.param("2>&-", 0, id="stderr-closed"),
+        pytest.param("2>/dev/full", 0, id="stderr-full"),
+        pytest.param(">&-", 0, id="stdout-closed"),
+        pytest.param(">&- 2>&-", 0, id="both-closed"),
+        pytest.param("<&- >&- 2>&-", 0, id="all-closed"),
+        pytest.param(">/dev/full", 4, id="stdout-full"),
+        pytest.param(">/dev/full 2>/dev/full", 4, id="both-full"),
+    ],
+)
+def test_only_an_answer_that_cannot_be_written_is_an_error(redirections: str, code: int) -> None:
+    command = ["sh", "-c", f'"$0" -c "$1" {redirections}', sys.executable, SAYS]
+    buffered = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    done = subprocess.run(command, capture_output=True, text=True, env=buffered, check=False)
+    assert done.returncode == code
+    assert "Exception" not in done.stderr + done.stdout
+    assert "display" not in done.stdout  # what is meant for standard error goes nowhere else

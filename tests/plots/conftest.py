@@ -1,6 +1,5 @@
 """Runs whose figures tests draw."""
 
-import shutil
 from pathlib import Path
 
 import pytest
@@ -13,11 +12,9 @@ EXACT = ["model.name=random_walk", "filter.engine=kalman"]  # compiles no filter
 
 
 @pytest.fixture(scope="session")
-def plain(tmp_path_factory: pytest.TempPathFactory) -> Run:
+def plain() -> Run:
     """A run of two searches, one of which estimates otherwise than the comparison."""
-    folder = tmp_path_factory.mktemp("plain") / "quick"
-    shutil.copytree(ROOT / "assets" / "schema-3", folder)
-    return pfdist.open_run(folder)
+    return pfdist.open_run(ROOT / "assets" / "schema-3")
 
 
 @pytest.fixture(scope="session")

@@ -1,5 +1,6 @@
 """The paper's figures show what the tables say."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,6 @@ from matplotlib.figure import Figure
 from matplotlib.patches import StepPatch
 
 import pfdist
-from pfdist import Job
 from pfdist.analysis import Gain, Run
 from pfdist.analysis.online import OnlineDraws
 from pfdist.errors import ArgumentError, JobError, MeasurementTimesError
@@ -26,12 +26,12 @@ from pfdist.plots import (
 )
 from pfdist.plots.costs import legend_inches
 from pfdist.plots.draws import plot_of, typical_draw
+from pfdist.plots.figure import FIGURES, Tables
 from pfdist.plots.figures import drawn
 from pfdist.plots.library import styled
 from pfdist.plots.measured_online import measured_at
 from pfdist.plots.online_draw import with_online
 from pfdist.plots.style import COLUMN_INCHES
-from pfdist.store.schema import components_in
 from pfdist.times.clock import Clock
 
 EVALUATIONS = pd.DataFrame(
@@ -78,32 +78,20 @@ def test_cost_of_a_population_is_averaged_over_copies_and_of_trials_over_all_so_
     assert lines["regular times"][1] == [31.2, 31.2]
 
 
-def test_costs_of_another_estimator_stand_beside_no_reference() -> None:
-    axes = cost(EVALUATIONS, {"random": "random"}, title="filter variance", ax=_axes())
-    assert set(_lines(axes)) == {"random, average", "random, minimum"}
-    assert axes.get_legend().get_title().get_text() == "filter variance"
-
-
-@pytest.mark.parametrize(
-    "reference", ["[0, 3, 9]", pytest.param("'regular'", marks=pytest.mark.slow)]
-)
-def test_a_run_draws_a_panel_of_costs_for_each_way_to_estimate(
-    reference: str, small_job: Job, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_run_has_a_panel_of_costs_for_each_way_to_estimate(
+    plain: Run, finished: Callable[..., Path]
 ) -> None:
-    drawn = {}
-
-    def keep(run: Run, name: str, figure: Figure, title: str) -> list[Path]:
-        drawn[name] = [_lines(axes) for axes in figure.axes]
-        return []
-
-    monkeypatch.setattr("pfdist.plots.figures._saved", keep)
-    survivors = "search=[{method='genetic', generations=2, population=6}, {method='survivors'}]"
-    changes = [survivors, f"comparison.reference={reference}", "comparison.draws=20"]
-    pfdist.run(small_job.with_changes(changes), tmp_path / "run")
-    comparable, other = drawn["cost"]
-    line = "regular times" if "regular" in reference else "the reference"
-    assert {"genetic, average", "genetic, minimum", line} == set(comparable)
-    assert {"survivors, best so far"} == set(other)
+    """The reference is known for the estimator of the comparison alone."""
+    [(_, plot)] = FIGURES["cost"].plots(Tables(plain))
+    comparable, other = drawn(plot).axes
+    assert {*_lines(comparable)} == {"genetic, average", "genetic, minimum", "regular times"}
+    assert {*_lines(other)} == {"survivors, best so far"}
+    assert {*_lines(cost(plain, ax=_axes()))} == {*_lines(comparable)}
+    axes = cost(plain, ["survivors"], ax=_axes())
+    assert {*_lines(axes)} == {*_lines(other)}
+    assert "estimated otherwise" in axes.get_legend().get_title().get_text()
+    run = pfdist.open_run(finished("comparison.reference=[0, 3, 9]"))
+    assert "the reference" in _lines(cost(run, ax=_axes()))
 
 
 def test_of_prefixes_and_of_short_tests_the_work_counts_and_not_the_cost() -> None:
@@ -124,66 +112,66 @@ def test_of_prefixes_and_of_short_tests_the_work_counts_and_not_the_cost() -> No
     assert _lines(axes)["mine, best of a step"] == ([2, 4, 5], [1.0, 25.0, 28.0])
 
 
-def test_one_draw_shows_truth_estimates_and_stars_and_plus_signs() -> None:
-    trajectory = pd.DataFrame(
-        {
-            "t": [0, 1, 2],
-            "z_0": [1.0, 2.0, 3.0],
-            "estimate_regular_0": [0.0, 1.0, 2.0],
-            "estimate_genetic_0": [1.0, 2.0, 2.5],
-        }
-    )
-    axes = one_draw(trajectory, {"regular": [0, 2], "genetic": [1]}, ax=_axes())
-    lines = {line.get_label(): line for line in axes.get_lines()}
-    regular, genetic = lines[r"$\mathcal{M}$, regular"], lines[r"$\mathcal{M}$, genetic"]
-    assert (regular.get_marker(), list(regular.get_xdata())) == ("+", [0, 2])
-    assert (genetic.get_marker(), list(genetic.get_xdata())) == ("*", [1])
-    assert list(lines["$z(t)$"].get_ydata()) == [1.0, 2.0, 3.0]
-    assert axes.get_ylabel() == "$z$"
+def _trajectory(components: int) -> pd.DataFrame:
+    columns = {"t": [0, 1, 2]}
+    for k in range(components):
+        columns[f"z_{k}"] = [k, k + 0.5, k + 1]
+        columns[f"estimate_regular_{k}"] = [k, k + 0.25, k + 2]
+        columns[f"estimate_genetic_{k}"] = [k, k + 0.75, k + 3]
+    return pd.DataFrame(columns)
 
 
-def test_one_draw_shows_every_component_of_z_in_a_panel_of_its_own() -> None:
-    trajectory = pd.DataFrame({"t": [0, 1]})
-    for k in range(3):
-        trajectory[f"z_{k}"] = [k, k + 0.5]
-        for name in ("regular", "genetic"):
-            trajectory[f"estimate_{name}_{k}"] = [k, k + 0.25]
-    assert len(components_in(trajectory, "z_")) == 3
-    sets = {"regular": [0], "genetic": []}
+def test_one_draw_shows_each_component_its_estimates_and_stars_and_plus_signs() -> None:
+    trajectory, sets = _trajectory(3), {"regular": [0, 2], "genetic": [1]}
     panels = drawn(plot_of(trajectory, sets, "draw 3, relative gain 10 %", "Title.")).axes
     assert [axes.get_legend() is not None for axes in panels] == [True, False, False]
     assert panels[0].get_legend().get_title().get_text() == "draw 3, relative gain 10 %"
     for k, axes in enumerate(panels):
-        truth = next(line for line in axes.get_lines() if line.get_label() == "$z(t)$")
-        assert list(truth.get_ydata()) == [k, k + 0.5]
+        lines = {line.get_label(): line for line in axes.get_lines()}
+        regular, genetic = lines[r"$\mathcal{M}$, regular"], lines[r"$\mathcal{M}$, genetic"]
+        assert (regular.get_marker(), list(regular.get_xdata())) == ("+", [0, 2])
+        assert (genetic.get_marker(), list(genetic.get_xdata())) == ("*", [1])
+        assert list(lines["$z(t)$"].get_ydata()) == [k, k + 0.5, k + 1]
+        assert [k, k + 0.25, k + 2] in [y for _, y in _lines(axes).values()]
         assert axes.get_ylabel() == f"$z_{{{k}}}$"
-        alone = one_draw(trajectory, sets, component=k, ax=_axes())
-        assert _lines(alone) == _lines(axes)
+        assert _lines(one_draw(trajectory, sets, component=k, ax=_axes())) == _lines(axes)
+    assert one_draw(_trajectory(1), sets, ax=_axes()).get_ylabel() == "$z$"
     with pytest.raises(JobError, match="component must be one of 0, 1, 2, got 3"):
         one_draw(trajectory, sets, component=3, ax=_axes())
 
 
 def test_components_beyond_the_sixth_are_counted_below_the_panels() -> None:
-    columns = [f"{kind}_{k}" for k in range(8) for kind in ("z", "estimate_a", "estimate_b")]
-    trajectory = pd.DataFrame(0.0, range(3), columns).assign(t=range(3))
-    panels = drawn(plot_of(trajectory, {"a": [0], "b": [1]}, "", "")).axes
+    sets = {"regular": [0], "genetic": [1]}
+    panels = drawn(plot_of(_trajectory(8), sets, "", "")).axes
     assert len(panels) == 6
     assert panels[-1].get_xlabel() == "$t$; 2 more components are left out"
 
 
-def test_the_draw_shown_has_the_median_gain() -> None:
+def test_the_draw_of_median_gain_is_shown_unless_another_is_wanted(plain: Run) -> None:
     gains = pd.Series([0.1, -8.38, 0.26, 0.9, 0.3], index=[3, 4, 7, 8, 9])  # the mean is -1.36
     assert typical_draw(gains) == 7
     assert typical_draw(gains.drop(4)) == 7  # the lower of two
+    told = one_draw(plain, ax=_axes()).get_legend().get_title().get_text()
+    median = typical_draw(plain.gains().set_index("draw")["gain_genetic"])
+    assert told.startswith(f"draw {median}, relative gain ")
+    z = plain.trajectories().query("draw == 7")["z_0"].tolist()
+    assert _lines(one_draw(plain, draw=7, ax=_axes()))["$z(t)$"][1] == z
+
+
+def _gain(relative: np.ndarray) -> Gain:
+    known = Gain()
+    known.add(1 - relative, np.ones(relative.size))
+    return known
+
+
+def _area(axes) -> float:
+    return sum(patch.get_width() * patch.get_height() for patch in axes.patches)
 
 
 def test_the_histogram_counts_the_draws_and_marks_zero_mean_and_fraction() -> None:
     relative = np.random.default_rng(1).normal(0.25, 0.2, 5000).clip(max=1)
-    known = Gain()
-    known.add(1 - relative, np.ones(5000))
-    axes = gain(known, "genetic", reference="regular times", ax=_axes())
-    area = sum(patch.get_width() * patch.get_height() for patch in axes.patches)
-    assert area == pytest.approx(1)
+    axes = gain(_gain(relative), "genetic", reference="regular times", ax=_axes())
+    assert _area(axes) == pytest.approx(1)
     edges = [patch.get_x() for patch in axes.patches]
     edges.append(edges[-1] + axes.patches[0].get_width())
     heights = [patch.get_height() for patch in axes.patches]
@@ -202,9 +190,7 @@ def test_a_long_tail_is_counted_and_leaves_the_bulk_its_room() -> None:
     rng = np.random.default_rng(2)
     bulk, tail = rng.normal(0.2, 0.1, 4900), -rng.uniform(2, 8.38, 90)
     relative = np.concatenate([bulk, tail, np.full(10, -20.0)])  # and beyond all bins
-    known = Gain()
-    known.add(1 - relative, np.ones(relative.size))
-    axes = gain(known, "mine", reference="the reference", ax=_axes())
+    axes = gain(_gain(relative), "mine", reference="the reference", ax=_axes())
     low, high = axes.get_xlim()
     middle = np.quantile(100 * relative, [0.25, 0.75])
     assert np.diff(middle)[0] > 0.1 * (high - low)  # at most 7 quartile ranges are shown
@@ -212,26 +198,21 @@ def test_a_long_tail_is_counted_and_leaves_the_bulk_its_room() -> None:
     assert below >= 100
     assert f"{below} of them below {low:.0f} %".replace("-", "\N{MINUS SIGN}") in _legend(axes)
     assert any(line.get_marker() == "<" for line in axes.get_lines())
-    area = sum(patch.get_width() * patch.get_height() for patch in axes.patches)
-    assert area == pytest.approx(1 - below / relative.size)  # density of all draws
+    assert _area(axes) == pytest.approx(1 - below / relative.size)  # density of all draws
 
 
 def test_another_set_is_an_outline_over_the_same_bars() -> None:
     rng = np.random.default_rng(3)
-    relative = [rng.normal(mean, 0.2, 3000).clip(max=1) for mean in (0.4, 0.2)]
-    gains = [Gain(), Gain()]
-    for known, values in zip(gains, relative, strict=True):
-        known.add(1 - values, np.ones(values.size))
-    axes = gain(
-        gains[0], "online", reference="regular times", beside=("plan", gains[1]), ax=_axes()
-    )
+    online, plan = (rng.normal(mean, 0.2, 3000).clip(max=1) for mean in (0.4, 0.2))
+    beside = ("plan", _gain(plan))
+    axes = gain(_gain(online), "online", reference="regular times", beside=beside, ax=_axes())
     (outline,) = [patch for patch in axes.patches if isinstance(patch, StepPatch)]
     heights, edges, _ = outline.get_data()
-    counts, _ = np.histogram(100 * relative[1], edges)
+    counts, _ = np.histogram(100 * plan, edges)
     np.testing.assert_allclose(heights, counts / 3000 / np.diff(edges), atol=1e-9)
     text = _legend(axes)
-    assert f"online:\nmean {100 * relative[0].mean():.1f} %" in text
-    assert f"plan:\nmean {100 * relative[1].mean():.1f} %" in text
+    assert f"online:\nmean {100 * online.mean():.1f} %" in text
+    assert f"plan:\nmean {100 * plan.mean():.1f} %" in text
 
 
 def test_the_raster_has_a_dark_cell_for_each_time_and_like_rows_are_neighbours() -> None:
@@ -277,15 +258,9 @@ def test_the_estimate_of_online_times_has_a_column_for_each_component() -> None:
 
 
 def test_a_profile_shows_the_error_its_band_and_the_instants_measured() -> None:
-    profile = pd.DataFrame(
-        {
-            "name": ["regular"] * 3 + ["found"] * 3,
-            "t": [0, 1, 2] * 2,
-            "measured": [True, False, True, False, True, False],
-            "error": [1.0, 5.0, 2.0, 3.0, 1.0, 2.0],
-            "standard_error": [0.1] * 6,
-        }
-    )
+    profile = pd.DataFrame({"name": ["regular"] * 3 + ["found"] * 3, "t": [0, 1, 2] * 2})
+    profile["measured"] = [True, False, True, False, True, False]
+    profile = profile.assign(error=[1.0, 5.0, 2.0, 3.0, 1.0, 2.0], standard_error=0.1)
     axes = error_profile(profile, draws=2000, ax=_axes())
     assert "2,000 draws" in axes.get_legend().get_title().get_text()
     lines = {line.get_label(): line for line in axes.get_lines()}
@@ -297,19 +272,17 @@ def test_a_profile_shows_the_error_its_band_and_the_instants_measured() -> None:
     assert (band.min(), band.max()) == pytest.approx((1 - 0.196, 5 + 0.196))
 
 
-def test_the_mean_of_a_profile_is_weighted_as_the_mse_is() -> None:
+@pytest.mark.parametrize(
+    ("weights", "mean"), [([2.25, 0.75, 0.0], "2.5"), ([1.0, 1.0, 1.0], "nan")]
+)
+def test_the_mean_of_a_profile_is_weighted_as_the_mse_is(weights: list[float], mean: str) -> None:
+    """An error that is unknown counts unless its weight is 0."""
     profile = pd.DataFrame(
-        {
-            "name": ["found"] * 3,
-            "t": [0.0, 1.0, 4.0],
-            "measured": [True, False, False],
-            "error": [2.0, 4.0, np.nan],  # an error of weight 0 is not known
-            "standard_error": [0.1] * 3,
-            "weight": [2.25, 0.75, 0.0],
-        }
+        {"name": "found", "t": [0.0, 1.0, 4.0], "measured": [True, False, False]}
     )
+    profile = profile.assign(error=[2.0, 4.0, np.nan], standard_error=0.1, weight=weights)
     axes = error_profile(profile, ax=_axes())
-    assert axes.get_lines()[0].get_label() == "found, mean 2.5"
+    assert axes.get_lines()[0].get_label() == f"found, mean {mean}"
 
 
 def test_a_measurements_worth_is_a_stem_and_its_shifts_are_triangles_with_intervals() -> None:
@@ -366,12 +339,6 @@ def test_the_budget_has_a_curve_each_for_regular_and_found_times_and_the_bound(
     assert (shade[:, 1].min(), shade[:, 1].max()) == (3.5, 7.8)
     lines = [container[0].get_ydata().tolist() for container in axes.containers]
     assert lines == [[9.0, 7.0, 8.0, 6.0], [8.0, 6.0, 5.0, 4.0]]
-
-
-def test_without_a_bound_the_budget_has_two_curves(curve: pd.DataFrame) -> None:
-    axes = budget(curve.assign(bound=np.nan, bound_low=np.nan), ax=_axes())
-    labels = [entry.get_text() for entry in axes.get_legend().get_texts()]
-    assert labels == ["regular times", "found times"]
 
 
 @pytest.mark.parametrize(

@@ -39,25 +39,30 @@ def test_limits_have_the_scale_of_the_values(factor: float) -> None:
     assert shown_range(-values) == (-3.0 * factor, -1.0 * factor)
 
 
-def test_nothing_is_cut_off_that_leaves_the_others_a_quarter_of_the_axis() -> None:
-    assert shown_range(np.array([1.0, 2.0, 3.0, 9.0])) is None
-    assert shown_range(np.array([1.0, 2.0, 3.0, 9.1])) == (1.0, 3.0)
+BULK = RNG.uniform(1, 2, 38)
+ENDS = (BULK.min(), BULK.max())
 
 
-def test_at_most_a_tenth_is_cut_off_and_no_more_than_helps() -> None:
-    values = RNG.uniform(1, 2, 38)
-    assert shown_range(np.append(values, [500, 900])) == (values.min(), values.max())
-    assert shown_range(np.append(values[:30], [500] * 10)) is None  # a quarter: no outliers
-    assert shown_range(np.append(values, [3.0, 900])) == (values.min(), 3.0)
+@pytest.mark.parametrize(
+    ("values", "limits"),
+    [
+        ([1.0, 2.0, 3.0, 9.0], None),  # the others have a quarter of the axis
+        ([1.0, 2.0, 3.0, 9.1], (1.0, 3.0)),
+        ([*BULK, 500, 900], ENDS),
+        ([*BULK[:30], *[500] * 10], None),  # a quarter of the values: no outliers
+        ([*BULK, 3.0, 900], (BULK.min(), 3.0)),  # no more is cut off than helps
+        ([1.0, 2.0, np.inf], (1.0, 2.0)),
+        ([2.0, 2.0, 2.0], None),
+        ([], None),
+    ],
+)
+def test_at_most_a_tenth_is_cut_off_and_no_more_than_helps(
+    values: list[float], limits: tuple[float, float] | None
+) -> None:
+    assert shown_range(np.array(values)) == limits
 
 
-def test_infinite_values_are_cut_off_and_equal_values_are_not() -> None:
-    assert shown_range(np.array([1.0, 2.0, np.inf])) == (1.0, 2.0)
-    assert shown_range(np.array([2.0, 2.0, 2.0])) is None
-    assert shown_range(np.zeros(0)) is None
-
-
-def test_a_measurement_worth_a_hundred_times_the_others_is_an_arrow_with_its_number() -> None:
+def test_measurements_worth_a_hundred_times_the_others_are_arrows_with_one_number() -> None:
     table = WORTH.copy()
     table.loc[4, "removed"] = 152.0
     axes = worth(table, ax=_axes())
@@ -65,6 +70,9 @@ def test_a_measurement_worth_a_hundred_times_the_others_is_an_arrow_with_its_num
     assert axes.get_ylim()[0] < 0  # the stems begin at 0
     assert _arrows(axes) == {"^": [4.0]}
     assert _legend(axes) == ["mine", "mine: 152"]
+    several = pd.concat([WORTH] * 4, ignore_index=True).assign(t=range(48))
+    several.loc[[3, 9, 30], "removed"] = [300.0, 200.0, 500.0]
+    assert _legend(worth(several, ax=_axes()))[-1] == "mine: 3 up to 500"
     assert worth(WORTH, ax=_axes()).get_ylim()[1] > WORTH["removed"].max()
     assert _arrows(worth(WORTH, ax=_axes())) == {}
 
@@ -77,22 +85,20 @@ def test_a_shift_far_below_is_an_arrow_at_the_lower_edge_with_a_true_minus_sign(
     assert _legend(axes)[-1] == "mine: \N{MINUS SIGN}90"
 
 
+def _profile(low: float, high: float, last: float) -> pd.DataFrame:
+    error = np.append(RNG.uniform(low, high, 20), last)
+    instants = pd.DataFrame({"name": "mine", "t": range(21), "measured": False, "error": error})
+    return instants.assign(standard_error=0.1)
+
+
 def test_a_spike_of_the_error_leaves_the_profile_its_room() -> None:
-    error = np.append(RNG.uniform(1, 3, 20), 4e6)
-    profile = pd.DataFrame(
-        {"name": "mine", "t": range(21), "measured": False, "error": error, "standard_error": 0.1}
-    )
-    axes = error_profile(profile, ax=_axes())
+    axes = error_profile(_profile(1, 3, 4e6), ax=_axes())
     assert (axes.get_ylim()[0], axes.get_ylim()[1] < 4) == (0.0, True)
     assert _legend(axes)[-1] == r"mine: $4\times 10^{6}$"
 
 
 def test_an_axis_that_begins_at_0_has_no_arrow_for_a_small_value_that_it_shows() -> None:
-    error = np.append(RNG.uniform(100, 110, 20), 5.0)
-    profile = pd.DataFrame(
-        {"name": "mine", "t": range(21), "measured": False, "error": error, "standard_error": 0.1}
-    )
-    axes = error_profile(profile, ax=_axes())
+    axes = error_profile(_profile(100, 110, 5.0), ax=_axes())
     assert axes.get_ylim()[0] == 0.0
     assert _arrows(axes) == {}
 
@@ -124,9 +130,3 @@ def test_small_budgets_with_huge_errors_leave_the_curve_its_room() -> None:
     axes = budget(table, ax=_axes())
     assert axes.get_ylim()[1] < 40
     assert _legend(axes) == ["regular times", "found times", r"found: 30,000"]
-
-
-def test_many_points_beyond_the_axis_have_one_number() -> None:
-    table = pd.concat([WORTH] * 4, ignore_index=True).assign(t=range(48))
-    table.loc[[3, 9, 30], "removed"] = [300.0, 200.0, 500.0]
-    assert _legend(worth(table, ax=_axes()))[-1] == "mine: 3 up to 500"

@@ -3,7 +3,8 @@
 import inspect
 import io
 from collections.abc import Callable, Iterator
-from itertools import pairwise
+from functools import partial
+from itertools import pairwise, product
 from types import SimpleNamespace
 from typing import Any
 
@@ -41,25 +42,22 @@ PROFILE = pd.DataFrame(
         for t in range(10)
     ]
 )  # fmt: skip
-WORTH = pd.DataFrame(
-    [
-        {"name": name, "t": t}
-        | dict.fromkeys(("removed", "earlier", "later"), 0.1 * t)
-        | {f"{change}_error": 0.02 for change in ("removed", "earlier", "later")}
-        for name in SETS
-        for t in range(0, 10, 3)
-    ]
-)
+CHANGES = ("removed", "earlier", "later")
+WORTH = pd.DataFrame([{"name": name, "t": t} for name in SETS for t in range(0, 10, 3)])
+WORTH = WORTH.assign(**dict.fromkeys(CHANGES, 0.1 * WORTH["t"]))
+WORTH = WORTH.assign(**{f"{change}_error": 0.02 for change in CHANGES})
 WINDOWS = pd.DataFrame(
     [
-        {"name": name, "t": t, "moved_to": instant, "within_1": strict, "within_5": wide}
+        {"name": name, "t": t, "moved_to": t + step, "within_1": strict, "within_5": wide}
         for name, t in (("regular", 0), ("mine", 3), ("mine", 7))
-        for instant, strict, wide in (
-            (t, "inside", "inside"), (t + 1, "inside", "inside"), (t + 2, "open", "inside"),
-            (t + 3, "outside", "open"),
+        for step, strict, wide in zip(
+            range(4),
+            ("inside", "inside", "open", "outside"),
+            ("inside", "inside", "inside", "open"),
+            strict=True,
         )
     ]
-)  # fmt: skip
+)
 STUDY = pd.DataFrame(
     [
         dict.fromkeys(RESULTS, 0.5)
@@ -74,9 +72,11 @@ STUDY = pd.DataFrame(
     ]
 )[["run", "problem.measurement_budget", "filter.particles", *RESULTS]]  # fmt: skip
 MINE = STUDY[STUDY["set"] == "mine"]
-WHY = SimpleNamespace(
-    profile=PROFILE, worth=WORTH, sampling_windows=WINDOWS
-)  # as what pfdist.why returns
+WHY = SimpleNamespace(profile=PROFILE, worth=WORTH, sampling_windows=WINDOWS)  # of pfdist.why
+
+
+def _axes() -> Axes:
+    return Figure().subplots()
 
 
 @pytest.fixture(autouse=True)
@@ -93,45 +93,25 @@ def _filtered() -> pd.DataFrame:
 
 
 def test_only_a_found_set_is_called_an_optimum_in_a_title() -> None:
-    table = pd.DataFrame(
-        [
-            {"name": name, "t": 3, "moved_to": to, "within_1": "inside", "within_5": "inside"}
-            for name in ("given", "found")
-            for to in (3, 4)
-        ]
-    )
-    loss = {"draws": 9, "loss": 0.0, "low": 0.0, "high": 0.001}
-    jitter = pd.DataFrame([{"name": name, "percent": 1} | loss for name in ("given", "found")])
-    run = SimpleNamespace(sampling_windows=lambda: table, jitter=lambda: jitter, found=["found"])
-    titles = [
-        FIGURES["sampling_windows"].plot(SimpleNamespace(run=run), name).title
-        for name in ("given", "found")
-    ]
+    windows = pd.DataFrame(product(("given", "found"), [3], (3, 4)), columns=WINDOWS.columns[:3])
+    windows = windows.assign(within_1="inside", within_5="inside")
+    jitter = pd.DataFrame({"name": ["given", "found"], "percent": 1, "draws": 9})
+    jitter = jitter.assign(loss=0.0, low=0.0, high=0.001)
+    run = SimpleNamespace(sampling_windows=lambda: windows, jitter=lambda: jitter, found=["found"])
+    tables = SimpleNamespace(run=run)
+    titles = [FIGURES["sampling_windows"].plot(tables, name).title for name in ("given", "found")]
     assert ["optimum is flat" in title for title in titles] == [False, True]
 
 
 def test_times_that_are_not_whole_are_shown_without_a_run() -> None:
-    axes = plots.times({"mine": [0.5, 12.9]}, ax=Figure().subplots())
+    axes = plots.times({"mine": [0.5, 12.9]}, ax=_axes())
     low, high = axes.get_xlim()
     assert low < 0.0
     assert 12.9 < high < 14.0
-    shaded = plots.times({"mine": [0.5, 2.0]}, horizon=2.5, forbidden=[1.5], ax=Figure().subplots())
+    shaded = plots.times({"mine": [0.5, 2.0]}, horizon=2.5, forbidden=[1.5], ax=_axes())
     assert shaded.get_xlim()[1] == pytest.approx(2.5 * 1.03)
     (patch,) = shaded.patches
     assert (patch.get_x(), patch.get_x() + patch.get_width()) == (1.0, 1.75)
-
-
-def test_the_error_of_an_instant_is_unknown_only_if_it_weighs_nothing() -> None:
-    table = PROFILE[PROFILE["name"] == "mine"].copy()
-    table.loc[table["t"] == 4, "error"] = np.nan
-
-    def told(table: pd.DataFrame) -> str:
-        legend = plots.error_profile(table, ax=Figure().subplots()).get_legend()
-        assert legend is not None
-        return str(legend.get_texts()[0].get_text())
-
-    assert told(table) == "mine, mean nan"
-    assert told(table.assign(weight=np.where(table["t"] == 4, 0.0, 1.0))) == "mine, mean 1.889"
 
 
 def _trajectory() -> pd.DataFrame:
@@ -139,95 +119,65 @@ def _trajectory() -> pd.DataFrame:
     return pd.DataFrame({"draw": 3, "t": range(10), "z_0": np.arange(10.0), **columns})
 
 
-def _drawings(plain: Run, proved: Run, several: Run) -> dict[str, list[Callable[[Any], Axes]]]:
-    """Ways to call each function."""
-    filtered = SimpleNamespace(table=_filtered(), missing=(1,), extra=(2,), to_come=(4,))
-    sets = {"regular": [0, 3], "mine": [1]}
-    return {
-        "against": [
-            lambda ax: plots.against(STUDY, ax=ax),
-            lambda ax: plots.against(STUDY, "filter.particles", "gain_of_means", ax=ax),
-            lambda ax: plots.against(SimpleNamespace(table=lambda: MINE), group="set", ax=ax),
-        ],
-        "belief": [
-            lambda ax: plots.belief(_filtered(), component=1, ax=ax),
-            lambda ax: plots.belief(filtered, ax=ax),
-        ],
-        "bound": [
-            lambda ax: plots.bound(proved, ax=ax),
-            lambda ax: plots.bound(proved.bounds(), ax=ax),
-        ],
-        "budget": [
-            lambda ax: plots.budget(several, ax=ax),
-            lambda ax: plots.budget(several.budget(), ax=ax),
-        ],
-        "comparison": [
-            lambda ax: plots.comparison(plain, ax=ax),
-            lambda ax: plots.comparison(proved.ranks(), ax=ax),
-        ],
-        "cost": [
-            lambda ax: plots.cost(plain, ax=ax),
-            lambda ax: plots.cost(plain, ["survivors"], ax=ax),
-            lambda ax: plots.cost(proved.evaluations().assign(end=12), ax=ax),
-        ],
-        "degenerate_draws": [
-            lambda ax: plots.degenerate_draws(PROFILE, ax=ax),
-            lambda ax: plots.degenerate_draws(WHY, ["mine"], ax=ax),
-        ],
-        "effective_sample_size": [
-            lambda ax: plots.effective_sample_size(WHY, particles=50, ax=ax),
-            lambda ax: plots.effective_sample_size(filtered, ax=ax),
-        ],
-        "error_profile": [
-            lambda ax: plots.error_profile(PROFILE, ax=ax),
-            lambda ax: plots.error_profile(WHY, SETS, ax=ax),
-        ],
-        "found_times": [
-            lambda ax: plots.found_times(STUDY, ax=ax),
-            lambda ax: plots.found_times(MINE, horizon=9, ax=ax),
-        ],
-        "gain": [
-            lambda ax: plots.gain(plain, "survivors", ax=ax),
-            lambda ax: plots.gain(plain, beside="survivors", ax=ax),
-            lambda ax: plots.gain(plain.comparison(), "genetic", reference="survivors", ax=ax),
-        ],
-        "heat_map": [
-            lambda ax: plots.heat_map(MINE, ax=ax),
-            lambda ax: plots.heat_map(MINE.iloc[1:], value="expected_mse", ax=ax),
-        ],
-        "one_draw": [
-            lambda ax: plots.one_draw(plain, ax=ax),
-            lambda ax: plots.one_draw(plain, "survivors", draw=4, ax=ax),
-            lambda ax: plots.one_draw(_trajectory(), sets, ax=ax),
-        ],
-        "online_gain": [lambda ax: plots.online_gain(proved, ax=ax)],
-        "online_raster": [
-            lambda ax: plots.online_raster(proved, ax=ax),
-            lambda ax: plots.online_raster(proved.online(), ax=ax),
-        ],
-        "online_shares": [
-            lambda ax: plots.online_shares(proved, ax=ax),
-            lambda ax: plots.online_shares(proved.online(), planned=(0, 3), plan="it", ax=ax),
-        ],
-        "shifts": [lambda ax: plots.shifts(WORTH, ax=ax), lambda ax: plots.shifts(WHY, ax=ax)],
-        "times": [
-            lambda ax: plots.times(proved, ax=ax),
-            lambda ax: plots.times(several, ax=ax),
-            lambda ax: plots.times(sets, forbidden=[5, 6], ax=ax),
-        ],
-        "sampling_windows": [
-            lambda ax: plots.sampling_windows(proved, ax=ax),
-            lambda ax: plots.sampling_windows(WINDOWS, "mine", ax=ax),
-            lambda ax: plots.sampling_windows(WHY, ax=ax),
-            lambda ax: plots.sampling_windows(WINDOWS.drop(columns="name").head(4), ax=ax),
-        ],
-        "worth": [lambda ax: plots.worth(WORTH, ax=ax), lambda ax: plots.worth(WHY, ax=ax)],
-    }
+Draw = Callable[..., Axes]
+Call = tuple[tuple[Any, ...], dict[str, Any]]
+
+
+def call(*arguments: Any, **options: Any) -> Call:
+    return arguments, options
+
+
+def _way(name: str, given: Call) -> Draw:
+    """A way to call a function of `plots`; ``ax`` is left open."""
+    arguments, options = given
+    return partial(getattr(plots, name), *arguments, **options)
 
 
 @pytest.fixture(scope="module")
-def drawings(plain: Run, proved: Run, several: Run) -> dict[str, list[Callable[[Any], Axes]]]:
-    return _drawings(plain, proved, several)
+def drawings(plain: Run, proved: Run, several: Run) -> dict[str, list[Draw]]:
+    """Ways to call each function, with a run and with tables."""
+    filtered = SimpleNamespace(table=_filtered(), missing=(1,), extra=(2,), to_come=(4,))
+    sets = {"regular": [0, 3], "mine": [1]}
+    calls = {
+        "against": [
+            call(STUDY),
+            call(STUDY, "filter.particles", "gain_of_means"),
+            call(SimpleNamespace(table=lambda: MINE), group="set"),
+        ],
+        "belief": [call(_filtered(), component=1), call(filtered)],
+        "bound": [call(proved), call(proved.bounds())],
+        "budget": [call(several), call(several.budget())],
+        "comparison": [call(plain), call(proved.ranks())],
+        "cost": [
+            call(plain),
+            call(plain, ["survivors"]),
+            call(proved.evaluations().assign(end=12)),
+        ],
+        "degenerate_draws": [call(PROFILE), call(WHY, ["mine"])],
+        "effective_sample_size": [call(WHY, particles=50), call(filtered)],
+        "error_profile": [call(PROFILE), call(WHY, SETS)],
+        "found_times": [call(STUDY), call(MINE, horizon=9)],
+        "gain": [
+            call(plain, "survivors"),
+            call(plain, beside="survivors"),
+            call(plain.comparison(), "genetic", reference="survivors"),
+        ],
+        "heat_map": [call(MINE), call(MINE.iloc[1:], value="expected_mse")],
+        "one_draw": [call(plain), call(plain, "survivors", draw=4), call(_trajectory(), sets)],
+        "online_gain": [call(proved)],
+        "online_raster": [call(proved), call(proved.online())],
+        "online_shares": [call(proved), call(proved.online(), planned=(0, 3), plan="it")],
+        "shifts": [call(WORTH), call(WHY)],
+        "times": [call(proved), call(several), call(sets, forbidden=[5, 6])],
+        "sampling_windows": [
+            call(proved),
+            call(WINDOWS, "mine"),
+            call(WHY),
+            call(WINDOWS.drop(columns="name").head(4)),
+        ],
+        "worth": [call(WORTH), call(WHY)],
+    }
+    return {name: [_way(name, given) for given in ways] for name, ways in calls.items()}
 
 
 every = pytest.mark.parametrize("name", NAMES)
@@ -240,15 +190,15 @@ def test_plots_are_found_under_pfdist() -> None:
 
 @every
 def test_it_draws_into_given_axes_and_makes_new_ones_in_the_users_style(
-    name: str, drawings: dict[str, list[Callable[[Any], Axes]]]
+    name: str, drawings: dict[str, list[Draw]]
 ) -> None:
     for draw in drawings[name]:
-        axes = Figure().subplots()
-        assert draw(axes) is axes
+        axes = _axes()
+        assert draw(ax=axes) is axes
         assert axes.has_data()
         assert not pyplot.get_fignums()
         with pyplot.style.context({"lines.linewidth": 7.5, "figure.facecolor": "0.9"}):
-            new = draw(None)
+            new = draw()
         assert new.figure is pyplot.gcf()
         assert new.figure.get_facecolor()[:3] == (0.9, 0.9, 0.9)
         assert _shapes(new) == _shapes(axes)
@@ -261,13 +211,11 @@ def _shapes(axes: Axes) -> list[list[float]]:
 
 @every
 @pytest.mark.parametrize("style", [PRINT, SCREEN])
-def test_its_legend_covers_no_data(
-    name: str, style: str, drawings: dict[str, list[Callable[[Any], Axes]]]
-) -> None:
+def test_its_legend_covers_no_data(name: str, style: str, drawings: dict[str, list[Draw]]) -> None:
     with styled(style):
         for draw in drawings[name]:
             figure = Figure(layout="constrained")
-            draw(figure.subplots())
+            draw(ax=figure.subplots())
             _check_legends(figure)
 
 
@@ -307,7 +255,7 @@ def _check_legends(figure: Figure) -> None:
 def test_the_reference_of_a_run_is_hollow_and_its_forbidden_instants_are_shaded(
     proved: Run, several: Run
 ) -> None:
-    axes = plots.times(proved, ax=Figure().subplots())
+    axes = plots.times(proved, ax=_axes())
     names = [label.get_text() for label in axes.get_yticklabels()]
     assert names == list(proved.sets()) == ["regular", "genetic", "random"]
     rows = [line for line in axes.get_lines() if line.get_marker() == "o"]
@@ -321,29 +269,29 @@ def test_the_reference_of_a_run_is_hollow_and_its_forbidden_instants_are_shaded(
 
 
 def test_degenerate_draws_are_a_share_that_steps_up() -> None:
-    axes = plots.degenerate_draws(PROFILE, ax=Figure().subplots())
+    axes = plots.degenerate_draws(PROFILE, ax=_axes())
     lines = {str(line.get_label()): line for line in axes.get_lines()}
     assert set(lines) == {"regular, in the end 0 %", "mine, in the end 9 %"}
     assert list(lines["mine, in the end 9 %"].get_ydata()) == list(np.arange(10.0))
 
 
 def test_the_effective_sample_size_has_a_point_where_it_is_known() -> None:
-    axes = plots.effective_sample_size(PROFILE, particles=50, ax=Figure().subplots())
+    axes = plots.effective_sample_size(PROFILE, particles=50, ax=_axes())
     assert list(axes.get_lines()[0].get_xdata()) == [0, 3, 6, 9]
     assert (axes.get_yscale(), axes.get_ylim()[0]) == ("linear", 0.0)
     far = PROFILE.assign(effective_sample_size=PROFILE["effective_sample_size"] ** 3)
-    axes = plots.effective_sample_size(far, ax=Figure().subplots())
+    axes = plots.effective_sample_size(far, ax=_axes())
     assert axes.get_yscale() == "linear"
     far.loc[0, "effective_sample_size"] = 2.0
-    axes = plots.effective_sample_size(far, ax=Figure().subplots())
+    axes = plots.effective_sample_size(far, ax=_axes())
     assert (axes.get_yscale(), axes.get_ylim()[0]) == ("log", 1.0)
     known = PROFILE.assign(effective_sample_size=np.nan, draws=0)
     for draw in (plots.effective_sample_size, plots.degenerate_draws):
-        assert "exact filters" in draw(known, ax=Figure().subplots()).texts[0].get_text()
+        assert "exact filters" in draw(known, ax=_axes()).texts[0].get_text()
 
 
 def test_bars_are_thick_within_1_percent_thin_within_5_and_hollow_where_it_is_open() -> None:
-    axes = plots.sampling_windows(WINDOWS, "mine", ax=Figure().subplots())
+    axes = plots.sampling_windows(WINDOWS, "mine", ax=_axes())
     found = [
         (np.round(box.min, 2).tolist(), np.round(box.size, 2).tolist(), len(bars.get_facecolor()))
         for bars in axes.collections[1:]
@@ -360,32 +308,28 @@ def test_bars_are_thick_within_1_percent_thin_within_5_and_hollow_where_it_is_op
     assert [label.get_text() for label in axes.get_yticklabels()] == ["3", "7"]
     assert axes.get_ylim()[0] > axes.get_ylim()[1]  # the first measurement is on top
     gone = WINDOWS.iloc[:0]
-    assert (
-        "no measurement" in plots.sampling_windows(gone, ax=Figure().subplots()).texts[0].get_text()
-    )
+    assert "no measurement" in plots.sampling_windows(gone, ax=_axes()).texts[0].get_text()
 
 
-def test_a_set_or_a_draw_that_does_not_exist_is_named_with_those_that_do(plain: Run) -> None:
-    for draw, message in (
-        (lambda: plots.gain(plain, "nobody"), "name must be one of genetic, survivors, got 'nob"),
-        (lambda: plots.gain(plain, beside="regular"), "beside must be one of genetic, survivors"),
-        (lambda: plots.one_draw(plain, "nobody"), "sets must be one of genetic, survivors"),
-        (lambda: plots.one_draw(plain, draw=61), "draw must be one of 0, 1, 2"),
-        (lambda: plots.cost(plain, ["nobody"]), "searches must be one of genetic, survivors"),
-        (lambda: plots.worth(WORTH, ["nobody"]), "names must be one of regular, mine, got 'nob"),
-        (
-            lambda: plots.sampling_windows(WINDOWS, "nobody"),
-            "name must be one of regular, mine, got 'nob",
-        ),
-        (lambda: plots.cost(plain, ["genetic", "survivors"]), "must estimate costs alike"),
-    ):
-        with pytest.raises(JobError, match=message):
-            draw()
+@pytest.mark.parametrize(
+    ("draw", "words"),
+    [
+        (lambda run: plots.gain(run, "nobody"), "name must be one of genetic, survivors, got 'nob"),
+        (lambda run: plots.gain(run, beside="regular"), "beside must be one of genetic, survivors"),
+        (lambda run: plots.one_draw(run, "nobody"), "sets must be one of genetic, survivors"),
+        (lambda run: plots.one_draw(run, draw=61), "draw must be one of 0, 1, 2"),
+        (lambda run: plots.cost(run, ["nobody"]), "searches must be one of genetic, survivors"),
+        (lambda run: plots.cost(run, ["genetic", "survivors"]), "must estimate costs alike"),
+        (lambda run: plots.worth(WORTH, ["nobody"]), "names must be one of regular, mine, got 'n"),
+        (lambda run: plots.sampling_windows(WINDOWS, "x"), "name must be one of regular, mine"),
+    ],
+)
+def test_a_name_that_does_not_exist_is_told_with_those_that_do(
+    draw: Callable[[Run], Axes], words: str, plain: Run
+) -> None:
+    with pytest.raises(JobError, match=words):
+        draw(plain)
     assert not pyplot.get_fignums()
-    with pytest.raises(
-        TypeError, match="profile must be a DataFrame, or have the table `profile`, got int"
-    ):
-        plots.error_profile(3)
 
 
 @every
@@ -403,12 +347,12 @@ def test_what_is_no_source_is_refused_in_one_line(name: str, wrong: object) -> N
 
 @every
 def test_what_are_no_axes_is_refused_in_one_line(
-    name: str, drawings: dict[str, list[Callable[[Any], Axes]]]
+    name: str, drawings: dict[str, list[Draw]]
 ) -> None:
     """For instance the array of two axes that pyplot.subplots gives."""
     for draw in drawings[name]:
         with pytest.raises(TypeError, match=r"^ax must be of type Axes, got ndarray$"):
-            draw(np.array([1, 2]))
+            draw(ax=np.array([1, 2]))
 
 
 def test_a_table_of_another_kind_is_refused() -> None:
@@ -422,8 +366,8 @@ def test_a_table_of_another_kind_is_refused() -> None:
 COSTLY = r"US$\frac$_^{"  # what Matplotlib would take for a formula, and could not read
 
 
-def _with_costly_names() -> dict[str, Callable[[Any], Axes]]:
-    """Ways to draw own tables with such names, one or more for each function that shows names."""
+def _with_costly_names() -> dict[str, Draw]:
+    """A way to draw own tables with such names for each function that shows names."""
     mse = np.linspace(1.0, 2.0, 50)
     comparison = pd.DataFrame({"mse_a$b": mse, f"mse_{COSTLY}": mse[::-1], "mse_$": mse**2})
     rows = pd.DataFrame({"draw": range(50), "measurement_times": [[0, 3]] * 50})
@@ -432,81 +376,63 @@ def _with_costly_names() -> dict[str, Callable[[Any], Axes]]:
     bounds = pd.DataFrame({"position": [0, 1], "name": ["a$b", COSTLY], "draws": 5, "steps": 1e9})
     bounds = bounds.assign(compared_draws=5, window=1, work=1.0, memory=1, particles=5)
     bounds = bounds.assign(expected_mse=2.0, bound=1.0, bound_error=0.1)
-    profile, worth = (table.replace({"mine": COSTLY}) for table in (PROFILE, WORTH))
     trajectory = _trajectory().rename(columns={"estimate_mine_0": f"estimate_{COSTLY}_0"})
-    both = {"regular": [0, 3], COSTLY: [1]}
-    study = STUDY.replace({"mine": COSTLY})
+    sets = {"regular": [0, 3], COSTLY: [1]}
+    profile, worth, study = (table.replace("mine", COSTLY) for table in (PROFILE, WORTH, STUDY))
     of_models = MINE.assign(**{"filter.particles": [COSTLY, "a$b"] * 2})
-    return {
-        "against": lambda ax: plots.against(study, ax=ax),
-        "bound": lambda ax: plots.bound(bounds, ax=ax),
-        "cost": lambda ax: plots.cost(evaluations, reference=(COSTLY, 2.0), ax=ax),
-        "degenerate_draws": lambda ax: plots.degenerate_draws(profile, ax=ax),
-        "effective_sample_size": lambda ax: plots.effective_sample_size(profile, ax=ax),
-        "error_profile": lambda ax: plots.error_profile(profile, ax=ax),
-        "gain": lambda ax: plots.gain(comparison, COSTLY, reference="a$b", beside="$", ax=ax),
-        "found_times": lambda ax: plots.found_times(study, ax=ax),
-        "heat_map": lambda ax: plots.heat_map(of_models, ax=ax),
-        "one_draw": lambda ax: plots.one_draw(trajectory, both, ax=ax),
-        "online_shares": lambda ax: plots.online_shares(rows, planned=(1,), plan=COSTLY, ax=ax),
-        "shifts": lambda ax: plots.shifts(worth, ax=ax),
-        "times": lambda ax: plots.times(both, ax=ax),
-        "worth": lambda ax: plots.worth(worth, ax=ax),
+    calls = {
+        "against": call(study),
+        "bound": call(bounds),
+        "cost": call(evaluations, reference=(COSTLY, 2.0)),
+        "degenerate_draws": call(profile),
+        "effective_sample_size": call(profile),
+        "error_profile": call(profile),
+        "gain": call(comparison, COSTLY, reference="a$b", beside="$"),
+        "found_times": call(study),
+        "heat_map": call(of_models),
+        "one_draw": call(trajectory, sets),
+        "online_shares": call(rows, planned=(1,), plan=COSTLY),
+        "shifts": call(worth),
+        "times": call(sets),
+        "worth": call(worth),
     }
+    return {name: _way(name, given) for name, given in calls.items()}
 
 
 @pytest.mark.parametrize("name", _with_costly_names())
 def test_a_name_is_no_formula(name: str) -> None:
     figure = Figure(layout="constrained")
-    axes = _with_costly_names()[name](figure.subplots())
+    axes = _with_costly_names()[name](ax=figure.subplots())
     figure.savefig(io.BytesIO(), format="svg")
     legend = axes.get_legend()
     texts = [*axes.get_yticklabels(), axes.xaxis.label, *(legend.get_texts() if legend else [])]
     assert any(COSTLY.replace("$", r"\$") in text.get_text() for text in texts)
 
 
+def _boxes(axes: Axes) -> list[Any]:
+    """Where the names of sets lie, one below another: no two of them touch."""
+    axes.get_figure().draw_without_rendering()
+    boxes = [label.get_window_extent() for label in axes.get_yticklabels()]
+    assert not any(box.overlaps(other) for box, other in pairwise(boxes))
+    return boxes
+
+
 @pytest.mark.parametrize("style", [PRINT, SCREEN])
 @pytest.mark.parametrize("number", [1, 15, 16, 40])
 def test_each_of_forty_sets_has_its_name_in_a_new_figure(number: int, style: str) -> None:
-    """Names lie one below another, and no two of them touch."""
     sets = {f"set {position}": [position] for position in range(number)}
     with styled(style):
         axes = plots.times(sets)
-        axes.figure.draw_without_rendering()
-        boxes = [label.get_window_extent() for label in axes.get_yticklabels()]
+        assert len(_boxes(axes)) == number
     assert [label.get_text() for label in axes.get_yticklabels()] == list(sets)
-    assert not any(box.overlaps(other) for box, other in pairwise(boxes))
 
 
 def test_names_that_have_no_room_are_left_out_and_the_axis_says_so() -> None:
     sets = {f"set {position}": [position] for position in range(101)}
     axes = plots.times(sets)
-    axes.figure.draw_without_rendering()
-    shown = [label.get_text() for label in axes.get_yticklabels()]
-    step = -(-101 // len(shown))
+    step = -(-101 // len(_boxes(axes)))
     assert step > 1
-    assert shown == list(sets)[::step]
+    assert [label.get_text() for label in axes.get_yticklabels()] == list(sets)[::step]
     assert axes.get_ylabel() == f"101 sets, 1 of {step} is named"
-    boxes = [label.get_window_extent() for label in axes.get_yticklabels()]
-    assert not any(box.overlaps(other) for box, other in pairwise(boxes))
     small = plots.times(sets, ax=Figure(figsize=(3, 1.5)).subplots())
-    assert len(small.get_yticks()) < len(shown)
-
-
-def test_the_searches_of_a_run_that_estimate_like_the_comparison_are_beside_the_reference(
-    plain: Run,
-) -> None:
-    labels = [line.get_label() for line in plots.cost(plain).get_lines()]
-    assert labels == ["genetic, average", "genetic, minimum", "regular times"]
-    other = plots.cost(plain, ["survivors"])
-    assert [line.get_label() for line in other.get_lines()] == ["survivors, best so far"]
-    assert "estimated otherwise" in other.get_legend().get_title().get_text()
-
-
-def test_the_draw_of_median_gain_is_shown_unless_another_is_wanted(plain: Run) -> None:
-    gains = plain.gains().set_index("draw")["gain_genetic"]
-    median = gains.dropna().sort_values().index[(len(gains.dropna()) - 1) // 2]
-    told = plots.one_draw(plain).get_legend().get_title().get_text()
-    assert told.startswith(f"draw {median}, relative gain ")
-    z = plain.trajectories().query("draw == 7")["z_0"].tolist()
-    assert list(plots.one_draw(plain, draw=7).get_lines()[0].get_ydata()) == z
+    assert len(small.get_yticks()) < len(axes.get_yticks())

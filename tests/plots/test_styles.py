@@ -13,25 +13,12 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.ft2font import FT2Font
 
+from pfdist.plots import style as ours
 from pfdist.plots.library import styled
-from pfdist.plots.style import (
-    BLUE,
-    COLUMN_INCHES,
-    GREEN,
-    GREY,
-    ORANGE,
-    PRINT,
-    PURPLE,
-    RED,
-    SCREEN,
-    SERIES,
-    set_style,
-)
+from pfdist.plots.style import COLUMN_INCHES, PRINT, SCREEN, SERIES, set_style
 
-COLOURS = {
-    "blue": BLUE, "red": RED, "orange": ORANGE, "green": GREEN, "purple": PURPLE, "grey": GREY,
-    "black": "#000000",
-}  # fmt: skip
+NAMES = ("blue", "red", "orange", "green", "purple", "grey")
+COLOURS = {"black": "#000000"} | {name: getattr(ours, name.upper()) for name in NAMES}
 # Machado, Oliveira and Fernandes, "A physiologically-based model for simulation of color vision
 # deficiency", IEEE Transactions on Visualization and Computer Graphics 15, 2009: table 1, severity
 # 1.0, on linear RGB.
@@ -126,6 +113,16 @@ def test_print_is_one_column_wide_in_8_points_and_embeds_its_fonts() -> None:
         assert mpl.rcParams["pdf.fonttype"] == 42  # TrueType: text that can be searched
 
 
+def _printed(code: str, settings: dict[str, str]) -> str:
+    """Give the output of a process with these settings, which says nothing else."""
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | settings, capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "")
+    return done.stdout.strip()
+
+
 @pytest.mark.slow
 def test_figures_that_are_saved_need_no_pyplot() -> None:
     code = (
@@ -133,7 +130,7 @@ def test_figures_that_are_saved_need_no_pyplot() -> None:
         "with styled(): pass\n"
         "print('matplotlib.pyplot' in sys.modules)"
     )
-    assert _run(code, {}).stdout == "False\n"
+    assert _printed(code, {}) == "False"
 
 
 @pytest.mark.slow
@@ -144,44 +141,24 @@ def test_a_new_figure_has_the_backend_that_the_environment_names() -> None:
         "import matplotlib; print(matplotlib.get_backend())"
     )
     for backend in ("svg", "pdf"):
-        assert _run(code, {"MPLBACKEND": backend}).stdout == f"{backend}\n"
-
-
-def _run(code: str, settings: dict[str, str]) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-c", code],
-        env=os.environ | settings,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
+        assert _printed(code, {"MPLBACKEND": backend}) == backend
 
 
 @pytest.mark.parametrize(
     "settings",
     [
-        pytest.param(
-            {"MPLBACKEND": "nonsense"},
-            id="a backend that does not exist",
-            marks=pytest.mark.slow,
-        ),
-        pytest.param({"MPLBACKEND": "TkAgg"}, id="a backend that needs a screen"),
-        pytest.param(
-            {"HOME": "/proc", "MPLCONFIGDIR": ""}, id="no home to write to", marks=pytest.mark.slow
-        ),
-        pytest.param(
-            {"MPLCONFIGDIR": "/proc/x"},
-            id="no folder for settings to write to",
-            marks=pytest.mark.slow,
-        ),
+        {"MPLBACKEND": "TkAgg"},  # needs a screen
+        pytest.param({"MPLBACKEND": "nonsense"}, marks=pytest.mark.slow),
+        pytest.param({"HOME": "/proc", "MPLCONFIGDIR": ""}, marks=pytest.mark.slow),
+        pytest.param({"MPLCONFIGDIR": "/proc/x"}, marks=pytest.mark.slow),
     ],
+    ids=str,
 )
 def test_no_setting_of_the_machine_ends_the_drawing_or_is_told(settings: dict[str, str]) -> None:
+    """Neither a backend nor a folder for Matplotlib's settings that cannot be used."""
+    backend = settings.get("MPLBACKEND", os.environ.get("MPLBACKEND", "None"))
     script = "import os, pfdist.plots\nprint(os.environ.get('MPLBACKEND'))"
-    done = _run(script, settings)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.strip() == settings.get("MPLBACKEND", os.environ.get("MPLBACKEND", "None"))
+    assert _printed(script, settings) == backend
 
 
 def test_figures_do_not_depend_on_settings_of_matplotlib() -> None:

@@ -1,0 +1,274 @@
+"""Whatever is typed or a job file holds: one line that says what, got, allowed, and where."""
+
+import re
+import shutil
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import pfdist
+from pfdist import Job
+from pfdist.cli.command import COMMANDS
+from pfdist.cli.main import main
+from pfdist.errors import JobError, MeasurementTimesError
+from pfdist.times.measurement_times import validated
+
+JOB = (Path(__file__).parents[1] / "small.toml").read_text()
+KEPT = Path(__file__).parents[2] / "results" / "example" / "job.toml"
+NINES = "9" * 5000
+LONG = "x" * 3_000_000
+HUGE = str(10**30)
+Refused = Callable[[list[str]], tuple[object, str]]
+
+
+@pytest.fixture(scope="module")
+def run(finished: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return Path(shutil.copytree(finished(), tmp_path_factory.mktemp("mistakes") / "run"))
+
+
+@pytest.fixture
+def refused(call: Callable[..., Any]) -> Refused:
+    """Give the exit code and the short line of a command that must refuse."""
+
+    def called(words: list[str]) -> tuple[object, str]:
+        code, out, error = call("", *words)
+        assert out == ""
+        assert error.count("\n") == 1
+        assert error.startswith("pfdist")
+        assert len(error) < 1300
+        return code, error
+
+    return called
+
+
+@pytest.mark.parametrize(
+    ("line", "code", "words"),
+    [
+        ("run missing.toml", 1, "cannot read the job file missing.toml"),
+        ("run {job} --results {run} --set seed=9", 1, "another run .* seed: 1 -> 9"),
+        ("run {job} --set filter.partcles=3", 1, "unknown key 'partcles' .* allowed: particles"),
+        ("run {job} --set model.name=nothing", 1, "must be one of .*ungm.*, got 'nothing'"),
+        ("run {job} --set model.parameters.process_sd=-1", 1, r"process_sd .* 0\.\.inf, got -1"),
+        ("run {job} --set model.parameters.sd=1", 1, "unknown parameter 'sd', .* process_sd"),
+        ("run {job} --results {job}", 1, r"must be a folder, got the file .* \(--results\)"),
+        ("run {job} --workers -3", 1, "execution.workers .* got -3"),
+        ("run {job} --pool dask", 2, "'dask'"),
+        ("run", 2, "required: JOB"),
+        ("evaluate {job}", 2, "required: --times"),
+        ("evaluate {job} --times 0,3,13", 1, r"must lie in 0\.\.12, got 13 \(--times\)"),
+        ("evaluate {job} --times=" + "1," * 100_000, 1, r"got 1 twice \(--times\)"),
+        ("evaluate {job} --times=1e3", 1, "must name times"),
+        ("evaluate {job} --times=1,,2", 2, "got '' in '1,,2'"),
+        (f"evaluate {{job}} --times={NINES}", 2, "numbers and ranges"),
+        (f"evaluate {{job}} --times=0:{HUGE}", 1, "at most 1,000,000"),
+        ("evaluate {job} --times 1 --draws 1", 1, "evaluation.draws .* got 1"),
+        ("evaluate {job} --times 1 --draws 1_0", 2, "digits 0-9"),
+        (f"evaluate {{job}} --times 1 --draws {HUGE}", 1, "must be .* 10000000, got 10{30} "),
+        ("evaluate {job} --times 1 --particles 0", 1, "filter.particles .* got 0"),
+        ("evaluate {job} --times 1 --seed=-1", 1, "seed must"),
+        (f"evaluate {{job}} --times 1 --{LONG}", 2, "unknown option --xxx"),
+        (f"evaluate {{job}} --times 1 --set seed={NINES}", 1, "19 digits"),
+        (f"evaluate {{job}} --times 1 --set {'a.' * 99_999}a=1", 1, "16 parts"),
+        (f"evaluate {{job}} --times 1 --set seed={LONG}", 1, "seed must be"),
+        (f"evaluate {{job}} --times 1 --set {LONG}", 1, "key=value"),
+        (f"evaluate {{job}} --times 1 --set search.{LONG}.population=2", 1, "has no search"),
+        ("evaluate {job} --times 1 --set seed=a\udcffb", 1, "UTF-8"),
+        ("evaluate {job} --times 1 --set seed=1\nseed=2", 1, "key=value"),
+        ("budget {job} --measurements \u0662:5", 2, "ranges"),
+        ("budget {job} --measurements 2:3 --target 1_0", 2, "finite"),
+        ("check-model ungm --horizon " + NINES, 2, "digits 0-9"),
+        ("status {job}", 1, "a run must be a folder, got the job file"),
+        ("status nowhere", 1, "nowhere holds no run: there is no run.json"),
+        ("status " + "x" * 300, 1, "cannot read|holds no run"),
+        ("status " + "x/" * 5000, 1, "cannot read|holds no run"),
+        ("plot nowhere", 1, "nowhere holds no run"),
+        ("why nowhere", 1, "cannot read the job file nowhere"),
+        ("why {run}/job.toml --draws 1", 1, r"draws must be at least 2, got 1 \(--draws\)"),
+        (f"why {{run}}/job.toml --draws {HUGE}", 1, "at most 100,000,000"),
+        ("table {run} --out t.xlsx", 1, "end in one of .csv, .parquet, .tex, got 't.x"),
+        ("list {run}/lacking", 1, "lacking: No such file or directory"),
+        (LONG, 2, "COMMAND must be one of"),
+    ],
+    ids=lambda value: str(value)[:50],
+)
+def test_every_mistake_is_one_line(
+    line: str, code: int, words: str, run: Path, refused: Refused
+) -> None:
+    filled = line.replace("{job}", str(run / "job.toml")).replace("{run}", str(run))
+    given, told = refused(filled.split(" "))
+    assert re.search(words, told), told
+    assert given == code
+
+
+def _changed(old: str, new: str) -> bytes:
+    assert old in JOB
+    return JOB.replace(old, new, 1).encode()
+
+
+def _named(name: str) -> bytes:
+    return _changed("[problem]", f'[model]\nname = "{name}"\n[problem]')
+
+
+FILES = {
+    "5,000 digits": (_changed("seed = 1", f"seed = {NINES}"), "19 digits"),
+    "65 bits": (_changed("seed = 1", f"seed = {2**63}"), "64 bits"),
+    "deep lists": (_changed("seed = 1", "seed = " + "[" * 9999), "16 deep"),
+    "3 MB of text": (_changed("seed = 1", f"seed = '{LONG}'"), "seed must be"),
+    "a key of 3 MB": (_changed("seed = 1", f"{LONG} = 1"), "unknown key 'xx"),
+    "a required key lacks": (_changed("seed = 1", ""), "seed must be given"),
+    "a date": (_changed("seed = 1", "seed = 1979-05-27"), "seed must be"),
+    "NaN": (_changed("seed = 1", "seed = nan"), "seed must be .* got nan"),
+    "a list for a section": (_changed("[problem]", "[[problem]]"), "problem must be"),
+    "NUL in a model's name": (_named("a\\u0000.py:m"), "none that is NUL"),
+    "a name of a model": (_named("a/" * 3000 + "b.py:m"), "4,096 characters"),
+    "NUL in a search's name": (
+        _changed('method = "random"', 'method = "random"\nname = "a\\u0000b"'),
+        "name must",
+    ),
+    "population 10^18": (
+        _changed("population = 6", f"population = {10**18}"),
+        r"1e18|1000000000000000000 on 30 draws each takes about .* GB",
+    ),
+    "101 searches": (
+        _changed("[comparison]", '[[search]]\nmethod="random"\nname="a"\n' * 99 + "[comparison]"),
+        "search must",
+    ),
+    "not UTF-8": (JOB.encode() + b"# \xff", "UTF-8, got byte 0xff"),
+    "NUL alone": (b"\0" * 100, "must be TOML"),
+    "16 MB of comment": (b"#" * 16_000_001, "16,000,000 bytes"),
+}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_hostile_job_file_is_refused_in_one_line(
+    name: str, tmp_path: Path, refused: Refused
+) -> None:
+    content, words = FILES[name]
+    path = tmp_path / "job.toml"
+    path.write_bytes(content)
+    code, line = refused(["run", str(path), "--results", str(tmp_path / "run")])
+    assert code == 1
+    assert re.search(words, line), line
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("line", "code", "meant"),
+    [
+        ("paln", 2, "plan"),
+        ("--verison", 2, "--version"),
+        ("evaluate {job} --tmies 0,3", 2, "--times"),
+        ("plan {job} -json", 2, "--json"),
+        ("plan {job} --search suvivors", 2, "survivors"),
+        ("run {job} --pool seral", 2, "serial"),
+        ("run {job} --set sede=3", 1, "seed"),
+        ("run {job} --set filter.partcles=3", 1, "particles"),
+        ("run {job} --set filter.engine=kalmann", 1, "kalman"),
+        ("run {job} --set search.genetics.generations=3", 1, "genetic"),
+        ("run {job} --set online.search.method=coridor", 1, "corridor"),
+        ("run {job} --set model.name=umgm", 1, "ungm"),
+        ("run {job} --set model.parameters.proces_sd=1", 1, "process_sd"),
+        ("run {folder}/smal.toml", 1, "{folder}/small.toml"),
+        ("status {folder}/runn", 1, "{folder}/run"),
+        ("verify {folder}/runn", 1, "{folder}/run"),
+        ("status found", 1, "results/foun"),
+        ("filter {kept} x.csv --planned regula", 1, "regular"),
+    ],
+)
+def test_a_misspelt_word_is_followed_by_the_nearest_one(
+    line: str,
+    code: int,
+    meant: str,
+    small_job: Job,
+    monkeypatch: pytest.MonkeyPatch,
+    refused: Refused,
+) -> None:
+    folder = small_job.path.parent
+    monkeypatch.chdir(folder)
+    for name in ("run", "results/foun"):
+        (folder / name).mkdir(parents=True)
+        (folder / name / "run.json").touch()
+    names = {"job": small_job.path, "folder": folder, "kept": KEPT}
+    given, told = refused(line.format(**names).split())
+    assert given == code
+    assert f"; did you mean {meant.format(**names)!r}?" in told
+
+
+def test_online_search_lists_and_suggests_only_methods_that_can_plan_online(
+    small_job: Job, refused: Refused
+) -> None:
+    for method in ("relaxation", "relaxatoin"):
+        change = f"online.search.method={method}"
+        _, line = refused(["run", str(small_job.path), "--set", change])
+        allowed = line.partition("must be one of ")[2].partition(", got ")[0]
+        assert "'corridor'" in allowed
+        assert "relaxation" not in allowed
+        assert "did you mean" not in line
+
+
+def test_debug_shows_the_traceback() -> None:
+    with pytest.raises(pfdist.PfdistError):
+        main(["run", "missing.toml", "--debug"])
+
+
+def test_pfdist_alone_shows_three_commands_to_try(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setattr("sys.argv", ["pfdist"])
+    assert main() == main([]) == 0
+    text, again = capsys.readouterr().out.split("`pfdist --help` lists all commands.\n")[:2]
+    assert text == again
+    assert text.startswith("pfdist finds the measurement times ")
+    lines = [line[2:] for line in text.splitlines() if line.startswith("  pfdist ")]
+    assert len(lines) == 3
+    assert all(line in COMMANDS[line.split()[1]].examples for line in lines)
+    assert max(map(len, text.splitlines())) <= 80
+
+
+def test_the_time_to_check_times_grows_as_their_number() -> None:
+    def seconds(count: int) -> float:
+        start = time.perf_counter()
+        validated(range(count), count)
+        return time.perf_counter() - start
+
+    seconds(1000)  # a hundred times as many would take ten thousand times as long
+    assert min(seconds(100_000) for _ in range(3)) < 1000 * min(seconds(1000) for _ in range(5))
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda job: pfdist.evaluate(job, (0, 99)),
+        lambda job: pfdist.evaluate(job, (0, 3), draws=10**5000),
+        lambda job: pfdist.budget(job, (2, 3), draws=1),
+        lambda job: pfdist.budget(job, (2, 3), changes=["comparison.draws=9"]),
+        lambda job: pfdist.load_job(job.path, ["seed"]),
+        lambda job: pfdist.run(job, job.path),
+    ],
+)
+def test_errors_in_python_name_arguments_and_no_options(
+    call: Callable[[Job], object], small_job: Job
+) -> None:
+    with pytest.raises((JobError, MeasurementTimesError, pfdist.PfdistError)) as refused:
+        call(small_job)
+    assert "--" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("sections", "words"),
+    [
+        ({"seed": -1, "problem": {"horizon": 5, "measurement_budget": 2}}, "seed must .* got -1"),
+        ({"seed": 1}, "problem must be given"),
+        ({"sed": 1}, "unknown key 'sed', allowed: seed"),
+    ],
+)
+def test_a_job_that_is_made_in_python_is_refused_as_that_of_a_file(
+    sections: dict[str, object], words: str
+) -> None:
+    with pytest.raises(JobError, match=words):
+        Job(**sections)
+    assert Job(seed=1, problem={"horizon": 5, "measurement_budget": 2}).seed == 1
