@@ -53,7 +53,8 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
     """Finished runs without figures, shared by all tests of the session; nobody changes them.
 
     ``finished("comparison.draws=60")`` is the folder of the small job's run with this change,
-    ``finished(job="...")`` that of another job, given as TOML.
+    ``finished(job="...")`` that of another job, given as TOML. Ask for it before you patch the
+    program: the run is made when it is first asked for.
     """
     base = tmp_path_factory.getbasetemp()
     shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base  # by all processes
