@@ -31,7 +31,7 @@ def at_work(execution: Execution, engines: Iterable[str], say: Say) -> Iterator[
     ----------
     execution : Execution
     engines : iterable of str
-        What computes, as ``filter.engine`` names it. What is compiled releases Python's lock.
+        Names as in ``filter.engine``. Formulas that are compiled release Python's lock.
     say : callable
 
     Raises

@@ -392,7 +392,7 @@ def test_what_is_committed_is_not_computed_again(
                 blocks.extend(work.ids for work in outcome.task.work if work.summed)
                 yield outcome
 
-    monkeypatch.setattr("pfdist.api.at_work.make_pool", lambda execution: Counting())
+    monkeypatch.setattr("pfdist.api.at_work.make_pool", lambda *_, **__: Counting())
     bound(walk, LEAST_DRAWS)
     first = len(blocks)
     rounds, rest = divmod(first - 20, 20)  # of growing windows; the bound

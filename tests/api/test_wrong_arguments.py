@@ -16,7 +16,7 @@ PROBLEM = pfdist.Problem("random_walk", horizon=12, measurement_budget=4, engine
 FINISHED = "finished"  # stands for the job of a finished run
 FOLDER = "folder"  # stands for its folder
 MEASURED = pd.DataFrame({"t": [0], "y0": [0.1]})
-# What several functions check alike, such as a job or the folder of results, stands once.
+# A check that several functions share, such as that of a job or of a folder, stands once.
 CASES: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = [
     ("Problem", (5,), {"horizon": 12, "measurement_budget": 4}),
     ("Problem", ("ungmm",), {"horizon": 12, "measurement_budget": 4}),

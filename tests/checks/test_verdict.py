@@ -82,7 +82,7 @@ def written(folder: Path, body: str, likelihood: str = LIKELIHOOD, engine: str =
 
 
 def refused(folder: Path, job: Path) -> list[str]:
-    """What `check-model` and `evaluate` call wrong."""
+    """The mistakes that `check-model` and `evaluate` name."""
     checks = list(check_model("mine.py:model", horizon=8, particles=5, folder=folder))
     with pytest.raises(ModelError) as caught:
         evaluate(job, (0, 3), draws=5)

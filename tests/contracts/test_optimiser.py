@@ -112,7 +112,7 @@ def _evaluation(candidate: Candidate, problem: str) -> Evaluation:
 def _search(
     method: str, problem: str, seed: int = 1
 ) -> tuple[list[list[Candidate]], list[Evaluation]]:
-    """What a search asks for in each generation, and what it finds."""
+    """The sets that a search asks for in each generation, and the set that it finds."""
     optimiser = _optimiser(method, problem)
     state, asked = optimiser.init(), []
     while not optimiser.done(state):

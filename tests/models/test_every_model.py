@@ -1,4 +1,4 @@
-"""What holds for models that ship: measurements help, and parameters have their ranges."""
+"""Properties of all models that ship: measurements help, and parameters have their ranges."""
 
 import pytest
 

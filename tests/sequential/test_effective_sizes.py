@@ -14,10 +14,10 @@ P = 4000
 
 
 def _walk(sd: float) -> StateSpaceModel:
-    one = [[1.0]]
-    noise = {"initial_noise": one, "process_noise": one, "measurement_noise": [[sd]]}
+    unit = [[1.0]]
+    noise = {"initial_noise": unit, "process_noise": unit, "measurement_noise": [[sd]]}
     return linear_gaussian(
-        "walk", transition=one, measurement=one, quantity_of_interest=one, **noise
+        "walk", transition=unit, measurement=unit, quantity_of_interest=unit, **noise
     )
 
 
