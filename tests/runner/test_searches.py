@@ -80,7 +80,7 @@ def test_a_search_finds_better_than_regular_times_and_some_find_the_best_set(
 def test_a_filters_own_variance_guides_a_search_and_polishes_only_if_it_knows_the_truth(
     method: str, small_job: Job
 ) -> None:
-    """What a wrong filter believes decides nothing: exchanges use the squared error, as races."""
+    """Beliefs of a wrong filter decide nothing: exchanges use the squared error, as races."""
     job = small_job.with_changes([f"search=[{{method='{method}'}}]"])
     (search,) = build(job).searches
     assert search.polishing is not None

@@ -46,7 +46,7 @@ def test_the_costs_are_those_of_the_kalman_filter() -> None:
 
 
 def _steps(search: Survivors, cost: Cost) -> Iterator[tuple[list[Candidate], SurvivorState]]:
-    """What a search asks for in each generation, and its state afterwards."""
+    """The sets that a search asks for in each generation, and its state afterwards."""
     state, rng = search.init(), np.random.default_rng(0)
     while not state.done:
         asked, told = search.ask(state, rng), []
