@@ -2,9 +2,9 @@
 
 from typing import TYPE_CHECKING, Any
 
-from pfdist.common.cards import Card
 from pfdist.common.percent import cost, percent_with_interval
 from pfdist.common.rounding import with_error
+from pfdist.documents.parts import Cell, Page, Section, Table
 from pfdist.errors import StoreError
 
 if TYPE_CHECKING:
@@ -24,19 +24,15 @@ def title_of(run: "Run") -> str:
         return f"run {run.path}: cannot be read"
 
 
-def run_card(run: "Run") -> Card:
-    """Give the sets of a run with their expected MSE and gain.
-
-    Parameters
-    ----------
-    run : Run
-    """
+def run_card(run: "Run") -> Page:
+    """The sets of a run with their expected MSE and gain."""
     try:
         results = run.summary()["results"]
     except StoreError:
-        return Card(title_of(run))
+        return Page("", title_of(run), [])
     head = ("times", "measurements", "expected MSE", "below the reference")
-    return Card(title_of(run), head, [_row(name, each) for name, each in results.items()])
+    rows = [[Cell(text) for text in _row(name, each)] for name, each in results.items()]
+    return Page("", title_of(run), [Section("", [Table("", head, rows)])])
 
 
 def _row(name: str, result: dict[str, Any]) -> tuple[str, ...]:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from pfdist.common.cards import Shown
+from pfdist.documents.notebook import Shown
 from pfdist.store import Store, schema
 
 

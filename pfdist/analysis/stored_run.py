@@ -22,7 +22,7 @@ from pfdist.analysis.reference import references_of, without_number
 from pfdist.analysis.run_card import run_card, title_of
 from pfdist.analysis.run_tables import RunTables
 from pfdist.analysis.summary import summary_of
-from pfdist.common.cards import Card
+from pfdist.documents.parts import Page
 from pfdist.errors import StoreError, shown
 from pfdist.job.job import Job
 from pfdist.job.problem_section import ProblemSection
@@ -275,7 +275,7 @@ class Run(RunTables):
         """How far the run is, and what it has found; see `pfdist.analysis.summary.summary_of`."""
         return summary_of(self)
 
-    def _card(self) -> Card:
+    def _page(self) -> Page:
         return run_card(self)
 
     def __repr__(self) -> str:

@@ -7,14 +7,15 @@ from typing import Any
 
 from pfdist.analysis import Run, finite
 from pfdist.analysis.particle_loss import ParticleLoss
+from pfdist.answers.bound import bound_page
 from pfdist.api.at_work import at_work, noted
 from pfdist.api.following import Say, following, silent
 from pfdist.api.own_store import own_store
 from pfdist.api.report import renew_report
 from pfdist.api.run_of_job import asked_run, finished_run
 from pfdist.bounds.gap import Gap
-from pfdist.common.cards import Card, Shown
-from pfdist.common.percent import percent
+from pfdist.documents.notebook import Shown
+from pfdist.documents.parts import Page
 from pfdist.errors import ArgumentError, JobError, shown
 from pfdist.job.asked import Asked
 from pfdist.plots import draw_figures
@@ -77,11 +78,8 @@ class Bound(Shown):
         answer: dict[str, Any] = finite({"run": str(self.run), **own, "sets": sets})
         return answer
 
-    def _card(self) -> Card:
-        limit = f"{100 * self.confidence:.3g} % limit"
-        drawn = f"on {self.draws:,} draws" if self.particles else "exact"
-        head = ("times", "expected MSE", "lower bound", "gap", limit)
-        return Card(f"lower bound of {self.run}, {drawn}", head, list(map(_row, self.gaps)))
+    def _page(self) -> Page:
+        return bound_page(self.as_json())
 
 
 def bound(
@@ -181,13 +179,6 @@ def _on_clock(gap: Gap, clock: Clock) -> Gap:
     times: Any = tuple(clock.times_of(gap.measurement_times))
     path: Any = tuple(clock.times_of(gap.path))
     return replace(gap, measurement_times=times, path=path)
-
-
-def _row(gap: Gap) -> tuple[str, ...]:
-    mse, bound = gap.expected_mse.text, gap.bound.text
-    if gap.reason:
-        return gap.name, mse, gap.reason, "", ""
-    return gap.name, mse, bound, percent(gap.gap), percent(gap.gap_at_most)
 
 
 def _prover(built: Built, settings: BoundSettings) -> Prover:

@@ -12,18 +12,19 @@ import pyarrow as pa
 from numpy.typing import ArrayLike
 
 from pfdist.analysis import Run, finite
+from pfdist.answers.filtered import filtered_answer, filtered_page
+from pfdist.answers.pages import write_page
 from pfdist.api.filter_of import filter_of
 from pfdist.api.planned_run import planned_run
 from pfdist.api.run_of_job import asked_run
 from pfdist.api.user_table import Table, table_argument
 from pfdist.common.arguments import path_argument
-from pfdist.common.cards import Card, Shown
 from pfdist.common.component_names import Component
-from pfdist.common.told_times import told_times
+from pfdist.documents.notebook import Shown
+from pfdist.documents.parts import Page
 from pfdist.filters.cloud import Prior
 from pfdist.job.asked import Asked
 from pfdist.plots import check_figure_replaceable, draw_filtered, filtered_plot
-from pfdist.reports import write_filtered_report
 from pfdist.sequential.estimate import Estimate
 from pfdist.sequential.filter import Filter
 from pfdist.sequential.measurements import Measurements, read_measurements
@@ -119,16 +120,8 @@ class FilteredMeasurements(Shown):
         found: dict[str, Any] = finite(answer)
         return found
 
-    def _card(self) -> Card:
-        number = f"{len(self.measured)} measurement{'s' * (len(self.measured) != 1)}"
-        times = {
-            "measured at t": self.measured,
-            "planned, missing": self.missing,
-            "planned, to come": self.to_come,
-            "measured, not planned": self.extra,
-        }
-        rows = [(name, told_times(at, self.time_unit)) for name, at in times.items()]
-        return Card(f"{number}, filtered as {self.run} does", (), rows)
+    def _page(self) -> Page:
+        return filtered_answer(self.as_json())
 
 
 def filter_measurements(
@@ -226,7 +219,7 @@ def filter_measurements(
         marked = found.missing, found.extra, found.to_come
         draw_filtered(files[1], filtered_plot(found.table, marked))
     for file in files[2:]:
-        write_filtered_report(file, found.as_json(), found.table)
+        write_page(filtered_page(found.as_json(), found.table), file)
     return found
 
 

@@ -10,14 +10,15 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from pfdist.analysis import Run, finite
+from pfdist.answers.next import next_page
 from pfdist.api.filter_measurements import IMPROBABLE
 from pfdist.api.planned_run import planned_run
 from pfdist.api.planner import Planner
 from pfdist.api.run_of_job import asked_run
 from pfdist.api.user_table import Table, table_argument
-from pfdist.common.cards import Card, Shown
-from pfdist.common.rounding import with_error
-from pfdist.common.told_times import told_time, told_times
+from pfdist.common.told_times import told_time
+from pfdist.documents.notebook import Shown
+from pfdist.documents.parts import Page
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.evaluation.estimate import Evaluation
 from pfdist.filters.cloud import Prior
@@ -102,17 +103,8 @@ class NextTime(Shown):
         found: dict[str, Any] = finite(answer)
         return found
 
-    def _card(self) -> Card:
-        title = "nothing is left to be measured"
-        if self.plan:
-            title = f"measure next at t = {told_times(self.plan[:1], self.time_unit)}"
-        mse = with_error(self.expected.expected_mse, self.expected.standard_error)
-        rows = [
-            ("measured at t", told_times(self.measured, self.time_unit)),
-            ("plan", told_times(self.plan, self.time_unit)),
-            ("expected MSE from now on", mse),
-        ]
-        return Card(title, (), rows)
+    def _page(self) -> Page:
+        return next_page(self.as_json())
 
 
 def next_time(

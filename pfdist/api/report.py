@@ -5,12 +5,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 from pfdist.analysis import Run, open_run
+from pfdist.answers.pages import write_page
+from pfdist.answers.run import page_of
+from pfdist.answers.sweep import sweep_page
 from pfdist.api.following import Say, silent
 from pfdist.common.arguments import path_argument
+from pfdist.documents.parts import Page
 from pfdist.errors import ArgumentError, PfdistError, StoreError, one_line, shown_text
-from pfdist.reports import write_report, write_sweep_report
 from pfdist.store import check_not_held, holds_run
-from pfdist.store.folder import REPORT, runs_below
+from pfdist.store.folder import REPORT, check_page_replaceable, runs_below
 
 SECONDS = 5.0
 """Between two reports of a run that goes on."""
@@ -55,13 +58,25 @@ def report(
             raise ArgumentError(
                 f"only the report of a run can be watched, but {path} is a sweep", argument="watch"
             )
-        return write_sweep_report(path)
+        return _write(lambda: sweep_page(path), path)
     opened = open_run(path)
     if watch and opened.state != "finished":
         _watch(path, say)
     elif watch:
         say(f"{path} is finished")
-    return write_report(open_run(path))
+    return _write_run(open_run(path))
+
+
+def _write_run(run: Run, seconds: int = 0) -> Path:
+    return _write(lambda: page_of(run, seconds), run.path)
+
+
+def _write(make: Callable[[], Page], folder: Path) -> Path:
+    """Write the report of a run or a sweep into its folder."""
+    path = folder / REPORT
+    check_page_replaceable(path)  # before the page is made, which takes longer
+    write_page(make(), path)
+    return path
 
 
 def _watch(path: Path, say: Say) -> None:
@@ -69,10 +84,10 @@ def _watch(path: Path, say: Say) -> None:
     say(f"{path / REPORT} is written again every {SECONDS:.0f} s while the run goes on")
     try:
         while is_computed(path) and open_run(path).state != "finished":
-            write_report(open_run(path), seconds=round(SECONDS))
+            _write_run(open_run(path), round(SECONDS))
             time.sleep(SECONDS)
     except KeyboardInterrupt:
-        write_report(open_run(path))  # a page that is left must not reload for ever
+        _write_run(open_run(path))  # a page that is left must not reload for ever
         raise
     state = open_run(path).state
     if state != "finished":
@@ -107,7 +122,7 @@ def try_report(run: Run, say: Say) -> None:
     say : callable
         Receives a line if there is no report.
     """
-    _try(lambda: write_report(run), run.path, say)
+    _try(lambda: _write_run(run), run.path, say)
 
 
 def try_sweep_report(path: Path, say: Say) -> None:
@@ -120,7 +135,7 @@ def try_sweep_report(path: Path, say: Say) -> None:
     say : callable
         Receives a line if there is no report.
     """
-    _try(lambda: write_sweep_report(path), path, say)
+    _try(lambda: _write(lambda: sweep_page(path), path), path, say)
 
 
 def _try(write: Callable[[], object], path: Path, say: Say) -> None:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pfdist.analysis import Run, open_run
+from pfdist.answers.pages import remove_report
 from pfdist.api.at_work import at_work, noted
 from pfdist.api.following import Say, following, silent
 from pfdist.api.report import try_report
@@ -13,7 +14,6 @@ from pfdist.common.arguments import paths_argument
 from pfdist.errors import JobError, ModelError, TaskError
 from pfdist.job.asked import Asked, as_job
 from pfdist.plots import draw_figures, figure_files, remove_figures
-from pfdist.reports import remove_report
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built, build, check_pool, say_model_files
 from pfdist.runner.comparison_phase import COMPARISON, comparison_steps

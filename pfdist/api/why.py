@@ -13,16 +13,15 @@ import pandas as pd
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from pfdist.analysis import Run, finite
-from pfdist.analysis.sampling_windows import STRICT, windows_of
+from pfdist.analysis import Run, finite, open_run
+from pfdist.answers.why import why_page
 from pfdist.api.following import Say, following, silent
 from pfdist.api.own_store import own_store
 from pfdist.api.report import renew_report
 from pfdist.api.run_of_job import asked_run
 from pfdist.common.arguments import whole_argument
-from pfdist.common.cards import Card, Shown
-from pfdist.common.rounding import with_error
-from pfdist.common.told_times import told_time
+from pfdist.documents.notebook import Shown
+from pfdist.documents.parts import Page
 from pfdist.job.asked import Asked
 from pfdist.job.sections import Execution
 from pfdist.plots import draw_figures
@@ -108,29 +107,8 @@ class Why(Shown):
         answer: dict[str, Any] = finite(found | {"figures": list(map(str, self.figures))})
         return answer
 
-    def _card(self) -> Card:
-        drawn = f"on {self.draws:,} fresh draws" if self.draws else "exact"
-        head = (
-            "times",
-            "measured at t",
-            "rise of the expected MSE without it",
-            f"can move within {STRICT} %",
-        )
-        windows = {
-            (name, window.t): window.text
-            for name, rows in self.sampling_windows.groupby("name")
-            for window in windows_of(rows.to_dict("records"), STRICT)
-        }
-        rows = [
-            (
-                str(row["name"]),
-                told_time(row["t"]),
-                with_error(row["removed"], row["removed_error"]),
-                windows[row["name"], row["t"]],
-            )
-            for row in self.worth.to_dict("records")
-        ]
-        return Card(f"what each measurement of {self.run} is worth, {drawn}", head, rows)
+    def _page(self) -> Page:
+        return why_page(self.as_json(), open_run(self.run).found)
 
 
 def why(

@@ -4,17 +4,17 @@ import dataclasses
 import json
 from argparse import Namespace
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from pfdist.cli.summary import print_summary
 from pfdist.errors import one_line
 
 if TYPE_CHECKING:  # a command that checks nothing needs no module of the checks
     import pandas as pd
 
+    from pfdist.analysis import Run
     from pfdist.checks.model import Check
+    from pfdist.documents.parts import Page
 
 _NONE: Mapping[str, Any] = MappingProxyType({})
 
@@ -53,22 +53,33 @@ def _plain(value: Any) -> Any:
     return value.isoformat(timespec="seconds") if hasattr(value, "isoformat") else value
 
 
-def print_run(summary: dict[str, Any], options: Namespace) -> None:
-    """Print the summary of a run, and where its tables, its figures and its report are.
+def print_page(page: "Page", options: Namespace) -> None:
+    """Print an answer; its details too, if they were asked for."""
+    from pfdist.documents.terminal import lines_of  # noqa: PLC0415
+
+    lines = lines_of(page, verbose=getattr(options, "verbose", False))
+    print("\n".join(lines).strip("\n"))
+
+
+def print_run(run: "Run", options: Namespace, target: float | None = None) -> None:
+    """Print what a run has found, and where its tables, its figures and its report are.
 
     Files of the user's own that have these names are not named.
 
     Parameters
     ----------
-    summary : dict
-        As `pfdist.analysis.Run.summary` gives it.
+    run : Run
     options : Namespace
         The parsed arguments.
+    target : float, optional
+        An expected MSE: how many measurements reach it.
     """
     if options.json:
-        print_json(summary, options)
+        reached = {} if target is None else {"target": target, "reached": run.reaching(target)}
+        print_json(run.summary() | reached, options)
         return
-    # Not above: commands that print no run need none of the libraries of the store.
+    # Not above: commands that print no run need none of these libraries.
+    from pfdist.answers.run import answer_of  # noqa: PLC0415
     from pfdist.store.folder import (  # noqa: PLC0415
         FIGURES_FOLDER,
         REPORT,
@@ -76,14 +87,15 @@ def print_run(summary: dict[str, Any], options: Namespace) -> None:
         has_report,
     )
 
-    path = Path(summary["run"])
+    print_page(answer_of(run, target), options)
     results = {
-        "tables": ("tables", (path / "tables").is_dir()),
-        "figures": (FIGURES_FOLDER, any(figures_in(path))),
-        "report": (REPORT, has_report(path)),
+        "tables": ("tables", (run.path / "tables").is_dir()),
+        "figures": (FIGURES_FOLDER, any(figures_in(run.path))),
+        "report": (REPORT, has_report(run.path)),
     }
-    there = {name: path / file for name, (file, is_there) in results.items() if is_there}
-    print_summary(summary, "   ".join(one_line(f"{name}: {at}") for name, at in there.items()))
+    there = {name: run.path / file for name, (file, is_there) in results.items() if is_there}
+    if there:
+        print("\n" + "   ".join(one_line(f"{name}: {at}") for name, at in there.items()))
 
 
 def print_checks(checks: Iterable["Check"], options: Namespace) -> list[str]:

@@ -55,6 +55,16 @@ def add_json(parser: ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print one JSON object and no text")
 
 
+def add_answer(parser: ArgumentParser) -> None:
+    """Add ``--verbose`` and ``--json``."""
+    parser.add_argument(
+        "--verbose",
+        action="store_true",
+        help="also print the details: all sets of times, what each search believed, quartiles",
+    )
+    add_json(parser)
+
+
 def add_no_report(parser: ArgumentParser) -> None:
     """Add ``--no-report``."""
     parser.add_argument(

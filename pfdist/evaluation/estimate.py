@@ -7,11 +7,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.common.cards import Card, Shown
 from pfdist.common.estimate import Estimate
 from pfdist.common.percent import heavy_tail_warning
 from pfdist.common.rounding import with_error
 from pfdist.common.told_times import told_times
+from pfdist.documents.notebook import Shown
+from pfdist.documents.parts import Facts, Page, Section
 from pfdist.times.measurement_times import Times
 
 DEGENERATE_POLICIES = ("kill", "leave_out")
@@ -95,7 +96,7 @@ class Evaluation(Shown):
         """`expected_mse`, which searches minimise."""
         return self.expected_mse
 
-    def _card(self) -> Card:
+    def _page(self) -> Page:
         mse = with_error(self.expected_mse, self.standard_error)
         count = len(self.measurement_times)
         on = "exact" if self.exact is not None else f"on {self.draws:,} draws"
@@ -105,7 +106,7 @@ class Evaluation(Shown):
             rows.append(("degenerate draws", f"{self.degenerate_draws:,}"))
         if warning := heavy_tail_warning({"": self.top_percent_share}):
             rows.append(("heavy tail", warning))
-        return Card(title, (), rows)
+        return Page("", title, [Section("", [Facts(rows)])])
 
     @property
     def _usable(self) -> NDArray[np.float64]:

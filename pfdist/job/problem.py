@@ -9,10 +9,11 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic import ValidationError
 
-from pfdist.common.cards import Card, Shown
 from pfdist.common.explained import explained
 from pfdist.common.nearest import did_you_mean
 from pfdist.common.section import Section
+from pfdist.documents import parts
+from pfdist.documents.notebook import Shown
 from pfdist.errors import JobError, ModelError, shown
 from pfdist.job.job import Job, Origin
 from pfdist.job.problem_section import ProblemSection
@@ -168,7 +169,7 @@ class Problem(Shown):
 
     __hash__ = None  # type: ignore[assignment]
 
-    def _card(self) -> Card:
+    def _page(self) -> parts.Page:
         keys = {**self._keys["problem"], **self._keys["filter"]}
         first = ("horizon", "measurement_budget", "total_cost")
         about = ", ".join(f"{key} {keys[key]}" for key in first if key in keys)
@@ -177,7 +178,8 @@ class Problem(Shown):
         texts = [
             (key, each if isinstance(each, str) else shown(each)) for key, each in rows.items()
         ]
-        return Card(f"problem {self.name}: {about}", ("key", "value"), texts)
+        section = parts.Section("", [parts.Facts(texts)])
+        return parts.Page("", f"problem {self.name}: {about}", [section])
 
 
 def _given(model: StateSpaceModel | str | CarriedModel, argument: str) -> str | CarriedModel:

@@ -2,21 +2,10 @@
 
 from argparse import ArgumentParser, Namespace
 from dataclasses import fields
-from typing import Any
 
-from pfdist.cli.answers import print_json
-from pfdist.cli.arguments import add_job_of_run, add_json, count, finite, pool_options, whole
-from pfdist.cli.bound_lines import proof_lines
+from pfdist.cli.answers import print_json, print_page
+from pfdist.cli.arguments import add_answer, add_job_of_run, count, finite, pool_options, whole
 from pfdist.cli.command import command
-from pfdist.cli.layout import line, paragraph
-from pfdist.common.percent import particle_loss_text
-from pfdist.common.rounding import with_error
-
-_PARTS = {
-    "relaxation": "relaxation, chance",
-    "estimate": "particles, estimate",
-    "filter_model": "wrong filter model",
-}
 
 
 def _add_settings(parser: ArgumentParser) -> None:
@@ -74,7 +63,7 @@ _add_pool = pool_options(*(f"execution.{key} of the job" for key in ("pool", "wo
     add_job_of_run,
     _add_settings,
     _add_pool,
-    add_json,
+    add_answer,
     goes_on=True,
     examples={
         "pfdist bound jobs/plan.toml": "Prove a lower bound for the times of a finished run",
@@ -83,6 +72,7 @@ _add_pool = pool_options(*(f"execution.{key} of the job" for key in ("pool", "wo
 )
 def bound_command(options: Namespace) -> None:
     """Prove how much lower the expected MSE of any other times can be."""
+    from pfdist.answers.bound import bound_page
     from pfdist.api.bound import bound
     from pfdist.api.display import Display
     from pfdist.runner.bound_settings import BoundSettings
@@ -103,39 +93,5 @@ def bound_command(options: Namespace) -> None:
     answer = found.as_json()
     if options.json:
         print_json(answer, options)
-        return
-    common = {key: answer[key] for key in ("confidence", "is_constrained")}
-    lines = (_lines(name, gap | common) for name, gap in answer["sets"].items())
-    print("\n\n".join(map("\n".join, lines)))
-    if answer["within_reached"] is False:
-        print(f"\nThe limit of a found set is above {100 * options.within:g} % with "
-              f"{answer['draws']:,} draws.")  # fmt: skip
-
-
-def _lines(name: str, gap: dict[str, Any]) -> list[str]:
-    """Give the lines about one set."""
-    number = len(gap["measurement_times"])
-    lines = [
-        f"{name}: {number} measurement{'s' * (number != 1)}",
-        line("expected MSE", _estimate(gap, "expected_mse")),
-    ]
-    if gap.get("particle_loss_limit") is not None:
-        loss = particle_loss_text(gap["particle_loss"], gap["particle_loss_limit"])
-        lines.append(line("particles lose", loss))
-    if not gap["reason"]:
-        lines.append(line("lower bound", _estimate(gap, "bound")))
-    lines += proof_lines(gap, number, is_constrained=gap["is_constrained"])
-    lines += paragraph(gap.get("warning") or "")
-    if gap["reason"]:
-        return lines
-    scale = 100 / gap["expected_mse"] if gap["expected_mse"] else 0.0
-    for part, title in _PARTS.items():
-        share, error = (scale * gap[key] for key in (part, f"{part}_error"))
-        if share or error:
-            lines.append(line(f"  {title}", f"{with_error(share, error)} %"))
-    return lines
-
-
-def _estimate(gap: dict[str, Any], name: str) -> str:
-    value = gap[name]
-    return "unknown" if value is None else with_error(value, gap[f"{name}_error"])
+    else:
+        print_page(bound_page(answer, options.within), options)

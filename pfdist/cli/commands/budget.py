@@ -3,7 +3,7 @@
 from argparse import ArgumentParser, Namespace
 
 from pfdist.cli.answers import print_run
-from pfdist.cli.arguments import RESULTS, add_job, add_json, computing, finite, whole
+from pfdist.cli.arguments import RESULTS, add_answer, add_job, computing, finite, whole
 from pfdist.cli.command import command
 from pfdist.cli.words import number_list
 from pfdist.common.number_list import SPELLING
@@ -49,7 +49,7 @@ def _add_numbers(parser: ArgumentParser) -> None:
     add_job,
     _add_numbers,
     computing(f"{RESULTS}-budget"),
-    add_json,
+    add_answer,
     goes_on=True,
     examples={
         "pfdist budget jobs/plan.toml --measurements 5:41": (
@@ -80,5 +80,4 @@ def budget_command(options: Namespace) -> None:
             changes=options.set,
             **settings(options, display),
         )
-    reached = {} if target is None else {"target": target, "reached": finished.reaching(target)}
-    print_run(finished.summary() | reached, options)
+    print_run(finished, options, target)

@@ -3,7 +3,7 @@
 from argparse import ArgumentParser, Namespace
 
 from pfdist.cli.answers import print_run
-from pfdist.cli.arguments import RESULTS, add_job, add_json, computing, whole
+from pfdist.cli.arguments import RESULTS, add_answer, add_job, computing, whole
 from pfdist.cli.command import command
 from pfdist.cli.words import add_named_times, sets_by_name
 
@@ -35,7 +35,7 @@ def _add_sets(parser: ArgumentParser) -> None:
     add_job,
     _add_sets,
     computing(f"{RESULTS}-compare", reuse=False),
-    add_json,
+    add_answer,
     goes_on=True,
     examples={
         "pfdist compare jobs/plan.toml --times clinic=0,20,40,60 --times mine=0:60:3": (
@@ -61,4 +61,4 @@ def compare_command(options: Namespace) -> None:
             changes=options.set,
             **settings(options, display),
         )
-    print_run(finished.summary(), options)
+    print_run(finished, options)

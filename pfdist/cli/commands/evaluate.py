@@ -1,11 +1,10 @@
 """The command ``pfdist evaluate``."""
 
-import sys
 import time
 from argparse import ArgumentParser, Namespace
 from typing import TYPE_CHECKING, Any
 
-from pfdist.cli.answers import print_json
+from pfdist.cli.answers import print_json, print_page
 from pfdist.cli.arguments import add_job, add_json, whole
 from pfdist.cli.command import command
 from pfdist.cli.words import add_named_times, sets_by_name
@@ -57,6 +56,7 @@ def _add_times(parser: ArgumentParser) -> None:
 )
 def evaluate_command(options: Namespace) -> None:
     """Estimate the expected MSE of a set of measurement times, or of several."""
+    from pfdist.answers.evaluate import evaluate_page
     from pfdist.api.evaluate import UNNAMED, prepare
     from pfdist.job.job import load_job
 
@@ -77,12 +77,7 @@ def evaluate_command(options: Namespace) -> None:
         told = answers[UNNAMED] if is_one else {"sets": answers}
         print_json(told | {"seconds": round(seconds, 3)}, options)
         return
-    for name, constraints in broken.items():
-        these = f"the times of {name}" if name else "these times"
-        for constraint in constraints:
-            print(f"pfdist: note: {these} break a constraint: {constraint}", file=sys.stderr)
-    for name, evaluation in evaluations.items():
-        _print_evaluation(name, evaluation, seconds)
+    print_page(evaluate_page(evaluations, broken), options)
 
 
 def _answer(evaluation: "Evaluation", broken: list[str]) -> dict[str, Any]:
@@ -94,22 +89,3 @@ def _answer(evaluation: "Evaluation", broken: list[str]) -> dict[str, Any]:
         "top_percent_share": evaluation.top_percent_share,
         "broken_constraints": broken,
     }
-
-
-def _print_evaluation(name: str, evaluation: "Evaluation", seconds: float) -> None:
-    """Print two lines about a set without a name, or one line about a set with a name."""
-    from pfdist.common.percent import heavy_tail_warning
-    from pfdist.common.rounding import rounded, with_error
-
-    start = f"{name}: " if name else ""
-    if evaluation.exact is not None:
-        print(f"{start}expected MSE {rounded(evaluation.exact)} (exact)")
-        return
-    error = with_error(evaluation.expected_mse, evaluation.standard_error)
-    drawn = f"{evaluation.draws:,} draws, {evaluation.degenerate_draws:,} degenerate"
-    if name:
-        print(f"{start}expected MSE {error} ({drawn})")
-    else:
-        print(f"expected MSE {error}\n{drawn}, {seconds:.1f} s")
-    if warning := heavy_tail_warning({name: evaluation.top_percent_share}):
-        print(f"pfdist: note: {warning}", file=sys.stderr)

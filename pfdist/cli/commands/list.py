@@ -28,12 +28,12 @@ def _add_folder(parser: ArgumentParser) -> None:
 )
 def list_command(options: Namespace) -> None:
     """List the runs in a folder: how far each is, and what it has found."""
+    from pfdist.answers.runs import list_page
     from pfdist.api.list_runs import list_runs
-    from pfdist.cli.answers import print_records
-    from pfdist.cli.list_lines import list_lines
+    from pfdist.cli.answers import print_page, print_records
 
     frame = list_runs(options.folder)
     if options.json:
         print_records("runs", frame, options)
     else:
-        print("\n".join(list_lines(frame, options.folder)))
+        print_page(list_page(frame, options.folder), options)

@@ -3,7 +3,7 @@
 from argparse import ArgumentParser, Namespace
 
 from pfdist.cli.answers import print_run
-from pfdist.cli.arguments import RESULTS, add_job, add_json, computing, whole
+from pfdist.cli.arguments import RESULTS, add_answer, add_job, computing, whole
 from pfdist.cli.command import command
 
 _RESULTS = f"{RESULTS}, with -online after it unless the job has a section [online]"
@@ -24,7 +24,7 @@ def _add_draws(parser: ArgumentParser) -> None:
     add_job,
     _add_draws,
     computing(_RESULTS),
-    add_json,
+    add_answer,
     goes_on=True,
     examples={
         "pfdist online jobs/online.toml": (
@@ -45,4 +45,4 @@ def online_command(options: Namespace) -> None:
         finished = online(
             options.job, draws=options.draws, changes=options.set, **settings(options, display)
         )
-    print_run(finished.summary(), options)
+    print_run(finished, options)

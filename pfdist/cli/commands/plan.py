@@ -3,7 +3,7 @@
 from argparse import ArgumentParser, Namespace
 
 from pfdist.cli.answers import print_run
-from pfdist.cli.arguments import RESULTS, add_job, add_json, computing, whole
+from pfdist.cli.arguments import RESULTS, add_answer, add_job, computing, whole
 from pfdist.cli.command import command
 
 _RESULTS = f"{RESULTS}, with -plan after it if the job lists searches"
@@ -40,7 +40,7 @@ def _add_bound_draws(parser: ArgumentParser) -> None:
     computing(_RESULTS),
     _add_search,
     _add_bound_draws,
-    add_json,
+    add_answer,
     goes_on=True,
     examples={
         "pfdist plan jobs/plan.toml": (
@@ -69,4 +69,4 @@ def plan_command(options: Namespace) -> None:
             bound_draws=options.bound_draws,
             **chosen,
         )
-    print_run(finished.summary(), options)
+    print_run(finished, options)

@@ -3,7 +3,7 @@
 from argparse import Namespace
 
 from pfdist.cli.answers import print_run
-from pfdist.cli.arguments import RESULTS, add_job, add_json, computing
+from pfdist.cli.arguments import RESULTS, add_answer, add_job, computing
 from pfdist.cli.command import command
 
 
@@ -11,7 +11,7 @@ from pfdist.cli.command import command
     "run",
     add_job,
     computing(RESULTS),
-    add_json,
+    add_answer,
     goes_on=True,
     examples={
         "pfdist run jobs/quick.toml": "Run a small job; the run is in results/quick",
@@ -32,4 +32,4 @@ def run_command(options: Namespace) -> None:
 
     with Display() as display:
         finished = run(load_job(options.job, options.set), **settings(options, display))
-    print_run(finished.summary(), options)
+    print_run(finished, options)

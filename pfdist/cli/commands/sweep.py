@@ -1,9 +1,15 @@
 """The command ``pfdist sweep``."""
 
 from argparse import ArgumentParser, Namespace
+from typing import TYPE_CHECKING
 
+from pfdist.cli.answers import print_page, print_records
 from pfdist.cli.arguments import add_changes, add_json, computing, whole
 from pfdist.cli.command import command
+from pfdist.errors import one_line
+
+if TYPE_CHECKING:
+    from pfdist.api.sweep import Sweep
 
 
 def _add_sweep(parser: ArgumentParser) -> None:
@@ -65,21 +71,45 @@ def _add_sweep(parser: ArgumentParser) -> None:
 )
 def sweep_command(options: Namespace) -> None:
     """Run a job at many values of its keys, with the same workers."""
+    from pfdist.answers.runs import foreseen_page
     from pfdist.api.display import Display
     from pfdist.api.foreseen import foreseen
     from pfdist.api.sweep import sweep
     from pfdist.cli.computing import settings
-    from pfdist.cli.sweep_lines import print_foreseen, print_sweep
     from pfdist.job.points import values_by_key
 
     over = values_by_key(options.over)
     asked = {"results": options.results, "changes": options.set}
     if options.dry_run:
         points = foreseen(options.job, over, **asked, judge=options.judge)
-        print_foreseen(points, options)
+        if options.json:
+            print_records("points", points, options)
+        else:
+            print_page(foreseen_page(points), options)
         return
     with Display() as display:
         chosen = {**settings(options, display), **asked}
         chosen |= {"bound_draws": options.bound_draws, "judge": options.judge}
         finished = sweep(options.job, over, **chosen)
-    print_sweep(finished, options)
+    _print_sweep(finished, options)
+
+
+def _print_sweep(finished: "Sweep", options: Namespace) -> None:
+    """Print the table of a sweep, and where its runs and its report are."""
+    import pandas as pd
+
+    from pfdist.answers.runs import table_page
+    from pfdist.store.folder import REPORT, has_report
+
+    table = finished.table() if finished.runs else pd.DataFrame()
+    if options.json:
+        print_records("rows", table, options)
+        return
+    if finished.runs:
+        print_page(table_page(table), options)
+    if finished.busy:
+        print(f"\nother processes compute {', '.join(finished.busy)}")
+    there = [f"runs: {finished.path}"]
+    if has_report(finished.path):
+        there.append(f"report: {finished.path / REPORT}")
+    print(f"\n{one_line('   '.join(there))}")

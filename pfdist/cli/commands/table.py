@@ -34,9 +34,9 @@ def _add_runs(parser: ArgumentParser) -> None:
 )
 def table_command(options: Namespace) -> None:
     """Put many runs into one table: what differs between them, and what they found."""
+    from pfdist.answers.runs import table_page
     from pfdist.api.table import table
-    from pfdist.cli.answers import print_records
-    from pfdist.cli.runs_lines import runs_lines
+    from pfdist.cli.answers import print_page, print_records
     from pfdist.errors import one_line
 
     frame = table(*options.runs, out=options.out)
@@ -44,6 +44,6 @@ def table_command(options: Namespace) -> None:
         unit = frame.attrs.get("time_unit")
         print_records("rows", frame, options, {} if unit is None else {"time_unit": unit})
     elif options.out is None:
-        print("\n".join(runs_lines(frame)))
+        print_page(table_page(frame), options)
     else:
         print(one_line(options.out))

@@ -1,10 +1,13 @@
-"""A plot as an SVG element of a page: its colours are the page's, and its ids are its own."""
+"""Figures as pictures of a page: SVG elements with the colours of the page and ids of their own."""
 
 import io
 import re
+from collections.abc import Collection, Iterable, Iterator
 from xml.etree import ElementTree
 
-from pfdist.plots.figure import Plot
+from pfdist.answers.subject import Subject
+from pfdist.documents.parts import Picture
+from pfdist.plots.figure import FIGURES, Plot
 from pfdist.plots.figures import drawn
 from pfdist.plots.library import styled
 from pfdist.plots.style import BLUE, GREEN, GREY, ORANGE, RED
@@ -22,6 +25,30 @@ _COLOURS = {
 _COLOUR = re.compile("|".join(_COLOURS), re.IGNORECASE)
 _NOT_DRAWN = ("metadata", "style")
 """Elements that Matplotlib writes and a page does not need."""
+
+
+def pictures(
+    subject: Subject, names: Iterable[str], sets: Collection[str] | None = None
+) -> Iterator[Picture]:
+    """The figures of these names that a run has; none before the comparison has begun.
+
+    Where each set has a figure, only those of some sets, if they are given.
+    """
+    tables = subject.tables
+    if not (subject.has_pictures and tables.run.draws_compared):
+        return
+    for name in names:
+        figure = FIGURES[name]
+        shown = None if sets is None else {f"{name}-{found}" for found in sets}
+        for file, plot in figure.plots(tables):
+            if figure.each_set and shown is not None and file not in shown:
+                continue
+            yield picture(plot, file, figure.description)
+
+
+def picture(plot: Plot, name: str, description: str) -> Picture:
+    """A plot as a picture of a page. The name comes before all ids of the element."""
+    return Picture(plot.title, description, as_svg(plot, name, description))
 
 
 def as_svg(plot: Plot, name: str, description: str) -> str:

@@ -1,4 +1,8 @@
-"""The parts of a report: what a page holds, whatever it looks like."""
+"""The parts of an answer: what it says, whatever it looks like.
+
+Each answer is made once, as a `Page` of parts. `documents.terminal` and `documents.html` show it.
+A part that is a detail is for those who ask: terminals show it with ``--verbose``.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -18,11 +22,13 @@ class Text:
     text : str
     prominent : bool
         Whether it is the answer that a reader looks for.
+    detail : bool
     """
 
     kind: ClassVar[str] = "text"
     text: str
     prominent: bool = False
+    detail: bool = False
 
 
 @dataclass(frozen=True)
@@ -39,6 +45,7 @@ class Code:
     kind: ClassVar[str] = "code"
     text: str
     title: str = ""
+    detail: bool = True
 
 
 @dataclass(frozen=True)
@@ -86,15 +93,18 @@ class Table:
     caption : str
     head : sequence of str
     rows : sequence of sequences of Cell
-    folded : bool
-        Whether the table is folded away under its caption.
+    detail : bool
+        Pages fold the table away under its caption.
+    optional : sequence of str
+        Columns that a narrow terminal leaves out, the first first.
     """
 
     kind: ClassVar[str] = "table"
     caption: str
     head: Sequence[str]
     rows: Sequence[Sequence[Cell]]
-    folded: bool = False
+    detail: bool = False
+    optional: Sequence[str] = ()
 
 
 def without_empty_columns(table: Table) -> Table:
@@ -118,10 +128,15 @@ class Facts:
     Parameters
     ----------
     facts : sequence of (str, str)
+    title : str
+    detail : bool
+        Pages fold the facts away under their title.
     """
 
     kind: ClassVar[str] = "facts"
     facts: Sequence[tuple[str, str]]
+    title: str = ""
+    detail: bool = False
 
 
 @dataclass(frozen=True)
@@ -142,6 +157,7 @@ class Picture:
     title: str
     description: str
     svg: str
+    detail: bool = False
 
 
 Block = Text | Code | Table | Facts | Picture
@@ -163,12 +179,13 @@ class Section:
 
 @dataclass(frozen=True)
 class Page:
-    """A report.
+    """An answer.
 
     Parameters
     ----------
     title : str
     subtitle : str
+        Of a report, below its title; the first line in a terminal.
     sections : sequence of Section
     warnings : sequence of str
         Sentences to be read before anything else, for instance that the run is not finished.

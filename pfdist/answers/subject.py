@@ -13,8 +13,8 @@ from pfdist.analysis.reference import label
 from pfdist.common.percent import percent, range_of, times_100
 from pfdist.common.rounding import rounded, with_interval
 from pfdist.common.told_times import told_time, told_times
+from pfdist.documents.parts import Cell, Table, Text
 from pfdist.plots.figure import Tables
-from pfdist.reports.parts import Cell, Table, Text
 
 MOST_SETS = 4
 """Sets that have figures in a report; each has about 60 kB of them."""
@@ -27,9 +27,15 @@ class Subject:
     Parameters
     ----------
     run : Run
+    has_pictures : bool
+        Whether the page is a report with figures.
+    target : float, optional
+        An expected MSE: how many measurements reach it.
     """
 
     run: Run
+    has_pictures: bool = False
+    target: float | None = None
 
     @cached_property
     def summary(self) -> dict[str, Any]:
@@ -243,4 +249,4 @@ def sets_table(subject: Subject) -> Table:
         for name, result in subject.results.items()
         for times in (result["measurement_times"],)
     ]
-    return Table("All sets of times", ("times", "number", "t"), rows, folded=True)
+    return Table("All sets of times", ("times", "number", "t"), rows, detail=True)

@@ -1,34 +1,48 @@
-"""The sections of a sweep's report: the answer, all points, the figures, how it was computed."""
+"""What the points of a sweep have found, and how their times do at the other points."""
 
 import math
-from collections.abc import Hashable, Mapping
-from typing import Any
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import pfdist
 from pfdist.analysis.listed_run import DAMAGED, FINISHED
-from pfdist.analysis.studies import SEED, SET, Average, averages, is_numeric, selected, values_of
+from pfdist.analysis.studies import (
+    SEED,
+    SET,
+    Average,
+    averages,
+    is_numeric,
+    plain,
+    selected,
+    values_of,
+)
 from pfdist.analysis.table_cells import is_missing, told_gain, told_mse, told_value
-from pfdist.common.rounding import with_interval
+from pfdist.answers.pictures import picture
+from pfdist.answers.subject import number_of
+from pfdist.answers.sweep_subject import Point, SweepSubject
+from pfdist.common.rounding import rounded, with_interval
 from pfdist.common.told_counts import told_seconds
 from pfdist.common.told_times import told_times
-from pfdist.errors import one_line
-from pfdist.plots import against, found_times, heat_map
-from pfdist.plots.figure import Plot
-from pfdist.plots.study_lines import lines_inches
-from pfdist.plots.study_map import map_inches
-from pfdist.plots.study_times import MOST_ROWS, row_inches
-from pfdist.reports.parts import (
+from pfdist.documents.parts import (
     Block,
     Cell,
     Facts,
+    Page,
     Picture,
     Section,
     Table,
     Text,
     without_empty_columns,
 )
-from pfdist.reports.svg import as_svg
-from pfdist.reports.sweep_subject import Point, SweepSubject
+from pfdist.errors import one_line
+from pfdist.plots import against, found_times, heat_map
+from pfdist.plots.figure import Plot
+from pfdist.plots.study_lines import lines_inches
+from pfdist.plots.study_map import map_inches
+from pfdist.plots.study_times import MOST_ROWS, row_inches
+
+_LINKS = "Its links lead to the reports of the points, in the folders beside it."
 
 _MOST_LINES = 6  # of a figure in a report
 _MOST_KEYS = 6  # keys that have a figure
@@ -40,7 +54,7 @@ _LINES = "A result of all points against a key of their jobs, with 95 % interval
 _MAP = "A result of all points as a heat map over two keys of their jobs."
 _TIMES = "The found times of all points, a row for each run and set."
 GAIN = "gain_of_means"
-Row = Mapping[Hashable, Any]
+Row = Mapping[Any, Any]
 
 
 def answer(subject: SweepSubject) -> Section | None:
@@ -192,7 +206,7 @@ def _against(subject: SweepSubject, key: str) -> Picture:
         lines_inches(frame, key), lambda panels: against(frame, key, ax=panels[0]),
         title=_title_of_lines(subject, key, held),
     )  # fmt: skip
-    return _picture(f"against-{subject.keys.index(key)}", plot, _LINES)
+    return picture(plot, f"against-{subject.keys.index(key)}", _LINES)
 
 
 def _title_of_lines(subject: SweepSubject, key: str, held: Mapping[str, Any]) -> str:
@@ -247,7 +261,7 @@ def _heat_map(subject: SweepSubject) -> list[Block]:
         map_inches(frame, y), lambda panels: heat_map(frame, x, y, value, ax=panels[0]),
         title=title,
     )  # fmt: skip
-    return [_picture("map", plot, _MAP)]
+    return [picture(plot, "map", _MAP)]
 
 
 def _found_times(subject: SweepSubject) -> Picture:
@@ -258,8 +272,146 @@ def _found_times(subject: SweepSubject) -> Picture:
         row_inches(rows), lambda panels: found_times(subject.frame, horizon=last, ax=panels[0]),
         title=f"The times that were found at each point{left}.",
     )  # fmt: skip
-    return _picture("times", plot, _TIMES)
+    return picture(plot, "times", _TIMES)
 
 
-def _picture(name: str, plot: Plot, description: str) -> Picture:
-    return Picture(plot.title, description, as_svg(plot, name, description))
+# --- times that are judged at every point --------------------------------------------------------
+
+_LOSS = (
+    "The loss is how much higher the expected MSE is at another point than with the best times "
+    "found at that point, on the same draws. A negative loss means that the searches there found "
+    "worse times. Times that are not feasible at a point, or have another number of measurements, "
+    "have no loss there. The largest of several losses looks larger than it is."
+)
+
+
+class _Losses(NamedTuple):
+    """The losses of times that a search found at a point, at all other points."""
+
+    found_at: str
+    search: str
+    points: int
+    mean: float
+    worst: Row
+
+    @property
+    def largest(self) -> str:
+        """The largest loss in per cent, with its interval."""
+        loss, low, high = (100.0 * self.worst[name] for name in ("loss", "loss_low", "loss_high"))
+        number, least, most = with_interval(loss, low, high)
+        return f"{number} ({least} to {most})" if low < high else number
+
+
+def judged(subject: SweepSubject) -> Section | None:
+    """Say which times lose least wherever they are used; None if nothing was judged."""
+    losses = list(_losses_of(subject))
+    if not losses:
+        return None
+    points = subject.judged["run"].nunique()
+    blocks: list[Block] = []
+    if answer := _safest(subject, losses):
+        blocks.append(Text(answer))
+    if points < len(subject.points):
+        total = len(subject.points)
+        blocks.append(Text(f"The times were judged at {points:,} of {total:,} points."))
+    return Section(
+        "The times of each point, judged at every point",
+        [*blocks, Text(_LOSS), without_empty_columns(_losses_table(subject, losses))],
+    )
+
+
+def _safest(subject: SweepSubject, losses: list[_Losses]) -> str:
+    """Say which times have the smallest largest loss; empty if none has losses at all points."""
+    runs = set(subject.judged["run"])
+    everywhere = [each for each in losses if each.points == len(runs - {each.found_at})]
+    if not everywhere:
+        return ""
+    values = _values_by_run(subject)
+    best = min(everywhere, key=lambda each: each.worst["loss"])
+    search = f" by {best.search}" if len({each.search for each in losses}) > 1 else ""
+    found_at, worst_at = (
+        _phrase(subject, values[run]) for run in (best.found_at, best.worst["run"])
+    )
+    return (
+        f"The safest times are those found{search} at {found_at}: their largest loss is "
+        f"{best.largest} %, at {worst_at}."
+    )
+
+
+def _losses_table(subject: SweepSubject, losses: list[_Losses]) -> Table:
+    several, values = len({each.search for each in losses}) > 1, _values_by_run(subject)
+    keys = [subject.short[key] for key in subject.keys] or ["found at"]
+    rows = [
+        [
+            *map(Cell, _key_values(subject, values[each.found_at])),
+            Cell(each.search * several),
+            Cell(rounded(100.0 * each.mean, 3), each.mean),
+            Cell(each.largest, each.worst["loss"]),
+            Cell(", ".join(_key_values(subject, values[each.worst["run"]]))),
+        ]
+        for each in losses
+    ]
+    head = [*keys, "set", "mean loss %", "largest loss % (95 %)", "at"]
+    return Table("Losses of the times found at each point, at the other points", head, rows)
+
+
+def _losses_of(subject: SweepSubject) -> Iterator[_Losses]:
+    """Yield the losses of all times whose losses are known, in the order of the table."""
+    for (point, search), rows in subject.judged.groupby(["found_at", "set"], sort=False):
+        others = [row for row in rows.to_dict("records") if row["run"] != point]
+        known = [row for row in others if math.isfinite(row["loss"])]
+        if known:
+            worst = max(known, key=lambda row: row["loss"])
+            mean = sum(row["loss"] for row in known) / len(known)
+            yield _Losses(str(point), str(search), len(known), mean, worst)
+
+
+def _values_by_run(subject: SweepSubject) -> dict[str, Row]:
+    return {row["run"]: row for row in subject.frame.to_dict("records")}
+
+
+def _key_values(subject: SweepSubject, row: Row) -> list[str]:
+    """Give the values of a point's keys as texts; without keys, the point's name."""
+    return [one_line(told_value(row[key])) for key in subject.keys] or [one_line(row["run"])]
+
+
+def _phrase(subject: SweepSubject, row: Row) -> str:
+    """Give the values of a point's keys as a phrase; without keys, the point's name."""
+    told = subject.told(subject.keys, [plain(row[key]) for key in subject.keys])
+    return one_line(told or row["run"])
+
+
+_CHAPTERS = (answer, points, judged, figures, computed)
+
+
+def sweep_page(path: Path) -> Page:
+    """The report of a sweep, in a folder that is no run but has runs in it, finished or not.
+
+    A run that cannot be read has a row that says why.
+
+    Raises
+    ------
+    StoreError
+        The folder cannot be listed.
+    """
+    subject = SweepSubject(path)
+    sections = [section for make in _CHAPTERS if (section := make(subject)) is not None]
+    name = one_line(subject.path.resolve().name)
+    told = number_of(len(subject.points), "point")
+    models = f" of {', '.join(subject.models)}" if subject.models else ""
+    links = _LINKS if any(point.link for point in subject.points) else ""
+    return Page(f"Sweep: {name}", f"{told}{models}", sections, _warnings(subject), links=links)
+
+
+def _warnings(subject: SweepSubject) -> list[str]:
+    total, damaged = len(subject.points), subject.count(DAMAGED)
+    unfinished = total - damaged - subject.count(FINISHED)
+    told = number_of(total, "point")
+    warnings = []
+    if unfinished:
+        warnings.append(f"Not finished: {unfinished:,} of {told}. Results may change.")
+    if damaged:
+        warnings.append(f"Cannot be read: {damaged:,} of {told}. The table says why.")
+    if subject.judged_fault:
+        warnings.append(f"The judged times cannot be read: {subject.judged_fault}.")
+    return warnings

@@ -2,11 +2,11 @@
 
 from typing import Any
 
+from pfdist.answers.pictures import pictures
+from pfdist.answers.subject import Subject, effect, number_of, percent_cell
 from pfdist.common.percent import cost, percent
 from pfdist.common.rounding import with_error
-from pfdist.reports.parts import Cell, Section, Table, Text
-from pfdist.reports.pictures import pictures
-from pfdist.reports.subject import Subject, number_of, percent_cell
+from pfdist.documents.parts import Cell, Section, Table, Text
 
 _FIGURES = ("online_gain", "online_times", "online_draw")
 
@@ -32,7 +32,7 @@ def online(subject: Subject) -> Section | None:
     )
     return Section(
         "Times chosen one after another",
-        [Text(meaning), table, *pictures(subject.tables, _FIGURES)],
+        [Text(meaning), table, *pictures(subject, _FIGURES)],
     )
 
 
@@ -43,3 +43,16 @@ def _row(name: str, costs: dict[str, Any], gain: dict[str, Any]) -> list[Cell]:
         known = key in gain
         cells.append(percent_cell(gain[key], gain[f"{key}_interval"]) if known else Cell(""))
     return cells
+
+
+def online_sentence(subject: Subject) -> str:
+    """What choosing each time only when the last measurement is known does; empty if unknown."""
+    plan = subject.summary.get("online", {}).get("plan", {})
+    gain = plan.get("gain_of_means")
+    if gain is None:
+        return ""
+    lowers, left_open = effect(gain, plan["gain_of_means_interval"])
+    return (
+        f"Choosing each time only when the last measurement is known {lowers}, compared with the "
+        f"times of {plan['name']}. {left_open}"
+    ).rstrip()

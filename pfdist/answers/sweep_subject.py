@@ -28,9 +28,9 @@ from pfdist.analysis.studies import (
     values_of,
 )
 from pfdist.analysis.table_cells import keys_of
+from pfdist.answers.subject import without_folder
 from pfdist.common.short_names import short_names
 from pfdist.errors import PfdistError, one_line, shown_text
-from pfdist.reports.subject import without_folder
 from pfdist.store import holds_run
 from pfdist.store.folder import REPORT, has_report, runs_below
 

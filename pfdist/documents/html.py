@@ -8,15 +8,12 @@ import base64
 import hashlib
 import re
 from importlib.resources import files
-from pathlib import Path
 
 from jinja2 import Environment, StrictUndefined
 
-from pfdist.reports.parts import Page
-from pfdist.store import write_file
-from pfdist.store.folder import check_page_replaceable
+from pfdist.documents.parts import Page
 
-_FOLDER = files("pfdist.reports")
+_FOLDER = files("pfdist.documents")
 
 
 def as_html(page: Page) -> str:
@@ -49,19 +46,6 @@ def _unbroken(value: object) -> object:
 def _words(name: str) -> list[str]:
     """Split a name after each point and underscore, where a line may break."""
     return re.split(r"(?<=[._])(?=\S)", name)
-
-
-def write_page(page: Page, path: Path) -> None:
-    """Write a page to a file.
-
-    Raises
-    ------
-    StoreError
-        The file cannot be written, or another file than an earlier report has this name.
-    """
-    check_page_replaceable(path)
-    html = as_html(page)
-    write_file(path, lambda file: file.write_text(html, encoding="utf-8", errors="replace"))
 
 
 def _text(name: str) -> str:

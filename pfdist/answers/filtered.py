@@ -1,4 +1,4 @@
-"""The report of real measurements that were filtered: one HTML file beside their table."""
+"""What real measurements say: the belief of the filter, and how well they fit the model."""
 
 from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
@@ -6,77 +6,90 @@ from typing import Any
 
 import pandas as pd
 
+from pfdist.answers.pictures import picture
+from pfdist.answers.subject import number_of
 from pfdist.common.component_names import Component
 from pfdist.common.rounding import rounded
 from pfdist.common.told_times import told_time, told_times
-from pfdist.plots.error_over_time import effective_sample_size
-from pfdist.plots.figure import Plot
-from pfdist.plots.filtered import filtered_plot
-from pfdist.reports.parts import (
+from pfdist.documents.parts import (
     Block,
     Cell,
     Facts,
     Page,
-    Picture,
     Section,
     Table,
     Text,
     without_empty_columns,
 )
-from pfdist.reports.render import write_page
-from pfdist.reports.subject import number_of
-from pfdist.reports.svg import as_svg
+from pfdist.plots.error_over_time import effective_sample_size
+from pfdist.plots.figure import Plot
+from pfdist.plots.filtered import filtered_plot
 from pfdist.store.schema import components_in
 
 _P_DIGITS = 2
+_IMPROBABLE = (
+    "The model may be wrong about this system: it rarely gives measurements as surprising."
+)
 _BELIEF = "Mean of the quantity of interest over time with 50 and 90 % bands, by the filter."
 _SIZE = "Effective sample size of the filter's particles at each instant."
 
 
-def write_filtered_report(path: Path, answer: Mapping[str, Any], table: pd.DataFrame) -> None:
-    """Write the report of filtered measurements.
+def filtered_page(answer: Mapping[str, Any], table: pd.DataFrame) -> Page:
+    """The report of filtered measurements.
 
     Parameters
     ----------
-    path : Path
     answer : mapping
         As of `pfdist.api.filter_measurements.FilteredMeasurements.as_json`.
     table : DataFrame
         With the columns of `pfdist.store.filtered_schema`.
-
-    Raises
-    ------
-    StoreError
-        The file cannot be written, or another file than an earlier report has this name.
     """
-    write_page(_page(answer, table), path)
-
-
-def _page(answer: Mapping[str, Any], table: pd.DataFrame) -> Page:
-    improbable = (
-        "The model may be wrong about this system: it rarely gives measurements as surprising."
-    )
     sections = [_belief(answer, table), _fit(answer, table), _instants(table)]
     run, file = Path(answer["run"]).name, Path(answer["measurements"]).name
     number = number_of(len(answer["measured"]), "measurement")
     subtitle = f"{number} of {file}, filtered as the run {run} does, times of {answer['planned']}"
-    warnings = [improbable] if answer["is_improbable"] else []
+    warnings = [_IMPROBABLE] if answer["is_improbable"] else []
     source = f"from the measurements {file} by the filter of the run {run}"
     return Page("What the measurements say", subtitle, sections, warnings, source=source)
+
+
+def filtered_answer(answer: Mapping[str, Any]) -> Page:
+    """The answer of `pfdist.filter_measurements` in short; see `filtered_page`."""
+    number = number_of(len(answer["measured"]), "measurement")
+    line = f"{number}, filtered as {answer['run']} does; planned: {answer['planned']}"
+    warnings = [_IMPROBABLE] if answer["is_improbable"] else []
+    evidence = answer["log_evidence"]
+    reason = f"none: {answer['why_no_evidence']}" if evidence is None else ""
+    facts = [*_times(answer), *_surprise(answer), ("log evidence", reason or rounded(evidence))]
+    return Page("", line, [Section("", [Facts(facts)])], warnings)
+
+
+def _times(answer: Mapping[str, Any]) -> list[tuple[str, str]]:
+    unit = answer.get("time_unit", "")
+    names = {
+        "measured": "measured at t",
+        "missing": "planned, missing",
+        "to_come": "planned, to come",
+        "extra": "measured, not planned",
+    }
+    return [(name, told_times(answer[key], unit) or "none") for key, name in names.items()]
+
+
+def _surprise(answer: Mapping[str, Any]) -> list[tuple[str, str]]:
+    most = answer["most_surprising"]
+    if not most:
+        return []
+    at, p = told_time(most["t"]), rounded(most["surprise"], _P_DIGITS)
+    among = rounded(answer["surprise_of_all"], _P_DIGITS)
+    return [("most surprising", f"t = {at}, p = {p} ({among} among all measurements)")]
 
 
 def _belief(answer: Mapping[str, Any], table: pd.DataFrame) -> Section:
     times = tuple(answer[key] for key in ("missing", "extra", "to_come"))
     plot = filtered_plot(table, times)
-    facts = [
-        ("measured at t", answer["measured"]),
-        ("planned, missing", answer["missing"]),
-        ("planned, to come", answer["to_come"]),
-        ("measured, not planned", answer["extra"]),
-    ]
-    unit = answer.get("time_unit", "")
-    known = Facts([(name, told_times(at, unit) or "none") for name, at in facts])
-    return Section("What the filter believes", [_picture("belief", plot, _BELIEF), known])
+    return Section(
+        "What the filter believes", [picture(plot, "belief", _BELIEF), Facts(_times(answer))]
+    )
 
 
 def _fit(answer: Mapping[str, Any], table: pd.DataFrame) -> Section:
@@ -102,7 +115,7 @@ def _fit(answer: Mapping[str, Any], table: pd.DataFrame) -> Section:
             f"{least['effective_sample_size']:.0f}."
         )
         plot = Plot(2.0, lambda panels: effective_sample_size(table, ax=panels[0]), title=title)
-        blocks.append(_picture("size", plot, _SIZE))
+        blocks.append(picture(plot, "size", _SIZE))
     return Section("How well they fit the model", blocks)
 
 
@@ -115,7 +128,7 @@ def _instants(table: pd.DataFrame) -> Section:
     ]
     head = ["t", "measured", *(f"{what}{name}" for name in names for what in ("mean", "90 % band"))]
     rows = [_row(row, quantities) for row in table.to_dict("records")]
-    instants = Table("Belief at each instant", [*head, "surprise"], rows, folded=True)
+    instants = Table("Belief at each instant", [*head, "surprise"], rows, detail=True)
     return Section("All instants", [without_empty_columns(instants)])
 
 
@@ -128,7 +141,3 @@ def _row(row: Mapping[Hashable, Any], quantities: Sequence[Component]) -> list[C
     surprise = row["surprise"]
     known = surprise is not None and not pd.isna(surprise)
     return [*cells, Cell(rounded(surprise, _P_DIGITS), surprise) if known else Cell("")]
-
-
-def _picture(name: str, plot: Plot, description: str) -> Picture:
-    return Picture(plot.title, description, as_svg(plot, name, description))

@@ -4,11 +4,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from pfdist.analysis.pairs import told_ranks
+from pfdist.answers.pictures import pictures
+from pfdist.answers.subject import Subject, number_of, percent_cell
 from pfdist.common.percent import cost, range_of
 from pfdist.common.rounding import with_error, with_interval
-from pfdist.reports.parts import Block, Cell, Section, Table, Text, without_empty_columns
-from pfdist.reports.pictures import pictures
-from pfdist.reports.subject import Subject, number_of, percent_cell
+from pfdist.documents.parts import Block, Cell, Section, Table, Text, without_empty_columns
 
 _RANKS_HEAD = ("rank", "times", "number", "expected error", "above the best by", "breaks")
 _PAIRS_HEAD = (
@@ -39,9 +39,9 @@ def compared(subject: Subject) -> Section | None:
     rows = [_pair_row(pair) for pair in pairs or ()]
     blocks: list[Block] = [
         without_empty_columns(sets),
-        Text(_EXACT if subject.is_exact else _MEANING),
-        *pictures(subject.tables, ["compared"] if subject.found else ["compared", "times"]),
-        Table("Pairs of sets", _PAIRS_HEAD, rows, folded=len(rows) > _MOST_OPEN),
+        Text(_EXACT if subject.is_exact else _MEANING, detail=True),
+        *pictures(subject, ["compared"] if subject.found else ["compared", "times"]),
+        Table("Pairs of sets", _PAIRS_HEAD, rows, detail=len(rows) > _MOST_OPEN),
     ]
     return Section("How the sets compare", blocks)
 

@@ -1,0 +1,105 @@
+"""How much lower the error of other times can be: the lower bound and the parts of the gap."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from pfdist.answers.pictures import pictures
+from pfdist.answers.subject import Subject
+from pfdist.common.gap_sentence import gap_sentence, rounded_up
+from pfdist.common.percent import particle_loss_text, percent
+from pfdist.common.rounding import rounded, with_error
+from pfdist.documents.parts import Block, Cell, Facts, Page, Section, Table, Text
+
+_MEANING = (
+    "No allowed times of the same number, or of the same cost, have a lower expected error than "
+    "the lower bound, with any filter of the same model. It follows from a problem that is easier "
+    "to solve: now and then the filter gets more measurements than it has paid for. The gap is how "
+    "much lower the error can be at most: the parts of the gap come from the easier problem and "
+    "from chance, from the filter's number of particles, and from a wrong model of the filter. "
+    "Both errors in this table were computed on draws of their own, so they differ a little from "
+    "the errors above."
+)
+_HEAD = (
+    "times", "expected error", "lower bound", "gap", "limit of the gap", "part: relaxation",
+    "part: particles", "part: model",
+)  # fmt: skip
+
+
+def proof(subject: Subject) -> Section | None:
+    """The lower bound of each set but the reference, or why there is none."""
+    proofs = {
+        name: each["lower_bound"] for name, each in subject.others.items() if "lower_bound" in each
+    }
+    if not proofs:
+        return None
+    blocks = [Text(_MEANING, detail=True), *_table(proofs), *_reasons(proofs)]
+    title = "How much better can other times be?"
+    return Section(title, [*blocks, *pictures(subject, ["bound"])])
+
+
+def bound_page(answer: Mapping[str, Any], within: float | None = None) -> Page:
+    """The answer of `pfdist.bound`.
+
+    Parameters
+    ----------
+    answer : mapping
+        As of `pfdist.api.bound.Bound.as_json`.
+    within : float, optional
+        The gap that was demanded.
+    """
+    proofs, common = answer["sets"], {"confidence": answer["confidence"]}
+    constrained = answer["is_constrained"]
+    blocks, warnings = list[Block](), list[str]()
+    for name, each in proofs.items():
+        number = len(each["measurement_times"])
+        if not each["reason"]:
+            sentence = gap_sentence(each | common, number, is_constrained=constrained)
+            blocks.append(Text(f"{name}: {sentence}", prominent=True))
+        if each.get("particle_loss_limit") is not None:
+            loss = particle_loss_text(each["particle_loss"], each["particle_loss_limit"])
+            blocks.append(Facts([("particles lose", loss)], name, detail=True))
+        if each.get("warning"):
+            warnings.append(f"{name}: {each['warning']}")
+    blocks += [*_table(proofs), *_reasons(proofs), Text(_MEANING, detail=True)]
+    if answer["within_reached"] is False:
+        blocks.append(
+            Text(
+                f"The limit of a found set is above {100 * (within or 0.0):g} % with "
+                f"{answer['draws']:,} draws."
+            )
+        )
+    drawn = f"on {answer['draws']:,} draws" if answer["particles"] else "exact"
+    line = f"lower bound of {answer['run']}, {drawn}"
+    return Page("", line, [Section("", blocks)], warnings)
+
+
+def _table(proofs: Mapping[str, Mapping[str, Any]]) -> list[Block]:
+    rows = [_row(name, each) for name, each in proofs.items() if not each["reason"]]
+    optional = _HEAD[:-4:-1]  # the parts
+    return [Table("Lower bounds and gaps", _HEAD, rows, optional=optional)] if rows else []
+
+
+def _reasons(proofs: Mapping[str, Mapping[str, Any]]) -> list[Block]:
+    return [
+        Text(f"There is no lower bound for {name}: {each['reason']}.")
+        for name, each in proofs.items()
+        if each["reason"]
+    ]
+
+
+def _row(name: str, proved: Mapping[str, Any]) -> list[Cell]:
+    scale = proved["expected_mse"] or 1.0
+    parts = [proved[key] / scale for key in ("relaxation", "estimate", "filter_model")]
+    mse, limit = proved["expected_mse"], proved["gap_at_most"]
+    return [
+        Cell(name),
+        Cell(with_error(mse, proved["expected_mse_error"]), mse),
+        Cell(with_error(proved["bound"], proved["bound_error"]), proved["bound"]),
+        Cell(percent(proved["gap"]), proved["gap"]),
+        Cell(_limit(limit), limit),
+        *(Cell(percent(part), part) for part in parts),
+    ]
+
+
+def _limit(fraction: float | None) -> str:
+    return "unknown" if fraction is None else f"{rounded(100 * rounded_up(fraction), 2)} %"

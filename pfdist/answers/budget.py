@@ -1,0 +1,159 @@
+"""How many measurements are enough: the expected error of each number, and its lower bound."""
+
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from decimal import ROUND_FLOOR, Decimal
+from typing import Any
+
+from pfdist.answers.pictures import pictures
+from pfdist.answers.subject import Subject, number_of, sets_table
+from pfdist.common.percent import cost, percent
+from pfdist.common.rounding import rounded, with_interval
+from pfdist.documents.parts import Block, Cell, Section, Table, Text
+
+_KINDS = ("regular", "found")
+_HEAD = ("measurements", "regular times", "found times", "lower bound")
+_BOUND = (
+    "No times of the same number have a lower expected error than the lower bound, with any filter "
+    "of the same model. The bound was computed on other draws. So an estimated error can lie below "
+    "it by chance."
+)
+Result = dict[str, Any]
+
+
+def budget(subject: Subject) -> Section | None:
+    """The budget curve of a run for several numbers of measurements."""
+    if not subject.is_compared:
+        return None
+    results = list(subject.results.values())
+    found = [result for result in results if result["kind"] == "found"]
+    blocks: list[Block] = [
+        *_answer(subject),
+        *_target(subject),
+        *pictures(subject, ["budget"]),
+        Table("Expected error with its 95 % interval", _HEAD, _rows(results), optional=_HEAD[3:]),
+        *([Text(_BOUND, detail=True)] if subject.run.has("bound") else []),
+        *_worse(results),
+        *_unproved(found),
+        *_believed(found),
+        sets_table(subject),
+    ]
+    return Section("How many measurements are enough?", blocks)
+
+
+def _answer(subject: Subject) -> list[Text]:
+    """How many found times do what the largest number of regular times does."""
+    regular = [each for each in subject.results.values() if each["kind"] == "regular"]
+    most = max(regular, key=lambda each: int(each["measurements"]))
+    if most["expected_mse"] is None:
+        return []
+    reached = subject.run.reaching(most["expected_mse"])["found"]
+    if reached["measurements"] is None:
+        return []
+    number, regular_times = reached["measurements"], f"{most['measurements']} regular times"
+    if number < most["measurements"]:
+        reach = "time reaches" if number == 1 else "times reach"
+        text = f"{number} found {reach} the error of {regular_times} on these draws."
+    else:
+        text = f"No smaller number of found times reaches the error of {regular_times}."
+    if reached["impossible"] is not None:
+        text += f" No {number_of(reached['impossible'], 'time')} can (95 %)."
+    return [Text(text, prominent=True)]
+
+
+def _target(subject: Subject) -> Iterator[Text]:
+    """How many measurements reach the expected MSE that the user asks for."""
+    if subject.target is None:
+        return
+    for kind, reached in subject.run.reaching(subject.target).items():
+        yield Text(_reached(kind, reached, subject.target), prominent=True)
+        if reached["measurement_times"] is not None and kind == "found":
+            yield Text(f"Measure at t = {subject.listed(reached['measurement_times'])}.")
+
+
+def _reached(kind: str, reached: Result, target: float) -> str:
+    number = reached["measurements"]
+    low, high = ("more" if bound is None else str(bound) for bound in reached["interval"])
+    text = f"target {target:g}: "
+    if number is None:
+        text += f"none of these numbers of {kind} times reaches it"
+    else:
+        reach = "time reaches" if number == 1 else "times reach"
+        text += f"{number} {kind} {reach} it (95 %: {low} to {high})"
+    others = reached["larger_that_do_not"]
+    if others:
+        text += f", but not {', '.join(map(str, others))}"
+    impossible = reached.get("impossible")
+    times = "time" if impossible == 1 else "times"
+    return text if impossible is None else f"{text}; no {impossible} {times} can (95 %)"
+
+
+def _rows(results: Sequence[Result]) -> list[list[Cell]]:
+    rows = defaultdict[int, dict[str, Result]](dict)
+    for result in results:
+        rows[result["measurements"]][result["kind"]] = result
+    return [_row(number, rows[number]) for number in sorted(rows)]
+
+
+def _row(number: int, kinds: dict[str, Result]) -> list[Cell]:
+    cells = [_cost(kinds[kind]) if kind in kinds else Cell("") for kind in _KINDS]
+    return [Cell(str(number), number), *cells, _bound(kinds.get("found", {}))]
+
+
+def _cost(result: Result) -> Cell:
+    mse, low, high = with_interval(cost(result["expected_mse"]), result["low"], result["high"])
+    return Cell(f"{mse} ({low} to {high})", cost(result["expected_mse"]))
+
+
+def _bound(result: Result) -> Cell:
+    """The bound and its lower limit, which is rounded down: it must hold as it is printed."""
+    bound = result.get("bound")
+    if bound is None or not result["bound_error"]:  # unknown or exact
+        return Cell("" if bound is None else rounded(bound), bound)
+    limit = result["bound_low"]
+    text, low, _ = with_interval(bound, limit, 2 * bound - limit)
+    floor = Decimal(limit).quantize(Decimal(low), ROUND_FLOOR)
+    return Cell(f"{text} (from {floor})".lower(), bound)  # Decimal writes E for e
+
+
+def _worse(results: Sequence[Result]) -> Iterator[Text]:
+    """Name the numbers of measurements that are worse than a smaller number."""
+    for kind in _KINDS:
+        worse = [
+            f"{result['measurements']} than {result['worse_than']}"
+            for result in results
+            if result["kind"] == kind and result["worse_than"] is not None
+        ]
+        if worse:
+            yield Text(
+                f"{kind} times: more measurements are worse (95 % for all pairs together), "
+                f"N = {', '.join(worse)}"
+            )
+
+
+def _believed(found: Sequence[Result]) -> Iterator[Text]:
+    """The mean distance of what the search believed from the fresh costs (winner's curse)."""
+    excesses = [result["search_excess"] for result in found if result["search_excess"] is not None]
+    if not excesses or found[0]["search_standard_error"] == 0.0:  # the search knew exact costs
+        return
+    mean, causes = sum(excesses) / len(excesses), [result["search_cause"] for result in found]
+    settings = [f"{key} = {value}" for key, value in found[0]["search_estimation"].items()]
+    reasons = "; ".join(filter(None, [max(causes, key=causes.count), ", ".join(settings)]))
+    side = "below" if mean < 0 else "above"
+    yield Text(
+        f"found times: the search believed on average {percent(abs(mean))} {side} the fresh cost "
+        f"({reasons})",
+        detail=True,
+    )
+    if distrust := found[0].get("search_distrust"):
+        yield Text(f"searched again: {distrust}", detail=True)
+
+
+def _unproved(found: Sequence[Result]) -> Iterator[Text]:
+    """Why there is no lower bound, if a proof has failed."""
+    numbers = defaultdict[str, list[str]](list)
+    for result in found:
+        if reason := result.get("lower_bound", {}).get("reason"):
+            numbers[reason].append(str(result["measurements"]))
+    for reason, every in numbers.items():
+        yield Text(f"no lower bound for N = {', '.join(every)}: {reason}")

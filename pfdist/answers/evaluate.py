@@ -1,0 +1,38 @@
+"""The expected MSE of sets of times (``pfdist evaluate``)."""
+
+from collections.abc import Mapping, Sequence
+
+from pfdist.common.percent import heavy_tail_warning
+from pfdist.common.rounding import rounded, with_error
+from pfdist.documents.parts import Cell, Page, Section, Table
+from pfdist.evaluation.estimate import Evaluation
+
+_HEAD = ("times", "number", "expected MSE", "draws", "degenerate")
+
+
+def evaluate_page(
+    evaluations: Mapping[str, Evaluation], broken: Mapping[str, Sequence[str]]
+) -> Page:
+    """The expected MSE of each set, and the constraints of the job that it breaks."""
+    rows = [_row(name, evaluation) for name, evaluation in evaluations.items()]
+    warnings = list[str]()
+    for name, evaluation in evaluations.items():
+        these = f"the times of {name} break" if name else "these times break"
+        warnings += [f"{these} a constraint: {constraint}" for constraint in broken[name]]
+        warnings += filter(None, [heavy_tail_warning({name: evaluation.top_percent_share})])
+    return Page("", "", [Section("", [Table("", _HEAD, rows)])], warnings)
+
+
+def _row(name: str, evaluation: Evaluation) -> list[Cell]:
+    number = len(evaluation.measurement_times)
+    cells = [Cell(name), Cell(str(number), number)]
+    if evaluation.exact is not None:
+        return [*cells, Cell(f"{rounded(evaluation.exact)} (exact)"), Cell(""), Cell("")]
+    mse = with_error(evaluation.expected_mse, evaluation.standard_error)
+    draws, degenerate = evaluation.draws, evaluation.degenerate_draws
+    return [
+        *cells,
+        Cell(mse),
+        Cell(f"{draws:,}", draws),
+        Cell(f"{degenerate:,}" if degenerate else "", degenerate),
+    ]

@@ -1,0 +1,324 @@
+"""What a run has found: when to measure, what it gains, and how good it is."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+from pfdist.analysis import Run
+from pfdist.answers.about_run import citation, computed, problem, tables
+from pfdist.answers.bound import proof
+from pfdist.answers.budget import budget
+from pfdist.answers.compare import compared
+from pfdist.answers.online import online, online_sentence
+from pfdist.answers.pictures import pictures
+from pfdist.answers.subject import (
+    Subject,
+    effect,
+    exact_effect,
+    number_of,
+    percent_cell,
+    sets_table,
+    without_folder,
+)
+from pfdist.answers.why import worth
+from pfdist.common.gap_sentence import gap_sentence
+from pfdist.common.percent import (
+    cost,
+    heavy_tail_warning,
+    particle_loss_text,
+    percent,
+    percent_with_interval,
+    range_of,
+)
+from pfdist.common.rounding import with_error, with_interval
+from pfdist.documents.parts import (
+    Block,
+    Cell,
+    Facts,
+    Page,
+    Section,
+    Table,
+    Text,
+    without_empty_columns,
+)
+from pfdist.search.methods import METHODS
+
+_LOOKS_BETTER = (
+    "on the same draws. The best of several sets looks better than it is, the more so the more "
+    "sets there are."
+)
+_BY_EXACT_ERRORS = "by their expected errors, which are known exactly."
+_MEASURED = (
+    "This gain is an average over simulated draws: the tables do not hold the exact error of the "
+    "times compared with. `pfdist bound` computes it."
+)
+_GAINS_HEAD = (
+    "times", "expected error", "lower by, %", "draws with a lower error, %", "mean gain, %",
+)  # fmt: skip
+_GAINS = (
+    "The expected error is the mean over all draws, with its standard error. The next column says "
+    "how much lower it is than that of the first row. The mean gain is the mean of the relative "
+    "gains of single draws, the paper's figure. Intervals in brackets hold with 95 %."
+)
+_SEARCHES_HEAD = (
+    "search", "method", "sets evaluated", "error it believed", "above fresh draws by", "why",
+)  # fmt: skip
+_SEARCHES = (
+    "A search chooses the set with the least of many estimated errors, so what it believes of this "
+    "set is usually too good. The errors above are of fresh draws."
+)
+_EXACT_SEARCHES = (
+    "The filter is exact, so each search knew the expected error of its set. The errors above are "
+    "averages over simulated draws, and differ from it by chance."
+)
+
+
+Chapter = Callable[[Subject], Section | None]
+
+
+def page_of(run: Run, seconds: int = 0) -> Page:
+    """The report of a run, with its figures and how it was computed.
+
+    Parameters
+    ----------
+    run : Run
+        Finished or not.
+    seconds : int
+        After so many seconds the page reloads itself; 0 for never.
+    """
+    subject = Subject(run, has_pictures=True)
+    chapters: Sequence[Chapter] = (answer, compared, problem, gains, proof, worth, online)
+    if run.has_budget:
+        chapters = (budget, problem)
+    name = without_folder(subject.run.job["model"]["name"])
+    warnings = _warnings(subject)
+    if run.state != "finished":
+        draws = number_of(run.draws_compared, "draw")
+        unfinished = f"This run is not finished. So far {draws} are compared, and all figures may "
+        warnings.insert(0, f"{unfinished}change.")
+    ending = (searches, computed, tables, citation)
+    sections = _sections(subject, (*chapters, *ending))
+    return Page(f"When to measure: {name}", f"Run {run.path.name}", sections, warnings, seconds)
+
+
+def answer_of(run: Run, target: float | None = None) -> Page:
+    """The answer of a run alone, without figures.
+
+    Parameters
+    ----------
+    run : Run
+        Finished or not.
+    target : float, optional
+        An expected MSE: how many measurements reach it.
+    """
+    subject = Subject(run, target=target)
+    chapters = (budget,) if run.has_budget else (answer, gains, compared, proof, online)
+    summary = subject.summary
+    line = (
+        f"{summary['run']}: {summary['state']}, {summary['evaluations']:,} evaluations, "
+        f"{summary['draws_compared']:,} draws compared"
+    )
+    sections = _sections(subject, (*chapters, searches))
+    return Page("", line, sections, _warnings(subject))
+
+
+def _sections(subject: Subject, chapters: Sequence[Chapter]) -> list[Section]:
+    return [section for make in chapters if (section := make(subject)) is not None]
+
+
+def _warnings(subject: Subject) -> list[str]:
+    warnings = [
+        f"{times}: {warning}"
+        for times, result in subject.results.items()
+        for warning in result.get("warnings", ())
+    ]
+    shares = {name: each.get("top_percent_share") for name, each in subject.results.items()}
+    heavy_tail = heavy_tail_warning(shares)
+    return [*warnings, *([f"{heavy_tail}."] if heavy_tail else [])]
+
+
+# --- the answer -----------------------------------------------------------------------------------
+
+
+def answer(subject: Subject) -> Section | None:
+    """The gain of the best set in sentences, and its times."""
+    if not subject.found:
+        return None
+    names = [subject.best] if subject.is_compared else list(subject.found)
+    blocks = [block for name in names for block in _answer(subject, name)]
+    return Section("The answer", [*blocks, *pictures(subject, ["times"])])
+
+
+def _answer(subject: Subject, name: str) -> Iterator[Block]:
+    result = subject.found[name]
+    times = result["measurement_times"]
+    if subject.is_compared:
+        sentences = [_gain(subject, result), _proof(subject, result), online_sentence(subject)]
+        yield Text(" ".join(filter(None, sentences)), prominent=True)
+        others = len(subject.found) - 1
+        if others:
+            best = f"These are the times of the search {name}, the best of {others + 1} sets"
+            yield Text(f"{best} {_BY_EXACT_ERRORS if subject.is_exact else _LOOKS_BETTER}")
+    yield Text(f"Measure at {'t = ' if times else 'no time'}{subject.listed(times)}.")
+
+
+def _gain(subject: Subject, result: Mapping[str, Any]) -> str:
+    gain, positive = result.get("gain_of_means"), result.get("positive_fraction")
+    times = result["measurement_times"]
+    if times == subject.reference_times:
+        return "The search found no better times than the reference's own."
+    at = {0: "no time", 1: "this time"}.get(len(times), f"these {len(times):,} times")
+    these = f"Measuring at {at} instead of {subject.reference}"
+    if gain is None or positive is None:
+        return f"{these}: the gain is not known, because errors are 0, infinite or unknown."
+    share = f"{percent(positive, 0)} of {number_of(result['gain_draws'], 'draw')}"
+    if result.get("exact_gain") is not None:
+        reference = next(iter(subject.results.values()))["exact_mse"]
+        lowers = exact_effect(result["exact_mse"], reference)
+        return f"{these} {lowers}. In {share}, the error is lower."
+    lowers, left_open = effect(gain, result["gain_of_means_interval"])
+    measured = _MEASURED if subject.is_exact else ""
+    sentences = (f"{these} {lowers}.", measured, f"In {share}, the error is lower.", left_open)
+    return " ".join(filter(None, sentences))
+
+
+def _proof(subject: Subject, result: Mapping[str, Any]) -> str:
+    proof = result.get("lower_bound")
+    if proof is None or proof["reason"]:
+        return ""
+    constrained = subject.summary["is_constrained"]
+    return gap_sentence(proof, len(result["measurement_times"]), is_constrained=constrained)
+
+
+# --- all sets -------------------------------------------------------------------------------------
+
+
+def gains(subject: Subject) -> Section | None:
+    """The expected error of each set and its gains, on the same draws."""
+    if not subject.is_compared:
+        return None
+    rows = [_gains_row(name, result) for name, result in subject.results.items()]
+    draws = number_of(subject.summary["draws_compared"], "draw")
+    fresh = " that took no part in the search" if subject.run.found else ""
+    table = Table(
+        f"Expected error on {draws}{fresh}", _GAINS_HEAD, rows,
+        optional=[_GAINS_HEAD[-1], _GAINS_HEAD[-2]],
+    )  # fmt: skip
+    blocks: list[Block] = [
+        table,
+        Text(_GAINS, detail=True),
+        *_degenerate(subject),
+        *_broken(subject),
+        *pictures(subject, ["gain", "draw"], subject.shown),
+        *subject.about_others,
+        sets_table(subject),
+        *(_details(subject, name) for name in subject.results),
+    ]
+    return Section("What the times gain", blocks)
+
+
+def _gains_row(name: str, result: Mapping[str, Any]) -> list[Cell]:
+    mse = cost(result["expected_mse"])
+    cells = [Cell(name), Cell(with_error(mse, result["standard_error"]), mse)]
+    for key in ("gain_of_means", "positive_fraction", "mean_relative_gain"):
+        known = key in result
+        cells.append(percent_cell(result[key], result[f"{key}_interval"]) if known else Cell(""))
+    return cells
+
+
+def _degenerate(subject: Subject) -> list[Text]:
+    left_out = [
+        f"{number_of(result['degenerate_draws'], 'draw')} of {name}"
+        for name, result in subject.results.items()
+        if result["degenerate_draws"]
+    ]
+    return [Text(f"Degenerate and left out: {', '.join(left_out)}.")] if left_out else []
+
+
+def _broken(subject: Subject) -> Iterator[Text]:
+    for name, result in subject.results.items():
+        for constraint in result.get("broken_constraints", ()):
+            breaks = (
+                f"The times of {name} break" if name in subject.others else "The reference breaks"
+            )
+            yield Text(f"{breaks} a constraint of the job. {constraint}.")
+
+
+def _details(subject: Subject, name: str) -> Facts:
+    """Everything else that the comparison says of a set."""
+    result = subject.results[name]
+    facts = list[tuple[str, str]]()
+    if "description" in result:
+        facts.append(("what it is", result["description"]))
+    if result.get("particle_loss_limit") is not None:
+        loss = particle_loss_text(result["particle_loss"], result["particle_loss_limit"])
+        facts.append(("particles lose", loss))
+    if "mean_relative_gain" in result:
+        interval = result["mean_relative_gain_interval"]
+        gain = percent_with_interval(result["mean_relative_gain"], interval)
+        facts.append(("mean relative gain", gain))
+        shares = [result["quantiles"].get(share) for share in ("0.25", "0.5", "0.75")]
+        facts.append(("quartiles of gains", ", ".join(percent(share, 1) for share in shares)))
+        interval = result["mean_log10_ratio_interval"]
+        log10, *ends = with_interval(result["mean_log10_ratio"], *interval)
+        facts.append(("mean log10 of ratio", f"{log10}  (95 %: {range_of(*ends)})"))
+        if result["gains_disagree"]:
+            facts.append(("the two gains differ", _why_gains_disagree(subject)))
+    if "gain_over_itself" in result:
+        interval = result["gain_over_itself_interval"]
+        itself = percent_with_interval(result["gain_over_itself"], interval)
+        facts.append(("gain over itself", f"{itself}, from filter noise alone"))
+    return Facts(facts, f"More about {name}", detail=True)
+
+
+def _why_gains_disagree(subject: Subject) -> str:
+    noise = next(iter(subject.results.values())).get("gain_over_itself")
+    reason = "a relative gain weighs a draw with a small error as much as a draw with a large error"
+    if noise is None:
+        return f"{reason}, and the noise of the filters biases its mean low"
+    if noise:
+        reason += f", and the noise of the filters alone gives it a mean of {percent(noise)}"
+    return reason
+
+
+# --- the searches ---------------------------------------------------------------------------------
+
+
+def searches(subject: Subject) -> Section | None:
+    """The method of each search, how many sets it evaluated, and what it believed of its set."""
+    job, evaluated = subject.run.job["search"], _evaluated(subject)
+    if not evaluated:
+        return None
+    rows = [_search_row(subject, search, evaluated.get(search["name"], 0)) for search in job]
+    meaning = Text(_EXACT_SEARCHES if subject.is_exact else _SEARCHES, detail=True)
+    table = Table(
+        "Searches", _SEARCHES_HEAD, rows, detail=not subject.has_pictures,
+        optional=[_SEARCHES_HEAD[1], _SEARCHES_HEAD[5]],
+    )  # fmt: skip
+    blocks: list[Block] = [without_empty_columns(table), meaning, *pictures(subject, ["cost"])]
+    return Section("How the times were found", blocks)
+
+
+def _evaluated(subject: Subject) -> dict[str, int]:
+    """Number of sets that each search has evaluated, in all its phases."""
+    if not subject.run.has("evaluations"):
+        return {}
+    rows = subject.run.evaluations()
+    names = rows["phase"].astype(str).str.partition(".")[0]
+    return {str(name): int(count) for name, count in rows.groupby(names)["copies"].sum().items()}
+
+
+def _search_row(subject: Subject, search: Mapping[str, Any], count: int) -> list[Cell]:
+    name, method = str(search["name"]), str(search["method"])
+    about = METHODS[method].description if method in METHODS else method
+    cells = [Cell(name), Cell(about.rstrip(".")), Cell(f"{count:,}", count)]
+    result = subject.results.get(name, {})
+    believed = result.get("search_cost")
+    if believed is None:
+        return [*cells, Cell(""), Cell(""), Cell("")]
+    cells.append(Cell(with_error(believed, result["search_standard_error"]), believed))
+    if subject.is_exact:
+        return [*cells, Cell(""), Cell("exact")]
+    excess = result.get("search_excess")
+    why = result.get("search_distrust") or result.get("search_cause") or ""
+    why = why.replace(str(subject.run.path), subject.run.path.name)  # the report may be sent
+    return [*cells, Cell("" if excess is None else percent(excess, 1), excess), Cell(why)]

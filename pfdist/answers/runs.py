@@ -1,0 +1,125 @@
+"""Many runs in a table, and a list of the runs in a folder."""
+
+import math
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from typing import Any
+
+import pandas as pd
+
+from pfdist.analysis.listed_run import FINISHED
+from pfdist.analysis.table_cells import keys_of, told_gain, told_mse, told_value
+from pfdist.common.percent import times_100
+from pfdist.common.rounding import rounded
+from pfdist.common.short_names import short_names
+from pfdist.common.told_counts import told_age, told_seconds, told_size
+from pfdist.documents.parts import Cell, Page, Section, Table, Text
+
+_LEFT_OUT = ("state", "billion steps")
+
+
+def table_page(frame: pd.DataFrame, line: str = "") -> Page:
+    """A table of runs: what differs between them, and what they found.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        As `pfdist.table` gives it.
+    line : str
+        Above the table.
+    """
+    keys = keys_of(frame)
+    short = short_names(keys)
+    head = ["run", *(short[key] for key in keys), "set", "expected MSE", "gain %", "seconds"]
+    rows = [_row(row, keys) for row in frame.to_dict("records")]
+    lacking = [short[key] for key in reversed(keys) if frame[key].isna().any()]
+    others = [short[key] for key in reversed(keys) if short[key] not in lacking]
+    names = ["run"] if keys and not frame.duplicated([*keys, "set"]).any() else []
+    table = Table("", head, rows, optional=[*lacking, *names, "seconds", *others])
+    references = sorted(set(frame["reference"].dropna().astype(str)))
+    other = references[0] if len(references) == 1 else "the reference"
+    gain = Text(f"gain %: how far the expected MSE is below that of {other} (95 %)")
+    return Page("", line, [Section("", [table, *([gain] if references else [])])])
+
+
+def _row(row: Mapping[Any, Any], keys: list[str]) -> list[Cell]:
+    # A row without results says how far its run is.
+    state = "no other set" if row["state"] == FINISHED else str(row["state"])
+    seconds = row["worker_seconds"]
+    return [
+        Cell(str(row["run"])),
+        *(Cell(told_value(row[key]), _number(row[key])) for key in keys),
+        Cell(told_value(row["set"])),
+        Cell(told_mse(row) or state),
+        Cell(told_gain(row)),
+        Cell(told_seconds(seconds), seconds),
+    ]
+
+
+def _number(value: Any) -> float | None:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return float(value) if is_number and not math.isnan(value) else None
+
+
+def list_page(frame: pd.DataFrame, folder: str) -> Page:
+    """A list of runs: the folder, state, age and size of each, and what it found.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        As `pfdist.list_runs` gives it.
+    folder : str
+        The listed folder.
+    """
+    if frame.empty:
+        return Page("", f"{folder}: no runs", [])
+    now = datetime.now(UTC)
+    rows = [
+        [
+            Cell(row["run"]),
+            Cell(row["state"]),
+            Cell(told_age((now - row["changed"]).total_seconds())),
+            Cell(told_size(row["bytes"])),
+            Cell(_result(row)),
+        ]
+        for row in frame.to_dict("records")
+    ]
+    head = ("run", "state", "age", "size", "found")
+    return Page("", folder, [Section("", [Table("", head, rows, optional=["age", "size"])])])
+
+
+def _result(row: Mapping[Any, Any]) -> str:
+    """How far an unfinished run is, and the best set; or what is wrong with the folder."""
+    if isinstance(row["fault"], str):
+        return row["fault"]
+    texts = []
+    if row["state"] != FINISHED:
+        texts.append(f"{row['draws']:,} of {row['draws_wanted']:,} draws")
+    if isinstance(row["best"], str):
+        gain = row["gain_of_means"]
+        side = "above" if gain < 0 else "below"
+        percent = rounded(times_100(abs(gain)), 3)
+        texts.append(f"{row['best']}: {percent} % {side} {row['reference']}")
+    elif row["has_budget"] and row["draws"]:
+        texts.append("times of several numbers")
+    return ", ".join(texts)
+
+
+def foreseen_page(points: pd.DataFrame) -> Page:
+    """The points of a sweep and their work, as `pfdist.api.foreseen.foreseen` gives them."""
+    billion = 1e9
+    rows = [
+        [
+            Cell(row["point"]),
+            Cell(row["state"]),
+            Cell(f"{row['steps'] / billion:.3f}", row["steps"]),
+        ]
+        for row in points.to_dict("records")
+    ]
+    left = points.loc[points["state"] != FINISHED, "steps"].sum() / billion
+    text = f"{len(points)} points; about {left:.3f} billion particle-steps are left to do"
+    if "judging_steps" in points:
+        judging = points["judging_steps"].sum() / billion
+        text += f", and at most {judging:.3f} billion to judge"
+    table = Table("", ("point", "state", "billion steps"), rows)
+    return Page("", "", [Section("", [table, Text(text)])])
