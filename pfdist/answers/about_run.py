@@ -1,4 +1,4 @@
-"""What a run was asked, how it was computed, how to load its tables, and how to cite."""
+"""The question of a run, how it was computed, how to load its tables, and how to cite."""
 
 import json
 from collections.abc import Iterator, Mapping

@@ -3,12 +3,11 @@
 from collections.abc import Mapping
 from typing import Any
 
-from pfdist.answers.pictures import pictures
 from pfdist.answers.subject import Subject
 from pfdist.common.gap_sentence import gap_sentence, rounded_up
 from pfdist.common.percent import particle_loss_text, percent
 from pfdist.common.rounding import rounded, with_error
-from pfdist.documents.parts import Block, Cell, Facts, Page, Section, Table, Text
+from pfdist.documents.parts import Block, Cell, Facts, Figures, Page, Section, Table, Text
 
 _MEANING = (
     "No allowed times of the same number, or of the same cost, have a lower expected error than "
@@ -34,7 +33,7 @@ def proof(subject: Subject) -> Section | None:
         return None
     blocks = [Text(_MEANING, detail=True), *_table(proofs), *_reasons(proofs)]
     title = "How much better can other times be?"
-    return Section(title, [*blocks, *pictures(subject, ["bound"])])
+    return Section(title, [*blocks, Figures(["bound"])])
 
 
 def bound_page(answer: Mapping[str, Any], within: float | None = None) -> Page:

@@ -5,14 +5,13 @@ from collections.abc import Iterator, Sequence
 from decimal import ROUND_FLOOR, Decimal
 from typing import Any
 
-from pfdist.answers.pictures import pictures
 from pfdist.answers.subject import Subject, number_of, sets_table
 from pfdist.common.percent import cost, percent
 from pfdist.common.rounding import rounded, with_interval
-from pfdist.documents.parts import Block, Cell, Section, Table, Text
+from pfdist.documents.parts import Block, Cell, Figures, Section, Table, Text
 
 _KINDS = ("regular", "found")
-_HEAD = ("measurements", "regular times", "found times", "lower bound")
+_HEAD = ("N", "regular times", "found times", "lower bound")
 _BOUND = (
     "No times of the same number have a lower expected error than the lower bound, with any filter "
     "of the same model. The bound was computed on other draws. So an estimated error can lie below "
@@ -30,7 +29,7 @@ def budget(subject: Subject) -> Section | None:
     blocks: list[Block] = [
         *_answer(subject),
         *_target(subject),
-        *pictures(subject, ["budget"]),
+        Figures(["budget"]),
         Table("Expected error with its 95 % interval", _HEAD, _rows(results), optional=_HEAD[3:]),
         *([Text(_BOUND, detail=True)] if subject.run.has("bound") else []),
         *_worse(results),

@@ -4,11 +4,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from pfdist.analysis.pairs import told_ranks
-from pfdist.answers.pictures import pictures
 from pfdist.answers.subject import Subject, number_of, percent_cell
 from pfdist.common.percent import cost, range_of
 from pfdist.common.rounding import with_error, with_interval
-from pfdist.documents.parts import Block, Cell, Section, Table, Text, without_empty_columns
+from pfdist.documents.parts import Block, Cell, Figures, Section, Table, Text, without_empty_columns
 
 _RANKS_HEAD = ("rank", "times", "number", "expected error", "above the best by", "breaks")
 _PAIRS_HEAD = (
@@ -40,7 +39,7 @@ def compared(subject: Subject) -> Section | None:
     blocks: list[Block] = [
         without_empty_columns(sets),
         Text(_EXACT if subject.is_exact else _MEANING, detail=True),
-        *pictures(subject, ["compared"] if subject.found else ["compared", "times"]),
+        Figures(["compared"] if subject.found else ["compared", "times"]),
         Table("Pairs of sets", _PAIRS_HEAD, rows, detail=len(rows) > _MOST_OPEN),
     ]
     return Section("How the sets compare", blocks)

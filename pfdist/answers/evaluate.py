@@ -14,13 +14,18 @@ def evaluate_page(
     evaluations: Mapping[str, Evaluation], broken: Mapping[str, Sequence[str]]
 ) -> Page:
     """The expected MSE of each set, and the constraints of the job that it breaks."""
-    rows = [_row(name, evaluation) for name, evaluation in evaluations.items()]
+    line, rows = "", [_row(name, evaluation) for name, evaluation in evaluations.items()]
+    if list(evaluations) == [""]:
+        _, _, mse, *counts = (cell.text for cell in rows.pop())
+        names = zip(("draws", "degenerate"), counts, strict=True)
+        line = ", ".join([f"expected MSE {mse}", *(f"{n} {name}" for name, n in names if n)])
     warnings = list[str]()
     for name, evaluation in evaluations.items():
         these = f"the times of {name} break" if name else "these times break"
         warnings += [f"{these} a constraint: {constraint}" for constraint in broken[name]]
         warnings += filter(None, [heavy_tail_warning({name: evaluation.top_percent_share})])
-    return Page("", "", [Section("", [Table("", _HEAD, rows)])], warnings)
+    tables = [Table("", _HEAD, rows)] if rows else []
+    return Page("", line, [Section("", tables)], warnings)
 
 
 def _row(name: str, evaluation: Evaluation) -> list[Cell]:

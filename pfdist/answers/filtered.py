@@ -1,4 +1,4 @@
-"""What real measurements say: the belief of the filter, and how well they fit the model."""
+"""The meaning of real measurements: the belief of the filter, and how well they fit the model."""
 
 from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path

@@ -2,11 +2,10 @@
 
 from typing import Any
 
-from pfdist.answers.pictures import pictures
 from pfdist.answers.subject import Subject, effect, number_of, percent_cell
 from pfdist.common.percent import cost, percent
 from pfdist.common.rounding import with_error
-from pfdist.documents.parts import Cell, Section, Table, Text
+from pfdist.documents.parts import Cell, Figures, Section, Table, Text
 
 _FIGURES = ("online_gain", "online_times", "online_draw")
 
@@ -32,7 +31,7 @@ def online(subject: Subject) -> Section | None:
     )
     return Section(
         "Times chosen one after another",
-        [Text(meaning), table, *pictures(subject, _FIGURES)],
+        [Text(meaning), table, Figures(_FIGURES)],
     )
 
 
@@ -46,7 +45,7 @@ def _row(name: str, costs: dict[str, Any], gain: dict[str, Any]) -> list[Cell]:
 
 
 def online_sentence(subject: Subject) -> str:
-    """What choosing each time only when the last measurement is known does; empty if unknown."""
+    """The gain of choosing each time when the last measurement is known; empty if unknown."""
     plan = subject.summary.get("online", {}).get("plan", {})
     gain = plan.get("gain_of_means")
     if gain is None:

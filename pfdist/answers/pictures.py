@@ -2,12 +2,13 @@
 
 import io
 import re
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Iterator
+from dataclasses import replace
 from xml.etree import ElementTree
 
-from pfdist.answers.subject import Subject
-from pfdist.documents.parts import Picture
-from pfdist.plots.figure import FIGURES, Plot
+from pfdist.analysis import Run
+from pfdist.documents.parts import Block, Figures, Page, Picture, Section
+from pfdist.plots.figure import FIGURES, Plot, Tables
 from pfdist.plots.figures import drawn
 from pfdist.plots.library import styled
 from pfdist.plots.style import BLUE, GREEN, GREY, ORANGE, RED
@@ -27,23 +28,28 @@ _NOT_DRAWN = ("metadata", "style")
 """Elements that Matplotlib writes and a page does not need."""
 
 
-def pictures(
-    subject: Subject, names: Iterable[str], sets: Collection[str] | None = None
-) -> Iterator[Picture]:
-    """The figures of these names that a run has; none before the comparison has begun.
+def with_pictures(page: Page, run: Run) -> Page:
+    """A page with pictures in the places for figures; with none before the comparison has begun."""
+    tables = Tables(run)
 
-    Where each set has a figure, only those of some sets, if they are given.
-    """
-    tables = subject.tables
-    if not (subject.has_pictures and tables.run.draws_compared):
+    def filled(section: Section) -> Section:
+        blocks = list[Block]()
+        for block in section.blocks:
+            blocks += _pictures(tables, block) if isinstance(block, Figures) else [block]
+        return replace(section, blocks=blocks)
+
+    return replace(page, sections=[filled(section) for section in page.sections])
+
+
+def _pictures(tables: Tables, figures: Figures) -> Iterator[Picture]:
+    if not tables.run.draws_compared:
         return
-    for name in names:
+    for name in figures.names:
         figure = FIGURES[name]
-        shown = None if sets is None else {f"{name}-{found}" for found in sets}
+        shown = None if figures.sets is None else {f"{name}-{each}" for each in figures.sets}
         for file, plot in figure.plots(tables):
-            if figure.each_set and shown is not None and file not in shown:
-                continue
-            yield picture(plot, file, figure.description)
+            if not figure.each_set or shown is None or file in shown:
+                yield picture(plot, file, figure.description)
 
 
 def picture(plot: Plot, name: str, description: str) -> Picture:

@@ -1,4 +1,4 @@
-"""What a run has found: when to measure, what it gains, and how good it is."""
+"""The answer of a run: when to measure, what it gains, and how good it is."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
@@ -9,7 +9,6 @@ from pfdist.answers.bound import proof
 from pfdist.answers.budget import budget
 from pfdist.answers.compare import compared
 from pfdist.answers.online import online, online_sentence
-from pfdist.answers.pictures import pictures
 from pfdist.answers.subject import (
     Subject,
     effect,
@@ -34,13 +33,13 @@ from pfdist.documents.parts import (
     Block,
     Cell,
     Facts,
+    Figures,
     Page,
     Section,
     Table,
     Text,
     without_empty_columns,
 )
-from pfdist.search.methods import METHODS
 
 _LOOKS_BETTER = (
     "on the same draws. The best of several sets looks better than it is, the more so the more "
@@ -85,7 +84,7 @@ def page_of(run: Run, seconds: int = 0) -> Page:
     seconds : int
         After so many seconds the page reloads itself; 0 for never.
     """
-    subject = Subject(run, has_pictures=True)
+    subject = Subject(run)
     chapters: Sequence[Chapter] = (answer, compared, problem, gains, proof, worth, online)
     if run.has_budget:
         chapters = (budget, problem)
@@ -100,8 +99,8 @@ def page_of(run: Run, seconds: int = 0) -> Page:
     return Page(f"When to measure: {name}", f"Run {run.path.name}", sections, warnings, seconds)
 
 
-def answer_of(run: Run, target: float | None = None) -> Page:
-    """The answer of a run alone, without figures.
+def answer_of(run: Run, target: float | None = None, *, details: bool = False) -> Page:
+    """The answer of a run, without figures.
 
     Parameters
     ----------
@@ -109,15 +108,19 @@ def answer_of(run: Run, target: float | None = None) -> Page:
         Finished or not.
     target : float, optional
         An expected MSE: how many measurements reach it.
+    details : bool
+        Whether the searches are described, too.
     """
     subject = Subject(run, target=target)
-    chapters = (budget,) if run.has_budget else (answer, gains, compared, proof, online)
+    chapters: Sequence[Chapter] = (answer, gains, compared, proof, online)
+    if run.has_budget:
+        chapters = (budget,)
     summary = subject.summary
     line = (
         f"{summary['run']}: {summary['state']}, {summary['evaluations']:,} evaluations, "
         f"{summary['draws_compared']:,} draws compared"
     )
-    sections = _sections(subject, (*chapters, searches))
+    sections = _sections(subject, (*chapters, *([searches] if details else [])))
     return Page("", line, sections, _warnings(subject))
 
 
@@ -145,7 +148,7 @@ def answer(subject: Subject) -> Section | None:
         return None
     names = [subject.best] if subject.is_compared else list(subject.found)
     blocks = [block for name in names for block in _answer(subject, name)]
-    return Section("The answer", [*blocks, *pictures(subject, ["times"])])
+    return Section("The answer", [*blocks, Figures(["times"])])
 
 
 def _answer(subject: Subject, name: str) -> Iterator[Block]:
@@ -208,7 +211,7 @@ def gains(subject: Subject) -> Section | None:
         Text(_GAINS, detail=True),
         *_degenerate(subject),
         *_broken(subject),
-        *pictures(subject, ["gain", "draw"], subject.shown),
+        Figures(["gain", "draw"], subject.shown),
         *subject.about_others,
         sets_table(subject),
         *(_details(subject, name) for name in subject.results),
@@ -291,10 +294,10 @@ def searches(subject: Subject) -> Section | None:
     rows = [_search_row(subject, search, evaluated.get(search["name"], 0)) for search in job]
     meaning = Text(_EXACT_SEARCHES if subject.is_exact else _SEARCHES, detail=True)
     table = Table(
-        "Searches", _SEARCHES_HEAD, rows, detail=not subject.has_pictures,
+        "Searches", _SEARCHES_HEAD, rows, detail=True,
         optional=[_SEARCHES_HEAD[1], _SEARCHES_HEAD[5]],
     )  # fmt: skip
-    blocks: list[Block] = [without_empty_columns(table), meaning, *pictures(subject, ["cost"])]
+    blocks: list[Block] = [without_empty_columns(table), meaning, Figures(["cost"])]
     return Section("How the times were found", blocks)
 
 
@@ -309,6 +312,9 @@ def _evaluated(subject: Subject) -> dict[str, int]:
 
 def _search_row(subject: Subject, search: Mapping[str, Any], count: int) -> list[Cell]:
     name, method = str(search["name"]), str(search["method"])
+    # Not above: the methods load Numba, and the answer alone has no section of searches.
+    from pfdist.search.methods import METHODS  # noqa: PLC0415
+
     about = METHODS[method].description if method in METHODS else method
     cells = [Cell(name), Cell(about.rstrip(".")), Cell(f"{count:,}", count)]
     result = subject.results.get(name, {})
@@ -319,6 +325,8 @@ def _search_row(subject: Subject, search: Mapping[str, Any], count: int) -> list
     if subject.is_exact:
         return [*cells, Cell(""), Cell("exact")]
     excess = result.get("search_excess")
-    why = result.get("search_distrust") or result.get("search_cause") or ""
+    settings = ", ".join(f"{key} = {value}" for key, value in result["search_estimation"].items())
+    reasons = [result["search_distrust"], result["search_cause"], settings]
+    why = "; ".join(filter(None, reasons)) if excess is not None else ""
     why = why.replace(str(subject.run.path), subject.run.path.name)  # the report may be sent
     return [*cells, Cell("" if excess is None else percent(excess, 1), excess), Cell(why)]

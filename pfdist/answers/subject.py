@@ -14,7 +14,6 @@ from pfdist.common.percent import percent, range_of, times_100
 from pfdist.common.rounding import rounded, with_interval
 from pfdist.common.told_times import told_time, told_times
 from pfdist.documents.parts import Cell, Table, Text
-from pfdist.plots.figure import Tables
 
 MOST_SETS = 4
 """Sets that have figures in a report; each has about 60 kB of them."""
@@ -27,25 +26,17 @@ class Subject:
     Parameters
     ----------
     run : Run
-    has_pictures : bool
-        Whether the page is a report with figures.
     target : float, optional
         An expected MSE: how many measurements reach it.
     """
 
     run: Run
-    has_pictures: bool = False
     target: float | None = None
 
     @cached_property
     def summary(self) -> dict[str, Any]:
         """As of `pfdist.analysis.Run.summary`."""
         return self.run.summary()
-
-    @cached_property
-    def tables(self) -> Tables:
-        """The tables that figures need, each read once."""
-        return Tables(self.run)
 
     @property
     def results(self) -> dict[str, dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""What the points of a sweep have found, and how their times do at the other points."""
+"""The results of the points of a sweep, and how their times do at the other points."""
 
 import math
 from collections.abc import Iterator, Mapping

@@ -1,16 +1,15 @@
-"""What each measurement of a set is worth, and how exactly it must be kept (``pfdist why``)."""
+"""The worth of each measurement, and how exactly it must be kept (``pfdist why``)."""
 
 import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
 from pfdist.analysis.sampling_windows import STRICT, WIDE, sentences, windows_of
-from pfdist.answers.pictures import pictures
 from pfdist.answers.subject import Subject, number_of
 from pfdist.common.percent import cost
 from pfdist.common.rounding import with_error
 from pfdist.common.told_times import told_time
-from pfdist.documents.parts import Block, Cell, Page, Section, Table, Text
+from pfdist.documents.parts import Block, Cell, Figures, Page, Section, Table, Text
 
 _HEAD = ("t", "if removed", "if one instant earlier", "if one instant later")
 _WINDOWS_HEAD = ("t", f"within {STRICT} %", f"within {WIDE} %")
@@ -26,7 +25,7 @@ Rows = Iterable[Mapping[Any, Any]]
 
 
 def worth(subject: Subject) -> Section | None:
-    """What each measurement of a run's sets is worth, where ``pfdist why`` has run."""
+    """The worth of each measurement of a run's sets, where ``pfdist why`` has run."""
     run = subject.run
     if not run.has("worth"):
         return None
@@ -39,10 +38,10 @@ def worth(subject: Subject) -> Section | None:
         parts = (group, windows[windows["name"] == name], jitter[jitter["name"] == name])
         records = (part.to_dict("records") for part in parts)
         tables += _of_set(str(name), *records, is_found=name in run.found, detail=True)
-    figures = pictures(subject, ["why", "sampling_windows", "filters"], subject.shown)
+    figures = Figures(["why", "sampling_windows", "filters"], subject.shown)
     draws = int(rises["draws"].max())
     return Section(
-        "What each measurement is worth", [Text(_meaning(draws)), *figures, *tables, Text(_WINDOWS)]
+        "What each measurement is worth", [Text(_meaning(draws)), figures, *tables, Text(_WINDOWS)]
     )
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from pfdist.analysis import Run, open_run
 from pfdist.answers.pages import write_page
+from pfdist.answers.pictures import with_pictures
 from pfdist.answers.run import page_of
 from pfdist.answers.sweep import sweep_page
 from pfdist.api.following import Say, silent
@@ -58,17 +59,23 @@ def report(
             raise ArgumentError(
                 f"only the report of a run can be watched, but {path} is a sweep", argument="watch"
             )
-        return _write(lambda: sweep_page(path), path)
+        return write_sweep_report(path)
     opened = open_run(path)
     if watch and opened.state != "finished":
         _watch(path, say)
     elif watch:
         say(f"{path} is finished")
-    return _write_run(open_run(path))
+    return write_report(open_run(path))
 
 
-def _write_run(run: Run, seconds: int = 0) -> Path:
-    return _write(lambda: page_of(run, seconds), run.path)
+def write_report(run: Run, seconds: int = 0) -> Path:
+    """Write the report of a run; after so many seconds the page reloads itself, 0 is never."""
+    return _write(lambda: with_pictures(page_of(run, seconds), run), run.path)
+
+
+def write_sweep_report(path: Path) -> Path:
+    """Write the report of the sweep in a folder."""
+    return _write(lambda: sweep_page(path), path)
 
 
 def _write(make: Callable[[], Page], folder: Path) -> Path:
@@ -84,10 +91,10 @@ def _watch(path: Path, say: Say) -> None:
     say(f"{path / REPORT} is written again every {SECONDS:.0f} s while the run goes on")
     try:
         while is_computed(path) and open_run(path).state != "finished":
-            _write_run(open_run(path), round(SECONDS))
+            write_report(open_run(path), round(SECONDS))
             time.sleep(SECONDS)
     except KeyboardInterrupt:
-        _write_run(open_run(path))  # a page that is left must not reload for ever
+        write_report(open_run(path))  # a page that is left must not reload for ever
         raise
     state = open_run(path).state
     if state != "finished":
@@ -122,7 +129,7 @@ def try_report(run: Run, say: Say) -> None:
     say : callable
         Receives a line if there is no report.
     """
-    _try(lambda: _write_run(run), run.path, say)
+    _try(lambda: write_report(run), run.path, say)
 
 
 def try_sweep_report(path: Path, say: Say) -> None:
@@ -135,7 +142,7 @@ def try_sweep_report(path: Path, say: Say) -> None:
     say : callable
         Receives a line if there is no report.
     """
-    _try(lambda: _write(lambda: sweep_page(path), path), path, say)
+    _try(lambda: write_sweep_report(path), path, say)
 
 
 def _try(write: Callable[[], object], path: Path, say: Say) -> None:

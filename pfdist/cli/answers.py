@@ -87,7 +87,7 @@ def print_run(run: "Run", options: Namespace, target: float | None = None) -> No
         has_report,
     )
 
-    print_page(answer_of(run, target), options)
+    print_page(answer_of(run, target, details=options.verbose), options)
     results = {
         "tables": ("tables", (run.path / "tables").is_dir()),
         "figures": (FIGURES_FOLDER, any(figures_in(run.path))),

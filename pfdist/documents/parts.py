@@ -160,7 +160,25 @@ class Picture:
     detail: bool = False
 
 
-Block = Text | Code | Table | Facts | Picture
+@dataclass(frozen=True)
+class Figures:
+    """A place for figures of the run; reports put pictures there.
+
+    Parameters
+    ----------
+    names : sequence of str
+        As the figures declare them.
+    sets : sequence of str, optional
+        Where each set has a figure, the sets that are shown; by default all.
+    """
+
+    kind: ClassVar[str] = "figures"
+    names: Sequence[str]
+    sets: Sequence[str] | None = None
+    detail: bool = False
+
+
+Block = Text | Code | Table | Facts | Picture | Figures
 
 
 @dataclass(frozen=True)
@@ -185,7 +203,7 @@ class Page:
     ----------
     title : str
     subtitle : str
-        Of a report, below its title; the first line in a terminal.
+        The line below the title of a report; the first line in a terminal.
     sections : sequence of Section
     warnings : sequence of str
         Sentences to be read before anything else, for instance that the run is not finished.

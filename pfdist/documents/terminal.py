@@ -91,7 +91,9 @@ def aligned(table: Table) -> list[str]:
     if room < last.width and not last.is_number:
         last.width = max(room, _LEAST)
     height = max(len(column.head) for column in columns.values())
-    heads = zip(*([*[""] * (height - len(each.head)), *each.head] for each in (*others, last)))
+    heads = zip(
+        *([*[""] * (height - len(each.head)), *each.head] for each in (*others, last)), strict=True
+    )
     lines = [_line(head, columns.values()) for head in heads]
     for row in zip(*(column.cells for column in columns.values()), strict=True):
         *cells, end = row

@@ -10,10 +10,11 @@ import pytest
 import pfdist
 from pfdist import Job, Problem, StateSpaceModel
 from pfdist.analysis import Run
-from pfdist.cli.summary import print_summary
+from pfdist.answers.run import answer_of, page_of, searches
+from pfdist.answers.subject import Subject
 from pfdist.common.rounding import with_error, with_interval
+from pfdist.documents.terminal import lines_of
 from pfdist.errors import RunMismatchError, StoreError
-from pfdist.reports.run_report import page_of
 from pfdist.search.section import CommonNoiseSettings
 
 SURVIVORS = """
@@ -24,6 +25,10 @@ draws = 30
 noise = "common"
 particles = 20
 """
+
+
+def _all_that_is_said(run: Run) -> str:
+    return " ".join(" ".join(lines_of(answer_of(run, details=True), verbose=True)).split())
 
 
 @pytest.fixture
@@ -54,13 +59,12 @@ def test_what_a_search_believed_is_its_own_and_nothing_of_its_race_is_reported(
     assert result["search_excess"] == pytest.approx(result["search_cost"] / fresh - 1)
     differs = {"particles": 20, "resampling": "systematic", "estimator": "filter_variance"}
     assert result["search_estimation"] == differs
-    print_summary(raced.summary(), "")
-    text = capsys.readouterr().out
-    excess, side = result["search_excess"], "above" if fresh < result["search_cost"] else "below"
-    believed = with_error(result["search_cost"], result["search_standard_error"])
-    told = f"{believed}, {abs(100 * excess):.2f} % {side} the fresh cost ({result['search_cause']};"
+    text = _all_that_is_said(raced)
+    (row,) = [row for row in searches(Subject(raced)).blocks[0].rows if row[0].text == "survivors"]
+    assert row[3].text == with_error(result["search_cost"], result["search_standard_error"])
+    assert row[4].text == f"{100 * result['search_excess']:.1f} %"
     how = "particles = 20, resampling = systematic, estimator = filter_variance"
-    assert f"{told} {how})" in text
+    assert row[5].text == f"{result['search_cause']}; {how}"
     for cost in race["expected_mse"]:
         assert not np.isclose(cost, [result["expected_mse"], result["search_cost"]]).any()
         assert f"{cost:.3f}" not in re.findall(r"[\d.]+", text)
@@ -124,17 +128,15 @@ def test_what_was_minimised_comes_first_and_where_the_papers_figure_disagrees_it
     genetic = run.summary()["results"]["genetic"]
     assert genetic["mean_relative_gain"] < 0 < genetic["gain_of_means"]
     assert genetic["gains_disagree"]
-    print_summary(run.summary(), "")
-    text = capsys.readouterr().out
+    text = _all_that_is_said(run)
     shown = with_interval(
         *(100 * part for part in (genetic["gain_of_means"], *genetic["gain_of_means_interval"]))
     )
-    headline = "{} % lower  (95 %: {} to {}; gain of means)".format(*shown)
+    headline = "lowers the expected error by {} % (95 %: {} to {} %)".format(*shown)
     assert 0 < text.index(headline) < text.index("mean relative gain")
     noise = run.summary()["results"]["reference"]["gain_over_itself"]
-    words = " ".join(text.split())
-    assert f"of the filters alone gives it a mean of {100 * noise:.2f} %." in words
-    assert "The two gains differ: a relative gain weighs a draw with a small error as much" in words
+    assert f"of the filters alone gives it a mean of {100 * noise:.2f} %" in text
+    assert "the two gains differ a relative gain weighs a draw with a small error as much" in text
     _, told = text.split(headline)
     lines = [line for line in told.splitlines() if "the search believed" not in line]
     assert max(map(len, lines)) <= 80
@@ -166,10 +168,9 @@ def test_a_summary_warns_where_few_draws_carry_the_error(
         mse = np.sort(run.comparison()[f"mse_{name}"])
         assert result["top_percent_share"] == pytest.approx(mse[-4:].sum() / mse.sum())
         assert result["top_percent_share"] > 0.5
-    print_summary(run.summary(), "")
-    told = " ".join(capsys.readouterr().out.split())
+    told = _all_that_is_said(run)
     share = run.summary()["results"]["late"]["top_percent_share"]
-    assert f"heavy tail 1 % of the draws carry {100 * share:.0f} % of the error of late: " in told
+    assert f"Note: 1 % of the draws carry {100 * share:.0f} % of the error of late: " in told
     page = page_of(run).warnings[-1]
     assert f"{100 * share:.0f} % of the error of late: 95 % intervals are too narrow" in page
     evaluation = pfdist.evaluate(problem, [2, 3], draws=400)
@@ -180,10 +181,10 @@ def test_a_summary_warns_where_few_draws_carry_the_error(
 def test_the_papers_model_has_no_heavy_tail(
     finished: Callable[..., Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    summary = pfdist.open_run(finished()).summary()
+    run = pfdist.open_run(finished())
+    summary = run.summary()
     assert all(0.01 < each["top_percent_share"] < 0.25 for each in summary["results"].values())
-    print_summary(summary, "")
-    assert "carry" not in capsys.readouterr().out
+    assert "carry" not in _all_that_is_said(run)
 
 
 # --- One number of measurements is a budget curve of a single number ----------------------------

@@ -11,8 +11,8 @@ import pfdist
 from oracles.bytes_of import hashes
 from oracles.file_layer import Ended, FileLayer
 from pfdist import Job
+from pfdist.api.report import write_report
 from pfdist.errors import StoreError
-from pfdist.reports import write_report
 from pfdist.store.repair import verify_run
 
 PROMISE = "a report that fails spoils neither the run nor the earlier report"

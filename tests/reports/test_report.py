@@ -12,15 +12,14 @@ import pytest
 import pfdist
 from pfdist import Job
 from pfdist.analysis.sampling_windows import sentences, windows_of
+from pfdist.answers.about_run import _LOAD
+from pfdist.answers.run import page_of, searches
+from pfdist.answers.subject import Subject, effect
 from pfdist.cli.main import main
 from pfdist.common.gap_sentence import gap_sentence
 from pfdist.common.percent import percent
 from pfdist.common.rounding import rounded
 from pfdist.errors import StoreError
-from pfdist.reports.run_report import page_of
-from pfdist.reports.sections.computed import _LOAD
-from pfdist.reports.sections.searches import searches
-from pfdist.reports.subject import Subject, effect
 from pfdist.store.repair import verify_run
 
 MODEL = ("model.name=random_walk", "filter.engine=kalman")
@@ -268,7 +267,7 @@ def test_a_mistake_in_the_report_does_not_spoil_a_finished_run(
     def fail(*arguments: object) -> None:
         raise error
 
-    monkeypatch.setattr("pfdist.reports.run_report.page_of", fail)
+    monkeypatch.setattr("pfdist.api.report.page_of", fail)
     told = _again(run)[-1]
     assert pfdist.open_run(run.path).state == "finished"
     assert not (run.path / "report.html").exists()

@@ -13,7 +13,8 @@ import pfdist
 from oracles.bytes_of import hashes
 from pfdist import Job
 from pfdist.analysis import Run
-from pfdist.cli.summary import print_summary
+from pfdist.answers.run import searches
+from pfdist.answers.subject import Subject
 from pfdist.common.streams import stream_of
 from pfdist.evaluation.work import Work
 from pfdist.plots import costs
@@ -102,10 +103,9 @@ def test_distrust_is_said_in_a_line_with_its_reason_and_kept(
     result = run.summary()["results"]["survivors"]
     assert result["search_distrust"] in line
     assert result["search_estimation"] == {"resampling": "systematic"}  # that it ended with
-    print_summary(run.summary(), "")
-    text = capsys.readouterr().out
-    assert f"searched again {result['search_distrust']}" in " ".join(text.split())
-    assert "its draws chose the set; resampling = systematic" in text
+    (row,) = [row for row in searches(Subject(run)).blocks[0].rows if row[0].text == "survivors"]
+    assert result["search_distrust"] in row[-1].text
+    assert row[-1].text.endswith("its draws chose the set; resampling = systematic")
 
 
 @pytest.mark.slow
