@@ -148,7 +148,7 @@ class Budget:
 def test_the_table_of_a_budget_has_the_bound_and_the_limit_holds_as_it_is_printed() -> None:
     bound = {"bound": 25.4371, "bound_error": 0.145, "bound_low": 24.9399}
     _, _, head, row, *_ = Budget(**bound).lines
-    assert head.split() == ["measurements", "regular", "times", "found", "times", "lower", "bound"]
+    assert head.split() == ["N", "regular", "times", "found", "times", "lower", "bound"]
     assert row.endswith("16  34.21 (33.82 to 34.60)  25.85 (25.47 to 26.22)  25.44 (from 24.93)")
     exact = Budget(bound=25.4371, bound_error=0.0, bound_low=25.4371).lines
     assert any(line.endswith("  25.437") for line in exact)
