@@ -7,27 +7,16 @@ from html import escape
 
 @dataclass(frozen=True)
 class Card:
-    """A title and a table that show a result.
+    """A title and a table that show a result."""
 
-    Parameters
-    ----------
-    title : str
-        The result in a line.
-    head : sequence of str
-        Names of the table's columns.
-    rows : sequence of sequences of str
-    """
-
-    title: str
-    head: Sequence[str] = ()
+    title: str  # the result in a line
+    head: Sequence[str] = ()  # names of the table's columns
     rows: Sequence[Sequence[str]] = ()
 
     @property
     def html(self) -> str:
         """The card as HTML; all texts are escaped.
 
-        Examples
-        --------
         >>> Card("a < b", ["t"], [["1"]]).html
         '<p>a &lt; b</p><table><tr><th>t</th></tr><tr><td>1</td></tr></table>'
         """

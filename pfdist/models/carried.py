@@ -26,7 +26,7 @@ from pfdist.models.parameters import Parameter
 from pfdist.models.seeing import with_named_modules
 
 PYTHON: Final = "python:"
-"""What stands in a job before the name of a model that was given as an object in Python."""
+"""The beginning of the name, in a job, of a model that was given as an object in Python."""
 
 
 @dataclass(frozen=True)

@@ -137,7 +137,7 @@ _INSTEAD = {
     "remainder": "a - b * np.rint(a / b)",
     "ulp": "np.spacing(np.abs(a))",
 }
-"""What formulas use instead of functions of `math` that differ from those of NumPy."""
+"""Replacements in formulas for functions of `math` that differ from those of NumPy."""
 
 
 def remedy(error: BaseException) -> str:
