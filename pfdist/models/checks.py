@@ -206,7 +206,7 @@ def _is_number(value: Any) -> bool:
 
 
 def _described(value: Any) -> str:
-    """What a wrong value is, and what it lacks."""
+    """Description of a wrong value, and of what it lacks."""
     if value is None:
         return "None: is there no `return`?"
     if isinstance(value, list):

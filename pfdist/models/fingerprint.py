@@ -286,7 +286,7 @@ def _is_named_tuple(value: Any) -> bool:
 
 
 def _described(value: Any) -> str:
-    """What a value without a fingerprint is, and what to write instead."""
+    """Description of a value without a fingerprint, and advice what to write instead."""
     if isinstance(value, type):
         return f"the class {value.__name__}"
     kind = type(value).__name__
