@@ -22,7 +22,7 @@ from pfdist.times.measurement_times import Times
 class Longer(NamedTuple):
     """Windows by which a relaxation can grow."""
 
-    windows: frozenset[Window]  # not known yet
+    windows: frozenset[Window]  # windows that the relaxation does not know yet
     far: frozenset[Window]  # known windows whose errors are to count up to T
 
 

@@ -115,7 +115,7 @@ def _section(section: str, model: type[BaseModel]) -> Any:
         field = kind.model_fields[part]
         if kinds := _kinds(field):
             kind = kinds[next(parts)]
-        else:  # an optional section, or one
+        else:  # a section, which may be optional
             kind = next(iter(get_args(field.annotation)), field.annotation)
     return kind
 

@@ -21,7 +21,10 @@ _LONGEST = 80  # characters of a key that an error shows
 
 
 def read_text(path: Path) -> str:
-    """The content of a text file; a ValueError if it is too large or not UTF-8, or an OSError."""
+    """The content of a text file.
+
+    A ValueError says that it is too large or not UTF-8, and an OSError that it cannot be read.
+    """
     with path.open("rb") as file:
         content = file.read(MOST_BYTES + 1)
     if len(content) > MOST_BYTES:

@@ -12,7 +12,7 @@ T = TypeVar("T")
 
 
 class Registry(Mapping[str, T], Generic[T]):
-    """Objects of a kind by their names.
+    """Objects of a kind by their names, in alphabetical order.
 
     The modules of the package `package` declare themselves when they are imported. They are
     imported when the table is first read, and so are the entry points of the group `group`, if

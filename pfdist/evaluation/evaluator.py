@@ -58,7 +58,7 @@ class Evaluator:
     dtype: str = "float64"  # type in which the particles' states are stored
     engine: str = "compiled"  # "auto" here means the compiled engine
     # Distribution of x(s), in the place of `initial`: draws and filters start at s. A normal
-    # distribution is for the engine "kalman" alone.
+    # distribution is only for the engine "kalman".
     prior: Prior | None = None
     # (T+1,): of each instant's error; by default all are equal
     weights: tuple[float, ...] | None = None

@@ -1,6 +1,6 @@
 """The matrices of a model that declares itself linear and Gaussian.
 
-They are found by calling its formulas on the unit vectors, so they are written down once.
+They come from the values of its formulas at 0 and at unit vectors. So the user writes only formulas.
 """
 
 from collections.abc import Callable

@@ -89,7 +89,8 @@ def _compiled(function: Any, name: str, callers: tuple[Any, ...]) -> Callable[..
         return _INSTEAD.get(id(value), value)
 
     compilable = seeing(function, instead, name)
-    # Its module's name would be kept with the compiled code, and be unknown to another process.
+    # Numba stores the name of the function's module with the compiled code. Another process may not
+    # be able to import the user's module, so the name is that of this module.
     compilable.__globals__["__name__"] = compilable.__module__ = __name__
     # A helper's arguments may be arrays. A function may make arrays, which the filter it melts into
     # cannot.
@@ -200,7 +201,7 @@ def formulas_of(model: str, formulas: Mapping[str, Callable[..., Any]]) -> Itera
 def _formula_at_fault(
     error: BaseException, formulas: Mapping[str, Callable[..., Any]]
 ) -> tuple[str, int | None]:
-    """Name of the formula that an error passed through, and t in it where it is known."""
+    """Name of the formula that an error passed through, and the value of its t if it has one."""
     names = {function.__code__: name for name, function in formulas.items()}
     for frame, _ in frames_of(error):
         if frame.f_code in names:

@@ -150,8 +150,8 @@ def _readable(file: Path, name: str) -> Path:
 def _imported(file: Path) -> types.ModuleType:
     """Import a model's file by Python's own import system, under a name of its own.
 
-    The modules beside it are found while it is imported, and then leave Python's table of modules:
-    two models may both have a ``helper``.
+    Python finds the modules beside it while it is imported. Then they leave Python's table of
+    modules: two models may both have a ``helper``.
     """
     folder = file.resolve().parent
     own = f"pfdist_model_{hashlib.sha256(bytes(file.resolve())).hexdigest()[:16]}"

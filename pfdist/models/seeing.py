@@ -16,7 +16,7 @@ from numba.extending import is_jitted
 from pfdist.errors import ModelError
 from pfdist.models.mistakes import place_of_function, ships
 
-_PLACE = {"__file__", "__path__"}  # by which a module is known as the user's
+_PLACE = {"__file__", "__path__"}  # show that a module is the user's
 _LIBRARIES = sys.stdlib_module_names | {
     *("llvmlite", "matplotlib", "numba", "numpy", "pandas", "pyarrow", "ray", "scipy"),
 }

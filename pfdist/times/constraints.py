@@ -73,7 +73,10 @@ class Constraints:
 
     @cached_property
     def total(self) -> int:
-        """The sum to spend: N, or money in the largest unit in which all costs are whole."""
+        """The sum to spend: N, or money in the largest unit in which all costs are whole.
+
+        Money is at most what all allowed times cost together.
+        """
         if self.measurement_budget is not None:
             return self.measurement_budget
         return min((self.total_cost or 0) // self.unit, self.spent(self.allowed))

@@ -40,7 +40,7 @@ def _check_times(constraints: Constraints) -> None:
 
 
 def _check_budget_or_cost(constraints: Constraints) -> None:
-    """Refuse a budget beside costs, and costs without a sum or of a wrong number."""
+    """Refuse a budget with costs, and costs without a sum, below 1 or of a wrong number."""
     given = (constraints.measurement_budget, constraints.cost, constraints.total_cost)
     if given == (None, None, None):
         raise MeasurementTimesError(
