@@ -1,6 +1,6 @@
 """The matrices of a model that declares itself linear and Gaussian.
 
-They come from the values of its formulas at 0 and at unit vectors. So the user writes only formulas.
+They come from the values of its formulas at 0 and at unit vectors: the user writes only formulas.
 """
 
 from collections.abc import Callable
