@@ -177,7 +177,7 @@ class Clock:
         return tuple(chosen)
 
     def since(self, first: int) -> "Clock":
-        """The clock of the instants from `first` on: times stay the same, and instants count from 0."""
+        """The clock of the instants from `first` on: same times, but instants count from 0."""
         return Clock(self.times[first:], self.unit)
 
     @property
