@@ -14,7 +14,7 @@ from numba.extending import overload
 
 
 def where(condition: Any, if_true: Any, if_false: Any) -> Any:
-    """Give the first value where the condition holds, and the second elsewhere.
+    """The first value where the condition holds, and the second elsewhere.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def where(condition: Any, if_true: Any, if_false: Any) -> Any:
 
 
 def clip(x: Any, low: Any, high: Any) -> Any:
-    """Give a value limited elementwise to the interval from low to high.
+    """The value limited elementwise to the interval from low to high.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""All errors that pfdist raises on purpose, and functions that shorten values for messages.
+"""All errors that pfdist raises on purpose, and functions that shorten values in messages.
 
 ::
 
@@ -11,6 +11,7 @@
     ├── MeasurementsError           measured values or their table are wrong
     ├── PriorError                  particles from which a filter is to start are wrong
     ├── StoreError                  a run's folder cannot be read or written
+    │   ├── BusyError               another process computes the run
     │   └── RunMismatchError        the folder holds the run of another job
     ├── SearchError                 a search ended without a result
     ├── SweepError                  some points of a sweep failed; the others are finished
@@ -43,15 +44,10 @@ _shortener.maxlevel = 3
 
 
 def shown(value: Any) -> str:
-    """Give a value as messages show it: as Python writes it, but a long value without its middle.
+    """A value as messages show it: as Python writes it, but a long value without its middle.
 
-    Parameters
-    ----------
-    value : object
-        A value from a file or the command line, of any size and depth.
+    The value comes from a file or the command line, and may have any size and depth.
 
-    Examples
-    --------
     >>> shown("fresh"), shown([1, 2, 3])
     ("'fresh'", '[1, 2, 3]')
     >>> shown("x" * 3_000_000).count("x") < 100
@@ -61,15 +57,13 @@ def shown(value: Any) -> str:
 
 
 def shown_text(text: str) -> str:
-    """Give a text as messages show it: a long text without its middle."""
+    """A text as messages show it: a long text without its middle."""
     return text if len(text) <= 3 * _LONGEST else f"{text[: 2 * _LONGEST]}...{text[-_LONGEST:]}"
 
 
 def one_line(text: str) -> str:
-    r"""Give a text as one line without control characters, which a path or a table may contain.
+    r"""A text as one line without control characters, which a path or a table may contain.
 
-    Examples
-    --------
     >>> one_line("results/a\nb"), one_line("results/\x1b[2J")
     ('results/a b', 'results/?[2J')
     """

@@ -1,4 +1,4 @@
-"""The relaxation before its windows grow: all windows up to a number of measurements."""
+"""The first relaxations: all windows up to a number of measurements, before windows grow."""
 
 import math
 from dataclasses import replace
@@ -18,20 +18,16 @@ _LEAST_OF_A_SEARCH = 1.2
 
 
 def relaxation_with(constraints: Constraints, window: int, longest_gap: int) -> Relaxation:
-    """Give the relaxation that knows all windows of at most so many measurements.
+    """The relaxation with all windows of at most `window` measurements.
 
-    Windows with a gap longer than the longest gap are not known. The instants before the first
-    measurement of a set are no gap.
-
-    Raises
-    ------
-    MeasurementTimesError
-        The window or the longest gap is less than 1.
+    Windows with a gap longer than the longest gap are left out. The instants before the first
+    measurement of a set are no gap. A `MeasurementTimesError` says that the window or the gap is
+    less than 1.
     """
     if window < 1:
         raise MeasurementTimesError(f"window must be at least 1, got {window}")
-    found: set[Window] = {START, *((time,) for time in constraints.allowed)}
-    new = list(found)
+    windows: set[Window] = {START, *((time,) for time in constraints.allowed)}
+    new = list(windows)
     while new:
         shorter = new.pop()
         if len(shorter) == window:
@@ -40,33 +36,19 @@ def relaxation_with(constraints: Constraints, window: int, longest_gap: int) -> 
         until = constraints.horizon if last == NOTHING else last + longest_gap
         longer = [(*shorter, time) for time in followers(constraints, last) if time <= until]
         new += longer
-        found.update(longer)
-    return Relaxation(constraints, in_order(found), longest_gap)
+        windows.update(longer)
+    return Relaxation(constraints, in_order(windows), longest_gap)
 
 
 def relaxation_for(
     constraints: Constraints, window: int, measurements: int, most_cells: int
 ) -> Relaxation:
-    """Give the relaxation that knows all windows of at most so many measurements, within a memory.
+    """The relaxation with all windows of at most `window` measurements, within a memory.
 
     The longest gap is three mean gaps, or less if that needs too much memory, but at least two.
-    Money is counted in units of which the sum to spend has at most `MOST_UNITS`.
-
-    Parameters
-    ----------
-    constraints : Constraints
-    window : int
-        Largest number of measurements of a window.
-    measurements : int
-        Usual number of measurements of a set, which gives the mean gap. The relaxation holds for
-        sets of any number.
-    most_cells : int
-        Largest number of errors that count.
-
-    Raises
-    ------
-    JobError
-        The relaxation has more errors than allowed.
+    `measurements` is the usual number of measurements of a set, which gives the mean gap; the
+    relaxation holds for sets of any number. Money is counted in units of which the sum to spend has
+    at most `MOST_UNITS`. A `JobError` says that more than `most_cells` errors count.
     """
     gap = _longest_gap(constraints, window, measurements, most_cells, least=2.0)
     cells = _cells(constraints, window, gap)
@@ -80,16 +62,12 @@ def relaxation_for(
 
 
 def relaxation_within(constraints: Constraints, measurements: int, most_cells: int) -> Relaxation:
-    """Give the relaxation with which a search begins; none is refused.
+    """The relaxation with which a search begins, within a memory; none is refused.
 
-    It knows windows of `WINDOW` measurements with gaps of up to three mean gaps, or down to 1.2
-    where three need too much memory. If these are too many, it knows single measurements alone,
-    and windows grow from them. This happens where few measurements lie far apart.
-
-    Parameters
-    ----------
-    constraints, measurements, most_cells
-        As for `relaxation_for`.
+    It has windows of `WINDOW` measurements with gaps of up to three mean gaps, or down to 1.2 if
+    three need too much memory. If these are too many, it has only single measurements, and windows
+    grow from them. This happens if few measurements lie far apart. The arguments are those of
+    `relaxation_for`.
     """
     for window, least in ((WINDOW, _LEAST_OF_A_SEARCH), (1, 3.0)):
         gap = _longest_gap(constraints, window, measurements, most_cells, least)
@@ -101,7 +79,7 @@ def relaxation_within(constraints: Constraints, measurements: int, most_cells: i
 def _longest_gap(
     constraints: Constraints, window: int, measurements: int, most_cells: int, least: float
 ) -> int:
-    """Give a gap of three mean gaps, or of the least number of mean gaps that memory demands."""
+    """The longest gap: three mean gaps, or less if memory demands it, but not below `least`."""
     instants = constraints.horizon + 1
     shortest, gap = (
         min(math.ceil(gaps * instants / (measurements + 1)), instants) for gaps in (least, 3.0)
@@ -112,12 +90,12 @@ def _longest_gap(
 
 
 def _cells(constraints: Constraints, window: int, longest_gap: int) -> int:
-    """Give about how many errors count."""
+    """About how many errors count."""
     instants = constraints.horizon + 1
     return int(instants * longest_gap ** (window - 1) * longest_gap) + instants**2
 
 
 def _relaxation(constraints: Constraints, window: int, longest_gap: int) -> Relaxation:
-    """Give the relaxation in coarse units of money."""
+    """The relaxation with money in coarse units."""
     unit = 1 if constraints.counted else math.ceil(constraints.total / MOST_UNITS)
     return replace(relaxation_with(constraints, window, longest_gap), unit=unit)

@@ -9,78 +9,48 @@ from pfdist.bounds.proof import Proof
 from pfdist.common.estimate import Estimate
 from pfdist.times.measurement_times import Times
 
-_ROUNDING = 1e-12
+_ROUNDING = 1e-12  # relative error of exact values
 UNKNOWN, ZERO = Estimate(math.nan, math.nan), Estimate(0.0)
 
 
 @dataclass(frozen=True)
 class SetAlone:
-    """The expected MSE of a set, and the parts of its gap that no relaxation causes.
+    """The expected MSE of a set, and the parts of its gap that no relaxation causes."""
 
-    Parameters
-    ----------
-    expected_mse : Estimate
-        With the job's own filter. It is NaN if a draw is degenerate or infinite.
-    estimate : Estimate
-        Expected MSE with the true model, less the expected variance of particles among which the
-        truth stands. This is at least what the number of particles costs.
-    filter_model : Estimate
-        Expected MSE with the filter's model, less that with the true model.
-    both : Estimate
-        Sum of both parts, with its own error.
-    """
-
-    expected_mse: Estimate
+    expected_mse: Estimate  # with the job's own filter; NaN if a draw is degenerate or infinite
+    # Expected MSE with the true model, less the expected variance of particles among which the
+    # truth stands. This is at least what the number of particles costs.
     estimate: Estimate = ZERO
+    # expected MSE with the filter's model, less that with the true model
     filter_model: Estimate = ZERO
-    both: Estimate = ZERO
+    both: Estimate = ZERO  # sum of both parts, with its own error
 
 
 @dataclass(frozen=True)
 class Gap:
-    """How much lower the expected MSE of other times can be, for one set of a run.
-
-    Parameters
-    ----------
-    name : str
-    measurement_times : tuple of int
-        Instants; times on the clock where a user reads them. So is `path`.
-    expected_mse : Estimate
-        With the job's own filter, on draws that neither chose the set nor gave the bound.
-    reason : str
-        Why there is no bound; then everything below is NaN. Empty if the bound holds.
-    budget : int
-        The bound holds for all feasible sets of so many times, or of so much money, in the units
-        of the relaxation.
-    bound : Estimate
-        Lower bound of the expected MSE of every such set, by any filter.
-    path : tuple of int
-        The times that reach the bound in the relaxation.
-    gap : float
-        The sum of the three parts below over the expected MSE, at least 0. Each part is a
-        difference on common draws, so the gap has a smaller error than 1 - bound / expected_mse.
-    gap_at_most : float
-        One-sided limit of the gap.
-    relaxation, estimate, filter_model : Estimate
-        The parts of the difference: relaxation and chance; number of particles and bias of the
-        estimate; wrong model of the filter.
-    """
+    """How much lower the expected MSE of other times can be, for one set of a run."""
 
     name: str
-    measurement_times: Times
+    measurement_times: Times  # instants, as in `path`; times on the clock where a user reads them
+    # with the job's own filter, on draws that neither chose the set nor gave the bound
     expected_mse: Estimate
+    # Why there is no bound; then everything below is NaN. Empty if the bound holds.
     reason: str = ""
+    # The bound holds for all feasible sets of so many times, or of so much money, in the units of
+    # the relaxation.
     budget: int = 0
-    bound: Estimate = UNKNOWN
-    path: Times = ()
+    bound: Estimate = UNKNOWN  # lower bound of the expected MSE of every such set, by any filter
+    path: Times = ()  # the times that reach the bound in the relaxation
+    # The sum of the three parts below over the expected MSE, at least 0. Each part is a difference
+    # on common draws, so the gap has a smaller error than 1 - bound / expected_mse.
     gap: float = math.nan
-    gap_at_most: float = math.nan
-    relaxation: Estimate = UNKNOWN
-    estimate: Estimate = UNKNOWN
-    filter_model: Estimate = UNKNOWN
+    gap_at_most: float = math.nan  # one-sided limit of the gap
+    relaxation: Estimate = UNKNOWN  # part of the gap: relaxation and chance
+    estimate: Estimate = UNKNOWN  # part of the gap: number of particles and bias of the estimate
+    filter_model: Estimate = UNKNOWN  # part of the gap: wrong model of the filter
 
     def columns(self) -> dict[str, Any]:
-        """The gap as values of a table's row; an estimate becomes two."""
+        """The gap as values of a table's row; an estimate becomes two values."""
         row = dict[str, Any]()
         for key, value in vars(self).items():
             if isinstance(value, Estimate):
@@ -91,29 +61,21 @@ class Gap:
 
 
 def gap_of(
-    name: str, times: Times, alone: SetAlone, proof: Proof, place: int, confidence: float
+    name: str, times: Times, parts: SetAlone, proof: Proof, place: int, confidence: float
 ) -> Gap:
-    """The gap of a feasible set; `consistent` compares it with those of other sets.
+    """The gap of a feasible set, which is number `place` of the proof's known sets.
 
-    Parameters
-    ----------
-    name : str
-    times : tuple of int
-    alone : SetAlone
-    proof : Proof
-    place : int
-        The place of this set among the known sets of the proof.
-    confidence : float
-        Confidence of the limit of the gap.
+    `confidence` is that of the limit of the gap. The result is compared with other sets by
+    `consistent`.
     """
-    mse = alone.expected_mse
+    mse = parts.expected_mse
     if not math.isfinite(mse.value):
         return Gap(name, times, mse, "a draw is degenerate or infinite with the set itself")
     slack, budget = proof.slack[place], proof.budgets[place]
-    total = slack.plus(alone.both)
+    total = slack.plus(parts.both)
     at_most = total.at_most(confidence)
     scale = 1 / mse.value if mse.value > 0 else 0.0
-    is_below = total.is_negative() and -total.value * scale > _ROUNDING  # of exact values
+    is_below = total.is_negative() and -total.value * scale > _ROUNDING
     return Gap(
         name,
         times,
@@ -125,21 +87,16 @@ def gap_of(
         min(max(0.0, total.value * scale), 1.0),
         min(max(0.0, at_most * scale), 1.0),  # no error is negative
         relaxation=slack,
-        estimate=alone.estimate,
-        filter_model=alone.filter_model,
+        estimate=parts.estimate,
+        filter_model=parts.filter_model,
     )
 
 
 def consistent(gaps: Mapping[str, Gap]) -> dict[str, Gap]:
-    """The gaps, without those that a wrong likelihood must have caused.
+    """The gaps of all known sets, without those that a wrong likelihood must have caused.
 
     With the likelihood of the noise, the variance is at most the squared error, and no set costs
     less than the bound.
-
-    Parameters
-    ----------
-    gaps : mapping of str to Gap
-        All known sets.
     """
     everywhere = ""
     if any(gap.estimate.is_negative() for gap in gaps.values()):

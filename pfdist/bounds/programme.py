@@ -3,9 +3,7 @@
 A set spends its number of measurements, or their costs in units. All sums up to the largest come
 out of one programme.
 
-References
-----------
-Bellman, "Dynamic programming", 1957. Christofides, Mingozzi, Toth, "State-space relaxation
+Sources: Bellman, "Dynamic programming", 1957. Christofides, Mingozzi, Toth, "State-space relaxation
 procedures for the computation of bounds to routing problems", Networks 11, 1981.
 """
 
@@ -23,32 +21,20 @@ Array = NDArray[np.float64]
 
 
 class Least(NamedTuple):
-    """The least relaxed expected MSE of each sum that may be spent.
+    """The least relaxed expected MSE of each sum that may be spent."""
 
-    Parameters
-    ----------
-    mse : array of float64, (..., most+1)
-        For 0 to most units; inf where no set costs so much.
-    paths : list of tuples of int
-        Measurement times that reach it, for the first of the leading axes; empty where none does.
-    """
-
-    mse: Array
+    mse: Array  # (..., most+1): for 0 to most units; inf if no set costs so much
+    # Measurement times that reach each value, for the first of the leading axes; empty if no set
+    # costs so much.
     paths: list[Times]
 
 
 def least(relaxation: Relaxation, errors: Array, most: int) -> Least:
-    """Find the least relaxed expected MSE for each sum that may be spent.
+    """Find the least relaxed expected MSE for each sum that may be spent, up to `most`.
 
-    Parameters
-    ----------
-    relaxation : Relaxation
-    errors : array of float64, (..., E)
-        Expected errors of all windows at all instants at which they count, window by window; see
-        `Relaxation.offsets`. Leading axes, such as resamples of the draws, have programmes of
-        their own.
-    most : int
-        The largest sum: of measurements, or of their prices in units.
+    `errors` (..., E) are expected errors of all windows at all instants at which they count, window
+    by window; see `Relaxation.offsets`. Leading axes, such as resamples of the draws, have
+    programmes of their own.
     """
     programmes = [Programme(relaxation, row, most) for row in errors.reshape(-1, errors.shape[-1])]
     mse = np.array([programme.mse for programme in programmes])
@@ -58,17 +44,9 @@ def least(relaxation: Relaxation, errors: Array, most: int) -> Least:
 
 @dataclass(frozen=True)
 class Programme:
-    """The programme for the errors of one group of draws.
+    """The programme for the errors (E,) of one group of draws; `most` is the largest sum.
 
     If measurements are counted, a set makes exactly as many as a sum says. Money may be left over.
-
-    Parameters
-    ----------
-    relaxation : Relaxation
-    errors : array of float64, (E,)
-        As for `least`.
-    most : int
-        The largest sum.
     """
 
     relaxation: Relaxation
@@ -82,7 +60,7 @@ class Programme:
         return start / (self.relaxation.horizon + 1)
 
     def path(self, spent: int) -> Times:
-        """Give the times that reach the least error for a sum; empty if no set costs so much."""
+        """The times that reach the least error for a sum; empty if no set costs so much."""
         start = self.relaxation.index[START]
         return self._path_from(start, spent) if np.isfinite(self._from[start, spent]) else ()
 
@@ -92,7 +70,7 @@ class Programme:
         return sums / (self.relaxation.horizon + 1)
 
     def path_through(self, window: int, spent: int) -> Times:
-        """Give the times that reach the least error among the sets of a sum that pass a window."""
+        """The times that reach the least error among the sets of a sum that pass a window."""
         before = int(np.argmin(self._to[window, : spent + 1] + self._from[window, spent::-1]))
         return (*self._path_to(window, before), *self._path_from(window, spent - before))
 
@@ -133,26 +111,29 @@ class Programme:
         return np.where(self.relaxation.may_end, rest, np.inf)
 
     def _between(self, windows: Indices, until: Indices | int) -> Array:
-        """Sum the errors from the last measurement of each window to the instant before another."""
+        """Sums of errors from the last measurement of each window to just before `until`.
+
+        After its end, a window's error is that of its last time alone.
+        """
         relaxation, until = self.relaxation, np.broadcast_to(until, windows.shape)
         own = np.minimum(until, relaxation.ends[windows] + 1)
         total, beyond = self._before(windows, own), own < until
-        alone = relaxation.alone[windows]
-        known = beyond & relaxation.passable[alone]
-        rest = self._before(alone[known], until[known])
-        total[known] += rest - self._before(alone[known], own[known])
-        total[beyond & ~known] = np.inf
+        single = relaxation.single[windows]
+        counted = beyond & relaxation.passable[single]
+        rest = self._before(single[counted], until[counted])
+        total[counted] += rest - self._before(single[counted], own[counted])
+        total[beyond & ~counted] = np.inf
         return total
 
     def _before(self, windows: Indices, until: Indices | int) -> Array:
-        """Sum the errors of each window from its last measurement to the instant before another."""
+        """Sums of the errors of each window from its last measurement to just before `until`."""
         begin = self.relaxation.offsets[windows] + windows - self.relaxation.first[windows]
         sums: Array = self._summed[begin + until]
         return sums
 
     @cached_property
     def _summed(self) -> Array:
-        """Sums of the errors of each window before each instant at which they count, and after."""
+        """Cumulative sums of each window's errors, with a 0 before its first error."""
         offsets = self.relaxation.offsets
         sizes = np.diff(offsets)
         summed = np.zeros(self.errors.size + sizes.size)
@@ -171,7 +152,7 @@ class Programme:
         return {moves.time: moves for moves in self.relaxation.moves}
 
     def _path_to(self, window: int, spent: int) -> Times:
-        """Follow the programme back from a window."""
+        """The times before and up to a window's last, by following the programme back."""
         relaxation, times = self.relaxation, list[int]()
         while window != relaxation.index[START]:
             time = int(relaxation.last[window])
@@ -182,7 +163,7 @@ class Programme:
         return tuple(reversed(times))
 
     def _path_from(self, window: int, spent: int) -> Times:
-        """Follow the programme from a window to the end of the horizon."""
+        """The times after a window's last, by following the programme to the end of the horizon."""
         relaxation, times, prices = self.relaxation, list[int](), np.array(self._prices)
         while True:
             after = relaxation.after[window]

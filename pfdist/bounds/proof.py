@@ -5,11 +5,9 @@ the error of the exact filter, for any number of particles (`pfdist.kernels.sche
 The bound is the least of many estimated costs. Its expectation is at most the least expected cost,
 so it is too low on average, and the gap too large: this is the safe direction.
 
-References
-----------
-Bayraksan, Morton, "Assessing solution quality in stochastic programs", Mathematical Programming
-108, 2006 (the gap of a candidate and the optimum, paired on the same draws). Efron, Tibshirani, "An
-introduction to the bootstrap", 1993, chapter 11 (the jackknife).
+Sources: Bayraksan, Morton, "Assessing solution quality in stochastic programs", Mathematical
+Programming 108, 2006 (the gap of a candidate and the optimum, paired on the same draws). Efron,
+Tibshirani, "An introduction to the bootstrap", 1993, chapter 11 (the jackknife).
 """
 
 import math
@@ -29,31 +27,18 @@ Array = NDArray[np.float64]
 
 
 class Sums(NamedTuple):
-    """Sums of errors over groups of draws. One group of one draw holds exact errors.
+    """Sums of errors over G groups of draws. A single group of one draw holds exact errors."""
 
-    Parameters
-    ----------
-    relaxed : array of float64, (G, E)
-        Errors of all windows of a relaxation, as `pfdist.bounds.programme.least` takes them.
-    own : array of float64, (G, C, T+1)
-        Errors of each known set.
-    draws : array of float64, (G,)
-        Number of draws of each group.
-    """
-
+    # (G, E): errors of all windows of a relaxation, as `pfdist.bounds.programme.least` takes them
     relaxed: Array
-    own: Array
-    draws: Array
+    own: Array  # (G, C, T+1): errors of each known set
+    draws: Array  # (G,): number of draws of each group
 
     def means(self) -> tuple[Array, Array]:
-        """Give the means over all groups, and over all groups but each, (1+G, ...).
+        """Mean errors of the windows, (1+G, E), and expected MSE of each known set, (1+G, C).
 
-        Returns
-        -------
-        array of float64, (1+G, E)
-            Mean errors of the windows. With one group, there is nothing but the first row.
-        array of float64, (1+G, C)
-            Expected MSE of each known set.
+        The first row is the mean over all groups, and each other row leaves one group out. With a
+        single group, there is only the first row.
         """
         relaxed, own = (_resampled(part, self.draws) for part in (self.relaxed, self.own))
         return relaxed, own.mean(axis=2)
@@ -61,48 +46,31 @@ class Sums(NamedTuple):
 
 @dataclass(frozen=True)
 class Proof:
-    """The lower bounds of all sums that may be spent, and the slack of known sets.
+    """The lower bounds of all sums that may be spent, and the slack of known sets."""
 
-    Parameters
-    ----------
-    bounds : list of Estimate
-        Lower bound of the expected MSE for 0, 1, 2, ... measurements, or units of money.
-    paths : list of tuples of int
-        The times that reach each bound in the relaxation; they need not reach it themselves.
-    budgets : list of int
-        For each known set, the sum whose bound holds for it.
-    slack : list of Estimate
-        For each known set, how much its own expected error, by the same estimate on the same draws,
-        lies above the bound of the sum that it spends.
-    """
-
+    # lower bound of the expected MSE for 0, 1, 2, ... measurements, or units of money
     bounds: list[Estimate]
+    # the times that reach each bound in the relaxation; they need not reach it themselves
     paths: list[Times]
-    budgets: list[int]
+    budgets: list[int]  # for each known set, the sum whose bound holds for it
+    # For each known set, how much its own expected error, by the same estimate on the same draws,
+    # lies above the bound of the sum that it spends.
     slack: list[Estimate]
 
 
 def prove(relaxation: Relaxation, sums: Sums, sets: Sequence[Times], most: int) -> Proof:
-    """Compute the lower bounds from errors of the relaxed filter.
+    """Compute the lower bounds of all sums up to `most`, and the slack of C known sets.
 
-    Parameters
-    ----------
-    relaxation : Relaxation
-    sums : Sums
-        The jackknife leaves one group of draws out.
-    sets : sequence of tuples of int, (C,)
-        The known sets.
-    most : int
-        The largest sum to spend: of measurements, or of their prices.
+    The jackknife, which gives the standard errors, leaves one group of draws out.
     """
     relaxed, own = sums.means()
-    found = least(relaxation, relaxed, most)
+    lowest = least(relaxation, relaxed, most)
     budgets = [relaxation.spent(times) for times in sets]
     return Proof(
-        [_jackknifed(bound) for bound in found.mse.T],
-        found.paths,
+        [_jackknifed(bound) for bound in lowest.mse.T],
+        lowest.paths,
         budgets,
-        [_jackknifed(own[:, i] - found.mse[:, budget]) for i, budget in enumerate(budgets)],
+        [_jackknifed(own[:, i] - lowest.mse[:, budget]) for i, budget in enumerate(budgets)],
     )
 
 

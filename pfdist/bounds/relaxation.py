@@ -11,12 +11,10 @@ window follows from the last one and the next time, whatever was measured before
 programme finds the set with the least relaxed error. All windows of two measurements are a good
 start, and `pfdist.bounds.growth` adds longer ones where they matter.
 
-References
-----------
-Aho, Corasick, "Efficient string matching: an aid to bibliographic search", Communications of the
-ACM 18, 1975 (the longest known end, and how it changes with the next symbol). Vitus, Zhang, Abate,
-Hu, Tomlin, "On efficient sensor scheduling for linear dynamical systems", Automatica 48, 2012
-(monotone covariances). Brown, Smith, Sun, "Information relaxations and duality in stochastic
+Sources: Aho, Corasick, "Efficient string matching: an aid to bibliographic search", Communications
+of the ACM 18, 1975 (the longest known end, and how it changes with the next symbol). Vitus, Zhang,
+Abate, Hu, Tomlin, "On efficient sensor scheduling for linear dynamical systems", Automatica 48,
+2012 (monotone covariances). Brown, Smith, Sun, "Information relaxations and duality in stochastic
 dynamic programs", Operations Research 58, 2010.
 """
 
@@ -45,26 +43,16 @@ Indices = NDArray[np.int64]
 
 
 class Moves(NamedTuple):
-    """All moves from one window to the next by a measurement at one time.
-
-    Parameters
-    ----------
-    time : int
-    before : array of int64, (n,)
-        Index of the window before the measurement, sorted by the window after it.
-    after : array of int64, (m,)
-        Indices of the windows after it; all differ.
-    starts : array of int64, (m,)
-        For each of them, its first place in `before`.
-    """
+    """All moves from one window to the next by a measurement at one time."""
 
     time: int
+    # (n,): index of the window before the measurement, sorted by the window after it
     before: Indices
-    after: Indices
-    starts: Indices
+    after: Indices  # (m,): indices of the windows after it; all differ
+    starts: Indices  # (m,): the first place in `before` of each window after it
 
     def leading_to(self, window: int) -> Indices:
-        """Give the windows from which the measurement leads to a window."""
+        """The windows from which the measurement leads to a window."""
         place = int(np.searchsorted(self.after, window))
         stops = np.append(self.starts[1:], self.before.size)
         return self.before[self.starts[place] : stops[place]]
@@ -74,35 +62,21 @@ class Moves(NamedTuple):
 class Relaxation:
     """The known windows of a relaxed filter, and how a measurement leads from one to the next.
 
-    Parameters
-    ----------
-    constraints : Constraints
-        Forbidden and required times and the spacing bind every path. Their number of measurements
-        is not used: a path may have any number.
-    windows : tuple of tuples of int, (W,)
-        Sorted by the last time. They include `START`, each allowed time alone, and all beginnings.
-    longest_gap : int
-        An error of a window counts for fewer instants than this. If nothing is measured for longer,
-        the error of the window's last time alone counts.
-    far : frozenset of tuples of int
-        Windows whose errors count up to T.
-    only : frozenset of tuples of int, optional
-        Windows that paths may pass; errors of others are not known. By default all windows.
-    unit : int
-        The prices of measurements are rounded down to whole units. With prices that are too low, a
-        path may measure more, so the bound remains one.
-
-    Raises
-    ------
-    MeasurementTimesError
-        The longest gap is less than 1.
+    The constraints bind every path, but for their number of measurements: a path may have any
+    number. A `MeasurementTimesError` says that the longest gap is less than 1.
     """
 
     constraints: Constraints
+    # (W,): sorted by the last time; START, each allowed time alone, and all beginnings are there
     windows: tuple[Window, ...]
+    # An error of a window counts for fewer instants than this. If nothing is measured for longer,
+    # the error of the window's last time alone counts.
     longest_gap: int
-    far: frozenset[Window] = frozenset()
+    far: frozenset[Window] = frozenset()  # windows whose errors count up to T
+    # Windows that paths may pass; errors of others are not known. By default all windows.
     only: frozenset[Window] | None = None
+    # Prices are rounded down to whole units. With prices that are too low, a path may measure more,
+    # so the bound is still a lower bound.
     unit: int = 1
 
     def __post_init__(self) -> None:
@@ -164,27 +138,29 @@ class Relaxation:
         return [self.filtered(window) for window in self.windows]
 
     def filtered(self, window: Window) -> Times:
-        """Give the measurement times of the filter of a window."""
+        """The measurement times of the filter of a window."""
         filled = (time for time in self.constraints.allowed if time <= window[0])
         return (*filled, *window[1:])
 
     @cached_property
-    def alone(self) -> Indices:
-        """Index of the window that is the last time of each window alone, (W,)."""
+    def single(self) -> Indices:
+        """For each window, (W,), the index of the window that has only its last time."""
         return np.array([self.index[window[-1:]] for window in self.windows])
 
     @cached_property
     def after(self) -> NDArray[np.int32]:
         """Index of the window after a measurement at each time, (W, T+1); -1 if it is forbidden."""
+        # Short windows come first: a window takes the row of its longest known end, which is
+        # shorter, and then the windows that continue it replace entries (Aho and Corasick).
         after = np.full((len(self.windows), self.horizon + 1), -1, np.int32)
         following = dict[int, list[int]]()
         for number, window in enumerate(self.windows):
             if len(window) > 1:
                 following.setdefault(self.index[window[:-1]], []).append(number)
-        alone = [self.index.get((time,), -1) for time in range(self.horizon + 1)]
+        single = [self.index.get((time,), -1) for time in range(self.horizon + 1)]
         for number in sorted(range(len(after)), key=lambda number: len(self.windows[number])):
             window = self.windows[number]
-            after[number] = alone if len(window) == 1 else after[self._suffix(window)]
+            after[number] = single if len(window) == 1 else after[self._suffix(window)]
             for longer in following.get(number, ()):
                 after[number, self.windows[longer][-1]] = longer
         return np.where(self._follows[self.last + 1] & self.passable[after], after, -1)
@@ -192,15 +168,15 @@ class Relaxation:
     @cached_property
     def moves(self) -> list[Moves]:
         """The moves by each time that any window allows, sorted by the time."""
-        found = []
+        moves = []
         for time in self.constraints.allowed:
             before = np.flatnonzero(self.after[:, time] >= 0)
             order = np.argsort(self.after[before, time], kind="stable")
             before = before[order]
             after, starts = np.unique(self.after[before, time], return_index=True)
             if before.size:
-                found.append(Moves(time, before, after.astype(np.int64), starts))
-        return found
+                moves.append(Moves(time, before, after.astype(np.int64), starts))
+        return moves
 
     @cached_property
     def may_end(self) -> NDArray[np.bool_]:
@@ -208,30 +184,24 @@ class Relaxation:
         return self.last >= max(self.constraints.required, default=NOTHING)
 
     def spent(self, times: Times) -> int:
-        """Give the sum, in units, whose bound holds for a set: its size, or all of the money."""
+        """The sum, in units, whose bound holds for a set: its size, or all of the money."""
         return len(times) if self.constraints.counted else self.total
 
     def windows_of(self, times: Times) -> list[int]:
-        """Give the index of the window after each measurement of a set, from no measurement on."""
+        """The index of the window before the first and after each measurement of a set."""
         number = self.index[START]
-        found = [number]
+        numbers = [number]
         for time in times:
             number = int(self.after[number, time])
-            found.append(number)
-        return found
+            numbers.append(number)
+        return numbers
 
     def grown(self, windows: Iterable[Window], far: Iterable[Window] = ()) -> "Relaxation":
-        """Give the relaxation that also knows these windows and their beginnings.
+        """The relaxation that also knows these windows and their beginnings.
 
+        The windows are ends of feasible sets. The errors of the known windows `far` count up to T.
         A new window is far if the longest known window that it ends with is far. Otherwise errors
         of a set could be lower than before.
-
-        Parameters
-        ----------
-        windows : iterable of tuples of int
-            Ends of feasible sets.
-        far : iterable of tuples of int
-            Known windows whose errors are to count up to T.
         """
         beginnings = {window[:size] for window in windows for size in range(1, len(window) + 1)}
         known_far = self.far | {*far}
@@ -245,14 +215,14 @@ class Relaxation:
         )
 
     def restricted(self, paths: Iterable[Times]) -> "Relaxation":
-        """Give the relaxation whose paths pass no other windows than some sets do."""
+        """The relaxation whose paths pass only windows that some of these sets pass."""
         sets = list(paths)
         passed = {self.windows[number] for times in sets for number in self.windows_of(times)}
         far = {window for times in sets for window in self.overreached(times)}
         return replace(self, only=frozenset(passed), far=self.far | far)
 
     def overreached(self, times: Times) -> list[Window]:
-        """Give the windows of a set whose errors do not count up to the next measurement."""
+        """The windows of a set whose errors do not count up to the next measurement."""
         numbers = self.windows_of(times)
         following = (*times, self.horizon + 1)
         return [
@@ -262,16 +232,16 @@ class Relaxation:
         ]
 
     def without(self, windows: Collection[Window]) -> "Relaxation":
-        """Give the relaxation that does not know these windows, nor those that begin with them."""
+        """The relaxation without these windows, and without those that begin with them."""
         if not windows:
             return self
-        kept = (
+        remaining = (
             window
             for window in self.windows
             if len(window) == 1
             or not any(window[:size] in windows for size in range(2, len(window) + 1))
         )
-        return replace(self, windows=tuple(kept))
+        return replace(self, windows=tuple(remaining))
 
     @cached_property
     def _follows(self) -> NDArray[np.bool_]:
@@ -289,12 +259,12 @@ class Relaxation:
 
 
 def followers(constraints: Constraints, last: int) -> Iterator[int]:
-    """Give the times that may be measured after a last time; none lies behind a required time."""
+    """The times that may be measured after a last time; none lies behind a required time."""
     first = constraints.spacing.after(last)
     until = min((t for t in constraints.required if t > last), default=constraints.horizon)
     return (time for time in constraints.allowed if first <= time <= until)
 
 
 def in_order(windows: Iterable[Window]) -> tuple[Window, ...]:
-    """Sort windows by their last time."""
+    """The windows, sorted by their last time."""
     return tuple(sorted(windows, key=lambda window: (window[-1], window)))

@@ -9,23 +9,8 @@ from pfdist.errors import ArgumentError, shown
 
 
 def whole_argument(name: str, value: Any, least: int, most: int) -> int:
-    """Give an argument as an int, after checking it.
+    """An argument as an int; an `ArgumentError` if it is no integer or lies outside least..most.
 
-    Parameters
-    ----------
-    name : str
-        Name of the argument.
-    value : object
-    least, most : int
-        The allowed values.
-
-    Raises
-    ------
-    ArgumentError
-        It is no integer, or lies outside.
-
-    Examples
-    --------
     >>> whole_argument("draws", 1, 2, 100)
     Traceback (most recent call last):
         ...
@@ -41,26 +26,23 @@ def whole_argument(name: str, value: Any, least: int, most: int) -> int:
 
 
 def number_argument(name: str, value: Any) -> float:
-    """Give an argument as a float; an `ArgumentError` if it is no number."""
+    """An argument as a float; an `ArgumentError` if it is no number."""
     if isinstance(value, bool) or not isinstance(value, Real):
         raise ArgumentError(f"{name} must be a number, got {shown(value)}", argument=name)
     return float(value)
 
 
 def path_argument(name: str, value: Any) -> Path:
-    """Give an argument as a path; an `ArgumentError` if it is neither a text nor a path."""
+    """An argument as a path; an `ArgumentError` if it is neither a text nor a path."""
     if not isinstance(value, str | Path):
         raise ArgumentError(f"{name} must be a path, got {shown(value)}", argument=name)
     return Path(value)
 
 
 def paths_argument(name: str, value: Any) -> list[Path]:
-    """An argument as a list of paths; a single path is a list of one.
+    """An argument as a list of paths; an `ArgumentError` if it holds something else.
 
-    Raises
-    ------
-    ArgumentError
-        It is no iterable of paths.
+    A single path becomes a list with one path.
     """
     paths = [value] if isinstance(value, str | Path) else value
     if not isinstance(paths, Iterable):
@@ -69,12 +51,9 @@ def paths_argument(name: str, value: Any) -> list[Path]:
 
 
 def texts_argument(name: str, value: Any) -> list[str]:
-    """Give an argument as a list of texts; a single text is a list of one.
+    """An argument as a list of texts; an `ArgumentError` if it holds something else.
 
-    Raises
-    ------
-    ArgumentError
-        It is no iterable of texts.
+    A single text becomes a list with one text.
     """
     texts = [value] if isinstance(value, str) else value
     if not isinstance(texts, Iterable) or not all(isinstance(each, str) for each in texts):
@@ -83,7 +62,7 @@ def texts_argument(name: str, value: Any) -> list[str]:
 
 
 def called_argument(name: str, value: Any) -> Callable[..., Any]:
-    """Give an argument that is to be called; an `ArgumentError` if it is no function."""
+    """An argument that is to be called; an `ArgumentError` if it cannot be called."""
     if not callable(value):
         raise ArgumentError(f"{name} must be a function, got {shown(value)}", argument=name)
     return value  # type: ignore[no-any-return]

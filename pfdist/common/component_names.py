@@ -1,4 +1,4 @@
-"""Names and units of components of x, y and z, and the endings that they give to columns."""
+"""Names and units of components of x, y and z, and the ends that they give to names of columns."""
 
 import re
 from collections.abc import Sequence
@@ -18,22 +18,13 @@ _ALLOWED = (
 class Component:
     """A component of x, y or z, as columns, figures and reports call it.
 
-    Parameters
-    ----------
-    suffix : str
-        The end of the names of the columns: the name with ``_`` between words, or the number.
-    name, unit : str
-        Empty if the model does not give them.
-
-    Examples
-    --------
     >>> dose = named_component("Daily dose [mg/l]")
     >>> dose.suffix, dose.name, dose.unit, dose.label
     ('daily_dose', 'Daily dose', 'mg/l', 'Daily dose [mg/l]')
     """
 
-    suffix: str
-    name: str = ""
+    suffix: str  # end of the names of columns: the name with _ between words, or the number
+    name: str = ""  # empty if the model does not give it
     unit: str = ""
 
     @property
@@ -43,12 +34,9 @@ class Component:
 
 
 def named_component(text: str) -> Component:
-    """Give the component that a name such as ``concentration [mg/l]`` describes.
+    """The component that a name such as ``concentration [mg/l]`` describes.
 
-    Raises
-    ------
-    ValueError
-        The text is no such name.
+    A ValueError says that a text is no such name.
     """
     found = _TEXT.fullmatch(text) if isinstance(text, str) and text.isprintable() else None
     if not found or len(found[1]) > _LONGEST_NAME or len(found[2] or "") > _LONGEST_UNIT:
@@ -58,12 +46,9 @@ def named_component(text: str) -> Component:
 
 
 def named_components(names: Sequence[str], count: int) -> tuple[Component, ...]:
-    """Give the components that these names describe; without names, numbered components.
+    """The components that these names describe; without names, numbered components.
 
-    Raises
-    ------
-    ValueError
-        The names are no tuple of this many names that give different columns.
+    A ValueError says that the names are no tuple of so many names that give different columns.
     """
     if not isinstance(names, tuple):
         raise ValueError(f"must be a tuple, a name for each component, got {shown(names)}")
@@ -84,5 +69,5 @@ def named_components(names: Sequence[str], count: int) -> tuple[Component, ...]:
 
 
 def numbered_components(count: int) -> tuple[Component, ...]:
-    """Give components without names, whose columns end with 0, 1, ..."""
+    """Components without names, whose columns end with 0, 1, ..."""
     return tuple(Component(str(number)) for number in range(count))

@@ -23,20 +23,11 @@ UNKNOWN: Interval = (math.nan, math.nan)
 
 @dataclass(frozen=True)
 class Estimate:
-    """An estimate and its standard error.
-
-    Parameters
-    ----------
-    value : float
-    standard_error : float
-        0 if the value is exact; NaN if the error is unknown.
-    degrees : float
-        Degrees of freedom of the error; infinite for a normal variate.
-    """
+    """An estimate and its standard error."""
 
     value: float
-    standard_error: float = 0.0
-    degrees: float = math.inf
+    standard_error: float = 0.0  # 0 if the value is exact; NaN if the error is unknown
+    degrees: float = math.inf  # degrees of freedom of the error; infinite for a normal variate
 
     @classmethod
     def of_mean(cls, values: NDArray[Any]) -> "Estimate":
@@ -69,7 +60,7 @@ class Estimate:
         return Estimate(self.value + other.value, error, min(self.degrees, other.degrees))
 
     def times(self, factor: float) -> "Estimate":
-        """Multiple of the estimate, for instance relative to a known number."""
+        """Multiple of the estimate, for instance relative to an exact number."""
         return Estimate(self.value * factor, self.standard_error * abs(factor), self.degrees)
 
     def is_positive(self, errors: float = CLEAR_ERRORS) -> bool:

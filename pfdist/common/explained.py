@@ -39,21 +39,13 @@ _RULES = {
     "too_long": "a list of at most {max_length} entries",
     "literal_error": "{expected}",
 }
-"""What a value must be, by pydantic's type of error, with the entries of the error's context."""
+"""The rule for a value, by pydantic's type of error, with the entries of the error's context."""
 
 
 def explained(error: ValidationError, model: type[BaseModel]) -> str:
-    """Say in one sentence what is wrong with data: what, got, allowed.
+    """One sentence about the first error in data that a pydantic model did not accept.
 
-    Parameters
-    ----------
-    error : ValidationError
-    model : type
-        The pydantic model that did not accept the data.
-
-    Returns
-    -------
-    str
+    It says what is wrong, what was given, and what is allowed.
     """
     first, *others = _by_weight(error)
     more = f"; {len(others)} more like this" if others else ""
@@ -97,7 +89,7 @@ def _sentence(error: ErrorDetails, model: type[BaseModel]) -> str:
 
 
 def _rule(error: ErrorDetails) -> str:
-    """The rule that a value broke; a type of error that is not known here is named."""
+    """The rule that a value broke; a type of error without a rule is named."""
     rule = _RULES.get(error["type"], f"valid ({error['type']})")
     context = error.get("ctx", {})
     return rule.format_map({k: f"{v:g}" if type(v) is float else v for k, v in context.items()})
@@ -111,7 +103,10 @@ def _allowed_keys(section: str, model: type[BaseModel]) -> list[str]:
 
 
 def _section(section: str, model: type[BaseModel]) -> Any:
-    """The type of a section, by its dotted name. A tag follows the name of one that has kinds."""
+    """The type of a section, by its dotted name.
+
+    The tag follows the name of a section that has kinds.
+    """
     kind: Any = model
     parts = iter(section.split(".") if section else [])
     for part in parts:
@@ -120,7 +115,7 @@ def _section(section: str, model: type[BaseModel]) -> Any:
         field = kind.model_fields[part]
         if kinds := _kinds(field):
             kind = kinds[next(parts)]
-        else:  # an optional section, or one
+        else:  # a section, which may be optional
             kind = next(iter(get_args(field.annotation)), field.annotation)
     return kind
 

@@ -6,28 +6,16 @@ from typing import Any
 
 from pfdist.common.rounding import rounded
 
-_ROUNDING = 1e-9  # of exact values
+_ROUNDING = 1e-9  # error of exact values
 
 
 def gap_sentence(gap: Mapping[str, Any], measurements: int, *, is_constrained: bool = False) -> str:
-    """Say how much lower the error of other times can be.
+    """The sentence about how much lower the error of other times can be, if there is a bound.
 
-    Parameters
-    ----------
-    gap : mapping
-        Fields of `pfdist.bounds.gap.Gap` as JSON, and ``confidence``; there is a bound.
-    measurements : int
-        Number of measurements of the set.
-    is_constrained : bool
-        Whether other constraints exclude some times.
+    `gap` has the fields of `pfdist.bounds.gap.Gap` as JSON, and ``confidence``. `measurements` is
+    the number of measurements of the set, and `is_constrained` says whether other constraints
+    exclude some times. Numbers have no-break spaces.
 
-    Returns
-    -------
-    str
-        With no-break spaces in its numbers.
-
-    Examples
-    --------
     >>> gap = {"budget": 4, "gap": 0.0, "bound_error": 0.0}
     >>> gap_sentence(gap, 4)
     'No other 4 times have a lower expected error.'
@@ -38,7 +26,7 @@ def gap_sentence(gap: Mapping[str, Any], measurements: int, *, is_constrained: b
     """
     times = "time" if measurements == 1 else f"{measurements} times"
     conditions = ["that the constraints allow"] if is_constrained else []
-    if gap["budget"] != measurements:  # it counts money
+    if gap["budget"] != measurements:  # the budget counts money
         times, conditions = "times", ["that cost no more", *conditions]
     have = "has" if times == "time" else "have"
     times = " ".join([times, " and ".join(conditions)]).rstrip()
@@ -53,10 +41,8 @@ def gap_sentence(gap: Mapping[str, Any], measurements: int, *, is_constrained: b
 
 
 def rounded_up(fraction: float) -> float:
-    """Round to the next larger number of two digits: a limit must hold as it is printed.
+    """The next larger number of two digits: a limit must hold as it is printed.
 
-    Examples
-    --------
     >>> rounded_up(0.0441), rounded_up(0.0)
     (0.045, 0.0)
     """

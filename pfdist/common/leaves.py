@@ -8,16 +8,8 @@ def leaves(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
     """Yield the leaves of nested mappings, and of lists of mappings, with their dotted keys.
 
     Mappings in a list have the names that they give themselves, and the key ``order`` holds the
-    names in their order. A list without mappings is a leaf.
+    names in their order. A list without mappings is a leaf. `key` stands before each key of a leaf.
 
-    Parameters
-    ----------
-    value : object
-    key : str
-        Stands before each key of a leaf.
-
-    Examples
-    --------
     >>> dict(leaves({"seed": 1, "search": [{"name": "a", "steps": 3}]}))
     {'seed': 1, 'search.order': 'a', 'search.a.name': 'a', 'search.a.steps': 3}
     """

@@ -6,10 +6,8 @@ _NUMBER = re.compile("([0-9]+)")
 
 
 def natural_key(name: str) -> list[tuple[int, str]]:
-    """Give a key by which names are sorted, with numbers in them ordered as numbers.
+    """A key by which names are sorted, with numbers in them ordered as numbers, and then as text.
 
-    Examples
-    --------
     >>> sorted(["n10", "n9", "n9b", "m", "n09"], key=natural_key)
     ['m', 'n09', 'n9', 'n9b', 'n10']
     """

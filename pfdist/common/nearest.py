@@ -1,4 +1,4 @@
-"""The name that a user probably meant by a misspelt one."""
+"""The name that a user probably meant by a misspelt name."""
 
 import contextlib
 import difflib
@@ -13,22 +13,10 @@ _QUOTED = re.compile(r"'([^']*)'")
 
 
 def nearest_name(word: object, names: Iterable[str]) -> str:
-    """Give the name that is spelt most like a word.
+    """The name that is spelt most like a user's word; empty if no name is similar.
 
-    Parameters
-    ----------
-    word : object
-        The word of a user. Only a string can be a misspelt name.
-    names : iterable of str
-        The names that are allowed there.
+    Only a string can be a misspelt name.
 
-    Returns
-    -------
-    str
-        Empty if no name is similar.
-
-    Examples
-    --------
     >>> nearest_name("suvivors", ["annealing", "survivors"])
     'survivors'
     >>> nearest_name("Genetic", ["genetic"]), nearest_name("x", ["genetic"]), nearest_name(3, ["3"])
@@ -42,12 +30,8 @@ def nearest_name(word: object, names: Iterable[str]) -> str:
 
 
 def did_you_mean(word: object, names: Iterable[str]) -> str:
-    """Give the end of an error about a name that is not allowed; empty if no name is similar.
+    """The end of an error about a name that is not allowed; empty if no allowed name is similar.
 
-    Parameters and what is similar are as in `nearest_name`.
-
-    Examples
-    --------
     >>> "got 'suvivors'" + did_you_mean("suvivors", ["annealing", "survivors"])
     "got 'suvivors'; did you mean 'survivors'?"
     """
@@ -56,21 +40,10 @@ def did_you_mean(word: object, names: Iterable[str]) -> str:
 
 
 def did_you_mean_path(path: Path, folders: Iterable[Path], is_meant: Callable[[Path], bool]) -> str:
-    """Give the end of an error about a file or folder that is not there.
+    """The end of an error about a file or folder that is not there; empty if no name is similar.
 
-    Parameters
-    ----------
-    path : Path
-        The path that a user wrote.
-    folders : iterable of Path
-        Folders in which a file or folder of a similar name is sought.
-    is_meant : callable
-        Whether a path is of the kind that the user wants.
-
-    Returns
-    -------
-    str
-        Empty if there is no similar name.
+    A similar name is sought in the folders, among paths of the kind that the user wants
+    (`is_meant`).
     """
     found: dict[str, str] = {}
     for folder in folders:
@@ -83,5 +56,5 @@ def did_you_mean_path(path: Path, folders: Iterable[Path], is_meant: Callable[[P
 
 
 def quoted_names(text: str) -> list[str]:
-    """Give the names between single quotes in a text, for instance ``'a' or 'b'``."""
+    """The names between single quotes in a text, for instance ``'a' or 'b'``."""
     return _QUOTED.findall(text)

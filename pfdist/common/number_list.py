@@ -14,18 +14,12 @@ _SEPARATOR = re.compile(r"\s*,\s*|\s+")
 
 
 def whole_numbers(text: str) -> list[int]:
-    """Give the whole numbers that a text lists, in the order in which it lists them.
+    """The whole numbers that a text lists, in the order in which it lists them.
 
     The text holds numbers and ranges, with commas or spaces between them. ``FIRST:LAST`` stands for
-    all numbers from FIRST to LAST, and ``FIRST:LAST:STEP`` for each STEP-th of these.
+    all numbers from FIRST to LAST, and ``FIRST:LAST:STEP`` for each STEP-th of these. A ValueError
+    says that the text is spelt otherwise, or lists more than a million numbers.
 
-    Raises
-    ------
-    ValueError
-        The text is spelt otherwise, or lists more than a million numbers.
-
-    Examples
-    --------
     >>> whole_numbers("0, 6, 12"), whole_numbers("5:8"), whole_numbers("0:12:6 20")
     ([0, 6, 12], [5, 6, 7, 8], [0, 6, 12, 20])
     >>> whole_numbers("8:5")
@@ -40,27 +34,12 @@ def whole_numbers(text: str) -> list[int]:
 def ranges(
     text: str, number: Callable[[str], Any], *, by_ones: bool = False
 ) -> list[tuple[Any, Any, Any]]:
-    """Give the first and the last number, and the step, of each entry of a text.
+    """The first and the last number, and the step, of each entry of a text as for `whole_numbers`.
 
-    Parameters
-    ----------
-    text : str
-        As for `whole_numbers`.
-    number : callable
-        Reads one number; raises ValueError for any other text.
-    by_ones : bool
-        Whether a range without a step lists numbers in steps of 1. Else it stands for whatever lies
-        between its ends, and lists nothing itself.
-
-    Returns
-    -------
-    list of tuple
-        A number alone is a range from it to itself. The step is 0 if none is given.
-
-    Raises
-    ------
-    ValueError
-        The text is spelt otherwise, or lists more than a million numbers.
+    `number` reads a number, and raises ValueError for any other text. A single number is a range
+    from it to itself. The step is 0 if none is written: `by_ones` then means steps of 1. Otherwise
+    such a range stands for whatever lies between its ends, and lists no numbers itself. Errors are
+    those of `whole_numbers`.
     """
     entries = _SEPARATOR.split(text.strip().removesuffix(",").rstrip())
     found = [_ends(entry, text, number) for entry in entries]

@@ -1,7 +1,7 @@
-"""Reads TOML and JSON, which somebody may have edited or damaged, as plain data within limits.
+"""TOML and JSON, which somebody may have edited or damaged, as plain data within limits.
 
 Every file and every option that a user writes comes in through these functions. Whatever the text
-holds, they give data that is not nested deeply, or raise a `ValueError` of one line.
+holds, the data is not nested deeply, or a `ValueError` of one line is raised.
 """
 
 import json
@@ -13,7 +13,7 @@ from typing import Any
 
 from pfdist.errors import shown
 
-MOST_BYTES = 16_000_000  # of a file: a job that names every time takes less than one million
+MOST_BYTES = 16_000_000  # of a file: a job that names every time takes less than a million
 MOST_LEVELS = 16  # a job has four
 _INTEGER = re.compile(r"[+-]?[0-9]{1,40}")
 _DECIMAL = re.compile(r"[+-]?[0-9]{1,40}(\.[0-9]{1,40})?([eE][+-]?[0-9]{1,2})?")
@@ -21,14 +21,9 @@ _LONGEST = 80  # characters of a key that an error shows
 
 
 def read_text(path: Path) -> str:
-    """Read a text file.
+    """The content of a text file.
 
-    Raises
-    ------
-    ValueError
-        It is too large, or not UTF-8.
-    OSError
-        It cannot be read.
+    A ValueError says that it is too large or not UTF-8, and an OSError that it cannot be read.
     """
     with path.open("rb") as file:
         content = file.read(MOST_BYTES + 1)
@@ -43,13 +38,13 @@ def read_text(path: Path) -> str:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Give the data of a TOML text; see the module for what is refused."""
+    """The data of a TOML text, within the limits of this module."""
     found: dict[str, Any] = _parsed(tomllib.loads, text)
     return found
 
 
 def parse_json(text: str) -> Any:
-    """Give the data of a JSON text; see the module for what is refused."""
+    """The data of a JSON text, within the limits of this module."""
     return _parsed(json.loads, text)
 
 
@@ -67,7 +62,7 @@ def _parsed(parse: Callable[[str], Any], text: str) -> Any:
 
 
 def _check(data: Any) -> None:
-    """Raise a `ValueError` where data nests too deeply or has numbers of more than 64 bits."""
+    """Raise a `ValueError` if data nests too deeply or has numbers of more than 64 bits."""
     level = [("", data)]
     for _ in range(MOST_LEVELS):
         for key, value in level:
@@ -81,7 +76,7 @@ def _check(data: Any) -> None:
 
 
 def _inner(value: Any) -> Iterable[tuple[str, Any]]:
-    """Give the values in a section or a list, each with its key; in a list no value has a key."""
+    """The values in a section or a list, each with its key, which is empty in a list."""
     if isinstance(value, dict):
         return value.items()
     return (("", inner) for inner in value) if isinstance(value, list) else ()
@@ -97,15 +92,10 @@ def _first_line(error: ValueError) -> str:
 
 
 def whole_number(text: str) -> int:
-    """Give the whole number that ASCII digits spell, with a sign before them or none.
+    """The whole number that at most 40 ASCII digits spell, with a sign or without.
 
-    Raises
-    ------
-    ValueError
-        It is spelt otherwise, or has more than 40 digits.
+    Any other text raises a ValueError.
 
-    Examples
-    --------
     >>> whole_number("12")
     12
     >>> whole_number("1_0")
@@ -119,15 +109,10 @@ def whole_number(text: str) -> int:
 
 
 def finite_number(text: str) -> float:
-    """Give the number that a text spells with digits, a decimal point and perhaps an exponent.
+    """The number that a text spells with digits, a decimal point and perhaps an exponent.
 
-    Raises
-    ------
-    ValueError
-        It spells no number, or spells it otherwise.
+    Any other text raises a ValueError.
 
-    Examples
-    --------
     >>> finite_number("0.25"), finite_number("1.7e+12")
     (0.25, 1700000000000.0)
     """

@@ -1,4 +1,4 @@
-"""Numbers of a JSON answer as text; None is a number that is unknown or infinite."""
+"""Numbers of a JSON answer as text. None stands for an unknown or infinite number."""
 
 import math
 from collections.abc import Mapping
@@ -6,21 +6,21 @@ from collections.abc import Mapping
 from pfdist.common.rounding import rounded, with_interval
 
 HEAVY = 0.25
-"""Share of an expected MSE. If 1 % of the draws carry more, an interval of the mean covers less."""
+"""If 1 % of the draws carry more than this share of an expected MSE, its interval is too narrow."""
 
 
 def cost(expected_mse: float | None) -> float:
-    """Give an expected MSE of an answer, in which None stands for an infinite one."""
+    """An expected MSE of an answer, in which None stands for an infinite value."""
     return math.inf if expected_mse is None else expected_mse
 
 
 def times_100(fraction: float | None) -> float | None:
-    """Give a fraction in per cent."""
+    """A fraction in per cent."""
     return None if fraction is None else 100 * fraction
 
 
 def percent(fraction: float | None, decimals: int = 2) -> str:
-    """Give a fraction as text in per cent."""
+    """A fraction as text in per cent."""
     if fraction is None:
         return "unknown"
     per_cent = 100 * fraction
@@ -32,8 +32,6 @@ def percent(fraction: float | None, decimals: int = 2) -> str:
 def particle_loss_text(loss: float, limit: float) -> str:
     """The loss by a finite number of particles, and its upper 95 % limit, in words.
 
-    Examples
-    --------
     >>> particle_loss_text(0.0056, 0.018)
     '0.56 % of the expected MSE, at most 1.80 % (95 %)'
     """
@@ -44,15 +42,10 @@ def particle_loss_text(loss: float, limit: float) -> str:
 def percent_with_interval(
     fraction: float | None, interval: list[float | None], unit: str = ""
 ) -> str:
-    """Give a fraction in per cent with its 95 % interval.
+    """A fraction in per cent with its 95 % interval, as text.
 
-    Parameters
-    ----------
-    fraction : float or None
-    interval : list of float or None
-        Lower and upper end.
-    unit : str
-        Follows the per cent sign, for instance `` of draws``.
+    `interval` has the lower and the upper end. `unit` follows the per cent sign, for instance
+    `` of draws``.
     """
     value, low, high = with_interval(*(times_100(part) for part in (fraction, *interval)))
     return f"{value} %{unit}  (95 %: {range_of(low, high)})"
@@ -61,11 +54,8 @@ def percent_with_interval(
 def heavy_tail_warning(shares: Mapping[str, float | None]) -> str:
     """Warning that few draws carry much of an expected MSE; empty if there is no need.
 
-    Parameters
-    ----------
-    shares : mapping of str to float or None
-        The share of the expected MSE that 1 % of the draws carry, by the name of the set. The name
-        of a single set may be empty.
+    `shares` has the share of the expected MSE that 1 % of the draws carry, by the name of the set.
+    The name of a single set may be empty.
     """
     carried = [
         f"{percent(share, 0)} of the error{f' of {name}' if name else ''}"
@@ -77,5 +67,5 @@ def heavy_tail_warning(shares: Mapping[str, float | None]) -> str:
 
 
 def range_of(low: str, high: str) -> str:
-    """Give an interval as text, or "unknown" if both ends are unknown."""
+    """An interval as text, or "unknown" if both ends are unknown."""
     return low if low == high == rounded(None) else f"{low} to {high}"

@@ -1,4 +1,4 @@
-"""A registry: the objects of one kind that a user can choose by name."""
+"""A registry: the objects of a kind that a user can choose by name."""
 
 import importlib
 import pkgutil
@@ -12,17 +12,11 @@ T = TypeVar("T")
 
 
 class Registry(Mapping[str, T], Generic[T]):
-    """Objects of one kind by their names.
+    """Objects of a kind by their names, in alphabetical order.
 
-    The modules of a package declare themselves when they are imported. They are imported when the
-    table is first read, and so are the entry points of a group, if there is one.
-
-    Parameters
-    ----------
-    package : str
-        Every module of this package is imported.
-    group : str, optional
-        Every entry point of this group, which installed packages have, is imported.
+    The modules of the package `package` declare themselves when they are imported. They are
+    imported when the table is first read, and so are the entry points of the group `group`, if
+    there is a group: installed packages have such entry points.
     """
 
     def __init__(self, package: str, group: str = "") -> None:
@@ -31,13 +25,7 @@ class Registry(Mapping[str, T], Generic[T]):
         self._complete = False
 
     def declare(self, name: str, value: T) -> None:
-        """Add an object to the registry.
-
-        Raises
-        ------
-        ValueError
-            Something else has this name.
-        """
+        """Add an object to the registry; a ValueError if something else has this name."""
         if name in self._declared:
             raise ValueError(f"names in {self._package} must be unique; {name!r} is declared twice")
         self._declared[name] = value

@@ -3,31 +3,18 @@
 import math
 from decimal import Decimal
 
-_DIGITS = 5  # of a number without an error
-_DIGITS_OF_UNKNOWN = 3  # of a number whose error is not known
+_DIGITS = 5  # significant digits of a number without an error
+_DIGITS_OF_UNKNOWN = 3  # significant digits of a number with an unknown error
 _SMALLEST, _LARGEST = 1e-4, 1e6  # between these no exponent is written
 _SMALLEST_PLACE = -5  # a zero is not written with more decimals than the smallest of these numbers
 _MOST_DIGITS = 12  # beyond them a double's own rounding begins to show
 
 
 def rounded(value: float | None, digits: int = _DIGITS, sign: bool = False) -> str:
-    """Give a number that has no error with a few significant digits.
+    """A number that has no error, as text with a few significant digits.
 
-    Parameters
-    ----------
-    value : float or None
-        None, like NaN, is unknown.
-    digits : int
-        How many digits are significant.
-    sign : bool
-        Whether a plus sign is written.
+    None, like NaN, is unknown. `sign` asks for a plus sign.
 
-    Returns
-    -------
-    str
-
-    Examples
-    --------
     >>> rounded(31.2), rounded(1234567.0), rounded(-0.00001), rounded(0.0)
     ('31.200', '1.2346e+06', '-1.0000e-05', '0')
     """
@@ -38,21 +25,11 @@ def rounded(value: float | None, digits: int = _DIGITS, sign: bool = False) -> s
 
 
 def with_error(value: float | None, error: float | None, sign: bool = False) -> str:
-    """Give a value and its error, both to the second significant digit of the error.
+    """A value and its error as text, both to the second significant digit of the error.
 
-    Parameters
-    ----------
-    value, error : float or None
-        None, like NaN, is unknown. An error of 0 is that of an exact value, and is left out.
-    sign : bool
-        Whether a plus sign is written before the value.
+    None, like NaN, is unknown. An error of 0 is that of an exact value, and is left out. `sign`
+    asks for a plus sign before the value.
 
-    Returns
-    -------
-    str
-
-    Examples
-    --------
     >>> with_error(22.7345, 0.0304), with_error(1234.5, 249.0)
     ('22.735 ± 0.030', '1230 ± 250')
     >>> with_error(1.234e108, 4e107), with_error(1e-9, 3e-11)
@@ -75,20 +52,10 @@ def with_error(value: float | None, error: float | None, sign: bool = False) -> 
 
 
 def with_interval(value: float | None, low: float | None, high: float | None) -> tuple[str, ...]:
-    """Give a value and the ends of its interval, to two significant digits of its half width.
+    """A value and the ends of its interval, to two significant digits of the half width, as texts.
 
-    Parameters
-    ----------
-    value, low, high : float or None
-        None, like NaN, is unknown.
+    None, like NaN, is unknown.
 
-    Returns
-    -------
-    tuple of str
-        The three as text.
-
-    Examples
-    --------
     >>> with_interval(17.6321, 16.2, 19.04)
     ('17.6', '16.2', '19.0')
     """
@@ -119,7 +86,7 @@ def _last_place(error: float) -> int:
 
 
 def _text(value: float, place: int, plus: str = "") -> str:
-    """Round to a decimal place, with an exponent where the number is large or small."""
+    """A number rounded to a decimal place, with an exponent if the number is large or small."""
     nearest = round(value, -place) + 0.0
     if nearest and not _SMALLEST <= abs(nearest) < _LARGEST:
         return f"{nearest:{plus}.{max(0, _exponent(nearest) - place)}e}"

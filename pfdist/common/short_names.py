@@ -6,13 +6,12 @@ _VAGUE = {"name", "order", "method", "draws"}  # words that need the word before
 
 
 def short_names(keys: Sequence[str]) -> dict[str, str]:
-    """Give each dotted key without as many of the first words as it can lack.
+    """Each dotted key with its short name, which lacks as many of the first words as possible.
 
-    Examples
-    --------
-    >>> short_names(["seed", "model.name", "model.filter.name", "filter.particles"])
-    {'seed': 'seed', 'model.name': 'model.name', 'model.filter.name': 'filter.name', \
-'filter.particles': 'particles'}
+    >>> short_names(["seed", "model.name", "filter.particles"])
+    {'seed': 'seed', 'model.name': 'model.name', 'filter.particles': 'particles'}
+    >>> short_names(["model.name", "model.filter.name"])
+    {'model.name': 'model.name', 'model.filter.name': 'filter.name'}
     """
     return {key: _short_name(key, keys) for key in keys}
 

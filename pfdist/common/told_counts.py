@@ -7,10 +7,8 @@ _SIZES = (("GB", 10**9), ("MB", 10**6), ("kB", 10**3))
 
 
 def told_seconds(seconds: float) -> str:
-    """Give seconds with two significant digits below 10, else whole; empty if they are unknown.
+    """Seconds with two significant digits below 10, otherwise whole; empty if they are unknown.
 
-    Examples
-    --------
     >>> told_seconds(0.0276), told_seconds(1234.5), told_seconds(math.nan)
     ('0.028', '1,234', '')
     """
@@ -20,10 +18,8 @@ def told_seconds(seconds: float) -> str:
 
 
 def told_age(seconds: float) -> str:
-    """Give a span of time in the largest unit that fits; a span below zero is 0 s.
+    """A span of time in the largest unit that fits; a span below zero is 0 s.
 
-    Examples
-    --------
     >>> told_age(12.3), told_age(3 * 3600 + 1), told_age(86_400), told_age(40 * 86_400)
     ('12 s', '3 h', '1 day', '40 days')
     """
@@ -35,10 +31,8 @@ def told_age(seconds: float) -> str:
 
 
 def told_size(count: int) -> str:
-    """Give a number of bytes in the largest unit that fits.
+    """A number of bytes in the largest unit that fits.
 
-    Examples
-    --------
     >>> told_size(999), told_size(340_000), told_size(1_200_000), told_size(12_000_000)
     ('999 B', '340 kB', '1.2 MB', '12 MB')
     """

@@ -4,10 +4,8 @@ from collections.abc import Iterable
 
 
 def told_time(time: float) -> str:
-    """Give a time as text: instants as whole numbers, other times with up to ten digits.
+    """A time as text: instants as whole numbers, other times with up to ten digits.
 
-    Examples
-    --------
     >>> told_time(12), told_time(0.5), told_time(3.0)
     ('12', '0.5', '3')
     """
@@ -15,10 +13,8 @@ def told_time(time: float) -> str:
 
 
 def told_times(times: Iterable[float], unit: str = "") -> str:
-    """Give times as text, with their unit if there is one.
+    """Times as text, with their unit if there is a unit.
 
-    Examples
-    --------
     >>> told_times([0, 6, 12]), told_times([0.0, 0.5], "h"), told_times([], "h")
     ('0, 6, 12', '0, 0.5 h', '')
     """

@@ -10,34 +10,19 @@ AUTO: Final = "auto"  # the compiled engine, or NumPy where Numba cannot compile
 
 @dataclass(frozen=True)
 class Engine:
-    """Three functions that simulate draws and filter them.
+    """Three functions that simulate draws and filter them, with what else a job needs to know."""
 
-    Parameters
-    ----------
-    name : str
-        As job files name it.
-    description : str
-        The engine in one line.
-    simulated_by : str
-        The module whose ``simulate`` has the contract of `pfdist.filters.simulation.simulate`.
-    filtered_by : str
-        The module whose ``filter_draws``, ``filter_checked_draws``, ``filter_checked_sets`` and
-        ``sum_errors`` have the contracts of those in `pfdist.filters.particle_filter`.
-    seconds_a_step : float
-        About how long a particle takes for one instant.
-    compiled : bool
-        Whether Numba compiles the formulas. The figures then have the same bits on every processor.
-    exact : bool
-        Whether the expected MSE is known without draws.
-    """
-
-    name: str
-    description: str
+    name: str  # as job files name it
+    description: str  # in one line, for help and manual
+    # The module whose `simulate` has the contract of `pfdist.filters.simulation.simulate`.
     simulated_by: str
+    # The module whose `filter_draws`, `filter_checked_draws`, `filter_checked_sets` and
+    # `sum_errors` have the contracts of those in `pfdist.filters.particle_filter`.
     filtered_by: str
-    seconds_a_step: float = 2e-9
+    seconds_a_step: float = 2e-9  # about how long a particle takes for one instant
+    # Whether Numba compiles the formulas. The figures then have the same bits on every processor.
     compiled: bool = True
-    exact: bool = False
+    exact: bool = False  # whether the expected MSE is known without draws
 
     @property
     def simulate(self) -> Callable[..., Any]:
@@ -95,15 +80,8 @@ ENGINES = {engine.name: engine for engine in (COMPILED, NUMPY, KALMAN)}
 
 
 def is_exact(name: str) -> bool:
-    """Whether the engine of this name knows the expected MSE without draws.
+    """Whether the engine of this name in ``filter.engine`` knows the expected MSE without draws.
 
-    Parameters
-    ----------
-    name : str
-        As in ``filter.engine``.
-
-    Examples
-    --------
     >>> is_exact("kalman"), is_exact("auto")
     (True, False)
     """

@@ -16,8 +16,11 @@ from pfdist.documents.parts import Facts, Page, Section
 from pfdist.times.measurement_times import Times
 
 DEGENERATE_POLICIES = ("kill", "leave_out")
-"""Policies for degenerate draws. ``kill``, the paper's, makes the cost infinite if a draw is
-degenerate; ``leave_out`` takes the mean over the other draws."""
+"""Policies for degenerate draws.
+
+``kill``, the paper's, makes the cost infinite if a draw is degenerate; ``leave_out`` takes the mean
+over the other draws.
+"""
 
 
 @dataclass(frozen=True, repr=False)
@@ -86,7 +89,7 @@ class Evaluation(Shown):
 
     @property
     def known_errors(self) -> NDArray[np.float64]:
-        """`errors`, of an evaluation that has them."""
+        """`errors`, of an evaluation that has them; a ValueError otherwise."""
         if self.errors is None:
             raise ValueError("the errors of each instant were not asked for")
         return self.errors
@@ -126,22 +129,15 @@ def difference(first: Evaluation, second: Evaluation) -> Estimate:
     if first.exact is not None and second.exact is not None:
         return Estimate(first.exact - second.exact)
     draws = min(first.draws, second.draws)
-    apart = first.mse[:draws] - second.mse[:draws]
-    return Estimate.of_mean(apart[~np.isnan(apart)])
+    differences = first.mse[:draws] - second.mse[:draws]
+    return Estimate.of_mean(differences[~np.isnan(differences)])
 
 
 def top_percent_share(largest: NDArray[np.float64], draws: int, mean: float) -> float:
     """Share of a mean over draws that the 1 % of the draws with the largest values carry.
 
-    It is a point of the Lorenz curve. NaN with fewer than 100 draws, or if the mean is not positive
-    and finite.
-
-    Parameters
-    ----------
-    largest : array of float64
-        At least the largest values of 1 % of the draws.
-    draws : int
-    mean : float
+    It is a point of the Lorenz curve. It is NaN with fewer than 100 draws, or if the mean is not
+    positive and finite. `largest` has at least the largest values of 1 % of the draws.
     """
     top = np.sort(largest)[::-1][: draws // 100]
     return float(top.sum()) / draws / mean if top.size and 0 < mean < math.inf else math.nan

@@ -47,52 +47,27 @@ class Evaluator:
     """Compute the MSE of sets of measurement times for a model, a horizon and a filter's model.
 
     The evaluator of a job holds its models as they are carried; see `carried_evaluator`. It travels
-    to the workers, and each process compiles its formulas once.
-
-    Parameters
-    ----------
-    model : StateSpaceModel
-        The true model: it draws x, y and z, and defines the error.
-    horizon : int
-        T.
-    filter_model : StateSpaceModel, optional
-        The model that the filter uses; by default the true model.
-    dtype : {"float64", "float32"}
-        Type in which the particles' states are stored.
-    engine : {"auto", "compiled", "numpy", "kalman"}
-        Here "auto" means the compiled engine.
-    prior : Cloud or Gaussian, optional
-        The distribution of x(s), in the place of `initial`: draws and filters start at s. A normal
-        distribution is for the engine "kalman" alone.
-    weights : tuple of float, (T+1,), optional
-        Weight of each instant's error in the MSE; by default all are equal.
-    estimations : tuple of Estimation, optional
-        The estimations that will be wanted. They are checked here, and compiled by `compile`.
-    clock : tuple of float, (T+1,), optional
-        The time of each instant, if the models were put on a clock.
-    carried : (CarriedModel, CarriedModel), optional
-        The carried model and the carried filter's model. Without these the evaluator cannot
-        travel, and its evaluations have no ids.
-
-    Raises
-    ------
-    PriorError
-        The prior does not fit a model or the horizon.
-    ModelError
-        An estimation does not fit the models.
-        The filter's model has measurements or quantities of interest of another size. Or the
-        engine is "kalman" and the model is not linear-Gaussian, or is not the filter's model.
+    to the workers, and each process compiles its formulas once. A `PriorError` says that the prior
+    does not fit a model or the horizon. A `ModelError` says that an estimation or the filter's
+    model does not fit, or that the engine "kalman" needs another model.
     """
 
-    model: StateSpaceModel
-    horizon: int
-    filter_model: StateSpaceModel | None = None
-    dtype: str = "float64"
-    engine: str = "compiled"
+    model: StateSpaceModel  # the true model: it draws x, y and z, and defines the error
+    horizon: int  # T
+    filter_model: StateSpaceModel | None = None  # by default the true model
+    dtype: str = "float64"  # type in which the particles' states are stored
+    engine: str = "compiled"  # "auto" here means the compiled engine
+    # Distribution of x(s), in the place of `initial`: draws and filters start at s. A normal
+    # distribution is only for the engine "kalman".
     prior: Prior | None = None
+    # (T+1,): of each instant's error; by default all are equal
     weights: tuple[float, ...] | None = None
+    # those that will be wanted: they are checked here, and compiled by `compile`
     estimations: tuple[Estimation, ...] = ()
+    # (T+1,): the time of each instant, if the models were put on a clock
     clock: tuple[float, ...] | None = None
+    # The carried model and the carried filter's model. Without these the evaluator cannot travel,
+    # and its evaluations have no ids.
     carried: tuple[CarriedModel, ...] = field(default=(), repr=False)
 
     def __post_init__(self) -> None:
@@ -157,25 +132,17 @@ class Evaluator:
     def expected_mse(
         self, sets: Sequence[Times], ends: Sequence[int] | None = None
     ) -> NDArray[np.float64]:
-        """Exact expected MSE of each set of times, (S,), where the engine knows it.
+        """Exact expected MSE of each set of times, (S,), from an exact engine.
 
-        Parameters
-        ----------
-        sets : sequence of tuples of int, (S,)
-        ends : sequence of int, (S,), optional
-            Last instant of each set whose error counts; by default T.
+        `ends` are the last instants whose errors count, by default T.
         """
         weights = self.instant_weights
         return kalman.expected_mse(self.model, self.horizon, sets, ends, self.prior, weights)
 
     def expected_errors(self, sets: Sequence[Times]) -> NDArray[np.float64]:
-        """Exact expected error of each instant with each set, (S, T+1), where the engine knows it.
+        """Exact expected error of each instant with each set, (S, T+1), from an exact engine.
 
         The errors are weighted: their mean over all instants is the expected MSE.
-
-        Parameters
-        ----------
-        sets : sequence of tuples of int, (S,)
         """
         errors = kalman.expected_errors(self.model, self.horizon, sets, self.prior)
         return errors if self.instant_weights is None else weighed(errors, self.instant_weights)
@@ -184,12 +151,8 @@ class Evaluator:
         """Sum the weighted errors of each instant over the draws of a work, (S, T+1).
 
         All sets of the work have the same filter noise. Values after a set's end mean nothing. A
-        set has NaN if a draw is degenerate or infinite with it.
-
-        Raises
-        ------
-        ModelError
-            A formula failed.
+        set has NaN if a draw is degenerate or infinite with it. A `ModelError` says that a formula
+        failed.
         """
         draws = self.draws(range(*work.draws), work.draws_stream)
         stream, *_ = work.filter_streams
@@ -237,13 +200,7 @@ class Evaluator:
     ) -> str:
         """Id of sums of errors: a hash of everything on which they depend but their draws.
 
-        Parameters
-        ----------
-        sets : sequence of tuples of int
-        instants : sequence of pairs of int
-            First and last instant at which the errors of each set count.
-        stream : int
-        estimation : Estimation
+        `instants` has the first and the last instant at which the errors of each set count.
         """
         return self._id(estimation, sets, instants, stream, "sums")
 
@@ -263,10 +220,7 @@ class Evaluator:
     def compile(self, *estimations: Estimation) -> None:
         """Compile the simulation, and the filter of each estimation, by a draw of two instants.
 
-        Raises
-        ------
-        ModelError
-            A formula cannot be compiled, or failed.
+        A `ModelError` says that a formula cannot be compiled, or failed.
         """
         if not self.computed_by.compiled or not estimations:
             return
@@ -286,10 +240,10 @@ class Evaluator:
         if not self.computed_by.compiled:
             return ()
         self.compile(*self.estimations)
-        found = set(libm_of_simulation(self.model))
+        names = set(libm_of_simulation(self.model))
         for resampling in {each.resampling for each in self.estimations if not self.exact}:
-            found |= {*libm_of_filter(self.believed, self.model, resampling, self.dtype)}
-        return tuple(sorted(found))
+            names |= {*libm_of_filter(self.believed, self.model, resampling, self.dtype)}
+        return tuple(sorted(names))
 
     @property
     def makes_arrays(self) -> bool:
@@ -301,14 +255,9 @@ class Evaluator:
         )
 
     def check(self, estimation: Estimation) -> None:
-        """Raise an error if the models do not allow an estimation.
+        """Raise a `ModelError` if the estimator or the resampling scheme does not fit the models.
 
         Exact engines ignore the estimator and the number of particles.
-
-        Raises
-        ------
-        ModelError
-            The estimator or the resampling scheme does not fit the model or the filter's model.
         """
         if not self.exact:
             check_filter(
@@ -328,12 +277,8 @@ class Evaluator:
     def __call__(self, work: Work) -> Result:
         """Per-draw MSE of every set of times in a work, after a check of its settings and times.
 
-        Raises
-        ------
-        ModelError
-            As `check` raises, or a formula failed.
-        MeasurementTimesError
-            The times of a set do not lie in 0..end, or a time stands twice.
+        Errors are those of `check`, a ModelError if a formula failed, and a MeasurementTimesError
+        about times that do not lie in 0..end or are given twice.
         """
         self.check(work.estimation)
         for times, end in zip(work.measurement_times, work.ends, strict=True):
@@ -341,13 +286,7 @@ class Evaluator:
         return self.filtered(work)
 
     def draws(self, index: range, stream: int) -> Draws:
-        """Simulate some draws of a stream.
-
-        Raises
-        ------
-        ModelError
-            A formula failed.
-        """
+        """Simulate some draws of a stream; a `ModelError` if a formula failed."""
         draws: Draws = self.computed_by.simulate(
             self.model, self.horizon, index, stream, self.prior
         )
@@ -361,17 +300,10 @@ class Evaluator:
         stream: int,
         estimation: Estimation,
     ) -> NDArray[np.float64]:
-        """Filter draws with several sets under the same noise, all checked by the caller.
+        """The MSE of draws with several checked sets under the same noise, (D, S).
 
-        Returns
-        -------
-        array of float64, (D, S)
-            Sum of the errors up to each set's end, divided by the number of instants.
-
-        Raises
-        ------
-        ModelError
-            A formula failed.
+        It is the sum of the errors up to each set's end, divided by the number of instants. A
+        `ModelError` says that a formula failed.
         """
         settings = self.settings(estimation)
         mse: NDArray[np.float64] = self.computed_by.filter_checked_sets(
@@ -382,26 +314,17 @@ class Evaluator:
     def results(self, works: Iterable[Work]) -> list[Result]:
         """Results of works whose settings and times the caller has checked: what a task computes.
 
-        Raises
-        ------
-        ModelError
-            A formula failed.
+        A `ModelError` says that a formula failed.
         """
         return [work.result(self._for(work)) for work in works]
 
     def _for(self, work: Work) -> "Evaluator":
-        """The evaluator with the filter's model and the weights that a work asks for."""
+        """The evaluator with the filter's model and the weights of a work."""
         evaluator = self.truth if work.knows_truth else self
         return evaluator if work.weighted else replace(evaluator, weights=None, estimations=())
 
     def pieces(self, work: Work, seconds: float) -> list[Work]:
-        """Cut a work between its draws into works of about as many seconds each.
-
-        Parameters
-        ----------
-        work : Work
-        seconds : float
-        """
+        """Cut a work between its draws into works of about so many seconds each."""
         draws = max(1, int(seconds / self.seconds_a_step / work.steps_a_draw))
         return [replace(work, draws=piece) for piece in cut(range(*work.draws), draws)]
 
@@ -432,7 +355,10 @@ class Evaluator:
         return Result(values)
 
     def settings(self, estimation: Estimation) -> FilterSettings:
-        """Settings of the filter of an estimation; beside the truth all states are float64."""
+        """Settings of the filter of an estimation.
+
+        If a particle holds the truth, all states are float64.
+        """
         holds_truth = ALL_SCHEMES[estimation.resampling].holds_truth
         return FilterSettings(
             estimation.particles,
@@ -453,20 +379,10 @@ def carried_evaluator(
 ) -> Evaluator:
     """The evaluator of models that travel, which fit the clock and each other.
 
-    Parameters
-    ----------
-    carried, carried_filter : CarriedModel
-        The true model, and the model that the filter uses.
-    horizon : int
-    clock : tuple of float, (T+1,), optional
-        The time of each instant, which formulas read; None if the job has no clock.
-    settings
-        Further parameters of `Evaluator`.
-
-    Raises
-    ------
-    ModelError
-        A model cannot be made here, reads a clock that the job lacks, or does not fit the job.
+    `carried` is the true model, and `carried_filter` the model that the filter uses. `clock` (T+1,)
+    is the time of each instant, which formulas read; None if the job has no clock. `settings` are
+    further fields of `Evaluator`. A `ModelError` says that a model cannot be made here, reads a
+    clock that the job lacks, or does not fit the job.
     """
     model, filter_model = carried.model, carried_filter.model
     for part, each in (("model", model), ("model.filter", filter_model)):
@@ -493,7 +409,10 @@ def carried_evaluator(
 def _arrived(
     carried: CarriedModel, carried_filter: CarriedModel, settings: dict[str, Any]
 ) -> Evaluator:
-    """An evaluator that has travelled to this process, compiled: the time of tasks is limited."""
+    """An evaluator that has travelled to this process.
+
+    It is compiled before its first task, because the time of tasks is limited.
+    """
     evaluator = carried_evaluator(carried, carried_filter, **settings)
     evaluator.compile(*evaluator.estimations)
     return evaluator

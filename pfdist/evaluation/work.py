@@ -18,31 +18,24 @@ if TYPE_CHECKING:
     from pfdist.evaluation.evaluator import Evaluator
 
 BLOCK = 24
-"""Draws over which errors are added up. One task adds up a whole block, so results do not depend on
-the workers."""
+"""Draws over which errors are added up.
+
+One task adds up a whole block, so results do not depend on the workers.
+"""
 
 
 def in_blocks(draws: int) -> int:
-    """Round a number of draws up to whole blocks."""
+    """The number of draws, rounded up to whole blocks."""
     return -(-draws // BLOCK) * BLOCK
 
 
 @dataclass(frozen=True)
 class Estimation:
-    """How the MSE of one draw is estimated.
-
-    Parameters
-    ----------
-    particles : int
-        P.
-    resampling : {"multinomial", "stratified", "systematic", "residual", "sorted_systematic"}
-    estimator : str
-        Name of an estimator of `pfdist.kernels.estimators`.
-    """
+    """How the MSE of one draw is estimated."""
 
     particles: int
     resampling: str = "multinomial"
-    estimator: str = SQUARED_ERROR.name
+    estimator: str = SQUARED_ERROR.name  # name in `pfdist.kernels.estimators`
 
     @property
     def steps_an_instant(self) -> int:
@@ -51,7 +44,7 @@ class Estimation:
 
 
 def with_truth(particles: int) -> Estimation:
-    """Estimation by the variance of so many particles, one of which is the truth.
+    """The estimation by the variance of so many particles, one of which is the truth.
 
     The expectation is at most the error of the exact filter, for any number of particles.
     """
@@ -60,59 +53,35 @@ def with_truth(particles: int) -> Estimation:
 
 @dataclass(frozen=True)
 class Work:
-    """Sets of measurement times that filter the same draws.
-
-    Parameters
-    ----------
-    measurement_times : tuple of tuples of int
-        S sets.
-    ends : tuple of int, (S,)
-        Last instant of each set whose error counts.
-    filter_streams : tuple of int, (S,)
-        Key of each filter's noise.
-    draws_stream : int
-        Key of the draws.
-    draws : (int, int)
-        First draw, and the draw after the last.
-    estimation : Estimation
-    trajectories : bool
-        Whether z, y and the estimates are wanted.
-    ids : tuple of str, optional
-        The id of each set's evaluation, (S,); its results come back under this id. Sums have one
-        id for all sets.
-    since : tuple of int, (S,), optional
-        If given, the errors of each set at the instants from this one to its end are wanted, as
-        sums over the draws. Such a work is not cut: the rounding of a sum depends on its draws.
-    knows_truth : bool
-        Whether the filter uses the true model, whatever the evaluator's filter model is.
-    weighted : bool
-        Whether the errors of instants have the evaluator's weights; otherwise all count alike.
-    """
+    """Sets of measurement times, S in number, that filter the same draws."""
 
     measurement_times: tuple[Times, ...]
-    ends: tuple[int, ...]
-    filter_streams: tuple[int, ...]
-    draws_stream: int
-    draws: tuple[int, int]
+    ends: tuple[int, ...]  # (S,): last instant of each set whose error counts
+    filter_streams: tuple[int, ...]  # (S,): key of each filter's noise
+    draws_stream: int  # key of the draws
+    draws: tuple[int, int]  # first draw, and the draw after the last
     estimation: Estimation
-    trajectories: bool = False
+    trajectories: bool = False  # whether z, y and the estimates are wanted
+    # (S,): the id of each set's evaluation, under which its results come back. Sums have one id for
+    # all sets.
     ids: tuple[str, ...] = ()
+    # (S,): If given, the errors of each set at the instants from this one to its end are wanted, as
+    # sums over the draws. Such a work is not cut: the rounding of a sum depends on its draws.
     since: tuple[int, ...] = ()
+    # whether the filter uses the true model, whatever the evaluator's filter model is
     knows_truth: bool = False
+    # whether errors of instants have the evaluator's weights; otherwise all count alike
     weighted: bool = True
 
     def result(self, evaluator: "Evaluator") -> "Result":
         """The result of an evaluator, with arguments that the caller has checked.
 
-        Raises
-        ------
-        ModelError
-            A formula failed.
+        A `ModelError` says that a formula failed.
         """
         return evaluator.filtered(self)
 
     def part(self, draws: tuple[int, int], sets: Sequence[int] = ()) -> "Work":
-        """The same work on other draws; of some of the sets, if their places are given."""
+        """The same work on other draws, with only the sets of the given places if there are any."""
         if len(sets) in (0, len(self.measurement_times)):
             return replace(self, draws=draws)
         return replace(
@@ -146,7 +115,7 @@ class Work:
 
 
 def columns(streams: Sequence[int]) -> dict[int, list[int]]:
-    """Columns of the sets that share each stream, by stream."""
+    """For each stream, the columns of the sets that share it."""
     return {
         stream: [column for column, stream_here in enumerate(streams) if stream_here == stream]
         for stream in dict.fromkeys(streams)
@@ -155,7 +124,7 @@ def columns(streams: Sequence[int]) -> dict[int, list[int]]:
 
 @lru_cache(maxsize=64)
 def _instants(sets: tuple[Times, ...], ends: tuple[int, ...], streams: tuple[int, ...]) -> int:
-    """How many instants are filtered for one draw, over all sets."""
+    """The number of instants that are filtered for one draw, over all sets."""
     if len(sets) == 1:
         return ends[0] + 1
     total = 0
@@ -168,47 +137,27 @@ def _instants(sets: tuple[Times, ...], ends: tuple[int, ...], streams: tuple[int
 
 @dataclass(frozen=True)
 class Result:
-    """The result of a `Work` of D draws and S sets.
+    """The result of a `Work` of D draws and S sets."""
 
-    Parameters
-    ----------
-    mse : array of float64, (D, S)
-        NaN marks a degenerate draw.
-    z, y : array of float64, (D, T+1, q) and (D, T+1, m)
-    estimates : array of float64, (S, D, T+1, q)
-        z, y and estimates are empty unless trajectories are wanted.
-    sums : array of float64, (E,)
-        Sums of the errors over the draws, set by set, if they are wanted; then everything else is
-        empty. NaN for each set with which a draw is degenerate or infinite.
-    measurement_times : tuple of tuples of int, (D,)
-        The times of each draw, where each draw has times of its own.
-    """
-
-    mse: NDArray[np.float64]
+    mse: NDArray[np.float64]  # (D, S): NaN marks a degenerate draw
+    # (D, T+1, q), with trajectories; else empty
     z: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    # (D, T+1, m), with trajectories; else empty
     y: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    # (S, D, T+1, q), with trajectories; else empty
     estimates: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    # (E,): Sums of the errors over the draws, set by set, if they are wanted; then everything else
+    # is empty. NaN for each set with which a draw is degenerate or infinite.
     sums: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    # (D,): the times of each draw, if each draw has times of its own
     measurement_times: tuple[Times, ...] = ()
 
 
 def cut(draws: ArrayLike, block: int) -> list[tuple[int, int]]:
-    """Ranges of consecutive draws that contain exactly the given draws.
+    """Ranges of consecutive draws that contain exactly the given draws: first, and after the last.
 
-    Parameters
-    ----------
-    draws : array-like of int
-        Sorted, without repetition.
-    block : int
-        No range crosses a multiple of this number.
+    The draws are sorted, without repetition. No range crosses a multiple of `block`.
 
-    Returns
-    -------
-    list of (int, int)
-        First draw, and the draw after the last.
-
-    Examples
-    --------
     >>> cut([0, 1, 2, 3, 4, 7, 8], block=3)
     [(0, 3), (3, 5), (7, 9)]
     """

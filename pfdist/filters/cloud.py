@@ -12,24 +12,17 @@ from pfdist.kernels.noise import FILTER_INITIAL, TRUTH_INITIAL, variates
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-_KEPT = 2  # results: an estimator has two filters at most
-_ROUNDING = 1e-12  # of a sum of weights
+_KEPT = 2  # results in the cache: an estimator has two filters at most
+_ROUNDING = 1e-12  # relative, of a sum of weights
 
 
 @dataclass(frozen=True)
 class Gaussian:
-    """A normal distribution of x(t), from which the Kalman filter starts.
-
-    Parameters
-    ----------
-    t : int
-    mean : array of float64, (n,)
-    covariance : array of float64, (n, n)
-    """
+    """A normal distribution of x(t), from which the Kalman filter starts."""
 
     t: int
-    mean: Array
-    covariance: Array
+    mean: Array  # (n,)
+    covariance: Array  # (n, n)
 
     @property
     def components(self) -> int:
@@ -124,14 +117,9 @@ class Cloud:
         return Gaussian(self.t, mean, (deviation * self.share) @ deviation.T)
 
     def chosen_for(self, draws: range, stream: int) -> Indices:
-        """Choose the particle that each draw starts as, (D,), with probability by weight.
+        """Choose the particle that each of D draws starts as, (D,), with probability by weight.
 
-        Parameters
-        ----------
-        draws : range
-            Indices of the D draws in their stream.
-        stream : int
-            Key of the draws' noise.
+        `draws` are the draws' indices in their stream, and `stream` is the key of their noise.
         """
         uniform = variates("uniform", 1, stream, np.array(draws), self.t, TRUTH_INITIAL, 0)
         return _at(self._ends, uniform[:, 0] * self._ends[-1])
@@ -139,23 +127,13 @@ class Cloud:
     def chosen_for_filters(
         self, particles: int, draws: range, stream: int, truths: Indices | None = None
     ) -> Indices:
-        """Choose the particles from which each draw's filter starts, (D, P).
+        """Choose the particles from which each draw's filter starts, (D, P): systematic resampling.
 
-        Systematic resampling. A cloud of P particles of the same weight is taken as it is. If the
-        truths are particles of this cloud, no filter starts with the state of its own draw's truth:
-        a filter that contained the truth would look too good. If nearly all the weight lies on one
-        state, the filters look worse than they are.
-
-        Parameters
-        ----------
-        particles : int
-            P.
-        draws : range
-            Indices of the D draws in their stream.
-        stream : int
-            Key of the filters' noise.
-        truths : array of int64, (D,), optional
-            The particle that each draw starts as.
+        A cloud of P particles of the same weight is taken as it is. `truths` (D,) are the particles
+        of this cloud that the draws start as. No filter starts with the state of its own draw's
+        truth: a filter that contained the truth would look too good. If nearly all the weight lies
+        on one state, the filters look worse than they are. `draws` are indices in the stream, and
+        `stream` is the key of the filters' noise.
         """
         known = particles, draws, stream, None if truths is None else truths.tobytes()
         if known not in self._chosen:  # a search asks for the same particles again and again
@@ -171,6 +149,8 @@ class Cloud:
         points = (np.arange(particles) + offset) / particles  # in (0, 1)
         if truths is None:
             return _at(self._ends, points * self._ends[-1])
+        # Particles lie on a line, sorted by state, with their weights as lengths. The truth's state
+        # is cut out of this line, and the points are spread over the rest.
         order, ends, first, after = self._by_state
         first, after = first[truths][:, None], after[truths][:, None]
         below, above = np.r_[0.0, ends][first], np.r_[0.0, ends][after]
@@ -213,6 +193,6 @@ Prior = Cloud | Gaussian
 
 
 def _at(ends: Array, points: Array) -> Indices:
-    """Give the particle on which each point of the line of weights lies."""
+    """The particle on which each point of the line of weights lies."""
     last = int(np.searchsorted(ends, ends[-1]))  # particles behind it have no weight
     return np.minimum(np.searchsorted(ends, points, side="right"), last)

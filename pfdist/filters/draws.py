@@ -15,35 +15,18 @@ from pfdist.models.mistakes import place_of, place_of_function
 
 @dataclass(frozen=True)
 class Draws:
-    """Realisations of a model.
-
-    Parameters
-    ----------
-    model : StateSpaceModel
-        The truth.
-    index : range
-        The indices of the D draws in their stream.
-    x : array of float64, (D, T+1, n)
-        States.
-    y : array of float64, (D, T+1, m)
-        Measurements at all instants, also at those that are not measurement times.
-    z : array of float64, (D, T+1, q)
-        Quantities of interest.
-    start : int
-        The first instant of the arrays; T+1 is their number of instants.
-    origin : array of int64, (D,), optional
-        The particle of a cloud from which each draw started, if it did.
-    weights : array of float64, (T+1,), optional
-        Weight of each instant's error in the MSE, with mean 1; by default all weights are 1.
-    """
+    """D realisations of a model, which is the truth, at T+1 instants from `start` on."""
 
     model: StateSpaceModel
-    index: range
-    x: NDArray[np.float64]
+    index: range  # indices of the draws in their stream
+    x: NDArray[np.float64]  # (D, T+1, n): states
+    # (D, T+1, m): measurements at all instants, also at those that are not measurement times
     y: NDArray[np.float64]
-    z: NDArray[np.float64]
+    z: NDArray[np.float64]  # (D, T+1, q): quantities of interest
     start: int = 0
+    # (D,): the particle of a cloud from which each draw started, if it did
     origin: Indices | None = None
+    # (T+1,): weight of each instant's error in the MSE, with mean 1; by default all are 1
     weights: NDArray[np.float64] | None = None
 
     @property
@@ -70,13 +53,7 @@ class Draws:
 
 
 def check_prior(prior: Prior, model: StateSpaceModel, horizon: int) -> None:
-    """Refuse a prior whose states are not those of a model, or whose instant lies outside 0..T.
-
-    Raises
-    ------
-    PriorError
-        The numbers of components differ, or the instant lies outside.
-    """
+    """Raise a `PriorError` if a prior does not fit a model, or its instant is not in 0..T."""
     if not 0 <= prior.t <= horizon:
         raise PriorError(f"a prior must be of an instant in 0..{horizon}, got {prior.t}")
     components = prior.components
@@ -90,12 +67,9 @@ def check_prior(prior: Prior, model: StateSpaceModel, horizon: int) -> None:
 def begun(
     model: StateSpaceModel, horizon: int, index: range, stream: int, prior: Cloud | None
 ) -> Draws:
-    """Give draws whose arrays are empty but for the states that a prior gives.
+    """Draws whose arrays have arbitrary values, but for the states that a prior gives.
 
-    Raises
-    ------
-    PriorError
-        The prior does not fit the model or the horizon.
+    A `PriorError` says that the prior does not fit the model or the horizon.
     """
     if index.step != 1:
         raise ValueError(f"index must be a range with step 1, got {index}")
@@ -112,14 +86,9 @@ def begun(
 
 
 def check_finite(model: StateSpaceModel, draws: Draws, stream: int) -> None:
-    """Raise a `ModelError` that names the first value that is not finite, and what gave it.
+    """Raise a `ModelError` about the first value that is not finite, and the formula that gave it.
 
-    Parameters
-    ----------
-    model : StateSpaceModel
-    draws : Draws
-    stream : int
-        The key of the noise with which they were simulated.
+    `stream` is the key of the noise with which the draws were simulated.
     """
     for name in "xyz":
         values = getattr(draws, name)
@@ -134,18 +103,10 @@ def check_finite(model: StateSpaceModel, draws: Draws, stream: int) -> None:
 def not_finite(
     model: StateSpaceModel, formula: str, arguments: tuple[Any, ...], got: str, t: int
 ) -> str:
-    """Say which formula gave a value that is not finite, and which operation and line is at fault.
+    """The message about a formula that gave a value that is not finite, with operation and line.
 
-    Parameters
-    ----------
-    model : StateSpaceModel
-    formula : str
-        The formula's name.
-    arguments : tuple
-        The arguments with which it gave the value.
-    got : str
-        The value, as ``x[0] = nan``.
-    t : int
+    `arguments` are those with which the formula gave the value, and `got` is the value, as
+    ``x[0] = nan``.
     """
     function = getattr(model, formula)
     cause = place_of_function(function)
@@ -165,7 +126,7 @@ def not_finite(
 def _given(
     model: StateSpaceModel, name: str, draw: Draws, k: int, stream: int
 ) -> tuple[str, tuple[Any, ...]]:
-    """The formula that gives x, y or z of a draw at its instant number k, and its arguments."""
+    """The formula that gives x, y or z of a draw at its instant number k, with its arguments."""
 
     def noise(kinds: tuple[str, ...], t: int, role: SupportsIndex) -> tuple[Any, ...]:
         index = np.array(draw.index)

@@ -2,11 +2,9 @@
 
 The covariances do not depend on what is measured, so the expected MSE needs no draws.
 
-References
-----------
-Kalman, "A new approach to linear filtering and prediction problems", Journal of Basic Engineering
-82, 1960. Sinopoli et al., "Kalman filtering with intermittent observations", IEEE Transactions on
-Automatic Control 49, 2004.
+Sources: Kalman, "A new approach to linear filtering and prediction problems", Journal of Basic
+Engineering 82, 1960. Sinopoli et al., "Kalman filtering with intermittent observations", IEEE
+Transactions on Automatic Control 49, 2004.
 """
 
 from collections.abc import Sequence
@@ -38,12 +36,8 @@ def expected_mse(
 
     The mean is over t = 0..T, or over t = s..T with a prior of x(s). If `ends` are given, each
     set's errors count up to its end only, and are divided by the number of all instants. The
-    weights of the instants have mean 1; by default all are 1.
-
-    Raises
-    ------
-    MeasurementTimesError, ModelError
-        A set lies outside these instants, or the model is not linear-Gaussian.
+    weights of the instants have mean 1; by default all are 1. A MeasurementTimesError or ModelError
+    says that a set lies outside these instants, or that the model is not linear-Gaussian.
     """
     errors = expected_errors(model, horizon, sets, prior)
     start = horizon + 1 - errors.shape[1]
@@ -59,12 +53,7 @@ def expected_errors(
 ) -> Array:
     """Exact expected error of each instant with each set of times, (S, T+1).
 
-    With a prior of x(s), the instants are s..T.
-
-    Raises
-    ------
-    MeasurementTimesError, ModelError
-        As `expected_mse`.
+    With a prior of x(s), the instants are s..T. Errors are raised as by `expected_mse`.
     """
     start = 0 if prior is None else prior.t
     matrices = known_matrices(model, horizon).since(start)
@@ -96,8 +85,8 @@ def filter_checked_draws(
 ) -> Filtered:
     """Filter draws exactly, with the arguments of the function in `particle_filter`.
 
-    The filter has no particles, so of the settings and the stream nothing is used. A component of y
-    that is NaN in every draw was not measured.
+    The filter has no particles. It uses only the prior of the settings, and no noise. A component
+    of y that is NaN in every draw was not measured.
     """
     instants = draws.instants
     matrices = matrices_of(model, instants[-1], draws.start)
@@ -127,12 +116,9 @@ def filter_checked_draws(
 
 
 def predicted_measurement(model: StateSpaceModel, state: Gaussian) -> Gaussian:
-    """Give the normal distribution of y(t), where that of x(t) is given.
+    """The normal distribution of y(t), given that of x(t).
 
-    Raises
-    ------
-    ModelError
-        The model is not linear-Gaussian.
+    A `ModelError` says that the model is not linear-Gaussian.
     """
     (measurement,) = matrices_of(model, state.t, state.t).measurement
     states = state.components
@@ -152,7 +138,7 @@ def _times(matrix: Array, vectors: Array) -> Array:
 
 
 def _seen(y: Array, measurement: Affine) -> tuple[Array, Affine]:
-    """Give the measurements y (D, m) without the components that are NaN in every draw."""
+    """The measurements y (D, m) without the components that are NaN in every draw."""
     missing = np.isnan(y).all(axis=0)
     if not missing.any():
         return y, measurement

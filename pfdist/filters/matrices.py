@@ -1,6 +1,6 @@
 """The matrices of a model that declares itself linear and Gaussian.
 
-They are found by calling its formulas on the unit vectors, so they are written down once.
+They come from the values of its formulas at 0 and at unit vectors: the user writes only formulas.
 """
 
 from collections.abc import Callable
@@ -22,39 +22,23 @@ _TOLERANCE = 1e-9  # relative, for the rounding errors of a linear formula
 
 @dataclass(frozen=True)
 class Affine:
-    """``offset + matrix @ u``.
+    """``offset + matrix @ u``."""
 
-    Parameters
-    ----------
-    offset : array of float64, (r,)
-    matrix : array of float64, (r, c)
-    """
-
-    offset: Array
-    matrix: Array
+    offset: Array  # (r,)
+    matrix: Array  # (r, c)
 
 
 @dataclass(frozen=True)
 class LinearGaussian:
-    """Matrices of a model's formulas, for t = s..T.
+    """Matrices of a model's formulas, for t = s..T."""
 
-    Parameters
-    ----------
-    initial : Affine
-        From w to x(0).
-    transition, measurement : tuple of Affine, (T-s,) and (T-s+1,)
-        From (x(t), w) to x(t+1), and from (x(t), v) to y(t).
-    quantity_of_interest : tuple of Affine, (T-s+1,)
-        From x(t) to z(t).
-    """
-
-    initial: Affine
-    transition: tuple[Affine, ...]
-    measurement: tuple[Affine, ...]
-    quantity_of_interest: tuple[Affine, ...]
+    initial: Affine  # from w to x(0)
+    transition: tuple[Affine, ...]  # (T-s,): from (x(t), w) to x(t+1)
+    measurement: tuple[Affine, ...]  # (T-s+1,): from (x(t), v) to y(t)
+    quantity_of_interest: tuple[Affine, ...]  # (T-s+1,): from x(t) to z(t)
 
     def since(self, start: int) -> "LinearGaussian":
-        """The matrices without those of the first instants."""
+        """The matrices without those of the first `start` instants."""
         return LinearGaussian(
             self.initial,
             self.transition[start:],
@@ -78,18 +62,15 @@ class _SameModel:
 
 @lru_cache(maxsize=8)
 def _known(key: _SameModel, horizon: int) -> LinearGaussian:
-    """The matrices for t = 0..horizon, which a search asks for again and again."""
+    """The cached matrices for t = 0..horizon: a search needs them again and again."""
     return matrices_of(key.model, horizon)
 
 
 def matrices_of(model: StateSpaceModel, horizon: int, start: int = 0) -> LinearGaussian:
     """Find the matrices of a model, for t = start..horizon.
 
-    Raises
-    ------
-    ModelError
-        The model does not declare itself linear-Gaussian, or it is not linear-Gaussian: a noise is
-        not normal, the error is not the squared Euclidean norm, or a formula is not linear.
+    A `ModelError` says that the model does not declare itself linear-Gaussian, or is not: a noise
+    is not normal, the error is not the squared Euclidean norm, or a formula is not linear.
     """
     _check_declared(model)
     p, states = model.p, model.components[0]
@@ -154,11 +135,5 @@ def _check_declared(model: StateSpaceModel) -> None:
 
 
 def known_matrices(model: StateSpaceModel, horizon: int) -> LinearGaussian:
-    """Give the matrices for t = 0..horizon, which are found once for each model.
-
-    Raises
-    ------
-    ModelError
-        As `matrices_of`.
-    """
+    """The matrices for t = 0..horizon, computed once for each model; raises as `matrices_of`."""
     return _known(_SameModel(model), horizon)

@@ -18,9 +18,7 @@ two_filters     The mean variance of two filters on the same y, plus the squared
 The compiled filter sums these estimates at each instant (`pfdist.kernels.moments`). This module
 computes them from the recorded means and variances.
 
-References
-----------
-Owen, "Monte Carlo theory, methods and examples", 2013, section 8.7 (conditioning).
+Source: Owen, "Monte Carlo theory, methods and examples", 2013, section 8.7 (conditioning).
 """
 
 from collections.abc import Callable, Sequence
@@ -39,17 +37,9 @@ Array = NDArray[np.float64]
 
 
 def one_by_one(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., Array]:
-    """Give a filter of several sets that calls a filter of one set for each of them.
+    """A function `filter_checked_sets` that calls a filter of one set for each set.
 
-    Parameters
-    ----------
-    filter_checked_draws : callable
-        With the arguments of `pfdist.filters.particle_filter.filter_checked_draws`.
-
-    Returns
-    -------
-    callable
-        With the arguments of `pfdist.filters.particle_filter.filter_checked_sets`.
+    Arguments are those of the functions of these names in `pfdist.filters.particle_filter`.
     """
 
     def filter_checked_sets(
@@ -72,17 +62,9 @@ def one_by_one(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., A
 
 
 def summed_one_by_one(filter_checked_draws: Callable[..., Filtered]) -> Callable[..., Array]:
-    """Give a function that sums the errors of each instant, and filters one set after another.
+    """A function `sum_errors` that filters one set after another by a filter of one set.
 
-    Parameters
-    ----------
-    filter_checked_draws : callable
-        With the arguments of `pfdist.filters.particle_filter.filter_checked_draws`.
-
-    Returns
-    -------
-    callable
-        With the contract of `pfdist.filters.particle_filter.sum_errors`.
+    Arguments are those of the functions of these names in `pfdist.filters.particle_filter`.
     """
 
     def sum_errors(
@@ -124,18 +106,10 @@ def _filters(
 
 
 def errors_by_variance(estimates: Array, variances: Array, weights: ErrorWeights) -> Array:
-    """Estimate the error of each instant by what filters know of themselves.
+    """The estimated error of each instant, (D, T+1), from estimates and variances of F filters.
 
-    Parameters
-    ----------
-    estimates, variances : array of float64, (F, D, T+1, q)
-        Estimates and variances of F independent filters on the same measurements.
-    weights : ErrorWeights
-        The weight of the squared error is ignored.
-
-    Returns
-    -------
-    array of float64, (D, T+1)
+    Estimates and variances are (F, D, T+1, q), of independent filters on the same measurements. The
+    weight of the squared error is ignored.
     """
     errors: Array = weights.variance * np.sum(variances, axis=(0, 3))
     if weights.distance:
@@ -144,7 +118,7 @@ def errors_by_variance(estimates: Array, variances: Array, weights: ErrorWeights
 
 
 def _errors(filters: Sequence[Filtered], draws: Draws, estimator: Estimator) -> Array:
-    """Estimate the error of each draw at each instant, (D, T+1)."""
+    """The estimated error of each draw at each instant, (D, T+1)."""
     if not estimator.for_any_filter:
         by_variance = errors_by_variance(*_moments(filters), estimator.weights)
         return weighed(by_variance, draws.instant_weights)
@@ -161,7 +135,7 @@ def _errors(filters: Sequence[Filtered], draws: Draws, estimator: Estimator) -> 
 
 
 def _mse(filters: Sequence[Filtered], draws: Draws, estimator: Estimator) -> Array:
-    """Estimate each draw's MSE, (D,); NaN and inf of any filter remain."""
+    """The estimated MSE of each draw, (D,); NaN and inf of any filter remain."""
     mse: Array = np.sum([filtered.mse for filtered in filters], axis=0)
     weights = estimator.weights
     if estimator.for_any_filter:

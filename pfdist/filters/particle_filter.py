@@ -4,9 +4,7 @@ Sampling importance resampling: particles are propagated by the model, and weigh
 only at the measurement times. `pfdist.kernels.fused_filter` compiles it. `pfdist.filters.plain`
 holds the same filter in plain NumPy, for reading.
 
-References
-----------
-Arulampalam, Maskell, Gordon, Clapp, "A tutorial on particle filters", 2002, algorithm 4.
+Source: Arulampalam, Maskell, Gordon, Clapp, "A tutorial on particle filters", 2002, algorithm 4.
 """
 
 from collections.abc import Sequence
@@ -33,11 +31,11 @@ from pfdist.models.parameters import flat_parameters, parameter_names
 from pfdist.times.measurement_times import Times
 
 KERNEL_VERSION = 4
-"""Counts the changes after which the same keys give other figures; part of a run's identity."""
+"""Number of changes after which the same keys give other figures; part of a run's identity."""
 
 
 class _Wanted(NamedTuple):
-    """Arrays that the filter fills beside the mse; see `pfdist.kernels.fused_filter.Results`."""
+    """Arrays that the filter fills besides the mse; see `pfdist.kernels.fused_filter.Results`."""
 
     moments: NDArray[np.float64] = np.empty((2, 0, 0, 0))
     errors: NDArray[np.float64] = np.empty((0, 0))
@@ -57,16 +55,8 @@ def filter_checked_draws(
 ) -> Filtered:
     """Filter draws as `filter_draws` does, with arguments that the caller has checked.
 
-    Parameters
-    ----------
-    model : StateSpaceModel
-    draws : Draws
-    measurement_times : tuple of int
-        As `pfdist.times.measurement_times.validated` gives them.
-    stream : int
-    settings : FilterSettings
-        Accepted by `check_filter` for this model and the draws' model.
-    trajectories : bool
+    The times are sorted instants of the draws. `check_filter` has accepted the settings for this
+    model and the draws' model.
     """
     planned = _planned(draws, (measurement_times,)).plan
     if not trajectories:
@@ -96,25 +86,12 @@ def filter_sets(
     ends: Sequence[int] | None = None,
     estimator: str = SQUARED_ERROR.name,
 ) -> NDArray[np.float64]:
-    """Filter draws with several sets of measurement times, all under the same noise.
+    """The MSE of draws with several sets of measurement times under the same noise, (D, S).
 
     A prefix that two sets share is filtered once. This is faster than filtering the sets one by
-    one, and gives the same bits. The draws must start at t = 0. Other parameters and errors are
-    those of `filter_draws`.
-
-    Parameters
-    ----------
-    sets : sequence of tuples of int, (S,)
-    ends : sequence of int, (S,), optional
-        The last instant whose error counts, for each set; by default T.
-    estimator : {"squared_error", "filter_variance", "two_filters"}
-        How the error of an instant is estimated; see `pfdist.filters.one_by_one`.
-
-    Returns
-    -------
-    array of float64, (D, S)
-        Sum of the errors up to each set's end, divided by the number of instants. This is the mse
-        of `filter_draws` if the end is T.
+    one, and gives the same bits. `ends` are the last instants whose errors count, by default T;
+    their sum is divided by the number of all instants. The draws must start at t = 0. Other
+    arguments and errors are those of `filter_draws`.
     """
     check_filter(model, draws.model, particles, resampling, dtype, estimator)
     check_start(model, draws, None)
@@ -132,22 +109,10 @@ def filter_checked_sets(
     stream: int,
     settings: FilterSettings,
 ) -> NDArray[np.float64]:
-    """Filter draws as `filter_sets` does, with arguments that the caller has checked.
+    """Filter draws as `filter_sets` does, (D, S), with arguments that the caller has checked.
 
-    Parameters
-    ----------
-    model : StateSpaceModel
-    draws : Draws
-    sets : sequence of tuples of int, (S,)
-        As `pfdist.times.measurement_times.validated` gives them.
-    ends : sequence of int, (S,)
-    stream : int
-    settings : FilterSettings
-        Accepted by `check_filter` for this model and the draws' model.
-
-    Returns
-    -------
-    array of float64, (D, S)
+    Draws may start at a prior. The times are sorted instants of the draws. `check_filter` has
+    accepted the settings for this model and the draws' model.
     """
     planned, columns, _ = _planned(draws, sets, ends)
     return _filter(model, draws, planned, stream, settings)[:, columns]
@@ -161,15 +126,10 @@ def sum_errors(
     stream: int,
     settings: FilterSettings,
 ) -> NDArray[np.float64]:
-    """Sum the errors of each instant over draws, with arguments as for `filter_checked_sets`.
+    """Sums of the errors of each instant over draws, (S, T+1), with checked arguments.
 
-    The memory does not grow with the draws.
-
-    Returns
-    -------
-    array of float64, (S, T+1)
-        NaN for each set with which a draw is degenerate or infinite. Values after the end of a set
-        mean nothing.
+    A set has NaN if a draw is degenerate or infinite with it. Values after the end of a set mean
+    nothing. The memory does not grow with the draws. Arguments are those of `filter_checked_sets`.
     """
     instants = draws.z.shape[1]
     planned, columns, rows = _planned(draws, sets, ends)
@@ -188,7 +148,7 @@ def _filter(
     settings: FilterSettings,
     wanted: _Wanted = _NOTHING_ELSE,
 ) -> NDArray[np.float64]:
-    """Fill the arrays that are wanted, and give the mse, (D, U)."""
+    """The mse of the sets of a plan, (D, U); the other arrays that are wanted are filled."""
     mse, truth = np.empty((len(draws.index), len(planned.measured))), draws.model
     request = Request(
         np.array(filter_streams(stream, settings.estimator), np.uint64),
@@ -208,7 +168,7 @@ def _filter(
     results = Results(mse, estimate, variance, wanted.errors, wanted.cloud, np.zeros(2, np.int64))
 
     def again() -> str:
-        """Filter the draw that failed in NumPy."""
+        """Filter the failed draw in NumPy."""
         row, number = results.at
         times = draws.start + np.flatnonzero(planned.measured[number])
         end, draw = draws.start + planned.ends[number] - 1, draws[row : row + 1]
@@ -221,7 +181,7 @@ def _filter(
 
 
 def _planned(draws: Draws, sets: Sequence[Times], ends: Sequence[int] | None = None) -> Planned:
-    """Plan the filter of several sets, counting instants from the draws' first."""
+    """Plan the filter of several sets, with instants counted from the draws' first."""
     start, instants = draws.start, draws.z.shape[1]
     if start:
         sets = [tuple(time - start for time in times) for times in sets]

@@ -1,4 +1,4 @@
-"""Simulation and filter in plain NumPy: easy to read, and the reference of the compiled ones.
+"""Simulation and filter in plain NumPy: easy to read, and the reference of the compiled functions.
 
 They use the same keys and the same formulas on arrays (draws, particles), and none of our compiled
 code. They are also the engine for models that Numba cannot compile, and about 100 times slower.
@@ -138,7 +138,7 @@ def _filter(
 
 
 def _in_line(x: tuple[Array, ...], weight: Array) -> tuple[tuple[Array, ...], Array]:
-    """Particles in the order of their states."""
+    """Particles and their weights in the order of the states."""
     order = plain_order(x[0], weight)
     return (np.take_along_axis(x[0], order, axis=1),), np.take_along_axis(weight, order, axis=1)
 
@@ -169,7 +169,7 @@ def _of_cloud(value: Any, cloud: tuple[int, ...]) -> Array:
 
 
 def _kept(x: tuple[Any, ...], shape: tuple[int, ...], dtype: str) -> tuple[Array, ...]:
-    """States, rounded to the dtype in which they are stored."""
+    """States (D, particles), rounded to the dtype in which they are stored."""
     return tuple(_of_cloud(component, shape).astype(dtype).astype(np.float64) for component in x)
 
 

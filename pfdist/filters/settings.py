@@ -20,36 +20,17 @@ MOST_PARTICLES = 2**31 - 1  # an index of a particle has 32 bits
 
 @dataclass(frozen=True)
 class FilterSettings:
-    """The settings of a particle filter.
-
-    Parameters
-    ----------
-    particles : int
-        P.
-    resampling : {"multinomial", "stratified", "systematic", "residual", "sorted_systematic"}
-    dtype : {"float64", "float32"}
-        The dtype of the particles' states; formulas compute in float64.
-    estimator : {"squared_error", "filter_variance", "two_filters"}
-        How the error of an instant is estimated; see `pfdist.filters.one_by_one`.
-    prior : Cloud or Gaussian, optional
-        Distribution of the state at the first instant of the draws, in the place of `initial`.
-    """
+    """The settings of a particle filter; `prior` takes the place of `initial`."""
 
     particles: int
     resampling: str = MULTINOMIAL.name
-    dtype: str = "float64"
-    estimator: str = SQUARED_ERROR.name
+    dtype: str = "float64"  # of the particles' states; formulas compute in float64
+    estimator: str = SQUARED_ERROR.name  # see `pfdist.filters.one_by_one`
     prior: Prior | None = None
 
 
 def check_start(model: StateSpaceModel, draws: Draws, prior: Prior | None) -> None:
-    """Raise an error if a filter with this prior cannot start where the draws start.
-
-    Raises
-    ------
-    PriorError
-        The prior has other components than the model, or is of another instant.
-    """
+    """Raise a `PriorError` if a filter with this prior cannot start where the draws start."""
     start = 0 if prior is None else prior.t
     if start != draws.start:
         raise PriorError(
@@ -61,13 +42,7 @@ def check_start(model: StateSpaceModel, draws: Draws, prior: Prior | None) -> No
 
 
 def check_fits(model: StateSpaceModel, truth: StateSpaceModel) -> None:
-    """Raise an error if a filter's model does not fit the truth's draws.
-
-    Raises
-    ------
-    ModelError
-        Its y or z has another number of components.
-    """
+    """Raise a `ModelError` if y or z of a filter's model has other components than the truth's."""
     for component, true, believed in zip("xyz", truth.components, model.components, strict=True):
         if true != believed and component != "x":
             raise ModelError(
@@ -86,12 +61,8 @@ def check_filter(
 ) -> None:
     """Raise an error if a filter's settings are wrong, or do not fit its model and the truth.
 
-    Raises
-    ------
-    ModelError
-        As for `check_fits`, or a setting does not fit the model.
-    ArgumentError
-        A setting has a value that is not allowed.
+    An ArgumentError names a value that is not allowed, and a ModelError a setting or model that
+    does not fit.
     """
     check_fits(model, truth)
     for name, got, allowed in (
@@ -115,7 +86,7 @@ def check_filter(
 
 
 def _check_estimator(model: StateSpaceModel, truth: StateSpaceModel, estimator: str) -> None:
-    """Raise an error unless the model and the error allow an estimator by the variance."""
+    """Raise a `ModelError` unless the model and the error allow an estimator by the variance."""
     allowed = SQUARED_ERROR.name
     if model != truth and ESTIMATORS[estimator].needs_truth:
         raise ModelError(

@@ -1,4 +1,4 @@
-"""Simulate draws by one compiled function, fused from the formulas of a model."""
+"""The simulation of draws by one compiled function, fused from the formulas of a model."""
 
 from collections.abc import Callable
 from functools import lru_cache
@@ -26,36 +26,18 @@ _TOGETHER = 64  # draws that are simulated side by side, with a few vectors of n
 def simulate(
     model: StateSpaceModel, horizon: int, index: range, stream: int, prior: Cloud | None = None
 ) -> Draws:
-    """Simulate some draws of a stream.
+    """Simulate consecutive draws of a stream, up to t = horizon.
 
-    Parameters
-    ----------
-    model : StateSpaceModel
-    horizon : int
-        T.
-    index : range
-        The consecutive indices of the draws. A draw does not depend on the other draws.
-    stream : int
-        Key of the noise, 64 bits.
-    prior : Cloud, optional
-        Particles of x(s), from which the draws start at s in the place of `initial`.
-
-    Returns
-    -------
-    Draws
-
-    Raises
-    ------
-    ModelError
-        A formula cannot be compiled or failed, or gave a value that is not finite.
-    PriorError
-        The prior does not fit the model or the horizon.
+    `index` holds the draws' indices, and `stream` is the 64-bit key of their noise. A draw does not
+    depend on the other draws. With a prior of x(s), draws start at s in the place of `initial`. A
+    ModelError says that a formula cannot be compiled, failed, or gave a value that is not finite; a
+    PriorError, that the prior does not fit.
     """
     draws = begun(model, horizon, index, stream, prior)
     flat, at = flat_parameters(model.parameters, horizon + 1), np.zeros(1, np.int64)
 
     def again() -> str:
-        """Simulate in NumPy the draws that failed."""
+        """Simulate the failed draws in NumPy."""
         first = index[at[0] : at[0] + _TOGETHER]
         plain.simulate(model, horizon, first, stream, prior)
         return f"the simulation of draws {first.start} to {first.stop - 1}"
@@ -68,7 +50,7 @@ def simulate(
 
 
 def compiled_simulation(model: StateSpaceModel) -> WithScratch:
-    """Give the compiled function that simulates draws of a model; see `pfdist.filters.draws`."""
+    """The compiled function that simulates draws of a model into given arrays."""
     return _compile(
         (model.initial, model.transition, model.measurement, model.quantity_of_interest),
         (model.initial_noise, model.process_noise, model.measurement_noise),

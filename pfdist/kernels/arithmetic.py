@@ -1,6 +1,6 @@
 """Operations that LLVM must be given: fused multiply-add, maximum, comparison of vectors, sums.
 
-This is the only file in the kernels with our own LLVM instructions. All of them are portable.
+Only this file of the kernels contains our own LLVM instructions. All of them are portable.
 """
 
 import functools
@@ -15,20 +15,16 @@ from pfdist.kernels.melting import MELTING
 
 _SHORT = 4
 _SUMS = 64
-LANES = 16  # of a vector of 32-bit numbers
+LANES = 16  # 32-bit numbers that are processed together
 
 
 def fma(a, b, c):
-    """``a * b + c``, rounded once.
+    """``a * b + c``, rounded once, for float32 or arrays of it; compiled code also takes float64.
 
     One instruction replaces two, and the result is the same on every machine. If the compiler were
     free to fuse, the noise would depend on the machine. In plain NumPy only float32 is supported,
     through float64, which holds the product exactly. This rounds twice, which changes the result in
     one of 2^29 cases. No argument that occurs in noise and weights is such a case.
-
-    Parameters
-    ----------
-    a, b, c : float32, or arrays of it; compiled also float64
     """
     return np.float32(np.float64(a) * b + c)
 
@@ -136,6 +132,8 @@ def row_sum(typing_context, values, row):
                     block = builder.load(address, align=8)
                     builder.store(builder.fadd(builder.load(total), block), total)
 
+        # Whole blocks of _SUMS values go to all partial sums, and the rest to the first LANES. So
+        # the order of additions depends on the length alone, not on the processor's vectors.
         whole = builder.and_(length, ir.Constant(index, -_SUMS))
         add(ir.Constant(index, 0), whole, sums)
         add(whole, length, sums[: LANES // _SHORT])

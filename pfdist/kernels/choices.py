@@ -1,7 +1,7 @@
 """Replacements in formulas for NumPy's functions that choose between values, such as `where`.
 
-NumPy's own functions make arrays even of numbers: 100 to 250 ns a particle, where a choice takes
-1 ns. On numbers the replacements give the same values. On arrays they call NumPy's functions.
+NumPy's own functions make arrays even of numbers: 100 to 250 ns a particle. The replacements take 1
+ns on numbers, and give the same values. On arrays they call NumPy's functions.
 """
 
 import math
@@ -98,7 +98,7 @@ def _interp(x, xp, fp, left=None, right=None):
 
 
 def _interpolation(has_left, has_right):
-    """Give a function that interpolates a number, with or without values beyond the ends."""
+    """A function that interpolates a number, with or without values beyond the ends."""
 
     def on_numbers(x, xp, fp, left=None, right=None):
         size = xp.size

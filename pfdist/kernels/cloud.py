@@ -1,7 +1,7 @@
 """The steps of a cloud of particles, compiled from a model: begin, propagate, weight, and copy.
 
-A cloud is an array (2, n, W), the first member of a `pfdist.kernels.scratch.Scratch`. Each step
-reads one half, whose index is `here`, and writes the other half.
+A cloud is an array (2, n, W), a member of `pfdist.kernels.scratch.Scratch`. Each step reads one
+half, whose index is `here`, and writes the other half.
 """
 
 from collections.abc import Callable
@@ -20,18 +20,11 @@ _FORMULAS = ("initial", "transition", "log_likelihood")
 
 
 class Prior(NamedTuple):
-    """Particles from which each filter starts in the place of `initial`.
+    """Particles from which each filter starts in the place of `initial`."""
 
-    Parameters
-    ----------
-    x : array of float64, (n, M)
-        States of all particles.
-    particle : array of int64, (F, D, P)
-        The particle of x that each particle of each of F filters of each draw starts as; empty if
-        the filters start from `initial`.
-    """
-
-    x: NDArray[np.float64]
+    x: NDArray[np.float64]  # (n, M): states of all particles
+    # (F, D, P): the column of x that each particle of each of F filters of each draw starts as;
+    # empty if the filters start from `initial`
     particle: NDArray[np.int64]
 
 
@@ -45,25 +38,15 @@ def cloud_steps(
 ) -> tuple[Callable[..., Any], ...]:
     """Compile what a model does to a cloud: begin, propagate, and compute log-weights.
 
-    Parameters
-    ----------
-    functions : tuple of callables
-        initial, transition and log_likelihood.
-    noise_kinds : tuple of tuples of {"normal", "uniform"}
-        Kinds of noise of the initial state and of the process.
-    components : (int, int, int)
-        Numbers of components of x, y and z.
+    `functions` are initial, transition and log_likelihood. `noise_kinds` are those of the initial
+    state and of the process, and `components` the numbers of components of x, y and z. The results
+    are
 
-    Returns
-    -------
-    begin : callable
-        ``begin(at, request, p, scratch, source)`` fills the first half with the saved cloud number
-        `source`. If `source` is -1, it fills it with the particles of the request's prior for the
-        draw ``at.d``; without a prior, with x(0). It returns the sum of the errors so far.
-    propagate : callable
-        ``propagate(cloud, here, noise, particles, p, stream, draw, t)`` computes x(t+1) from x(t).
-    fill_log_weights : callable
-        ``fill_log_weights(cloud, here, particles, p, y, t, log_weight)``, for a measurement y at t.
+    - ``begin(at, request, p, scratch, source)``, which fills the first half and returns the sum of
+      the errors so far. It copies the saved cloud number `source`. If `source` is -1, it takes the
+      request's prior for the draw ``at.d``, or without a prior x(0);
+    - ``propagate(cloud, here, noise, particles, p, stream, draw, t)``: x(t+1) from x(t);
+    - ``fill_log_weights(cloud, here, particles, p, y, t, log_weight)``, for a measurement y at t.
     """
     initial, transition, log_likelihood = map(formula, functions, _FORMULAS)
     fill_w0, fill_w = map(filler, noise_kinds)

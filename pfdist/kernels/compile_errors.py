@@ -36,7 +36,7 @@ _INSTEAD = {
 
 
 def reason_of(error: BaseException) -> str:
-    """Say why Numba could not compile, and where: ``what (file:line)``."""
+    """The reason why Numba could not compile, and the user's line: ``what (file:line)``."""
     text = str(error)
     places = re.findall(r'File "(.*?)", line (\d+)', text)
     places += re.findall(r"Raised from (.*?) \((\d+)\)", text)
@@ -83,5 +83,5 @@ _REASONS: tuple[tuple[re.Pattern[str], Callable[[re.Match[str], str], str]], ...
 
 
 def _plain(line: str) -> str:
-    """Give a line without addresses of memory."""
+    """A line without addresses of memory."""
     return re.sub(r" at 0x[0-9a-f]+", "", line.strip())

@@ -15,25 +15,17 @@ import numpy as np
 
 from pfdist.kernels.melting import melted
 
-_VARYING = "[t]"  # ends the name of an array, with an entry for each instant
+_VARYING = "[t]"  # the end of the name of an array that has an entry for each instant
 
 
 @cache
 def tuple_of(
     components: int, arguments: str, entry: str, **functions: Callable[..., Any]
 ) -> Callable[..., Any]:
-    """Compile a function whose result is a tuple.
+    """Compile a function whose result is a tuple with an entry for each component.
 
-    Parameters
-    ----------
-    components : int
-        The number of entries.
-    arguments : str
-        Names of the function's arguments.
-    entry : str
-        The expression of entry c, for instance ``"a[c] + b[c]"``.
-    **functions : callables
-        The functions that the expression calls, by name.
+    `arguments` names the function's arguments. `entry` is the expression of entry c, for instance
+    ``"a[c] + b[c]"``. `functions` are those that the expression calls, by name.
     """
     entries = "".join(f"{_for_component(c, entry)}," for c in range(components))
     return _made(f"def result({arguments}):\n    return ({entries})\n", **functions)
@@ -42,12 +34,7 @@ def tuple_of(
 def reader(components: int, axes: str) -> Callable[..., Any]:
     """Compile ``read(array, ...)``, which gives a tuple of float64 along the axis called c.
 
-    Parameters
-    ----------
-    components : int
-    axes : str
-        The array's axes. For instance ``"c, i"`` gives ``read(array, i) -> (array[0, i],
-        array[1, i], ...)``.
+    For instance the axes ``"c, i"`` give ``read(array, i) -> (array[0, i], array[1, i], ...)``.
     """
     return tuple_of(components, f"array, {_other(axes)}", f"float64(array[{axes}])")
 
@@ -73,11 +60,8 @@ def _other(axes: str) -> str:
 def naming(names: tuple[str, ...]) -> Callable[..., Any]:
     """Compile ``named(values)``, which gives a named tuple of the entries of an array.
 
-    Parameters
-    ----------
-    names : tuple of str
-        A name such as ``rate[t]`` stands for an array. The arrays follow the numbers, and all have
-        the same length.
+    A name such as ``rate[t]`` stands for an array. The arrays follow the numbers, and all have the
+    same length.
     """
     varying = [name for name in names if name.endswith(_VARYING)]
     numbers, length = len(names) - len(varying), f"(values.size - {len(names) - len(varying)})"

@@ -42,21 +42,11 @@ _PACKAGE = Path(__file__).parents[1]
 def kept_on_disk(
     compiled: Any, formulas: Sequence[Callable[..., Any]], *settings: Any
 ) -> Callable[..., None]:
-    """Let a compiled function be loaded from disk, and saved there after it was compiled.
+    """Connect a compiled function, which was not called yet, to the cache on disk, and return it.
 
-    Parameters
-    ----------
-    compiled : compiled function
-        Not called yet.
-    formulas : sequence of callables
-        The formulas from which it is compiled.
-    *settings : object
-        All else on which its code depends, except the package's own source: names and numbers.
-
-    Returns
-    -------
-    compiled function
-        The same.
+    When it is first called, it is loaded from disk, or compiled and saved. `formulas` are those
+    from which it is compiled. `settings` are all else on which its code depends, except the
+    package's own source: names and numbers.
     """
     key = formulas_key("", {str(number): each for number, each in enumerate(formulas)})
     if key is None:
@@ -69,9 +59,9 @@ def kept_on_disk(
 
 
 def modules_of(compiled: Any) -> list[Any]:
-    """Give the LLVM modules of a compiled function that was called.
+    """The LLVM modules of a compiled function that was called.
 
-    Numba shows no text of a function that was loaded from disk; its module is there all the same.
+    Numba shows no text of a function that was loaded from disk, but its module is available.
     """
     return [result.library._get_module_for_linking() for result in compiled.overloads.values()]
 
@@ -101,6 +91,8 @@ class _DiskCache:
         if path is None:
             return
         with contextlib.suppress(Exception):  # without the file, the next process compiles
+            # Other processes may load or save the same file now. A rename is atomic, so they see a
+            # whole file or none. A killed process leaves a file with a dot, which nobody reads.
             payload = dumps(result._reduce())
             unfinished = path.with_name(f".{path.name}-{platform.node()}-{os.getpid()}")
             try:
@@ -121,7 +113,7 @@ class _DiskCache:
 
 
 def own_folder() -> Path | None:
-    """Give the cache's folder; None, with a warning, if the folder is unsafe or cannot be made."""
+    """The cache's folder; None, with a warning, if the folder is unsafe or cannot be made."""
     return _folder()
 
 

@@ -9,9 +9,7 @@ their sine is known.
 Each polynomial interpolates at the Chebyshev nodes of its interval, with an error of less than half
 a unit.
 
-References
-----------
-Muller, "Elementary Functions: Algorithms and Implementation", 2016 (reductions).
+Sources: Muller, "Elementary Functions: Algorithms and Implementation", 2016 (reductions).
 Goldberg, "What every computer scientist should know about floating-point arithmetic", 1991
 (theorem 4: log(1 + x)).
 """

@@ -5,42 +5,22 @@ from typing import NamedTuple
 
 
 class ErrorWeights(NamedTuple):
-    """The estimated error of an instant as a weighted sum.
+    """The estimated error of an instant as a weighted sum: the weight of each term."""
 
-    Parameters
-    ----------
-    squared_error : float
-        Weight of the error of each filter's estimate of z.
-    variance : float
-        Weight of each filter's variance of z, summed over the components of z.
-    distance : float
-        Weight of the squared distance between the estimates of two independent filters.
-    """
-
-    squared_error: float = 0.0
-    variance: float = 0.0
+    squared_error: float = 0.0  # of the error of each filter's estimate of z
+    variance: float = 0.0  # of each filter's variance of z, summed over the components of z
+    # of the squared distance between the estimates of two independent filters
     distance: float = 0.0
 
 
 @dataclass(frozen=True)
 class Estimator:
-    """An estimator of the error of one instant.
+    """An estimator of the error of one instant."""
 
-    Parameters
-    ----------
-    name : str
-        As job files name it.
-    weights : ErrorWeights
-    description : str
-        The estimator in one line.
-    needs_truth : bool
-        Whether the filter must know the truth.
-    """
-
-    name: str
+    name: str  # as job files name it
     weights: ErrorWeights
-    description: str
-    needs_truth: bool = False
+    description: str  # in one line, for help and manual
+    needs_truth: bool = False  # whether the filter's model must be the true model
 
     @property
     def filters(self) -> int:
@@ -51,7 +31,8 @@ class Estimator:
     def for_any_filter(self) -> bool:
         """Whether the estimate is right for any filter and any error.
 
-        Otherwise the filter must know the truth, and the error must be the squared Euclidean norm.
+        For any other estimator the error must be the squared Euclidean norm, and the filter's model
+        must be the true model if `needs_truth`.
         """
         return not self.weights.variance and not self.weights.distance
 

@@ -11,7 +11,7 @@ import numpy as np
 from numba import errors
 from numba.extending import is_jitted
 
-import pfdist.elementwise  # noqa: F401  how Numba is to take what formulas may call
+import pfdist.elementwise  # noqa: F401  registers the compiled versions of where and clip
 from pfdist.errors import CompileError, ModelError, PfdistError
 from pfdist.kernels.choices import CHOICES
 from pfdist.kernels.compile_errors import NOT_COMPILED, reason_of
@@ -27,17 +27,12 @@ _TUPLES = ("w", "x", "v", "y", "z", "estimate")
 
 
 def formula(function: Callable[..., Any], name: str = "") -> Callable[..., Any]:
-    """Compile a formula.
+    """Compile a formula; `name` is its name in errors, by default the function's name.
 
-    Functions it calls by their own names are compiled with it, and NumPy's elementary functions
-    are those of `pfdist.kernels.overloads`. A float divided by zero gives inf or nan as in NumPy:
-    a branch to raise would stop vectorisation. Indices of arrays are checked; see `checks_indices`.
-
-    Parameters
-    ----------
-    function : callable
-    name : str
-        Name of the formula in errors; by default the function's name.
+    Functions that it calls by their own names are compiled with it, and NumPy's elementary
+    functions are those of `pfdist.kernels.overloads`. A float divided by zero gives inf or nan as
+    in NumPy: a branch to raise would stop vectorisation. Indices of arrays are checked; see
+    `checks_indices`.
     """
     return _compiled(function, name or function.__name__, ())
 
@@ -62,13 +57,13 @@ def checks_indices(function: Callable[..., Any]) -> bool:
             names += [
                 argument.arg for argument in ast.walk(each.args) if isinstance(argument, ast.arg)
             ]
-    given = {name for name in names if names.count(name) == 1}  # and never assigned
+    given = {name for name in names if names.count(name) == 1}  # arguments that are never assigned
     subscripts = (each for each in ast.walk(node) if isinstance(each, ast.Subscript))
     return not all(_cannot_fail(each, given) for each in subscripts)
 
 
 def _cannot_fail(subscript: ast.Subscript, given: set[str]) -> bool:
-    """Whether it is ``p.NAME[t]`` or, for instance, ``x[0]``, of arguments as they were given."""
+    """Whether a subscript is ``p.NAME[t]`` or, for instance, ``x[0]``, of unchanged arguments."""
     match subscript:
         case ast.Subscript(
             value=ast.Attribute(value=ast.Name(id="p")), slice=ast.Name(id="t"), ctx=ast.Load()
@@ -82,7 +77,7 @@ def _cannot_fail(subscript: ast.Subscript, given: set[str]) -> bool:
 def _compiled(function: Any, name: str, callers: tuple[Any, ...]) -> Callable[..., Any]:
     """Compile a function with all that it calls.
 
-    A function that calls itself stays as it is written, and Numba refuses it: it might never end.
+    A function that calls itself is left as it is written, and Numba refuses it: it might never end.
     """
     called_by = (*callers, function)
     _refuse_unchecked(function)
@@ -94,7 +89,8 @@ def _compiled(function: Any, name: str, callers: tuple[Any, ...]) -> Callable[..
         return _INSTEAD.get(id(value), value)
 
     compilable = seeing(function, instead, name)
-    # Its module's name would be kept with the compiled code, and be unknown to another process.
+    # Numba stores the name of the function's module with the compiled code. Another process may not
+    # be able to import the user's module, so the name is that of this module.
     compilable.__globals__["__name__"] = compilable.__module__ = __name__
     # A helper's arguments may be arrays. A function may make arrays, which the filter it melts into
     # cannot.
@@ -103,7 +99,7 @@ def _compiled(function: Any, name: str, callers: tuple[Any, ...]) -> Callable[..
 
 
 def _refuse_unchecked(function: Any) -> None:
-    """Refuse what Numba compiles without a check of its indices, whatever it is told."""
+    """Refuse operations whose indices Numba never checks, not even with `boundscheck`."""
     node = node_of(function)
     for each in ast.walk(node) if node else ():
         name = getattr(each, "attr", getattr(each, "id", ""))
@@ -150,30 +146,19 @@ _INSTEAD: dict[int, Any] = {
     **{id(getattr(np, name)): function for name, function in _NUMPY.items()},
     **{id(getattr(math, name)): function for name, function in _MATH.items()},
 }
-"""What a formula gets in place of a module or function, by the identity of the latter."""
+"""The replacements that a formula sees, by the identity of the original module or function."""
 
 
-# --- what goes wrong in them --------------------------------------------------------------------
+# --- errors of formulas -------------------------------------------------------------------------
 
 
 @contextlib.contextmanager
 def compiled_formulas(model: str, again: Callable[[], Any]) -> Iterator[None]:
-    """Turn what goes wrong in a model's compiled formulas into one line.
+    """Turn an error of compiled formulas into a `CompileError` or `ModelError` of one line.
 
-    Parameters
-    ----------
-    model : str
-        The model's name.
-    again : callable
-        Computes in NumPy what compiled code failed to compute, so that Python's own traceback tells
-        the formula, the line and the instant. It gives a description of what it computed.
-
-    Raises
-    ------
-    CompileError
-        A formula cannot be compiled, with the reason and the line at fault.
-    ModelError
-        A formula raised.
+    If compiled code failed, `again` computes the same in NumPy, so that Python's own traceback has
+    the formula, the line and the instant. If NumPy does not fail, `again` describes what it
+    computed.
     """
     try:
         yield
@@ -194,19 +179,9 @@ def compiled_formulas(model: str, again: Callable[[], Any]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def formulas_of(model: str, formulas: Mapping[str, Callable[..., Any]]) -> Iterator[None]:
-    """Turn what goes wrong in a model's formulas in NumPy into one line.
+    """Turn an error of a model's formulas in NumPy into a `ModelError` of one line.
 
-    Parameters
-    ----------
-    model : str
-        The model's name.
-    formulas : mapping of str to callable
-        The model's formulas by their names.
-
-    Raises
-    ------
-    ModelError
-        A formula raised, with the formula's name, the instant if it is known, and the line.
+    It has the formula's name, the instant if it is known, and the line.
     """
     try:
         yield
@@ -226,7 +201,7 @@ def formulas_of(model: str, formulas: Mapping[str, Callable[..., Any]]) -> Itera
 def _formula_at_fault(
     error: BaseException, formulas: Mapping[str, Callable[..., Any]]
 ) -> tuple[str, int | None]:
-    """Name of the formula that an error passed through, and t in it where it is known."""
+    """Name of the formula that an error passed through, and the value of its t if it has one."""
     names = {function.__code__: name for name, function in formulas.items()}
     for frame, _ in frames_of(error):
         if frame.f_code in names:

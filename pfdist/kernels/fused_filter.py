@@ -1,7 +1,7 @@
 """A model's formulas and a resampling scheme, fused into one compiled filter.
 
-Named tuples keep together what the filter is asked, the draws at hand, and the arrays it works in.
-They cost no time: LLVM sees through them.
+Named tuples hold the filter's request, the draws at hand, and the arrays it works in. They cost no
+time: LLVM sees through them.
 """
 
 from collections.abc import Callable
@@ -25,79 +25,46 @@ from pfdist.kernels.scratch import EQUAL, WEIGHTED, WithScratch, filter_scratch,
 
 
 class Request(NamedTuple):
-    """Which draws are filtered, and by which filters.
+    """Which D draws are filtered, and by which F filters; T+1 is the number of instants."""
 
-    Parameters
-    ----------
-    streams : array of uint64, (F,)
-        The key of each filter's noise.
-    first_draw : int
-        The index of the first draw in its stream.
-    start : int
-        The first instant, 0 unless there is a prior. Sets, plans and arrays count from it.
-    prior : Prior
-    x, y, z : arrays of float64, (D, T+1, n), (D, T+1, m) and (D, T+1, q)
-        States, measurements and quantities of interest of the draws. T+1 is the number of
-        instants. A filter reads no states unless its scheme holds the truth.
-    particles : int
-    weights : ErrorWeights
-        Weights of the estimator.
-    instant_weights : array of float64, (T+1,)
-        Weight of each instant's error, with mean 1.
-    parameters, true_parameters : arrays of float64
-        Parameters of the filter's model, and of the truth.
-    """
-
-    streams: NDArray[np.uint64]
-    first_draw: int
-    start: int
+    streams: NDArray[np.uint64]  # (F,): the key of each filter's noise
+    first_draw: int  # index of the first draw in its stream
+    start: int  # first instant, 0 without a prior; sets, plans and arrays count from it
     prior: Prior
+    # (D, T+1, n): true states, which a filter reads only if its scheme holds the truth
     x: NDArray[np.float64]
-    y: NDArray[np.float64]
-    z: NDArray[np.float64]
+    y: NDArray[np.float64]  # (D, T+1, m): measurements
+    z: NDArray[np.float64]  # (D, T+1, q): true quantities of interest
     particles: int
-    weights: ErrorWeights
-    instant_weights: NDArray[np.float64]
-    parameters: NDArray[np.float64]
-    true_parameters: NDArray[np.float64]
+    weights: ErrorWeights  # the terms of the estimator
+    instant_weights: NDArray[np.float64]  # (T+1,): of each instant's error, mean 1
+    parameters: NDArray[np.float64]  # of the filter's model
+    true_parameters: NDArray[np.float64]  # of the truth
 
 
 class Results(NamedTuple):
-    """Arrays that the filter fills.
+    """Arrays that the filter fills, for the U sets of the plan; those not wanted are empty."""
 
-    Parameters
-    ----------
-    mse : array of float64, (D, U)
-        For each of the plan's sets, the errors up to the set's end over T + 1.
-    estimate, variance : arrays of float64, (D, T+1, q)
-        Moments of one set; empty if they are not wanted.
-    errors : array of float64, (U, T+1)
-        Sums over the draws of the errors that a filter knows by its variance, for each of the
-        plan's sets, at the instants that the set filters. They begin at 0; empty if they are not
-        wanted.
-    cloud : array of float64, (D, n, P)
-        The particles of one set after its last instant; empty if they are not wanted.
-    at : array of int64, (2,)
-        The row of the draw and the number of the set that are filtered, for the case that a
-        formula fails.
-    """
-
-    mse: NDArray[np.float64]
-    estimate: NDArray[np.float64]
-    variance: NDArray[np.float64]
+    mse: NDArray[np.float64]  # (D, U): errors up to the set's end, over T + 1
+    estimate: NDArray[np.float64]  # (D, T+1, q): of a single set
+    variance: NDArray[np.float64]  # (D, T+1, q): of a single set
+    # (U, T+1): sums over the draws of the errors of each instant that a set filters itself, not
+    # those of its shared prefix. The caller fills them with 0.
     errors: NDArray[np.float64]
-    cloud: NDArray[np.float64]
+    cloud: NDArray[np.float64]  # (D, n, P): the particles of a single set after its last instant
+    # (2,): the row of the draw and the number of the set that are filtered now; Python reads them
+    # if a formula fails
     at: NDArray[np.int64]
 
 
 class _At(NamedTuple):
-    """The filter of one draw with one set of times: key of noise, filter, draw, row, set."""
+    """The filter of one draw with one set of times."""
 
-    stream: Any
+    stream: Any  # key of the filter's noise
     filter_number: Any
-    draw: Any
-    d: Any
-    s: Any
+    draw: Any  # index in its stream, for the noise
+    d: Any  # row of the draw in the arrays
+    s: Any  # number of the set in the plan
 
 
 class _Models(NamedTuple):
@@ -116,27 +83,13 @@ def fused_filter(
     resampling: str,
     dtype: str,
 ) -> WithScratch:
-    """Compile a filter, or load it from disk.
+    """Compile ``filter_draws(request, plan, results)``, or load it from disk.
 
-    Parameters
-    ----------
-    functions : tuple of callables
-        initial, transition, log_likelihood and quantity_of_interest of the filter's model, and
-        error of the truth.
-    noise_kinds : tuple of tuples of {"normal", "uniform"}
-        Kinds of noise of the initial state and of the process.
-    components : (int, int, int)
-        Numbers of components of x, y and z.
-    parameters : tuple of tuples of str
-        Names of the parameters of the filter's model, and of the truth.
-    resampling : str
-    dtype : str
-
-    Returns
-    -------
-    WithScratch
-        ``filter_draws(request, plan, results)`` with a `Request`, a `pfdist.kernels.prefixes.Plan`
-        and `Results`, which it fills.
+    It takes a `Request`, a `pfdist.kernels.prefixes.Plan` and `Results`, which it fills.
+    `functions` are initial, transition, log_likelihood and quantity_of_interest of the filter's
+    model, and error of the truth. `noise_kinds` are those of the initial state and of the process,
+    and `components` the numbers of components of x, y and z. `parameters` names those of the
+    filter's model, and of the truth.
     """
     states, _, quantities = components
     noise_rows = max(1, *map(len, noise_kinds))
@@ -146,6 +99,8 @@ def fused_filter(
     )  # fmt: skip
 
     def with_scratch(request, plan, results):
+        # All draws, filters and sets of this call share one scratch, and each call makes its own:
+        # threads filter at the same time. Python frees it even if a formula raises.
         first_means = (results.mse.shape[1] if len(request.streams) > 1 else 0, request.y.shape[1])
         scratch = filter_scratch(
             (states, quantities), noise_rows, request.particles, plan.clouds, first_means, dtype
@@ -162,7 +117,7 @@ def _filter_draws(
     parameters: tuple[tuple[str, ...], ...],
     resampling: str,
 ) -> Callable[..., None]:
-    """Give the loop over draws, filters and sets of times, to be compiled when it is called."""
+    """The loop over draws, filters and sets of times, which is compiled when it is first called."""
     filter_draw = _filter_draw(functions, noise_kinds, components, resampling)
     named, named_truth = map(naming, parameters)
     noise_rows = max(1, *map(len, noise_kinds))
@@ -173,6 +128,8 @@ def _filter_draws(
         models = _Models(named(request.parameters), named_truth(request.true_parameters))
         sized = with_sizes(scratch, states, quantities, noise_rows, request.particles)
         mse = results.mse
+        # Sets are innermost and in the plan's order: a set resumes from a cloud that an earlier set
+        # saved for the same draw and filter. The next draw or filter overwrites all saved clouds.
         for d in range(mse.shape[0]):
             for k in range(request.streams.size):
                 for s in range(mse.shape[1]):
@@ -210,9 +167,12 @@ def _filter_draw(
         measured, begins, ends, sources, stops, slots = plan
         by_error = weights.squared_error != 0.0
         by_error_alone = weights[1:] == (0.0, 0.0) and results.estimate.size == 0
-        goes_on = slots[s, ends[s]] >= 0 or results.cloud.size > 0  # behind its last instant
+        goes_on = slots[s, ends[s]] >= 0 or results.cloud.size > 0  # its last cloud counts
         source = sources[s] if begins[s] > 0 else np.int64(-1)
         here, stop, error = np.int64(0), begins[s], begin(at, request, p, scratch, source)
+        # At each instant: propagate, weight, estimate, resample. The estimate comes before
+        # resampling, which adds noise. The loop pauses at each instant whose cloud a later set
+        # needs: cloud[here] is then resampled, but not yet propagated to that instant.
         while stop < ends[s] and error < np.inf:
             first, stop = stop, stops[s, stop]
             for t in range(first, stop):
@@ -256,7 +216,7 @@ def _filter_draw(
 
 
 def _truth_put(states: int) -> Callable[..., None]:
-    """Compile what gives particle 0 the true state of a draw at t."""
+    """Compile ``put_truth``, which gives particle 0 the true state of a draw at t."""
     read_truth, write_x = reader(states, "d, t, c"), writer(states, "half, c, i")
 
     @melted
@@ -268,12 +228,12 @@ def _truth_put(states: int) -> Callable[..., None]:
 
 @melted
 def _put_nothing(cloud, here, x, d, t):
-    """Leave all particles as they are; see `_truth_put`."""
+    """Leave all particles as they are: stands for `put_truth` in schemes without the truth."""
 
 
 @melted
 def _weighed(error, weight):
-    """Weigh an error; an instant of weight 0 does not count, even if its error is infinite."""
+    """The weighted error; an instant of weight 0 does not count, even if its error is infinite."""
     return weight * error if weight != 0.0 else 0.0
 
 
@@ -294,7 +254,7 @@ def _save(cloud, here, saved, slot, error):
 
 @melted
 def _keep(cloud, here, kept, d):
-    """Keep the particles of a draw, if they are wanted."""
+    """Copy the particles of a draw into the results, if they are wanted."""
     if kept.size > 0:
         for component in range(kept.shape[1]):
             for i in range(kept.shape[2]):
@@ -303,7 +263,7 @@ def _keep(cloud, here, kept, d):
 
 @melted
 def _end(saved_errors, slots, s, t, mse):
-    """End a set at t with this MSE, and with it the sets that would resume from it later."""
+    """End a set at t with this MSE, NaN or inf, and with it the sets that would resume from it."""
     for later in range(t + 1, slots.shape[1]):
         if slots[s, later] >= 0:
             saved_errors[slots[s, later]] = mse
@@ -312,5 +272,5 @@ def _end(saved_errors, slots, s, t, mse):
 
 @melted
 def _mean(error, instants, saved_errors, slots, s, stop):
-    """Divide the sum of errors by the instants; a set whose shared prefix ended has ended."""
+    """The sum of errors over the number of instants, or NaN or inf if a shared prefix ended so."""
     return error / instants if error < np.inf else _end(saved_errors, slots, s, stop, error)

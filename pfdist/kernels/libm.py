@@ -31,15 +31,8 @@ _MOVES = ("masked.", "experimental.", "vector.insert", "vector.extract", "vector
 def libm_functions(compiled: Any) -> tuple[str, ...]:
     """Names of the functions of the C library on which a compiled function's last digits depend.
 
-    Parameters
-    ----------
-    compiled : compiled function
-        Called before, so that it is compiled or loaded from disk.
-
-    Returns
-    -------
-    tuple of str
-        In alphabetical order; empty if its bytes are the same on every processor.
+    They are in alphabetical order, and empty if its bytes are the same on every processor. The
+    function was called before, so that it is compiled or loaded from disk.
     """
     found = set()
     for module in modules_of(compiled):
@@ -54,7 +47,7 @@ def makes_arrays(compiled: Any) -> bool:
 
 
 def named_in(module: str) -> set[str]:
-    """Names of these functions in the declarations of an LLVM module."""
+    """Names of such functions among the declarations of an LLVM module."""
     libraries = {"xx": "BLAS", "ez_": "LAPACK"}
     names = {f"{name} ({libraries[kind]})" for kind, name in _LINEAR_ALGEBRA.findall(module)}
     for symbol in _DECLARED.findall(module):

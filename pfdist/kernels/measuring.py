@@ -16,23 +16,13 @@ from pfdist.kernels.weights import cumulate, weigh
 def measuring(
     fill_log_weights: Callable[..., None], measurements: int, resampling: str
 ) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """Compile the steps of a measurement.
+    """Compile the two steps of a measurement, for a model with this number of components of y.
 
-    Parameters
-    ----------
-    fill_log_weights : callable
-        See `pfdist.kernels.cloud.cloud_steps`.
-    measurements : int
-        The number of components of y.
-    resampling : str
+    - ``weigh_cloud(scratch, here, request, p, d, t) -> here, total``: the half that then holds the
+      cloud, and the sum of the weights;
+    - ``resample_cloud(scratch, here, particles, stream, draw, instant) -> here``.
 
-    Returns
-    -------
-    weigh_cloud : callable
-        ``weigh_cloud(scratch, here, request, p, d, t) -> here, total``: the half that then holds
-        the cloud, and the sum of the weights.
-    resample_cloud : callable
-        ``resample_cloud(scratch, here, particles, stream, draw, instant) -> here``
+    `fill_log_weights` is described at `pfdist.kernels.cloud.cloud_steps`.
     """
     read_y, resample = reader(measurements, "d, t, c"), RESAMPLE[resampling]
     sort = sort_by_state if ALL_SCHEMES[resampling].sorts else _leave_unsorted
@@ -58,5 +48,5 @@ def measuring(
 
 @melted
 def _leave_unsorted(cloud, here, particles, weight, row, scratch):
-    """Sort nothing; see `sort_by_state`."""
+    """Leave the cloud as it is: takes the place of `sort_by_state` in schemes that do not sort."""
     return here

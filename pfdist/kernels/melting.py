@@ -16,6 +16,8 @@ from numba.extending import register_jitable
 
 
 class _Library(JITCodeLibrary):  # type: ignore[misc]
+    """The library of a function that is only inlined: its module is linked, but not optimised."""
+
     def _optimize_final_module(self) -> None:
         """Do nothing: the callers are optimised."""
 
@@ -46,13 +48,9 @@ unchanged on NumPy arrays."""
 
 
 class Melted:
-    """A function that is inlined into compiled functions; Python calls a compiled copy of it.
+    """A function that is inlined into compiled functions, with options of `numba.njit`.
 
-    Parameters
-    ----------
-    function : callable
-    **options
-        Options of `numba.njit`.
+    Python calls a copy that is compiled on its own.
     """
 
     def __init__(self, function: Callable[..., Any], **options: Any) -> None:
@@ -66,7 +64,7 @@ class Melted:
         return njit(self.py_func, **_STANDING, **self._options)
 
     def __call__(self, *arguments: Any) -> Any:
-        """Call a copy that is compiled on its own."""
+        """Call the copy."""
         return self._standing(*arguments)
 
 

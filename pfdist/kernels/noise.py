@@ -1,6 +1,6 @@
 """Keyed noise: each variate of a simulation or a filter is a pure function of some integers.
 
-It needs no generator with a state; only the random choices of a search use one. The cipher of
+There is no generator with a state, except for the random choices of a search. The cipher of
 `pfdist.kernels.threefry` gets two arguments:
 
 ======= ============================== =========================================
@@ -40,7 +40,7 @@ TILE = 4 * LANES
 
 
 def generator(*parts: Any) -> np.random.Generator:
-    """Give a NumPy generator for the random choices of a search; the parts are its key."""
+    """A NumPy generator for the random choices of a search; the parts are its key."""
     return np.random.Generator(np.random.Philox(stream_key(*parts)))
 
 
@@ -92,7 +92,7 @@ def _exponential(word):
 
 @inlined
 def _uniform(word):
-    """In (0, 1), ends excluded: the 23 high bits and a half, exact in float32."""
+    """A number in (0, 1), ends excluded: the 23 high bits and a half, exact in float32."""
     return (np.float32(word >> np.uint32(9)) + np.float32(0.5)) * np.float32(2.0**-23)
 
 
@@ -181,30 +181,27 @@ def _filling_draws(four: Callable[..., Any]) -> Callable[..., Any]:
 
 
 FILL = {kind: _filling(four) for kind, four in FOUR.items()}
-"""Compiled ``fill(out, row, particles, stream, draw, t, role, component)`` by kind; out is float32,
-(rows, padded(particles) or more). Rows are unsigned, because signed rows prevent vectorisation."""
+"""For each kind, compiled ``fill(out, row, particles, stream, draw, t, role, component)``.
+
+`out` is float32, (rows, padded(particles) or more). Rows are unsigned, because signed rows prevent
+vectorisation.
+"""
 
 FILL_DRAWS = {kind: _filling_draws(four) for kind, four in FOUR.items()}
-"""Compiled ``fill(out, row, draws, stream, first, t, role, component)`` by kind: the variates of
-the first particle of some draws, one after another."""
+"""For each kind, compiled ``fill(out, row, draws, stream, first, t, role, component)``.
+
+It fills the variates of the first particle of some draws, one after another.
+"""
 
 
 @cache
 def filler(kinds: tuple[str, ...], *, of_draws: bool = False) -> Callable[..., Any]:
-    """Give a compiled function that fills one row of noise for each component of a process.
+    """A compiled function that fills one row of noise for each component of a process.
 
-    Parameters
-    ----------
-    kinds : tuple of {"normal", "uniform"}
-    of_draws : bool
-        If so, a row holds one variate for each draw; if not, one for each particle of one draw.
-
-    Returns
-    -------
-    callable
-        ``fill(out, particles, stream, draw, t, role)``; out is float32, (components or more,
-        padded(particles) or more). Or ``fill(out, draws, stream, first, t, role)``; first is the
-        first draw, and out is (components or more, draws or more).
+    It is ``fill(out, particles, stream, draw, t, role)``, with the variates of the particles of one
+    draw; `out` is float32, (components or more, padded(particles) or more). With `of_draws` it is
+    ``fill(out, draws, stream, first, t, role)``, with a variate for each draw from the draw `first`
+    on; `out` is (components or more, draws or more).
     """
     fills = FILL_DRAWS if of_draws else FILL
     count = len(kinds)
@@ -237,19 +234,10 @@ def variates(
     role: SupportsIndex,
     component: int,
 ) -> NDArray[np.float64]:
-    """Give each particle its variate by NumPy, with the values of the compiled function.
+    """Each particle's variate by NumPy, (particles,), with the values of the compiled function.
 
-    Parameters
-    ----------
-    kind : {"normal", "uniform", "exponential"}
-    particles : int
-    stream, draw, t, role, component : int
-        They select the noise, see the table above; draw may be an array, (D,).
-
-    Returns
-    -------
-    array of float64, (particles,) or (D, particles)
-        The values are those of float32.
+    The integers select the noise: see the table above. If `draw` is an array (D,), the result is
+    (D, particles). The values are those of float32, stored as float64.
     """
     block = np.arange(padded(particles) // 4)
     # The key as an array too: NumPy warns when a scalar's addition wraps, an array's may.

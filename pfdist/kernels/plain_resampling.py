@@ -16,18 +16,9 @@ def plain_ancestors(
     draw: int | range,
     t: int,
 ) -> NDArray[np.intp]:
-    """Plain twin of `pfdist.kernels.resampling.RESAMPLE`.
+    """Plain twin of `pfdist.kernels.resampling.RESAMPLE`: the ancestors, shaped as the weights.
 
-    Parameters
-    ----------
-    scheme : str
-    weight : array of float64, (P,) or (D, P)
-    stream, t : int
-    draw : int or range, (D,)
-
-    Returns
-    -------
-    array of int, shaped as the weights
+    Weights are (P,) with an integer draw, or (D, P) with a range of D draws.
     """
     ancestors = _PLAIN[scheme]
     if isinstance(draw, int):

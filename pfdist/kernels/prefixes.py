@@ -15,28 +15,17 @@ from numpy.typing import NDArray
 
 
 class Plan(NamedTuple):
-    """The plan by which the filter does U different sets in order.
+    """The order in which the filter does U different sets, and the clouds it saves and resumes."""
 
-    Parameters
-    ----------
-    measured : array of bool, (U, T+1)
-        Whether each set measures at each instant.
-    begins, ends : array of int64, (U,)
-        The first instant that a set does not share with an earlier set, and the instant after its
-        last.
-    sources : array of int64, (U,)
-        The slot of the saved cloud from which a set resumes, unless it begins at 0.
-    stops : array of int64, (U, T+2)
-        For each instant, the next instant before which the cloud is saved, or the set's end.
-    slots : array of int64, (U, T+2)
-        The slot in which the cloud is saved before each instant, or -1.
-    """
-
-    measured: NDArray[np.bool_]
+    measured: NDArray[np.bool_]  # (U, T+1): whether each set measures at each instant
+    # (U,): the first instant that a set does not share with an earlier set
     begins: NDArray[np.int64]
-    ends: NDArray[np.int64]
+    ends: NDArray[np.int64]  # (U,): the instant after a set's last
+    # (U,): slot of the saved cloud from which a set resumes, unless it begins at 0
     sources: NDArray[np.int64]
+    # (U, T+2): for each instant, the next instant before which the cloud is saved, or the set's end
     stops: NDArray[np.int64]
+    # (U, T+2): slot in which the cloud is saved before each instant, or -1
     slots: NDArray[np.int64]
 
     @property
@@ -46,58 +35,31 @@ class Plan(NamedTuple):
 
 
 class Planned(NamedTuple):
-    """A plan, and where the results of the wanted sets are found in it.
-
-    Parameters
-    ----------
-    plan : Plan
-    places : array of int64, (S,)
-        The index of each wanted set in the plan.
-    rows : array of int64, (U, T+1)
-        For each set of the plan and each instant, the index of the set that filters this instant.
-    """
+    """A plan, and where the results of the S wanted sets stand in it."""
 
     plan: Plan
-    places: NDArray[np.int64]
+    places: NDArray[np.int64]  # (S,): index of each wanted set in the plan
+    # (U, T+1): for each set of the plan and each instant, the index of the set that filters this
+    # instant
     rows: NDArray[np.int64]
 
 
 class Saved(NamedTuple):
-    """Clouds that later sets resume from.
+    """Clouds that later sets resume from."""
 
-    Parameters
-    ----------
-    clouds : array of float64 or float32, (slots, n, width(P))
-    errors : array of float64, (slots,)
-        The sum of errors up to each cloud.
-    """
-
-    clouds: NDArray[Any]
-    errors: NDArray[np.float64]
+    clouds: NDArray[Any]  # (slots, n, width(P)), float64 or float32
+    errors: NDArray[np.float64]  # (slots,): the sum of errors up to each cloud
 
 
 @lru_cache(maxsize=64)
 def plan(
     sets: tuple[tuple[int, ...], ...], instants: int, ends: tuple[int, ...] | None = None
 ) -> Planned:
-    """Plan the filter of several sets.
+    """Plan the filter of S sets of times in 0..T.
 
-    Parameters
-    ----------
-    sets : tuple of tuples of int
-        S sets of times in 0..T.
-    instants : int
-        T + 1.
-    ends : tuple of int, (S,), optional
-        The instant after the last instant whose error counts, for each set; by default T + 1. All
-        of the set's times must lie before it.
+    `instants` is T + 1. `ends` has, for each set, the instant after the last instant whose error
+    counts, by default T + 1. All of the set's times must lie before it.
 
-    Returns
-    -------
-    Planned
-
-    Examples
-    --------
     >>> found, places, rows = plan(((0, 2), (1, 2), (0, 1)), 3)
     >>> places, found.begins  # the order is (1, 2), (0, 2), (0, 1); (0, 1) shares (0,)
     (array([1, 0, 2]), array([0, 0, 1]))
@@ -122,7 +84,7 @@ def plan(
 
 
 def _word(key: tuple[tuple[int, ...], int]) -> tuple[tuple[int, ...], int]:
-    """Sort key of a set: the sets' rows of zeros and ones come in lexicographic order."""
+    """Sort key: rows of zeros and ones in lexicographic order, and the latest end first."""
     times, end = key
     return tuple(-time for time in times), -end
 
@@ -145,7 +107,7 @@ def _shared(
     for index, (shared, end) in enumerate(zip(alike, ends[1:].tolist(), strict=True), start=1):
         begin = min(longest, shared, end)
         giver = latest[begin]
-        while starts[giver] > begin:  # it resumed behind this instant, so its giver is asked
+        while starts[giver] > begin:  # it resumed behind this instant: its own giver filtered it
             giver = givers[giver]
         givers[index] = giver
         starts.append(begin)
@@ -158,7 +120,12 @@ def _shared(
 def _kept(
     begins: NDArray[np.int64], givers: Sequence[int], ends: NDArray[np.int64], instants: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """For each set: where it saves clouds, and the slot it resumes from. Slots are reused."""
+    """For each set: the instants before which it saves clouds, their slots, and its source's slot.
+
+    Slots are reused.
+    """
+    # A saved cloud is named by the set that saves it and by the instant before which it does. A set
+    # that begins where its giver began resumes from the same cloud: the giver did not save another.
     last_use: dict[tuple[int, int], int] = {}
     begins_of_takers: dict[int, set[int]] = defaultdict(set)
     origins: list[tuple[int, int]] = []
@@ -173,6 +140,8 @@ def _kept(
     held: dict[tuple[int, int], int] = {}
     freed = set(last_use.values())
     for index, begins_later in enumerate(begins.tolist()):
+        # The set copies its source before it saves anything. So a slot that it is the last to read
+        # is free for the clouds that it saves itself.
         if begins_later:
             sources[index] = held[origins[index]]
         if index in freed:

@@ -16,9 +16,7 @@ sorted_systematic systematic, after the particles were sorted by their states, w
 
 Each scheme has a plain twin in `pfdist.kernels.plain_resampling`.
 
-References
-----------
-Douc, Cappe, Moulines, "Comparison of resampling schemes for particle filtering", 2005.
+Sources: Douc, Cappe, Moulines, "Comparison of resampling schemes for particle filtering", 2005.
 Devroye, "Non-uniform random variate generation", 1986, section V.3 (ascending uniforms).
 """
 
@@ -46,24 +44,15 @@ _fill_uniforms = FILL["uniform"]
 
 
 class ResamplingScratch(NamedTuple):
-    """Arrays that resampling reads, works in and fills; ``L = padded(particles + SPARE)``.
+    """Arrays that resampling reads, works in and fills; ``L = padded(particles + SPARE)``."""
 
-    Parameters
-    ----------
-    cumulative : array of float64, (particles or more,)
-        Cumulative weights; they may be changed.
-    noise : array of float32, (a row or more, L)
-    sums : array of float64, (L,)
-    points, shares : arrays of uint32, (L,)
-    ancestor : array of uint32, (particles + SPARE or more,)
-        Receives the index of each particle's ancestor.
-    """
-
+    # (particles or more,): cumulative weights, which may be changed
     cumulative: NDArray[np.float64]
-    noise: NDArray[np.float32]
-    sums: NDArray[np.float64]
-    points: NDArray[np.uint32]
-    shares: NDArray[np.uint32]
+    noise: NDArray[np.float32]  # (a row or more, L)
+    sums: NDArray[np.float64]  # (L,)
+    points: NDArray[np.uint32]  # (L,)
+    shares: NDArray[np.uint32]  # (L,)
+    # (particles + SPARE or more,): receives the index of each particle's ancestor
     ancestor: NDArray[np.uint32]
 
 
@@ -112,16 +101,9 @@ def merged_ancestors(shares, particles, points, count, ancestor):
     compares all pairs of 16 weights and 16 points, and goes on to the next 16 weights or the next
     16 points. This takes 0.7 ns a particle instead of 3.8 ns.
 
-    Parameters
-    ----------
-    shares : array of uint32, (width(particles) or more,)
-        Cumulative weights, 2^32 - 2^8 at most. The last weight and the entries behind it change.
-    particles : int
-    points : array of uint32, (width(count) or more,)
-        The entries behind the count-th change.
-    count : int
-    ancestor : array of uint32, (count + SPARE or more,)
-        Receives the ancestors; the entries behind the count-th are scratch.
+    `shares` are cumulative weights, 2^32 - 2^8 at most, in an array (width(particles) or more,);
+    the last weight and the entries behind it change. `points` is (width(count) or more,), and
+    `ancestor` (count + SPARE or more,). Their entries behind the count-th are scratch.
     """
     for j in range(particles - 1, width(particles)):
         shares[j] = np.uint32(0xFFFFFFFF)  # nothing passes the last particle
@@ -147,18 +129,10 @@ def expanded(ends, particles, count, marks, ancestor):
     The position of each first child is marked with its parent. A running maximum carries the marks
     to the other children, in four stretches side by side. The maximum is one of floats: LLVM would
     turn a maximum of integers into branches that are often mispredicted (1.2 ns a particle instead
-    of 0.5 ns).
+    of 0.5 ns). So there are at most 2^24 particles.
 
-    Parameters
-    ----------
-    ends : array of uint32, (particles,)
-        Ascending; the last entry is count.
-    particles, count : int
-        At most 2^24.
-    marks : array of float32, (rows, count + 1 or more)
-        Its first row is scratch.
-    ancestor : array of uint32, (count or more,)
-        Receives the ancestors.
+    `ends` (particles,) ascends, and its last entry is `count`. The first row of `marks` (rows,
+    count + 1 or more) is scratch. `ancestor` (count or more,) receives the ancestors.
     """
     for i in range(count + 1):
         marks[0, i] = 0.0
@@ -199,7 +173,8 @@ def _multinomial(scratch, particles, stream, draw, t):
 
 @melted
 def _conditional(scratch, particles, stream, draw, t):
-    # Points for the others alone: of P sorted points, that of a given slot is no random one.
+    # P - 1 points for the other particles. One of P sorted points cannot simply be left out: the
+    # point at a given position of the sorted points is not uniform.
     ancestor, others = scratch.ancestor, particles - 1
     _ascending_points(scratch, stream, draw, t, others)
     _merge(scratch, scratch.cumulative[particles - 1], particles, others, ancestor[1:])

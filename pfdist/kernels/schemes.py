@@ -5,24 +5,12 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Scheme:
-    """A resampling scheme.
+    """A resampling scheme."""
 
-    Parameters
-    ----------
-    name : str
-        As job files name it.
-    description : str
-        The scheme in one line.
-    sorts : bool
-        Whether the particles are sorted by their states first.
-    holds_truth : bool
-        Whether one particle follows the true states of the draw; see `CONDITIONAL`.
-    """
-
-    name: str
-    description: str
-    sorts: bool = False
-    holds_truth: bool = False
+    name: str  # as job files name it
+    description: str  # in one line, for help and manual
+    sorts: bool = False  # whether the particles are sorted by their states first
+    holds_truth: bool = False  # whether particle 0 follows the true states of the draw
 
 
 MULTINOMIAL = Scheme("multinomial", "Independent ancestors, as in the paper.")
@@ -35,17 +23,16 @@ SORTED_SYSTEMATIC = Scheme(
 CONDITIONAL = Scheme(
     "conditional", "Multinomial, with the true state among the particles.", holds_truth=True
 )
-"""The scheme of the lower bound. Particle 0 has the true state x(t) of the draw at each t, and
-remains its own ancestor; the other P - 1 particles choose independent ancestors among all P. Given
-y and the cloud as a set, the truth is then distributed as the weights. So the expected squared
-error of the weighted mean is the expected weighted variance, and this variance is at most the
-error of the exact filter, for any P. A real filter does not know the truth: no job can name the
-scheme.
+"""The scheme of the lower bound. No job can name it, because a real filter does not know the truth.
 
-References
-----------
-Andrieu, Doucet, Holenstein, "Particle Markov chain Monte Carlo methods", Journal of the Royal
-Statistical Society B 72, 2010 (conditional sequential Monte Carlo).
+Particle 0 has the true state x(t) of the draw at each t, and remains its own ancestor. The other
+particles choose independent ancestors among all particles. Given y and the cloud as a set, the
+truth is then distributed as the weights. So the expected squared error of the weighted mean is the
+expected weighted variance, and this variance is at most the error of the exact filter, for any
+number of particles.
+
+Source: Andrieu, Doucet, Holenstein, "Particle Markov chain Monte Carlo methods", Journal of the
+Royal Statistical Society B 72, 2010 (conditional sequential Monte Carlo).
 """
 
 SCHEMES = {

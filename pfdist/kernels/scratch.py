@@ -1,7 +1,7 @@
-"""The arrays that the fused filter works in, and compiled functions that are handed their arrays.
+"""The arrays that the fused filter works in, and compiled functions with the arrays they work in.
 
-Compiled code that raises an error does not free the arrays it made itself. So all arrays are made
-in Python, and passed to the compiled code.
+Compiled code that raises an error does not free the arrays that it made itself. So all arrays are
+made in Python, and passed to the compiled code.
 """
 
 import math
@@ -20,19 +20,12 @@ from pfdist.kernels.sorting import DIGITS, SortingScratch
 from pfdist.kernels.weights import width
 
 EQUAL, WEIGHTED = np.uintp(0), np.uintp(1)
-"""Rows of `Scratch.weight`: of instants without and with a measurement."""
+"""Rows of `Scratch.weight` for instants without and with a measurement."""
 _CACHE_LINE = 64  # bytes
 
 
 class WithScratch:
-    """A compiled function, and the function that makes its arrays and calls it.
-
-    Parameters
-    ----------
-    compiled : compiled function
-    call : callable
-        Makes the arrays and calls the compiled function with them.
-    """
+    """A compiled function, and `call`, the function that makes its arrays and calls it."""
 
     def __init__(self, compiled: Any, call: Callable[..., None]) -> None:
         self.compiled = compiled
@@ -44,36 +37,22 @@ class WithScratch:
 
 
 class Scratch(NamedTuple):
-    """Arrays that a filter works in; P particles, ``W = width(P)``, ``L = padded(P + SPARE)``.
+    """Arrays that a filter works in; P particles, ``W = width(P)``, ``L = padded(P + SPARE)``."""
 
-    Parameters
-    ----------
-    cloud : array of float64 or float32, (2, n, W)
-        The states. A step reads one half and writes the other.
-    noise : array of float32, (rows, L)
-    weight : array of float32, (2, W)
-        Row `EQUAL` is 1 for each particle and 0 behind the last; row `WEIGHTED` holds the weights
-        after a measurement.
-    log_weight : array of float64, (W,)
-    terms : array of float64, (q, W)
-        The terms of a weighted sum. `log_weight` has the same memory: it is no longer needed when
-        the terms are computed.
-    resampling : ResamplingScratch
-    sorting : SortingScratch
-        In the memory of `resampling` and `log_weight`.
-    saved : Saved
-    first_means : array of float64, (U, T+1, q)
-        Estimates of the first of two filters; empty if there is one filter.
-    """
-
+    # (2, n, W): the states, float64 or float32; a step reads one half and writes the other
     cloud: NDArray[Any]
-    noise: NDArray[np.float32]
+    noise: NDArray[np.float32]  # (rows, L)
+    # (2, W): row EQUAL is 1 for each particle and 0 behind the last; row WEIGHTED holds the weights
+    # after a measurement
     weight: NDArray[np.float32]
-    log_weight: NDArray[np.float64]
+    log_weight: NDArray[np.float64]  # (W,)
+    # (q, W): the terms of a weighted sum. `log_weight` has the memory of the first row: it is no
+    # longer needed when the terms are computed.
     terms: NDArray[np.float64]
     resampling: ResamplingScratch
-    sorting: SortingScratch
+    sorting: SortingScratch  # in the memory of `resampling` and `log_weight`
     saved: Saved
+    # (U, T+1, q): estimates of the first of two filters; empty if there is one filter
     first_means: NDArray[np.float64]
 
 
@@ -85,20 +64,11 @@ def filter_scratch(
     first_means: tuple[int, int],
     dtype: Any,
 ) -> Scratch:
-    """Arrays for a filter of draws.
+    """Arrays for a filter of draws with states of this dtype.
 
-    Parameters
-    ----------
-    components : (int, int)
-        Numbers of components of x and z.
-    noise_rows : int
-    particles : int
-    slots : int
-        The largest number of clouds that are saved at a time.
-    first_means : (int, int)
-        Numbers of sets and of instants of `Scratch.first_means`.
-    dtype : dtype
-        The dtype of states.
+    `components` are the numbers of components of x and z. `slots` is the largest number of clouds
+    that are saved at a time, and `first_means` the numbers of sets and of instants of
+    `Scratch.first_means`.
     """
     (states, quantities), size = components, int(width(particles))
     spacious = int(padded(particles + SPARE))
@@ -110,6 +80,8 @@ def filter_scratch(
     cumulative, sums = aligned((size,), np.float64), aligned((spacious,), np.float64)
     points, shares, ancestor = (aligned((spacious,), np.uint32) for _ in range(3))
     ancestor[:] = 0
+    # Sorting takes the memory of arrays that are idle while it runs: log-weights have become
+    # weights before it, and points, shares and ancestors are filled after it.
     return Scratch(
         aligned((2, states, size), dtype),
         noise,
@@ -125,7 +97,7 @@ def filter_scratch(
 
 @melted
 def with_sizes(scratch, states, quantities, noise_rows, particles):
-    """Give the same arrays with sizes that LLVM knows, or knows to be multiples of a vector's."""
+    """The same arrays with sizes that LLVM knows, or knows to be multiples of a vector's length."""
     size, spacious = width(particles), padded(particles + SPARE)
     given = scratch.resampling
     noise = shaped(given.noise, (noise_rows, spacious))
@@ -149,7 +121,7 @@ def with_sizes(scratch, states, quantities, noise_rows, particles):
 
 
 def aligned(shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:
-    """Array that begins where a line of the processor's cache does."""
+    """An array with arbitrary content that begins where a line of the processor's cache begins."""
     size = math.prod(shape) * np.dtype(dtype).itemsize
     buffer = np.empty(size + _CACHE_LINE, np.uint8)
     start = -buffer.ctypes.data % _CACHE_LINE

@@ -7,11 +7,9 @@ weight moves the children of all particles behind it.
 States are sorted by levels: `LEVELS` equal steps from the least to the largest state that has a
 weight. Particles of one level keep their order. So a radix sort of two digits is enough.
 
-References
-----------
-Malik, Pitt, "Particle filters for continuous likelihood evaluation and maximisation", Journal of
-Econometrics 165, 2011. Gerber, Chopin, "Sequential quasi Monte Carlo", Journal of the Royal
-Statistical Society B 77, 2015.
+Sources: Malik, Pitt, "Particle filters for continuous likelihood evaluation and maximisation",
+Journal of Econometrics 165, 2011. Gerber, Chopin, "Sequential quasi Monte Carlo", Journal of the
+Royal Statistical Society B 77, 2015.
 """
 
 from typing import NamedTuple
@@ -31,35 +29,21 @@ _LOW, _HIGH = np.uintp(0), np.uintp(1)
 
 
 class SortingScratch(NamedTuple):
-    """Arrays that the sort works in.
+    """Arrays that the sort works in; W is width(particles)."""
 
-    Parameters
-    ----------
-    weight : array of float64, (width(particles),)
-    counts : array of uint32, (2, DIGITS)
-    keys, half_sorted, order : arrays of uint32, (width(particles) or more,)
-        `order` receives the index of the particle that comes to each position.
-    """
-
-    weight: NDArray[np.float64]
-    counts: NDArray[np.uint32]
-    keys: NDArray[np.uint32]
-    half_sorted: NDArray[np.uint32]
+    weight: NDArray[np.float64]  # (W,)
+    counts: NDArray[np.uint32]  # (2, DIGITS)
+    keys: NDArray[np.uint32]  # (W or more,)
+    half_sorted: NDArray[np.uint32]  # (W or more,)
+    # (W or more,): receives the index of the particle that comes to each position
     order: NDArray[np.uint32]
 
 
 @melted
 def sort_by_state(cloud, here, particles, weight, row, scratch):
-    """Sort a cloud and its weights by the states, and say in which half the cloud is then.
+    """Sort a cloud (2, 1, W) and its row of `weight` (rows, W) by the states; return its new half.
 
-    Parameters
-    ----------
-    cloud : array of float, (2, 1, width(particles))
-    here, particles : int
-        The half in which the cloud is, and its number of particles.
-    weight : array of float32, (rows, width(particles))
-    row : int
-    scratch : SortingScratch
+    The cloud is in the half `here`; W is width(particles).
     """
     keys, order = scratch.keys, scratch.order
     high, depth = _NONE, _NONE  # the maxima of x and of -x

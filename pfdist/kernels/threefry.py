@@ -1,8 +1,6 @@
 """The cipher Threefry-4x32 with 13 rounds, of Random123.
 
-References
-----------
-Salmon, Moraes, Dror, Shaw, "Parallel random numbers: as easy as 1, 2, 3", SC 2011.
+Source: Salmon, Moraes, Dror, Shaw, "Parallel random numbers: as easy as 1, 2, 3", SC 2011.
 """
 
 import numpy as np
@@ -35,16 +33,9 @@ def _add_key(k0, k1, k2, k3, times, x0, x1, x2, x3):
 
 @inlined
 def threefry4x32(k0, k1, k2, k3, c0, c1, c2, c3):
-    """Threefry-4x32 with 13 rounds.
+    """Four words of the cipher from four words of a key and four of a counter.
 
-    Parameters
-    ----------
-    k0, k1, k2, k3, c0, c1, c2, c3 : uint32 or arrays of uint32
-        Key and counter.
-
-    Returns
-    -------
-    tuple of four uint32 or arrays of uint32
+    Each word is uint32 or an array of uint32.
     """
     k4 = np.uint32(np.uint32(0x1BD11BDA) ^ k0 ^ k1 ^ k2 ^ k3)
     x = _add_key(k0, k1, k2, k3, 0, c0, c1, c2, c3)

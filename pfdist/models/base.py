@@ -24,7 +24,7 @@ _NAMES = {"x": "x_names", "y": "y_names", "z": "z_names"}
 
 
 def squared_error(z: Any, estimate: Any, t: Any, p: Any) -> Any:
-    """Give the squared Euclidean norm of z minus its estimate: the error of equation 5."""
+    """The squared Euclidean norm of z minus its estimate: the error of equation 5."""
     total = 0.0
     for value, estimated in zip(z, estimate):  # noqa: B905  Numba knows no strict
         total += (value - estimated) ** 2
@@ -129,7 +129,7 @@ class StateSpaceModel:
             self.named(kind)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Give the fields without the values that are cached beside them."""
+        """The fields, without the values that are cached beside them."""
         return {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
 
     @cached_property
@@ -139,7 +139,7 @@ class StateSpaceModel:
 
     @property
     def reads_clock(self) -> bool:
-        """Whether a formula reads ``p.time`` or ``p.dt``, and the model has no clock yet."""
+        """Whether a formula reads ``p.time`` or ``p.dt``, and the model is not on a clock yet."""
         try:
             count_components(self, named_parameters(self.parameters))
         except ModelError:
@@ -147,7 +147,7 @@ class StateSpaceModel:
         return False
 
     def on_clock(self, time: Sequence[float]) -> "StateSpaceModel":
-        """Give the model with the parameters ``time`` and ``dt``, a value for each instant.
+        """The model with the parameters ``time`` and ``dt``, a value for each instant.
 
         Parameters
         ----------
@@ -176,7 +176,7 @@ class StateSpaceModel:
         return count_components(self, trial_parameters(self.parameters))
 
     def named(self, kind: str) -> tuple[Component, ...]:
-        """Give the components of x, y or z with their names, units and the ends of columns.
+        """The components of x, y or z with their names, units and the ends of columns.
 
         Parameters
         ----------
@@ -194,7 +194,7 @@ class StateSpaceModel:
             raise ModelError(f"model {self.name}: {_NAMES[kind]}: {error}") from error
 
     def named_as(self, truth: "StateSpaceModel") -> "StateSpaceModel":
-        """Give the model with the names that another model gives to y and z."""
+        """The model with the names that another model gives to y and z."""
         if (self.y_names, self.z_names) == (truth.y_names, truth.z_names):
             return self
         return dataclasses.replace(self, y_names=truth.y_names, z_names=truth.z_names)
@@ -205,7 +205,7 @@ class StateSpaceModel:
         return {name: getattr(self, name) for name in ARGUMENTS}
 
     def with_parameters(self, overrides: Mapping[str, Parameter]) -> "StateSpaceModel":
-        """Give a model with some parameters changed.
+        """The model with some parameters changed.
 
         Raises
         ------

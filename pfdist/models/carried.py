@@ -1,8 +1,8 @@
-"""A model as it travels from the process that loads it to the workers: by value.
+"""A model by value, as it travels from the process that loads it to the workers.
 
 A worker can import neither a notebook nor the user's files. So the formulas travel with all that
-they use from modules of the user. The process that loads a model computes with what travels, too:
-what cannot travel is found before any worker has a task.
+they use from modules of the user. The process that loads a model computes with what travels, too.
+So it finds what cannot travel before any worker has a task.
 """
 
 import dataclasses
@@ -20,41 +20,31 @@ import cloudpickle
 from pfdist.common.streams import stream_key
 from pfdist.errors import ModelError
 from pfdist.models.base import StateSpaceModel
-from pfdist.models.fingerprint import Fingerprint, looked_at
+from pfdist.models.fingerprint import Fingerprint, inspected
 from pfdist.models.mistakes import told
 from pfdist.models.parameters import Parameter
-from pfdist.models.seeing import alone
+from pfdist.models.seeing import with_named_modules
 
 PYTHON: Final = "python:"
-"""Before the name of a model that was given as an object in Python, in the job of its run."""
+"""The beginning of the name, in a job, of a model that was given as an object in Python."""
 
 
 @dataclass(frozen=True)
 class CarriedModel:
-    """A model by value, where it came from, and its fingerprint.
+    """A model by value, where it came from, and its fingerprint."""
 
-    Parameters
-    ----------
-    name : str
-        As a job names it; "python:" and the model's name for an object that was given in Python.
-    content : bytes
-        The fields of the model, and the text of its source, pickled. They are sent to workers, and
-        never stored.
-    fingerprint : Fingerprint
-    """
-
-    name: str
+    name: str  # as a job names it; for an object in Python, PYTHON and the model's name
+    # The model's fields and the text of its source, pickled. They are sent to workers, and never
+    # stored in a run.
     content: bytes = field(repr=False)
     fingerprint: Fingerprint = field(repr=False)
 
     @property
     def model(self) -> StateSpaceModel:
-        """The model. The same content gives the same object.
+        """The model; the same content gives the same object.
 
-        Raises
-        ------
-        ModelError
-            It cannot be made here, for instance because a package is not installed.
+        A `ModelError` says why it cannot be made here, for instance because a package is not
+        installed.
         """
         try:
             return _made(self.content)
@@ -71,15 +61,10 @@ class CarriedModel:
         return f"{stream_key(self.fingerprint):016x}"
 
     def with_parameters(self, parameters: Mapping[str, Parameter]) -> "CarriedModel":
-        """Give the model with some parameters changed.
-
-        Raises
-        ------
-        ModelError
-            A parameter is unknown, or its value lies outside its range.
-        """
+        """The model with some parameters changed; raises as `StateSpaceModel.with_parameters`."""
         if not parameters:
             return self
+        # The data files are not read again: their part of the fingerprint is that of the reading.
         data = {key: value for key, value in self.fingerprint.items() if key.startswith(_DATA)}
         changed = carried(self.model.with_parameters(parameters), self.name)
         return dataclasses.replace(changed, fingerprint=changed.fingerprint | data)
@@ -91,40 +76,30 @@ _DATA = "data_files."
 def carried(
     model: StateSpaceModel, name: str, data: Mapping[str, bytes] | None = None
 ) -> CarriedModel:
-    """Give a model by value, with its fingerprint.
+    """A model by value, with its fingerprint.
 
-    Parameters
-    ----------
-    model : StateSpaceModel
-    name : str
-        As a job names it.
-    data : mapping of str to bytes, optional
-        Content of its data files by their names.
-
-    Raises
-    ------
-    ModelError
-        A formula uses something that has no fingerprint, or that cannot travel.
+    `name` is the model's name in a job, and `data` the content of its data files by their names. A
+    `ModelError` names what a formula uses that has no fingerprint or cannot travel.
     """
-    seen = looked_at(model, data)
+    inspection = inspected(model, data)
     fields = {each.name: getattr(model, each.name) for each in dataclasses.fields(model)}
     fields |= {key: dict(value) for key, value in fields.items() if isinstance(value, Mapping)}
-    fields |= alone(model.formulas)
+    fields |= with_named_modules(model.formulas)
     try:
-        with _sent_by_value(seen.modules):
-            content = cloudpickle.dumps((fields, seen.texts))
+        with _sent_by_value(inspection.modules):
+            content = cloudpickle.dumps((fields, inspection.texts))
     except Exception as error:  # an object of the user may raise any exception
         raise ModelError(f"model {model.name} cannot be sent to workers: {told(error)}") from error
-    known = CarriedModel(name, content, seen.fingerprint)
-    known.model  # noqa: B018  made here first, to find what cannot be made
-    return known
+    result = CarriedModel(name, content, inspection.fingerprint)
+    result.model  # noqa: B018  made here first, to find what cannot be made
+    return result
 
 
 @contextmanager
 def _sent_by_value(names: set[str]) -> Iterator[None]:
     """Have functions of these modules pickled by value, not by their names."""
-    known = cloudpickle.list_registry_pickle_by_value()
-    modules = [sys.modules[name] for name in sorted(names & sys.modules.keys() - known)]
+    registered = cloudpickle.list_registry_pickle_by_value()
+    modules = [sys.modules[name] for name in sorted(names & sys.modules.keys() - registered)]
     for module in modules:
         cloudpickle.register_pickle_by_value(module)
     try:

@@ -38,17 +38,10 @@ _ONE_NUMBER = {
 
 
 def check_fields(model: Any) -> None:
-    """Refuse fields of a model that are wrong before any formula is called.
+    """Raise a `ModelError` about the first wrong field of a model, before any formula is called.
 
-    Parameters
-    ----------
-    model : StateSpaceModel
-
-    Raises
-    ------
-    ModelError
-        A formula does not take its arguments, a kind of noise is unknown, a data file lies outside
-        the folder, or a parameter has a wrong name or value. The message names the field.
+    A formula does not take its arguments, a kind of noise is unknown, a data file lies outside the
+    folder, or a parameter has a wrong name or value.
     """
     for name, arguments in ARGUMENTS.items():
         _check_signature(model, name, arguments)
@@ -130,18 +123,10 @@ def is_in_folder(name: Any) -> bool:
 
 
 def count_components(model: Any, p: Any) -> tuple[int, int, int]:
-    """Give the numbers of components of x, y and z, by calling every formula once.
+    """The numbers of components of x, y and z, found by calling every formula once.
 
-    Parameters
-    ----------
-    model : StateSpaceModel
-    p : named tuple
-        The parameters as formulas read them.
-
-    Raises
-    ------
-    ModelError
-        A formula fails, or gives values of a wrong kind or number.
+    `p` holds the parameters as formulas read them. A `ModelError` says which formula fails, or
+    gives values of a wrong kind or number.
     """
     with np.errstate(all="ignore"):
         x = _call(model, "initial", _variates(model.initial_noise), p)
@@ -163,7 +148,7 @@ def _variates(kinds: tuple[str, ...]) -> tuple[Any, ...]:
 
 
 def _call(model: Any, name: str, *arguments: Any) -> Any:
-    """Give the value of a formula, after checking it."""
+    """The checked value of a formula."""
     formula = getattr(model, name)
     try:
         value = formula(*arguments)
@@ -182,7 +167,7 @@ def _call(model: Any, name: str, *arguments: Any) -> Any:
 
 
 def _advice(model: Any, name: str, arguments: tuple[Any, ...], error: BaseException) -> str:
-    """Say what to write instead, with the sizes that only the model knows."""
+    """Advice what to write instead, with the sizes that only the model knows."""
     if "tuple index out of range" in str(error):
         sizes = [
             f"{argument} has {len(value)}"
@@ -196,7 +181,7 @@ def _advice(model: Any, name: str, arguments: tuple[Any, ...], error: BaseExcept
 
 
 def _wrong_kind(name: str, value: Any) -> str:
-    """Say which kind of value a formula must give, and which it gave; empty if it is right."""
+    """The kind of value that a formula must give, and what it gave; empty if the kind is right."""
     if name in _ONE_NUMBER:
         right = _is_number(value)
         return "" if right else f"{_ONE_NUMBER[name]}, got {_described(value)}"
@@ -221,7 +206,7 @@ def _is_number(value: Any) -> bool:
 
 
 def _described(value: Any) -> str:
-    """Describe a wrong value, and what it lacks."""
+    """Description of a wrong value, and of what it lacks."""
     if value is None:
         return "None: is there no `return`?"
     if isinstance(value, list):

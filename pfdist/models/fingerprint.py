@@ -63,56 +63,38 @@ _PFDIST = Path(__file__).parents[1]
 
 
 @dataclass(frozen=True)
-class Look:
-    """A fingerprint, and what it was taken from.
-
-    Parameters
-    ----------
-    fingerprint : Fingerprint
-    modules : set of str
-        Names of the user's modules that formulas reach.
-    texts : dict of str to str
-        Text of each source file of a function that formulas reach.
-    """
+class Inspection:
+    """A fingerprint, and what it was taken from."""
 
     fingerprint: Fingerprint
-    modules: set[str]
-    texts: dict[str, str]
+    modules: set[str]  # names of the user's modules that formulas reach
+    texts: dict[str, str]  # text of each source file of a function that formulas reach, by the file
 
 
-def looked_at(model: Any, data: Mapping[str, bytes] | None = None) -> Look:
-    """Give the fingerprint of a model.
+def inspected(model: Any, data: Mapping[str, bytes] | None = None) -> Inspection:
+    """The fingerprint of a model; `data` is the content of its data files by their names.
 
-    Parameters
-    ----------
-    model : StateSpaceModel
-    data : mapping of str to bytes, optional
-        Content of its data files by their names.
-
-    Raises
-    ------
-    ModelError
-        A formula uses something that has no fingerprint.
+    A `ModelError` names what a formula uses that has no fingerprint.
     """
     walk = _Walk(model.name, model.formulas)
-    found = walk.found()
+    found = walk.fingerprint()
     found[FORMULAS] = digest([found[FORMULAS], *(repr(getattr(model, k)) for k in _SETTINGS)])
     names = {name: ", ".join(given) for name in _NAMES if (given := getattr(model, name))}
     files = {f"data_files.{name}": digest([content]) for name, content in (data or {}).items()}
     fingerprint = found | names | files | parameters_of(model.parameters)
-    return Look(fingerprint, walk.modules, walk.texts)
+    return Inspection(fingerprint, walk.modules, walk.texts)
 
 
 def formulas_key(model: str, formulas: Mapping[str, Any]) -> str | None:
-    """Give a hash of all on which compiled formulas depend; None if they have no fingerprint."""
+    """A hash of all on which compiled formulas depend; None if they have no fingerprint."""
     try:
-        return digest([repr(sorted(_Walk(model, formulas).found().items()))])
+        return digest([repr(sorted(_Walk(model, formulas).fingerprint().items()))])
     except ModelError:
         return None
 
 
 def parameters_of(values: Mapping[str, Any]) -> Fingerprint:
-    """Give parameters as entries of a fingerprint: numbers, and hashes of sequences."""
+    """Parameters as entries of a fingerprint: numbers, and hashes of sequences."""
     return {
         f"parameters.{name}": float(value) if np.ndim(value) == 0 else _content_of(np.array(value))
         for name, value in values.items()
@@ -120,7 +102,7 @@ def parameters_of(values: Mapping[str, Any]) -> Fingerprint:
 
 
 def digest(parts: Iterable[str | bytes]) -> str:
-    """Give the hash of texts and bytes."""
+    """The hash of texts and bytes."""
     hashed = hashlib.blake2b(digest_size=8)
     for part in parts:
         content = part.encode("utf-8", "surrogatepass") if isinstance(part, str) else part
@@ -129,15 +111,7 @@ def digest(parts: Iterable[str | bytes]) -> str:
 
 
 class _Walk:
-    """A walk from a model's formulas to all that they reach.
-
-    Parameters
-    ----------
-    model : str
-        The model's name.
-    formulas : mapping of str to function
-        The formulas by their names.
-    """
+    """A walk from a model's formulas, given by their names, to all that they reach."""
 
     def __init__(self, model: str, formulas: Mapping[str, Any]) -> None:
         self._model, self._formulas = model, formulas
@@ -149,8 +123,8 @@ class _Walk:
         self.modules: set[str] = set()
         self.texts: dict[str, str] = {}
 
-    def found(self) -> Fingerprint:
-        """Give the hash of the syntax, and the values and versions by their labels."""
+    def fingerprint(self) -> Fingerprint:
+        """The hash of the syntax, and the values and versions by their labels."""
         for name, formula in self._formulas.items():
             self._syntax.append(name.encode())
             self._function(formula, name)
@@ -164,6 +138,8 @@ class _Walk:
             return
         if own := vars(function).keys() - {"__wrapped__"}:
             self._refuse(label, f"has an attribute of its own, {min(own)}: use a variable")
+        # A second call is recorded by the function's number. So functions that call each other end
+        # the walk, and which function is called still counts.
         if function in self._functions:
             self._syntax.append(b"%d" % self._functions.index(function))
             return
@@ -281,7 +257,7 @@ class _Walk:
 
 
 def _content_of(value: Any) -> Any:
-    """Give a number, or a hash of text, a tuple or an array; None for another kind of value."""
+    """A number, or a hash of text, a tuple or an array; None for another kind of value."""
     if type(value) is float and np.isfinite(value):
         return value
     if type(value) in _PLAIN:
@@ -310,7 +286,7 @@ def _is_named_tuple(value: Any) -> bool:
 
 
 def _described(value: Any) -> str:
-    """Describe a value that has no fingerprint, with what to write instead."""
+    """Description of a value without a fingerprint, and advice what to write instead."""
     if isinstance(value, type):
         return f"the class {value.__name__}"
     kind = type(value).__name__
@@ -321,7 +297,7 @@ def _described(value: Any) -> str:
 
 
 def _library_of(value: Any) -> str | None:
-    """Name the module of a library's function or class; None for any other value."""
+    """The name of the module of a library's function or class; None for any other value."""
     if isinstance(value, np.ufunc):
         homes = (np, sys.modules.get("scipy.special"))
         known = (home for home in homes if getattr(home, value.__name__, None) is value)
@@ -347,12 +323,12 @@ def _home(function: types.FunctionType) -> str:
 
 
 def file_of(module: types.ModuleType) -> str | None:
-    """Give the file of a module, or the folder of a package without one."""
+    """The file of a module, or the folder of a package without a file."""
     return module.__dict__.get("__file__") or next(iter(getattr(module, "__path__", ())), None)
 
 
 def is_users_module(module: types.ModuleType) -> bool:
-    """Whether a module is the user's, or that of a model that ships: its content counts."""
+    """Whether a module is the user's, or that of a model that ships: then its content counts."""
     file = file_of(module)
     if file is None:  # it is built into Python, or made by the user
         return module.__name__.partition(".")[0] not in _BUILT_IN
@@ -377,7 +353,7 @@ def _version_of(top: str) -> str:
 
 
 def _chains(node: ast.AST, name: str) -> set[tuple[str, ...]]:
-    """Give ``("a", "b")`` for each ``name.a.b`` in a function, and ``()`` for the name alone."""
+    """``("a", "b")`` for each ``name.a.b`` in a function, and ``()`` for the bare name."""
     inner = {id(each.value) for each in ast.walk(node) if isinstance(each, ast.Attribute)}
     found = set()
     for outermost in ast.walk(node):
@@ -393,7 +369,7 @@ def _chains(node: ast.AST, name: str) -> set[tuple[str, ...]]:
 
 
 def _globals_of(code: types.CodeType) -> set[str]:
-    """Names of the global variables that a function and those it defines read."""
+    """Names of the global variables that a function and the functions it defines read."""
     return {*_steps(code, "LOAD_GLOBAL"), *_steps(code, "LOAD_NAME")}
 
 
@@ -405,7 +381,7 @@ def _names_of(code: types.CodeType) -> Iterator[str]:
 
 
 def _steps(code: types.CodeType, kind: str) -> Iterator[str]:
-    """The arguments of the instructions of a kind, in a function and in those it defines."""
+    """Arguments of a function's instructions of a kind, also in the functions that it defines."""
     yield from (each.argval for each in dis.get_instructions(code) if each.opname == kind)
     for constant in code.co_consts:
         if isinstance(constant, types.CodeType):

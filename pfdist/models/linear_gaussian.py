@@ -30,7 +30,7 @@ def linear_gaussian(
     measurement_noise: Matrix,
     quantity_of_interest: Matrix,
 ) -> StateSpaceModel:
-    """Give the model x(t+1) = A x(t) + B w(t), y(t) = C x(t) + D v(t), z = H x.
+    """The model x(t+1) = A x(t) + B w(t), y(t) = C x(t) + D v(t), z = H x.
 
     w and v are standard normal. A matrix is a sequence of rows, or a function of t that gives a
     tuple of tuples. Such a function may use everything that a formula may use.
@@ -89,7 +89,7 @@ def linear_gaussian(
 
 
 def _log_likelihood(look: Formula, noise: Formula, measurements: int) -> Formula:
-    """Give the log-likelihood of independent normal measurements, up to a constant."""
+    """The log-likelihood of independent normal measurements, up to a constant."""
 
     def log_likelihood(y: Any, x: Any, t: Any, p: Any) -> Any:
         expected, sd, total = look(x, t), noise(t), 0.0
@@ -101,7 +101,7 @@ def _log_likelihood(look: Formula, noise: Formula, measurements: int) -> Formula
 
 
 def _normal(matrix: Matrix) -> tuple[str, ...]:
-    """Give the kinds of noise that a matrix is multiplied with."""
+    """The kinds of noise that a matrix is multiplied with."""
     return ("normal",) * _shape(matrix)[1]
 
 
@@ -116,7 +116,7 @@ def _check_diagonal(name: str, matrix: Sequence[Sequence[float]]) -> None:
 
 
 def _function(matrix: Matrix) -> Formula:
-    """Give a matrix as a function of t."""
+    """A matrix as a function of t."""
     if callable(matrix):
         return matrix
     rows = tuple(tuple(float(entry) for entry in row) for row in matrix)
@@ -129,12 +129,12 @@ def _shape(matrix: Matrix) -> tuple[int, int]:
 
 
 def _times(matrix: Matrix) -> Formula:
-    """Give the function ``(x, t) -> matrix(t) x``."""
+    """The function ``(x, t) -> matrix(t) x``."""
     return _stacked([_row(matrix, i) for i in range(_shape(matrix)[0])])
 
 
 def _sum(matrix: Matrix, noise: Matrix) -> Formula:
-    """Give the function ``(x, w, t) -> matrix(t) x + noise(t) w``."""
+    """The function ``(x, w, t) -> matrix(t) x + noise(t) w``."""
 
     def component(i: int) -> Formula:
         of_x, of_w = _row(matrix, i), _row(noise, i)
@@ -144,7 +144,7 @@ def _sum(matrix: Matrix, noise: Matrix) -> Formula:
 
 
 def _row(matrix: Matrix, i: int) -> Formula:
-    """Give the function ``(x, t) -> component i of matrix(t) x``."""
+    """The function ``(x, t) -> component i of matrix(t) x``."""
     rows, columns = _function(matrix), _shape(matrix)[1]
 
     def component(x: Any, t: Any) -> Any:
@@ -157,7 +157,7 @@ def _row(matrix: Matrix, i: int) -> Formula:
 
 
 def _stacked(functions: list[Formula]) -> Formula:
-    """Give a function whose value is the tuple of the values of several functions.
+    """A function whose value is the tuple of the values of several functions.
 
     Numba cannot make a tuple in a loop, so the tuples are joined recursively.
     """

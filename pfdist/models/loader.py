@@ -52,56 +52,40 @@ def load_model(name: str, folder: Path = Path()) -> StateSpaceModel:
     ModelError
         There is no such model, or it cannot be loaded.
     """
-    return _found(name, folder)[0]
+    return _model_and_file(name, folder)[0]
 
 
 def carried_model(
     name: str, folder: Path = Path(), parameters: Mapping[str, Parameter] | None = None
 ) -> CarriedModel:
-    """Load a model by its name, as it travels to the workers.
+    """A model by its name, as it travels to the workers, with some parameters replaced.
 
-    Parameters
-    ----------
-    name : str
-    folder : Path
-        As for `load_model`.
-    parameters : mapping of str to float or sequence of float, optional
-        Parameters that replace those of the model.
-
-    Raises
-    ------
-    ModelError
-        There is no such model, it cannot be loaded, a data file cannot be read, a parameter is
-        unknown or outside its range, or a formula uses something that cannot travel.
+    The name and the folder are those of `load_model`. A `ModelError` says that there is no such
+    model, that it cannot be loaded or cannot travel, that a data file cannot be read, or that a
+    parameter is unknown or outside its range.
     """
-    model, file = _found(name, folder)
+    model, file = _model_and_file(name, folder)
     data = {each: _read_data(model, file, each) for each in model.data_files}
     return carried(model.with_parameters(parameters) if parameters else model, name, data)
 
 
 def check_name(name: str) -> None:
-    """Refuse a name without a model or a file. The file is not imported.
-
-    Raises
-    ------
-    ModelError
-        There is no such model or file.
-    """
+    """Raise a `ModelError` if no model or file has this name; the file is not imported."""
     _located(name, Path())
 
 
 def installed_name(model: StateSpaceModel) -> str | None:
-    """Give the name of the installed model whose formulas an object has; None for another model."""
+    """The name of the installed model whose formulas an object has; None for another model."""
     home, attribute = installed_models().get(model.name, ("", ""))
-    known = getattr(importlib.import_module(home), attribute, None) if home else None
-    if not isinstance(known, StateSpaceModel) or known.parameters.keys() != model.parameters.keys():
+    other = getattr(importlib.import_module(home), attribute, None) if home else None
+    if not isinstance(other, StateSpaceModel) or other.parameters.keys() != model.parameters.keys():
         return None
-    same = dataclasses.replace(known, parameters=model.parameters) == model
+    same = dataclasses.replace(other, parameters=model.parameters) == model
     return model.name if same else None
 
 
 def installed_models() -> dict[str, tuple[str, str]]:
-    """Give module and attribute of every model that ships or is an entry point, by name."""
+    """Module and attribute of every model that ships or is an entry point, by name."""
     package = importlib.import_module("pfdist.models")
     shipped = {
         module.name: (f"pfdist.models.{module.name}", "model")
@@ -112,19 +96,19 @@ def installed_models() -> dict[str, tuple[str, str]]:
     return plugged | shipped
 
 
-def _found(name: str, folder: Path) -> tuple[StateSpaceModel, Path]:
-    """Load a model, and give it with the file that contains it."""
+def _model_and_file(name: str, folder: Path) -> tuple[StateSpaceModel, Path]:
+    """A model, and the file that contains it."""
     home, attribute = _located(name, folder)
     if isinstance(home, Path):
         return _model_of(_imported(home), attribute, home), home
-    with _told(f"the module {home!r} of model {name!r} fails when imported"):
+    with _errors_in_one_line(f"the module {home!r} of model {name!r} fails when imported"):
         module = importlib.import_module(home)
     file = Path(module.__file__ or home)
     return _model_of(module, attribute, file), file
 
 
 def _located(name: str, folder: Path) -> tuple[Path | str, str]:
-    """Give the file or the installed module of a model, and the model's name in it."""
+    """The file or the installed module of a model, and the model's name in it."""
     if not isinstance(name, str):
         raise ModelError(f"the name of a model must be a text, got {shown(name)}")
     if name.startswith(PYTHON):
@@ -145,7 +129,7 @@ def _located(name: str, folder: Path) -> tuple[Path | str, str]:
 
 
 def _readable(file: Path, name: str) -> Path:
-    """Give a model's file after a look whether it can be read."""
+    """A model's file, after a check that it can be read and hides no module that it imports."""
     if file.exists() and not file.is_file():  # opening a pipe would wait for ever
         raise ModelError(f"{file} must be a file, got something else ({name!r})")
     try:
@@ -166,8 +150,8 @@ def _readable(file: Path, name: str) -> Path:
 def _imported(file: Path) -> types.ModuleType:
     """Import a model's file by Python's own import system, under a name of its own.
 
-    The modules beside it are found while it is imported, and then leave Python's table of modules:
-    two models may both have a ``helper``.
+    Python finds the modules beside it while it is imported. Then they leave Python's table of
+    modules: two models may both have a ``helper``.
     """
     folder = file.resolve().parent
     own = f"pfdist_model_{hashlib.sha256(bytes(file.resolve())).hexdigest()[:16]}"
@@ -175,7 +159,7 @@ def _imported(file: Path) -> types.ModuleType:
     if spec is None or spec.loader is None:
         raise ModelError(f"{file} must be a Python file")
     module = importlib.util.module_from_spec(spec)
-    with _importing, _told(f"{file} fails when loaded"), _beside(folder):
+    with _importing, _errors_in_one_line(f"{file} fails when loaded"), _beside(folder):
         sys.modules[own] = module
         try:
             spec.loader.exec_module(module)
@@ -186,7 +170,7 @@ def _imported(file: Path) -> types.ModuleType:
 
 @contextlib.contextmanager
 def _beside(folder: Path) -> Iterator[None]:
-    """Have Python find the modules of a folder before all others, and forget them again."""
+    """Let Python find the modules of a folder before all others, and forget them again."""
     modules = {file.stem for file in folder.glob("*.py")} - {"__main__"}
     packages = {file.parent.name for file in folder.glob("*/__init__.py")}
     folders = {entry.name for entry in folder.iterdir() if entry.is_dir()}
@@ -197,24 +181,26 @@ def _beside(folder: Path) -> Iterator[None]:
         if (top := name.partition(".")[0]) in (modules | packages) - hidden
         or (top in folders - hidden and not _is_installed(module))
     }
-    before, writes = sys.path.copy(), sys.dont_write_bytecode
+    # Modules of the same names from elsewhere are set aside, and come back at the end. Modules of
+    # this folder leave the table, so the next model imports its own.
+    path_before, writes_before = sys.path.copy(), sys.dont_write_bytecode
     for name in aside:
         del sys.modules[name]
-    known = set(sys.modules)
+    names_before = set(sys.modules)
     sys.path.insert(0, str(folder))
     sys.dont_write_bytecode = True  # bytecode a second old would hide an edit
     importlib.invalidate_caches()
     try:
         yield
-        for name in sorted(set(sys.modules) - known):
+        for name in sorted(set(sys.modules) - names_before):
             if name.partition(".")[0] in hidden and _lies_in(sys.modules[name], folder):
                 raise ModelError(
                     f"{sys.modules[name].__file__} hides the module {name!r} of the same name: "
                     "rename the file"
                 )
     finally:
-        sys.path[:], sys.dont_write_bytecode = before, writes
-        for name in set(sys.modules) - known:
+        sys.path[:], sys.dont_write_bytecode = path_before, writes_before
+        for name in set(sys.modules) - names_before:
             if _lies_in(sys.modules[name], folder):
                 del sys.modules[name]
         sys.modules.update(aside)
@@ -231,7 +217,7 @@ def _is_installed(module: types.ModuleType) -> bool:
 
 
 @contextlib.contextmanager
-def _told(fails: str) -> Iterator[None]:
+def _errors_in_one_line(fails: str) -> Iterator[None]:
     """Turn what a model's code raises into one line."""
     try:
         yield

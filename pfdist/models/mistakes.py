@@ -32,12 +32,12 @@ def is_interrupt(error: BaseException) -> bool:
 
 
 def told(error: BaseException) -> str:
-    """Describe an exception of a model in a line: its class and the beginning of its text."""
+    """An exception of a model in a line: its class and the beginning of its text."""
     return ": ".join(part for part in (type(error).__name__, text_of(error)) if part)
 
 
 def text_of(error: BaseException) -> str:
-    """Give an error's text as a line; empty if there is no text or it cannot be made."""
+    """An error's text as a line; empty if there is no text or it cannot be made."""
     try:
         text = " ".join(str(error).split())
     except Exception:  # the text of a model's own exception may fail, too
@@ -55,13 +55,13 @@ def frames_of(error: BaseException) -> Iterator[tuple[FrameType, int]]:
 
 
 def place_of(error: BaseException) -> str:
-    """Give an error's innermost place in a model as `` (file:line)``; empty if there is none."""
+    """An error's innermost place in a model as `` (file:line)``; empty if there is none."""
     places = [f" ({frame.f_code.co_filename}:{line})" for frame, line in frames_of(error)]
     return places[-1] if places else ""
 
 
 def place_of_function(function: Any) -> str:
-    """Give the place where a function is defined, as `` (file:line)``; empty without a source."""
+    """The place where a function is defined, as `` (file:line)``; empty without a source."""
     code = getattr(function, "__code__", None)
     return f" ({code.co_filename}:{code.co_firstlineno})" if code else ""
 
@@ -98,7 +98,7 @@ NO_CLOCK = (
     "p.time[t] and p.dt[t] are the clock's, and there is no clock: give the job a clock, or "
     "take the model's on_clock(times)"
 )
-"""What is wrong where a formula reads the clock of a job that has none."""
+"""The advice where a formula reads the clock of a job that has none."""
 _ONE_NUMBER = "write np.sin in the place of math.sin, np.int64 of int"
 _REMEDIES = {
     "truth value of an array": _BRANCH,
@@ -137,11 +137,11 @@ _INSTEAD = {
     "remainder": "a - b * np.rint(a / b)",
     "ulp": "np.spacing(np.abs(a))",
 }
-"""What formulas use in the place of functions of `math` that differ from those of NumPy."""
+"""Replacements in formulas for functions of `math` that differ from those of NumPy."""
 
 
 def remedy(error: BaseException) -> str:
-    """Advise what to write instead, as ``; remedy``; empty if there is no advice."""
+    """Advice what to write instead, as ``; remedy``; empty if there is no advice."""
     text = text_of(error)
     found = next((cure for words, cure in _REMEDIES.items() if words in text), "")
     if found is _ONE_NUMBER:
@@ -150,7 +150,7 @@ def remedy(error: BaseException) -> str:
 
 
 def _of_one_number(name: str) -> str:
-    """Say what to write in the place of a function of one number."""
+    """Advice what to write instead of a function of one number."""
     if name in ("int", "round"):
         return "write np.int64(a) in the place of int(a)"
     if name == "float":

@@ -1,4 +1,4 @@
-"""Functions with the code of a formula that see other objects under the names in this code.
+"""Copies of formulas that have the same code and see other objects under the names in it.
 
 A formula may call functions that its author compiled with `numba.njit`. Numba compiles these
 without checks of their indices. So a model takes the Python functions from which they were made,
@@ -16,7 +16,7 @@ from numba.extending import is_jitted
 from pfdist.errors import ModelError
 from pfdist.models.mistakes import place_of_function, ships
 
-_PLACE = {"__file__", "__path__"}  # by which a module is known as the user's
+_PLACE = {"__file__", "__path__"}  # show that a module is the user's
 _LIBRARIES = sys.stdlib_module_names | {
     *("llvmlite", "matplotlib", "numba", "numpy", "pandas", "pyarrow", "ray", "scipy"),
 }
@@ -45,17 +45,11 @@ def names_in(code: types.CodeType) -> set[str]:
 def seeing(
     function: types.FunctionType, instead: Callable[[Any], Any], name: str = ""
 ) -> types.FunctionType:
-    """Give a function with the same code that sees other objects.
+    """A function with the same code that sees other objects, under another name if there is one.
 
-    Parameters
-    ----------
-    function : function
-    instead : callable
-        Gives what the function sees in the place of a global variable, a variable of its closure or
-        a default. In the place of a module of the user it sees a copy with the variables that the
-        function names.
-    name : str, optional
-        Another name for the function.
+    `instead` gives what the function sees in the place of a global variable, a variable of its
+    closure or a default. In the place of a module of the user it sees a copy with the variables
+    that it names.
     """
     scope, names = function.__globals__, names_in(function.__code__)
     copies: dict[int, types.ModuleType] = {}
@@ -94,30 +88,23 @@ def _same_cell(cell: types.CellType, seen: Callable[[Any], Any]) -> types.CellTy
 
 
 def in_python(function: types.FunctionType) -> types.FunctionType:
-    """Give a formula that sees Python functions where its author has compiled functions.
+    """A formula that sees Python functions where its author has compiled functions.
 
-    Returns
-    -------
-    function
-        The formula itself if it reaches no compiled function.
-
-    Raises
-    ------
-    ModelError
-        It reaches a function that was compiled in another way than by `numba.njit`.
+    It is the formula itself if it reaches no compiled function. A `ModelError` names a function
+    that was compiled in another way than by `numba.njit`.
     """
     same, changed = _in_python(function, (), {})
     return same if changed else function
 
 
-def alone(formulas: Mapping[str, Any]) -> dict[str, types.FunctionType]:
-    """Give formulas that see copies of the user's modules with the names that they use.
+def with_named_modules(formulas: Mapping[str, Any]) -> dict[str, types.FunctionType]:
+    """Formulas that see copies of the user's modules, with only the names that they use.
 
     A function that several of them call is copied once.
     """
-    known: _Known = {}
+    copies: _Copies = {}
     return {
-        name: function if is_library(_home(function)) else _in_python(function, (), known)[0]
+        name: function if is_library(_home(function)) else _in_python(function, (), copies)[0]
         for name, function in formulas.items()
     }
 
@@ -126,15 +113,15 @@ def _home(function: types.FunctionType) -> str:
     return str(function.__globals__.get("__name__"))
 
 
-_Known = dict[types.FunctionType, tuple[types.FunctionType, bool]]
+_Copies = dict[types.FunctionType, tuple[types.FunctionType, bool]]
 
 
 def _in_python(
-    function: types.FunctionType, callers: tuple[types.FunctionType, ...], known: _Known
+    function: types.FunctionType, callers: tuple[types.FunctionType, ...], copies: _Copies
 ) -> tuple[types.FunctionType, bool]:
-    """Give the formula, and whether it reaches a compiled function."""
-    if function in known:
-        return known[function]
+    """The formula that sees Python functions, and whether it reaches a compiled function."""
+    if function in copies:
+        return copies[function]
     changed, called_by = False, (*callers, function)
 
     def instead(value: Any) -> Any:
@@ -143,7 +130,7 @@ def _in_python(
         if isinstance(found, types.FunctionType):
             if is_library(_home(found)) or found in called_by:
                 return found
-            found, inside = _in_python(found, called_by, known)
+            found, inside = _in_python(found, called_by, copies)
             changed |= inside or is_jitted(value)
         elif type(value).__module__.startswith("numba."):
             raise ModelError(
@@ -154,5 +141,5 @@ def _in_python(
         return found
 
     same = seeing(function, instead)
-    known[function] = same, changed
-    return known[function]
+    copies[function] = same, changed
+    return copies[function]

@@ -27,26 +27,25 @@ _LEFT_OUT = ("annotation", "returns", "type_params", "type_comment", "simple", "
 
 
 def syntax_of(function: types.FunctionType) -> bytes | None:
-    """Give a function's syntax, without its defaults and decorators, which count by value.
+    """A function's syntax, without its defaults and decorators, which count by value.
 
-    Returns
-    -------
-    bytes or None
-        None if no source is known that compiles to the function's very code: it was made by
-        ``exec``, or its file has been edited since it was loaded.
+    It is None if no source is known that compiles to the function's very code. Either ``exec`` made
+    it, or its file has been edited since it was loaded.
     """
     node = node_of(function)
-    return None if node is None else repr(_told_function(node)).encode("utf-8", "surrogatepass")
+    return (
+        None if node is None else repr(_function_as_tuples(node)).encode("utf-8", "surrogatepass")
+    )
 
 
 def node_of(function: Any) -> Function | None:
-    """Give the syntax tree from which a function was compiled; None if no source is known."""
+    """The syntax tree from which a function was compiled; None if no source is known."""
     text = source_of(function)
     return _node_of(function.__code__, text) if text else None
 
 
 def source_of(function: Any) -> str:
-    """Give the text of the file or cell that defines a function; empty if it is not known."""
+    """The text of the file or cell that defines a function; empty if it is not known."""
     scope = function.__globals__
     loader: Any = scope.get("__loader__")
     try:
@@ -61,7 +60,7 @@ def source_of(function: Any) -> str:
 def _parsed(
     text: str, flags: int
 ) -> tuple[dict[_Place, list[Function]], dict[_Place, list[types.CodeType]]]:
-    """Give the functions of a source, and all its code objects by their lines and names."""
+    """The functions of a source, and all its code objects, by their first lines and names."""
     try:
         tree, code = ast.parse(text), compile(text, "source", "exec", flags, dont_inherit=True)
     except (SyntaxError, ValueError):  # the file has been edited
@@ -84,7 +83,7 @@ def _codes(code: types.CodeType) -> Iterator[types.CodeType]:
 
 @cache
 def _node_of(code: types.CodeType, text: str) -> Function | None:
-    """Find the syntax from which a code object was compiled."""
+    """The syntax from which a code object was compiled; None if the text compiles to other code."""
     nodes_at, codes_at = _parsed(text, code.co_flags & _FUTURE)
     place = code.co_firstlineno, code.co_name
     nodes = nodes_at.get(place, []) if code in codes_at.get(place, []) else []
@@ -118,27 +117,27 @@ def _holds(node: Function, spans: list[tuple[_Position, _Position]]) -> bool:
     return all((body.lineno, body.col_offset) <= first and end <= last for first, end in spans)
 
 
-def _told_function(node: Function) -> Any:
+def _function_as_tuples(node: Function) -> Any:
     """Describe a function without its defaults."""
     arguments = [
-        (field, _told(value))
+        (field, _as_tuples(value))
         for field, value in ast.iter_fields(node.args)
         if field not in ("defaults", "kw_defaults")
     ]
-    return type(node).__name__, arguments, _told(node.body)
+    return type(node).__name__, arguments, _as_tuples(node.body)
 
 
-def _told(node: Any) -> Any:
+def _as_tuples(node: Any) -> Any:
     """Describe a node of a tree, or a list of nodes, as nested tuples."""
     if isinstance(node, list):
-        return [_told(entry) for entry in node if not _does_nothing(entry)]
+        return [_as_tuples(entry) for entry in node if not _does_nothing(entry)]
     if isinstance(node, ast.Constant):
         return type(node.value).__name__, repr(node.value)
     if isinstance(node, ast.AnnAssign) and node.value is not None:
-        return "Assign", [("targets", [_told(node.target)]), ("value", _told(node.value))]
+        return "Assign", [("targets", [_as_tuples(node.target)]), ("value", _as_tuples(node.value))]
     if isinstance(node, ast.AST):
         fields = [
-            (field, _told(value))
+            (field, _as_tuples(value))
             for field, value in ast.iter_fields(node)
             if field not in _LEFT_OUT and value is not None and value != []
         ]
@@ -153,13 +152,7 @@ def _does_nothing(node: Any) -> bool:
 
 
 def imported_by(text: str) -> set[str]:
-    """Give the top-level modules that a source imports.
-
-    Raises
-    ------
-    SyntaxError, ValueError
-        The text is no source.
-    """
+    """The top-level modules that a source imports; SyntaxError or ValueError if it is no source."""
     found = set()
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):

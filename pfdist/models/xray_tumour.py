@@ -41,7 +41,7 @@ def initial(w, p):
 
 
 def moved(position, velocity, sd, w0, w1, p):
-    """Give position and velocity in one direction a step later.
+    """Position and velocity in one direction a step later.
 
     The noise keeps the variances at sd^2 and (pace sd)^2.
     """

@@ -1,8 +1,6 @@
 """The set of times nearest to wanted times, among those that spend the most of a sum of money.
 
-References
-----------
-Bellman, "Dynamic programming", 1957.
+Source: Bellman, "Dynamic programming", 1957.
 """
 
 from bisect import bisect_right
@@ -22,45 +20,23 @@ Keys = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Affordable:
-    """The sets of times that a sum of money pays for.
+    """The sets of times that a sum of money pays for."""
 
-    Parameters
-    ----------
-    usable : tuple of int
-        Times that a set may contain, sorted.
-    required : tuple of int
-        Usable times that every set must contain; no other usable time lies within the spacing of
-        them.
-    spacing : Spacing
-    price : sequence of int, (T+1,)
-        Price of each time, at least 1.
-    total : int
-        The sum to spend. It pays for the required times, and for at least one time.
-    """
-
-    usable: Times
+    usable: Times  # times that a set may contain, sorted
+    # usable times that every set must contain; no other usable time lies within their spacing
     required: Times
     spacing: Spacing
-    price: Sequence[int]
-    total: int
+    price: Sequence[int]  # (T+1,): price of each time, at least 1
+    total: int  # the sum to spend; it pays for the required times, and for at least one time
 
     def nearest(self, wanted: Callable[[int], Times]) -> Times:
-        """Give the set that spends the most, has the most times, and is nearest to wanted times.
+        """The set that spends the most, has the most times, and is nearest to wanted times, sorted.
 
         The three criteria apply in this order. Only sets that spend as much as any set can are
         considered; among them, those with the most times; among these, the set with the smallest
         sum of distances between its times and the wanted times, both in order. If several sets
         remain, the set whose last time is the earliest is given, then the last but one, and so on.
-
-        Parameters
-        ----------
-        wanted : callable
-            Takes a number of times and gives so many wanted times, sorted.
-
-        Returns
-        -------
-        tuple of int
-            Sorted.
+        `wanted` takes a number of times and gives so many wanted times, sorted.
         """
         most = self._keys(())[self._last_required :].max(axis=0)  # for each sum spent
         spent = int(np.flatnonzero(most > 0)[-1])
@@ -70,7 +46,7 @@ class Affordable:
 
     @property
     def _count(self) -> int:
-        """Value of one more time in a key: more than all distances together can take away."""
+        """The value of one more time in a key: more than all distances together can take away."""
         return (len(self.price) + 1) ** 2
 
     @property
@@ -78,7 +54,7 @@ class Affordable:
         return self.usable.index(self.required[-1]) if self.required else 0
 
     def _keys(self, wanted: Times) -> Keys:
-        """Give the best prefix's key, for each last time and sum spent: many times, small distance.
+        """The best prefix's key, for each last time and sum spent: many times, small distance.
 
         A prefix of a best set has as many times as any prefix that ends there and spends as much:
         with a prefix of more times, the whole set would have more. So the number of times is no
@@ -103,7 +79,7 @@ class Affordable:
         return keys
 
     def _followed_back(self, keys: Keys, spent: int, wanted: Times) -> Times:
-        """Find the times of the best set that spends this sum, from the last to the first."""
+        """The times of the best set that spends this sum, found from the last to the first."""
         first, key = self._last_required, int(keys[self._last_required :, spent].max())
         stop, times = len(self.usable), list[int]()
         for target in reversed(wanted):
@@ -111,7 +87,7 @@ class Affordable:
             time = self.usable[index]
             times.append(time)
             spent, key = spent - self.price[time], key - self._count + abs(time - target)
-            before = [self.usable.index(taken) for taken in self.required if taken < time]
+            before = [self.usable.index(other) for other in self.required if other < time]
             first = max(before, default=0)
             stop = bisect_right(self.usable, self.spacing.before(time))
         return tuple(reversed(times))

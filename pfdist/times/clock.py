@@ -1,7 +1,7 @@
 """The clock of a problem: the time of each instant, in a unit that the user names.
 
-Everything below the job counts instants, 0..T. Times are turned into instants where a user hands
-them over, and instants into times where a user reads them.
+Everything below the job counts instants, 0..T. Times become instants where a user hands them over,
+and instants become times where a user reads them.
 """
 
 import math
@@ -31,24 +31,12 @@ _EXACT = 2**53
 class Clock:
     """The time of each instant 0..T.
 
-    Parameters
-    ----------
-    times : tuple of float, (T+1,)
-        In ascending order. Whole numbers 0..T are a clock that counts instants.
-    unit : str
-        The unit as the user names it, such as "h"; empty if there is none.
-    counts : bool
-        Whether the problem has no clock: the time of an instant is its number.
-
-    Raises
-    ------
-    MeasurementTimesError
-        The times are not finite, or not in ascending order.
+    A `MeasurementTimesError` says that the times are not finite, or not in ascending order.
     """
 
-    times: tuple[Time, ...]
-    unit: str = ""
-    counts: bool = False
+    times: tuple[Time, ...]  # (T+1,): in ascending order
+    unit: str = ""  # as the user names it, such as "h"; empty if there is none
+    counts: bool = False  # whether the problem has no clock: the time of an instant is its number
 
     def __post_init__(self) -> None:
         for time in self.times:
@@ -63,17 +51,14 @@ class Clock:
 
     @classmethod
     def counting(cls, horizon: int) -> "Clock":
-        """Give the clock of a problem without a clock: the time of an instant is its number."""
+        """The clock of a problem without a clock: the time of an instant is its number."""
         return cls(tuple(range(horizon + 1)), counts=True)
 
     @classmethod
     def regular(cls, horizon: float, step: float, unit: str = "") -> "Clock":
-        """Give a clock whose instants lie one step apart, from 0 to the horizon.
+        """A clock whose instants lie one step apart, from 0 to the horizon.
 
-        Raises
-        ------
-        MeasurementTimesError
-            The horizon is no multiple of the step.
+        A `MeasurementTimesError` says that the horizon is no multiple of the step.
         """
         steps = round(horizon / step)
         if steps < 1 or not math.isclose(steps * step, horizon, rel_tol=1e-9):
@@ -98,10 +83,11 @@ class Clock:
 
     @cached_property
     def slack(self) -> float:
-        """How far a time may lie from an instant that it means.
+        """The largest distance between a time that a user writes and the instant that it means.
 
         It is a billionth of the shortest step, or what rounding to 12 digits changes, if this is
-        more; but at most a millionth of the step, unless floats cannot tell times so near apart.
+        more. But it is at most a millionth of the step, unless floats cannot distinguish times so
+        near to each other.
         """
         step = min((later - time for time, later in pairwise(self.times)), default=1.0)
         far = max(map(abs, self.times))
@@ -116,18 +102,9 @@ class Clock:
         return tuple(parts.tolist())
 
     def instant(self, time: Time, name: str = "measurement_times") -> int:
-        """Give the instant of a time.
+        """The instant of a time; `name` is the name of the value in an error.
 
-        Parameters
-        ----------
-        time : int or float
-        name : str
-            The name of the value, for an error.
-
-        Raises
-        ------
-        MeasurementTimesError
-            No instant has this time; the error names the nearest.
+        If no instant has this time, a `MeasurementTimesError` names the nearest.
         """
         if isinstance(time, bool) or not isinstance(time, (int, float, np.integer, np.floating)):
             raise MeasurementTimesError(f"{name} must be times, got {shown(time)}")
@@ -151,27 +128,27 @@ class Clock:
             )
 
     def between(self, first: Time, last: Time) -> range:
-        """Give the instants from a time to another, both included if they are on the clock."""
+        """The instants from a time to another, both included if they are on the clock."""
         start = bisect_left(self.times, first - self.slack)
         return range(start, bisect_right(self.times, last + self.slack))
 
     def instants(self, times: Iterable[Time]) -> Times:
-        """Give the instants of some times, in the same order; errors as of `instant`.
+        """The instants of some times, in the same order; errors as of `instant`.
 
         Without a clock, whole numbers may lie outside 0..T: no instant is looked up.
         """
         return tuple(_counted(t) if self.counts else self.instant(t) for t in times)
 
     def time(self, instant: int) -> Time:
-        """Give the time of an instant."""
+        """The time of an instant."""
         return self.times[instant]
 
     def times_of(self, instants: Iterable[int]) -> list[Time]:
-        """Give the times of some instants, in the same order."""
+        """The times of some instants, in the same order."""
         return [self.times[t] for t in instants]
 
     def told(self, instant: int) -> str:
-        """Give the time of an instant as text, with the unit."""
+        """The time of an instant as text, with the unit."""
         return f"{self.times[instant]:.10g}{self._suffix}"
 
     def successors(self, spacing: float) -> tuple[int, ...]:
@@ -180,32 +157,27 @@ class Clock:
         T+1 stands for an instant after the last.
         """
         after = np.array(self.times) + spacing - self.slack
-        found = np.searchsorted(self.times, after).tolist()
-        return tuple(max(t + 1, later) for t, later in enumerate(found))
+        successors = np.searchsorted(self.times, after).tolist()
+        return tuple(max(t + 1, later) for t, later in enumerate(successors))
 
     def regular_times(self, number: int) -> Times:
-        """Give N instants whose times are as evenly spaced as the clock allows.
+        """N instants, 1..T+1, whose times are as evenly spaced as the clock allows.
 
         These are the instants nearest to N times that are evenly spaced from the first to the last.
-        Where two of them would be the same instant, the later takes the next. A single time is
-        the instant nearest to the middle.
-
-        Parameters
-        ----------
-        number : int
-            N, 1..T+1.
+        Where two of them would be the same instant, the later takes the next. A single time is the
+        instant nearest to the middle.
         """
         first_and_last = self.times[0], self.times[-1]
         wanted = np.linspace(*first_and_last, number) if number > 1 else [np.mean(first_and_last)]
         chosen = list[int]()
         for left, time in zip(range(number - 1, -1, -1), wanted, strict=True):
             first = chosen[-1] + 1 if chosen else 0
-            open_ones = np.array(self.times[first : self.horizon + 1 - left])
-            chosen.append(first + int(np.abs(open_ones - time).argmin()))
+            candidates = np.array(self.times[first : self.horizon + 1 - left])
+            chosen.append(first + int(np.abs(candidates - time).argmin()))
         return tuple(chosen)
 
     def since(self, first: int) -> "Clock":
-        """Give the clock of the instants from one on."""
+        """The clock of the instants from `first` on: same times, but instants count from 0."""
         return Clock(self.times[first:], self.unit)
 
     @property
@@ -214,7 +186,7 @@ class Clock:
 
 
 def plain_time(time: Time) -> Time:
-    """Give a time as a job keeps it: 48.0 and -0.0 as the integers 48 and 0, others unchanged.
+    """The time as a job stores it: 48.0 and -0.0 as the integers 48 and 0, others unchanged.
 
     The identity of a run depends on how a number is written, so equal times must be written alike.
     """
@@ -223,7 +195,7 @@ def plain_time(time: Time) -> Time:
 
 
 def _counted(time: Time) -> int:
-    """Give a time that counts instants as an integer."""
+    """A time that counts instants, as an integer."""
     if isinstance(time, bool) or not isinstance(time, (int, float, np.integer, np.floating)):
         raise MeasurementTimesError(f"measurement_times must be times, got {shown(time)}")
     if not float(time).is_integer():
@@ -234,5 +206,5 @@ def _counted(time: Time) -> int:
 
 
 def _rounded(time: float) -> float:
-    """Give a multiple of a step as a person would write it: 3 * 0.1 is 0.3."""
+    """A multiple of a step as a person would write it: 3 * 0.1 is 0.3."""
     return float(f"{time:.12g}")

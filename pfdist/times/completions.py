@@ -1,13 +1,11 @@
 """The ways to complete a prefix of measurement times, counted from the horizon backwards.
 
-A completion depends only on the last time of the prefix and on the money left. For this, it must
-be known which times are cheap: those that the money left over at the end would pay for. A set may
-omit a cheap time only if another time stands within the spacing of it.
+A completion depends only on the last time of the prefix and on the money left. This requires that
+the cheap times are given: those that the money left over at the end would pay for. A set may omit a
+cheap time only if another time of the set lies within its spacing.
 
-References
-----------
-Bellman, "Dynamic programming", 1957. Nijenhuis, Wilf, "Combinatorial algorithms", 1978, chapter 13
-(objects of equal probability by counting how each beginning can be completed).
+Sources: Bellman, "Dynamic programming", 1957. Nijenhuis, Wilf, "Combinatorial algorithms", 1978,
+chapter 13 (objects of equal probability by counting how each beginning can be completed).
 """
 
 from bisect import bisect_left
@@ -26,35 +24,18 @@ _BEFORE = -1  # stands for the last time of an empty prefix; as an index, the ta
 
 @dataclass(frozen=True)
 class Completions:
-    """The sets of times whose money left over lies in a given range.
-
-    Parameters
-    ----------
-    horizon : int
-        T.
-    usable : tuple of int
-        Times that a set may contain, sorted. No usable time lies within the spacing of a required
-        time.
-    required : tuple of int
-        Usable times that every set must contain.
-    cheap : tuple of int
-        Times that a set must contain unless another of its times lies within the spacing.
-    spacing : Spacing
-    cost : tuple of int, (T+1,)
-        Cost of each time, at least 1.
-    total : int
-        The sum to spend.
-    left_over : range
-        Money that may be left at the end: it pays for the cheap times and for no others.
-    """
+    """The sets of times whose money left over lies in a given range."""
 
     horizon: int
+    # times that a set may contain, sorted; none lies within the spacing of a required time
     usable: tuple[int, ...]
-    required: tuple[int, ...]
+    required: tuple[int, ...]  # usable times that every set must contain
+    # times that a set must contain unless another of its times lies within the spacing
     cheap: tuple[int, ...]
     spacing: Spacing
-    cost: tuple[int, ...]
-    total: int
+    cost: tuple[int, ...]  # (T+1,): cost of each time, at least 1
+    total: int  # the sum to spend
+    # money that may be left at the end: it pays for the cheap times and for no others
     left_over: range
 
     @cached_property
@@ -63,7 +44,7 @@ class Completions:
         return int(self._ways[_BEFORE, self.total])
 
     def extensions(self, times: tuple[int, ...]) -> list[int]:
-        """Give the times that may follow a prefix of one of these sets."""
+        """The times that may follow a prefix of one of these sets."""
         last = _BEFORE
         for time in times:
             if time not in self._window(last):
@@ -73,7 +54,7 @@ class Completions:
         return [time for time in self._following(last) if self._can_be_completed(time, left)]
 
     def every(self) -> Iterator[tuple[int, ...]]:
-        """Give all sets, in lexicographic order."""
+        """All sets, in lexicographic order."""
         unfinished: list[tuple[tuple[int, ...], int]] = [((), self.total)]
         while unfinished:
             times, left = unfinished.pop()
@@ -87,7 +68,7 @@ class Completions:
             ]
 
     def at(self, index: int) -> tuple[int, ...]:
-        """Give the set of this index in the order of `every`."""
+        """The set of this index in the order of `every`."""
         times: list[int] = []
         last, left = _BEFORE, self.total
         while index or not self._is_complete(last, left):
@@ -107,12 +88,12 @@ class Completions:
         return self.spacing.after(last)
 
     def _next(self, times: tuple[int, ...], first: int) -> int:
-        """Give the earliest of some times that is not before `first`; T + 1 if there is none."""
+        """The earliest of some times that is not before `first`; T + 1 if there is none."""
         index = bisect_left(times, first)
         return times[index] if index < len(times) else self.horizon + 1
 
     def _window(self, last: int) -> range:
-        """Give the range of the next time: a later time would omit a required or a cheap time."""
+        """The range of the next time: a later time would omit a required or a cheap time."""
         first = self._first_after(last)
         cheap, required = self._next(self.cheap, first), self._next(self.required, last + 1)
         stop = min(self.spacing.after(cheap), required + 1, self.horizon + 1)
@@ -148,10 +129,10 @@ class Completions:
         return self._table(exact=False)
 
     def _table(self, exact: bool) -> NDArray[Any]:
-        """Give the number of completions, or whether there is any, by last time and money left.
+        """The number of completions, or whether there is any, by last time and money left.
 
-        The next time lies in a window. With sums over all later times, the number of completions
-        is the difference of two sums.
+        The next time lies in a window. With sums over all later times, the number of completions is
+        the difference of two sums. The row -1 of the table, its last, is that of the empty prefix.
         """
         instants, kind = self.horizon + 1, np.dtype(object if exact else np.int64)
         ways = np.zeros((instants + 1, self.total + 1), kind if exact else np.bool_)

@@ -1,7 +1,7 @@
 """Constraints on a set of measurement times: which times, how many or at what cost, how far apart.
 
-Every error and every sentence begins with the name of the value that is wrong, so that a caller
-can say where the value came from: ``forbidden must lie in 0..60, got 61``.
+Every error and every sentence begins with the name of the value that is wrong, so that a caller can
+add where the value came from: ``forbidden must lie in 0..60, got 61``.
 """
 
 from bisect import bisect_left
@@ -22,34 +22,19 @@ class Constraints:
 
     They are not checked here: `pfdist.times.feasible.Feasible` refuses constraints that contradict
     each other, or that no set satisfies.
-
-    Parameters
-    ----------
-    horizon : int
-        T.
-    measurement_budget : int, optional
-        N.
-    forbidden, required : tuple of int
-        Times that no set may contain, and times that every set must contain. Sorted.
-    minimum_spacing : int or float
-        Smallest allowed difference of two times of a set: instants, or time on the clock.
-    cost : tuple of int, (T+1,), optional
-        Cost of a measurement at each time, at least 1, in whole units.
-    total_cost : int, optional
-        Largest allowed cost of all measurements together. It is given with `cost`, and replaces
-        `measurement_budget`.
-    clock : Clock, optional
-        The time of each instant. By default instants are counted.
     """
 
     horizon: int
-    measurement_budget: int | None = None
-    forbidden: Times = ()
-    required: Times = ()
+    measurement_budget: int | None = None  # N
+    forbidden: Times = ()  # times that no set may contain, sorted
+    required: Times = ()  # times that every set must contain, sorted
+    # smallest difference of two times of a set: instants, or time on the clock
     minimum_spacing: int | float = 1
+    # (T+1,): cost of a measurement at each time, at least 1, in whole units
     cost: tuple[int, ...] | None = None
+    # largest cost of all measurements together; given with `cost`, in place of N
     total_cost: int | None = None
-    clock: Clock | None = None
+    clock: Clock | None = None  # by default instants are counted
 
     @property
     def counted(self) -> bool:
@@ -88,17 +73,20 @@ class Constraints:
 
     @cached_property
     def total(self) -> int:
-        """The sum to spend: N, or money in the largest unit in which all costs are whole."""
+        """The sum to spend: N, or money in the largest unit in which all costs are whole.
+
+        Money is at most what all allowed times cost together.
+        """
         if self.measurement_budget is not None:
             return self.measurement_budget
         return min((self.total_cost or 0) // self.unit, self.spent(self.allowed))
 
     def spent(self, times: Iterable[int]) -> int:
-        """Give the sum of the prices of some times."""
+        """The sum of the prices of some times."""
         return sum(self.price[time] for time in times)
 
     def with_required(self, times: Iterable[int]) -> Times:
-        """Give these times and the required times, sorted."""
+        """These times and the required times, sorted."""
         return tuple(sorted({*times, *self.required}))
 
     def compatible(self, times: Times) -> bool:
@@ -107,67 +95,57 @@ class Constraints:
 
     def allows(self, times: Iterable[int]) -> bool:
         """Whether these and the required times are compatible and can be paid for."""
-        kept = self.with_required(times)
-        return self.spent(kept) <= self.total and self.compatible(kept)
+        complete = self.with_required(times)
+        return self.spent(complete) <= self.total and self.compatible(complete)
 
     def broken(self, times: Iterable[int]) -> list[str]:
-        """Give the constraints that a set of times in 0..T breaks, one sentence each.
+        """The constraints that a set of times in 0..T breaks, one sentence each.
 
-        Parameters
-        ----------
-        times : iterable of int
+        Each sentence begins with the name of the constraint. A set may leave money over.
 
-        Returns
-        -------
-        list of str
-            Each begins with the name of the constraint. Empty if the set satisfies all of them.
-            A set may leave money over.
-
-        Examples
-        --------
         >>> Constraints(horizon=9, measurement_budget=2, forbidden=(4,)).broken([1, 4, 9])
         ['measurement_budget is 2, got 3 times', 'forbidden: 4 is measured']
         """
         chosen = sorted({*times})
-        found, cost = list[str](), self.cost_of(chosen)
+        sentences, cost = list[str](), self.cost_of(chosen)
         if self.measurement_budget not in (None, len(chosen)):
-            found.append(
+            sentences.append(
                 f"measurement_budget is {self.measurement_budget}, got {len(chosen)} times"
             )
         if self.total_cost is not None and cost > self.total_cost:
-            found.append(f"total_cost is {self.total_cost}, got times that cost {cost}")
+            sentences.append(f"total_cost is {self.total_cost}, got times that cost {cost}")
         forbidden = [time for time in chosen if time in self.forbidden]
         missing = [time for time in self.required if time not in chosen]
         for name, wrong, is_ in (("forbidden", forbidden, ""), ("required", missing, "not ")):
             if wrong:
                 verb = "is" if len(wrong) == 1 else "are"
-                listed = ", ".join(map(self.told, wrong))
-                found.append(f"{name}: {listed} {verb} {is_}measured")
+                listed = ", ".join(map(self.formatted, wrong))
+                sentences.append(f"{name}: {listed} {verb} {is_}measured")
         near = [
-            f"{self.told(time)} and {self.told(later)}"
+            f"{self.formatted(time)} and {self.formatted(later)}"
             for time, later in pairwise(chosen)
             if not self.spacing.apart((time, later))
         ]
         if near:
-            found.append(f"minimum_spacing is {self.minimum_spacing}, got {', '.join(near)}")
-        return found
+            sentences.append(f"minimum_spacing is {self.minimum_spacing}, got {', '.join(near)}")
+        return sentences
 
     def cost_of(self, times: Iterable[int]) -> int:
-        """Give the cost of a set, in the unit of `cost`; its size if times are counted."""
+        """The cost of a set, in the unit of `cost`; its size if times are counted."""
         return sum(self.cost[time] if self.cost else 1 for time in times)
 
     def affordable(self, times: Iterable[int]) -> list[int]:
-        """Give the optional times that could still be added to these and the required times."""
-        kept = self.with_required(times)
-        left = self.total - self.spent(kept)
+        """The optional times that could still be added to these and the required times."""
+        complete = self.with_required(times)
+        left = self.total - self.spent(complete)
         return [
             time
             for time in (self.optional if left > 0 else ())
-            if self.price[time] <= left and self._is_apart(time, kept)
+            if self.price[time] <= left and self._is_apart(time, complete)
         ]
 
     def distance(self, time: int, times: Times) -> int:
-        """Give the distance to the nearest of these times in instants; a large one if none is."""
+        """The distance to the nearest of these times in instants; T + 1 if there are none."""
         return min(
             (abs(time - neighbour) for neighbour in _neighbours(time, times)),
             default=self.horizon + 1,
@@ -180,34 +158,34 @@ class Constraints:
             for neighbour in _neighbours(time, times)
         )
 
-    def told(self, time: int) -> str:
-        """Give a time as the user reads it."""
+    def formatted(self, time: int) -> str:
+        """A time as the user reads it."""
         return str(time) if self.clock is None else f"{self.clock.time(time):.10g}"
 
     def capacity(self, times: Iterable[int]) -> int:
-        """Give the largest number of compatible times that contain these and the required times."""
-        kept = self.with_required(times)
-        gaps = pairwise(self.with_ends(kept))
-        return len(kept) + sum(self.capacity_between(first, last) for first, last in gaps)
+        """The largest number of compatible times that contain these and the required times."""
+        complete = self.with_required(times)
+        gaps = pairwise(self.with_ends(complete))
+        return len(complete) + sum(self.capacity_between(first, last) for first, last in gaps)
 
     def with_ends(self, times: Times) -> Times:
-        """Give these times between two others, from which every instant is far enough."""
+        """These times between -1 and T + 1, from which every instant is far enough."""
         return (-1, *times, self.horizon + 1)
 
     def capacity_between(self, first: int, last: int) -> int:
-        """Give the largest number of compatible times that fit between two times."""
+        """The largest number of compatible times that fit between two times."""
         if (first, last) not in self._capacities:
             self._capacities[first, last] = len(self.packed(first, last, self.allowed))
         return self._capacities[first, last]
 
     def packed(self, first: int, last: int, among: Times) -> Times:
-        """Give as many of some allowed times as fit between two times, each as early as can be."""
-        found: list[int] = []
+        """As many of some allowed times as fit between two times, each as early as can be."""
+        chosen: list[int] = []
         index, latest = bisect_left(among, self.spacing.after(first)), self.spacing.before(last)
         while index < len(among) and among[index] <= latest:
-            found.append(among[index])
+            chosen.append(among[index])
             index = bisect_left(among, self.spacing.after(among[index]))
-        return tuple(found)
+        return tuple(chosen)
 
     @cached_property
     def unit(self) -> int:
@@ -216,7 +194,7 @@ class Constraints:
 
     @cached_property
     def _capacities(self) -> dict[tuple[int, int], int]:
-        """Results of `capacity_between`."""
+        """The results of `capacity_between`, by its arguments."""
         return {}
 
     @cached_property
@@ -225,6 +203,6 @@ class Constraints:
 
 
 def _neighbours(time: int, times: Times) -> Times:
-    """Give the times before and after a time among sorted times."""
+    """The times before and after a time among sorted times."""
     index = bisect_left(times, time)
     return times[max(0, index - 1) : index + 1]

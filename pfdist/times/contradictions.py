@@ -9,12 +9,9 @@ _MOST_UNITS = 10_000  # of money; the memory of the searches grows with their nu
 
 
 def check(constraints: Constraints) -> None:
-    """Refuse constraints that contradict each other, or that no set satisfies.
+    """Raise an error about constraints that contradict each other, or that no set satisfies.
 
-    Raises
-    ------
-    MeasurementTimesError
-        The message begins with the name of the wrong value.
+    The message of the `MeasurementTimesError` begins with the name of the wrong value.
     """
     _check_times(constraints)
     _check_budget_or_cost(constraints)
@@ -37,13 +34,13 @@ def _check_times(constraints: Constraints) -> None:
         if not constraints.spacing.apart((time, later)):
             raise MeasurementTimesError(
                 "required must have times that differ by at least minimum_spacing = "
-                f"{constraints.minimum_spacing}, got {constraints.told(time)} and "
-                f"{constraints.told(later)}"
+                f"{constraints.minimum_spacing}, got {constraints.formatted(time)} and "
+                f"{constraints.formatted(later)}"
             )
 
 
 def _check_budget_or_cost(constraints: Constraints) -> None:
-    """Refuse a budget beside costs, and costs without a sum or of a wrong number."""
+    """Refuse a budget with costs, and costs without a sum, below 1 or of a wrong number."""
     given = (constraints.measurement_budget, constraints.cost, constraints.total_cost)
     if given == (None, None, None):
         raise MeasurementTimesError(

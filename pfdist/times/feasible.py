@@ -19,24 +19,15 @@ from pfdist.times.measurement_times import Times, nearest, random, random_below,
 
 @dataclass(frozen=True)
 class Feasible(Constraints):
-    """The feasible sets: N times, or as many times as a sum of money pays for.
+    """The feasible sets, all sorted: N times, or as many times as a sum of money pays for.
 
-    All sets are sorted. The other parameters are those of `Constraints`.
-
-    Parameters
-    ----------
-    smaller : bool
-        Only with money: whether a set is feasible to which a measurement can be added, even the
-        empty set. One more measurement does no harm, in expectation, to a filter that knows the
-        truth, so a best set is among the others. To a filter that is wrong it may do harm.
-
-    Raises
-    ------
-    MeasurementTimesError
-        The constraints contradict each other, or no set satisfies them. The message begins with
-        the name of the wrong parameter.
+    A `MeasurementTimesError` says that the constraints contradict each other, or that no set
+    satisfies them. It begins with the name of the wrong parameter.
     """
 
+    # Only with money: whether a set is feasible to which a measurement can be added, even the empty
+    # set. One more measurement does no harm, in expectation, to a filter that knows the truth, so a
+    # best set is among the others. To a filter that is wrong it may do harm.
     smaller: bool = False
 
     def __post_init__(self) -> None:
@@ -62,7 +53,7 @@ class Feasible(Constraints):
         return sum(completions.size for completions in self._completions)
 
     def every(self) -> Iterator[Times]:
-        """Give all feasible sets, in lexicographic order."""
+        """All feasible sets, in lexicographic order."""
         if self._free:
             chosen = combinations(self.optional, self.total - len(self.required))
             return (self.with_required(times) for times in chosen)
@@ -77,14 +68,13 @@ class Feasible(Constraints):
         return [self._at(random_below(self.size, rng)) for _ in range(sets)]
 
     def regular(self) -> Times:
-        """Give the regular times, or in their place a feasible set like them.
+        """The regular times, or in their place a feasible set like them.
 
-        With N measurements these are the times of the paper's equation 13; a single one is in the
-        middle. On an uneven clock they are the instants nearest to evenly spaced times. If they
-        are not feasible, the nearest feasible set takes their place (see
-        `pfdist.times.measurement_times.nearest`). With money, the set is one of those that spend
-        the most. It has the most times of these, and is then the nearest to regular times (see
-        `pfdist.times.affordable.Affordable.nearest`).
+        With N measurements these are the times of the paper's equation 13; a single time is in the
+        middle. On an uneven clock they are the instants nearest to evenly spaced times. If they are
+        not feasible, the nearest feasible set takes their place (see
+        `pfdist.times.measurement_times.nearest`). With money, see
+        `pfdist.times.affordable.Affordable.nearest`.
         """
         return self._nearest_regular
 
@@ -93,7 +83,7 @@ class Feasible(Constraints):
         return times == self._regular_times(len(times))
 
     def additions(self, times: Times) -> list[Times]:
-        """Give the sets with one time more that can still be completed to a feasible set."""
+        """The sets with one time more that can still be completed to a feasible set."""
         if not self.allows(times):
             return []
         lacking = {*self.required} - {*times}
@@ -103,7 +93,7 @@ class Feasible(Constraints):
         return [tuple(sorted({*times, time})) for time in new]
 
     def removals(self, times: Times) -> list[Times]:
-        """Give the sets with one time less that still contain a feasible set."""
+        """The sets with one time less that still contain a feasible set."""
         contained = self._contained_in(times)
         if contained is None:
             return []
@@ -115,17 +105,9 @@ class Feasible(Constraints):
         ]
 
     def extensions(self, times: Times) -> Sequence[int]:
-        """Give the times that may follow a prefix of a feasible set.
+        """The times, sorted, that may follow a prefix of a feasible set.
 
-        Parameters
-        ----------
-        times : tuple of int
-            The prefix: the first times of the set, sorted; it may be empty.
-
-        Returns
-        -------
-        sequence of int
-            Sorted.
+        The prefix has the first times of the set, sorted; it may be empty.
         """
         if not self.counted:
             followers = (completions.extensions(times) for completions in self._completions)
@@ -142,20 +124,15 @@ class Feasible(Constraints):
         return self.allowed[start:stop]
 
     def exchanges(self, times: Times, reach: int | None = None) -> list[Times]:
-        """Give the feasible sets in which one time is exchanged for another.
+        """The feasible sets in which one time is exchanged for another.
 
-        With money, a new time may cost too much or stand too near to others. Then the times nearest
-        to it are removed. In every case the money left buys other times, each as far from the rest
-        as can be. The exchanged time may come back. If smaller sets are feasible, nothing is
-        bought, and the sets with one time more or less follow, however far that time lies.
-
-        Parameters
-        ----------
-        times : tuple of int
-        reach : int, optional
-            Largest distance between the two times; by default any distance.
+        `reach` is the largest distance between the two; by default it is not limited. With money, a
+        new time may cost too much or lie too near to others. Then the times nearest to it are
+        removed. In every case the money left buys other times, each as far from the rest as can be.
+        The exchanged time may come back. If smaller sets are feasible, nothing is bought, and the
+        sets with one time more or less follow, however far that time lies.
         """
-        found = [
+        exchanged = [
             neighbour
             for out in times
             if out not in self.required
@@ -164,20 +141,15 @@ class Feasible(Constraints):
             and (neighbour := self._exchanged({*times} - {out}, new)) is not None
         ]
         if self.counted:
-            return found
-        found += (*self.additions(times), *self.removals(times)) if self.smaller else ()
-        return [neighbour for neighbour in dict.fromkeys(found) if neighbour != times]
+            return exchanged
+        exchanged += (*self.additions(times), *self.removals(times)) if self.smaller else ()
+        return [neighbour for neighbour in dict.fromkeys(exchanged) if neighbour != times]
 
     def completed(self, times: Iterable[int]) -> Times:
-        """Give a feasible set with these and the required times.
+        """A feasible set with these and the required times, which can be paid for together.
 
         Unless smaller sets are feasible, the money left over buys times, each as far from the rest
         as can be.
-
-        Parameters
-        ----------
-        times : iterable of int
-            Times that can be paid for together with the required times.
         """
         completed = self.with_required(times)
         while not self.smaller and (more := self.affordable(completed)):
@@ -186,23 +158,22 @@ class Feasible(Constraints):
         return completed
 
     def repair(self, times: Iterable[int], rng: np.random.Generator) -> Times:
-        """Give a feasible set that keeps times of a given set until no more can be kept.
+        """A feasible set that shares times with a given set of times in 0..T.
 
-        The times lie in 0..T. They are tried in random order, and a time is kept if a feasible set
-        can contain it with those kept before; another order may keep more. Then random times
-        are added until the set is feasible. A feasible set is given back unchanged, and draws no
-        random number.
+        The given times are tried in random order. A time is accepted if a feasible set can contain
+        it with those accepted before; another order may accept more. Then random times are added
+        until the set is feasible. A feasible set is returned unchanged, and draws no random number.
         """
-        kept, given = Times(), tuple(sorted(times))
-        if self.accepts(given):
-            return given
-        for time in rng.permutation(given).tolist():
-            larger = tuple(sorted({*kept, time}))
-            kept = larger if self._can_be_completed(larger) else kept
-        while not self.accepts(kept):
-            larger_ones = self.additions(kept)
-            kept = larger_ones[rng.integers(len(larger_ones))]
-        return kept
+        repaired, original = Times(), tuple(sorted(times))
+        if self.accepts(original):
+            return original
+        for time in rng.permutation(original).tolist():
+            larger = tuple(sorted({*repaired, time}))
+            repaired = larger if self._can_be_completed(larger) else repaired
+        while not self.accepts(repaired):
+            larger_sets = self.additions(repaired)
+            repaired = larger_sets[rng.integers(len(larger_sets))]
+        return repaired
 
     @property
     def _free(self) -> bool:
@@ -223,7 +194,7 @@ class Feasible(Constraints):
         return self._completions_of(self.allowed)
 
     def _completions_of(self, usable: Times) -> list[Completions]:
-        """Give the parts of all feasible sets, one for each range of the money left over.
+        """The parts of all feasible sets, one for each range of the money left over.
 
         A time is cheap if a set must not leave over the money for it. In one range the same times
         are cheap. If smaller sets are feasible, no time is cheap.
@@ -258,14 +229,14 @@ class Feasible(Constraints):
         return self._free or not self.counted or self.capacity(times) >= self.total
 
     def _leaving_capacity(self, times: Times, new: list[int]) -> list[int]:
-        """Give the new times that, added to a set, leave a capacity of N times in all."""
-        kept = self.with_required(times)
-        ends, spare = self.with_ends(kept), self.capacity(times) - self.total
+        """The new times that, added to a set, leave a capacity of N times in all."""
+        complete = self.with_required(times)
+        ends, spare = self.with_ends(complete), self.capacity(times) - self.total
 
         def lost(time: int) -> int:
-            if time in kept:
+            if time in complete:
                 return 0
-            index = bisect_left(kept, time)
+            index = bisect_left(complete, time)
             before, after = ends[index], ends[index + 1]
             beside = self.capacity_between(before, time) + self.capacity_between(time, after)
             return self.capacity_between(before, after) - beside - 1
@@ -273,7 +244,7 @@ class Feasible(Constraints):
         return [time for time in new if lost(time) <= spare]
 
     def _contained_in(self, times: Times) -> Times | None:
-        """Give a feasible set that has no other times than these; None if there is none."""
+        """A feasible set that has no other times than these; None if there is none."""
         usable = tuple(time for time in self.allowed if time in times)
         if not set(self.required).issubset(usable):
             return None
@@ -286,7 +257,7 @@ class Feasible(Constraints):
         return contained if len(contained) == self.total else None
 
     def _regular_times(self, number: int) -> Times:
-        """Give regular times, feasible or not."""
+        """Regular times, feasible or not."""
         if self.clock is not None and not self.clock.is_even:
             return self.clock.regular_times(number)
         return regular(self.horizon, number)

@@ -1,4 +1,4 @@
-"""A set of measurement times: check and sort it, and make regular, random and nearest sets."""
+"""A set of measurement times: its check, and regular, random and nearest sets."""
 
 from collections.abc import Iterable
 from itertools import pairwise
@@ -15,28 +15,11 @@ REGULAR: Final = "regular"  # name of the regular times in jobs and tables
 
 
 def validated(measurement_times: Iterable[int], horizon: int, where: str = "") -> Times:
-    """Give a set of measurement times sorted, after checking it.
+    """A set of measurement times in 0..horizon, sorted, after a check.
 
-    Parameters
-    ----------
-    measurement_times : iterable of int
-    horizon : int
-        T; the times lie in 0..T.
-    where : str
-        Where the times came from, for errors: for instance the option or the key.
+    A `MeasurementTimesError` says that a time is not an integer, lies outside, or is given twice.
+    It ends with `where` the times came from, for instance the option or the key.
 
-    Returns
-    -------
-    tuple of int
-        Sorted.
-
-    Raises
-    ------
-    MeasurementTimesError
-        A time is not an integer, lies outside 0..T, or is given twice.
-
-    Examples
-    --------
     >>> validated([5, 0, 3], horizon=10)
     (0, 3, 5)
     """
@@ -65,28 +48,11 @@ def validated(measurement_times: Iterable[int], horizon: int, where: str = "") -
 
 
 def regular(horizon: int, measurement_budget: int) -> Times:
-    """Give the regular times M_REG (paper, equation 13): Round[k T / (N-1)], halves rounded up.
+    """The regular times M_REG (paper, equation 13): Round[k T / (N-1)], halves rounded up.
 
-    For N = 1 the formula divides by zero. A single time is in the middle: Round[T / 2].
+    For N = 1 the formula divides by zero. A single time is in the middle: Round[T / 2]. A
+    `MeasurementTimesError` says that N does not lie in 1..T+1.
 
-    Parameters
-    ----------
-    horizon : int
-        T.
-    measurement_budget : int
-        N, 1..T+1.
-
-    Returns
-    -------
-    tuple of int, (N,)
-
-    Raises
-    ------
-    MeasurementTimesError
-        N does not lie in 1..T+1.
-
-    Examples
-    --------
     >>> regular(horizon=60, measurement_budget=5)
     (0, 15, 30, 45, 60)
     >>> regular(horizon=5, measurement_budget=3)  # 2.5 is rounded up
@@ -109,24 +75,9 @@ def regular(horizon: int, measurement_budget: int) -> Times:
 def random(
     horizon: int, measurement_budget: int, sets: int, rng: np.random.Generator
 ) -> NDArray[np.int64]:
-    """Draw sets of measurement times; all sets have the same probability.
+    """Draw sets of N measurement times with equal probability, (sets, N); each row is sorted.
 
-    Parameters
-    ----------
-    horizon : int
-    measurement_budget : int
-    sets : int
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    array of int64, (sets, N)
-        Each row sorted.
-
-    Raises
-    ------
-    MeasurementTimesError
-        N does not lie in 0..T+1.
+    A `MeasurementTimesError` says that N does not lie in 0..T+1.
     """
     if not 0 <= measurement_budget <= horizon + 1:
         raise MeasurementTimesError(
@@ -138,55 +89,32 @@ def random(
 
 
 def nearest(wanted: Times, usable: Times, required: Times, spacing: Spacing) -> Times:
-    """Give the set of usable times that is nearest to a set of wanted times.
+    """The set of N usable times that is nearest to a set of N wanted times; all are sorted.
 
-    Parameters
-    ----------
-    wanted : tuple of int, (N,)
-        Sorted.
-    usable : tuple of int
-        Sorted.
-    required : tuple of int
-        Usable times that the set must contain. No other usable time lies within the spacing of
-        them.
-    spacing : Spacing
+    The set has the smallest sum of distances to the wanted times, both in order. If several sets
+    have it, the set whose last time is the earliest is given, then the last but one, and so on. The
+    set contains the required times, and no other usable time lies within their spacing. A
+    `MeasurementTimesError` says that fewer than N usable times are far enough apart.
 
-    Returns
-    -------
-    tuple of int, (N,)
-        Sorted. It has the smallest sum of distances to the wanted times, both in order. If several
-        sets have it, the set whose last time is the earliest is given, then the last but one, and
-        so on.
-
-    Raises
-    ------
-    MeasurementTimesError
-        There are fewer than N usable times that are far enough apart.
-
-    References
-    ----------
-    Bellman, "Dynamic programming", 1957.
-
-    Examples
-    --------
     >>> spacing = Spacing.constant(3, horizon=10)
     >>> nearest((0, 5, 10), usable=(1, 2, 3, 4, 6, 8, 9), required=(), spacing=spacing)
     (1, 4, 9)
     """
     times, last = np.array(usable), len(usable) - 1
-    taken = np.isin(times, required).nonzero()[0].tolist()
-    # The times from start to stop may precede a time: they are far enough away from it, and no
-    # required time lies between.
+    fixed = np.isin(times, required).nonzero()[0].tolist()
+    # A dynamic programme (Bellman, 1957): the least distance of the first times that end at each
+    # usable time. The times from start to stop may precede a time: they are far enough away from
+    # it, and no required time lies between.
     latest = [spacing.before(time) for time in usable]
     stops = np.searchsorted(times, latest, side="right").tolist()
-    starts = [max((i for i in taken if i < index), default=0) for index in range(len(times))]
-    first_taken, last_taken = (taken[0], taken[-1]) if taken else (last, 0)
+    starts = [max((i for i in fixed if i < index), default=0) for index in range(len(times))]
+    first_fixed, last_fixed = (fixed[0], fixed[-1]) if fixed else (last, 0)
     distance = np.full(len(times), np.inf)
     before: list[list[int]] = []
     for number, time in enumerate(wanted):
         here = np.abs(times - time).astype(np.float64)
         if number == 0:
-            here[first_taken + 1 :] = np.inf
+            here[first_fixed + 1 :] = np.inf
         else:
             before.append([])
             for index, (start, stop) in enumerate(zip(starts, stops, strict=True)):
@@ -194,11 +122,11 @@ def nearest(wanted: Times, usable: Times, required: Times, spacing: Spacing) -> 
                 before[-1].append(best)
                 here[index] += distance[best] if best >= 0 else np.inf
         distance = here
-    if wanted and not np.isfinite(distance[last_taken:]).any():
+    if wanted and not np.isfinite(distance[last_fixed:]).any():
         raise MeasurementTimesError(
             f"there must be {len(wanted)} usable times far enough apart, got {usable}"
         )
-    indices = [last_taken + int(distance[last_taken:].argmin())] if wanted else []
+    indices = [last_fixed + int(distance[last_fixed:].argmin())] if wanted else []
     for previous in reversed(before):
         indices.append(previous[indices[-1]])
     return tuple(int(times[index]) for index in reversed(indices))

@@ -5,19 +5,10 @@ from pfdist.times.measurement_times import Times
 
 
 def moved(times: Times, t: int, to: int, constraints: Constraints) -> Times | None:
-    """Give the set whose measurement at t is made at another instant; None if that is not allowed.
+    """The set whose measurement at t is made at another instant; None if that is not allowed.
 
     A required measurement never moves, and two measurements need two instants.
 
-    Parameters
-    ----------
-    times : tuple of int
-    t, to : int
-        The measurement's instant in the set, and the other instant, in any order.
-    constraints : Constraints
-
-    Examples
-    --------
     >>> apart = Constraints(horizon=9, measurement_budget=3, forbidden=(7,), minimum_spacing=2)
     >>> moved((0, 4, 6), 4, 2, apart), moved((0, 4, 6), 6, 9, apart)
     ((0, 2, 6), (0, 4, 9))

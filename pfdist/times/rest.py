@@ -7,26 +7,13 @@ from pfdist.times.measurement_times import Times
 
 
 def rest_of(feasible: Feasible, taken: Times, first: int) -> Feasible | None:
-    """Give the feasible completions of the measurements that were taken.
+    """The feasible sets of what is left after the measurements that were taken.
 
-    Parameters
-    ----------
-    feasible : Feasible
-        The feasible sets of the whole horizon.
-    taken : tuple of int
-        The times that were measured, sorted. They need not be the start of a feasible set.
-    first : int
-        The first instant that may still be measured.
+    `taken` is sorted, and need not be the start of a feasible set. `first` is the first instant
+    that may still be measured, and the times of the result count from it. The result is None if no
+    measurement is left or fits. If fewer fit than are left, the sets have as many as fit. A
+    required time that can no longer be measured is left out.
 
-    Returns
-    -------
-    Feasible or None
-        Sets of times that count from `first`. If fewer measurements fit than are left, the sets
-        have as many as fit. A required time that can no longer be measured is left out. None if no
-        measurement is left or fits.
-
-    Examples
-    --------
     >>> rest = rest_of(Feasible(horizon=9, measurement_budget=3, minimum_spacing=3), (4,), 5)
     >>> rest.allowed, rest.total  # 7, 8 and 9 may be measured, and no two of them
     ((2, 3, 4), 1)

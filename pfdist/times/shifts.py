@@ -1,26 +1,18 @@
-"""Sets of times in which a run of successive times lies one allowed time off."""
+"""Sets of times in which a run of successive times moves by one allowed time."""
 
 from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
 _LONGEST_RUN = 48
-"""Times of a run that is shifted, at most, so that a set of N times has at most 96 N shifts.
+"""The most times of a run that is shifted, so that a set of N times has at most 96 N shifts.
 
-A shift changes the gaps at the ends of a run alone. The ends of a longer run lie so far apart that
+A shift changes only the gaps at the ends of a run. The ends of a longer run lie so far apart that
 the error around one end tells nothing about the other. Shifts of shorter runs then do as well.
 """
 
 
 def shifts(feasible: Feasible, times: Times) -> list[Times]:
-    """Give the feasible sets in which a run of successive times lies one allowed time off.
-
-    A run has at most 48 times.
-
-    Parameters
-    ----------
-    feasible : Feasible
-    times : tuple of int
-    """
+    """The feasible sets in which a run of at most 48 successive times moves by one allowed time."""
     allowed, places = feasible.allowed, [feasible.index[time] for time in times]
     shifted = dict[Times, None]()
     runs = (

@@ -10,14 +10,6 @@ from itertools import pairwise
 class Spacing:
     """Which instants are far enough apart for both to be measured.
 
-    Parameters
-    ----------
-    successors : tuple of int, (T+1,)
-        For each instant, the first later instant that is far enough apart, at least t + 1. An
-        instant after T stands for none.
-
-    Examples
-    --------
     >>> spacing = Spacing.constant(3, horizon=5)
     >>> spacing.successors
     (3, 4, 5, 6, 7, 8)
@@ -25,11 +17,13 @@ class Spacing:
     1
     """
 
+    # (T+1,): for each instant t, the first later instant that is far enough apart, at least t + 1;
+    # an instant after T stands for none
     successors: tuple[int, ...]
 
     @classmethod
     def constant(cls, difference: int, horizon: int) -> "Spacing":
-        """Give the spacing of times whose difference is at least a number of instants."""
+        """The spacing of times whose difference is at least a number of instants."""
         return cls(tuple(t + difference for t in range(horizon + 1)))
 
     @cached_property
@@ -38,7 +32,7 @@ class Spacing:
         return all(later == t + 1 for t, later in enumerate(self.successors))
 
     def after(self, time: int) -> int:
-        """Give the first instant that is far enough after a time.
+        """The first instant that is far enough after a time.
 
         A time below 0 stands for nothing measured, so the first instant is far enough.
         """
@@ -47,7 +41,7 @@ class Spacing:
         return self.successors[time] if time < len(self.successors) else time + 1
 
     def before(self, time: int) -> int:
-        """Give the last instant that is far enough before a time; -1 if there is none.
+        """The last instant that is far enough before a time; -1 if there is none.
 
         A time above T stands for nothing measured, so T is far enough.
         """
@@ -58,14 +52,14 @@ class Spacing:
         return all(later >= self.after(time) for time, later in pairwise(times))
 
     def near(self, time: int) -> range:
-        """Give the instants that are not far enough from a time, with the time itself."""
+        """The instants that are not far enough from a time, with the time itself."""
         return range(self.before(time) + 1, min(self.after(time), len(self.successors)))
 
     @cached_property
     def _predecessors(self) -> tuple[int, ...]:
-        found, last = list[int](), -1
+        predecessors, last = list[int](), -1
         for time in range(len(self.successors)):
             while last + 1 < time and self.successors[last + 1] <= time:
                 last += 1
-            found.append(last)
-        return tuple(found)
+            predecessors.append(last)
+        return tuple(predecessors)

@@ -22,31 +22,14 @@ _NUMBER = (*_WHOLE, float, np.floating)
 
 
 def instants_of(written: Any, clock: Clock, name: str = "measurement_times") -> list[int]:
-    """Give the instants of a number, of a text, or of several of these.
+    """The instants of a number, of a text, or of several of these, in the order of writing.
 
-    Parameters
-    ----------
-    written : int, float, str or iterable of these
-        Times on the clock. A text has numbers and ranges, with commas or spaces between them.
-        ``FIRST:LAST`` and ``FIRST-LAST`` stand for all instants from FIRST to LAST, and
-        ``FIRST:LAST:STEP`` for the times FIRST, FIRST + STEP, ...
-    clock : Clock
-        If it counts instants, only whole numbers are times. They may lie outside 0..T.
-    name : str
-        The name of the value, for errors.
+    A text has times and ranges, with commas or spaces between them. ``FIRST:LAST`` and
+    ``FIRST-LAST`` stand for all instants from FIRST to LAST, and ``FIRST:LAST:STEP`` for the times
+    FIRST, FIRST + STEP, ... If the clock counts instants, only whole numbers are times, and they
+    may lie outside 0..T. A `MeasurementTimesError`, which begins with `name`, says what else is
+    written, or names the nearest times of the clock.
 
-    Returns
-    -------
-    list of int
-        In the order in which they are written.
-
-    Raises
-    ------
-    MeasurementTimesError
-        Something else is written, or no instant has such a time; the error names the nearest.
-
-    Examples
-    --------
     >>> instants_of([1, "2.5:4"], Clock.regular(6, 0.5, "h"))
     [2, 5, 6, 7, 8]
     """
@@ -68,12 +51,9 @@ def validated_instants(
     name: str = "measurement_times",
     where: str = "",
 ) -> Times:
-    """Give a set of measurement times on a clock as sorted instants, after checking it.
+    """A set of measurement times on a clock, as sorted instants after a check.
 
-    Raises
-    ------
-    MeasurementTimesError
-        As `instants_of` and `pfdist.times.measurement_times.validated` raise.
+    Errors are those of `instants_of` and `pfdist.times.measurement_times.validated`.
     """
     if not isinstance(written, Iterable):
         raise MeasurementTimesError(f"{name} must be a sequence of times, got {shown(written)}")
@@ -91,22 +71,12 @@ def validated_instants(
 
 
 def clock_of(text: str) -> Clock:
-    """Give the clock whose instants a text lists.
+    """The clock whose instants a text lists, as times and ranges in ascending order.
 
-    Parameters
-    ----------
-    text : str
-        Times and ranges in ascending order. ``FIRST:LAST`` has an instant at each unit of time, and
-        ``FIRST:LAST:STEP`` at each step.
+    ``FIRST:LAST`` has an instant at each unit of time, and ``FIRST:LAST:STEP`` at each step. A
+    `MeasurementTimesError` says that something else is written, that there are fewer than two
+    times, or another order, or that no step leads to the end of a range.
 
-    Raises
-    ------
-    MeasurementTimesError
-        Something else is written, or fewer than two times, or times in another order, or no step
-        leads to the end of a range.
-
-    Examples
-    --------
     >>> clock_of("0 0.25 0.5 1:3").times
     (0.0, 0.25, 0.5, 1.0, 2.0, 3.0)
     """
@@ -121,7 +91,7 @@ def clock_of(text: str) -> Clock:
 
 
 def _stepped(first: float, last: float, step: float, text: str) -> list[float]:
-    """Give the times of a range; a step of 0 means 1."""
+    """The times of a range; a step of 0 means 1."""
     step = step or 1.0
     steps = round((last - first) / step)
     if not math.isclose(first + steps * step, last, rel_tol=1e-12, abs_tol=1e-9 * step):
@@ -153,7 +123,7 @@ def _instants_of_text(text: str, clock: Clock, name: str) -> Sequence[int]:
 
 
 def _instants_between(entry: tuple[float, float, float], clock: Clock, name: str) -> Sequence[int]:
-    """Give the instants of a range of times; the step is 0 if all instants are meant."""
+    """The instants of a range of times; a step of 0 means all instants."""
     first, last, step = entry
     if first == last:
         return [clock.instant(first, name)]
