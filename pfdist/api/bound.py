@@ -3,13 +3,14 @@
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 from pfdist.analysis import Run, finite
 from pfdist.analysis.particle_loss import ParticleLoss
 from pfdist.answers.bound import bound_page
 from pfdist.api.at_work import at_work, noted
-from pfdist.api.following import Say, following, silent
+from pfdist.api.following import following
+from pfdist.api.options import Chosen, Options, with_options
 from pfdist.api.own_store import own_store
 from pfdist.api.report import renew_report
 from pfdist.api.run_of_job import asked_run, finished_run
@@ -22,7 +23,6 @@ from pfdist.plots import draw_figures
 from pfdist.runner.bound_settings import BoundSettings
 from pfdist.runner.build import Built, check_pool
 from pfdist.runner.door import Session, complete
-from pfdist.runner.progress import Show
 from pfdist.runner.prover import Look, Prover
 from pfdist.times.clock import Clock
 
@@ -82,18 +82,14 @@ class Bound(Shown):
         return bound_page(self.as_json())
 
 
+@with_options
 def bound(
     job: Asked | Run,
     settings: BoundSettings = _DEFAULT,
     *,
     results: str | Path | None = None,
     changes: Iterable[str] = (),
-    pool: str | None = None,
-    workers: int | None = None,
-    address: str | None = None,
-    figures: bool = True,
-    progress: Show | bool = False,
-    say: Say = silent,
+    **options: Unpack[Options],
 ) -> Bound:
     """Prove how much lower the expected MSE of any other feasible times can be.
 
@@ -112,15 +108,8 @@ def bound(
         Folder of the run; by default the folder where `pfdist.run` and `pfdist.plan` put it.
     changes : iterable of str, optional
         Changes ``key=value`` of the job, as `pfdist.load_job` takes them.
-    pool, workers, address : optional
-        Where to compute, as for `pfdist.run`; exact engines need no pool.
-    figures : bool
-        Whether to draw the figure of the bound against work.
-    progress : callable or bool
-        Whether to show progress and messages, or what receives each
-        `pfdist.runner.progress.Progress`.
-    say : callable, optional
-        Receives lines: each model file before it is run, and when the pool is ready.
+    options
+        See `Options`.
 
     Returns
     -------
@@ -136,13 +125,13 @@ def bound(
     TaskError, PoolError
         A task failed, or no worker answers. All committed sums are kept.
     """
-    execution = {"pool": pool, "workers": workers, "address": address}
+    chosen = Chosen(**options)
     if not isinstance(settings, BoundSettings):
         raise ArgumentError(
             f"settings must be a pfdist.BoundSettings, got {shown(settings)}", argument="settings"
         )
-    with following(progress, say) as (show, tell):
-        proved, built = asked_run(job, results, changes, tell, execution)
+    with following(chosen.progress, chosen.say) as (show, tell):
+        proved, built = asked_run(job, results, changes, tell, chosen.execution)
         if built.evaluator.exact:  # there is nothing to compute in a pool
             serial = built.job.with_changes(sections={"execution": {"pool": "serial"}})
             built = replace(built, job=serial)
@@ -156,9 +145,10 @@ def bound(
                 workers_at_work = at_work(built.job.execution, [built.evaluator.engine], tell)
                 look: Look = complete(proof, workers_at_work)
             session.reporter.finish()
-            if figures and store.path == proved.path:
+            if chosen.figures and store.path == proved.path:
                 draw_figures(proved, "bound")
-        renew_report(proved.path, tell)
+        if chosen.report is not False:
+            renew_report(proved.path, tell)
     return Bound(
         proved.path,
         settings.window,

@@ -1,10 +1,11 @@
 """The budget curve: the expected MSE against the measurement budget N, and which N is enough."""
 
-from collections.abc import Sequence, Set
+from collections.abc import Iterable, Sequence, Set
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 from pfdist.analysis import Run
+from pfdist.api.options import Options, with_options
 from pfdist.api.run import run
 from pfdist.api.run_of_job import folder_of
 from pfdist.common.arguments import number_argument, whole_argument
@@ -18,6 +19,7 @@ DRAWS = 4000
 MOST_DRAWS = 100_000_000  # as many as a comparison may have
 
 
+@with_options
 def budget(
     job: Asked,
     measurements: tuple[int, int] | range | Set[int],
@@ -26,7 +28,8 @@ def budget(
     target: float | None = None,
     bound_draws: int = LEAST_DRAWS,
     changes: Sequence[str] = (),
-    **options: Any,
+    reuse: str | Path | Iterable[str | Path] = (),
+    **options: Unpack[Options],
 ) -> Run:
     """Find times for each number of measurements, and compare them with regular times.
 
@@ -54,8 +57,10 @@ def budget(
         `pfdist.bound`.
     changes : sequence of str, optional
         Changes ``key=value``, as `pfdist.load_job` takes them.
-    options : object
-        Further arguments of `pfdist.run`, by name.
+    reuse : str, Path or iterable of these, optional
+        Folders of other runs. Every evaluation that one of them has is taken from there.
+    options
+        See `Options`.
 
     Returns
     -------
@@ -83,7 +88,9 @@ def budget(
         )
     # The run must not depend on the measurement budget that the job file names.
     job = job.with_changes(settings={"problem": {"measurement_budget": numbers["most"]}})
-    finished = run(job, folder_of(job, results, "-budget"), bound_draws=bound_draws, **options)
+    finished = run(
+        job, folder_of(job, results, "-budget"), bound_draws=bound_draws, reuse=reuse, **options
+    )
     if target is not None and options.get("figures", True):
         draw_target(finished, target)
     return finished

@@ -2,22 +2,24 @@
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Unpack
 
 from pfdist.analysis import Run, read_recorded
-from pfdist.api.following import Say, following, silent
+from pfdist.api.following import following
+from pfdist.api.options import Chosen, Options, with_options
 from pfdist.api.run import Ending, run_built
 from pfdist.api.run_of_job import finished_run, folder_of
 from pfdist.api.sets_to_compare import SetsToCompare
 from pfdist.job.asked import Asked, as_job
 from pfdist.runner.build import Built, build, check_pool, say_model_files
 from pfdist.runner.identity import changed_fingerprints
-from pfdist.runner.progress import Show
 from pfdist.times.clock import Time
 
 Written = Iterable[Time | str] | str
 """Times as a user writes them, for instance [0, 3, 6] or "0:60:3"; "regular": regular times."""
 
 
+@with_options
 def compare(
     job: Asked,
     *runs: Run | str | Path,
@@ -25,13 +27,7 @@ def compare(
     results: str | Path | None = None,
     draws: int | None = None,
     changes: Iterable[str] = (),
-    pool: str | None = None,
-    workers: int | None = None,
-    address: str | None = None,
-    figures: bool = True,
-    report: bool | None = None,
-    progress: Show | bool = False,
-    say: Say = silent,
+    **options: Unpack[Options],
 ) -> Run:
     """Compare sets of times pairwise on common fresh draws, or resume their comparison.
 
@@ -58,18 +54,8 @@ def compare(
         Replaces comparison.draws. A larger number resumes the comparison with more draws.
     changes : iterable of str, optional
         Changes ``key=value`` of the job, as `pfdist.load_job` takes them.
-    pool, workers, address : optional
-        Where to compute, as for `pfdist.run`.
-    figures : bool
-        Whether to draw the figures that the folder lacks.
-    report : bool, optional
-        Whether to write the file ``report.html``; by default if figures are drawn.
-    progress : callable or bool
-        Whether to show progress and messages, or what receives each
-        `pfdist.runner.progress.Progress`.
-    say : callable, optional
-        Receives lines: each difference of a run's model, horizon, weights of instants or costs from
-        the problem, each model file before it is run, and when the pool is ready.
+    options
+        See `Options`.
 
     Returns
     -------
@@ -82,8 +68,8 @@ def compare(
     PfdistError
         As `pfdist.run` raises. A folder that compares other sets is refused.
     """
-    execution = {"pool": pool, "workers": workers, "address": address}
-    settings = {"execution": execution, "comparison": {"draws": draws}}
+    chosen = Chosen(**options)
+    settings = {"execution": chosen.execution, "comparison": {"draws": draws}}
     asked = as_job(job, changes, settings=settings)
     sets, opened = SetsToCompare(asked), [finished_run(run) for run in runs]
     sets.add_named()
@@ -93,12 +79,12 @@ def compare(
     compared = sets.job()
     check_pool(compared.execution)
     path = folder_of(asked, results, "-compare")
-    with following(progress, say) as (show, tell):
+    with following(chosen.progress, chosen.say) as (show, tell):
         say_model_files([compared], tell)
         built = build(compared)
         for sentence in [*sets.differences, *_other_models(opened, built)]:
             tell(sentence)
-        ending = Ending(figures, figures if report is None else report)
+        ending = Ending(chosen.figures, chosen.has_report)
         return run_built(built, path, ending, show, tell)
 
 

@@ -2,20 +2,23 @@
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Unpack
 
 from pfdist.analysis import Run
+from pfdist.api.options import Options, with_options
 from pfdist.api.run import run
 from pfdist.api.run_of_job import folder_of
 from pfdist.job.asked import Asked, as_job
 
 
+@with_options
 def online(
     job: Asked,
     results: str | Path | None = None,
     draws: int | None = None,
     changes: Iterable[str] = (),
-    **options: Any,
+    reuse: str | Path | Iterable[str | Path] = (),
+    **options: Unpack[Options],
 ) -> Run:
     """Run a job, then choose the times of its first draws one after another.
 
@@ -35,8 +38,10 @@ def online(
         Replaces the job's online.draws. A larger number resumes a run with more draws.
     changes : iterable of str, optional
         Changes ``key=value``, as `pfdist.load_job` takes them.
-    options : object
-        Further arguments of `pfdist.run`, by name.
+    reuse : str, Path or iterable of these, optional
+        Folders of other runs. Every evaluation that one of them has is taken from there.
+    options
+        See `Options`.
 
     Returns
     -------
@@ -50,4 +55,6 @@ def online(
     """
     settings = {"online": {} if draws is None else {"draws": draws}}
     job = as_job(job, changes, settings=settings)
-    return run(job, folder_of(job, results, "" if job.names_online else "-online"), **options)
+    return run(
+        job, folder_of(job, results, "" if job.names_online else "-online"), reuse=reuse, **options
+    )

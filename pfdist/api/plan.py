@@ -2,9 +2,10 @@
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Unpack
 
 from pfdist.analysis import Run
+from pfdist.api.options import Options, with_options
 from pfdist.api.run import run
 from pfdist.api.run_of_job import PLANNED, folder_of, searched_by
 from pfdist.job.asked import Asked, as_job
@@ -12,13 +13,15 @@ from pfdist.runner.bound_settings import LEAST_DRAWS
 from pfdist.search.methods import DEFAULT_METHOD
 
 
+@with_options
 def plan(
     job: Asked,
     results: str | Path | None = None,
     search: str = DEFAULT_METHOD,
     changes: Iterable[str] = (),
     bound_draws: int | None = None,
-    **options: Any,
+    reuse: str | Path | Iterable[str | Path] = (),
+    **options: Unpack[Options],
 ) -> Run:
     """Find times with one search, compare them with regular times, and prove a lower bound.
 
@@ -37,8 +40,10 @@ def plan(
     bound_draws : int
         Number of draws of the lower bound that is proved for the found times, by default 480; 0
         for no bound. A range of measurement budgets gets a bound only if a number is given.
-    options : object
-        Further arguments of `pfdist.run`, by name.
+    reuse : str, Path or iterable of these, optional
+        Folders of other runs. Every evaluation that one of them has is taken from there.
+    options
+        See `Options`.
 
     Returns
     -------
@@ -53,4 +58,4 @@ def plan(
     results = folder_of(job, results, PLANNED if job.names_its_searches else "")
     if bound_draws is None:
         bound_draws = 0 if job.budget else LEAST_DRAWS
-    return run(job, results, bound_draws=bound_draws, **options)
+    return run(job, results, bound_draws=bound_draws, reuse=reuse, **options)

@@ -3,11 +3,13 @@
 from collections.abc import Generator, Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Unpack
 
 from pfdist.analysis import Run, open_run
 from pfdist.answers.pages import remove_report
 from pfdist.api.at_work import at_work, noted
-from pfdist.api.following import Say, following, silent
+from pfdist.api.following import Say, following
+from pfdist.api.options import Chosen, Options, with_options
 from pfdist.api.report import try_report
 from pfdist.api.run_of_job import folder_of
 from pfdist.common.arguments import paths_argument
@@ -28,20 +30,15 @@ from pfdist.store.folder import has_report
 _PATIENCE = 4  # minutes of one core that a bound may take where nobody asked for it alone
 
 
+@with_options
 def run(
     job: Asked,
     results: str | Path | None = None,
-    pool: str | None = None,
-    workers: int | None = None,
     *,
-    address: str | None = None,
     reuse: str | Path | Iterable[str | Path] = (),
     changes: Iterable[str] = (),
-    figures: bool = True,
     bound_draws: int = 0,
-    report: bool | None = None,
-    progress: Show | bool = False,
-    say: Say = silent,
+    **options: Unpack[Options],
 ) -> Run:
     """Run a job, or resume its run where it stopped.
 
@@ -51,30 +48,15 @@ def run(
         A problem, a job, or the path of a job file.
     results : str or Path, optional
         The run's own folder; by default ``results/<the job file's stem>``.
-    pool : str, optional
-        Name of a pool, such as "ray" or "serial". Replaces the job's execution.pool.
-    workers : int, optional
-        Replaces the job's execution.workers; 0 takes all cores.
-    address : str, optional
-        Address of a Ray cluster to join.
     reuse : str, Path or iterable of these, optional
         Folders of other runs. Every evaluation that one of them has is taken from there.
     changes : iterable of str, optional
         Changes ``key=value``, as `pfdist.load_job` takes them.
-    figures : bool
-        Whether to draw the figures that the run's folder lacks.
     bound_draws : int
         Number of draws of a lower bound of the expected MSE of all feasible times, which is proved
         after the comparison unless the run has one; 0 for no bound. See `pfdist.bound`.
-    report : bool, optional
-        Whether to write the file ``report.html``; by default if figures are drawn. See
-        `pfdist.report`.
-    progress : callable or bool
-        Whether to show progress and messages, or what receives each
-        `pfdist.runner.progress.Progress`.
-    say : callable, optional
-        Receives lines: which model files are run, when the pool is ready, which files were
-        damaged, why a search does not trust its estimator, and why there is no lower bound.
+    options
+        See `Options`.
 
     Returns
     -------
@@ -85,15 +67,14 @@ def run(
     PfdistError
         Anything went wrong. All committed results are kept, and the same call resumes the run.
     """
-    execution = {"pool": pool, "workers": workers, "address": address}
-    settings = bound_settings(bound_draws)
-    job = as_job(job, changes, settings={"execution": execution})
+    chosen, settings = Chosen(**options), bound_settings(bound_draws)
+    job = as_job(job, changes, settings={"execution": chosen.execution})
     check_pool(job.execution)
     path = folder_of(job, results)
     others = paths_argument("reuse", reuse)
-    with following(progress, say) as (show, tell):
+    with following(chosen.progress, chosen.say) as (show, tell):
         say_model_files([job], tell)
-        ending = Ending(figures, figures if report is None else report, settings)
+        ending = Ending(chosen.figures, chosen.has_report, settings)
         return run_built(build(job), path, ending, show, tell, others)
 
 

@@ -56,7 +56,7 @@ if __name__ == "__main__":
     problem = pfdist.Problem(robot, horizon=10, measurement_budget=3, particles=30, engine="numpy")
     job = problem.job(seed=4, **SECTIONS)
     try:
-        print(pfdist.run(job, sys.argv[1], sys.argv[2], workers=1, figures=False).state)
+        print(pfdist.run(job, sys.argv[1], pool=sys.argv[2], workers=1, figures=False).state)
     except pfdist.PfdistError as error:
         sys.exit(f"{type(error).__name__}: {error}")
 """
@@ -339,7 +339,7 @@ def test_a_script_gives_the_same_bytes_on_ray_and_in_a_file_and_resumes_its_run(
         "problem = {horizon = 10, measurement_budget = 3}\n"
         'search = [{method = "random", evaluations = 3}]\n'
     )
-    of_file = pfdist.run(tmp_path / "robot.toml", tmp_path / "file", "serial", figures=False)
+    of_file = pfdist.run(tmp_path / "robot.toml", tmp_path / "file", pool="serial", figures=False)
     of_script = pfdist.open_run(tmp_path / "serial")
     pd.testing.assert_frame_equal(of_file.comparison(), of_script.comparison())
 

@@ -158,7 +158,7 @@ def test_a_job_with_a_clock_has_the_figure_of_online_times(clock: str, tmp_path:
 def test_two_workers_of_ray_give_the_same_bytes(
     job: Job, run: Run, tmp_path: Path, ray_cluster: None
 ) -> None:
-    other = pfdist.run(job, tmp_path / "run", "ray", 2, figures=False)
+    other = pfdist.run(job, tmp_path / "run", pool="ray", workers=2, figures=False)
     assert hashes(other.path) == hashes(run.path)
 
 

@@ -1,0 +1,105 @@
+"""How a computation is done and what it shows: options that all functions that compute share."""
+
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from functools import wraps
+from textwrap import indent
+from typing import Any, ParamSpec, TypedDict, TypeVar
+
+from pfdist.api.following import Say, silent
+from pfdist.common.nearest import did_you_mean
+from pfdist.errors import ArgumentError
+from pfdist.runner.progress import Show
+
+P = ParamSpec("P")
+R = TypeVar("R")
+_PLACE = "    options\n        See `Options`.\n"
+
+
+class Options(TypedDict, total=False):
+    """Options of every function that computes a run; editors complete them.
+
+    pool : str, optional
+        Replaces the job's execution.pool: what computes the tasks.
+    workers : int, optional
+        Replaces the job's execution.workers; 0 takes all cores.
+    address : str, optional
+        Replaces the job's execution.address: that of an existing Ray cluster.
+    figures : bool
+        Whether to draw the figures that the folder lacks.
+    report : bool, optional
+        Whether to write the file ``report.html``; by default if figures are drawn. See
+        `pfdist.report`.
+    progress : callable or bool
+        Whether to show progress and messages, or what receives each
+        `pfdist.runner.progress.Progress`.
+    say : callable, optional
+        Receives lines: which model files are run, when the pool is ready, which files were
+        damaged, why a search does not trust its estimator, and why there is no lower bound.
+    """
+
+    pool: str | None
+    workers: int | None
+    address: str | None
+    figures: bool
+    report: bool | None
+    progress: Show | bool
+    say: Say
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """The options that a caller chose, and the defaults of the others; see `Options`."""
+
+    pool: str | None = None
+    workers: int | None = None
+    address: str | None = None
+    figures: bool = True
+    report: bool | None = None
+    progress: Show | bool = False
+    say: Say = silent
+
+    @property
+    def execution(self) -> dict[str, Any]:
+        """Changes of the job's section [execution]."""
+        return {"pool": self.pool, "workers": self.workers, "address": self.address}
+
+    @property
+    def has_report(self) -> bool:
+        """Whether a report is written."""
+        return self.figures if self.report is None else self.report
+
+
+def with_options(function: Callable[P, R]) -> Callable[P, R]:
+    """Show the options in the signature and in the help of a function that takes ``**options``.
+
+    Raises
+    ------
+    ArgumentError
+        The function is called with a name that it does not know; the error names the nearest.
+    """
+    signature = inspect.signature(function)
+    own = [each for each in signature.parameters.values() if each.kind is not each.VAR_KEYWORD]
+    added = [
+        inspect.Parameter(
+            field.name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=field.type
+        )
+        for field in fields(Chosen)
+    ]
+    known = [each.name for each in (*own, *added)]
+
+    @wraps(function)
+    def call(*arguments: P.args, **named: P.kwargs) -> R:
+        for name in named:
+            if name not in known:
+                nearest = did_you_mean(name, known)
+                raise ArgumentError(
+                    f"{function.__name__} takes {', '.join(known)}, got {name}{nearest}"
+                )
+        return function(*arguments, **named)
+
+    call.__signature__ = signature.replace(parameters=[*own, *added])  # type: ignore[attr-defined]
+    described = inspect.cleandoc(Options.__doc__ or "").partition("\n\n")[2]
+    call.__doc__ = (function.__doc__ or "").replace(_PLACE, indent(described, "    ") + "\n")
+    return call
