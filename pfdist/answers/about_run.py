@@ -110,10 +110,10 @@ def _weights(asked: Mapping[str, Any], section: ProblemSection) -> Iterator[tupl
         return
     least, most = (f"{weight:.4g}" for weight in (min(weights), max(weights)))
     if asked.get("instant_weights"):
-        told = f"given by the job, from {least} to {most}; their mean is 1"
+        text = f"given by the job, from {least} to {most}; their mean is 1"
     else:
-        told = f"by the trapezoidal rule, because the steps differ, from {least} to {most}"
-    yield "weights of instants in the MSE", told
+        text = f"by the trapezoidal rule, because the steps differ, from {least} to {most}"
+    yield "weights of instants in the MSE", text
 
 
 def told_spelling(value: Any, unit: str) -> str:
@@ -145,8 +145,8 @@ def tables(subject: Subject) -> Section:
 def citation(subject: Subject) -> Section:
     """Say how to cite the method and the program."""
     version = subject.run.version
-    told = "Please cite the paper whose method pfdist implements, and the program."
-    return Section("How to cite", [Text(told), Code(_CITE.format(version=version))])
+    text = "Please cite the paper whose method pfdist implements, and the program."
+    return Section("How to cite", [Text(text), Code(_CITE.format(version=version))])
 
 
 def _versions(about: dict[str, Any]) -> list[tuple[str, str]]:

@@ -168,13 +168,13 @@ def effect(gain: float, interval: list[float | None]) -> tuple[str, str]:
     changes = "lowers" if gain >= 0 else "raises"
     if low is None or high is None:
         value, *_ = with_interval(100 * abs(gain), None, None)
-        told = f"{changes} the expected error by {value} %"
-        return told, "There are too few draws to say how exact this figure is."
+        phrase = f"{changes} the expected error by {value} %"
+        return phrase, "There are too few draws to say how exact this figure is."
     ends = [low, high] if gain >= 0 else [-high, -low]
     value, low_to_high = percent_and_interval(abs(gain), ends)
-    told = f"{changes} the expected error by {value} (95 %: {low_to_high})"
+    phrase = f"{changes} the expected error by {value} (95 %: {low_to_high})"
     open_ = "The interval contains 0, so these draws do not tell which times are better."
-    return told, open_ if low <= 0.0 <= high else ""
+    return phrase, open_ if low <= 0.0 <= high else ""
 
 
 def exact_effect(mse: float, reference: float) -> str:

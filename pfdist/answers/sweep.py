@@ -59,11 +59,11 @@ Row = Mapping[Any, Any]
 
 def answer(subject: SweepSubject) -> Section | None:
     """Say which point has the lowest expected MSE, and which the highest gain."""
-    told = [
+    sentences = [
         _best(subject, "expected_mse", "lowest", "expected MSE"),
         _best(subject, GAIN, "highest", "gain of means over the reference"),
     ]
-    found = [text for text in told if text]
+    found = [text for text in sentences if text]
     if not found:
         return None
     blocks: list[Block] = [Text(" ".join(found), prominent=True)]
@@ -126,13 +126,13 @@ def computed(subject: SweepSubject) -> Section:
     return Section("How it was computed", [Facts([fact for fact in facts if fact[1]])])
 
 
-def _best(subject: SweepSubject, value: str, superlative: str, told: str) -> str:
+def _best(subject: SweepSubject, value: str, superlative: str, result: str) -> str:
     """Say which values have the best result, and how many others may be as good."""
     ranked = subject.ranked(value, is_best_low=superlative == "lowest")
     if not ranked:
         return ""
     best, *others = ranked
-    point = subject.told(subject.columns, best.point) or subject.frame["run"].iloc[0]
+    point = subject.phrase(subject.columns, best.point) or subject.frame["run"].iloc[0]
     factor, sign = (1.0, "") if value == "expected_mse" else (100.0, " %")
     number, low, high = with_interval(*(factor * x for x in (best.mean, best.low, best.high)))
     if best.low == best.high:
@@ -147,8 +147,8 @@ def _best(subject: SweepSubject, value: str, superlative: str, told: str) -> str
         mean = ", of a single seed"
     known = f"{number}{sign}{interval}{mean}."
     if seeds > 1 and not subject.columns:  # the seeds alone differ: there is nothing to choose
-        return f"The {told} is {known}"
-    text = f"The {superlative} {told} is that of {point}: {known}"
+        return f"The {result} is {known}"
+    text = f"The {superlative} {result} is that of {point}: {known}"
     rivals = sum(_overlap(best, other) for other in others)
     if rivals:
         number = f"{rivals:,} of the {len(others):,}" if rivals < len(others) else f"all {rivals:,}"
@@ -224,23 +224,23 @@ def _title_of_lines(subject: SweepSubject, key: str, held: Mapping[str, Any]) ->
     if subject.numeric(key) and len(order) > 1:
         first, last = (told_value(order[end]) for end in (0, -1))
         start, end = (_number(least[order[end]]) for end in (0, -1))
-        told = (
+        text = (
             f"From {name} = {first} to {last}, the lowest expected MSE goes from {start} to {end}"
         )
     else:
         best = min(order, key=lambda value: least[value].mean)
-        told = f"The lowest expected MSE is that of {subject.told([key], [best])}"
-    return f"{told}{_told_held(subject, held)}."
+        text = f"The lowest expected MSE is that of {subject.phrase([key], [best])}"
+    return f"{text}{_held_phrase(subject, held)}."
 
 
 def _number(average: Average) -> str:
     return with_interval(average.mean, average.low, average.high)[0]
 
 
-def _told_held(subject: SweepSubject, held: Mapping[str, Any]) -> str:
+def _held_phrase(subject: SweepSubject, held: Mapping[str, Any]) -> str:
     if not held:
         return ""
-    return f" (with {subject.told(list(held), list(held.values()))}, as at the best point)"
+    return f" (with {subject.phrase(list(held), list(held.values()))}, as at the best point)"
 
 
 def _heat_map(subject: SweepSubject) -> list[Block]:
@@ -251,12 +251,12 @@ def _heat_map(subject: SweepSubject) -> list[Block]:
         return []
     frame, held = subject.held([x, y], 1)
     is_gain = any(map(math.isfinite, frame[GAIN]))
-    value, told = (GAIN, "Gain of means") if is_gain else ("expected_mse", "Expected MSE")
+    value, result = (GAIN, "Gain of means") if is_gain else ("expected_mse", "Expected MSE")
     known = {each.point for each in averages(frame, [x, y], value) if math.isfinite(each.mean)}
     is_full = len(known) == math.prod(len(values_of(frame, name)) for name in (x, y))
     hatched = "" if is_full else "; hatched cells have no result"
     names = f"{subject.short[x]} and {subject.short[y]}"
-    title = f"{told} by {names}{_told_held(subject, held)}{hatched}."
+    title = f"{result} by {names}{_held_phrase(subject, held)}{hatched}."
     plot = Plot(
         map_inches(frame, y), lambda panels: heat_map(frame, x, y, value, ax=panels[0]),
         title=title,
@@ -377,8 +377,8 @@ def _key_values(subject: SweepSubject, row: Row) -> list[str]:
 
 def _phrase(subject: SweepSubject, row: Row) -> str:
     """Give the values of a point's keys as a phrase; without keys, the point's name."""
-    told = subject.told(subject.keys, [plain(row[key]) for key in subject.keys])
-    return one_line(told or row["run"])
+    phrase = subject.phrase(subject.keys, [plain(row[key]) for key in subject.keys])
+    return one_line(phrase or row["run"])
 
 
 _CHAPTERS = (answer, points, judged, figures, computed)
@@ -397,21 +397,21 @@ def sweep_page(path: Path) -> Page:
     subject = SweepSubject(path)
     sections = [section for make in _CHAPTERS if (section := make(subject)) is not None]
     name = one_line(subject.path.resolve().name)
-    told = number_of(len(subject.points), "point")
+    points = number_of(len(subject.points), "point")
     models = f" of {', '.join(subject.models)}" if subject.models else ""
     links = _LINKS if any(point.link for point in subject.points) else ""
-    return Page(f"Sweep: {name}", f"{told}{models}", sections, _warnings(subject), links=links)
+    return Page(f"Sweep: {name}", f"{points}{models}", sections, _warnings(subject), links=links)
 
 
 def _warnings(subject: SweepSubject) -> list[str]:
     total, damaged = len(subject.points), subject.count(DAMAGED)
     unfinished = total - damaged - subject.count(FINISHED)
-    told = number_of(total, "point")
+    points = number_of(total, "point")
     warnings = []
     if unfinished:
-        warnings.append(f"Not finished: {unfinished:,} of {told}. Results may change.")
+        warnings.append(f"Not finished: {unfinished:,} of {points}. Results may change.")
     if damaged:
-        warnings.append(f"Cannot be read: {damaged:,} of {told}. The table says why.")
+        warnings.append(f"Cannot be read: {damaged:,} of {points}. The table says why.")
     if subject.judged_fault:
         warnings.append(f"The judged times cannot be read: {subject.judged_fault}.")
     return warnings

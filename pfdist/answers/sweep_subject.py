@@ -165,7 +165,7 @@ class SweepSubject:
             return dict(zip(self.columns, ranked[0].point, strict=True))
         return {name: values_of(self.frame, name)[0] for name in self.columns}
 
-    def told(self, names: Sequence[str], values: Sequence[Any]) -> str:
+    def phrase(self, names: Sequence[str], values: Sequence[Any]) -> str:
         """Give values of columns as a phrase."""
         return told_at(names, tuple(values), self.keys, " = ")
 

@@ -209,15 +209,16 @@ def _tell(planner: Planner, rows: Measurements) -> tuple[int, float | None]:
         The p-value of the most surprising among all measurements.
     """
     surprises, clock = list[float](), planner.clock
-    told = sorted(chain(zip(rows.t, rows.y, strict=True), ((t, None) for t in rows.missed)), key=_t)
-    for t, y in told:
+    missed = ((t, None) for t in rows.missed)
+    instants = sorted(chain(zip(rows.t, rows.y, strict=True), missed), key=_t)
+    for t, y in instants:
         if y is None:
             planner.missed(clock.time(t))
         else:
             estimate = planner.update(y, clock.time(t))
             surprises += [] if estimate.surprise is None else [estimate.surprise]
     surprise = min(1.0, len(surprises) * min(surprises)) if surprises else None
-    return told[-1][0] if told else -1, surprise
+    return instants[-1][0] if instants else -1, surprise
 
 
 def _t(row: tuple[int, Any]) -> int:

@@ -121,7 +121,7 @@ def try_report(run: Run, say: Say) -> None:
     """Write the report of a run whose results stand, whatever becomes of the report.
 
     No error of the report ends the command that has computed the results, not even a mistake in
-    pfdist. It is told in one line.
+    pfdist. It becomes one line.
 
     Parameters
     ----------
@@ -151,8 +151,8 @@ def _try(write: Callable[[], object], path: Path, say: Say) -> None:
     except PfdistError as error:
         say(f"there is no report: {error}")
     except Exception as error:
-        told = one_line(shown_text(f"{type(error).__name__}: {error}"))
-        say(f"there is no report: {told} (`pfdist report {path} --debug` shows where)")
+        text = one_line(shown_text(f"{type(error).__name__}: {error}"))
+        say(f"there is no report: {text} (`pfdist report {path} --debug` shows where)")
 
 
 def renew_report(path: Path, say: Say) -> None:

@@ -116,9 +116,9 @@ class SetsToCompare:
                 f"{shown(written)}",
                 argument="times",
             )
-        told = f"times of {name}"
+        place = f"times of {name}"
         try:
-            return validated_instants(written, self._clock, told, told)
+            return validated_instants(written, self._clock, place, place)
         except MeasurementTimesError as error:
             error.argument = "times"
             raise

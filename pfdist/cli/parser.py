@@ -109,8 +109,8 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print what is wrong in one line without long values, and exit with 2."""
-        told = shown_text(one_line(message))
-        self.exit(2, f"{self.prog}: error: {told} (see `{self.prog} --help`)\n")
+        text = shown_text(one_line(message))
+        self.exit(2, f"{self.prog}: error: {text} (see `{self.prog} --help`)\n")
 
 
 def _is_option(word: str) -> bool:

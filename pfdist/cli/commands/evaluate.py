@@ -74,8 +74,8 @@ def evaluate_command(options: Namespace) -> None:
     }
     if options.json:
         answers = {name: _answer(evaluations[name], broken[name]) for name in evaluations}
-        told = answers[UNNAMED] if is_one else {"sets": answers}
-        print_json(told | {"seconds": round(seconds, 3)}, options)
+        answer = answers[UNNAMED] if is_one else {"sets": answers}
+        print_json(answer | {"seconds": round(seconds, 3)}, options)
         return
     print_page(evaluate_page(evaluations, broken), options)
 
