@@ -28,27 +28,19 @@ from pfdist.search.trust import (
 )
 from pfdist.times.measurement_times import Times
 
-_POLISHED, _UNPOLISHED = 3, 1  # so many polished sets race with so many of the search's own
+_POLISHED, _UNPOLISHED = 3, 1  # polished sets in the race, and sets of the search itself
 _CONTRADICTED = 2.0  # standard errors
-_REACH = 2.5  # mean gaps: an exchange that polishes moves a time at most so far
+_REACH = 2.5  # mean gaps by which an exchange that polishes may move a time
 
 
 @dataclass(frozen=True)
 class SearchEnd:
-    """How a search ended.
+    """How a search ended."""
 
-    Parameters
-    ----------
-    winners : dict of str to Evaluation
-        The search's own evaluation of each set that is compared, by name. It is on draws that
-        chose the set. Empty if every set at the end of the search or of the race had a degenerate
-        draw.
-    distrust : str or None
-        Why the search was run again by the squared error; None if it was not.
-    """
-
+    # The search's own evaluation of each compared set, by name, on draws that chose the set. Empty
+    # if every set at the end of the search or of the race had a degenerate draw.
     winners: dict[str, Evaluation]
-    distrust: str | None = None
+    distrust: str | None = None  # why the search was run again with the squared error, if it was
 
 
 @dataclass(frozen=True)
@@ -71,17 +63,14 @@ class _Attempt:
 class _Runner:
     """Runs the phases of searches, one after another.
 
-    Parameters
-    ----------
-    session : Session
-        It receives a line if the estimator of a search fails or cannot be checked.
+    The session receives a line if the estimator of a search fails or cannot be checked.
     """
 
     def __init__(self, session: Session) -> None:
         self._session, self._built, self._study = session, session.built, session.built.study
 
     def run(self, search: NamedSearch) -> Generator[Batch, None, SearchEnd]:
-        """Winners of a search, which is run again by the squared error if its estimator fails."""
+        """Winners of a search, which is run again with the squared error if its estimator fails."""
         attempt, again = (yield from self.attempt(search)), search.again
         distrust = (yield from self.distrust(search, attempt)) if again else None
         if again is None or distrust is None:
@@ -115,7 +104,7 @@ class _Runner:
     def distrust(
         self, search: NamedSearch, attempt: _Attempt
     ) -> Generator[Batch, None, str | None]:
-        """Say on which probe the estimator of a search failed, if it failed."""
+        """On which probe the estimator of a search failed; None if it did not."""
         sought = dict.fromkeys(
             Candidate(evaluation.measurement_times, evaluation.end)
             for evaluation in self._study.probed(attempt.leaders, attempt.found)
@@ -133,7 +122,7 @@ class _Runner:
     def race(
         self, search: NamedSearch, attempt: _Attempt
     ) -> Generator[Batch, None, list[Evaluation] | None]:
-        """Evaluations of the sets that raced, the winner first; None if no sets race."""
+        """Evaluations of the sets that raced, the winner first; None if there was no race."""
         sets = self._study.racing(attempt.believed)
         if not sets:
             return None
@@ -142,7 +131,7 @@ class _Runner:
     def winners(
         self, name: str, attempt: _Attempt, raced: Sequence[Evaluation] | None
     ) -> dict[str, Evaluation]:
-        """Sets that are compared, by name, with what the search believed of them."""
+        """Sets that are compared, by name, with the search's own evaluation of each."""
         believed = attempt.believed
         ranked = list(believed)
         if raced is not None:
@@ -152,7 +141,7 @@ class _Runner:
         return {key: believed[times] for key, times in winners.items()}
 
     def _finalists(self, phase: Phase) -> Generator[Batch, None, list[Evaluation]]:
-        """Finalists of a phase, without sets that degenerate draws have killed."""
+        """Finalists of a phase whose cost is finite: no degenerate draw has killed them."""
         found = yield from run_phase(phase, self._session)
         return [evaluation for evaluation in found if np.isfinite(evaluation.cost)]
 
@@ -173,31 +162,20 @@ def _uncontradicted(ranked: Sequence[Times], raced: Sequence[Evaluation]) -> lis
 
 
 def run_search(session: Session, search: NamedSearch) -> Generator[Batch, None, SearchEnd]:
-    """Winners of a search: run it to its end.
-
-    Parameters
-    ----------
-    session : Session
-        It receives a line if the search's estimator fails or cannot be checked.
-    search : NamedSearch
-
-    Raises
-    ------
-    TaskError, PoolError, StoreError
-        A task failed, no worker answers, or a file cannot be read or written.
-    """
+    """Winners of a search, which runs to its end."""
     built, reporter = session.built, session.reporter
     start = reporter.progress.done
     end = yield from _Runner(session).run(search)
     redone = search_steps(built, search.again) if search.again and end.distrust else 0.0
-    reporter.note(done=start + search_steps(built, search) + redone)  # as it was foreseen
+    # Searches may end sooner or later than foreseen: progress goes on from the forecast.
+    reporter.note(done=start + search_steps(built, search) + redone)
     return end
 
 
 def search_steps(built: Built, search: NamedSearch) -> float:
-    """About how many particle-steps a search and the phases after it take.
+    """Particle-steps of a search and the phases after it, approximately.
 
-    The forecast leaves out that the search may be run again by the squared error.
+    The forecast leaves out that the search may be run again with the squared error.
     """
     start = built.job.problem.feasible.regular()
     phases: list[Phase] = [_searching(built, search)]
