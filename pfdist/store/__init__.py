@@ -1,7 +1,7 @@
 """A run on disk: Parquet tables, committed atomically, which are also the checkpoint.
 
-Only this package touches a run's files. It knows tables, columns and keys; what they mean for a
-search is the driver's.
+Only this package touches a run's files. It knows tables, columns and keys. The driver knows what
+they mean for a search.
 """
 
 from pfdist.store.about import (
