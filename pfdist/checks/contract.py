@@ -23,7 +23,7 @@ def few_draws(model: StateSpaceModel, horizon: int) -> Draws:
     """A few draws in NumPy; every formula is called at every instant on arrays.
 
     If the horizon is above 500, the draws end at instant 500, and formulas are called at 500 later
-    instants. A `ModelError` says that a formula failed, or gave a value that is not finite.
+    instants. Raises `ModelError` if a formula failed, or gave a value that is not finite.
     """
     last, rng = min(horizon, _INSTANTS), np.random.default_rng(0)
     later = sorted({round(t) for t in np.linspace(last, horizon, _INSTANTS)} - {last})
@@ -93,7 +93,7 @@ def looked(look: Look, model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
 def check_formulas(model: StateSpaceModel, draws: Draws) -> None:
     """Refuse a model with wrong formulas, before any is compiled or any worker has a task.
 
-    A `ModelError` says that a formula fails at some instant, is not pure, or mixes particles.
+    Raises `ModelError` if a formula fails at some instant, is not pure, or mixes particles.
     """
     for _, state, text in look_at_formulas(model, draws):
         _refuse(model, state, text)

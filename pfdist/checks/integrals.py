@@ -50,8 +50,8 @@ def integral(likelihood: Likelihood, y: Array) -> Estimate:
     likelihood must be 1 (importance sampling).
 
     `likelihood` takes points (m, L) and gives the likelihood of each, (L,). y, (m, K), has
-    measurements at one state. A `NoIntegralError` says that there is no density, or that whole
-    numbers are too many.
+    measurements at one state. Raises `NoIntegralError` if there is no density, or if whole numbers
+    are too many.
     """
     counts = whole(y)
     for component in np.flatnonzero(~counts):

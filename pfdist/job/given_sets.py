@@ -11,8 +11,8 @@ from pfdist.times.written import validated_instants
 def given_sets(comparison: Comparison, problem: ProblemSection) -> dict[str, Times | None]:
     """Instants of all sets that a job gives, by name, the reference first.
 
-    None stands for the regular times of the problem. The clock of the problem reads the times. A
-    `MeasurementTimesError` says that a time lies outside the horizon, is no time of the clock, or
+    None stands for the regular times of the problem. The clock of the problem reads the times.
+    Raises `MeasurementTimesError` if a time lies outside the horizon, is no time of the clock, or
     stands twice; it names the key.
     """
     first = comparison.reference_name
@@ -29,8 +29,8 @@ def given_sets(comparison: Comparison, problem: ProblemSection) -> dict[str, Tim
 def check_names(comparison: Comparison, searches: Iterable[str]) -> None:
     """Check the names of the sets that a job gives, and those of its searches.
 
-    A `ValueError` says that a name is reserved or stands twice, or that the reference is no set of
-    the job.
+    Raises `ValueError` if a name is reserved or stands twice, or if the reference is no set of the
+    job.
     """
     names = list(searches)
     for name in names:

@@ -246,7 +246,7 @@ def load_job(
 def toml_of_file(path: Path) -> dict[str, Any]:
     """The data of a job file or a sweep file.
 
-    A `JobError` says that the file cannot be read, or is no TOML.
+    Raises `JobError` if the file cannot be read, or is no TOML.
     """
     try:
         return parse_toml(read_text(path))

@@ -20,7 +20,7 @@ def judging(sweep: SweepJob, times_by_point: TimesByPoint) -> SweepJob:
     """The sweep that compares, at every point, the times found at all points.
 
     Its jobs have no search. They compare the sets of `judged_sets`. The sets give the sweep its
-    name, so other sets give another name. A `JobError` says that there are too many sets, or that a
+    name, so other sets give another name. Raises `JobError` if there are too many sets, or if a
     point's times are no times of another point.
     """
     sets = judged_sets(times_by_point)

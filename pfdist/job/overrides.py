@@ -13,7 +13,7 @@ def override(data: dict[str, Any], change: str) -> None:
     """Change a value in the data of a job file, in place.
 
     The change is ``key=value``, with a dotted key and a TOML value; see `pfdist.job.job.load_job`.
-    A `JobError` says that it is no such text, or that the job has no such section or search.
+    Raises `JobError` if it is no such text, or if the job has no such section or search.
     """
     key, equals, text = change.partition("=")
     path = [part.strip() for part in key.split(".")]

@@ -43,9 +43,9 @@ def points_of(
 
     `over` has the values of each key. Every combination is a point; the last key changes fastest.
     `parallel` has groups of keys with equally many values, which change together. Each group is
-    combined with all other keys. `points` are further points, with a value for each key. A
-    `JobError` says that values are no list, that lists which change together have different
-    lengths, that a point or a key stands twice, or that there are no points or too many.
+    combined with all other keys. `points` are further points, with a value for each key. Raises
+    `JobError` if values are no list, if lists which change together have different lengths, if a
+    point or a key stands twice, or if there are no points or too many.
 
     >>> [point.name for point in points_of({"seed": [1, 2], "filter.particles": [50]})]
     ['seed=1,particles=50', 'seed=2,particles=50']
@@ -71,7 +71,7 @@ def points_of(
 def values_by_key(texts: Iterable[str]) -> dict[str, list[Any]]:
     """The values of each key from texts such as ``seed=1:10``; see `values_in`.
 
-    A `JobError` says that a text is no key with values, or that a key stands twice.
+    Raises `JobError` if a text is no key with values, or if a key stands twice.
     """
     pairs = [values_in(text) for text in texts]
     _check_keys([key for key, _ in pairs])
@@ -81,7 +81,7 @@ def values_by_key(texts: Iterable[str]) -> dict[str, list[Any]]:
 def values_in(text: str) -> tuple[str, list[Any]]:
     """The key and the values of ``seed=1:10`` or ``problem.measurement_budget=10,15,21``.
 
-    A `JobError` says that the text is no key with values.
+    Raises `JobError` if the text is no key with values.
     """
     key, equals, values = text.partition("=")
     if not equals or not key.strip() or not values.strip():

@@ -109,8 +109,7 @@ class ProblemSection(Section):
     def clock(self) -> Clock:
         """The time of each instant; without a clock, the number of the instant.
 
-        A `MeasurementTimesError` says that the values contradict each other; it begins with the
-        key.
+        Raises `MeasurementTimesError` if the values contradict each other; it begins with the key.
         """
         if self.times is not None:
             for name in ("horizon", "time_step"):
@@ -155,8 +154,7 @@ class ProblemSection(Section):
     def weights(self) -> tuple[float, ...] | None:
         """Weight of each instant's error in the MSE, (T+1,), with mean 1; None if all are equal.
 
-        A `MeasurementTimesError` says that the number of weights is wrong, or that a weight is
-        below 0.
+        Raises `MeasurementTimesError` if the number of weights is wrong, or if a weight is below 0.
         """
         instants, given = len(self.clock.times), self.instant_weights
         if given is None:

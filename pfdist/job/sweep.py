@@ -60,8 +60,8 @@ def read_sweep(
 
     `over`, `parallel` and `points` are as for `pfdist.job.points.points_of`; those of a sweep file
     come first. The changes ``key=value`` and the settings, as for `pfdist.load_job`, apply at all
-    points. A `JobError` says that a file cannot be read, that a key or a value is wrong, or that
-    the job of a point is wrong; then it names the point.
+    points. Raises `JobError` if a file cannot be read, if a key or a value is wrong, or if the job
+    of a point is wrong; then it names the point.
     """
     changes = texts_argument("changes", changes)
     name, file = None, _sweep_file(source)

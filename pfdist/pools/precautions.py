@@ -20,7 +20,7 @@ LONGEST_FOLDER = 38  # a socket's path has 107 characters, of which Ray needs 69
 def signals_wait() -> Iterator[None]:
     """Let signals wait inside a with statement, because a half-started Ray cannot be left.
 
-    The program's handlers are called at the end; a second signal is not kept waiting.
+    The program's handlers are called at the end; a second signal does not wait.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -50,8 +50,8 @@ def signals_wait() -> Iterator[None]:
 def private_folder() -> str:
     """A folder for Ray's sockets and logs, with a short path, that no other user can enter.
 
-    Ray lets everyone write to its folder. So the folder lies in another folder, which is private. A
-    `PoolError` says that the folder's name belongs to something else, or that other users may enter
+    Ray lets everyone write to its folder. So the folder lies in another folder, which is private.
+    Raises `PoolError` if the folder's name belongs to something else, or if other users may enter
     it.
     """
     name = f"pfdist-ray-{os.getuid()}"

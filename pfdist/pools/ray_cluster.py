@@ -68,7 +68,7 @@ def connected(address: str, cores: int = 0) -> Iterator[None]:
     local, pfdist starts a cluster, which offers so many cores; 0 offers all that this process may
     use. If this process has already joined a cluster, that cluster is used, and not left.
 
-    A `PoolError` says that the existing cluster cannot be joined, or our own has no folder.
+    Raises `PoolError` if the existing cluster cannot be joined, or our own has no folder.
     """
     if ray.is_initialized():
         yield
@@ -102,7 +102,7 @@ def all_cores() -> int:
 
 
 def idle_cores() -> int:
-    """Number of cores of the cluster that nobody has taken."""
+    """Number of cores of the cluster that are not taken."""
     return int(ray.available_resources().get("CPU", 0))
 
 
@@ -252,7 +252,7 @@ def _about_node() -> dict[str, Any]:
 def describe_nodes(address: str) -> list[dict[str, Any]]:
     """Host, Python and pfdist of every node of an existing cluster.
 
-    A `PoolError` says that the cluster, or one of its nodes, does not answer.
+    Raises `PoolError` if the cluster, or one of its nodes, does not answer.
     """
     try:
         if ray.is_initialized() and not is_own(address):

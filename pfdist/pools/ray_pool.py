@@ -8,8 +8,8 @@ its next task before it has ended the last one.
 Cores that become free while tasks are done get workers too: those of a node that joins, of another
 driver that has ended, or of a worker that was lost.
 
-A worker that dies or is silent for too long is ended. One of its tasks may be the reason, and
-nobody knows which. So these suspects are done next, one after another, by one more worker with one
+A worker that dies or is silent for too long is ended. One of its tasks may be the reason, and it
+is not known which. So these suspects are done next, one after another, by one more worker with one
 thread, while the others go on. An outcome costs the driver as much time with a thousand workers as
 with one.
 
@@ -73,8 +73,8 @@ class RayPool:
     Without an address, or for local, a cluster is started, unless this process has joined one. If
     not `threaded`, because tasks keep Python's lock, every core has a worker of its own.
 
-    On entering, a `PoolError` says that Ray does not start or does not answer, or that no node has
-    this version of pfdist.
+    On entering, raises `PoolError` if Ray does not start or does not answer, or if no node has this
+    version of pfdist.
     """
 
     def __init__(self, workers: int = 0, address: str = "", threaded: bool = True) -> None:
@@ -126,8 +126,8 @@ class RayPool:
     def run(self, tasks: Iterable[Task | None]) -> Iterator[Outcome]:
         """Yield the outcomes as the workers finish tasks, with a bounded number in flight.
 
-        Late answers of a lost worker are ignored. A `PoolError` says that no worker answers, or
-        that none is left that has this version of pfdist.
+        Late answers of a lost worker are ignored. Raises `PoolError` if no worker answers, or if
+        none is left that has this version of pfdist.
 
         In each round, suspects go first, then every free thread gets a task, then one answer is
         taken. About once a second, the pool looks for silent workers and for free cores, even while
@@ -231,7 +231,7 @@ class RayPool:
     def _check_version(self, worker: "_Worker", about: dict[str, Any]) -> None:
         """Leave out a worker with another version of pfdist.
 
-        A `PoolError` says that no worker has this version.
+        Raises `PoolError` if no worker has this version.
         """
         here = version("pfdist")
         if about["pfdist"] == here:

@@ -26,7 +26,7 @@ _SHOWN_ADDRESS = 80
 def rehearse(address: str) -> None:
     """Try to join a Ray cluster at host:port, ray://host:port, or auto.
 
-    A `PoolError` says why the cluster cannot be joined.
+    Raises `PoolError` if the cluster cannot be joined; the error says why.
     """
     with subprocess.Popen(  # noqa: S603  this file
         python_command(__name__, address), stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
@@ -73,7 +73,7 @@ def _join(address: str) -> None:
 def host_and_port(address: str) -> tuple[str, int]:
     """Host and port of an address; Ray itself resolves ``auto``.
 
-    A `PoolError` says that it is no address.
+    Raises `PoolError` if it is no address.
     """
     if address == "auto":
         return "", 0
@@ -95,7 +95,7 @@ def host_and_port(address: str) -> tuple[str, int]:
 def reach(address: str) -> None:
     """Connect to an address, and send nothing.
 
-    A `PoolError` says that it is no address, or that nobody listens there.
+    Raises `PoolError` if it is no address, or if nobody listens there.
     """
     host, port = host_and_port(address)
     if not port:

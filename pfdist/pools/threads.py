@@ -45,7 +45,7 @@ class ThreadPool:
     def run(self, tasks: Iterable[Task | None]) -> Iterator[Outcome]:
         """Yield the outcomes as threads finish tasks, with a bounded number in flight.
 
-        A `SilenceError` says that a thread is silent for too long.
+        Raises `SilenceError` if a thread is silent for too long.
         """
         self._forget_tasks()  # an earlier run may have been broken off
         todo, answers, in_flight = iter(tasks), SimpleQueue[Outcome](), 0

@@ -69,8 +69,8 @@ class Built:
 def build(job: Job) -> Built:
     """Make the objects of a job, and check that they fit each other.
 
-    A `ModelError` says that the model cannot be loaded, that a parameter is unknown or out of its
-    range, or that an estimator or a resampling scheme does not fit.
+    Raises `ModelError` if the model cannot be loaded, if a parameter is unknown or out of its
+    range, or if an estimator or a resampling scheme does not fit.
     """
     model, filter_model = models_of(job)
     evaluator = carried_evaluator(

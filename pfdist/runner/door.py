@@ -146,7 +146,7 @@ class Batch:
     def take(self, cut: "_Cut", outcome: Outcome) -> None:
         """Take the outcome of a task: the rows wait for a commit, the driver learns the results.
 
-        A `ModelError` says that a worker cannot make the models, a `TaskError` that too many tasks
+        Raises `ModelError` if a worker cannot make the models, and `TaskError` if too many tasks
         failed.
         """
         session = self.session
@@ -340,7 +340,7 @@ class Loop:
     def serve(self, drivers: Iterable[Driver | None]) -> list[Any]:
         """Serve drivers to their ends, and return their values, in the order of their ends.
 
-        None in the place of a driver says that another must end before the next can begin. If a
+        None in place of a driver says that another driver must end before the next can begin. If a
         driver or the pool raises an error, all drivers are closed first: each commits its rows.
         """
         todo = iter(drivers)
@@ -456,8 +456,7 @@ class Loop:
             for store, part in _by(work, self._stores.get):
                 by_store[store].append(part)
         lacking = by_store.pop(None, [])
-        # Rows of another run are committed in this run, too: it has the files that it would have
-        # alone.
+        # Rows of another run are committed in this run, too: so its files do not depend on others.
         for store, parts in by_store.items():
             if store is not None:
                 lacking += _learnt(batch, store, parts, keep=True)

@@ -22,7 +22,7 @@ COMPARED = "search"
 def drive(session: Session) -> Generator[Batch, None, None]:
     """Compute everything that a run still lacks, whether it is new or half finished.
 
-    A `SearchError` says that a search found no set of times without degenerate draws. The errors of
+    Raises `SearchError` if a search found no set of times without degenerate draws. The errors of
     every driver follow from `pfdist.runner.door`.
     """
     built, store, reporter = session.built, session.store, session.reporter

@@ -25,7 +25,7 @@ from pfdist.store import (
     variance_schema,
 )
 
-TRAJECTORIES = 100  # draws whose z, y and estimates are kept
+TRAJECTORIES = 100  # draws whose z, y and estimates are stored
 REPEATED = 2000  # draws that the reference filters twice
 LOSS_DRAWS = 1000  # draws on which the loss by a finite number of particles is estimated
 

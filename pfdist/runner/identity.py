@@ -42,9 +42,9 @@ def opened(path: Path, built: Built, say: Callable[[str], Any]) -> Iterator[Stor
     """Hold a run's folder for computing: make the folder, or check that it holds this run.
 
     Damaged files are moved to quarantine, and their content is computed again; `say` receives a
-    line for each. A `RunMismatchError` says that the folder holds another run. A `StoreError` says
-    that another process computes the run, that the folder cannot be read or written, or that it
-    holds other things than a run.
+    line for each. Raises `RunMismatchError` if the folder holds another run. Raises `StoreError` if
+    another process computes the run, if the folder cannot be read or written, or if it holds other
+    things than a run.
     """
     identity = _identity(built)
     key = key_of(identity, built.job.identity())
@@ -78,7 +78,7 @@ def opened(path: Path, built: Built, say: Callable[[str], Any]) -> Iterator[Stor
 def is_sealed(path: Path, built: Built) -> bool:
     """Whether a folder that cannot be written holds the finished run of this very job.
 
-    A `RunMismatchError` says that it holds another run.
+    Raises `RunMismatchError` if it holds another run.
     """
     if not holds_run(path) or os.access(path, os.W_OK):
         return False

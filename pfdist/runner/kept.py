@@ -1,8 +1,9 @@
 """Formats in which results become rows of a table, and rows become results again.
 
-Each class is a `pfdist.runner.door.RowFormat`. A format that is shared names all rows by an id on
-which they depend alone, so runs may take each other's rows. The same work gives the same rows with
-the same key. So rows that are committed twice, by two drivers or after a kill, count once.
+Each class is a `pfdist.runner.door.RowFormat`. A format that is shared names all rows by an id of
+everything on which they depend, so runs may take each other's rows. The same work gives the same
+rows with the same key. So rows that are committed twice, by two drivers or after a kill, count
+once.
 """
 
 from collections.abc import Callable, Iterator

@@ -86,7 +86,7 @@ class Phase:
     def request(self, candidate: Candidate, generation: int) -> Request:
         """The request of an evaluation for a candidate of a generation.
 
-        A `MeasurementTimesError` says that the optimiser asked for times that do not lie in 0..T.
+        Raises `MeasurementTimesError` if the optimiser asked for times that do not lie in 0..T.
         """
         times, end, draws, individual, squared, _ = candidate
         last = self.built.job.problem.feasible.horizon if end is None else end
@@ -132,7 +132,7 @@ class Phase:
 def run_phase(phase: Phase, session: Session) -> Generator[Batch, None, Sequence[Evaluation]]:
     """Finalists of an optimiser that runs to its end.
 
-    A `MeasurementTimesError` says that the optimiser asked for times that do not lie in 0..T.
+    Raises `MeasurementTimesError` if the optimiser asked for times that do not lie in 0..T.
     """
     optimiser, name, reporter = phase.optimiser, phase.name, session.reporter
     committed = committed_generations(session.store, name)

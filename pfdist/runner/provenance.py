@@ -95,8 +95,8 @@ def lender(path: Path, built: Built | None = None) -> Store:
     """The store of a run whose evaluations other runs may take.
 
     `built` is the job of the run that takes them. Without it, a run on another processor lends
-    nothing. A `StoreError` says that the last digits may differ from those computed here, that a
-    file is damaged, or that there is no run.
+    nothing. Raises `StoreError` if the last digits may differ from those computed here, if a file
+    is damaged, or if there is no run.
     """
     about = read_run(path)[0]["provenance"]
     here = about["processor"] == processor() and CONTINUED not in about

@@ -54,8 +54,8 @@ class Prover:
 
     Before a proof, `relaxation` is that from which its windows grow; afterwards that of the proof.
     `particles` is 0 for an exact engine. `confidence` is that of the limit of a gap: 95 %, or more
-    if the proof may end after several numbers of draws. A `JobError` or a `ModelError` says that no
-    bound is known for the job's problem, or that its relaxation is too large.
+    if the proof may end after several numbers of draws. Raises `JobError` or `ModelError` if no
+    bound is known for the job's problem, or if its relaxation is too large.
     """
 
     def __init__(self, built: Built, settings: BoundSettings) -> None:
@@ -191,7 +191,7 @@ class Prover:
     ) -> Generator[Batch, None, Sums]:
         """Sums of the errors of all windows and of C sets, up to the last of some new blocks.
 
-        A `ModelError` says that a draw is degenerate or infinite.
+        Raises `ModelError` if a draw is degenerate or infinite.
         """
         relaxation, evaluator = self.relaxation, self._built.evaluator
         instants = evaluator.horizon + 1

@@ -42,7 +42,7 @@ class _Side:
 def sampling_windows(
     session: Session, name: str, times: Times, draws: int
 ) -> Generator[Batch, None, list[Row]]:
-    """Rows with the loss of moving each measurement alone, and whether it is within the levels.
+    """Rows with the loss of moving one measurement at a time, and whether the levels allow it.
 
     They are those of the table ``sampling_windows``, without position, name and draws. The
     measurement's own instant is a row, too. The name of the set keys the noise.

@@ -99,7 +99,7 @@ class NamedSearch:
 def named_search(study: Study, job: Job, section: SearchSection, guide: str) -> NamedSearch:
     """The optimiser of a section [[search]], with the settings of its evaluations.
 
-    `guide` is the estimator that "auto" stands for. A `JobError` says that the optimiser cannot
+    `guide` is the estimator that "auto" stands for. Raises `JobError` if the optimiser cannot
     search this problem.
     """
     settings = Settings.from_job(job, section.evaluation, guide)

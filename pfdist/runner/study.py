@@ -87,8 +87,8 @@ class Study:
     def optimiser(self, section: SearchSection, draws: int) -> Optimiser:
         """Optimiser of a section [[search]] whose evaluations have so many draws.
 
-        For a budget curve, state-space relaxation finds the sets of all numbers at once. A
-        `JobError` says that the optimiser cannot search this problem.
+        For a budget curve, state-space relaxation finds the sets of all numbers at once. Raises
+        `JobError` if the optimiser cannot search this problem.
         """
         if self.job.budget is not None:
             start, sought = relaxation_within(self.widest, self.usual, MOST_CELLS), (*self.axis,)

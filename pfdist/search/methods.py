@@ -45,8 +45,8 @@ class Method:
         """The optimiser with these settings.
 
         `draws` is the number of simulated systems on which a set is evaluated. Methods that search
-        around a set start from `start`, a good feasible set. A `JobError` says that the method
-        cannot search this problem.
+        around a set start from `start`, a good feasible set. Raises `JobError` if the method cannot
+        search this problem.
         """
         if "draws" in self.optimiser.__annotations__:
             settings = {"draws": draws, **settings}

@@ -41,8 +41,8 @@ def read_measurements(
     The table is a file in CSV or Parquet, or in memory. If the model names the components of y,
     columns may have the names: y_concentration. The column t has times on the clock, and `start` is
     the first instant that can be measured. A row without any component is a time that was not
-    measured. A `MeasurementsError` says that the file cannot be read, that its header does not fit,
-    or that a value is wrong.
+    measured. Raises `MeasurementsError` if the file cannot be read, if its header does not fit, or
+    if a value is wrong.
     """
     allowed = [["t", *names] for names in user_columns("y", model)]
     try:
@@ -74,7 +74,7 @@ def read_measurements(
 def instant_on(clock: Clock, t: Any, start: int = 0) -> int:
     """The instant of a time on a clock, which is checked.
 
-    A `MeasurementsError` says that no instant has this time, or that it lies before the instant
+    Raises `MeasurementsError` if no instant has this time, or if it lies before the instant
     `start`.
     """
     if clock.counts:
@@ -94,7 +94,7 @@ def instant_on(clock: Clock, t: Any, start: int = 0) -> int:
 def checked_instant(t: Any, start: int, horizon: int) -> int:
     """An instant as an int, after it was checked.
 
-    A `MeasurementsError` says that it is no whole number, or lies outside start..horizon.
+    Raises `MeasurementsError` if it is no whole number, or lies outside start..horizon.
     """
     number = isinstance(t, int | float | np.integer | np.floating) and not isinstance(t, bool)
     if not number or t != t // 1:
@@ -109,9 +109,9 @@ def checked_measurement(
 ) -> Array | None:
     """A measurement as an array (m,), after it was checked; None if every component is missing.
 
-    `t` is the time as errors name it. A `MeasurementsError` says that the number of components is
-    wrong, that one is no finite number, or that one is missing though the model does not declare
-    that it takes such measurements.
+    `t` is the time as errors name it. Raises `MeasurementsError` if the number of components is
+    wrong, if one is no finite number, or if one is missing though the model does not declare that
+    it takes such measurements.
     """
     components = model.components[1]
     if y is None:

@@ -45,8 +45,8 @@ class OneFilter:
         instant, and must be after it if both are measured. y, (m,), is the measurement at t, if it
         is measured.
 
-        A `MeasurementsError` says that no particle explains the measurement, or that a state is not
-        finite. A `ModelError` says that a formula failed.
+        Raises `MeasurementsError` if no particle explains the measurement, or if a state is not
+        finite. Raises `ModelError` if a formula failed.
         """
         check_lengths(self.model.parameters, t + 1)
         measurements, quantities = self.model.components[1:]

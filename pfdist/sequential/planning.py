@@ -54,7 +54,7 @@ class Planning:
     def optimiser(self, rest: Feasible, start: Times | None = None) -> Optimiser:
         """The optimiser of the remaining measurements; see `pfdist.search.methods`.
 
-        A `JobError` says that the method cannot search this problem.
+        Raises `JobError` if the method cannot search this problem.
         """
         method = METHODS[self.search.method]
         return method.make(rest, self.draws, self.search.settings, start)
@@ -81,7 +81,7 @@ class Now(NamedTuple):
 class Replanner:
     """Plans the remaining measurements, for a model and constraints.
 
-    A `ModelError` says that the filter's model has states of another size than the true model.
+    Raises `ModelError` if the filter's model has states of another size than the true model.
     """
 
     # Its model simulates systems from t = 0, and its filter model filters them.
@@ -98,7 +98,7 @@ class Replanner:
 
         `taken` has the times that were measured so far. The plan at hand may be empty. If it is no
         longer feasible, another plan replaces it that has as many of its times as possible. `draw`
-        is the index of the system, which keys the noise. A `ModelError` says that a formula failed.
+        is the index of the system, which keys the noise. Raises `ModelError` if a formula failed.
         """
         first = now.first
         rest = rest_of(self.feasible, taken, first)
@@ -123,8 +123,8 @@ class Replanner:
     ) -> list[Evaluation]:
         """Evaluations of plans by the expected MSE from now on, on draws that chose none of them.
 
-        `draws` is the number of simulated systems, and `draw` the index of the system. A
-        `ModelError` says that a formula failed.
+        `draws` is the number of simulated systems, and `draw` the index of the system. Raises
+        `ModelError` if a formula failed.
         """
         evaluator = replace(self.evaluator, prior=now.prior, estimations=())
         ends = [evaluator.horizon] * len(plans)

@@ -92,7 +92,7 @@ class OnlineWork(Work):
 def _steps(feasible: Feasible, planning: Planning) -> int:
     """Particle-steps of the plans of one draw, approximately, if it is measured at regular times.
 
-    A `JobError` says that the method of the planning cannot search this problem.
+    Raises `JobError` if the method of the planning cannot search this problem.
     """
     planning.optimiser(feasible)  # checks that the method can search; any rest has fewer sets
     times, steps = feasible.regular(), 0.0

@@ -81,7 +81,7 @@ class _RunFile(_Part):
 def read_run(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     """The contents of run.json, which is checked, and of job.toml, which the caller checks.
 
-    A `StoreError` says that the folder holds no run, or one that cannot be read.
+    Raises `StoreError` if the folder holds no run, or one that cannot be read.
     """
     run, job = (
         _read(path, name, parse)
@@ -211,8 +211,8 @@ def run_key(path: Path) -> str | None:
 
     It stands in the manifest and follows from job.toml and run.json. If the two contradict each
     other, the files of several runs lie in one folder. The key is None if there is no run yet, or
-    if its start was cut short. A `StoreError` says that the run has another schema version, or that
-    the manifest has the key of another run, or none.
+    if its start was cut short. Raises `StoreError` if the run has another schema version, or if the
+    manifest has the key of another run, or none.
     """
     manifest = Manifest(path)
     if manifest.exists() and not is_plain_file(path / MANIFEST):

@@ -78,7 +78,7 @@ def prepare_table(folder: Path, table: pa.Table) -> Prepared:
 
 
 def give_name(prepared: Prepared, path: Path) -> None:
-    """Give a file its final name, in one atomic step; it replaces a file that is there."""
+    """Rename a file to its final name, in one atomic step; it replaces a file that is there."""
     with writing("write", path, prepared.temporary):
         prepared.temporary.replace(path)
         _flush(path.parent, os.O_RDONLY)
@@ -130,7 +130,7 @@ def move(path: Path, other: Path) -> None:
 
 
 def digest(path: Path) -> str:
-    """SHA-256 of a file; an `OSError` says that it is not there, or cannot be read."""
+    """SHA-256 of a file; raises `OSError` if it is not there, or cannot be read."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

@@ -119,7 +119,7 @@ class Damage:
 def strange_entries(folder: Path) -> Iterator[Damage]:
     """Links, pipes, devices, and folders in place of files. Links are not followed.
 
-    Each folder is looked at before its entries are listed. A `StoreError` says that one cannot be
+    Each folder is looked at before its entries are listed. Raises `StoreError` if one cannot be
     listed.
     """
     for name in (*_FILES, *_FOLDERS):
@@ -178,8 +178,8 @@ def runs_below(folder: Path, depth: int) -> Iterator[Path]:
 
     A folder that holds a run is the only one, because folders within a run are skipped. So are
     hidden folders, links, and folders more than `depth` levels below this one. A folder below that
-    cannot be listed is yielded as if it held a run: opening it says why. A `StoreError` says that
-    the folder itself cannot be listed.
+    cannot be listed is yielded as if it held a run: opening it says why. Raises `StoreError` if the
+    folder itself cannot be listed.
     """
     with reading(folder, "list"):
         entries = _listed(folder)

@@ -27,9 +27,9 @@ _NO_LOCKS = {errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP}
 def held(folder: Path) -> Iterator[None]:
     """Hold the lock of a run's folder; the lock ends with this process, however it ends.
 
-    If the file system has no locks, nobody is refused. Two drivers then commit the same bytes under
-    the same names, and only do everything twice. A `BusyError` says who holds the lock, and since
-    when.
+    If the file system has no locks, every driver may go on. Two drivers then commit the same bytes
+    under the same names, and only do everything twice. Raises `BusyError` if another driver holds
+    the lock; the error says who, and since when.
     """
     files.make_folder(folder)
     with files.writing("lock", folder):
@@ -63,7 +63,7 @@ def try_lock(path: Path) -> None:
 def _opened(folder: Path, mode: int) -> int:
     """Descriptor of the lock's file; neither a link's target nor a pipe is opened.
 
-    A `StoreError` says that it is not a plain file, an `OSError` that it cannot be opened.
+    Raises `StoreError` if it is not a plain file, and `OSError` if it cannot be opened.
     """
     path = folder / _LOCK
     try:

@@ -68,7 +68,7 @@ class Manifest:
             self._add([f"run {key}"])
 
     def give_name(self, prepared: files.Prepared, path: Path) -> None:
-        """Give a prepared file its name, and record its content before and after.
+        """Rename a prepared file to its final name, and record its content before and after.
 
         The content is announced first: a reader or a restart that finds the new file finds it
         announced.
@@ -127,7 +127,7 @@ class Manifest:
         """Read every file of the run and yield those that are not what was committed.
 
         If the folder holds strange entries (see `pfdist.store.folder`), only these are yielded:
-        nothing is read past them. A `StoreError` says that a file cannot be read.
+        nothing is read past them. Raises `StoreError` if a file cannot be read.
         """
         if strange := list(strange_entries(self.folder)):
             yield from strange
@@ -148,7 +148,7 @@ class Manifest:
         """The new place of a damaged file, which is moved, never deleted; None if it was missing.
 
         If it is a published file, the manifest expects it from now on, so the next start makes it
-        again. A `StoreError` says that the entry is the manifest or the quarantine, out of which
+        again. Raises `StoreError` if the entry is the manifest or the quarantine, out of which
         nothing is moved.
         """
         path, folder = self.folder / damage.path, self.folder / QUARANTINE / damage.path.parent

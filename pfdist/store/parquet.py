@@ -138,7 +138,7 @@ class Store:
     def compared(self) -> pd.DataFrame:
         """The table of the compared sets, whose names are checked.
 
-        The names become parts of the names of columns and files. A `StoreError` says that a name is
+        The names become parts of the names of columns and files. Raises `StoreError` if a name is
         not one that a job could have given.
         """
         rows = self.read("compared")

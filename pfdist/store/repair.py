@@ -15,9 +15,9 @@ from pfdist.store.schema import KEYS
 def verify_run(path: Path) -> Iterator[Damage]:
     """Every file and row of a run that is wrong: each byte, row and key is checked.
 
-    First each file's SHA-256 and key; if all files are what was committed, the keys of the rows. A
-    `StoreError` says that the folder holds no run, one of another schema version, or one that is
-    being computed, or that a file cannot be read.
+    First each file's SHA-256 and key; if all files are what was committed, the keys of the rows.
+    Raises `StoreError` if the folder holds no run, one of another schema version, or one that is
+    being computed, or if a file cannot be read.
     """
     _check_verifiable(path)
     check_not_held(path)

@@ -38,7 +38,7 @@ def read_schema(path: Path) -> pa.Schema:
 def rows_and_run(path: Path) -> tuple[int, str | None]:
     """Number of rows of a file, and the key of the run that wrote it, if the file names one.
 
-    A `FileNotFoundError` says that there is no such file, a `StoreError` that it is no readable
+    Raises `FileNotFoundError` if there is no such file, and `StoreError` if it is no readable
     Parquet file.
     """
 
@@ -59,9 +59,9 @@ def read_file(
 ) -> pa.Table:
     """Columns and rows of a file of this schema version, all of them by default.
 
-    The file must belong to the run with this key; None: it must carry no key. A `FileNotFoundError`
-    says that there is no such file. A `StoreError` says that it cannot be read, has another schema
-    version, or belongs to another run.
+    The file must belong to the run with this key; None: it must carry no key. Raises
+    `FileNotFoundError` if there is no such file. Raises `StoreError` if it cannot be read, has
+    another schema version, or belongs to another run.
     """
 
     def read() -> pa.Table:

@@ -31,8 +31,8 @@ def read_user_table(path: Path | pd.DataFrame, check_header: CheckHeader) -> dic
     columns. The index of a table in memory counts as a column if it has a name. `check_header`
     raises an error if the names of the columns are wrong; it is called before any number is read.
 
-    A `ValueError` says that the file is too large, is no such table, or holds other things than
-    numbers. An `OSError` says that it cannot be read.
+    Raises `ValueError` if the file is too large, is no such table, or holds other things than
+    numbers. Raises `OSError` if it cannot be read.
     """
     if isinstance(path, pd.DataFrame):
         return _columns_of(path, check_header)
@@ -142,8 +142,8 @@ def write_user_table(path: Path, table: pa.Table) -> None:
     """Write a table for a user atomically: Parquet if the name ends in ``.parquet``, else CSV.
 
     It replaces an earlier table of the same kind, and no other file. The table has a schema of
-    `pfdist.store.schema`, which says its kind. A `StoreError` says that the file cannot be written,
-    or that another file has this name.
+    `pfdist.store.schema`, which says its kind. Raises `StoreError` if the file cannot be written,
+    or if another file has this name.
     """
     check_table_replaceable(path, table.schema)
 
