@@ -155,8 +155,8 @@ def _values(key: str, values: Any) -> Sequence[Any]:
         raise JobError(
             f"values of {key} must be a list, or a range such as '1:10', got {shown(values)}"
         )
-    found: Sequence[Any] = values
-    return found
+    listed: Sequence[Any] = values
+    return listed
 
 
 def _check_keys(keys: Sequence[str]) -> None:

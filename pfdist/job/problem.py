@@ -97,11 +97,13 @@ class Problem(Shown):
         filter_model: StateSpaceModel | str | None = None,
         **keys: Any,
     ) -> None:
-        self._model, known = _given(model, "model"), None
+        self._model, believed = _given(model, "model"), None
         if filter_model is not None:
-            known = self._model if filter_model is model else _given(filter_model, "filter_model")
-        self._filter_model = None if known is self._model else known
-        self._arguments = {"model": self._model, "filter_model": known, **keys}
+            believed = (
+                self._model if filter_model is model else _given(filter_model, "filter_model")
+            )
+        self._filter_model = None if believed is self._model else believed
+        self._arguments = {"model": self._model, "filter_model": believed, **keys}
         self._keys = _by_section(_plain_keys(keys))
         self.job()
 

@@ -57,8 +57,8 @@ class Built:
     @property
     def names(self) -> list[str]:
         """Names of the compared sets: those that the job gives, then those that searches find."""
-        found = [name for search in self.searches for name in self.study.names(search.name)]
-        return [*self.study.unsearched, *found]
+        searched = [name for search in self.searches for name in self.study.names(search.name)]
+        return [*self.study.unsearched, *searched]
 
     @property
     def unjudged(self) -> Collection[str]:
@@ -138,10 +138,10 @@ def folder_of_models(job: Job) -> Path:
     relative to the folder of the job file with which the run was started.
     """
     # Imported here, so that workers, which need no model file, need no pyarrow.
-    from pfdist.store import is_kept_job, read_run  # noqa: PLC0415
+    from pfdist.store import is_job_of_run, read_run  # noqa: PLC0415
 
     folder = job.path.parent
-    if not is_kept_job(job.path):
+    if not is_job_of_run(job.path):
         return folder
     return Path(folder, read_run(folder)[0].get("provenance", {}).get("folder", ""))
 

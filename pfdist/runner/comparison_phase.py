@@ -51,7 +51,7 @@ def run_comparison(session: Session, sets: Mapping[str, Times]) -> Generator[Bat
         reporter.reach(
             reporter.progress.done + piece.steps,
             evaluations=reporter.progress.evaluations + len(result.mse),
-            found=study.shown(interim.found),
+            found=study.shown(interim.so_far),
         )
         return interim.enough > 0
 
@@ -117,7 +117,7 @@ class InterimGains:
         self._waiting: dict[int, _Block] = {}
         self.enough = 0  # number of draws that were enough; 0 as long as they are not
 
-    def found(self) -> tuple[Found, ...]:
+    def so_far(self) -> tuple[Found, ...]:
         """The gain of each set over its reference so far."""
         return tuple(
             Found(

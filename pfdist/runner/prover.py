@@ -88,7 +88,7 @@ class Prover:
     def prove(self, session: Session, run: Run) -> Generator[Batch, None, Look]:
         """Prove the sets of a finished run, and write the table ``bound``."""
         # The sums are published before the table of the bound, which marks the proof as done. A
-        # kill before the last line costs no filter: all sums are found by their ids.
+        # kill in between costs no filter: the next proof finds all sums by their ids.
         try:
             looks = yield from self._looks(session, run)
         finally:  # also if the driver is closed early: rows that still wait are committed
@@ -114,7 +114,7 @@ class Prover:
         """The gaps after more and more draws, until they are small enough or draws run out."""
         constraints = self._built.study.widest
         sets = self._built.study.proved(self._built.instants(run.sets()))
-        alone = yield from sets_alone(session, run, sets, self._estimation)
+        parts = yield from sets_alone(session, run, sets, self._estimation)
         feasible = {name: times for name, times in sets.items() if _satisfies(constraints, times)}
         feasible_times = tuple(feasible.values())
         foreseen, growth = self._steps_of_windows, 0.0
@@ -131,12 +131,12 @@ class Prover:
                 if feasible:
                     sums = yield from self._sums(session, feasible_times, range(before, blocks))
                 before = blocks
-                gaps = self._gaps(feasible, alone, sums) if sums else {}
+                gaps = self._gaps(feasible, parts, sums) if sums else {}
             except ModelError as error:
                 reason, gaps = str(error), {}
             for name in sets.keys() - gaps.keys():
                 why = reason if name in feasible else "the set is not feasible"
-                gaps[name] = Gap(name, sets[name], alone[name].expected_mse, why)
+                gaps[name] = Gap(name, sets[name], parts[name].expected_mse, why)
             gaps_in_order = [gaps[name] for name in sets]
             looks.append(
                 Look(blocks * BLOCK, growth + self._steps(feasible_times, blocks), gaps_in_order)
@@ -174,14 +174,14 @@ class Prover:
         return 2.0 * self._steps((), GROUPS) if self.particles else math.inf
 
     def _gaps(
-        self, sets: Mapping[str, Times], alone: Mapping[str, SetAlone], sums: Sums
+        self, sets: Mapping[str, Times], parts: Mapping[str, SetAlone], sums: Sums
     ) -> dict[str, Gap]:
         """The gaps of feasible sets that follow from sums of errors."""
         times_of_sets = tuple(sets.values())
         most = max(map(self.relaxation.spent, times_of_sets))
         proof = prove(self.relaxation, sums, times_of_sets, most)
         gaps = {
-            name: gap_of(name, times, alone[name], proof, place, self.confidence)
+            name: gap_of(name, times, parts[name], proof, place, self.confidence)
             for place, (name, times) in enumerate(sets.items())
         }
         return consistent(gaps) if self.particles else gaps

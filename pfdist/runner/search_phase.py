@@ -45,9 +45,9 @@ class SearchEnd:
 
 @dataclass(frozen=True)
 class _Attempt:
-    """Sets that a search has found, the best first, its leaders, and whether it was polished."""
+    """Finalists of a search, the best first, its leaders, and whether the best were polished."""
 
-    found: list[Evaluation]
+    finalists: list[Evaluation]
     leaders: list[Evaluation]
     polished: bool
 
@@ -55,7 +55,7 @@ class _Attempt:
     def believed(self) -> dict[Times, Evaluation]:
         """The search's evaluation of each set; for a polished set, that of the exchanges."""
         believed: dict[Times, Evaluation] = {}
-        for evaluation in self.found:
+        for evaluation in self.finalists:
             believed.setdefault(evaluation.measurement_times, evaluation)
         return believed
 
@@ -90,16 +90,16 @@ class _Runner:
         return SearchEnd(self.winners(search.name, attempt, raced), distrust)
 
     def attempt(self, search: NamedSearch) -> Generator[Batch, None, _Attempt]:
-        """Search, and polish the best set found."""
+        """The finalists of a search, of which the best are polished."""
         searching = _searching(self._built, search)
-        found = yield from self._finalists(searching)
+        finalists = yield from self._finalists(searching)
         leaders = searching.leaders
-        if found and search.polishing:
-            polishing = _polishing(self._built, search, found[0].measurement_times)
+        if finalists and search.polishing:
+            polishing = _polishing(self._built, search, finalists[0].measurement_times)
             polished = yield from self._finalists(polishing)
             leaders = [*leaders, *polished[:1]]
-            found = [*polished[:_POLISHED], *found[:_UNPOLISHED]]
-        return _Attempt(found, leaders, search.polishing is not None)
+            finalists = [*polished[:_POLISHED], *finalists[:_UNPOLISHED]]
+        return _Attempt(finalists, leaders, search.polishing is not None)
 
     def distrust(
         self, search: NamedSearch, attempt: _Attempt
@@ -107,7 +107,7 @@ class _Runner:
         """On which probe the estimator of a search failed; None if it did not."""
         sought = dict.fromkeys(
             Candidate(evaluation.measurement_times, evaluation.end)
-            for evaluation in self._study.probed(attempt.leaders, attempt.found)
+            for evaluation in self._study.probed(attempt.leaders, attempt.finalists)
         )
         phase = _probing(self._built, search, tuple(sought))
         probe = yield from run_phase(phase, self._session)
@@ -142,8 +142,8 @@ class _Runner:
 
     def _finalists(self, phase: Phase) -> Generator[Batch, None, list[Evaluation]]:
         """Finalists of a phase whose cost is finite: no degenerate draw has killed them."""
-        found = yield from run_phase(phase, self._session)
-        return [evaluation for evaluation in found if np.isfinite(evaluation.cost)]
+        finalists = yield from run_phase(phase, self._session)
+        return [evaluation for evaluation in finalists if np.isfinite(evaluation.cost)]
 
 
 def _uncontradicted(ranked: Sequence[Times], raced: Sequence[Evaluation]) -> list[Evaluation]:

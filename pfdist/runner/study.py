@@ -101,19 +101,19 @@ class Study:
             raise JobError(f"search.{section.name}: {error} ({self.job.path})") from error
 
     def probed(
-        self, leaders: Sequence[Evaluation], found: Sequence[Evaluation]
+        self, leaders: Sequence[Evaluation], finalists: Sequence[Evaluation]
     ) -> list[Evaluation]:
         """Evaluations on which the estimator of a search is checked.
 
         They are those that led the search, and those with which it ended, unless a race compares
         the latter by the squared error anyway.
         """
-        races = self.racing(dict.fromkeys(each.measurement_times for each in found))
-        return [*leaders] if races else [*leaders, *found]
+        races = self.racing(dict.fromkeys(each.measurement_times for each in finalists))
+        return [*leaders] if races else [*leaders, *finalists]
 
-    def racing(self, found: Iterable[Times]) -> tuple[Times, ...]:
+    def racing(self, finalists: Iterable[Times]) -> tuple[Times, ...]:
         """The sets that race on fresh draws: all, if there are more of them than are sought."""
-        sets = tuple(found)
+        sets = tuple(finalists)
         return sets if len(sets) > len(self.axis) else ()
 
     def winners(self, search: str, ranked: Sequence[Times]) -> dict[str, Times]:

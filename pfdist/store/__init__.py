@@ -25,7 +25,7 @@ from pfdist.store.folder import (
     check_entries,
     folder_of_run,
     holds_run,
-    is_kept_job,
+    is_job_of_run,
 )
 from pfdist.store.lock import check_not_held, held
 from pfdist.store.manifest import Manifest
@@ -75,7 +75,7 @@ __all__ = [
     "has_key",
     "held",
     "holds_run",
-    "is_kept_job",
+    "is_job_of_run",
     "key_of",
     "own_key",
     "read_run",

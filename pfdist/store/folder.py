@@ -40,8 +40,8 @@ def holds_run(path: Path) -> bool:
         return (path / "run.json").exists()
 
 
-def is_kept_job(job_file: Path) -> bool:
-    """Whether a job file is the job.toml that a run keeps in its folder."""
+def is_job_of_run(job_file: Path) -> bool:
+    """Whether a job file is the job.toml in the folder of a run."""
     return job_file.name == "job.toml" and _has_run_json(job_file.parent)
 
 
@@ -50,7 +50,7 @@ def folder_of_run(job_file: Path) -> Path:
 
     A job.toml that a run keeps belongs to the run in its folder.
     """
-    if not is_kept_job(job_file):
+    if not is_job_of_run(job_file):
         return Path("results") / job_file.stem
     folder = job_file.parent
     return folder if folder.name not in ("", "..") else Path(os.path.abspath(folder))
@@ -222,8 +222,8 @@ def extent(folder: Path) -> Extent:
     total, changed, waiting = 0, 0.0, [os.fspath(folder)]
     while waiting:
         try:
-            with os.scandir(waiting.pop()) as found:
-                entries = list(found)
+            with os.scandir(waiting.pop()) as listing:
+                entries = list(listing)
         except OSError:
             continue
         for entry in entries:

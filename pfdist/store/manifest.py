@@ -203,8 +203,8 @@ class Manifest:
         with files.reading(path):
             text = path.read_text(encoding="utf-8", errors="replace")
         for line in text.splitlines():
-            if found := _LINE.fullmatch(line):
-                word, name, sha256, key = found.groups(default="")
+            if match := _LINE.fullmatch(line):
+                word, name, sha256, key = match.groups(default="")
                 yield word, name, sha256, key
 
     def _files(self) -> Iterator[Path]:

@@ -41,7 +41,7 @@ def repair_run(path: Path) -> Iterator[str]:
     with held(path):
         manifest = Manifest(path)
         moved = list(_moved(manifest, strange_entries(path)))
-        moved += _with_one_key(path)
+        moved += _with_own_key(path)
         store = Store(path)
         moved += _moved(store.manifest, store.manifest.damages())
         yield from moved
@@ -55,7 +55,7 @@ def run_again(path: Path) -> str:
     return f"run `pfdist run {job}`" if job.is_file() else f"run its job with --results {path}"
 
 
-def _with_one_key(path: Path) -> Iterator[str]:
+def _with_own_key(path: Path) -> Iterator[str]:
     """Make the manifest hold the run's own key, and say what was done.
 
     If neither the manifest nor job.toml and run.json say the key, all files go to quarantine: they
