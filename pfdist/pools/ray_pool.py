@@ -380,9 +380,10 @@ class RayPool:
         return max([ANSWER_SECONDS, *(2 * worker.task_patience for worker in self._members)])
 
     def _lose(self, worker: "_Worker", why: str, most: int) -> Iterator[Outcome]:
-        """End a lost worker; yield outcomes of tasks that are given up. The others are suspects.
+        """End a lost worker, and yield the outcomes of tasks that are given up.
 
-        A suspect is given up when it was the only task of so many lost workers.
+        Its other tasks are suspects. A suspect is given up when it was the only task of so many
+        lost workers.
         """
         self._last_loss = f" (the last was lost by {why.splitlines()[0]})"
         self._last_node, self._was_silent = worker.node, most == SILENCES

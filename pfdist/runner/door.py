@@ -470,7 +470,7 @@ class Loop:
         return own
 
     def _forget(self, batch: Batch) -> list[str]:
-        """Ids of the evaluations that a batch computes; from now on it computes none."""
+        """Ids of the evaluations that a batch computed; it is no longer noted for them."""
         ids = [id_ for id_, computing in self._computing.items() if computing is batch]
         for id_ in ids:
             del self._computing[id_]
@@ -495,7 +495,7 @@ class Loop:
 def _error_of(function: Callable[[], object]) -> PfdistError | None:
     """The error with which a call ends, if it belongs to one driver and the others can go on.
 
-    A `PoolError` is raised: without workers, no driver can go on.
+    A `PoolError` goes through: without workers, no driver can go on.
     """
     try:
         function()
@@ -536,6 +536,6 @@ def complete(
     pool: contextlib.AbstractContextManager[Pool],
     lenders: Iterable[Store] = (),
 ) -> Any:
-    """Serve a single driver, and return what it returns."""
+    """The value of a single driver, which is served to its end."""
     (value,) = Loop(pool, lenders=lenders).serve([driver])
     return value

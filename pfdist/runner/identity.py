@@ -149,7 +149,7 @@ def fingerprints(built: Built) -> dict[str, dict[str, Any]]:
 
 
 def check_same_job(path: Path, recorded: Mapping[str, Any], job: Job) -> None:
-    """Raise a `RunMismatchError` unless a job asks a question about this run.
+    """Raise a `RunMismatchError` if a question about a run comes with another job.
 
     `recorded` is the run's own job. The question leaves the numbers of draws as they are in the
     run, so they may differ.
