@@ -1,4 +1,4 @@
 """Checks of models, formulas and machines.
 
-A check computes little, changes nothing, and answers in sentences.
+A check takes little time, changes nothing, and answers in sentences.
 """

@@ -16,18 +16,14 @@ Array = NDArray[np.float64]
 Look = Callable[[StateSpaceModel, Draws], tuple[str, str]]
 _LOOKS: dict[str, Look] = {"pure": pure, "elementwise": elementwise}
 _INSTANTS = 500
-_DRAWS = 10  # simulated: a formula must do the same to a particle whatever the others are
+_DRAWS = 10  # simulated, so that a formula that mixes particles is found
 
 
 def few_draws(model: StateSpaceModel, horizon: int) -> Draws:
-    """Simulate a few draws in NumPy, and call every formula at every instant on arrays.
+    """A few draws in NumPy; every formula is called at every instant on arrays.
 
-    If the horizon is above 500, the draws end at instant 500, and formulas are called at 500 more.
-
-    Raises
-    ------
-    ModelError
-        A formula failed, or gave a value that is not finite.
+    If the horizon is above 500, the draws end at instant 500, and formulas are called at 500 later
+    instants. Raises `ModelError` if a formula failed, or gave a value that is not finite.
     """
     last, rng = min(horizon, _INSTANTS), np.random.default_rng(0)
     later = sorted({round(t) for t in np.linspace(last, horizon, _INSTANTS)} - {last})
@@ -59,7 +55,7 @@ def _noise(kinds: tuple[str, ...], rng: np.random.Generator) -> tuple[Array, ...
 def _finite(
     model: StateSpaceModel, formula: str, name: str, t: int, *arguments: Any
 ) -> tuple[Array, ...]:
-    """Call a formula for all draws, and check that its values are finite."""
+    """The values of a formula for all draws, which must be finite."""
     function = getattr(model, formula)
     values = tuple(
         np.array(np.broadcast_to(np.asarray(value, float), (_DRAWS,)))
@@ -74,9 +70,9 @@ def _finite(
 
 
 def look_at_formulas(model: StateSpaceModel, draws: Draws) -> Iterator[tuple[str, str, str]]:
-    """Look at a model's formulas in NumPy, on a few draws: give each look's name, state and text.
+    """Yield name, state and text of each check of a model's formulas in NumPy, on a few draws.
 
-    It ends with the first that is wrong: the others would say the same again.
+    The first wrong result is the last: the other checks would say the same again.
     """
     for name, look in _LOOKS.items():
         state, text = looked(look, model, draws)
@@ -86,7 +82,7 @@ def look_at_formulas(model: StateSpaceModel, draws: Draws) -> Iterator[tuple[str
 
 
 def looked(look: Look, model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
-    """Give the state and the text of one look; what a formula raises is wrong."""
+    """State and text of one check; an error that a formula raises is wrong."""
     try:
         with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
             return look(model, draws)
@@ -95,24 +91,16 @@ def looked(look: Look, model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
 
 
 def check_formulas(model: StateSpaceModel, draws: Draws) -> None:
-    """Refuse a model whose formulas are wrong, before any is compiled or any worker has a task.
+    """Refuse a model with wrong formulas, before any is compiled or any worker has a task.
 
-    Raises
-    ------
-    ModelError
-        A formula fails at some instant, is not pure, or mixes particles.
+    Raises `ModelError` if a formula fails at some instant, is not pure, or mixes particles.
     """
     for _, state, text in look_at_formulas(model, draws):
         _refuse(model, state, text)
 
 
 def check_compiled(model: StateSpaceModel, draws: Draws) -> None:
-    """Refuse a model, compiled, whose formulas give other values than in NumPy.
-
-    Raises
-    ------
-    ModelError
-    """
+    """Raise a `ModelError` if compiled formulas of a model give other values than in NumPy."""
     _refuse(model, *looked(compiled_as_in_numpy, model, draws))
 
 

@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 MEASUREMENTS = 20_000  # simulated at one state, to compare with the log-likelihood
 _PAIRS = 8  # of states, at each of a few instants
-_RARE = 0.005  # smallest share of measurements that still tells something: 100 of 20,000
+_RARE = 0.005  # smallest share of measurements that is evidence: 100 of 20,000
 _LARGEST_Z = 5.0  # standard errors; 1 in 10^6 of right models is blamed for each comparison
 
 
@@ -51,7 +51,7 @@ def _calls(model: StateSpaceModel, draws: Draws, t: int) -> dict[str, tuple[Any,
 
 
 def instants_of(draws: Draws) -> list[int]:
-    """A few instants, of which each has a following one."""
+    """A few instants before the last one."""
     last = draws.x.shape[1] - 2
     return sorted({0, last // 3, last})
 
@@ -71,7 +71,7 @@ def values_of(model: StateSpaceModel, name: str, arguments: tuple[Any, ...], siz
 
 
 def pure(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
-    """Call each formula twice: it must give the same, and change nothing."""
+    """State and text: each formula, called twice, must give the same, and change nothing."""
     for name, arguments in _calls_of(model, draws):
         before = [np.array(part) for group in arguments[:-1] for part in np.atleast_1d(group)]
         first = values_of(model, name, arguments, len(draws.index))
@@ -94,15 +94,15 @@ def pure(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
 
 
 def elementwise(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
-    """Call each formula on arrays and on their entries: it must do the same to each."""
+    """State and text: each formula must do to an array what it does to its entries."""
     some = np.linspace(0, len(draws.index) - 1, 10).astype(int)
     for name, arguments in _calls_of(model, draws):
         together = values_of(model, name, arguments, len(draws.index))[:, some]
-        alone = [
+        separately = [
             values_of(model, name, tuple(_entry(part, i) for part in arguments), 1)[:, 0]
             for i in some
         ]
-        if not np.allclose(together, np.array(alone).T, rtol=1e-9, atol=1e-12, equal_nan=True):
+        if not np.allclose(together, np.array(separately).T, rtol=1e-9, atol=1e-12, equal_nan=True):
             return "wrong", (
                 f"{name} must treat each particle alone, got other values for an array of "
                 "particles than for its entries one by one (a mean, sum or norm over an array? "
@@ -113,15 +113,18 @@ def elementwise(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
 
 
 def _entry(argument: Any, i: int) -> Any:
-    """One particle's part of an argument; t and p belong to all."""
+    """One particle's part of an argument; t and p belong to all particles."""
     if type(argument) is tuple:
         return tuple(component[i] for component in argument)  # of NumPy: x / 0 is infinite
     return argument
 
 
 def compiled_as_in_numpy(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
-    """Simulate two instants both ways: later ones of a chaotic model differ by the last digit."""
-    del draws  # these are too long
+    """State and text: x, y and z of two instants, simulated both ways, must agree.
+
+    Later instants of a chaotic model differ by the last digit.
+    """
+    del draws  # they have too many instants
     few = range(100)
     compiled, plain = (
         ENGINES[engine].simulate(model, 1, few, 0) for engine in ("compiled", "numpy")
@@ -141,15 +144,15 @@ def compiled_as_in_numpy(model: StateSpaceModel, draws: Draws) -> tuple[str, str
 
 
 def likelihood(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
-    """Compare the log-likelihood with what `measurement` gives.
+    """State and text: the log-likelihood must fit what `measurement` gives.
 
-    For y drawn at a state a, and any other state b at which y is possible, the mean of
-    p(y | b) / p(y | a) is 1: the integral of p(y | b). A factor of the likelihood that depends on y
-    alone cancels. b lies so near to a that the ratio has a small variance.
+    For y drawn at a state a, and any other state b at which y is possible, the mean of p(y | b) /
+    p(y | a) is 1: the integral of p(y | b). A factor of the likelihood that depends on y alone
+    cancels. b lies so near to a that the ratio has a small variance.
 
-    Where the likelihood jumps, as that of a sign does, there is no such b. Then the ratio counts
-    only for y that are less likely at b. Its mean over y drawn at a is the share of such y among
-    those drawn at b.
+    If the likelihood jumps, as that of a sign does, there is no such b. Then the ratio counts only
+    for y that are less likely at b. Its mean over y drawn at a is the share of such y among those
+    drawn at b.
     """
     rng, compared, apart = np.random.default_rng(0), 0, 0
     for t in instants_of(draws):
@@ -162,7 +165,7 @@ def likelihood(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
             if impossible:
                 return "wrong", (
                     f"log_likelihood must be finite for y measured at x, got NaN or infinity for "
-                    f"{impossible:.2%} of y measured at x = {told(a)}, t = {t}"
+                    f"{impossible:.2%} of y measured at x = {formatted_state(a)}, t = {t}"
                 )
             unlike = _most_unlike(model, draws, t, i, y)  # beyond a jump, even if few draws are
             b, jumps = _near(log_likelihood, a, draws.x[other, t], unlike)
@@ -182,12 +185,12 @@ def likelihood(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
             compared += 1
             mean, error = float(np.mean(ratio)), error / math.sqrt(MEASUREMENTS)
             if not abs(mean - share) < _LARGEST_Z * error:
-                states = f"x = {told(a)} and x = {told(b)} at t = {t}"
-                found = with_error(mean / share, error / share)
+                states = f"x = {formatted_state(a)} and x = {formatted_state(b)} at t = {t}"
+                ratio_text = with_error(mean / share, error / share)
                 return "wrong", (
                     "log_likelihood must be the log-density of measurement, up to a term that does "
                     f"not depend on x; but over y measured at the first of {states}, their "
-                    f"likelihoods' ratio has the mean {found}, not 1 "
+                    f"likelihoods' ratio has the mean {ratio_text}, not 1 "
                     "(a wrong deviation, or a term left out that depends on x?)"
                 )
     if apart and not compared:
@@ -198,7 +201,7 @@ def likelihood(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
 
 
 def measured(model: StateSpaceModel, x: Array, t: int, draw: int) -> tuple[Array, ...]:
-    """Simulate measurements at one state; another draw has other noise."""
+    """Simulated measurements at one state; another draw has other noise."""
     v = tuple(
         variates(kind, MEASUREMENTS, 2, draw, t, TRUTH_MEASUREMENT, component)
         for component, kind in enumerate(model.measurement_noise)
@@ -216,7 +219,7 @@ def _log_likelihood(model: StateSpaceModel, y: tuple[Array, ...], t: int, x: Arr
 def _most_unlike(
     model: StateSpaceModel, draws: Draws, t: int, i: int, y: tuple[Array, ...]
 ) -> Array:
-    """The state among all draws whose log-likelihood of the first y differs most from a draw's.
+    """The state of a draw whose log-likelihood of the first y differs most from draw i.
 
     A state at which this y is impossible is the last choice.
     """
@@ -249,6 +252,6 @@ def _near(
     return beyond, True
 
 
-def told(x: Array) -> str:
-    """Give a state as messages show it."""
+def formatted_state(x: Array) -> str:
+    """A state as messages show it."""
     return f"({', '.join(f'{value:.4g}' for value in x)})"

@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 Likelihood = Callable[[Array], Array]
 
 MOST_ON_A_GRID = 2  # components; with more the likelihood is sampled
-_INSIDE = (0.005, 0.995)  # quantiles of simulated measurements between which is integrated
+_INSIDE = (0.005, 0.995)  # quantiles of measurements between which the integral lies
 _KNOTS = {1: 257, 2: 17}  # of an axis, by the number of components
 _ORDER = 16  # of the Gauss-Legendre rule between two knots
 _MOST_SUMMED = 200_000  # points of a grid with whole numbers
@@ -37,29 +37,21 @@ class _Axis:
 
 
 def whole(y: Array) -> NDArray[np.bool_]:
-    """Say of each component of measurements (m, K) whether all its values are whole numbers."""
-    found: NDArray[np.bool_] = (y == np.round(y)).all(axis=1)
-    return found
+    """Whether all values of each component of measurements (m, K) are whole numbers, (m,)."""
+    are_whole: NDArray[np.bool_] = (y == np.round(y)).all(axis=1)
+    return are_whole
 
 
 def integral(likelihood: Likelihood, y: Array) -> Estimate:
-    """Integrate a likelihood over y, where measurements were simulated; whole numbers are summed.
+    """The integral of a likelihood over y, near simulated measurements; whole numbers are summed.
 
     With one or two components, the integral over a central region must be the share of measurements
     in it. With more, the mean over the measurements of a narrower normal density over the
     likelihood must be 1 (importance sampling).
 
-    Parameters
-    ----------
-    likelihood : callable
-        From points (m, L) to the likelihood of each, (L,).
-    y : array of float64, (m, K)
-        Measurements at one state.
-
-    Raises
-    ------
-    NoIntegralError
-        There is no density, or whole numbers are too many.
+    `likelihood` takes points (m, L) and gives the likelihood of each, (L,). y, (m, K), has
+    measurements at one state. Raises `NoIntegralError` if there is no density, or if whole numbers
+    are too many.
     """
     counts = whole(y)
     for component in np.flatnonzero(~counts):
@@ -76,7 +68,7 @@ def integral(likelihood: Likelihood, y: Array) -> Estimate:
 def _on_a_grid(
     likelihood: Likelihood, fitted: Array, others: Array, counts: NDArray[np.bool_]
 ) -> Estimate:
-    """Integrate over a box, along the axes of the measurements' covariance."""
+    """The integral over a box, along the axes of the measurements' covariance."""
     along = np.eye(len(fitted)) if counts.any() else _moments(fitted)[1]
     axes = [
         _summed(values) if is_whole else _between(values, _KNOTS[len(fitted)])

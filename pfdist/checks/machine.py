@@ -25,18 +25,10 @@ Finding = tuple[str, str]
 
 
 def examine(results: Path, address: str = "") -> Iterator[Check]:
-    """Check everything that a run needs of a machine.
+    """Yield a check of everything that a run needs of a machine.
 
-    Parameters
-    ----------
-    results : Path
-        The folder for runs.
-    address : str
-        The address of a Ray cluster whose nodes are checked, too.
-
-    Yields
-    ------
-    Check
+    `results` is the folder for runs. If there is an address, the nodes of this Ray cluster are
+    checked, too.
     """
     looks: dict[str, Callable[[], Finding]] = {
         "cores": _cores,
@@ -57,8 +49,8 @@ def examine(results: Path, address: str = "") -> Iterator[Check]:
 
 
 def _cores() -> Finding:
-    said = ", ".join(f"{name} {count}" for name, count in limits().items())
-    return "ok", f"{usable_cores()} for workers ({said}; the host has {os.cpu_count()})"
+    limits_as_text = ", ".join(f"{name} {count}" for name, count in limits().items())
+    return "ok", f"{usable_cores()} for workers ({limits_as_text}; the host has {os.cpu_count()})"
 
 
 def _memory() -> Finding:
@@ -81,13 +73,13 @@ def _enough(free: float, least: float, who: str, what: str) -> Finding:
 
 
 def _ray() -> Finding:
-    found = version("ray")
-    if tuple(int(part) for part in found.split(".")[:2]) < LEAST_RAY:
+    installed = version("ray")
+    if tuple(int(part) for part in installed.split(".")[:2]) < LEAST_RAY:
         return (
             "wrong",
-            f"{found}: pages of a browser may run code here (CVE-2025-62593), 2.52 mends it",
+            f"{installed}: pages of a browser may run code here (CVE-2025-62593), 2.52 mends it",
         )
-    return "ok", found
+    return "ok", installed
 
 
 def _ports() -> Finding:
@@ -98,7 +90,7 @@ def _ports() -> Finding:
 
 
 def _results(results: Path) -> Finding:
-    """Try the operations of a file system that the store needs, in the folder for runs."""
+    """Whether files in the folder for runs can be written, flushed, replaced and locked."""
     above = (results.absolute(), *results.absolute().parents)
     folder = next(path for path in above if path.is_dir())
     doing = "written"
@@ -123,7 +115,7 @@ def _results(results: Path) -> Finding:
 
 
 def _nodes(address: str) -> Iterator[Check]:
-    # Here and not above: without a cluster nothing of this needs Ray.
+    # Imported here: without a cluster nothing of this module needs Ray.
     from pfdist.pools.ray_cluster import describe_nodes  # noqa: PLC0415
 
     here = {"Python": platform.python_version(), "pfdist": version("pfdist")}

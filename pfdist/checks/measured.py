@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pfdist.checks.formulas import instants_of, likelihood, measured, told, values_of
+from pfdist.checks.formulas import formatted_state, instants_of, likelihood, measured, values_of
 from pfdist.checks.integrals import MOST_ON_A_GRID, NoIntegralError, integral, whole
 from pfdist.filters.draws import Draws
 from pfdist.models import StateSpaceModel
@@ -15,11 +15,11 @@ Array = NDArray[np.float64]
 
 _STATES = 3  # at each of a few instants
 _LARGEST_Z = 5.0  # standard errors; 1 in 10^6 of right models is blamed for each state
-_INTEGRATION = 1e-4  # error of an integral that no standard error knows
+_INTEGRATION = 1e-4  # error of the integration, which is not in the standard error
 
 
 def normalised(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
-    """Integrate exp(log_likelihood) over y at a few simulated states: the integral must be 1."""
+    """State and text: exp(log_likelihood) must have the integral 1 at a few simulated states."""
     rng, summed, states = np.random.default_rng(0), False, 0
     for t in instants_of(draws):
         for number, x in enumerate(rng.choice(draws.x[:, t], size=_STATES, replace=False)):
@@ -28,18 +28,18 @@ def normalised(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
             def density(points: Array, x: Array = x, t: int = t) -> Array:
                 arguments = tuple(points), tuple(x.tolist()), t, model.p
                 (log,) = values_of(model, "log_likelihood", arguments, points.shape[1])
-                found: Array = np.exp(log)
-                return found
+                values: Array = np.exp(log)
+                return values
 
             try:
-                found = integral(density, y)
+                total = integral(density, y)
             except NoIntegralError as reason:
                 return "note", f"it cannot be checked: {reason}"
             states, summed = states + 1, summed or bool(whole(y).all())
-            if not abs(found.value - 1) < _LARGEST_Z * found.standard_error + _INTEGRATION:
+            if not abs(total.value - 1) < _LARGEST_Z * total.standard_error + _INTEGRATION:
                 return "wrong", (
                     "exp(log_likelihood) must have the integral 1 over y, as normalised=True "
-                    f"declares, got {found.text} at x = {told(x)}, "
+                    f"declares, got {total.text} at x = {formatted_state(x)}, "
                     f"t = {t} (a constant left out, such as -log(sd) - log(2 pi) / 2?)"
                 )
     if summed:
@@ -49,7 +49,7 @@ def normalised(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
 
 
 def missing_components(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
-    """Check the log-likelihood with each component of y missing."""
+    """State and text: the log-likelihood must be right with each component of y missing."""
     count = model.components[1]
     if count == 1:
         return "note", "y has one component: a time without it is not measured"
@@ -64,7 +64,7 @@ def missing_components(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
 
 
 def _without(model: StateSpaceModel, component: int) -> StateSpaceModel:
-    """Give the model whose measurements lack a component."""
+    """The model whose measurements lack a component."""
 
     def measurement(x: Any, t: Any, v: Any, p: Any) -> Any:
         y = model.measurement(x, t, v, p)
@@ -74,7 +74,7 @@ def _without(model: StateSpaceModel, component: int) -> StateSpaceModel:
 
 
 def _rest(model: StateSpaceModel, component: int) -> StateSpaceModel:
-    """Give the model that measures the other components alone."""
+    """The model that measures only the other components."""
 
     def measurement(x: Any, t: Any, v: Any, p: Any) -> Any:
         y = model.measurement(x, t, v, p)

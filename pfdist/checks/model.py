@@ -29,14 +29,14 @@ from pfdist.models.parameters import check_lengths
 from pfdist.times.measurement_times import regular
 
 _DRAWS = 1000
-_FEW = 10  # draws, for what is done instant by instant in NumPy
+_FEW = 10  # draws, for checks that go from instant to instant in NumPy
 _FEW_PARTICLES = 50
 _FINER = 4  # times the particles, to see whether the loss falls as 1/P
-_SECONDS = 4.0  # for an evaluation of fewer draws, where a thousand take longer
+_SECONDS = 4.0  # longest evaluation; a slow model has fewer draws than a thousand
 
 
 def _same_bytes(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
-    """Whether the compiled formulas give the same bytes on another processor."""
+    """State and text: whether compiled formulas give the same bytes on other processors."""
     called = Evaluator(model, draws.instants[-1], estimations=(Estimation(1),)).libm_functions
     if not called:
         return "ok", "the compiled formulas give the same bytes on all processors"
@@ -80,25 +80,13 @@ def check_model(
     folder: Path = Path(),
     times: Sequence[float] = (),
 ) -> Iterator[Check]:
-    """Check a model in every way, and give each result when it is known.
+    """Yield the result of each check of a model as soon as it is known.
 
-    Parameters
-    ----------
-    name : str
-        As a job has it: a model that ships, an entry point, or ``path/file.py:object``.
-    horizon : int
-        T of the draws that are simulated. A clock takes the place of it.
-    particles : int
-        Number of particles of the filter that is timed.
-    folder : Path
-        The folder to which a path in the name is relative.
-    times : sequence of float, (T+1,)
-        The clock: the time of each instant. By default 0..T for a model that reads a clock, and no
-        clock for other models.
-
-    Yields
-    ------
-    Check
+    The name is as a job has it: a model that ships, an entry point, or ``path/file.py:object``,
+    with a path relative to the folder. The draws have instants 0..horizon; a clock replaces the
+    horizon. `particles` is the number of particles of the filter that is timed. `times`, (T+1,), is
+    the clock: the time of each instant. By default it is 0..T for a model that reads a clock, and
+    other models have none.
     """
     try:
         model = carried_model(name, folder).model
@@ -111,7 +99,7 @@ def check_model(
 def check_object(
     model: StateSpaceModel, horizon: int, particles: int, times: Sequence[float] = ()
 ) -> Iterator[Check]:
-    """Check a model that is loaded; parameters and result as of `check_model`."""
+    """Yield the result of each check of a model that is loaded; arguments as of `check_model`."""
     states, measurements, quantities = model.components
     sizes = f"{states} of x, {measurements} of y, {quantities} of z"
     yield Check("load", "ok", f"{model.name}: components {sizes}")
@@ -138,7 +126,7 @@ def check_object(
 
 
 def _computed(model: StateSpaceModel, horizon: int, estimation: Estimation) -> Iterator[Check]:
-    """Look at a model whose formulas are right in NumPy, as an engine computes it."""
+    """Yield checks of a model whose formulas are right in NumPy, as an engine computes it."""
     engine = "compiled"
     try:
         Evaluator(model, horizon).compile(estimation)
@@ -183,7 +171,7 @@ def _clock(clock: Sequence[float], is_assumed: bool) -> tuple[str, str]:
 
 
 def _every_instant(engine: str, model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
-    """Call every formula at every instant with both engines, because a search may measure there."""
+    """State and text: both engines call every formula at every instant, measured or not."""
     few, instants = draws[:_FEW], range(draws.x.shape[1])
     for name in dict.fromkeys([engine, "numpy"]):
         ENGINES[name].simulate(model, instants[-1], few.index, 0)
@@ -201,7 +189,7 @@ def _linear_gaussian(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
 
 
 def _particles(evaluator: Evaluator, work: Work) -> tuple[str, str]:
-    """Measure what the particles lose; if it is much, whether more of them are known to help."""
+    """State and text: the loss by the number of particles, and a number that is enough."""
     loss = _loss(evaluator, work)
     text = f"{loss.particles} particles lose {loss.text}"
     if not loss.is_large:
@@ -236,13 +224,13 @@ def _loss(evaluator: Evaluator, work: Work) -> ParticleLoss:
 
 
 def _filtered(evaluator: Evaluator, estimation: Estimation) -> Iterator[Check]:
-    """Measure how long an evaluation takes and how many draws are degenerate."""
+    """Yield checks of an evaluation: its time, its cost, and its degenerate draws."""
     times = regular(evaluator.horizon, max(2, (evaluator.horizon + 1) // 3))
     work = Work((times,), (evaluator.horizon,), (3,), 3, (0, 1), estimation)
     seconds_a_draw = evaluator.seconds_a_step * work.steps_a_draw
     draws = min(_DRAWS, max(1, int(_SECONDS / seconds_a_draw)))
     start = time.perf_counter()
-    with np.errstate(over="ignore", invalid="ignore"):  # what comes of it is said below
+    with np.errstate(over="ignore", invalid="ignore"):  # the check below reports infinite errors
         mse = evaluator(replace(work, draws=(0, draws))).mse[:, 0]
     seconds = (time.perf_counter() - start) * _DRAWS / draws
     usable = mse[~np.isnan(mse)]
@@ -251,9 +239,9 @@ def _filtered(evaluator: Evaluator, estimation: Estimation) -> Iterator[Check]:
         f"{share:.2%} of draws with {len(times)} regular times and {estimation.particles} particles"
     )
     yield Check("degenerate draws", "note" if share else "ok", text)
-    known = Estimate.of_mean(usable)
-    text = f"{known.text} with these times"
-    if math.isfinite(known.value) and math.isfinite(known.standard_error):
+    mean = Estimate.of_mean(usable)
+    text = f"{mean.text} with these times"
+    if math.isfinite(mean.value) and math.isfinite(mean.standard_error):
         yield Check("expected MSE", "ok", text)
     else:
         got = text if usable.size else "no usable draw"

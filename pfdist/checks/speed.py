@@ -28,7 +28,7 @@ _SLOW = {
 
 
 def speed(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
-    """Look for arrays that the formulas make or index for each particle, and for their lines."""
+    """State and text: which formulas make or index arrays for each particle, and on which lines."""
     indexed = [
         f"{array} in {name} ({place})"
         for name, function in model.formulas.items()
@@ -41,19 +41,19 @@ def speed(model: StateSpaceModel, draws: Draws) -> tuple[str, str]:
             f"{', '.join(dict.fromkeys(indexed))}: each index is checked for each particle, which "
             "may take 8 times the time; a parameter p.NAME[t] needs no check"
         )
-    found = [
+    places = [
         f"{what} in {name} ({place}): {cure}"
         for name, function in model.formulas.items()
         for what, place, cure in _slow_places(function)
     ]
     return "note", (
         "formulas that make arrays for each particle take 30 to 500 ns where others take 1: "
-        + ("; ".join(dict.fromkeys(found)) or f"which is not known; {_OUT}")
+        + ("; ".join(dict.fromkeys(places)) or f"which is not known; {_OUT}")
     )
 
 
 def _slow_places(function: Callable[..., Any]) -> Iterator[tuple[str, str, str]]:
-    """Give what makes an array in a function and in those it calls, where, and what to write."""
+    """Yield calls that make an array, in a function and those it calls, with place and remedy."""
     for called in _functions(function):
         code = called.__code__
         lines = {line for *_, line in code.co_lines() if line}
@@ -70,7 +70,7 @@ def _slow_places(function: Callable[..., Any]) -> Iterator[tuple[str, str, str]]
 
 
 def _indexed(function: Callable[..., Any]) -> Iterator[tuple[str, str]]:
-    """Give the global arrays that a function and those it calls index, and where."""
+    """Yield the global arrays that a function and those it calls index, and the places."""
     for called in _functions(function):
         node = node_of(called)
         for each in ast.walk(node) if node else ():

@@ -16,24 +16,24 @@ _NOTHING: Mapping[str, Any] = MappingProxyType({})
 
 
 def as_job(
-    asked: Asked,
+    source: Asked,
     overrides: Iterable[str] = (),
     sections: Mapping[str, Any] = _NOTHING,
     settings: Mapping[str, Any] = _NOTHING,
 ) -> Job:
-    """Give the job of a problem or of a file, or a job, with changes.
+    """The job of a problem or of a file, or a job itself, with changes.
 
-    Parameters and errors are those of `pfdist.load_job`.
+    The arguments and errors are those of `pfdist.load_job`.
     """
     overrides = texts_argument("changes", overrides)
-    if isinstance(asked, str | Path):
-        return load_job(asked, overrides, sections, settings)
-    if not isinstance(asked, Problem | Job):
+    if isinstance(source, str | Path):
+        return load_job(source, overrides, sections, settings)
+    if not isinstance(source, Problem | Job):
         raise JobError(
             "a job must be a pfdist.Problem, a pfdist.Job or the path of a job file, got "
-            f"{shown(asked)}",
+            f"{shown(source)}",
             argument="job",
         )
-    job = asked.job() if isinstance(asked, Problem) else asked
+    job = source.job() if isinstance(source, Problem) else source
     changed = overrides or sections or settings
     return job.with_changes(overrides, sections, settings) if changed else job

@@ -9,24 +9,11 @@ from pfdist.times.written import validated_instants
 
 
 def given_sets(comparison: Comparison, problem: ProblemSection) -> dict[str, Times | None]:
-    """Give the instants of all sets that a job gives, by name, the reference first.
+    """Instants of all sets that a job gives, by name, the reference first.
 
-    Parameters
-    ----------
-    comparison : Comparison
-    problem : ProblemSection
-        Its clock reads the times.
-
-    Returns
-    -------
-    dict of str to tuple of int or None
-        None stands for the regular times of the problem.
-
-    Raises
-    ------
-    MeasurementTimesError
-        A time lies outside the horizon, is no time of the clock, or stands twice. The error names
-        the key.
+    None stands for the regular times of the problem. The clock of the problem reads the times.
+    Raises `MeasurementTimesError` if a time lies outside the horizon, is no time of the clock, or
+    stands twice; it names the key.
     """
     first = comparison.reference_name
     written = {name: (f"comparison.sets.{name}", times) for name, times in comparison.named.items()}
@@ -42,10 +29,8 @@ def given_sets(comparison: Comparison, problem: ProblemSection) -> dict[str, Tim
 def check_names(comparison: Comparison, searches: Iterable[str]) -> None:
     """Check the names of the sets that a job gives, and those of its searches.
 
-    Raises
-    ------
-    ValueError
-        A name is reserved or stands twice, or the reference is no set of the job.
+    Raises `ValueError` if a name is reserved or stands twice, or if the reference is no set of the
+    job.
     """
     names = list(searches)
     for name in names:

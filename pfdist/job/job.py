@@ -36,33 +36,20 @@ if TYPE_CHECKING:  # a job is read without Numba
     from pfdist.models import CarriedModel
 
 ONLINE: Final = "online"
-"""Name of the times that are chosen one after another, beside the names of the searches."""
+"""Name of the times that are chosen one after another; no search has it."""
 MOST_SEARCHES: Final = 100  # a figure of more searches could not be read
 _NOTHING: Mapping[str, Any] = {}
 
 
 class Origin(NamedTuple):
-    """Where a job comes from.
+    """Where a job comes from."""
 
-    Parameters
-    ----------
-    path : Path
-        The job file. Paths of models are relative to its folder, and a run has its name.
-    names_searches : bool
-        Whether the job file has a [[search]]. Otherwise the job has the default search.
-    names_online : bool
-        Whether the job file has a section [online].
-    models : mapping of str to CarriedModel
-        Models that were given as objects, for the parts "model" and "filter_model".
-    is_file : bool
-        Whether there is a job file. A problem in Python has none.
-    """
-
-    path: Path = Path("job.toml")
-    names_searches: bool = False
-    names_online: bool = False
+    path: Path = Path("job.toml")  # paths of models are relative to its folder; a run has its name
+    names_searches: bool = False  # whether the file has a [[search]]; else the job has the default
+    names_online: bool = False  # whether the file has a section [online]
+    # Models that were given as objects, for the parts "model" and "filter_model".
     models: Mapping[str, "CarriedModel"] = _NOTHING
-    is_file: bool = True
+    is_file: bool = True  # a problem in Python has no job file
 
 
 _NO_FILE = Origin()
@@ -175,7 +162,7 @@ class Job(Section):
         return given_sets(self.comparison, self.problem)
 
     def feasible(self, measurement_budget: int) -> Feasible:
-        """Give the feasible sets of another number of measurements."""
+        """The feasible sets of another number of measurements."""
         return replace(self.problem.feasible, measurement_budget=measurement_budget)
 
     @property
@@ -189,7 +176,7 @@ class Job(Section):
         sections: Mapping[str, Any] = _NOTHING,
         settings: Mapping[str, Any] = _NOTHING,
     ) -> "Job":
-        """Give a job with some keys changed; parameters and errors as of `load_job`."""
+        """The job with some keys changed; parameters and errors as of `load_job`."""
         data = self.model_dump(mode="json", exclude_none=True) | dict(sections)
         return _validated(data, self._origin, overrides, settings)
 
@@ -214,7 +201,7 @@ class Job(Section):
         return self._origin.models
 
     def identity(self) -> dict[str, Any]:
-        """Give all that identifies a run of this job: everything but [execution]."""
+        """Everything that identifies a run of this job: all sections but [execution]."""
         return self.model_dump(mode="json", exclude={"execution"}, exclude_none=True)
 
 
@@ -224,7 +211,7 @@ def load_job(
     sections: Mapping[str, Any] = _NOTHING,
     settings: Mapping[str, Any] = _NOTHING,
 ) -> Job:
-    """Give the job of a job file, read and validated.
+    """The job of a job file, read and validated.
 
     Parameters
     ----------
@@ -257,12 +244,9 @@ def load_job(
 
 
 def toml_of_file(path: Path) -> dict[str, Any]:
-    """Give the data of a job file or a sweep file.
+    """The data of a job file or a sweep file.
 
-    Raises
-    ------
-    JobError
-        The file cannot be read, or is no TOML.
+    Raises `JobError` if the file cannot be read, or is no TOML.
     """
     try:
         return parse_toml(read_text(path))
@@ -284,20 +268,20 @@ def is_job_file(path: Path) -> bool:
 
 
 def job_toml(identity: Mapping[str, Any]) -> str:
-    """Give the identity of a run as TOML. The same identity gives the same text."""
+    """The identity of a run as TOML. The same identity gives the same text."""
     return tomli_w.dumps(identity)
 
 
 def _validated(
     data: dict[str, Any], origin: Origin, overrides: Iterable[str], settings: Mapping[str, Any]
 ) -> Job:
-    given, data = list(overrides), deepcopy(data)
-    for change in given:
+    changes_as_text, data = list(overrides), deepcopy(data)
+    for change in changes_as_text:
         override(data, change)
-    given += set_values(data, settings)
+    changes_as_text += set_values(data, settings)
     try:
         return Job(origin, **data)
     except JobError as error:
-        changes = f"with {shown_text(' '.join(given))}" if given else ""
+        changes = f"with {shown_text(' '.join(changes_as_text))}" if changes_as_text else ""
         where = f"{origin.path} {changes}".strip() if origin.is_file else changes
         raise JobError(f"{error} ({where})" if where else str(error)) from error

@@ -12,38 +12,25 @@ from pfdist.times.clock import Time
 MOST_JUDGED = 64
 _DIGITS = 8  # of the name
 
-Found = Mapping[str, Mapping[str, tuple[Time, ...]]]
-"""The times that the searches of each point have found: by the point's name and the search's."""
+TimesByPoint = Mapping[str, Mapping[str, tuple[Time, ...]]]
+"""The times that each search has found at each point, by the names of point and search."""
 
 
-def judging(asked: SweepJob, found: Found) -> SweepJob:
-    """Give the sweep that compares, at every point, the times found at all points.
+def judging(sweep: SweepJob, times_by_point: TimesByPoint) -> SweepJob:
+    """The sweep that compares, at every point, the times found at all points.
 
-    Parameters
-    ----------
-    asked : SweepJob
-        The sweep whose points have found times.
-    found : mapping
-
-    Returns
-    -------
-    SweepJob
-        Its jobs have no search. They compare the sets of `judged_sets`, and other sets give it
-        another name.
-
-    Raises
-    ------
-    JobError
-        There are too many sets, or a point's times are no times of another point.
+    Its jobs have no search. They compare the sets of `judged_sets`. The sets give the sweep its
+    name, so other sets give another name. Raises `JobError` if there are too many sets, or if a
+    point's times are no times of another point.
     """
-    sets = judged_sets(found)
+    sets = judged_sets(times_by_point)
     if len(sets) > MOST_JUDGED:
         raise JobError(
             f"a sweep can judge at most {MOST_JUDGED} sets of times, got {len(sets)}: sweep over "
             "fewer points"
         )
     jobs = {}
-    for name, job in asked.jobs.items():
+    for name, job in sweep.jobs.items():
         try:
             jobs[name] = _comparing(job, sets)
         except JobError as error:
@@ -51,18 +38,15 @@ def judging(asked: SweepJob, found: Found) -> SweepJob:
                 f"times found at other points cannot be judged at {name}: {error}"
             ) from error
     key = stream_key([[name, list(times)] for name, times in sets.items()])
-    return SweepJob(f"{key:016x}"[:_DIGITS], asked.points, jobs)
+    return SweepJob(f"{key:016x}"[:_DIGITS], sweep.points, jobs)
 
 
-def check_comparable(asked: SweepJob) -> None:
-    """Refuse a sweep whose points have different clocks: times of a point mean nothing elsewhere.
+def check_comparable(sweep: SweepJob) -> None:
+    """Raise a `JobError` if the points of a sweep have different horizons or clocks.
 
-    Raises
-    ------
-    JobError
-        Two points have different horizons or clocks.
+    Times of a point would mean nothing at another.
     """
-    first, *others = asked.jobs.items()
+    first, *others = sweep.jobs.items()
     for name, job in others:
         if job.problem.clock != first[1].problem.clock:
             raise JobError(
@@ -72,18 +56,16 @@ def check_comparable(asked: SweepJob) -> None:
             )
 
 
-def judged_sets(found: Found) -> dict[str, tuple[Time, ...]]:
-    """Give different times, named after the first point where they were found.
+def judged_sets(times_by_point: TimesByPoint) -> dict[str, tuple[Time, ...]]:
+    """Different sets of times, named after the first point where they were found.
 
-    Examples
-    --------
     >>> found = {"seed=1": {"race": (1, 2)}, "seed=2": {"race": (1, 2)}, "seed=3": {"race": (2, 3)}}
     >>> judged_sets(found)
     {'point_1': (1, 2), 'point_3': (2, 3)}
     """
-    several = any(len(sets) > 1 for sets in found.values())
+    several = any(len(sets) > 1 for sets in times_by_point.values())
     names = dict[tuple[Time, ...], str]()
-    for number, sets in enumerate(found.values(), 1):
+    for number, sets in enumerate(times_by_point.values(), 1):
         for search, times in sets.items():
             names.setdefault(times, f"point_{number}_{search}" if several else f"point_{number}")
     return {name: times for times, name in names.items()}

@@ -13,7 +13,7 @@ _QUICK: Mapping[str, Any] = {"rounds": 1, "reach": 2.0}
 PLANNING: Final = METHODS["corridor"].section(
     evaluation=CommonNoiseSettings(draws=64, particles=64), **_QUICK
 )
-"""The search that plans the measurements that are left, unless a job names another: a quick one."""
+"""A quick search that plans the remaining measurements, unless a job names another search."""
 if TYPE_CHECKING:
     Search = SearchSection
     OnlineSearch = SearchSection
@@ -24,8 +24,9 @@ else:
 class Online(Section):
     """Times that are chosen one after another, each when the last measurement has been seen.
 
-    The keys of ``online.search`` are those of a [[search]]. Its name and ``polish`` do nothing. It
-    is a quick corridor search in all keys that are not given, unless it names another method.
+    The keys of ``online.search`` are those of a [[search]]. Its name and ``polish`` have no effect.
+    Unless it names another method, the keys that are not given are those of a quick corridor
+    search.
     """
 
     draws: Annotated[int, Field(ge=2, le=10_000_000)] = 1000

@@ -10,19 +10,10 @@ from pfdist.errors import JobError, shown, shown_text
 
 
 def override(data: dict[str, Any], change: str) -> None:
-    """Change a value in the data of a job, in place.
+    """Change a value in the data of a job file, in place.
 
-    Parameters
-    ----------
-    data : dict
-        The data of a job file.
-    change : str
-        ``key=value``, with a dotted key and a TOML value; see `pfdist.job.job.load_job`.
-
-    Raises
-    ------
-    JobError
-        The text is no such change, or the job has no such section or search.
+    The change is ``key=value``, with a dotted key and a TOML value; see `pfdist.job.job.load_job`.
+    Raises `JobError` if it is no such text, or if the job has no such section or search.
     """
     key, equals, text = change.partition("=")
     path = [part.strip() for part in key.split(".")]
@@ -55,20 +46,10 @@ def override(data: dict[str, Any], change: str) -> None:
 
 
 def set_values(data: dict[str, Any], settings: Mapping[str, Any]) -> list[str]:
-    """Set typed values in the data of a job, in place.
+    """Set typed values in the data of a job file, in place, and return the changes as text.
 
-    Parameters
-    ----------
-    data : dict
-        The data of a job file.
-    settings : mapping of str to object
-        A value for each key, or a mapping of keys to values for each section; an empty mapping
-        makes a section. None leaves the value as it is.
-
-    Returns
-    -------
-    list of str
-        The changes as text, for errors.
+    `settings` has a value for each key, or a mapping of keys to values for each section. An empty
+    mapping makes a section. None leaves the value as it is. The texts are for errors.
     """
     changes = []
     for name, value in settings.items():
@@ -86,7 +67,7 @@ def set_values(data: dict[str, Any], settings: Mapping[str, Any]) -> list[str]:
 
 
 def _value(text: str, change: str) -> Any:
-    """The value that a text spells in TOML, or the text itself if it spells no value."""
+    """The TOML value that a text spells, or the text itself if it spells none."""
     try:
         text.encode()
     except UnicodeEncodeError as error:
@@ -111,5 +92,5 @@ def _search_named(data: dict[str, Any], name: str, change: str) -> dict[str, Any
             f"{did_you_mean(name, names)}",
             argument="set",
         )
-    found: dict[str, Any] = searches[names.index(name)]
-    return found
+    section: dict[str, Any] = searches[names.index(name)]
+    return section

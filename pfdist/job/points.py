@@ -17,7 +17,7 @@ from pfdist.errors import JobError, shown, shown_text
 
 MOST_POINTS = 10_000
 _LONGEST_VALUE, _LONGEST_NAME = 40, 150  # characters; a folder's name has at most 255
-_STRANGE = re.compile(r"[^A-Za-z0-9.+-]+")  # what a value in a folder's name does not hold
+_STRANGE = re.compile(r"[^A-Za-z0-9.+-]+")  # characters that no value in a folder's name has
 _RANGE = re.compile(r"[-+0-9:,\s]*:[-+0-9:,\s]*")
 
 Values = Mapping[str, Any]
@@ -25,18 +25,10 @@ Values = Mapping[str, Any]
 
 
 class Point(NamedTuple):
-    """A point of a sweep.
+    """A point of a sweep."""
 
-    Parameters
-    ----------
-    name : str
-        Name of the run's folder, made of the values: ``seed=1,measurement_budget=10``.
-    chosen : mapping of str to object
-        The value of each key that differs between points.
-    """
-
-    name: str
-    chosen: Values
+    name: str  # of the run's folder, made of the values: ``seed=1,measurement_budget=10``
+    chosen: Values  # of the keys that differ between points
 
     @property
     def changes(self) -> list[str]:
@@ -47,26 +39,14 @@ class Point(NamedTuple):
 def points_of(
     over: Values, parallel: Sequence[Values] = (), points: Sequence[Values] = ()
 ) -> tuple[Point, ...]:
-    """Give the points of a sweep, in the order in which they are computed.
+    """The points of a sweep, in the order in which they are computed.
 
-    Parameters
-    ----------
-    over : mapping of str to sequence
-        Values of each key. Every combination is a point; the last key changes fastest.
-    parallel : sequence of mappings of str to sequence
-        Groups of keys with equally many values, which change together. Each group is combined with
-        all other keys.
-    points : sequence of mappings of str to object
-        Further points, with a value for each key.
+    `over` has the values of each key. Every combination is a point; the last key changes fastest.
+    `parallel` has groups of keys with equally many values, which change together. Each group is
+    combined with all other keys. `points` are further points, with a value for each key. Raises
+    `JobError` if values are no list, if lists which change together have different lengths, if a
+    point or a key stands twice, or if there are no points or too many.
 
-    Raises
-    ------
-    JobError
-        Values are no list, lists that change together have different lengths, a point or a key
-        stands twice, or there are no points or too many.
-
-    Examples
-    --------
     >>> [point.name for point in points_of({"seed": [1, 2], "filter.particles": [50]})]
     ['seed=1,particles=50', 'seed=2,particles=50']
     """
@@ -89,12 +69,9 @@ def points_of(
 
 
 def values_by_key(texts: Iterable[str]) -> dict[str, list[Any]]:
-    """Give the values of each key from texts such as ``seed=1:10``; see `values_in`.
+    """The values of each key from texts such as ``seed=1:10``; see `values_in`.
 
-    Raises
-    ------
-    JobError
-        A text is no key with values, or a key stands twice.
+    Raises `JobError` if a text is no key with values, or if a key stands twice.
     """
     pairs = [values_in(text) for text in texts]
     _check_keys([key for key, _ in pairs])
@@ -102,12 +79,9 @@ def values_by_key(texts: Iterable[str]) -> dict[str, list[Any]]:
 
 
 def values_in(text: str) -> tuple[str, list[Any]]:
-    """Give the key and the values of ``seed=1:10`` or ``problem.measurement_budget=10,15,21``.
+    """The key and the values of ``seed=1:10`` or ``problem.measurement_budget=10,15,21``.
 
-    Raises
-    ------
-    JobError
-        The text is no key with values.
+    Raises `JobError` if the text is no key with values.
     """
     key, equals, values = text.partition("=")
     if not equals or not key.strip() or not values.strip():
@@ -123,10 +97,10 @@ def _listed(key: str, text: str) -> list[Any]:
     if _RANGE.fullmatch(text):
         return _numbers(key, text)
     try:
-        found: list[Any] = parse_toml(f"values = [{text}]")["values"]
+        values: list[Any] = parse_toml(f"values = [{text}]")["values"]
     except ValueError:  # bare words: filter.resampling=systematic,stratified
         return [word.strip() for word in text.split(",")]
-    return found
+    return values
 
 
 def _numbers(key: str, text: str) -> list[int]:
@@ -137,10 +111,8 @@ def _numbers(key: str, text: str) -> list[int]:
 
 
 def dotted(values: Values, before: str = "") -> dict[str, Any]:
-    """Join the keys of sections with dots: TOML reads ``filter.particles`` as a section.
+    """Values by dotted keys: TOML reads ``filter.particles`` as a section with a key.
 
-    Examples
-    --------
     >>> dotted({"seed": 1, "filter": {"particles": 100}})
     {'seed': 1, 'filter.particles': 100}
     """
@@ -149,17 +121,17 @@ def dotted(values: Values, before: str = "") -> dict[str, Any]:
             "a sweep must go over a mapping of keys to values, for instance "
             f"{{'seed': [1, 2]}}, got {shown(values)}"
         )
-    found: dict[str, Any] = {}
+    joined: dict[str, Any] = {}
     for key, value in values.items():
         if isinstance(value, Mapping):
-            found |= dotted(value, f"{before}{key}.")
+            joined |= dotted(value, f"{before}{key}.")
         else:
-            found[f"{before}{key}"] = value
-    return found
+            joined[f"{before}{key}"] = value
+    return joined
 
 
 def _length(group: Values) -> int:
-    """Give how many values each key of a group has."""
+    """Number of values of each key of a group."""
     lengths = {key: len(_values(key, values)) for key, values in group.items()}
     if len(set(lengths.values())) != 1:
         got = ", ".join(f"{count} of {key}" for key, count in lengths.items()) or "no key"
@@ -168,7 +140,7 @@ def _length(group: Values) -> int:
 
 
 def _together(group: Values) -> list[list[tuple[str, Any]]]:
-    """Give the choices of keys that change together: the pairs of key and value of each."""
+    """The choices of keys that change together: the pairs of key and value of each."""
     return [
         [(key, _values(key, values)[position]) for key, values in group.items()]
         for position in range(_length(group))
@@ -183,8 +155,8 @@ def _values(key: str, values: Any) -> Sequence[Any]:
         raise JobError(
             f"values of {key} must be a list, or a range such as '1:10', got {shown(values)}"
         )
-    found: Sequence[Any] = values
-    return found
+    listed: Sequence[Any] = values
+    return listed
 
 
 def _check_keys(keys: Sequence[str]) -> None:
@@ -199,25 +171,25 @@ def _check_keys(keys: Sequence[str]) -> None:
 
 
 def _named(chosen: Sequence[Values]) -> Iterator[Point]:
-    """Give the points their names, in which keys are as short as they can be."""
+    """Yield the points with their names, in which keys are as short as they can be."""
     keys = list(dict.fromkeys(key for values in chosen for key in values))
     short = short_names(keys)
-    known = dict[str, Values]()
+    texts_by_name = dict[str, Values]()
     for values in chosen:
         _check_keys(list(values))
-        told = {key: _text(key, value) for key, value in values.items()}
-        if told in known.values():
-            twice = shown_text(", ".join(f"{key}={value}" for key, value in told.items()))
+        texts = {key: _text(key, value) for key, value in values.items()}
+        if texts in texts_by_name.values():
+            twice = shown_text(", ".join(f"{key}={value}" for key, value in texts.items()))
             raise JobError(f"a point of a sweep must stand once, got {twice} twice")
-        name = ",".join(f"{short[key]}={_slug(told[key])}" for key in values)
-        if name in known or len(name) > _LONGEST_NAME:
-            name = f"{name[:_LONGEST_NAME]}-{_hash(str(told))}"
-        known[name] = told
+        name = ",".join(f"{short[key]}={_slug(texts[key])}" for key in values)
+        if name in texts_by_name or len(name) > _LONGEST_NAME:
+            name = f"{name[:_LONGEST_NAME]}-{_hash(str(texts))}"
+        texts_by_name[name] = texts
         yield Point(name, dict(values))
 
 
 def _text(key: str, value: Any) -> str:
-    """Give a value as a job file spells it."""
+    """A value as a job file spells it."""
     plain = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
     if isinstance(plain, tuple | list):
         return f"[{', '.join(_text(key, each) for each in plain)}]"
@@ -231,7 +203,7 @@ def _text(key: str, value: Any) -> str:
 
 
 def _slug(text: str) -> str:
-    """Give a value as the name of a folder holds it."""
+    """A value as the name of a folder spells it."""
     slug = _STRANGE.sub("_", text.strip('"[]')) or "empty"
     return slug if len(slug) <= _LONGEST_VALUE else f"{slug[:_LONGEST_VALUE]}-{_hash(text)}"
 

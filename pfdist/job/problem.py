@@ -1,4 +1,4 @@
-"""A problem, as a user hands it over in Python: a model, and what may be measured when."""
+"""A problem, as a user hands it over in Python: a model, and constraints on its measurements."""
 
 import inspect
 import re
@@ -98,11 +98,13 @@ class Problem(Shown):
         filter_model: StateSpaceModel | str | None = None,
         **keys: Any,
     ) -> None:
-        self._model, known = _given(model, "model"), None
+        self._model, believed = _given(model, "model"), None
         if filter_model is not None:
-            known = self._model if filter_model is model else _given(filter_model, "filter_model")
-        self._filter_model = None if known is self._model else known
-        self._arguments = {"model": self._model, "filter_model": known, **keys}
+            believed = (
+                self._model if filter_model is model else _given(filter_model, "filter_model")
+            )
+        self._filter_model = None if believed is self._model else believed
+        self._arguments = {"model": self._model, "filter_model": believed, **keys}
         self._keys = _by_section(_plain_keys(keys))
         self.job()
 
@@ -115,14 +117,14 @@ class Problem(Shown):
         return _STRANGE.sub("-", name).strip(" .") or "model"
 
     def with_changes(self, **arguments: Any) -> "Problem":
-        """Give a problem with some arguments changed; parameters and errors as of the class.
+        """The problem with some arguments changed; parameters and errors as of the class.
 
         A model that is not changed stays as it was when this problem was made.
         """
         return Problem(**{**self._arguments, **arguments})
 
     def job(self, seed: int = 0, **sections: Any) -> Job:
-        """Give the job of this problem.
+        """The job of this problem.
 
         Parameters
         ----------
@@ -183,7 +185,7 @@ class Problem(Shown):
 
 
 def _given(model: StateSpaceModel | str | CarriedModel, argument: str) -> str | CarriedModel:
-    """Give a model that was handed over in Python: its name, or the object as it travels."""
+    """The name of a model that was handed over in Python, or the object as it travels."""
     if isinstance(model, CarriedModel):  # of a problem that is changed
         return model
     try:
@@ -220,7 +222,7 @@ def _section_of(model: str | CarriedModel) -> dict[str, Any]:
 
 
 def _by_section(keys: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Give the keys of each section of a job, after checking each section alone."""
+    """The keys of each section of a job; each section is checked for itself."""
     allowed = [key for section in _SECTIONS.values() for key in section.model_fields]
     for key in keys:
         if key not in allowed:
@@ -229,19 +231,21 @@ def _by_section(keys: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
                 f"unknown argument {shown(key)} of Problem, allowed: {', '.join(names)}"
                 f"{did_you_mean(key, names)}"
             )
-    found = {}
+    sections = {}
     for name, section in _SECTIONS.items():
-        found[name] = {key: keys[key] for key in section.model_fields if keys.get(key) is not None}
+        sections[name] = {
+            key: keys[key] for key in section.model_fields if keys.get(key) is not None
+        }
         try:
-            section(**found[name])
+            section(**sections[name])
         except ValidationError as error:
-            text = explained(error, section)  # written in Python, a key has no section
+            text = explained(error, section)  # an argument in Python has no section before it
             raise JobError(text.replace(f"{name}.", "")) from error
-    return found
+    return sections
 
 
 def _plain_keys(keys: Mapping[str, Any]) -> dict[str, Any]:
-    """Give all arguments as a job file could hold them.
+    """All arguments in the form in which a job file could have them.
 
     Without a clock, a range of forbidden or required times is the text that a person would write.
     On a clock, such a text would name the instants between whole numbers, too.
@@ -254,7 +258,7 @@ def _plain_keys(keys: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _with_texts(value: Any) -> Any:
-    """Give times with texts such as "20-30" in the place of ranges in steps of 1."""
+    """Times with texts such as "20-30" in place of ranges in steps of 1."""
     if isinstance(value, range):
         return [_text_of(value)] if _is_stretch(value) else value
     if isinstance(value, tuple | list):
@@ -263,7 +267,7 @@ def _with_texts(value: Any) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """Give a value as a job file could hold it: NumPy's numbers and arrays, ranges and sets."""
+    """A value in the form of a job file, from NumPy's numbers and arrays, ranges and sets."""
     if isinstance(value, np.generic | np.ndarray) or hasattr(value, "tolist"):
         return value.tolist()
     if isinstance(value, range):
@@ -284,7 +288,7 @@ def _plain(value: Any) -> Any:
 
 
 def _order(entry: Any) -> tuple[bool, Any, str]:
-    """Sort the entries of a set: numbers first."""
+    """Key that sorts the entries of a set: numbers first."""
     is_number = isinstance(entry, int | float)
     return not is_number, entry if is_number else 0, str(entry)
 

@@ -109,10 +109,7 @@ class ProblemSection(Section):
     def clock(self) -> Clock:
         """The time of each instant; without a clock, the number of the instant.
 
-        Raises
-        ------
-        MeasurementTimesError
-            The values contradict each other. The message begins with the key.
+        Raises `MeasurementTimesError` if the values contradict each other; it begins with the key.
         """
         if self.times is not None:
             for name in ("horizon", "time_step"):
@@ -155,12 +152,9 @@ class ProblemSection(Section):
 
     @cached_property
     def weights(self) -> tuple[float, ...] | None:
-        """Weight of each instant's error in the MSE, with mean 1; None if all are equal.
+        """Weight of each instant's error in the MSE, (T+1,), with mean 1; None if all are equal.
 
-        Raises
-        ------
-        MeasurementTimesError
-            There is another number of weights than of instants, or a weight is below 0.
+        Raises `MeasurementTimesError` if the number of weights is wrong, or if a weight is below 0.
         """
         instants, given = len(self.clock.times), self.instant_weights
         if given is None:
@@ -182,18 +176,14 @@ class ProblemSection(Section):
 
     @property
     def is_constrained(self) -> bool:
-        """Whether some times are excluded that have as many measurements, or cost no more."""
+        """Whether a constraint excludes sets that have as many measurements, or cost no more."""
         return bool(self.forbidden or self.required) or not self.feasible.spacing.is_free
 
     def broken(self, times: Iterable[Time]) -> list[str]:
-        """Give the constraints that a set of times breaks, one sentence each.
+        """The constraints that a set of times breaks, one sentence each.
 
-        Each sentence begins with the key, for instance ``problem.forbidden: 4 is measured``.
-
-        Parameters
-        ----------
-        times : iterable of int or float
-            Instants in 0..T, or times on the clock.
+        The times are instants, or times on the clock. Each sentence begins with the key, for
+        instance ``problem.forbidden: 4 is measured``.
         """
         instants = self.clock.instants(times)
         return [f"problem.{sentence}" for sentence in self.feasible.broken(instants)]
@@ -209,9 +199,9 @@ class ProblemSection(Section):
                 is_instant = 0 <= t <= clock.horizon
                 if t in costs or not is_instant:
                     what = "twice" if t in costs else f"for a horizon of {clock.horizon}"
-                    told = f"{clock.times[t]:.10g}" if is_instant else t
+                    time = f"{clock.times[t]:.10g}" if is_instant else t
                     raise MeasurementTimesError(
-                        f"cost must name every time in {ends} once, got {told} {what}"
+                        f"cost must name every time in {ends} once, got {time} {what}"
                     )
                 costs[t] = cost
         lacking = [t for t in range(clock.horizon + 1) if t not in costs]
@@ -223,7 +213,7 @@ class ProblemSection(Section):
         return tuple(costs[t] for t in range(clock.horizon + 1))
 
     def _whole(self, name: str, value: Time) -> int:
-        """Give a number of instants; the keys of a clock are named if it is no whole number."""
+        """A number of instants; the error about another number names the keys of a clock."""
         if not isinstance(value, int):
             raise MeasurementTimesError(
                 f"{name} must be an integer, or in the unit of a clock (time_step, time_unit or "

@@ -18,7 +18,7 @@ from pfdist.times.measurement_times import REGULAR
 
 REFERENCE: Final = "reference"  # name of a reference that the job gives, in tables and figures
 MOST_SETS: Final = 100
-"""Sets that a job may give by name: there are almost 5000 pairs of them."""
+"""Largest number of sets that a job may give by name: these have almost 5000 pairs."""
 LONGEST_SET_NAME = 64  # characters, as a name of a table's column may have
 _SET_NAME = re.compile(rf"[a-z][a-z0-9_]{{0,{LONGEST_SET_NAME - 1}}}")
 RESERVED: Final = (REGULAR, REFERENCE, "comparison")
@@ -42,10 +42,10 @@ def _checked_text(text: str) -> str:
 
 
 def _checked_parameters(values: Any, section: str) -> Any:
-    """Refuse parameters that are neither numbers nor lists of numbers; lists become tuples."""
+    """Parameters, with tuples for lists; others than numbers and lists of numbers are refused."""
     if not isinstance(values, dict):
         return values
-    found = {}
+    checked = {}
     for name, value in values.items():
         numbers = value if isinstance(value, list | tuple) and value else (value,)
         if not all(type(number) in (int, float) for number in numbers):
@@ -54,8 +54,8 @@ def _checked_parameters(values: Any, section: str) -> Any:
                 f"got {shown(value)}"
             )
         is_list = isinstance(value, list | tuple)
-        found[name] = tuple(map(float, value)) if is_list else float(value)
-    return found
+        checked[name] = tuple(map(float, value)) if is_list else float(value)
+    return checked
 
 
 def _checked_set_name(name: Any) -> str:
@@ -68,7 +68,7 @@ def _checked_set_name(name: Any) -> str:
 
 
 def _written_times(name: str, written: Any) -> str | tuple[Any, ...]:
-    """Check the type of the times of a set; the clock reads them later."""
+    """The times of a set as the job writes them, of a right type; the clock reads them later."""
     if name in RESERVED and not name == written == REGULAR:
         raise ValueError(
             f"comparison.sets must not name a set {name!r}, because pfdist uses this name; got "
@@ -141,9 +141,9 @@ class Until(Section):
 class Comparison(Section):
     """The comparison of sets of times with the reference, on the same fresh draws.
 
-    Found sets are compared, and those that ``sets`` gives by name. The reference is "regular",
-    which stands for the feasible set nearest to the regular times, or any set of times in 0..T, or
-    on the clock, or the name of a given set. A given set may break constraints.
+    The compared sets are those of searches, and those that ``sets`` gives by name. The reference is
+    "regular", which stands for the feasible set nearest to the regular times, or any set of times
+    in 0..T, or on the clock, or the name of a given set. A given set may break constraints.
     """
 
     draws: Annotated[int, Field(ge=2, le=100_000_000)] = 100_000
@@ -220,7 +220,7 @@ class Budget(Section):
 
 
 class Execution(Section):
-    """Where a run is computed. It is no part of the identity of a run."""
+    """Where a run is computed; not a part of the identity of a run."""
 
     pool: PoolName = "ray"
     workers: Annotated[int, Field(ge=0, lt=2**63)] = 0

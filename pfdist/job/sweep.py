@@ -19,52 +19,28 @@ from pfdist.store import folder_of_run
 
 
 class SweepFile(Section):
-    """The content of a sweep file.
+    """The content of a sweep file."""
 
-    Parameters
-    ----------
-    job : str
-        Path of the job file, relative to the folder of the sweep file.
-    change : mapping, optional
-        Values of keys of the job that all points share.
-    over : mapping, optional
-        Values of each key. Every combination is a point.
-    parallel : sequence of mappings, optional
-        Groups of keys that change together.
-    point : sequence of mappings, optional
-        Further points.
-    judge : bool
-        Whether the times found at each point are judged at every point.
-    """
-
-    job: str
+    job: str  # path of the job file, relative to the folder of the sweep file
+    # Values of keys of the job that all points share.
     change: dict[str, Any] = Field(default_factory=dict)
+    # Values of each key; every combination is a point.
     over: dict[str, Any] = Field(default_factory=dict)
+    # Groups of keys that change together.
     parallel: list[dict[str, Any]] = Field(default_factory=list)
+    # Further points.
     point: list[dict[str, Any]] = Field(default_factory=list)
-    judge: bool = False
+    judge: bool = False  # whether the times found at each point are judged at every point
 
 
 @dataclass(frozen=True)
 class SweepJob:
-    """A job, and the points at which it is run.
+    """A job, and the points at which it is run."""
 
-    Parameters
-    ----------
-    name : str
-        Name of the sweep's folder.
-    points : tuple of Point
-        In the order in which they are computed.
-    jobs : mapping of str to Job
-        The job of each point, by the point's name.
-    judge : bool
-        Whether the times found at each point are judged at every point.
-    """
-
-    name: str
-    points: tuple[Point, ...]
-    jobs: Mapping[str, Job]
-    judge: bool = False
+    name: str  # of the sweep's folder
+    points: tuple[Point, ...]  # in the order in which they are computed
+    jobs: Mapping[str, Job]  # of each point, by its name
+    judge: bool = False  # whether the times found at each point are judged at every point
 
     @property
     def execution(self) -> Execution:
@@ -73,63 +49,51 @@ class SweepJob:
 
 
 def read_sweep(
-    asked: Asked,
+    source: Asked,
     over: Values,
     parallel: Sequence[Values],
     points: Sequence[Values],
     changes: Iterable[str],
     settings: Mapping[str, Any],
 ) -> SweepJob:
-    """Give the sweep of a sweep file, or of a job.
+    """The sweep of a sweep file, or of a job as for `pfdist.job.asked.as_job`.
 
-    Parameters
-    ----------
-    asked : Problem, Job, str or Path
-        A sweep file, or a job as for `pfdist.job.asked.as_job`.
-    over, parallel, points
-        As for `pfdist.job.points.points_of`; those of a sweep file come first.
-    changes : iterable of str
-        Changes ``key=value`` of the job at all points.
-    settings : mapping
-        Values of keys of the job at all points, as for `pfdist.load_job`.
-
-    Raises
-    ------
-    JobError
-        A file cannot be read, a key or a value is wrong, or the job of a point is wrong; the error
-        names the point.
+    `over`, `parallel` and `points` are as for `pfdist.job.points.points_of`; those of a sweep file
+    come first. The changes ``key=value`` and the settings, as for `pfdist.load_job`, apply at all
+    points. Raises `JobError` if a file cannot be read, if a key or a value is wrong, or if the job
+    of a point is wrong; then it names the point.
     """
     changes = texts_argument("changes", changes)
-    name, file = None, _sweep_file(asked)
+    name, file = None, _sweep_file(source)
     if file is not None:
-        name, asked = Path(str(asked)).stem, Path(str(asked)).parent / file.job
+        name, source = Path(str(source)).stem, Path(str(source)).parent / file.job
         changes = [*Point("", dotted(file.change)).changes, *changes]
         over = {**dotted(file.over), **dotted(over)}
         parallel, points = [*file.parallel, *parallel], [*file.point, *points]
-    job = as_job(asked, changes, settings=settings)
-    found = points_of(over, parallel, points)
+    job = as_job(source, changes, settings=settings)
+    sweep_points = points_of(over, parallel, points)
     given = {change.partition("=")[0].strip() for change in changes}
-    for key in dict.fromkeys(key for point in found for key in point.chosen):
+    for key in dict.fromkeys(key for point in sweep_points for key in point.chosen):
         if key in given:
             raise JobError(
                 f"a key of a sweep must not be changed at all points, too, got {shown_text(key)}",
                 argument="changes",
             )
     jobs = {}
-    for point in found:
+    for point in sweep_points:
         try:
-            jobs[point.name] = as_job(asked, [*changes, *point.changes], settings=settings)
+            jobs[point.name] = as_job(source, [*changes, *point.changes], settings=settings)
         except JobError as error:
             raise JobError(f"the point {point.name} of the sweep: {error}") from error
     judge = file is not None and file.judge
-    return SweepJob(name or f"{folder_of_run(job.path).name}-sweep", found, jobs, judge)
+    return SweepJob(name or f"{folder_of_run(job.path).name}-sweep", sweep_points, jobs, judge)
 
 
-def _sweep_file(asked: Any) -> SweepFile | None:
+def _sweep_file(source: Any) -> SweepFile | None:
     """The content of a sweep file; None for anything else."""
-    if not isinstance(asked, str | Path):
+    if not isinstance(source, str | Path):
         return None
-    path = path_argument("job", asked)
+    path = path_argument("job", source)
     data = toml_of_file(path)
     if "job" not in data:
         return None

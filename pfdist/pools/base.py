@@ -11,11 +11,13 @@ from typing import Any, Protocol, Self
 
 Function = Callable[[Any], Any]
 
-PATIENCE_SECONDS = 15.0  # a worker is taken for lost when it is silent for so long, and for
-PATIENCE_TIMES = 20  # so many times what its task should take
-LOOK_SECONDS = 1.0  # between two looks for those that are silent
-PAUSE_SECONDS = 0.01  # before tasks are asked for again, where there were none at the moment
-STILL_SECONDS = 5.0  # without a look: this process itself was stopped, or had other things to do
+# A worker counts as lost when it is silent for so many seconds, and for so many times the expected
+# duration of its task:
+PATIENCE_SECONDS = 15.0
+PATIENCE_TIMES = 20
+LOOK_SECONDS = 1.0  # between two looks for silent workers
+PAUSE_SECONDS = 0.01  # before the pool asks for tasks again, if there were none
+STILL_SECONDS = 5.0  # between two looks: after longer, this process itself was stopped or busy
 
 
 def patience(seconds: float) -> float:
@@ -25,52 +27,27 @@ def patience(seconds: float) -> float:
 
 @dataclass(frozen=True)
 class Task:
-    """One unit handed to a pool.
+    """One unit handed to a pool."""
 
-    Parameters
-    ----------
-    key : str
-        Identifies the work: the same key means the same work.
-    function : callable
-        Is applied to the work, and is pure. A worker in another process gets it pickled, once for
-        all its tasks: what is costly to make there is made when it is unpickled, before any task.
-    work : object
-    seconds : float
-        The expected duration; 0 if it is unknown.
-    """
-
-    key: str
+    key: str  # the same key means the same work
+    # Pure. A worker in another process gets it pickled, once for all its tasks. So it makes costly
+    # things when it is unpickled, before any task.
     function: Function = field(repr=False)
     work: Any
-    seconds: float = 0.0
+    seconds: float = 0.0  # expected duration; 0 if it is unknown
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """The result of a task.
-
-    Parameters
-    ----------
-    task : Task
-    value : object or None
-        The function's value; None if it failed.
-    seconds : float
-        In the worker.
-    worker, node : str
-        Process id, with the name of the thread if there are several, and host name.
-    error : str or None
-        The traceback, if it failed.
-    refused : bool
-        Whether the worker could not make the function, and no other worker can; `error` is why.
-    """
+    """The result of a task."""
 
     task: Task
-    value: Any
-    seconds: float
-    worker: str
-    node: str
-    error: str | None = None
-    refused: bool = False
+    value: Any  # of the function; None if it failed
+    seconds: float  # in the worker
+    worker: str  # process id, with the name of the thread if there are several
+    node: str  # host name
+    error: str | None = None  # the traceback, if the function failed
+    refused: bool = False  # whether no worker can make the function; `error` says why
 
 
 class Pool(Protocol):
@@ -79,10 +56,10 @@ class Pool(Protocol):
     workers: int
 
     def run(self, tasks: Iterable[Task | None]) -> Iterator[Outcome]:
-        """Give the outcomes in any order; tasks are taken from the iterable only as needed.
+        """Yield the outcomes in any order; tasks are taken from the iterable only as needed.
 
-        None in the place of a task says that there is none at the moment. The pool asks again while
-        a task is in flight, and ends when none is.
+        None in place of a task says that there is none now. The pool asks again while a task is in
+        flight, and ends when none is.
         """
 
     def __enter__(self) -> Self: ...
@@ -96,13 +73,7 @@ class Pool(Protocol):
 
 
 def do(function: Function, work: Any) -> tuple[Any, float, str, str, str | None]:
-    """Apply a function in this process; an exception becomes a text.
-
-    Returns
-    -------
-    value, seconds, worker, node, error
-        As in `Outcome`.
-    """
+    """The fields of an `Outcome` from value to error: the function is applied in this process."""
     start = time.perf_counter()
     value, error = None, None
     try:
@@ -114,7 +85,7 @@ def do(function: Function, work: Any) -> tuple[Any, float, str, str, str | None]
 
 
 class SerialPool:
-    """One worker, this process."""
+    """A pool with one worker, this process."""
 
     workers = 1
 
@@ -125,8 +96,8 @@ class SerialPool:
         pass
 
     def run(self, tasks: Iterable[Task | None]) -> Iterator[Outcome]:
-        """Do the tasks one after another."""
+        """Yield the outcomes of the tasks, which are done one after another."""
         for task in tasks:
-            if task is None:  # and none is in flight
+            if task is None:  # no task is in flight that could bring another
                 return
             yield Outcome(task, *do(task.function, task.work))

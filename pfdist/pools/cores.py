@@ -9,20 +9,20 @@ _ROOT, _OWN = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
 
 
 def usable_cores() -> int:
-    """Give the smallest limit of affinity, control group and Slurm task."""
+    """Number of cores that this process may use, by affinity, control group and Slurm task."""
     return max(1, min(limits().values()))
 
 
 def limits() -> dict[str, int]:
-    """Give each limit of the number of cores, by its name."""
-    found = {"affinity": len(os.sched_getaffinity(0))}
+    """Each limit of the number of cores, by its name."""
+    cores = {"affinity": len(os.sched_getaffinity(0))}
     quota = min(_quotas(), default=math.inf)
     if quota < math.inf:
-        found["cgroup"] = math.ceil(quota)
+        cores["cgroup"] = math.ceil(quota)
     slurm = os.environ.get("SLURM_CPUS_PER_TASK", "")
     if slurm.isdecimal() and int(slurm):
-        found["SLURM_CPUS_PER_TASK"] = int(slurm)
-    return found
+        cores["SLURM_CPUS_PER_TASK"] = int(slurm)
+    return cores
 
 
 def _quotas() -> Iterator[float]:
@@ -35,21 +35,11 @@ def _quotas() -> Iterator[float]:
 
 
 def settings(controller: str, *names: str) -> Iterator[list[str]]:
-    """Read files of this process's control group and of all groups above it; all limits apply.
+    """Yield the texts of files of this process's control group and of each group above it.
 
-    Linux sets limits by control groups; see cgroups(7).
-
-    Parameters
-    ----------
-    controller : str
-        ``cpu`` or ``memory``.
-    names : str
-        Names of the files, of version 2 or of version 1.
-
-    Yields
-    ------
-    list of str
-        The texts of the files, for each group that has all of them.
+    Linux sets limits by control groups; see cgroups(7). The limits of all groups apply. The
+    controller is ``cpu`` or ``memory``, and the names are those of version 2 or of version 1. A
+    group without one of the files is skipped.
     """
     try:
         lines = _OWN.read_text(encoding="utf-8").splitlines()

@@ -1,11 +1,11 @@
 """A guard: a process that ends everything this command started, if the command is killed.
 
 A command that is killed cannot clean up, and Ray's agents outlive it. So a small process watches
-the command and ends everything that carries the command's mark: a variable in the environment
-with which Ray's servers begin, and which all processes below them inherit. Neither sessions nor
-process groups nor lost parents matter. Some of Ray's processes overwrite the mark, and lose their
-parent at once when the command is killed. So the guard remembers what it has seen below a marked
-process while the servers started.
+the command and ends everything that carries the command's mark: a variable in the environment of
+Ray's servers, which all processes below them inherit. Neither sessions nor process groups nor lost
+parents matter. Some of Ray's processes overwrite the mark, and lose their parent at once when the
+command is killed. So the guard remembers the processes that it saw below a marked one while the
+servers started.
 """
 
 import contextlib
@@ -24,7 +24,7 @@ import psutil
 from psutil import Process
 
 _NAME = "PFDIST_STARTED_BY"
-_BEGINS, _ENDS = b"(", b")"  # the command says so to the guard around `watching`
+_BEGINS, _ENDS = b"(", b")"  # messages to the guard at both ends of `watching`
 _LOOK_SECONDS = 0.5  # between two checks whether the command still lives
 _QUIET_SECONDS = 0.5  # for a server that a killed command was just starting
 _MOST_SECONDS = 4.0
@@ -61,7 +61,7 @@ class Guard:
             return
         guard, self._process = self._process, None
         with contextlib.suppress(subprocess.TimeoutExpired):
-            guard.communicate(timeout=2 * _MOST_SECONDS)  # it does so when its input ends
+            guard.communicate(timeout=2 * _MOST_SECONDS)  # the guard acts when its input ends
         if guard.returncode != 0:
             guard.kill()
             guard.wait()
@@ -79,7 +79,7 @@ class Guard:
 
     def _say(self, word: bytes) -> None:
         if self._process is not None and self._process.stdin is not None:
-            with contextlib.suppress(BrokenPipeError):  # somebody has ended it
+            with contextlib.suppress(BrokenPipeError):  # the guard was ended
                 os.write(self._process.stdin.fileno(), word)
 
 
@@ -99,9 +99,10 @@ def environment(variables: dict[str, str]) -> Iterator[None]:
 
 
 def python_command(module: str, *arguments: str) -> list[str]:
-    """Give the command that calls a module's ``main`` in another Python, found where this one is.
+    """The command that calls a module's ``main`` in another Python with the same search path.
 
-    Nothing is imported from the working directory (``-P``) unless this process does so too.
+    The new process imports nothing from the working directory (``-P``) unless this process does,
+    too.
     """
     paths = [path for path in sys.path if path]
     code = f"import sys; sys.path[:] = {paths!r}; from {module} import main; main()"
@@ -111,35 +112,28 @@ def python_command(module: str, *arguments: str) -> list[str]:
 def main(arguments: Any = None) -> None:
     """Wait until a process has ended, then end what carries its mark."""
     mark, parent = (arguments or sys.argv)[1:]
-    for number in _IGNORED:  # a batch system sends them to everyone
+    for number in _IGNORED:  # a batch system sends them to all processes
         signal.signal(number, signal.SIG_IGN)
-    known: list[Process] = []
+    marked_processes: list[Process] = []
     watching = False
     while os.getppid() == int(parent):
-        said = os.read(0, 64) if select.select([0], [], [], _LOOK_SECONDS)[0] else None
-        if said == b"":
+        message = os.read(0, 64) if select.select([0], [], [], _LOOK_SECONDS)[0] else None
+        if message == b"":
             break
-        if watching or said:
-            known = marked(_NAME, mark, known)
-        if said:
-            watching = said.endswith(_BEGINS)
+        if watching or message:
+            marked_processes = marked(_NAME, mark, marked_processes)
+        if message:
+            watching = message.endswith(_BEGINS)
     quiet = 0.0 if os.getppid() == int(parent) else _QUIET_SECONDS
-    end_marked(_NAME, mark, quiet, _MOST_SECONDS, known)
+    end_marked(_NAME, mark, quiet, _MOST_SECONDS, marked_processes)
 
 
 def marked(name: str, value: str, known: Collection[Process] = ()) -> list[Process]:
-    """Give the processes that began with a variable of this value, and all processes below them.
+    """The processes that began with a variable of this value, and all processes below them.
 
-    Children inherit such a mark, whoever adopts them. But Ray's agents overwrite their environment
-    with their titles, so they are found below the server that started them. If this server may have
-    ended meanwhile, an earlier answer helps.
-
-    Parameters
-    ----------
-    name, value : str
-        The mark.
-    known : collection of psutil.Process
-        Processes of which it is known that they belong to these.
+    Children inherit such a mark, even if another process adopts them. But Ray's agents overwrite
+    their environment with their titles, so they are found below the server that started them. This
+    server may have ended meanwhile: therefore `known` has the processes of an earlier call.
     """
     mark = f"{name}={value}".encode()
     everyone = [
@@ -147,35 +141,27 @@ def marked(name: str, value: str, known: Collection[Process] = ()) -> list[Proce
         for process in psutil.process_iter(["ppid", "status"])
         if process.info["status"] != psutil.STATUS_ZOMBIE
     ]
-    found = [process for process in everyone if process in known or _has_mark(process, mark)]
-    for process in found:  # the list grows while it is walked
+    belonging = [process for process in everyone if process in known or _has_mark(process, mark)]
+    for process in belonging:  # the list grows while it is walked
         children = (child for child in everyone if child.info["ppid"] == process.pid)
-        found += [child for child in children if child not in found]
-    return found
+        belonging += [child for child in children if child not in belonging]
+    return belonging
 
 
 def end(processes: Iterable[Process]) -> None:
     """Kill the processes that still live, because a stopped process obeys no other signal."""
     for process in processes:
         with contextlib.suppress(psutil.NoSuchProcess):
-            process.kill()  # never a later process that has the same number
+            process.kill()  # psutil spares a later process that has the same number
 
 
 def end_marked(
     name: str, value: str, quiet: float, most: float, known: Collection[Process] = ()
 ) -> None:
-    """End all processes with a mark, and those that begin meanwhile.
+    """End all processes with a mark, and those that begin meanwhile; see `marked`.
 
-    Parameters
-    ----------
-    name, value : str
-        The mark; see `marked`.
-    quiet : float
-        The search ends when no such process was found for so many seconds.
-    most : float
-        Seconds after which the search ends in any case.
-    known : collection of psutil.Process
-        See `marked`.
+    The search ends when it has found no such process for `quiet` seconds, and in any case after
+    `most` seconds.
     """
     start = last = time.monotonic()
     while (now := time.monotonic()) - start <= most:

@@ -18,9 +18,9 @@ LONGEST_FOLDER = 38  # a socket's path has 107 characters, of which Ray needs 69
 
 @contextlib.contextmanager
 def signals_wait() -> Iterator[None]:
-    """Let signals wait inside a with statement, because what has half started cannot be left.
+    """Let signals wait inside a with statement, because a half-started Ray cannot be left.
 
-    This program's handlers are called at the end; a second signal is not kept waiting.
+    The program's handlers are called at the end; a second signal does not wait.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -48,14 +48,11 @@ def signals_wait() -> Iterator[None]:
 
 
 def private_folder() -> str:
-    """Give a folder for Ray's sockets and logs, with a short path, that no other user can enter.
+    """A folder for Ray's sockets and logs, with a short path, that no other user can enter.
 
     Ray lets everyone write to its folder. So the folder lies in another folder, which is private.
-
-    Raises
-    ------
-    PoolError
-        The folder's name belongs to something else, or the folder is not this user's alone.
+    Raises `PoolError` if the folder's name belongs to something else, or if other users may enter
+    it.
     """
     name = f"pfdist-ray-{os.getuid()}"
     parent = os.environ.get("RAY_TMPDIR") or tempfile.gettempdir()
@@ -64,15 +61,15 @@ def private_folder() -> str:
     folder = Path(parent, name)
     with contextlib.suppress(FileExistsError):
         folder.mkdir(0o700)
-    found = folder.lstat()
-    if stat.S_ISLNK(found.st_mode):
+    status = folder.lstat()
+    if stat.S_ISLNK(status.st_mode):
         wrong = "a link"
-    elif not stat.S_ISDIR(found.st_mode):
+    elif not stat.S_ISDIR(status.st_mode):
         wrong = "no folder"
-    elif found.st_uid != os.getuid():
-        wrong = f"a folder of user {found.st_uid}"
-    elif found.st_mode & 0o077:
-        wrong = f"a folder of mode {stat.S_IMODE(found.st_mode):03o}"
+    elif status.st_uid != os.getuid():
+        wrong = f"a folder of user {status.st_uid}"
+    elif status.st_mode & 0o077:
+        wrong = f"a folder of mode {stat.S_IMODE(status.st_mode):03o}"
     else:
         return str(folder / "r")
     raise PoolError(
@@ -82,7 +79,7 @@ def private_folder() -> str:
 
 
 def within(seconds: float, function: Callable[[], Any]) -> threading.Thread:
-    """Call a function that may never return, and wait at most so many seconds."""
+    """The thread of a function that may never return, after at most so many seconds."""
     thread = threading.Thread(target=function, daemon=True)
     thread.start()
     thread.join(seconds)

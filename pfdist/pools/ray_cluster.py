@@ -1,8 +1,8 @@
 """Starts a local Ray cluster or joins an existing cluster, and leaves it.
 
-A cluster of our own listens on loopback alone, obeys nobody who lacks a token that only this user
-can read, keeps its sockets and logs in a folder that only this user can enter, and ends with this
-process, whatever ends it.
+A cluster of our own listens only on loopback. It obeys only those who have a token that only this
+user can read. It keeps its sockets and logs in a folder that only this user can enter, and ends
+with this process, whatever ends it.
 """
 
 import contextlib
@@ -19,7 +19,7 @@ from concurrent.futures import Future
 from importlib.metadata import version
 from typing import Any
 
-# Before Ray is imported: its defaults speak of themselves on standard error and to their makers.
+# Before Ray is imported: by default it writes to standard error and reports its usage.
 os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
 os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
 # Answers of more bytes go through Ray's object store, for which a driver may wait for ever.
@@ -55,7 +55,7 @@ __all__ = [
 START_SECONDS = 120.0
 STOP_SECONDS = 5.0
 _ADDRESS = "RAY_ADDRESS"
-_GROUP_SECONDS = 10.0  # for which Ray may look for the nodes of free cores
+_GROUP_SECONDS = 10.0  # within which Ray must find the nodes of free cores
 _OBJECT_STORE_BYTES = 100 * 1024**2  # outcomes are kilobytes
 _QUIET: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.CRITICAL}
 
@@ -64,25 +64,19 @@ _QUIET: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.CRITI
 def connected(address: str, cores: int = 0) -> Iterator[None]:
     """Be connected to a Ray cluster inside a with statement.
 
-    Parameters
-    ----------
-    address : str
-        Address of an existing cluster: host:port, ray://host:port, or auto. If it is empty or
-        local, pfdist starts a cluster. If this process has already joined a cluster, that cluster
-        is used, and not left.
-    cores : int
-        Number of cores that the started cluster offers; 0 offers all that this process may use.
+    The address of an existing cluster is host:port, ray://host:port, or auto. If it is empty or
+    local, pfdist starts a cluster, which offers so many cores; 0 offers all that this process may
+    use. If this process has already joined a cluster, that cluster is used, and not left.
 
-    Raises
-    ------
-    PoolError
-        The existing cluster cannot be joined, or our own has no folder.
+    Raises `PoolError` if the existing cluster cannot be joined, or our own has no folder.
     """
     if ray.is_initialized():
         yield
         return
     if address == "auto":
         address = os.environ.get(_ADDRESS) or address
+    # Left in reverse order: `_leave` ends Ray, then the thread that started Ray may end, and last
+    # the guard. The guard is entered first, so a kill at any moment leaves no process behind.
     with contextlib.ExitStack() as stack:
         guard, left = stack.enter_context(Guard()), threading.Event()
         stack.callback(left.set)
@@ -98,24 +92,25 @@ def connected(address: str, cores: int = 0) -> Iterator[None]:
 
 
 def is_own(address: str) -> bool:
-    """Whether an address asks for a local cluster."""
+    """Whether an address asks for a local cluster that pfdist starts."""
     return address in {"", "local"}
 
 
 def all_cores() -> int:
-    """How many cores the cluster has."""
+    """Number of cores of the cluster."""
     return int(ray.cluster_resources().get("CPU", 0))
 
 
 def idle_cores() -> int:
-    """How many of them nobody has taken."""
+    """Number of cores of the cluster that are not taken."""
     return int(ray.available_resources().get("CPU", 0))
 
 
 def free_cores(most: int) -> dict[str, int]:
-    """How many cores are free on which nodes, at most so many in all.
+    """The free cores of each node, at most so many in all.
 
-    Only a placement group tells on which nodes they are.
+    Only a placement group tells on which nodes cores are free: Ray reserves them, and they are
+    given back here at once. Another driver may take them before an actor starts there.
     """
     cores = min(most, idle_cores())
     if cores <= 0:
@@ -145,7 +140,7 @@ def _start(cores: int, folder: str, guard: Guard, left: threading.Event) -> None
 
 
 def _join(address: str, guard: Guard, left: threading.Event) -> None:
-    host_and_port(address)  # what is no address is no cluster's fault
+    host_and_port(address)  # a wrong address is no fault of the cluster, so it has its own error
     try:
         with guard.watching():
             rehearse(address)
@@ -172,7 +167,7 @@ def _init(left: threading.Event, **options: Any) -> None:
     """Start Ray in a thread of its own, which waits until the cluster is left.
 
     In the main thread, Ray would take the handler of SIGTERM. The servers that Ray starts end with
-    the thread that has started them.
+    the thread that started them.
     """
     started = Future[None]()
 
@@ -193,7 +188,7 @@ def _init(left: threading.Event, **options: Any) -> None:
 
 @contextlib.contextmanager
 def only_loopback(ray: Any) -> Iterator[None]:
-    """Have Ray take 127.0.0.1 for this machine's address, so that what it starts listens there.
+    """Make Ray take 127.0.0.1 for this machine's address, so that its servers listen only there.
 
     Ray does so by itself where it builds no clusters, on macOS and Windows. At any other address,
     also at 127.0.0.2, its servers listen on all interfaces.
@@ -211,8 +206,8 @@ def only_loopback(ray: Any) -> Iterator[None]:
 def _token() -> Iterator[None]:
     """Make Ray require a new token inside a with statement.
 
-    The token is in the environment of this process and of Ray's, which other users cannot read,
-    and in no file.
+    The token is only in the environment of this process and of Ray's, which other users cannot
+    read.
     """
     token = {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(32)}
     try:
@@ -234,13 +229,14 @@ def _leave(guard: Guard) -> None:
     if sys.is_finalizing():  # a pool was never left: no thread can start any more
         guard.end()
         return
+    # Ray may never answer. Once the guard has ended its servers, the call returns or is abandoned.
     shutdown = within(STOP_SECONDS, ray.shutdown)
     guard.end()
     shutdown.join(STOP_SECONDS)
 
 
 def about() -> dict[str, Any]:
-    """Give the host, Python and pfdist of the process that calls it."""
+    """Host, Python and pfdist of the process that calls this."""
     return {
         "host": platform.node(),
         "python": platform.python_version(),
@@ -254,12 +250,9 @@ def _about_node() -> dict[str, Any]:
 
 
 def describe_nodes(address: str) -> list[dict[str, Any]]:
-    """Ask every node of an existing cluster for its host, Python and pfdist.
+    """Host, Python and pfdist of every node of an existing cluster.
 
-    Raises
-    ------
-    PoolError
-        The cluster, or one of its nodes, does not answer.
+    Raises `PoolError` if the cluster, or one of its nodes, does not answer.
     """
     try:
         if ray.is_initialized() and not is_own(address):

@@ -1,17 +1,20 @@
 """The pool of Ray workers. Ray is a pool here and nothing else.
 
-A worker is a long-lived actor with a thread for each core that it has: one worker a node, because
-compiled filters release Python's lock. Where tasks keep the lock, every core has a worker of its
-own. An actor makes the function of its tasks once: it loads a filter, or compiles it. Each thread
-is handed its next task before it has ended the last one.
+A worker is a long-lived actor with a thread for each of its cores: one worker a node, because
+compiled filters release Python's lock. If tasks keep the lock, every core has a worker of its own.
+An actor makes the function of its tasks once: it loads a filter, or compiles it. Each thread gets
+its next task before it has ended the last one.
 
 Cores that become free while tasks are done get workers too: those of a node that joins, of another
 driver that has ended, or of a worker that was lost.
 
-A worker that dies or is silent for too long is ended. One of its tasks may be the reason, and
-nobody knows which. So these suspects are done next, one after another, by one more worker with one
+A worker that dies or is silent for too long is ended. One of its tasks may be the reason, and it
+is not known which. So these suspects are done next, one after another, by one more worker with one
 thread, while the others go on. An outcome costs the driver as much time with a thousand workers as
 with one.
+
+The state of the pool belongs to the driver's thread. Other threads only put answers and free cores
+into queues, which the loop of `run` empties.
 """
 
 import contextlib
@@ -47,47 +50,35 @@ from pfdist.pools.ray_cluster import (
 )
 from pfdist.pools.ray_rehearsal import reason, shortened
 
-IN_FLIGHT = 2  # tasks a thread: the one it does and the one that waits for it
-DEATHS = 3  # of workers that had a task and no other, before the task is given up
-SILENCES = 2  # likewise, of workers that did not answer
-ANSWER_SECONDS = 40.0  # when all are silent for so long, nobody will answer
-TAKEN_SECONDS = 3.0  # for which cores may be taken by workers that are just ending
+IN_FLIGHT = 2  # tasks of a thread: the one that it does, and the next
+DEATHS = 3  # of workers that had only this task, before the task is given up
+SILENCES = 2  # of workers that had only this task and did not answer, likewise
+ANSWER_SECONDS = 40.0  # when all workers are silent for longer, none will answer
+TAKEN_SECONDS = 3.0  # for which cores may still belong to workers that are just ending
 FUNCTIONS = 32  # that a worker keeps; fewer runs are computed at the same time
 _END = Task("", repr, None)  # there are no more tasks
-_BUSY = Task("", repr, None)  # there may be more tasks, for which no thread is free
+_BUSY = Task("", repr, None)  # no thread was free to take another task
 
 Call = Future[Any]
-"""An answer that is owed."""
+"""An answer for which the driver waits."""
 
 
 class RayPool:
-    """Workers of a Ray cluster: this session's, an existing one's, or a local one of its own.
+    """A pool of workers of a Ray cluster: this session's, an existing one, or a local one.
 
-    Parameters
-    ----------
-    workers : int
-        How many cores to use; 0 takes all: those this process may use on a local cluster, all CPUs
-        of an existing one, also of nodes that join it later.
-    address : str
-        Address of an existing cluster. If it is empty or local, a cluster is started, unless this
-        process has joined one.
-    threaded : bool
-        Whether a worker has all free cores of a node. If not, because tasks keep Python's lock, it
-        has one.
+    `workers` is the number of cores to use; 0 takes all: those that this process may use on a local
+    cluster, all CPUs of an existing one, also of nodes that join it later. Afterwards, the
+    attribute is the number of tasks that are done at the same time, when all cores are free.
 
-    Attributes
-    ----------
-    workers : int
-        Number of tasks that are done at the same time, when all cores are free.
+    Without an address, or for local, a cluster is started, unless this process has joined one. If
+    not `threaded`, because tasks keep Python's lock, every core has a worker of its own.
 
-    Raises
-    ------
-    PoolError
-        On entering: Ray does not start, or does not answer, or no node has this version of pfdist.
+    On entering, raises `PoolError` if Ray does not start or does not answer, or if no node has this
+    version of pfdist.
     """
 
     def __init__(self, workers: int = 0, address: str = "", threaded: bool = True) -> None:
-        self._asked, self._address, self._threaded = workers, address, threaded
+        self._demanded, self._address, self._threaded = workers, address, threaded
         self._cluster = contextlib.ExitStack()
         self._members: dict[_Worker, None] = {}
         self._answers = SimpleQueue[Call]()  # filled by a thread of Ray's
@@ -95,16 +86,16 @@ class RayPool:
         self._sent = lru_cache(maxsize=FUNCTIONS)(_send)
         # Workers that can take a task: with a thread that is free; with all threads at work.
         self._free: tuple[dict[_Worker, None], dict[_Worker, None]] = {}, {}
-        self._aside: _Worker | None = None  # for suspects alone
+        self._aside: _Worker | None = None  # does suspects, and nothing else
         self._suspects: deque[Task] = deque()
         self._lost: Counter[str] = Counter()
-        self._unfinished = 0  # tasks that were taken and have no outcome
+        self._unfinished = 0  # tasks that were taken and have no outcome yet
         self._last_loss = self._last_node = ""
         self._was_silent = False  # the worker that was lost last; Ray itself may not answer
         self._looked = self._heard = time.monotonic()
         self._seeker = threading.Thread()  # asks Ray for free cores, and may never return
-        self._found = SimpleQueue[_FreeCores]()  # by it
-        self._left_out = 0  # cores of nodes with another version
+        self._newly_free = SimpleQueue[_FreeCores]()  # filled by the seeker
+        self._left_out = 0  # cores of nodes with another version of pfdist
         self.workers = workers
 
     def __enter__(self) -> Self:
@@ -133,17 +124,17 @@ class RayPool:
                 ending.join(max(0.0, deadline - time.monotonic()))
 
     def run(self, tasks: Iterable[Task | None]) -> Iterator[Outcome]:
-        """Give the outcomes as the workers finish tasks, with a bounded number in flight.
+        """Yield the outcomes as the workers finish tasks, with a bounded number in flight.
 
-        A late answer of a worker that was lost is ignored.
+        Late answers of a lost worker are ignored. Raises `PoolError` if no worker answers, or if
+        none is left that has this version of pfdist.
 
-        Raises
-        ------
-        PoolError
-            No worker answers, or none is left that has this version of pfdist.
+        In each round, suspects go first, then every free thread gets a task, then one answer is
+        taken. About once a second, the pool looks for silent workers and for free cores, even while
+        answers come.
         """
         todo = iter(tasks)
-        self._forget_tasks()  # there may have been a run that was broken off
+        self._forget_tasks()  # an earlier run may have been broken off
         task: Task | None = None
         while True:
             self._hand_suspects()
@@ -165,11 +156,11 @@ class RayPool:
     # --- workers that start ---------------------------------------------------------------------
 
     def _start_workers(self) -> None:
-        """Start workers on the cores that are free, and wait until they have said who they are.
+        """Start workers on the cores that are free, and wait until each has reported its version.
 
-        It does not wait for cores that are taken, but says so; unless all are.
+        Cores that are taken are not waited for, unless all are; a warning says so.
         """
-        self.workers, deadline = self._asked or all_cores(), time.monotonic() + TAKEN_SECONDS
+        self.workers, deadline = self._demanded or all_cores(), time.monotonic() + TAKEN_SECONDS
         while (free := idle_cores()) < self.workers and time.monotonic() < deadline:
             time.sleep(base.PAUSE_SECONDS)
         if free < self.workers:
@@ -181,6 +172,7 @@ class RayPool:
                 EngineWarning,
                 stacklevel=3,
             )
+        # Cores that were free may be taken in between: wait until one worker can start.
         while not self._members:
             self._add_workers(self._free_cores())
             time.sleep(base.PAUSE_SECONDS)
@@ -202,27 +194,30 @@ class RayPool:
 
     @property
     def _used(self) -> int:
-        """How many cores have workers."""
+        """Number of cores that have workers."""
         return sum(worker.cores for worker in self._members)
 
     def _free_cores(self) -> "_FreeCores":
-        """The cores that are wanted, and those of them that are free and have no worker yet."""
-        wanted = (self._asked or all_cores()) - self._left_out
+        """The number of wanted cores, and the free cores of each node without a worker."""
+        wanted = (self._demanded or all_cores()) - self._left_out
         return max(1, wanted), free_cores(wanted - self._used)
 
     def _seek_cores(self) -> None:
-        """Look for cores that have become free, in a thread, because Ray may never answer."""
+        """Look for cores that have become free, in a thread, because Ray may never answer.
+
+        At most one such thread is at work, and a thread that hangs is never replaced.
+        """
 
         def seek() -> None:
             with contextlib.suppress(ray.exceptions.RayError, OSError, RuntimeError, ValueError):
-                self._found.put(self._free_cores())
+                self._newly_free.put(self._free_cores())
 
-        if not self._seeker.is_alive() and (not self._asked or self._used < self.workers):
+        if not self._seeker.is_alive() and (not self._demanded or self._used < self.workers):
             self._seeker = within(0.0, seek)
 
-    def _add_workers(self, found: "_FreeCores") -> None:
+    def _add_workers(self, free: "_FreeCores") -> None:
         """Start workers on free cores."""
-        self.workers, nodes = found
+        self.workers, nodes = free
         for node, cores in nodes.items():
             for each in [cores] if self._threaded else [1] * cores:
                 self._add_worker(node, each)
@@ -234,12 +229,9 @@ class RayPool:
         return worker
 
     def _check_version(self, worker: "_Worker", about: dict[str, Any]) -> None:
-        """Leave out a worker that says that it has another version of pfdist.
+        """Leave out a worker with another version of pfdist.
 
-        Raises
-        ------
-        PoolError
-            No worker has this version.
+        Raises `PoolError` if no worker has this version.
         """
         here = version("pfdist")
         if about["pfdist"] == here:
@@ -270,12 +262,9 @@ class RayPool:
             self._set_free(worker)
 
     def _hand_out(self, todo: Iterator[Task | None]) -> Task | None:
-        """Hand tasks to all workers that can take one, first to those with a thread that is free.
+        """Hand tasks to all workers that can take one, first to those with a free thread.
 
-        Returns
-        -------
-        Task or None
-            `_END` if there are no more tasks; None if there is none at the moment.
+        `_END` says that there are no more tasks, and None that there is none now.
         """
         task: Task | None = _BUSY
         for workers in self._free:
@@ -288,7 +277,11 @@ class RayPool:
         return task
 
     def _hand_suspects(self) -> None:
-        """Let a worker that does nothing else do the next suspect."""
+        """Hand the next suspect to a worker that does nothing else.
+
+        It has one suspect at a time, so if it is lost, this task was the reason. It ends with the
+        last one.
+        """
         worker = self._aside
         if worker is None:
             if self._suspects:
@@ -302,6 +295,8 @@ class RayPool:
 
     def _hand(self, worker: "_Worker", task: Task) -> None:
         key, content = self._sent(task.function)
+        # The function is loaded by a call of its own, before its first task: loading may compile
+        # for a minute, and the patience with a task does not cover this.
         if key not in worker.functions:
             worker.functions.add(key)
             self._owe(worker, worker.actor.load.remote(key, content))
@@ -310,13 +305,13 @@ class RayPool:
         self._set_free(worker)
 
     def _owe(self, worker: "_Worker", answer: Any, task: Task | None = None) -> None:
-        """Note that a worker owes an answer, which a task waits for."""
+        """Note an answer that a worker owes, with its task if there is one."""
         call: Call = answer.future()
         worker.owed[call], self._owners[call] = task, worker
         call.add_done_callback(self._answers.put)
 
     def _set_free(self, worker: "_Worker") -> None:
-        """Note whether a worker can take a task."""
+        """Note whether a worker can take a task, with a free thread or to wait for one."""
         idle, waiting = self._free
         idle.pop(worker, None)
         waiting.pop(worker, None)
@@ -328,12 +323,14 @@ class RayPool:
             waiting[worker] = None
 
     def _take(self, call: Call) -> Iterator[Outcome]:
-        """Take an answer of a worker."""
+        """Yield the outcome, or the outcomes of a loss, that an answer of a worker brings."""
         worker = self._owners.pop(call, None)
-        if worker is None:  # it was lost, or the run was broken off
+        if worker is None:  # the worker was lost, or the run was broken off
             return
         if (error := call.exception()) is not None:
-            if worker.tasks:  # such deaths are few
+            # A death counts as an answer if the worker had tasks: each task dies a few times at
+            # most. Workers that die as they start must not keep the pool waiting for ever.
+            if worker.tasks:
                 self._heard = time.monotonic()
             yield from self._lose(worker, f"{type(error).__name__}: {error}", DEATHS)
             return
@@ -351,9 +348,14 @@ class RayPool:
     # --- workers that are lost ------------------------------------------------------------------
 
     def _look(self) -> Iterator[Outcome]:
-        """Look for workers that are silent for too long, and for cores that are free."""
+        """End workers that are silent for too long, and start workers on cores that are free.
+
+        First the pool allows for its own standstill: time in which this process was stopped says
+        nothing about workers. A worker counts as silent only if no answer of it waits in the queue.
+        Last, cores that an earlier search has found get workers, and the next search begins.
+        """
         now = time.monotonic()
-        if now - self._looked > base.STILL_SECONDS:  # this process stood still, perhaps with all
+        if now - self._looked > base.STILL_SECONDS:  # this process stood still, and perhaps others
             self._heard = now
             for worker in self._members:
                 worker.since = now
@@ -366,26 +368,28 @@ class RayPool:
         if silence > self._patience and all(worker.is_silent for worker in self._members):
             raise SilenceError(f"no worker has answered for {silence:.0f} s{self._last_loss}")
         with contextlib.suppress(Empty):
-            self._add_workers(self._found.get_nowait())
+            self._add_workers(self._newly_free.get_nowait())
         self._seek_cores()
         self._looked = time.monotonic()
 
     @property
     def _patience(self) -> float:
-        """Seconds for which all workers may be silent."""
+        """Seconds for which all workers may be silent together."""
         if not self._was_silent and any(worker.is_loading for worker in self._members):
             return START_SECONDS
         return max([ANSWER_SECONDS, *(2 * worker.task_patience for worker in self._members)])
 
     def _lose(self, worker: "_Worker", why: str, most: int) -> Iterator[Outcome]:
-        """End a lost worker; its tasks are suspects.
+        """End a lost worker, and yield the outcomes of tasks that are given up.
 
-        A suspect is given up when it was the only task of so many workers that were lost.
+        Its other tasks are suspects. A suspect is given up when it was the only task of so many
+        lost workers.
         """
         self._last_loss = f" (the last was lost by {why.splitlines()[0]})"
         self._last_node, self._was_silent = worker.node, most == SILENCES
         self._end(worker)
         for task in filter(None, worker.owed.values()):
+            # With other tasks beside it, the task may be innocent: only a loss alone counts.
             self._lost[task.key] += worker.tasks == 1
             if self._lost[task.key] < most:
                 self._suspects.append(task)
@@ -394,7 +398,7 @@ class RayPool:
                 yield Outcome(task, None, time.monotonic() - worker.since, "", "", why)
 
     def _end(self, worker: "_Worker") -> None:
-        """End a worker, whose answers are ignored."""
+        """End a worker, whose answers are ignored from now on."""
         worker.end()
         for call in worker.owed:
             self._owners.pop(call, None)
@@ -405,31 +409,11 @@ class RayPool:
 
 
 class _Worker:
-    """A worker as the driver knows it: its actor, and the answers that it owes.
+    """A worker as the driver sees it: its actor, and the answers that it owes.
 
-    Nothing is handed to a worker that has not said who it is, for it may never start, as on a node
-    that is lost.
-
-    Parameters
-    ----------
-    node : str
-        Ray's name of its node.
-    cores : int
-        How many it has, with a thread for each. 0 is one thread that has no core to itself.
-
-    Attributes
-    ----------
-    has_started : bool
-        Whether it has said who it is.
-    owed : dict
-        The answers that it owes, the oldest first, and the task of each; None where it starts or
-        loads a function.
-    tasks : int
-        How many tasks it has.
-    functions : set of int
-        Those that it has been given.
-    since : float
-        When a look first found the oldest answer to be the oldest, on the monotonic clock.
+    It gets no task before it has reported its version, because it may never start, as on a lost
+    node. `node` is Ray's name of its node. It has a thread for each core; with 0 cores, it has one
+    thread and shares a core with others.
     """
 
     def __init__(self, node: str, cores: int) -> None:
@@ -437,20 +421,22 @@ class _Worker:
         self.actor: Any = _RemoteActor.options(
             num_cpus=cores, max_concurrency=max(1, cores), scheduling_strategy=where
         ).remote()
-        self.node, self.cores, self.has_started = node, cores, False
+        self.node, self.cores = node, cores
+        self.has_started = False  # whether it has reported its version
+        # The answers that it owes, the oldest first, with their tasks; None for a start or a load.
         self.owed: dict[Call, Task | None] = {}
-        self.tasks = 0
-        self.functions = set[int]()
+        self.tasks = 0  # in its hands
+        self.functions = set[int]()  # keys of the functions that it has
         self._oldest: Call | None = None
-        self.since = time.monotonic()
+        self.since = time.monotonic()  # when a look first found `_oldest` to be the oldest answer
 
     @property
     def is_silent(self) -> bool:
-        """Whether no answer of it waits to be taken."""
+        """Whether none of its answers waits to be taken."""
         return not any(call.done() for call in self.owed)
 
     def silence(self, now: float) -> float:
-        """Seconds for which it has owed its oldest answer. Another thread may answer meanwhile."""
+        """Seconds for which it has owed its oldest answer; Ray's thread may answer meanwhile."""
         oldest = next(iter(self.owed), None)
         if oldest is not self._oldest:
             self._oldest, self.since = oldest, now
@@ -463,12 +449,12 @@ class _Worker:
 
     @property
     def patience(self) -> float:
-        """Seconds for which it may be silent."""
+        """Seconds for which it may be silent now."""
         return START_SECONDS if self.is_loading else self.task_patience
 
     @property
     def task_patience(self) -> float:
-        """Seconds for which it may do its tasks."""
+        """Seconds for which it may be silent while it does its tasks."""
         return patience(max((task.seconds for task in self.owed.values() if task), default=0.0))
 
     def end(self) -> threading.Thread:
@@ -490,15 +476,15 @@ class _Actor:
         self._lock = threading.Lock()
 
     def about(self) -> dict[str, Any]:
-        """Say who this is; it is the first to be answered."""
+        """Host and versions of the process; this is its first answer."""
         return about()
 
     def load(self, key: int, content: bytes) -> None:
-        """Make a function, which the first of its tasks would have to wait for."""
+        """Make a function, for which the first of its tasks would have to wait."""
         self._function(key, content)
 
     def do(self, key: int, content: bytes, work: Any) -> tuple[Any, ...]:
-        """Do a task, of a function with a key and a content: all of its outcome but the task."""
+        """Do a task with a function, given by key and content: all of its outcome but the task."""
         function = self._function(key, content)
         if isinstance(function, str):
             return None, 0.0, "", "", function, True
@@ -506,7 +492,7 @@ class _Actor:
         return value, seconds, f"{process}-{threading.get_native_id()}", node, error, False
 
     def _function(self, key: int, content: bytes) -> Function | str:
-        """The function, made once, or why that failed."""
+        """The function, which is made once, or the reason why that failed."""
         function = self._functions.get(key)
         if function is None:
             with self._lock:  # threads that want the same function wait for it
@@ -530,10 +516,10 @@ _RemoteActor: Any = ray.remote(_Actor)
 
 
 def _send(function: Function) -> tuple[int, Any]:
-    """A key of a function, and its content, which Ray hands to workers."""
+    """The key of a function, and its content in Ray's object store, for workers."""
     content = cloudpickle.dumps(function)
     return hash(content), ray.put(content)
 
 
 _FreeCores = tuple[int, dict[str, int]]
-"""The cores that are wanted in all, and those that are free on nodes."""
+"""The number of wanted cores in all, and the free cores of each node."""

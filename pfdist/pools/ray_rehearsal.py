@@ -1,7 +1,7 @@
 """Tries to join a Ray cluster in a separate process.
 
-Ray waits for minutes where nobody answers, writes its log on standard error meanwhile, and may
-never return. Here this happens to a process that nobody sees, and that the kernel ends in time.
+Ray waits for minutes if nobody answers, writes its log on standard error meanwhile, and may never
+return. Here this happens to a process whose output nobody sees, and which the kernel ends in time.
 """
 
 import json
@@ -15,7 +15,7 @@ import sys
 from pfdist.errors import PoolError
 from pfdist.pools.guard import python_command
 
-ANSWER_SECONDS = 18  # from the moment at which Ray is loaded
+ANSWER_SECONDS = 18  # after Ray is imported
 LOAD_SECONDS = 120
 CONNECT_SECONDS = 5.0
 LEAVE_SECONDS = 5
@@ -24,17 +24,9 @@ _SHOWN_ADDRESS = 80
 
 
 def rehearse(address: str) -> None:
-    """Try to join a Ray cluster.
+    """Try to join a Ray cluster at host:port, ray://host:port, or auto.
 
-    Parameters
-    ----------
-    address : str
-        host:port, ray://host:port, or auto.
-
-    Raises
-    ------
-    PoolError
-        The cluster cannot be joined.
+    Raises `PoolError` if the cluster cannot be joined; the error says why.
     """
     with subprocess.Popen(  # noqa: S603  this file
         python_command(__name__, address), stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
@@ -71,7 +63,7 @@ def main() -> None:
 
 def _join(address: str) -> None:
     reach(address)
-    # Here and not above: where nobody listens, this is said at once.
+    # Imported here: if nobody listens, the answer comes at once, without waiting for the import.
     import ray  # noqa: PLC0415
 
     signal.alarm(ANSWER_SECONDS)
@@ -79,12 +71,9 @@ def _join(address: str) -> None:
 
 
 def host_and_port(address: str) -> tuple[str, int]:
-    """Give host and port of an address; Ray itself resolves ``auto``.
+    """Host and port of an address; Ray itself resolves ``auto``.
 
-    Raises
-    ------
-    PoolError
-        It is no address.
+    Raises `PoolError` if it is no address.
     """
     if address == "auto":
         return "", 0
@@ -106,10 +95,7 @@ def host_and_port(address: str) -> tuple[str, int]:
 def reach(address: str) -> None:
     """Connect to an address, and send nothing.
 
-    Raises
-    ------
-    PoolError
-        It is no address, or nobody listens there.
+    Raises `PoolError` if it is no address, or if nobody listens there.
     """
     host, port = host_and_port(address)
     if not port:
@@ -125,13 +111,13 @@ def reach(address: str) -> None:
 
 
 def reason(error: Exception) -> str:
-    """Give the text of a Ray error, as one line of bounded length."""
-    said = " ".join(str(error).split()) or type(error).__name__
-    return said if len(said) <= _SHOWN else f"{said[:_SHOWN]}..."
+    """The text of a Ray error, as one line of bounded length."""
+    text = " ".join(str(error).split()) or type(error).__name__
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
 
 
 def shortened(address: str) -> str:
-    """Give an address in quotes, cut if it is long."""
+    """An address in quotes, cut if it is long."""
     shown = _SHOWN_ADDRESS
     return repr(address if len(address) <= shown else f"{address[:shown]}...")
 

@@ -11,22 +11,17 @@ from pfdist.pools import base
 from pfdist.pools.base import Outcome, Task, do, patience
 from pfdist.pools.cores import usable_cores
 
-IN_FLIGHT = 2  # tasks a thread: the one it does and the one that waits for it
+IN_FLIGHT = 2  # tasks of a thread: the one that it does, and the next
 _LEAVE_SECONDS = 0.5
 _END = object()  # there are no more tasks
-_BUSY = object()  # there may be more tasks, for which no thread is free
+_BUSY = object()  # no thread was free to take another task
 
 
 class ThreadPool:
-    """Threads of this process, one for each core that it may use.
+    """A pool of threads of this process; without a number, one for each core that it may use.
 
     A formula that crashes ends the whole process, and a thread that hangs cannot be ended. So a
     thread that is silent for too long ends the run; the thread itself ends with the process.
-
-    Parameters
-    ----------
-    workers : int
-        Number of threads; 0 is one for each core.
     """
 
     def __init__(self, workers: int = 0) -> None:
@@ -48,14 +43,11 @@ class ThreadPool:
             thread.join(max(0.0, deadline - time.monotonic()))
 
     def run(self, tasks: Iterable[Task | None]) -> Iterator[Outcome]:
-        """Give the outcomes as threads finish tasks, with a bounded number in flight.
+        """Yield the outcomes as threads finish tasks, with a bounded number in flight.
 
-        Raises
-        ------
-        SilenceError
-            A thread is silent for too long.
+        Raises `SilenceError` if a thread is silent for too long.
         """
-        self._forget_tasks()  # there may have been a run that was broken off
+        self._forget_tasks()  # an earlier run may have been broken off
         todo, answers, in_flight = iter(tasks), SimpleQueue[Outcome](), 0
         looked = time.monotonic()
         while True:
@@ -83,9 +75,11 @@ class ThreadPool:
     def _look(self, now: float, stood_still: bool) -> None:
         """Look for threads that are silent for too long."""
         for thread in self._threads:
-            if stood_still:  # the whole process was stopped: it says nothing of the threads
+            if stood_still:  # the whole process was stopped, so no thread is to blame
                 thread.begun = now
-            task = thread.task  # before `begun`, which the thread writes first
+            # The thread writes `begun`, then `task`. Read in reverse order, `begun` belongs to this
+            # task or to a later one, so no thread looks silent that is not.
+            task = thread.task
             silence = now - thread.begun
             if task is not None and silence > patience(task.seconds):
                 raise SilenceError(f"a thread has not answered for {silence:.0f} s")

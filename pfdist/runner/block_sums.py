@@ -4,9 +4,9 @@ There are too many windows to store the errors of each draw. A task adds up the 
 of draws, and the driver adds the blocks in their order. So any number of workers gives the same
 bytes.
 
-The windows of a proof are grown on draws of their own, along the sets that are best in them. If the
-same draws chose the windows and gave the bound, the bound could lie above the truth: windows would
-be preferred that happen to have large errors.
+The windows of a proof grow on draws of their own, along the sets that are best in them. If the same
+draws chose the windows and gave the bound, the bound could lie above the truth: windows that happen
+to have large errors would be preferred.
 """
 
 from collections.abc import Callable, Generator, Sequence
@@ -28,31 +28,24 @@ from pfdist.store import BOUND_PHASE, Store
 from pfdist.times.measurement_times import Times
 
 GROUPS = 20
-"""Groups of blocks; the jackknife leaves one group out. Block b belongs to group b modulo 20."""
+"""Number of groups of blocks: the jackknife leaves one out. Block b is in group b modulo 20."""
 
 CHOICE_BLOCKS = GROUPS
-"""Blocks of draws that choose windows."""
+"""Number of blocks of draws that choose windows."""
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Counted:
-    """Sets of times, and the instants at which the errors of each count.
+    """Sets of times, and the first and last instant at which the errors of each set count."""
 
-    Parameters
-    ----------
-    sets : tuple of tuples of int, (S,)
-    first, ends : array of int, (S,)
-        First and last instant of each set.
-    """
-
-    sets: tuple[Times, ...]
-    first: NDArray[np.int64]
-    ends: NDArray[np.int64]
+    sets: tuple[Times, ...]  # S sets
+    first: NDArray[np.int64]  # (S,)
+    ends: NDArray[np.int64]  # (S,)
 
     def at(self, horizon: int) -> NDArray[np.bool_]:
-        """Give whether the error of each set counts at each instant, (S, T+1)."""
+        """Whether the error of each set counts at each instant, (S, T+1)."""
         t = np.arange(horizon + 1)
         return (self.first[:, None] <= t) & (t <= self.ends[:, None])
 
@@ -60,22 +53,8 @@ class Counted:
 class BlockSums:
     """The sums of the errors of sets over blocks of draws, at the instants that count.
 
-    Parameters
-    ----------
-    built : Built
-    counted : Counted
-    streams : (int, int)
-        Keys of the filters' noise and of the draws.
-    estimation : Estimation
-    knows_truth : bool
-        Whether the filter uses the true model.
-    phase : str
-        Phase of the sums in the store; by default a phase of the bound for these sums alone.
-
-    Attributes
-    ----------
-    id : str
-        Id of the sums in the store.
+    The streams are the keys of the filters' noise and of the draws. Without a phase, the rows
+    belong to a phase of the bound for these sums only. `id` identifies the sums in the store.
     """
 
     def __init__(
@@ -108,24 +87,18 @@ class BlockSums:
         )
 
     def steps(self, blocks: int) -> int:
-        """Particle-steps of the first blocks."""
+        """Particle-steps of the first blocks of draws."""
         return blocks * BLOCK * self._work.steps_a_draw
 
     def batch(self, session: Session, blocks: range, learn: Learn, *, more_follows: bool) -> Batch:
-        """A batch of the sums of some blocks."""
+        """The batch that sums the errors over some blocks."""
         works = [
             replace(self._work, draws=(block * BLOCK, (block + 1) * BLOCK)) for block in blocks
         ]
         return Batch(session, self._phase, works, BLOCK_OF_SUMS, learn, more_follows=more_follows)
 
     def by_group(self, blocks: int, store: Store) -> tuple[Array, Array]:
-        """Sums and numbers of draws of each group, (G, E) and (G,), of the first blocks.
-
-        Raises
-        ------
-        StoreError
-            A file cannot be read.
-        """
+        """Sums of each group, (G, E), and its number of draws, (G,), over the first blocks."""
         sums, draws = np.zeros((GROUPS, int(self._mask.sum()))), np.zeros(GROUPS)
         rows = store.sums(self.id, blocks)
         for block, errors in zip(rows["block"].to_pylist(), rows["sums"], strict=True):
@@ -136,22 +109,18 @@ class BlockSums:
     def means(self, blocks: int, session: Session) -> Generator[Batch, None, Array]:
         """Mean errors of each set at each instant, (S, T+1), over the first blocks.
 
-        They are 0 where no error counts. The blocks in which a set has a degenerate draw are left
-        out. A set has NaN if all blocks are.
-
-        Raises
-        ------
-        TaskError, PoolError, StoreError
-            A task failed, no worker answers, or a file cannot be read or written.
+        They are 0 where no error counts. A block in which a set has a degenerate draw does not
+        count for this set; a set without a usable block has NaN.
         """
-        found: dict[int, Array] = {}
+        sums_by_block: dict[int, Array] = {}
 
         def learn(work: Work, result: Result) -> None:
-            found[work.draws[0] // BLOCK] = result.sums
+            sums_by_block[work.draws[0] // BLOCK] = result.sums
 
         yield self.batch(session, range(blocks), learn, more_follows=True)
+        # Tasks end in any order, and rounding depends on the order of a sum: sorted by block.
         sums, usable = np.zeros(self._mask.shape), np.zeros(len(self._mask))
-        for _, errors in sorted(found.items()):
+        for _, errors in sorted(sums_by_block.items()):
             spread = np.zeros(self._mask.shape)
             spread[self._mask] = errors
             finite = np.isfinite(spread).all(axis=1)
@@ -163,37 +132,22 @@ class BlockSums:
 
 
 def evaluated_by_errors(
-    asked: Sequence[Candidate],
+    candidates: Sequence[Candidate],
     session: Session,
     sums_of: Callable[[Counted], BlockSums],
     blocks: int,
     purpose: str,
 ) -> Generator[Batch, None, tuple[list[Evaluation], float]]:
-    """Evaluations of candidates, and the particle-steps that they take.
+    """Evaluations of candidates by their expected errors, and the particle-steps spent.
 
-    Errors are 0 before the instant from which they are wanted, and behind the candidate's end.
-
-    Parameters
-    ----------
-    asked : sequence of Candidate
-    session : Session
-    sums_of : callable
-        Gives the sums over blocks of draws; exact engines need none.
-    blocks : int
-        Number of blocks of draws.
-    purpose : str
-        Purpose of the draws.
-
-    Raises
-    ------
-    TaskError, PoolError, StoreError
-        A task failed, no worker answers, or a file cannot be read or written.
+    Errors are 0 before the candidate's `since`, and after its end. Exact engines need no sums over
+    blocks of draws.
     """
     evaluator = session.built.evaluator
     exact, horizon, steps = evaluator.exact, evaluator.horizon, 0.0
-    sets = tuple(candidate.measurement_times for candidate in asked)
-    first = np.array([candidate.since or 0 for candidate in asked])
-    ends = np.array([horizon if each.end is None else each.end for each in asked])
+    sets = tuple(candidate.measurement_times for candidate in candidates)
+    first = np.array([candidate.since or 0 for candidate in candidates])
+    ends = np.array([horizon if each.end is None else each.end for each in candidates])
     counted = Counted(sets, first, ends)
     if exact:
         errors = np.where(counted.at(horizon), evaluator.expected_errors(sets), 0.0)
@@ -210,7 +164,7 @@ def evaluated_by_errors(
             errors=row,
             purpose=purpose,
         )
-        for candidate, row, cost in zip(asked, errors, costs, strict=True)
+        for candidate, row, cost in zip(candidates, errors, costs, strict=True)
     ]
     return evaluations, steps
 
@@ -222,23 +176,10 @@ def grown(
     most_steps: float,
     most_cells: int,
 ) -> Generator[Batch, None, tuple[Relaxation, float]]:
-    """The relaxation that a search for windows ends with, and the particle-steps that it took.
+    """The relaxation with which a search for windows ends, and the particle-steps spent.
 
-    Parameters
-    ----------
-    session : Session
-    optimiser : StateSpaceRelaxation
-    estimation : Estimation
-        An estimation by the variance of the particles.
-    most_steps : float
-        Particle-steps after which no window is added.
-    most_cells : int
-        Largest number of errors of a relaxation.
-
-    Raises
-    ------
-    TaskError, PoolError, StoreError
-        A task failed, no worker answers, or a file cannot be read or written.
+    The estimation uses the variance of the particles. No window is added after `most_steps`, and a
+    relaxation has at most `most_cells` errors.
     """
     built, reporter = session.built, session.reporter
     stream = stream_of("bound", built.job.seed, "windows")
@@ -247,21 +188,25 @@ def grown(
         return BlockSums(built, counted, (stream, stream), estimation)
 
     state, steps, rng = optimiser.init(), 0.0, np.random.default_rng(0)
-    if not built.evaluator.exact:  # which takes no particle-steps
+    if not built.evaluator.exact:  # an exact engine takes no particle-steps
         reporter.begin("windows of the bound")
     start = reporter.progress.done
     relaxation = state.relaxation
+    # Each round first filters the windows that the last round added, then adds windows. Both limits
+    # count cells and particle-steps, never seconds, and steps that the store already has count too.
+    # So a proof that was killed grows the same windows again, and finds their sums by their ids.
     while not optimiser.done(state):
-        asked = optimiser.ask(state, rng)
+        candidates = optimiser.ask(state, rng)
         evaluations, work = yield from evaluated_by_errors(
-            asked, session, sums_of, CHOICE_BLOCKS, "bound"
+            candidates, session, sums_of, CHOICE_BLOCKS, "bound"
         )
         steps += work
         if work:
             reporter.reach(start + steps)
         state = optimiser.tell(state, evaluations)
         if state.relaxation.offsets[-1] > most_cells:
-            break
+            break  # too large: the relaxation before it is the result
+        # The newest windows were not filtered yet. The bound does this, on fresh draws.
         relaxation = state.relaxation
         if steps >= most_steps:
             break

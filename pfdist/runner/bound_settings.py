@@ -41,7 +41,7 @@ class BoundSettings:
         those that the first windows take. Windows also stop growing when no set of the relaxation
         is better than the run's sets by more than 0.1 %, on the draws that choose the windows.
     memory : int
-        Memory that the relaxation may take, in MiB. A window that needs more is not known.
+        Memory that the relaxation may take, in MiB. A window that needs more is not added.
 
     Raises
     ------
@@ -81,7 +81,7 @@ class BoundSettings:
 
     @property
     def most_draws(self) -> int:
-        """The number of draws after which the proof ends at the latest."""
+        """The number of draws at which the proof ends at the latest."""
         return self.draws or (DRAWS if self.within is None else WITHIN_DRAWS)
 
     @property

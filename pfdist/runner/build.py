@@ -40,7 +40,7 @@ class Built:
     searches: tuple[NamedSearch, ...] = field(repr=False)
 
     def instants(self, sets: Mapping[str, Sequence[Time]]) -> dict[str, Times]:
-        """Give the instants of sets of times on the job's clock."""
+        """The instants of sets of times on the job's clock."""
         clock = self.job.problem.clock
         return {name: clock.instants(times) for name, times in sets.items()}
 
@@ -57,8 +57,8 @@ class Built:
     @property
     def names(self) -> list[str]:
         """Names of the compared sets: those that the job gives, then those that searches find."""
-        found = [name for search in self.searches for name in self.study.names(search.name)]
-        return [*self.study.unsearched, *found]
+        searched = [name for search in self.searches for name in self.study.names(search.name)]
+        return [*self.study.unsearched, *searched]
 
     @property
     def unjudged(self) -> Collection[str]:
@@ -69,11 +69,8 @@ class Built:
 def build(job: Job) -> Built:
     """Make the objects of a job, and check that they fit each other.
 
-    Raises
-    ------
-    ModelError
-        The model cannot be loaded, a parameter is unknown or out of its range, or an estimator or
-        a resampling scheme does not fit.
+    Raises `ModelError` if the model cannot be loaded, if a parameter is unknown or out of its
+    range, or if an estimator or a resampling scheme does not fit.
     """
     model, filter_model = models_of(job)
     evaluator = carried_evaluator(
@@ -109,14 +106,9 @@ def build(job: Job) -> Built:
 
 
 def models_of(job: Job) -> tuple[CarriedModel, CarriedModel]:
-    """Give the model of a job, and the model that its filter uses.
+    """The model of a job, and the model that its filter uses.
 
     A model is the object that was handed over with the job, or has the name that the job gives.
-
-    Raises
-    ------
-    ModelError
-        A model cannot be loaded.
     """
     folder, believed = folder_of_models(job), job.model.filter
     model = _model_of(job, "model", job.model, folder)
@@ -140,16 +132,16 @@ def _model_of(job: Job, part: str, section: Model | FilterModel, folder: Path) -
 
 
 def folder_of_models(job: Job) -> Path:
-    """Give the folder to which the paths of a job's models are relative.
+    """The folder to which the paths of a job's models are relative.
 
     This is the folder of the job file. If the file is the job.toml of a run, the paths are still
     relative to the folder of the job file with which the run was started.
     """
     # Imported here, so that workers, which need no model file, need no pyarrow.
-    from pfdist.store import is_kept_job, read_run  # noqa: PLC0415
+    from pfdist.store import is_job_of_run, read_run  # noqa: PLC0415
 
     folder = job.path.parent
-    if not is_kept_job(job.path):
+    if not is_job_of_run(job.path):
         return folder
     return Path(folder, read_run(folder)[0].get("provenance", {}).get("folder", ""))
 
@@ -167,7 +159,7 @@ def say_model_files(jobs: Iterable[Job], say: Callable[[str], Any]) -> None:
 
 
 def _checked_formulas(evaluator: Evaluator) -> Draws | None:
-    """Refuse wrong formulas of the user's models; return a few draws of a user's true model."""
+    """A few draws of a user's true model, or None; wrong formulas of a user are refused."""
     draws, (model, filter_model) = None, evaluator.carried
     if not _ships(model):
         draws = few_draws(evaluator.model, evaluator.horizon)
@@ -199,7 +191,7 @@ def _compiled_or_numpy(evaluator: Evaluator) -> str:
     The formulas are compiled here, and workers on this machine find the result on disk.
     """
     try:
-        # For every engine, so that a wrong model is found at once.
+        # For every engine, so that a wrong model is refused at once.
         evaluator.compile(*evaluator.estimations)
     except CompileError as error:
         if evaluator.engine != AUTO:
@@ -215,13 +207,7 @@ def _compiled_or_numpy(evaluator: Evaluator) -> str:
 
 
 def check_pool(execution: Execution) -> None:
-    """Refuse an [execution] whose pool cannot have the workers or the address that it asks for.
-
-    Raises
-    ------
-    JobError
-        The pool is one worker, but several are given, or it joins no cluster, but an address is.
-    """
+    """Raise a `JobError` if [execution] has workers or an address that its pool does not take."""
     pool, workers, address = execution.pool, execution.workers, execution.address
     for name, got, given in (("workers", workers, workers > 1), ("address", address, address)):
         if given and name not in POOLS[pool].takes:
@@ -235,32 +221,27 @@ def check_pool(execution: Execution) -> None:
 def make_pool(execution: Execution, *, threaded: bool = True) -> Pool:
     """The pool that [execution] names; the pool starts when the caller enters it.
 
-    Parameters
-    ----------
-    execution : Execution
-    threaded : bool
-        Whether tasks release Python's lock, so that threads of a process do them together.
+    `threaded` says whether tasks release Python's lock, so that threads of a process can work
+    together.
     """
     return POOLS[execution.pool].make(execution.workers, execution.address, threaded)
 
 
 def check_estimate_columns(sets: Sequence[str], components: Sequence[Component]) -> None:
-    """Raise an error if the estimates of two sets would have columns of one name.
+    """Raise a `JobError` if the estimates of two sets would have columns of one name.
 
-    Raises
-    ------
-    JobError
-        The set ``a`` with the component ``b c`` and the set ``a_b`` with the component ``c``, say.
+    For example, the set ``a`` with the component ``b_c`` and the set ``a_b`` with the component
+    ``c``.
     """
-    known = dict[str, tuple[str, str]]()
+    owners = dict[str, tuple[str, str]]()
     for name in sets:
         for each in components:
             column = f"estimate_{name}_{each.suffix}"
-            if column in known:
-                other, other_suffix = known[column]
+            if column in owners:
+                other, other_suffix = owners[column]
                 raise JobError(
                     "estimates must have different columns, got the column "
                     f"{column!r} for {other_suffix!r} of the set {other!r} and for {each.suffix!r} "
                     f"of the set {name!r}: give a search, or a set of comparison.sets, another name"
                 )
-            known[column] = name, each.suffix
+            owners[column] = name, each.suffix

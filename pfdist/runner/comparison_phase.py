@@ -18,7 +18,7 @@ from pfdist.evaluation.work import Result, Work, cut
 from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.first_draws import TABLES
-from pfdist.runner.kept import OfDraws
+from pfdist.runner.kept import RowsByDraw
 from pfdist.runner.progress import Found
 from pfdist.store import ROWS_IN_A_FILE, Store, comparison_schema
 from pfdist.times.measurement_times import Times, validated
@@ -27,19 +27,7 @@ COMPARISON = "comparison"
 
 
 def run_comparison(session: Session, sets: Mapping[str, Times]) -> Generator[Batch, None, None]:
-    """Filter every set on the same draws, and publish the comparison.
-
-    Parameters
-    ----------
-    session : Session
-    sets : mapping of str to tuple of int
-        Measurement times by name, the reference first.
-
-    Raises
-    ------
-    TaskError, PoolError, StoreError
-        A task failed, no worker answers, or a file cannot be read or written.
-    """
+    """Filter every set on the same draws, the reference first, and publish the comparison."""
     built, reporter = session.built, session.reporter
     draws, study = built.job.comparison.draws, built.study
     work, start = _work(built, sets), reporter.progress.done
@@ -63,30 +51,32 @@ def run_comparison(session: Session, sets: Mapping[str, Times]) -> Generator[Bat
         reporter.reach(
             reporter.progress.done + piece.steps,
             evaluations=reporter.progress.evaluations + len(result.mse),
-            found=study.shown(interim.found),
+            found=study.shown(interim.so_far),
         )
         return interim.enough > 0
 
     works = [work.part(draws_of_block) for draws_of_block in cut(range(draws), BLOCK)]
-    yield Batch(session, COMPARISON, works, OfDraws("comparison", rows_of, _result), learn)
+    # The batch commits its last rows before it ends, so publishing finds all draws. A kill while
+    # the files are written leaves the parts, and the next start publishes them again.
+    yield Batch(session, COMPARISON, works, RowsByDraw("comparison", rows_of, _result), learn)
     reporter.reach(start + comparison_steps(built))
     _publish(session.store, interim.enough or draws)
 
 
 def _result(rows: pa.Table) -> Result:
-    """The result that gave these rows."""
+    """The result from which these rows were made."""
     return Result(np.stack([rows[name].to_numpy() for name in rows.column_names[1:]], axis=1))
 
 
 def comparison_steps(built: Built) -> int:
-    """How many particle-steps the whole comparison takes."""
+    """Particle-steps of the whole comparison."""
     job = built.job
     instants = len(built.names) * (job.problem.feasible.horizon + 1)
     return job.comparison.draws * job.filter.particles * instants
 
 
 def _work(built: Built, sets: Mapping[str, Times]) -> Work:
-    """All sets on the same draws, each with filter noise of its own; the draws are not chosen."""
+    """All sets on the same draws, each with filter noise of its own; the draws are still open."""
     job, purpose, horizon = built.job, built.study.purpose, built.job.problem.feasible.horizon
     return Work(
         measurement_times=tuple(validated(times, horizon, name) for name, times in sets.items()),
@@ -100,7 +90,7 @@ def _work(built: Built, sets: Mapping[str, Times]) -> Work:
 
 
 def _publish(store: Store, draws: int) -> None:
-    """Turn parts into tables, as many draws at a time as make a file."""
+    """Publish the table of the comparison from its parts, a file's rows at a time."""
     if store.has_parts("comparison", COMPARISON):
         if not store.present("comparison", "draw")[:draws].all():
             raise StoreError(
@@ -114,21 +104,9 @@ def _publish(store: Store, draws: int) -> None:
 class InterimGains:
     """Adds up the gains of a comparison, and says when its draws are enough.
 
-    Parameters
-    ----------
-    names : list of str
-        Names of the compared sets.
-    references : mapping of str to str
-        The set over which each other set gains, by name.
-    draws : int
-        Draws of the whole comparison; the last block may be shorter than the others.
-    half_width : float
-        Half width of the widest interval at which the draws are enough; 0 for never.
-
-    Attributes
-    ----------
-    enough : int
-        Number of draws that were enough; 0 as long as they are not.
+    The draws are enough when no interval is wider than twice `half_width`; with 0 they never are.
+    The last block of `draws` may be shorter than the others. `references` names the set over which
+    each other set gains.
     """
 
     def __init__(
@@ -137,10 +115,10 @@ class InterimGains:
         self._statistics = ComparisonStatistics(names, references=references)
         self._draws, self._half_width = draws, half_width
         self._waiting: dict[int, _Block] = {}
-        self.enough = 0
+        self.enough = 0  # number of draws that were enough; 0 as long as they are not
 
-    def found(self) -> tuple[Found, ...]:
-        """The gain of each set over the reference so far."""
+    def so_far(self) -> tuple[Found, ...]:
+        """The gain of each set over its reference so far."""
         return tuple(
             Found(
                 name,

@@ -1,31 +1,32 @@
 """The one door for numbers, and the loop that serves it.
 
-A driver is a generator: it yields a `Batch` of works and goes on when all their results are known.
+A driver is a generator: it yields a `Batch` of works and goes on when all their results are there.
 Searches, the comparison, block sums, the worth of measurements, online draws and the proof get
 every number in this way. One loop serves one driver, or the points of a sweep side by side.
 
 These things happen to a batch, in this order; a kill at each point costs:
 
 1. Each work is looked up: in the tables of its own run, then in those of other runs of the loop.
-   Nothing is computed yet, so a kill costs nothing.
-2. An evaluation that another run computes at this moment is waited for. It is known by its id.
-3. Missing works are cut into tasks of about 0.3 s; a slow model has longer tasks at first, and a
-   block of sums is never cut. A worker holds a task or two: these are lost with it.
-4. Results come back in any order. The batch learns each at once, and its rows wait in memory. A
-   kill of the driver costs the rows that wait.
-5. Waiting rows are committed with the first result after `COMMIT_SECONDS`, and at the end of a
-   batch unless more follows. A commit writes a file under a temporary name, flushes it and gives it
-   its name: a kill before the last step leaves a temporary file, which the next start removes. The
-   timings of the tasks follow in a file of their own: a kill between the two costs these timings.
-6. When nothing of the batch is missing, the driver goes on. Tables that it publishes with
-   `Session.later` are written after the next commit, when the workers have their next tasks. A kill
-   before costs nothing: the driver finds all rows committed, and publishes them again.
+Nothing is computed yet, so a kill costs nothing. 2. If another run computes an evaluation at this
+moment, the batch waits for it. The id of the evaluation says so. 3. Missing works are cut into
+tasks of about 0.3 s; a slow model has longer tasks at first, and a block of sums is never cut. A
+worker holds a task or two: these are lost with it. 4. Results come back in any order. The batch
+learns each at once, and its rows wait in memory. A kill of the driver costs the rows that wait. 5.
+Waiting rows are committed with the first result after `COMMIT_SECONDS`, and at the end of a batch
+unless more follows. A commit writes a file under a temporary name, flushes it and gives it its
+name: a kill before the last step leaves a temporary file, which the next start removes. The timings
+of the tasks follow in a file of their own: a kill between the two costs these timings. 6. When
+nothing of the batch is missing, the driver goes on. Tables that it publishes with `Session.later`
+are written after the next commit, when the workers have their next tasks. A kill before costs
+nothing: the driver finds all rows committed, and publishes them again.
 
 A task that fails is done again after all others, as often as the job allows. Then the driver gets a
-`TaskError`, and commits what it has.
+`TaskError`, and commits what it has. So every driver may raise `TaskError` (a task failed),
+`PoolError` (no worker answers) and `StoreError` (a file cannot be read or written). The docstrings
+of drivers do not repeat this.
 
-The door commits rows and timings; to publish them (`Store.settle`) is left to the driver, which
-knows when a table is complete. Estimations that the evaluator does not name are compiled with
+The door commits rows and timings. The driver publishes them (`Store.settle`), because it knows when
+a table is complete. Estimations that the evaluator does not name are compiled with
 `Evaluator.compile` before their first batch, because the time of a task is limited.
 """
 
@@ -50,32 +51,27 @@ from pfdist.runner.pace import Pace, bundles
 from pfdist.runner.progress import Reporter, Show
 from pfdist.store import Store, schema
 
-COMMIT_SECONDS = (
-    1.0  # between two commits; a kill loses about so much work, and the tasks in flight
-)
-COMMIT_ROWS = 100_000  # at most so many rows wait in memory, however fast a model is
+# Between two commits. A kill loses about so much work, and the tasks in flight:
+COMMIT_SECONDS = 1.0
+COMMIT_ROWS = 100_000  # largest number of rows that wait in memory, however fast a model is
 
-Known = Iterator[tuple[Work, Result]]
+StoredResults = Iterator[tuple[Work, Result]]
 Learn = Callable[[Work, Result], object]
 Say = Callable[[str], Any]
 Owner = TypeVar("Owner")
 
 
-class Kept(Protocol):
-    """How results are kept as rows of a table.
+class RowFormat(Protocol):
+    """How results become rows of a table, and rows become results again.
 
-    Attributes
-    ----------
-    table : str
-    is_shared : bool
-        Whether runs may take each other's rows: the ids of works name everything on which the rows
-        depend.
+    If the format is shared, runs may take each other's rows: the ids of works name everything on
+    which the rows depend.
     """
 
     table: str
     is_shared: bool
 
-    def known(self, store: Store, works: list[Work]) -> tuple[list[Work], Known]:
+    def look_up(self, store: Store, works: list[Work]) -> tuple[list[Work], StoredResults]:
         """The works that a store lacks, and the results that it has."""
 
     def rows(self, work: Work, result: Result) -> pa.Table:
@@ -85,20 +81,14 @@ class Kept(Protocol):
 class Batch:
     """Works whose results a driver needs before it goes on.
 
-    Parameters
-    ----------
-    session : Session
-    phase : str
-        Where the rows belong.
-    works : iterable of Work
-    kept : Kept or None
-        None: the results are not kept, nor timings, so they are never looked up.
-    learn : callable
-        Learns each piece of a work and its result, in any order. If it returns True, no more
-        results are needed, and the driver goes on.
-    more_follows : bool
-        Whether the last rows may wait for the next batch. A commit takes a while, and between two
-        generations the workers are idle.
+    The rows belong to a phase of the session's run. Without a row format, neither results nor
+    timings are stored, so they are never looked up.
+
+    `learn` receives each piece of a work with its result, in any order. If it returns True, no more
+    results are needed, and the driver goes on.
+
+    If `more_follows`, the last rows wait for the next batch. A commit takes a while, and the
+    workers would be idle between two generations.
     """
 
     def __init__(
@@ -106,22 +96,25 @@ class Batch:
         session: "Session",
         phase: str,
         works: Iterable[Work],
-        kept: Kept | None,
+        row_format: RowFormat | None,
         learn: Learn = lambda work, result: None,
         *,
         more_follows: bool = False,
     ) -> None:
-        self.session, self.phase, self.works, self.kept = session, phase, list(works), kept
-        self.waiting: list[Work] = []  # for results of other batches
+        self.session, self.phase, self.works = session, phase, list(works)
+        self.row_format = row_format
+        self.waiting: list[Work] = []  # works that other batches compute
         self._learn, self._more_follows = learn, more_follows
+        # Tasks are cut one at a time, so each is as long as the speed that was learnt so far
+        # allows. One is cut ahead: so the batch knows whether a task is left.
         self._cuts: Iterator[_Cut] = iter(())
         self._next: _Cut | None = None
-        self._again: deque[_Cut] = deque()
+        self._again: deque[_Cut] = deque()  # failed tasks
         self._in_flight, self._enough = 0, False
 
     @property
     def is_computed(self) -> bool:
-        """Whether no task is left; the batch may still wait for results of others."""
+        """Whether no task is left; the batch may still wait for results of other batches."""
         left = self._next is not None or self._again or self._in_flight
         return self._enough or not left
 
@@ -131,41 +124,35 @@ class Batch:
         return not self._enough and (bool(self.waiting) or not self.is_computed)
 
     def learn(self, work: Work, result: Result) -> None:
-        """Learn a result."""
+        """Hand a result to the driver, and note whether it has had enough."""
         self._enough = self._learn(work, result) is True or self._enough
 
     def add(self, works: list[Work], workers: int, *, is_shared: bool) -> None:
         """Cut works that must be computed into tasks."""
         if not self._enough:
             pace = self.session.pace(workers, is_shared=is_shared)
-            table = self.kept.table if self.kept is not None else self.phase
+            table = self.row_format.table if self.row_format is not None else self.phase
             results = self.session.built.evaluator.results
             self._cuts = chain(self._cuts, _cuts(table, results, works, pace))
             self._next = self._next or next(self._cuts, None)
 
     def next_cut(self) -> "_Cut | None":
-        """The next task; tasks that failed are done again after all others."""
+        """The next task, or None; tasks that failed are done again after all others."""
         cut = self._next or (self._again.popleft() if self._again else None)
         self._next = next(self._cuts, None)
         self._in_flight += cut is not None
         return cut
 
     def take(self, cut: "_Cut", outcome: Outcome) -> None:
-        """Take the outcome of a task: learn it, and let its rows wait for a commit.
+        """Take the outcome of a task: the rows wait for a commit, the driver learns the results.
 
-        Raises
-        ------
-        ModelError
-            A worker cannot make the models.
-        TaskError
-            Too many tasks have failed.
-        StoreError
-            A file cannot be written.
+        Raises `ModelError` if a worker cannot make the models, and `TaskError` if too many tasks
+        failed.
         """
         session = self.session
         self._in_flight -= 1
-        if self.kept is not None:
-            session.note(self.phase, outcome)
+        if self.row_format is not None:
+            session.note(self.phase, outcome)  # failed tasks have timings, too
         if outcome.error is not None:
             if outcome.refused:
                 raise ModelError(outcome.error)
@@ -173,6 +160,7 @@ class Batch:
             session.count_failure(self.phase, outcome.error)
             return
         session.learn_pace(cut.steps, outcome.seconds)
+        # The commit comes last, so it has the rows of the whole task.
         for work, result in zip(cut.task.work, outcome.value, strict=True):
             self.keep(work, result)
             self.learn(work, result)
@@ -180,12 +168,13 @@ class Batch:
 
     def keep(self, work: Work, result: Result) -> None:
         """Let the rows of a result wait for a commit."""
-        if self.kept is not None:
+        if self.row_format is not None:
             key = f"{stream_key((work.ids, work.draws)):016x}"
-            self.session.keep(self.phase, self.kept.table, key, self.kept.rows(work, result))
+            rows = self.row_format.rows(work, result)
+            self.session.keep(self.phase, self.row_format.table, key, rows)
 
     def end(self) -> None:
-        """Commit what waits, unless more follows."""
+        """Commit the rows that wait, unless more follows."""
         if not self._more_follows:
             self.session.commit()
 
@@ -205,18 +194,13 @@ def _cuts(table: str, function: Function, works: list[Work], pace: Pace) -> Iter
 
 
 Driver = Generator[Batch, None, Any]
-"""Yields what it needs, one batch after another; its value is what it returns."""
+"""Yields one batch after another, and returns a value."""
 
 
 class Session:
     """One start of the program on a run: its objects, its progress, and the rows to commit.
 
-    Parameters
-    ----------
-    built : Built
-    store : Store
-    show, say : callable
-        Receive the progress, and lines for the user.
+    `show` receives the progress, and `say` receives lines for the user.
     """
 
     def __init__(
@@ -229,8 +213,8 @@ class Session:
         self.built, self.store, self.say, self.reporter = built, store, say, Reporter(show)
         self.failures = 0
         self._pace: Pace | None = None
-        self._held = dict[str, bool]()
-        # Names of starts sort in the order of the starts.
+        self._held = dict[str, bool]()  # by table; see `held`
+        # Names of sessions sort in the order in which they started.
         self._name, self._commits = f"{int(time.time()):08x}{uuid.uuid4().hex[:4]}", 0
         self._rows: dict[tuple[str, str], list[tuple[str, pa.Table]]] = {}
         self._outcomes: dict[str, list[Outcome]] = {}
@@ -248,34 +232,28 @@ class Session:
         self._outcomes.setdefault(phase, []).append(outcome)
 
     def held(self, table: str) -> bool:
-        """Whether the store had rows of a table when this session first asked for them.
+        """Whether the store had rows of a table when this session first needed them.
 
-        A driver never asks twice for what it has computed, so nothing else is looked up.
+        Rows that this session commits itself are never looked up: no driver needs a result twice.
         """
         if table not in self._held:
             self._held[table] = self.store.has(table)
         return self._held[table]
 
     def pace(self, workers: int, *, is_shared: bool) -> Pace:
-        """The speed of the workers, learnt from every task."""
+        """The speed of the workers, learnt from every task of this session."""
         if self._pace is None:
             guess = self.built.evaluator.seconds_a_step
             self._pace = Pace(guess, workers, is_shared=is_shared)
         return self._pace
 
     def learn_pace(self, steps: int, seconds: float) -> None:
-        """Learn from a task of so many particle-steps that took so many seconds."""
+        """Learn the speed from a task of so many particle-steps that took so many seconds."""
         if self._pace is not None:
             self._pace.learn(steps, seconds)
 
     def count_failure(self, phase: str, error: str) -> None:
-        """Count a task that failed.
-
-        Raises
-        ------
-        TaskError
-            Too many tasks have failed.
-        """
+        """Count a task that failed, and raise a `TaskError` if too many have failed."""
         self.failures += 1
         if self.failures > self.built.job.execution.failures:
             reason = error.strip().splitlines()[-1].removeprefix("pfdist.errors.")
@@ -293,7 +271,13 @@ class Session:
             self.commit()
 
     def commit(self) -> None:
-        """Commit all waiting rows and timings, then write everything given to `later`."""
+        """Commit all waiting rows and timings, then write everything given to `later`.
+
+        Every row is committed before any table is published. So a published table never lacks rows
+        that were computed before it.
+        """
+        # Taken out first: if a write fails, closing the driver commits again, and must not repeat
+        # it.
         later, self._later = self._later, []
         rows, self._rows, self._waiting = self._rows, {}, 0
         outcomes, self._outcomes = self._outcomes, {}
@@ -329,15 +313,9 @@ class Session:
 class Loop:
     """Serves drivers: hands out their tasks, those of the first driver first.
 
-    Parameters
-    ----------
-    pool : context manager
-        Gives a pool. It is entered with the first task, and left when no driver has another.
-    at_once : int
-        How many drivers are at work at the same time. If there are several, they take evaluations
-        from each other's tables.
-    lenders : iterable of Store
-        Further runs whose evaluations all drivers take.
+    The pool is entered with the first task, and left when all drivers have ended. At most `at_once`
+    drivers are at work at the same time. If there may be several, they take evaluations from each
+    other's tables. All drivers also take evaluations from the tables of the lenders.
     """
 
     def __init__(
@@ -353,23 +331,21 @@ class Loop:
         self._batches: dict[Driver, Batch] = {}  # the first driver first
         self._sent: dict[str, tuple[Driver, Batch, _Cut]] = {}  # tasks of the pool, by their keys
         self._count = 0
-        self._computing: dict[str, Batch] = {}  # who computes an evaluation, by its id
-        # Who has an evaluation, by its id; the first lender goes first.
+        self._computing: dict[str, Batch] = {}  # the batch that computes an evaluation, by its id
+        # The store that has an evaluation, by its id; the first lender goes first.
         self._stores = {id_: store for store in reversed([*lenders]) for id_ in store.evaluations()}
         self._ready: dict[Driver, Exception | None] = {}  # drivers that go on next
         self._values: list[Any] = []
 
     def serve(self, drivers: Iterable[Driver | None]) -> list[Any]:
-        """Serve drivers to their ends, and return what they return, in the order of their ends.
+        """Serve drivers to their ends, and return their values, in the order of their ends.
 
-        None in the place of a driver says that another must end before the next can begin.
-
-        Raises
-        ------
-        BaseException
-            A driver or the pool raises it. All drivers are closed before: each commits what it has.
+        None in place of a driver says that another driver must end before the next can begin. If a
+        driver or the pool raises an error, all drivers are closed first: each commits its rows.
         """
         todo = iter(drivers)
+        # After each outcome, drivers that have all results go on at once. Their next tasks are
+        # there before the pool asks for one. Drivers are closed before the pool is left.
         with self._stack:
             try:
                 self._advance(todo)
@@ -388,7 +364,7 @@ class Loop:
         return self._pool
 
     def _advance(self, todo: Iterator[Driver | None]) -> None:
-        """Let all drivers go on that can, and others begin as long as few are at work."""
+        """Let all drivers go on that can, and start others as long as few are at work."""
         while True:
             if self._ready:
                 driver = next(iter(self._ready))
@@ -399,7 +375,11 @@ class Loop:
                 return
 
     def _go_on(self, driver: Driver, error: Exception | None = None) -> None:
-        """Let a driver go on until a batch of it lacks results, or it ends."""
+        """Let a driver go on until a batch of it lacks results, or it ends.
+
+        The ended batch commits its rows before the driver goes on, because the driver may publish
+        them.
+        """
         batch = self._batches.pop(driver, None)
         try:
             while True:
@@ -410,6 +390,7 @@ class Loop:
                 if error is not None:
                     self._forget(batch)
                 elif batch.lacks_results:
+                    # The driver gets its old place back: tasks of the first driver go first.
                     rank = self._ranks.setdefault(driver, len(self._ranks))
                     before = [each for each in self._batches if self._ranks[each] < rank]
                     first = {each: self._batches[each] for each in before}
@@ -418,7 +399,7 @@ class Loop:
         except StopIteration as end:
             self._values.append(end.value)
         except BaseException:
-            driver.close()  # it commits what it has, while its folder is still locked
+            driver.close()  # it commits its rows while its folder is still locked
             raise
 
     def _tasks(self) -> Iterator[Task | None]:
@@ -432,7 +413,7 @@ class Loop:
                     yield replace(cut.task, key=key)
                     break
             else:
-                if self._at_once == 1:  # the pool ends when it has done what it has
+                if self._at_once == 1:  # the pool ends with the tasks in flight
                     return
                 yield None
 
@@ -440,38 +421,42 @@ class Loop:
         """Let a batch learn from an outcome; its driver goes on if the batch lacks nothing more."""
         driver, batch, cut = self._sent.pop(outcome.task.key)
         if self._batches.get(driver) is not batch:
-            return  # the driver has had enough
+            return  # the driver had enough results before this one came
         error = _error_of(partial(batch.take, cut, replace(outcome, task=cut.task)))
         if error is None and not batch.is_computed:
             return
-        own = self._forget(batch)
-        if own and error is None:
+        # This batch has computed its part. Its rows are committed before other runs look for them
+        # in its store. If it failed, its ids have no store, and a batch that waits computes them
+        # itself.
+        ids = self._forget(batch)
+        if ids and error is None:
             error = _error_of(batch.session.commit)
             if error is None:
-                self._stores.update(dict.fromkeys(own, batch.session.store))
+                self._stores.update(dict.fromkeys(ids, batch.session.store))
         if error is not None or not batch.lacks_results:
             self._ready[driver] = error
-        if own:
+        if ids:
             self._serve_the_waiting()
 
     def _look_up(self, batch: Batch, works: list[Work]) -> None:
-        """Let a batch learn what is known of works, and cut the others into tasks."""
-        kept, session = batch.kept, batch.session
-        if kept is not None:
-            if session.held(kept.table):
+        """Let a batch learn the stored results of works, and cut the other works into tasks."""
+        row_format, session = batch.row_format, batch.session
+        if row_format is not None:
+            if session.held(row_format.table):
                 works = _learnt(batch, session.store, works)
-            if kept.is_shared and (self._stores or self._at_once > 1):
+            if row_format.is_shared and (self._stores or self._at_once > 1):
                 works = self._own(batch, works)
         if works:
             batch.add(works, self._entered().workers, is_shared=self._at_once > 1)
 
     def _own(self, batch: Batch, works: list[Work]) -> list[Work]:
-        """The works that this batch computes; the others are taken from tables, or waited for."""
+        """The works that this batch computes; the others are in tables, or it waits for them."""
         by_store = defaultdict[Store | None, list[Work]](list)
         for work in works:
             for store, part in _by(work, self._stores.get):
                 by_store[store].append(part)
         lacking = by_store.pop(None, [])
+        # Rows of another run are committed in this run, too: so its files do not depend on others.
         for store, parts in by_store.items():
             if store is not None:
                 lacking += _learnt(batch, store, parts, keep=True)
@@ -485,14 +470,14 @@ class Loop:
         return own
 
     def _forget(self, batch: Batch) -> list[str]:
-        """Forget that a batch computes evaluations, and return their ids."""
-        own = [id_ for id_, computing in self._computing.items() if computing is batch]
-        for id_ in own:
+        """Ids of the evaluations that a batch computed; it is no longer noted for them."""
+        ids = [id_ for id_, computing in self._computing.items() if computing is batch]
+        for id_ in ids:
             del self._computing[id_]
-        return own
+        return ids
 
     def _serve_the_waiting(self) -> None:
-        """Let batches that wait take what was computed, or compute what was not."""
+        """Let waiting batches take committed evaluations, or compute those that nobody has."""
         waits = True
         while waits:
             waits = False
@@ -501,7 +486,8 @@ class Loop:
                     works, batch.waiting = batch.waiting, []
                     error = _error_of(partial(self._look_up, batch, works))
                     if error is not None:
-                        waits = bool(self._forget(batch)) or waits  # others may wait for these
+                        # This batch will not compute its ids: a batch before it may wait for them.
+                        waits = bool(self._forget(batch)) or waits
                     if error is not None or not batch.lacks_results:
                         self._ready[driver] = error
 
@@ -509,10 +495,7 @@ class Loop:
 def _error_of(function: Callable[[], object]) -> PfdistError | None:
     """The error with which a call ends, if it belongs to one driver and the others can go on.
 
-    Raises
-    ------
-    PoolError
-        There are no workers: no driver can go on.
+    A `PoolError` goes through: without workers, no driver can go on.
     """
     try:
         function()
@@ -524,11 +507,11 @@ def _error_of(function: Callable[[], object]) -> PfdistError | None:
 
 
 def _learnt(batch: Batch, store: Store, works: list[Work], *, keep: bool = False) -> list[Work]:
-    """Let a batch learn what a store knows of works; return the works that it lacks."""
-    if batch.kept is None:
+    """The works that a store lacks, after a batch has learnt the stored results of the others."""
+    if batch.row_format is None:
         return works
-    lacking, known = batch.kept.known(store, works)
-    for work, result in known:
+    lacking, stored = batch.row_format.look_up(store, works)
+    for work, result in stored:
         if keep:
             batch.keep(work, result)
         batch.learn(work, result)
@@ -536,7 +519,7 @@ def _learnt(batch: Batch, store: Store, works: list[Work], *, keep: bool = False
 
 
 def _by(work: Work, of_id: Callable[[str], Owner | None]) -> Iterator[tuple[Owner | None, Work]]:
-    """Split the sets of a work by the owners of their ids."""
+    """Yield the parts of a work whose sets have ids of the same owner, with the owner or None."""
     if work.summed:
         yield of_id(work.ids[0]), work
         return
@@ -553,6 +536,6 @@ def complete(
     pool: contextlib.AbstractContextManager[Pool],
     lenders: Iterable[Store] = (),
 ) -> Any:
-    """Serve a single driver, and return what it returns."""
+    """The value of a single driver, which is served to its end."""
     (value,) = Loop(pool, lenders=lenders).serve([driver])
     return value

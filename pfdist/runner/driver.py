@@ -20,23 +20,17 @@ COMPARED = "search"
 
 
 def drive(session: Session) -> Generator[Batch, None, None]:
-    """Compute everything that a run still lacks, be it new or half finished.
+    """Compute everything that a run still lacks, whether it is new or half finished.
 
-    Parameters
-    ----------
-    session : Session
-
-    Raises
-    ------
-    SearchError
-        A search found no set of times without degenerate draws.
-    TaskError, PoolError, StoreError
-        A task failed, no worker answers, or a file cannot be read or written.
+    Raises `SearchError` if a search found no set of times without degenerate draws. The errors of
+    every driver follow from `pfdist.runner.door`.
     """
     built, store, reporter = session.built, session.store, session.reporter
     reporter.foresee(foreseen_steps(built))
     try:
         lost = store.lost()  # they are computed again
+        # The table of compared sets is published last of all that searches write. If it is whole,
+        # the searches need not be replayed.
         has = store.has("compared") and not store.has_parts("compared")
         if lost or not has or unpublished(store, built.phases):
             sets = yield from _search(session)
@@ -46,16 +40,18 @@ def drive(session: Session) -> Generator[Batch, None, None]:
         yield from run_comparison(session, sets)
         if built.job.online is not None:
             yield from run_online(session, sets)
+        # First everything is written again, then the lost files are forgotten. A kill before leaves
+        # them expected, and the next start computes what is still missing.
         session.commit()
         store.manifest.forget_lost()
-    finally:  # also where the driver is closed: it loses nothing that it has
+    finally:  # also if the driver is closed early: rows that still wait are committed
         session.commit()
         for phase in (*built.phases, COMPARISON, ONLINE_TIMES):
             store.settle("timings", phase)
 
 
 def foreseen_steps(built: Built) -> float:
-    """About how many particle-steps a whole run takes."""
+    """Particle-steps that a whole run takes, approximately."""
     return _searching_steps(built) + comparison_steps(built) + online_steps(built)
 
 
@@ -64,7 +60,7 @@ def _searching_steps(built: Built) -> float:
 
 
 def _search(session: Session) -> Generator[Batch, None, dict[str, Times]]:
-    """Run every search, and return the sets that are compared, by name."""
+    """The sets that are compared, by name, after every search has ended."""
     built = session.built
     rows = _given_rows(built)
     for search in built.searches:
@@ -79,9 +75,9 @@ def _search(session: Session) -> Generator[Batch, None, dict[str, Times]]:
             }
             for name, winner in end.winners.items()
         ]
-    found = {row["name"] for row in rows}
+    compared = {row["name"] for row in rows}
     for name in built.names:
-        if name not in found:
+        if name not in compared:
             raise SearchError(
                 f"search {name}: every set of times that it ended with had a degenerate "
                 f"draw (a measurement no particle can explain); more particles than "
@@ -97,7 +93,7 @@ def _search(session: Session) -> Generator[Batch, None, dict[str, Times]]:
 
 
 def _given_rows(built: Built) -> list[dict[str, Any]]:
-    """Rows of the sets that no search finds; with an exact engine, the costs of named sets."""
+    """Rows of the sets that no search finds; exact engines add the costs of named sets."""
     sets = built.study.unsearched
     rows: list[dict[str, Any]] = [
         {"name": name, "measurement_times": times} for name, times in sets.items()

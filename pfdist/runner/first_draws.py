@@ -16,7 +16,7 @@ from pfdist.kernels.estimators import FILTER_NOISE
 from pfdist.models import StateSpaceModel, squared_error
 from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
-from pfdist.runner.kept import OfDraws
+from pfdist.runner.kept import RowsByDraw
 from pfdist.store import (
     Store,
     distance_schema,
@@ -25,29 +25,19 @@ from pfdist.store import (
     variance_schema,
 )
 
-TRAJECTORIES = 100  # draws whose z, y and estimates are kept
+TRAJECTORIES = 100  # draws whose z, y and estimates are stored
 REPEATED = 2000  # draws that the reference filters twice
-LOSS_DRAWS = 1000  # on which the loss by a finite number of particles is estimated
+LOSS_DRAWS = 1000  # draws on which the loss by a finite number of particles is estimated
 
 
 @dataclass(frozen=True)
 class FirstDraws:
-    """A table of the comparison's first draws.
-
-    Parameters
-    ----------
-    table : str
-    schema : pyarrow.Schema
-    work : Work
-        The work on draws 0, 1, ...
-    columns : callable
-        Gives the columns of the table from a work and its result.
-    """
+    """A table of the comparison's first draws."""
 
     table: str
     schema: pa.Schema
-    work: Work
-    columns: Callable[[Work, Result], dict[str, Any]]
+    work: Work  # on draws 0, 1, ...
+    columns: Callable[[Work, Result], dict[str, Any]]  # of the table, from a work and its result
 
     def rows(self, piece: Work, result: Result) -> pa.Table:
         """Rows of the table for the draws of a piece."""
@@ -55,15 +45,15 @@ class FirstDraws:
 
     def fill(self, phase: str, session: Session) -> Generator[Batch, None, None]:
         """Compute the table, and publish it."""
-        kept = OfDraws(self.table, self.rows)
-        yield Batch(session, phase, [self.work], kept, more_follows=True)
+        rows = RowsByDraw(self.table, self.rows)
+        yield Batch(session, phase, [self.work], rows, more_follows=True)
         session.later(partial(self._publish, phase, session.store))
 
     def _publish(self, phase: str, store: Store) -> None:
         if store.has_parts(self.table, phase):
-            kept = store.read(self.table)
+            committed = store.read(self.table)
             own = store.own_schema(self.schema)
-            rows = pa.Table.from_pandas(kept, schema=own, preserve_index=False)
+            rows = pa.Table.from_pandas(committed, schema=own, preserve_index=False)
             store.publish(self.table, phase, [rows])
 
 
@@ -82,7 +72,7 @@ def trajectories(built: Built, work: Work) -> FirstDraws:
 def repeated(built: Built, work: Work) -> FirstDraws:
     """MSE of the reference on the first draws under other filter noise.
 
-    It shows what the filters' noise alone does to a relative gain.
+    It shows how much the noise of the filters alone changes a relative gain.
     """
     job = built.job
     stream = stream_of("comparison", job.seed, "filter", job.comparison.reference_name, "again")
@@ -100,7 +90,7 @@ def repeated(built: Built, work: Work) -> FirstDraws:
 def distances(built: Built, work: Work) -> FirstDraws | None:
     """Half the squared distance of two filters with each set; see `pfdist.analysis.particle_loss`.
 
-    It exists where the error is the squared norm and the engine has particles.
+    None unless the error is the squared norm and the engine has particles.
     """
     estimation = replace(work.estimation, estimator=FILTER_NOISE.name)
     schema = distance_schema(work.ids)
@@ -108,7 +98,10 @@ def distances(built: Built, work: Work) -> FirstDraws | None:
 
 
 def variances(built: Built, work: Work) -> FirstDraws | None:
-    """Variance of particles beside the truth, with each set and without any measurement."""
+    """Variance of particles beside the truth, with each set and without any measurement.
+
+    None in the same cases as `distances`.
+    """
     estimation, schema = with_truth(work.estimation.particles), variance_schema(work.ids)
     work = replace(work, measurement_times=(*work.measurement_times, ()))
     return _by_set("filter_variance", schema, built, work, estimation, knows_truth=True)
@@ -148,7 +141,7 @@ TABLES = {
     "filter_distance": distances,
     "filter_variance": variances,
 }
-"""Makes each table from the built job and the work of the whole comparison, or none."""
+"""Functions that make each table, or None, from the built job and the comparison's work."""
 
 
 def _columns_by_set(schema: pa.Schema, piece: Work, result: Result) -> dict[str, Any]:

@@ -41,43 +41,33 @@ _LENGTHS = ("comparison.draws", "comparison.until.half_width", "online.draws")
 def opened(path: Path, built: Built, say: Callable[[str], Any]) -> Iterator[Store]:
     """Hold a run's folder for computing: make the folder, or check that it holds this run.
 
-    Damaged files are moved to quarantine, and their content is computed again.
-
-    Parameters
-    ----------
-    path : Path
-    built : Built
-    say : callable
-        Receives a line for each damaged file.
-
-    Raises
-    ------
-    RunMismatchError
-        The folder holds another run.
-    StoreError
-        Another process computes the run, the folder cannot be read or written, or it holds other
-        things than a run.
+    Damaged files are moved to quarantine, and their content is computed again; `say` receives a
+    line for each. Raises `RunMismatchError` if the folder holds another run. Raises `StoreError` if
+    another process computes the run, if the folder cannot be read or written, or if it holds other
+    things than a run.
     """
     identity = _identity(built)
     key = key_of(identity, built.job.identity())
-    known = has_key(path, key)
-    store = store_of(built, path, key if known else None)  # another run is read with its own key
-    if not known and not holds_run(path):
+    is_same_run = has_key(path, key)
+    # Another run is read with its own key.
+    store = store_of(built, path, key if is_same_run else None)
+    if not is_same_run and not holds_run(path):
         _check_free(path)
     with held(path):
         check_entries(path)
         damages = list(store.manifest.damages()) if store.manifest.exists() else []
         about = [damage for damage in damages if str(damage.path) in ABOUT]
-        if about and not known:
+        if about and not is_same_run:
             raise StoreError(
                 f"{path / about[0].path} {about[0].what}, and this job is not the one that the "
                 "run was started with: nothing was touched; that job, run again, makes it anew"
             )
-        # Until the folder is known to hold this run, no file is touched, and no damaged table read.
+        # Until the folder is known to hold this run, no file is touched, and no damaged table is
+        # read. Quarantine and the writing of job.toml and run.json come last for the same reason.
         committed = _committed(store, damages)
         if all((path / name).exists() for name in ABOUT) and not about:
             _check_same(store, built, identity, committed)
-        elif known and built.job.comparison.draws < committed:
+        elif is_same_run and built.job.comparison.draws < committed:
             raise _too_few(path, built.job, committed)
         store.sweep()
         _quarantine(store, damages, say)
@@ -88,12 +78,7 @@ def opened(path: Path, built: Built, say: Callable[[str], Any]) -> Iterator[Stor
 def is_sealed(path: Path, built: Built) -> bool:
     """Whether a folder that cannot be written holds the finished run of this very job.
 
-    Raises
-    ------
-    RunMismatchError
-        It holds another run.
-    StoreError
-        It cannot be read.
+    Raises `RunMismatchError` if it holds another run.
     """
     if not holds_run(path) or os.access(path, os.W_OK):
         return False
@@ -105,7 +90,7 @@ def is_sealed(path: Path, built: Built) -> bool:
 
 
 def store_of(built: Built, path: Path, run_key: str | None = None) -> Store:
-    """Give the store of a run of this job, whose tables have times on the job's clock."""
+    """The store of a run of this job, whose tables have times on the job's clock."""
     problem = built.job.problem
     if not problem.has_clock:
         return Store(path, run_key)
@@ -138,7 +123,7 @@ def _write_about(path: Path, built: Built, identity: dict[str, Any], key: str) -
 def estimations(built: Built) -> dict[str, dict[str, Any]]:
     """How each search estimates at first; a job with "auto" does not say so.
 
-    The tables say whether a search was run again by the squared error.
+    The tables say whether a search was run again with the squared error.
     """
     if built.evaluator.exact:
         return {}
@@ -164,22 +149,10 @@ def fingerprints(built: Built) -> dict[str, dict[str, Any]]:
 
 
 def check_same_job(path: Path, recorded: Mapping[str, Any], job: Job) -> None:
-    """Refuse a job that is not that of a run, for a question about the run.
+    """Raise a `RunMismatchError` if a question about a run comes with another job.
 
-    The question leaves the numbers of draws as they are in the run, so they may differ.
-
-    Parameters
-    ----------
-    path : Path
-        Folder of the run.
-    recorded : mapping
-        The run's own job.
-    job : Job
-
-    Raises
-    ------
-    RunMismatchError
-        The jobs differ.
+    `recorded` is the run's own job. The question leaves the numbers of draws as they are in the
+    run, so they may differ.
     """
     changes = [
         f"{key}: {_short(was)} -> {_short(is_now)}"
@@ -192,13 +165,7 @@ def check_same_job(path: Path, recorded: Mapping[str, Any], job: Job) -> None:
 
 
 def check_same_models(path: Path, built: Built) -> None:
-    """Refuse models that do not mean the same as those of a run.
-
-    Raises
-    ------
-    RunMismatchError
-        The models differ.
-    """
+    """Raise a `RunMismatchError` unless models mean the same as those of a run."""
     changes = changed_fingerprints(read_recorded(path)[0], built)
     if changes:
         message = f"{path} is of another model than is there now: the run's -> this one's"
@@ -208,11 +175,7 @@ def check_same_models(path: Path, built: Built) -> None:
 def changed_fingerprints(run: Mapping[str, Any], built: Built) -> dict[str, str]:
     """How a run's models differ from the built models, by the name of the part that differs.
 
-    Parameters
-    ----------
-    run : mapping
-        The content of the run's run.json.
-    built : Built
+    `run` is the content of the run's run.json.
     """
     now = fingerprints(built)
     old, new = (

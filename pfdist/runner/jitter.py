@@ -20,9 +20,9 @@ from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 
 MOST_EXACT = 2000
-"""Most random sets of times for which an exact engine computes the expected MSE."""
+"""Largest number of random sets whose expected MSE an exact engine computes."""
 _BLOCK = 200  # sets of times whose exact errors are computed at a time
-_ATTEMPTS = 200  # to draw times that the job allows, all at once
+_ATTEMPTS = 200  # to draw times that the job allows together
 
 Windows = Sequence[Times]
 Row = dict[str, Any]
@@ -31,26 +31,12 @@ Row = dict[str, Any]
 def jitter(
     session: Session, name: str, times: Times, windows: Mapping[int, Windows], draws: int
 ) -> Generator[Batch, None, list[Row]]:
-    """The loss of random times within the windows, for each level.
+    """Rows of the table ``jitter``, without position and name: the loss at each level.
 
-    Each draw has random times of its own, and the kept times beside them.
-
-    Parameters
-    ----------
-    session : Session
-    name : str
-        Name of the set; keys the noise and the random times.
-    times : tuple of int
-        The kept times.
-    windows : mapping of int to sequence of tuples of int
-        For each level, the instants to which each of the times may move, itself among them.
-    draws : int
-
-    Returns
-    -------
-    list of dict
-        Rows of the table ``jitter``, without position and name. Levels at which nothing can move
-        have no draws.
+    Each draw has random times of its own within the windows, and the original times beside them.
+    The name of the set keys the noise and the random times. For each level in per cent, `windows`
+    has the instants to which each time may move, itself among them. A level at which nothing can
+    move has no draws.
     """
     built, reporter = session.built, session.reporter
     start, losses = reporter.progress.done, {percent: RelativeLoss() for percent in windows}
@@ -63,30 +49,22 @@ def jitter(
         draws = min(draws, MOST_EXACT) if built.evaluator.exact else draws
         jittering = _Jittering(session, name, times, moving)
         for first, last in jittering.pieces(draws):
-            kept, *others = (yield from jittering.mse(range(first, last))).T
+            original, *others = (yield from jittering.mse(range(first, last))).T
             for percent, mse in zip(moving, others, strict=True):
-                losses[percent].add(mse, kept)
+                losses[percent].add(mse, original)
             reporter.reach(start + last / draws, evaluations=last)
     reporter.reach(start + 1)
     return [_row(percent, losses[percent], draws * (percent in moving)) for percent in windows]
 
 
 def jittered(times: Times, windows: Windows, feasible: Feasible, *key: Any) -> Times:
-    """Random times within windows: a pure function of the key.
+    """Random times within windows: a pure function of the key, which has JSON values.
 
-    Each measurement takes an instant of its window, all with the same probability and independently
-    of the others. If the job does not allow the times together, or two of them are equal, all are
-    drawn anew. If the job still does not allow them after 200 attempts, the kept times move in
-    random order, each to an instant of its window that the job allows beside the others.
-
-    Parameters
-    ----------
-    times : tuple of int
-        The kept times, which the job allows.
-    windows : sequence of tuples of int
-        The instants to which each of the times may move, itself among them.
-    feasible : Feasible
-    *key : JSON values
+    The job must allow the times, and each window has the time's own instant. Each measurement takes
+    an instant of its window, all with the same probability and independently of the others. If the
+    job does not allow the times together, or two of them are equal, all are drawn anew. After 200
+    failed attempts, the original times move in random order, each to an instant of its window that
+    the job allows beside the others.
     """
     rng, sizes = generator(*key), [len(window) for window in windows]
     for _ in range(_ATTEMPTS):
@@ -106,7 +84,7 @@ def jittered(times: Times, windows: Windows, feasible: Feasible, *key: Any) -> T
 
 
 class _Jittering:
-    """Errors of the kept times and of random times for each level, on the same draws."""
+    """Errors of the original times and of random times for each level, on the same draws."""
 
     def __init__(
         self, session: Session, name: str, times: Times, windows: Mapping[int, Windows]
@@ -115,7 +93,7 @@ class _Jittering:
         self._name, self._times, self._windows = name, times, windows
 
     def pieces(self, draws: int) -> list[tuple[int, int]]:
-        """Cut the draws into ranges that take about as long as a task each."""
+        """Ranges of draws, each of which takes about as long as a task."""
         evaluator = self._built.evaluator
         if evaluator.exact:
             return cut(range(draws), _BLOCK)
@@ -124,7 +102,7 @@ class _Jittering:
         return [piece.draws for piece in pieces]
 
     def mse(self, draws: range) -> Generator[Batch, None, NDArray[np.float64]]:
-        """MSE of each draw with the kept times, and with random times for each level."""
+        """MSE of each draw, (D, 1+L): with the original times, and with those of L levels."""
         evaluator = self._built.evaluator
         sets = [self._sets(draw) for draw in draws]
         if not evaluator.exact:
@@ -134,11 +112,11 @@ class _Jittering:
             ]
             return (yield from mse_of_sets(self._session, works))
         different = list(dict.fromkeys(times for of_a_draw in sets for times in of_a_draw))
-        known = dict(zip(different, evaluator.expected_mse(different).tolist(), strict=True))
-        return np.array([[known[times] for times in of_a_draw] for of_a_draw in sets])
+        cost_of_set = dict(zip(different, evaluator.expected_mse(different).tolist(), strict=True))
+        return np.array([[cost_of_set[times] for times in of_a_draw] for of_a_draw in sets])
 
     def _sets(self, draw: int) -> tuple[Times, ...]:
-        """The kept times, and the random times of a draw for each level."""
+        """The original times, and the random times of a draw for each level."""
         problem, seed = self._built.job.problem, self._built.job.seed
         random_sets = (
             jittered(

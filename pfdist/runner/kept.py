@@ -1,4 +1,10 @@
-"""How results are kept as rows of a table, and found there again."""
+"""Formats in which results become rows of a table, and rows become results again.
+
+Each class is a `pfdist.runner.door.RowFormat`. A format that is shared names all rows by an id of
+everything on which they depend, so runs may take each other's rows. The same work gives the same
+rows with the same key. So rows that are committed twice, by two drivers or after a kill, count
+once.
+"""
 
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -10,31 +16,38 @@ from numpy.typing import NDArray
 from pfdist.analysis import BLOCK
 from pfdist.evaluation.work import BLOCK as SUMMED
 from pfdist.evaluation.work import Result, Work, cut
-from pfdist.runner.door import Known
+from pfdist.runner.door import StoredResults
 from pfdist.store import Store, schema
 
 
 class PerDraw:
-    """Per-draw MSE of evaluations, which their ids name: the table ``draws``."""
+    """The MSE of evaluations for each draw, named by the evaluation's id: the table ``draws``."""
 
     table, is_shared = "draws", True
 
-    def known(self, store: Store, works: list[Work]) -> tuple[list[Work], Known]:
-        """As `pfdist.runner.door.Kept`; sets of a work that lack the same draws stay together."""
+    def look_up(self, store: Store, works: list[Work]) -> tuple[list[Work], StoredResults]:
+        """The works that a store lacks, and the results that it has.
+
+        A kill may leave some draws of some sets of a work. Sets that lack the same draws stay
+        together in one work, so common prefixes are still filtered once.
+        """
         ids = list(dict.fromkeys(id_ for work in works for id_ in work.ids))
         rows = store.per_draw(ids)
         if not rows.num_rows:
             return works, iter(())
-        of_id = dict[str, tuple[NDArray[Any], NDArray[Any]]]()
-        for id_, found in rows.to_pandas().groupby("evaluation"):
-            of_id[str(id_)] = found["draw"].to_numpy(), found["mse"].to_numpy(np.float64)
-        lacking, known = list[Work](), list[tuple[Work, Result]]()
+        draws_and_mse = dict[str, tuple[NDArray[Any], NDArray[Any]]]()
+        for id_, rows_of_id in rows.to_pandas().groupby("evaluation"):
+            draws_and_mse[str(id_)] = (
+                rows_of_id["draw"].to_numpy(),
+                rows_of_id["mse"].to_numpy(np.float64),
+            )
+        lacking, stored = list[Work](), list[tuple[Work, Result]]()
         for work in works:
             first, last = work.draws
             present = np.zeros((last - first, len(work.ids)), np.bool_)
             mse = np.full(present.shape, np.nan)
             for place, id_ in enumerate(work.ids):
-                draws, values = of_id.get(id_, (np.empty(0, np.int64), np.empty(0)))
+                draws, values = draws_and_mse.get(id_, (np.empty(0, np.int64), np.empty(0)))
                 within = (first <= draws) & (draws < last)
                 present[draws[within] - first, place] = True
                 mse[draws[within] - first, place] = values[within]
@@ -43,8 +56,8 @@ class PerDraw:
                     lacking.append(work.part(piece, places))
                 for piece in cut(first + np.flatnonzero(mask), last):
                     part = mse[piece[0] - first : piece[1] - first, places]
-                    known.append((work.part(piece, places), Result(part)))
-        return lacking, iter(known)
+                    stored.append((work.part(piece, places), Result(part)))
+        return lacking, iter(stored)
 
     def rows(self, work: Work, result: Result) -> pa.Table:
         """Rows of the table ``draws``: the MSE of every set of a work for every draw."""
@@ -65,8 +78,11 @@ class BlockOfSums:
 
     table, is_shared = "error_sums", True
 
-    def known(self, store: Store, works: list[Work]) -> tuple[list[Work], Known]:
-        """As `pfdist.runner.door.Kept`; each work is one block."""
+    def look_up(self, store: Store, works: list[Work]) -> tuple[list[Work], StoredResults]:
+        """The blocks that a store lacks, and the sums that it has; each work is one block.
+
+        A block is committed whole or not at all.
+        """
         blocks = 1 + max(_block(work) for work in works)
         sums = dict[tuple[str, int], NDArray[np.float64]]()
         for id_ in dict.fromkeys(work.ids[0] for work in works):
@@ -74,29 +90,24 @@ class BlockOfSums:
             for block, values in zip(rows["block"].to_pylist(), rows["sums"], strict=True):
                 sums[id_, block] = values.values.to_numpy()
         lacking = [work for work in works if (work.ids[0], _block(work)) not in sums]
-        known = (
+        stored = (
             (work, Result(np.empty(0), sums=sums[work.ids[0], _block(work)]))
             for work in works
             if (work.ids[0], _block(work)) in sums
         )
-        return lacking, known
+        return lacking, stored
 
     def rows(self, work: Work, result: Result) -> pa.Table:
-        """One row."""
+        """One row of the table ``error_sums``: the sums of a block."""
         row = {"evaluation": work.ids[0], "block": _block(work), "sums": result.sums}
         return pa.Table.from_pylist([row], schema=schema(self.table))
 
 
-class OfDraws:
-    """Rows that the number of their draw names.
+class RowsByDraw:
+    """Rows of a run's own table, which the number of the draw names.
 
-    Parameters
-    ----------
-    table : str
-    rows : callable
-        Gives the rows of a work and its result.
-    results : callable, optional
-        Gives the results of some rows, for drivers that need what is known.
+    `rows` makes the rows of a work and its result. `results` makes a result of rows, for drivers
+    that need the results that the store has; other drivers only need that these rows are there.
     """
 
     is_shared = False
@@ -109,8 +120,12 @@ class OfDraws:
     ) -> None:
         self.table, self.rows, self._results = table, rows, results
 
-    def known(self, store: Store, works: list[Work]) -> tuple[list[Work], Known]:
-        """As `pfdist.runner.door.Kept`."""
+    def look_up(self, store: Store, works: list[Work]) -> tuple[list[Work], StoredResults]:
+        """The works that a store lacks, and the results that it has.
+
+        Works need not be cut as they were before. So a comparison with more draws than before goes
+        on where it ended.
+        """
         most = max((work.draws[1] for work in works), default=0)
         present, committed = np.zeros(most, np.bool_), store.present(self.table, "draw")[:most]
         present[: committed.size] = committed
@@ -119,17 +134,18 @@ class OfDraws:
             first, last = work.draws
             pieces = cut(first + np.flatnonzero(~present[first:last]), last)
             lacking += [work.part(piece) for piece in pieces]
-        return lacking, self._known(store, works, most)
+        return lacking, self._stored_results(store, works, most)
 
-    def _known(self, store: Store, works: list[Work], most: int) -> Known:
+    def _stored_results(self, store: Store, works: list[Work], most: int) -> StoredResults:
         if self._results is None or not works:
             return
+        # Read block by block when the driver learns, so memory does not grow with the table.
         for rows in store.blocks(self.table, "draw", BLOCK, most):
             draws = rows["draw"].to_numpy()
             for first, last in cut(draws, BLOCK):
                 place = int(np.searchsorted(draws, first))
-                found = self._results(rows.slice(place, last - first))
-                yield works[0].part((first, last)), found
+                result = self._results(rows.slice(place, last - first))
+                yield works[0].part((first, last)), result
 
 
 PER_DRAW, BLOCK_OF_SUMS = PerDraw(), BlockOfSums()
@@ -140,7 +156,7 @@ def _block(work: Work) -> int:
 
 
 def _alike(present: NDArray[np.bool_]) -> Iterator[tuple[NDArray[np.bool_], list[int]]]:
-    """Yield each column that differs from those before, with the places of all that are alike."""
+    """Yield each different column, with the places of all columns that equal it."""
     places = dict[bytes, list[int]]()
     for place, column in enumerate(present.T):
         places.setdefault(column.tobytes(), []).append(place)

@@ -11,7 +11,7 @@ from pfdist.job.online_section import Online
 from pfdist.runner.build import Built
 from pfdist.runner.door import Batch, Session
 from pfdist.runner.first_draws import TRAJECTORIES
-from pfdist.runner.kept import OfDraws
+from pfdist.runner.kept import RowsByDraw
 from pfdist.runner.searches import planning_of
 from pfdist.sequential.work import OnlineWork
 from pfdist.store import schema
@@ -25,17 +25,8 @@ _BLOCK = 200  # draws, whose rows are published together
 def run_online(session: Session, sets: Mapping[str, Times]) -> Generator[Batch, None, None]:
     """Choose the times of the draws that the store lacks, and publish the table ``online``.
 
-    Parameters
-    ----------
-    session : Session
-        Its job has a section [online].
-    sets : mapping of str to tuple of int
-        Compared sets by name. The plan before anything is measured is that of the first search.
-
-    Raises
-    ------
-    TaskError, PoolError, StoreError
-        A task failed, no worker answers, or a file cannot be read or written.
+    The job must have a section [online]. The plan before anything is measured is the compared set
+    of the first search.
     """
     built, reporter = session.built, session.reporter
     work, start = online_work(built, sets[built.searches[0].name]), reporter.progress.done
@@ -49,18 +40,18 @@ def run_online(session: Session, sets: Mapping[str, Times]) -> Generator[Batch, 
         )
 
     works = [work.part(block) for block in cut(range(draws), _BLOCK)]
-    yield Batch(session, ONLINE_TIMES, works, OfDraws("online", _rows, _result), learn)
+    yield Batch(session, ONLINE_TIMES, works, RowsByDraw("online", _rows, _result), learn)
     reporter.reach(start + draws * work.steps_a_draw)
     session.store.settle("online", ONLINE_TIMES)
 
 
 def _result(rows: pa.Table) -> Result:
-    """The errors of rows."""
+    """The result from which these rows were made: the errors."""
     return Result(rows["mse"].to_numpy()[:, None])
 
 
 def online_steps(built: Built) -> int:
-    """About how many particle-steps the phase takes; 0 without a section [online]."""
+    """Particle-steps of the phase, approximately; 0 without a section [online]."""
     if built.job.online is None:
         return 0
     work = online_work(built, built.job.problem.feasible.regular())
@@ -70,7 +61,8 @@ def online_steps(built: Built) -> int:
 def online_work(built: Built, plan: Times) -> OnlineWork:
     """The work for all draws of a job with a section [online]."""
     job, purpose, online = built.job, built.study.purpose, built.job.online or Online()
-    planner = built.searches[0].name  # with its noise, draws that keep the plan keep its error
+    # With the noise of this set in the comparison: a draw that keeps the plan has the same error.
+    planner = built.searches[0].name
     return OnlineWork(
         measurement_times=(plan,),
         ends=(job.problem.feasible.horizon,),

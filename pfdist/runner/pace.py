@@ -1,14 +1,10 @@
 """Cut works into tasks: long tasks while much work remains, short tasks at the end.
 
 Each task gets a share of the remaining work, so that all workers end together, whatever their
-number and speed. A task takes at most a fraction of a second, because a kill loses unfinished
-tasks. It takes at least ten times what its transport costs; more where several runs share the
-workers. The speed is learnt as tasks end.
-
-References
-----------
-Polychronopoulos, Kuck, "Guided self-scheduling: a practical scheduling scheme for parallel
-supercomputers", IEEE Transactions on Computers 36, 1987.
+number and speed (Polychronopoulos, Kuck, "Guided self-scheduling: a practical scheduling scheme for
+parallel supercomputers", IEEE Transactions on Computers 36, 1987). A task takes at most a fraction
+of a second, because a kill loses unfinished tasks. It takes at least ten times what its transport
+costs; more where several runs share the workers. The speed is learnt as tasks end.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -19,7 +15,7 @@ from pfdist.evaluation.work import Work
 
 MOST_SECONDS = 0.3
 LEAST_SECONDS = 0.015  # ten times what the transport of a task costs
-LEAST_SHARED_SECONDS = 0.05  # where workers seldom wait for the last tasks: other runs have tasks
+LEAST_SHARED_SECONDS = 0.05  # for several runs: workers seldom wait for the last tasks of one
 MOST_ROWS = 50_000  # per-draw errors of a task, which lie in memory however fast a model is
 _SHARE = 2  # so many tasks for each worker: two are queued at each worker at any time
 
@@ -27,20 +23,8 @@ _SHARE = 2  # so many tasks for each worker: two are queued at each worker at an
 class Pace:
     """How many seconds a particle-step takes, learnt from finished tasks.
 
-    Parameters
-    ----------
-    seconds : float
-        First guess.
-    workers : int
-    learnt : bool
-        Whether the seconds are known, and not a guess.
-    is_shared : bool
-        Whether other runs have tasks for the same workers.
-
-    Attributes
-    ----------
-    seconds : float
-        Seconds of a particle-step.
+    The given seconds are a guess, unless `learnt` says that they were measured. `is_shared` says
+    whether other runs have tasks for the same workers.
     """
 
     def __init__(
@@ -51,7 +35,7 @@ class Pace:
         self._workers, self._learnt = workers, learnt
 
     def learn(self, steps: int, seconds: float) -> None:
-        """Learn from a task of so many particle-steps that took so many seconds."""
+        """Learn the speed from a task of so many particle-steps that took so many seconds."""
         self.seconds = (self.seconds + seconds / steps) / 2
         self._learnt = True
 
@@ -68,35 +52,18 @@ class Pace:
 
 
 class Bundle(NamedTuple):
-    """The works of a task.
-
-    Parameters
-    ----------
-    works : tuple of Work
-    steps : int
-        Particle-steps of all works.
-    """
+    """The works of a task, and the particle-steps of all of them."""
 
     works: tuple[Work, ...]
     steps: int
 
 
 def bundles(works: Iterable[Work], size: Callable[[int], int]) -> Iterator[Bundle]:
-    """Cut works between their draws, and bundle the pieces.
+    """Bundles of works, which are cut between their draws.
 
-    Parameters
-    ----------
-    works : iterable of Work
-    size : callable
-        Particle-steps of the next bundle, given the particle-steps that remain.
+    `size` gives the particle-steps of the next bundle from those that remain. A bundle has about
+    that size, but at least one draw. Sums over draws are never cut.
 
-    Yields
-    ------
-    Bundle
-        It has about that size, but at least one draw; sums over draws are never cut.
-
-    Examples
-    --------
     >>> from pfdist.evaluation.work import Estimation
     >>> ten = Estimation(particles=10)  # and 10 instants: 100 particle-steps a draw
     >>> works = [Work(((0, 3),), (9,), (1,), 1, (0, draws), ten) for draws in (5, 2)]

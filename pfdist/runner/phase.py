@@ -1,4 +1,9 @@
-"""An optimiser at work: ask, evaluate what the store lacks, commit, tell, until it is done."""
+"""An optimiser at work: ask, evaluate what the store lacks, commit, tell, until it is done.
+
+A search has no checkpoint but its tables. After a kill, the phase asks the optimiser again from the
+first generation on. Random numbers are keyed by the generation, so it asks for the same candidates,
+and finds their draws by the ids of the evaluations.
+"""
 
 import math
 from collections import Counter, defaultdict
@@ -32,56 +37,23 @@ from pfdist.times.measurement_times import validated
 
 @dataclass(eq=False)
 class Request:
-    """An evaluation that is asked for, and the draws that are known of it.
+    """A requested evaluation, and the draws of it that are known."""
 
-    Parameters
-    ----------
-    id : str
-        Hash of everything on which the per-draw MSE depends.
-    candidate : Candidate
-    end : int
-        Last instant whose error counts.
-    stream : int
-        Key of draws and filter noise: their roles keep them apart.
-    estimation : Estimation
-    mse : array of float64, (D,)
-        NaN for a draw that is not known yet.
-    known : int
-        How many draws are known.
-    """
-
-    id: str
+    id: str  # hash of everything on which the MSE of a draw depends
     candidate: Candidate
-    end: int
-    stream: int
+    end: int  # last instant whose error counts
+    stream: int  # key of draws and filter noise: their roles keep them apart
     estimation: Estimation
-    mse: NDArray[np.float64]
-    known: int = 0
+    mse: NDArray[np.float64]  # (D,); NaN for a draw that is not known yet
+    known_draws: int = 0
 
 
 class Phase:
     """An optimiser with the purpose of its draws and the settings of its evaluations.
 
-    Parameters
-    ----------
-    name : str
-        Name in the tables.
-    optimiser : Optimiser
-    purpose : str
-        Purpose of its draws; they must be draws that choose.
-    settings : Settings
-    built : Built
-    keep_leaders : bool
-        Whether the leaders are kept, for probes of the estimator.
-    knows_truth : bool
-        Whether the filter uses the true model.
-
-    Attributes
-    ----------
-    evaluated : dict of str to array of float64
-        Per-draw MSE by the evaluation's id, of this session, where a set may be asked for again.
-    leaders : list of Evaluation
-        Evaluations that led the generations; see `pfdist.search.probe.new_leaders`.
+    The tables have its name. The purpose must be one of draws that choose. If `keep_leaders`, the
+    evaluations that led the generations stay for probes of the estimator; see
+    `pfdist.search.probe.new_leaders`.
     """
 
     def __init__(
@@ -100,22 +72,21 @@ class Phase:
         self.name, self.optimiser, self.purpose = name, optimiser, purpose
         self.settings, self.built, self.keep_leaders = settings, built, keep_leaders
         self.knows_truth = knows_truth
+        # MSE of each draw by the evaluation's id, of this session, for sets that are requested
+        # again.
         self.evaluated: dict[str, NDArray[np.float64]] = {}
         self.leaders: list[Evaluation] = []
 
     def steps(self) -> float:
-        """About how many particle-steps the phase takes."""
+        """Particle-steps of the phase, approximately."""
         settings, instants = self.settings, self.built.job.problem.feasible.horizon + 1
         a_draw = settings.estimation.steps_an_instant * instants
         return self.optimiser.evaluations * settings.draws * a_draw
 
     def request(self, candidate: Candidate, generation: int) -> Request:
-        """Request of an evaluation for a candidate of a generation.
+        """The request of an evaluation for a candidate of a generation.
 
-        Raises
-        ------
-        MeasurementTimesError
-            The optimiser asked for times that do not lie in 0..T.
+        Raises `MeasurementTimesError` if the optimiser asked for times that do not lie in 0..T.
         """
         times, end, draws, individual, squared, _ = candidate
         last = self.built.job.problem.feasible.horizon if end is None else end
@@ -130,11 +101,12 @@ class Phase:
         return Request(id_, candidate, last, stream, estimation, mse)
 
     def recall(self, request: Request) -> None:
-        """Let a request know the draws that were evaluated before in this session."""
-        if self.settings.common_noise:  # with fresh noise no evaluation is asked for twice
+        """Fill a request with the draws that were evaluated before in this session."""
+        if self.settings.common_noise:  # with fresh noise no evaluation is requested twice
             before = self.evaluated.get(request.id, request.mse[:0])[: request.mse.size]
-            request.mse[: before.size], request.known = before, before.size
+            request.mse[: before.size], request.known_draws = before, before.size
             if before.size < request.mse.size:
+                # The same array, not a copy: the draws that the request still lacks will fill it.
                 self.evaluated[request.id] = request.mse
 
     def stream(self, *keyed_by: Any) -> int:
@@ -160,17 +132,7 @@ class Phase:
 def run_phase(phase: Phase, session: Session) -> Generator[Batch, None, Sequence[Evaluation]]:
     """Finalists of an optimiser that runs to its end.
 
-    Parameters
-    ----------
-    phase : Phase
-    session : Session
-
-    Raises
-    ------
-    MeasurementTimesError
-        The optimiser asked for times that do not lie in 0..T.
-    TaskError, PoolError, StoreError
-        A task failed, no worker answers, or a file cannot be read or written.
+    Raises `MeasurementTimesError` if the optimiser asked for times that do not lie in 0..T.
     """
     optimiser, name, reporter = phase.optimiser, phase.name, session.reporter
     committed = committed_generations(session.store, name)
@@ -180,44 +142,50 @@ def run_phase(phase: Phase, session: Session) -> Generator[Batch, None, Sequence
     copies_are_alike = phase.settings.common_noise or phase.built.evaluator.exact
     while not optimiser.done(state):
         rng = generator(phase.built.job.seed, "search", name, generation)
-        asked = list(optimiser.ask(state, rng))
+        candidates = list(optimiser.ask(state, rng))
         if copies_are_alike:
-            asked = [candidate._replace(individual=None) for candidate in asked]
-        copies = Counter(asked)
+            candidates = [candidate._replace(individual=None) for candidate in candidates]
+        copies = Counter(candidates)
         requests = [phase.request(each, generation) for each in copies if each.since is None]
         windows = [each for each in copies if each.since is not None]
-        found = optimiser.finalists(state)
-        known = _Known(phase, session, copies, generation, (start, share), shows_best=not found)
+        finalists = optimiser.finalists(state)
+        record = _Generation(
+            phase, session, copies, generation, (start, share), shows_best=not finalists
+        )
         if windows:
             for candidate, evaluation in (yield from _errors(phase, windows, session)):
-                known(candidate, evaluation)
+                record(candidate, evaluation)
         if phase.built.evaluator.exact:
-            _exactly(phase, requests, known)
+            _exactly(phase, requests, record)
         else:
-            yield from _per_draw(phase, requests, session, known)
-        evaluations = known.evaluations
+            yield from _per_draw(phase, requests, session, record)
+        evaluations = record.evaluations
+        # The rows of the generation are written after the next commit, which has its draws. So an
+        # evaluation in the tables has all its draws. A kill before costs nothing: the next start
+        # finds the draws, and the generation is not among those committed.
         if requests and generation not in committed:
-            rows = partial(evaluation_rows, name, generation, asked, requests, evaluations)
+            rows = partial(evaluation_rows, name, generation, candidates, requests, evaluations)
             session.later(partial(commit_generation, session.store, name, generation, rows))
-        told = [evaluations[candidate] for candidate in asked]
+        in_order = [evaluations[candidate] for candidate in candidates]
         if phase.keep_leaders:
-            phase.leaders.extend(new_leaders(_whole_or_prefixes(told), phase.leaders))
-        state, generation = optimiser.tell(state, told), generation + 1
-        costs, finalists = _whole_costs(told), _whole_costs(optimiser.finalists(state))
+            phase.leaders.extend(new_leaders(_whole_or_prefixes(in_order), phase.leaders))
+        state, generation = optimiser.tell(state, in_order), generation + 1
+        costs, best = _whole_costs(in_order), _whole_costs(optimiser.finalists(state))
         mean = float(np.mean(costs)) if costs else None
-        reporter.note(best=finalists[0] if finalists else None, mean=mean)
+        reporter.note(best=best[0] if best else None, mean=mean)
     reporter.note(done=start + phase.steps())
+    # After the last generation, which also waits: `later` keeps the order.
     session.later(partial(publish_search, session.store, name))
     return optimiser.finalists(state)
 
 
 def _whole_or_prefixes(evaluations: Iterable[Evaluation]) -> list[Evaluation]:
-    """Evaluations of sets and their prefixes, whose costs are those of one filter."""
+    """Evaluations of sets and prefixes, but not of windows."""
     return [evaluation for evaluation in evaluations if evaluation.errors is None]
 
 
 def _whole_costs(evaluations: Iterable[Evaluation]) -> list[float]:
-    """Costs of whole sets, without those of prefixes, which cover a part of the horizon."""
+    """Finite costs of whole sets; those of prefixes cover only a part of the horizon."""
     return [
         evaluation.cost
         for evaluation in evaluations
@@ -225,8 +193,8 @@ def _whole_costs(evaluations: Iterable[Evaluation]) -> list[float]:
     ]
 
 
-class _Known:
-    """The evaluations of a generation that are known, and the progress that they make."""
+class _Generation:
+    """The evaluations of a generation so far, and the progress that they make."""
 
     def __init__(
         self,
@@ -244,7 +212,7 @@ class _Known:
         self._steps, self._shows_best, self._least = steps, shows_best, math.inf
 
     def __call__(self, candidate: Candidate, evaluation: Evaluation) -> None:
-        """Know the evaluation of a candidate."""
+        """Record the evaluation of a candidate."""
         self.evaluations[candidate] = evaluation
         reporter, (start, share) = self._reporter, self._steps
         if self._shows_best and (costs := _whole_costs([evaluation])):
@@ -260,45 +228,47 @@ class _Known:
 
 
 def _exactly(
-    phase: Phase, requests: list[Request], know: Callable[[Candidate, Evaluation], None]
+    phase: Phase, requests: list[Request], record: Callable[[Candidate, Evaluation], None]
 ) -> None:
-    """Know the evaluation of each request: it takes no time, so neither pool nor store."""
+    """Record the exact evaluation of each request; it takes no time, so neither pool nor store."""
     sets = [request.candidate.measurement_times for request in requests]
     costs = phase.built.evaluator.expected_mse(sets, [request.end for request in requests])
     for request, cost in zip(requests, costs, strict=True):
         request.mse = np.empty(0)
-        know(request.candidate, phase.evaluation(request, float(cost)))
+        record(request.candidate, phase.evaluation(request, float(cost)))
 
 
 def _per_draw(
     phase: Phase,
     requests: list[Request],
     session: Session,
-    know: Callable[[Candidate, Evaluation], None],
+    record: Callable[[Candidate, Evaluation], None],
 ) -> Generator[Batch, None, None]:
-    """Know the evaluation of each request as soon as all its draws are known."""
-    same = defaultdict[str, list[Request]](list)  # a prefix up to T is a whole set, too
+    """Record the evaluation of each request as soon as all its draws are known."""
+    # Requests may have one id and different numbers of draws; also, a prefix up to T is a whole
+    # set. The longest request is evaluated, and the others take its first draws.
+    same = defaultdict[str, list[Request]](list)
     for request in requests:
         same[request.id].append(request)
     longest = {id_: max(alike, key=lambda each: each.mse.size) for id_, alike in same.items()}
 
-    def know_all(request: Request) -> None:
+    def record_all(request: Request) -> None:
         for alike in same[request.id]:
             alike.mse = request.mse[: alike.mse.size]
-            know(alike.candidate, phase.evaluation(alike))
+            record(alike.candidate, phase.evaluation(alike))
 
     def learn(work: Work, result: Result) -> None:
         for id_, mse in work.by_id(result).items():
             request = longest[id_]
             request.mse[slice(*work.draws)] = mse
-            request.known += mse.size
-            if request.known == request.mse.size:
-                know_all(request)
+            request.known_draws += mse.size
+            if request.known_draws == request.mse.size:
+                record_all(request)
 
     for request in longest.values():
         phase.recall(request)
-        if request.known == request.mse.size:
-            know_all(request)
+        if request.known_draws == request.mse.size:
+            record_all(request)
     works = list(_works(phase, longest.values()))
     if works:
         yield Batch(session, phase.name, works, PER_DRAW, learn, more_follows=True)
@@ -308,7 +278,7 @@ def _works(phase: Phase, requests: Iterable[Request]) -> Iterator[Work]:
     """Works for the missing draws; sets that lack the same draws of a stream go together."""
     together = defaultdict[Any, list[Request]](list)
     for request in requests:
-        first, size = request.known, request.mse.size
+        first, size = request.known_draws, request.mse.size
         if first < size:
             together[request.stream, request.estimation, (first, size)].append(request)
     for (stream, estimation, draws), group in together.items():
@@ -327,7 +297,7 @@ def _works(phase: Phase, requests: Iterable[Request]) -> Iterator[Work]:
 def _errors(
     phase: Phase, windows: list[Candidate], session: Session
 ) -> Generator[Batch, None, list[tuple[Candidate, Evaluation]]]:
-    """Evaluations with the errors of each instant, for each candidate, all together."""
+    """Evaluations of candidates with the errors of each instant, on the same blocks of draws."""
     blocks = math.ceil((windows[0].draws or phase.settings.draws) / BLOCK)
     evaluations, _ = yield from evaluated_by_errors(
         windows, session, phase.sums, blocks, phase.purpose

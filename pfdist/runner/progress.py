@@ -1,4 +1,4 @@
-"""The progress of a run, and the reporter that adds it up and tells the user."""
+"""The progress of a run, and the reporter that adds it up and shows it to the user."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -74,12 +74,8 @@ Show = Callable[[Progress], Any]
 class Reporter:
     """Adds up the progress of a run and reports it; nothing else changes the sums.
 
-    Parameters
-    ----------
-    show : callable
-        Receives a `Progress` each time.
-    total : float
-        Particle-steps that the whole run is expected to take; see also `foresee`.
+    `show` receives a `Progress` each time. `total` is the forecast of the run's particle-steps, to
+    which `foresee` adds.
     """
 
     def __init__(self, show: Show, total: float = 0.0) -> None:
@@ -88,11 +84,11 @@ class Reporter:
 
     @property
     def progress(self) -> Progress:
-        """The progress at this moment."""
+        """The progress now."""
         return self._progress
 
     def begin(self, phase: str, **shown: Any) -> None:
-        """Report that a phase begins, with the fields it shows; all other fields are reset."""
+        """Report that a phase begins, with the fields that it shows; all others are reset."""
         done, total = self._progress.done, self._progress.total
         self._progress = Progress(phase, done, total)
         self.reach(done, **shown)

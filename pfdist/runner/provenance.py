@@ -25,12 +25,7 @@ _LIBRARIES = ("numpy", "scipy", "numba", "ray", "pandas", "pyarrow", "matplotlib
 
 
 def provenance(built: Built) -> dict[str, Any]:
-    """Where, when and with what a run is started; no result depends on it.
-
-    Parameters
-    ----------
-    built : Built
-    """
+    """Where, when and with which libraries a run is started; no result depends on it."""
     job = built.job
     return {
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -70,13 +65,7 @@ def _model() -> str:
 def note_processor(path: Path, built: Built, say: Callable[[str], Any]) -> None:
     """Record the processor that resumes a run, and say how its results may differ.
 
-    Parameters
-    ----------
-    path : Path
-        The run's folder, held by this process.
-    built : Built
-    say : callable
-        Receives a line if results may differ.
+    This process must hold the run's folder.
     """
     provenance, here = read_run(path)[0]["provenance"], processor()
     before = provenance["processor"]
@@ -92,7 +81,7 @@ def note_processor(path: Path, built: Built, say: Callable[[str], Any]) -> None:
 
 
 def what_may_differ(built: Built) -> str:
-    """How the results of another processor may differ; empty if it computes the same bytes."""
+    """How results of another processor may differ; empty if it computes the same bytes."""
     engine, called = built.evaluator.engine, built.evaluator.libm_functions
     if engine != COMPILED.name:
         return f"figures of filter.engine = {engine!r} agree to about 12 digits, not to the last"
@@ -105,18 +94,9 @@ def what_may_differ(built: Built) -> str:
 def lender(path: Path, built: Built | None = None) -> Store:
     """The store of a run whose evaluations other runs may take.
 
-    Parameters
-    ----------
-    path : Path
-        Folder of the run.
-    built : Built, optional
-        The job of the run that takes them. Without it, a run on another processor lends nothing.
-
-    Raises
-    ------
-    StoreError
-        The last digits of its evaluations may differ from those computed here, a file is damaged,
-        or there is no run.
+    `built` is the job of the run that takes them. Without it, a run on another processor lends
+    nothing. Raises `StoreError` if the last digits may differ from those computed here, if a file
+    is damaged, or if there is no run.
     """
     about = read_run(path)[0]["provenance"]
     here = about["processor"] == processor() and CONTINUED not in about

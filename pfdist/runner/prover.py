@@ -1,4 +1,4 @@
-"""The proof of a run's sets: the filters of the relaxation, and of the sets alone."""
+"""The proof of a lower bound for a run's sets: filters of the relaxation, and of the sets alone."""
 
 import math
 from collections.abc import Collection, Generator, Mapping
@@ -37,24 +37,14 @@ _GROWN, _GROWN_EXACTLY = 1e-3, 1e-11
 
 @dataclass(frozen=True)
 class Look:
-    """The gaps after so many draws.
+    """The gaps of the proved sets after so many draws."""
 
-    Parameters
-    ----------
-    draws : int
-        0 where the engine is exact.
-    steps : float
-        Particle-steps of the windows and the bound so far.
-    gaps : list of Gap
-        One for each proved set.
-    """
-
-    draws: int
-    steps: float
-    gaps: list[Gap]
+    draws: int  # 0 for an exact engine
+    steps: float  # particle-steps of the windows and the bound so far
+    gaps: list[Gap]  # one for each proved set
 
     def is_within(self, limit: float, without: Collection[str]) -> bool:
-        """Whether the limits of all gaps are at most so large, without those of some sets."""
+        """Whether the limits of all gaps, but those of the sets `without`, are at most so large."""
         gaps = [gap for gap in self.gaps if gap.name not in without and not gap.reason]
         return all(gap.gap_at_most <= limit for gap in gaps)
 
@@ -62,30 +52,15 @@ class Look:
 class Prover:
     """Proves how much lower the expected MSE of other times can be, for the sets of a run.
 
-    Parameters
-    ----------
-    built : Built
-    settings : BoundSettings
-
-    Attributes
-    ----------
-    relaxation : Relaxation
-        The relaxation of the proof; before a proof, that from which its windows grow.
-    particles : int
-        Particles of the bound's filter; 0 where the engine is exact.
-    confidence : float
-        Confidence of the limit of a gap: 95 %, or more if the proof may end after several numbers
-        of draws.
-
-    Raises
-    ------
-    JobError, ModelError
-        No bound is known for the job's problem, or its relaxation is too large.
+    Before a proof, `relaxation` is that from which its windows grow; afterwards that of the proof.
+    `particles` is 0 for an exact engine. `confidence` is that of the limit of a gap: 95 %, or more
+    if the proof may end after several numbers of draws. Raises `JobError` or `ModelError` if no
+    bound is known for the job's problem, or if its relaxation is too large.
     """
 
     def __init__(self, built: Built, settings: BoundSettings) -> None:
         self._built, self._settings = built, settings
-        # The relaxation filters with the truth's model: a bound for the filter of any model.
+        # The relaxation filters with the true model, so the bound holds for a filter of any model.
         count = settings.particles or built.job.filter.particles
         self._estimation = with_truth(count)
         truth = built.evaluator.truth
@@ -100,39 +75,29 @@ class Prover:
 
     @property
     def steps(self) -> float:
-        """About how many particle-steps the proof takes, with the growth of windows at most."""
+        """Particle-steps that the proof takes at most, approximately; windows may grow."""
         sets = steps_of_sets(self._built, len(self._built.names), self._estimation)
         return sets + self._steps_of_windows
 
     @property
     def _steps_of_windows(self) -> float:
-        """Particle-steps foreseen for windows: to let them grow, then to filter the first ones."""
+        """Foreseen particle-steps of windows: first they grow, then the first ones are filtered."""
         growth = self._most_steps if self.particles else 0.0
         return growth + self._steps((), self._blocks[-1])
 
     def prove(self, session: Session, run: Run) -> Generator[Batch, None, Look]:
-        """Prove the sets of a run, and write the table ``bound``.
-
-        Parameters
-        ----------
-        session : Session
-        run : Run
-            A finished run.
-
-        Raises
-        ------
-        TaskError, PoolError, StoreError
-            A task failed, no worker answers, or a file cannot be read or written.
-        """
+        """Prove the sets of a finished run, and write the table ``bound``."""
+        # The sums are published before the table of the bound, which marks the proof as done. A
+        # kill in between costs no filter: the next proof finds all sums by their ids.
         try:
             looks = yield from self._looks(session, run)
-        finally:  # also where the driver is closed: it loses nothing that it has
+        finally:  # also if the driver is closed early: rows that still wait are committed
             session.commit()
             for table in ("error_sums", "draws", "timings"):
                 for phase in session.store.phases_of(table, BOUND_PHASE):
                     session.store.settle(table, phase)
         session.store.renew("bound", BOUND_PHASE, self._rows(looks, run.draws_compared))
-        session.store.manifest.forget_lost()  # all that a bound needs is there again
+        session.store.manifest.forget_lost()  # every file of a bound was written again
         return looks[-1]
 
     def has_proved(self, run: Run) -> bool:
@@ -146,16 +111,16 @@ class Prover:
         return bool(enough.any())
 
     def _looks(self, session: Session, run: Run) -> Generator[Batch, None, list[Look]]:
-        """The gaps after more and more draws."""
+        """The gaps after more and more draws, until they are small enough or draws run out."""
         constraints = self._built.study.widest
         sets = self._built.study.proved(self._built.instants(run.sets()))
-        alone = yield from sets_alone(session, run, sets, self._estimation)
+        parts = yield from sets_alone(session, run, sets, self._estimation)
         feasible = {name: times for name, times in sets.items() if _satisfies(constraints, times)}
-        known = tuple(feasible.values())
+        feasible_times = tuple(feasible.values())
         foreseen, growth = self._steps_of_windows, 0.0
         if feasible and self._most_steps > 0:
-            self.relaxation, growth = yield from self._grown(session, known)
-        steps = self._steps(known, self._blocks[-1])
+            self.relaxation, growth = yield from self._grown(session, feasible_times)
+        steps = self._steps(feasible_times, self._blocks[-1])
         session.reporter.foresee(growth + steps - foreseen)
         looks, before = list[Look](), 0
         if self.particles:
@@ -164,34 +129,36 @@ class Prover:
             reason, sums = "", None
             try:
                 if feasible:
-                    sums = yield from self._sums(session, known, range(before, blocks))
+                    sums = yield from self._sums(session, feasible_times, range(before, blocks))
                 before = blocks
-                gaps = self._gaps(feasible, alone, sums) if sums else {}
+                gaps = self._gaps(feasible, parts, sums) if sums else {}
             except ModelError as error:
                 reason, gaps = str(error), {}
             for name in sets.keys() - gaps.keys():
                 why = reason if name in feasible else "the set is not feasible"
-                gaps[name] = Gap(name, sets[name], alone[name].expected_mse, why)
-            found = [gaps[name] for name in sets]
-            looks.append(Look(blocks * BLOCK, growth + self._steps(known, blocks), found))
+                gaps[name] = Gap(name, sets[name], parts[name].expected_mse, why)
+            gaps_in_order = [gaps[name] for name in sets]
+            looks.append(
+                Look(blocks * BLOCK, growth + self._steps(feasible_times, blocks), gaps_in_order)
+            )
             within = self._settings.within
-            if reason:  # more draws do not help
+            if reason:  # more draws would not help
                 break
             if within is not None and looks[-1].is_within(within, self._built.unjudged):
                 break
         return looks
 
     def _grown(
-        self, session: Session, known: tuple[Times, ...]
+        self, session: Session, sets: tuple[Times, ...]
     ) -> Generator[Batch, None, tuple[Relaxation, float]]:
-        """The relaxation with longer windows where they matter for the sets, and its steps."""
-        spent = {self.relaxation.spent(times) for times in known}
+        """The relaxation with longer windows along the sets, and the particle-steps spent."""
+        spent = {self.relaxation.spent(times) for times in sets}
         optimiser = StateSpaceRelaxation(
             self._built.study.widest,
             paths=_PATHS,
             rounds=_ROUNDS,
             sought=tuple(sorted(spent)),
-            known=known,
+            known=sets,
             gap=_GROWN if self.particles else _GROWN_EXACTLY,
             start=self.relaxation,
             most_grown=self._settings.most_windows,
@@ -207,44 +174,32 @@ class Prover:
         return 2.0 * self._steps((), GROUPS) if self.particles else math.inf
 
     def _gaps(
-        self, sets: Mapping[str, Times], alone: Mapping[str, SetAlone], sums: Sums
+        self, sets: Mapping[str, Times], parts: Mapping[str, SetAlone], sums: Sums
     ) -> dict[str, Gap]:
         """The gaps of feasible sets that follow from sums of errors."""
-        known = tuple(sets.values())
-        most = max(map(self.relaxation.spent, known))
-        proof = prove(self.relaxation, sums, known, most)
+        times_of_sets = tuple(sets.values())
+        most = max(map(self.relaxation.spent, times_of_sets))
+        proof = prove(self.relaxation, sums, times_of_sets, most)
         gaps = {
-            name: gap_of(name, times, alone[name], proof, place, self.confidence)
+            name: gap_of(name, times, parts[name], proof, place, self.confidence)
             for place, (name, times) in enumerate(sets.items())
         }
         return consistent(gaps) if self.particles else gaps
 
     def _sums(
-        self, session: Session, known: tuple[Times, ...], blocks: range
+        self, session: Session, sets: tuple[Times, ...], blocks: range
     ) -> Generator[Batch, None, Sums]:
-        """Sums of the errors of all windows and of known sets, up to the last of some blocks.
+        """Sums of the errors of all windows and of C sets, up to the last of some new blocks.
 
-        Parameters
-        ----------
-        session : Session
-        known : tuple of tuples of int, (C,)
-        blocks : range
-            Blocks that were not asked for before.
-
-        Raises
-        ------
-        ModelError
-            A draw is degenerate or infinite.
-        TaskError, PoolError, StoreError
-            A task failed, no worker answers, or a file cannot be read or written.
+        Raises `ModelError` if a draw is degenerate or infinite.
         """
         relaxation, evaluator = self.relaxation, self._built.evaluator
         instants = evaluator.horizon + 1
         if not self.particles:
             counted = Counted(tuple(relaxation.sets), relaxation.first, relaxation.ends)
             relaxed = evaluator.expected_errors(counted.sets)[counted.at(evaluator.horizon)]
-            return Sums(relaxed[None], evaluator.expected_errors(known)[None], np.ones(1))
-        sums, reporter = self._block_sums(known), session.reporter
+            return Sums(relaxed[None], evaluator.expected_errors(sets)[None], np.ones(1))
+        sums, reporter = self._block_sums(sets), session.reporter
         a_block = sums.steps(1)
 
         def learn(_work: Work, _result: Result) -> None:
@@ -258,18 +213,18 @@ class Prover:
                 "a draw is degenerate or infinite although a particle has its true state: "
                 "log_likelihood must be finite at the state that made the measurement"
             )
-        relaxed, own = np.split(errors, [relaxation.offsets[-1]], axis=1)
-        return Sums(relaxed, own.reshape(len(own), -1, instants), draws)
+        relaxed, errors_of_sets = np.split(errors, [relaxation.offsets[-1]], axis=1)
+        return Sums(relaxed, errors_of_sets.reshape(len(errors_of_sets), -1, instants), draws)
 
-    def _steps(self, known: tuple[Times, ...], blocks: int) -> float:
-        """Particle-steps of the first blocks of draws."""
-        return float(self._block_sums(known).steps(blocks)) if self.particles else 0.0
+    def _steps(self, sets: tuple[Times, ...], blocks: int) -> float:
+        """Particle-steps of windows and sets on the first blocks of draws."""
+        return float(self._block_sums(sets).steps(blocks)) if self.particles else 0.0
 
-    def _block_sums(self, known: tuple[Times, ...]) -> BlockSums:
-        """Sums of the errors of all windows, and of known sets at all instants."""
-        relaxation, every = self.relaxation, np.zeros(len(known), np.int64)
+    def _block_sums(self, sets: tuple[Times, ...]) -> BlockSums:
+        """Sums of the errors of all windows, and of sets at all instants."""
+        relaxation, every = self.relaxation, np.zeros(len(sets), np.int64)
         counted = Counted(
-            (*relaxation.sets, *known),
+            (*relaxation.sets, *sets),
             np.concatenate([relaxation.first, every]),
             np.concatenate([relaxation.ends, every + relaxation.horizon]),
         )
@@ -292,11 +247,11 @@ class Prover:
     def _rows(self, looks: list[Look], compared_draws: int) -> pa.Table:
         """Rows of the table ``bound``."""
         relaxation = self.relaxation
-        known = {"windows": len(relaxation.windows), "longest_gap": relaxation.longest_gap}
+        sizes = {"windows": len(relaxation.windows), "longest_gap": relaxation.longest_gap}
         rows = [
             {"position": position, "draws": look.draws, "steps": look.steps}
             | self._columns(compared_draws)
-            | known
+            | sizes
             | gap.columns()
             for look in looks
             for position, gap in enumerate(look.gaps)
@@ -305,7 +260,7 @@ class Prover:
 
 
 def _doubled(blocks: int) -> list[int]:
-    """Numbers of blocks after which the gaps are computed."""
+    """Numbers of blocks after which the gaps are computed: each twice the one before."""
     looks = [GROUPS]
     while looks[-1] < blocks:
         looks.append(min(2 * looks[-1], blocks))
@@ -313,6 +268,6 @@ def _doubled(blocks: int) -> list[int]:
 
 
 def _satisfies(constraints: Constraints, times: Times) -> bool:
-    """Whether times satisfy all constraints but that on their number."""
+    """Whether times satisfy all constraints except that on their number."""
     paid = constraints.counted or constraints.spent(times) <= constraints.total
     return paid and constraints.compatible(times) and {*constraints.required}.issubset(times)

@@ -21,7 +21,7 @@ from pfdist.times.measurement_times import Times
 from pfdist.times.moves import moved
 
 FIRST_REACH = 4
-"""Feasible instants on each side of a measurement that are filtered first; then twice as many."""
+"""Number of feasible instants on each side that are filtered first; then twice as many."""
 
 Row = dict[str, Any]
 Move = tuple[int, int]  # the instant of a measurement, and the instant to which it is moved
@@ -29,59 +29,39 @@ Move = tuple[int, int]  # the instant of a measurement, and the instant to which
 
 @dataclass(frozen=True)
 class _Side:
-    """The feasible instants between a measurement and a neighbour, outwards, with the moved sets.
+    """The feasible instants from a measurement to a neighbour, outwards, with the moved sets."""
 
-    Parameters
-    ----------
-    t : int
-        The measurement.
-    sets : list of (int, tuple of int)
-        Each instant, and the set whose measurement is moved to it.
-    """
-
-    t: int
-    sets: list[tuple[int, Times]]
+    t: int  # the measurement
+    sets: list[tuple[int, Times]]  # each instant, and the set whose measurement is moved there
 
     def part(self, first: int, stop: int) -> dict[Move, Times]:
-        """Some of the moves."""
+        """The moves first..stop-1, counted from the measurement, with their sets."""
         return {(self.t, instant): times for instant, times in self.sets[first:stop]}
 
 
 def sampling_windows(
     session: Session, name: str, times: Times, draws: int
 ) -> Generator[Batch, None, list[Row]]:
-    """Rows with the loss of moving each measurement alone, and whether it is within the levels.
+    """Rows with the loss of moving one measurement at a time, and whether the levels allow it.
+
+    They are those of the table ``sampling_windows``, without position, name and draws. The
+    measurement's own instant is a row, too. The name of the set keys the noise.
 
     The instants lie strictly between the neighbouring measurements, and the job allows them. They
     are tried outwards from the measurement. A side ends with the first instant that is clearly
     beyond the largest level: the one-sided 95 % lower limit of its loss is above it.
-
-    Parameters
-    ----------
-    session : Session
-    name : str
-        Name of the set; keys the noise.
-    times : tuple of int
-    draws : int
-        Number of draws.
-
-    Returns
-    -------
-    list of dict
-        Rows of the table ``sampling_windows``, without position, name and draws. The measurement's
-        own instant is a row, too.
     """
     reporter, feasible = session.reporter, session.built.job.problem.feasible
     start, first, size, share = reporter.progress.done, 0, FIRST_REACH, 0.5
     sides, rows = _sides(times, feasible), list[Row]()
     while not first or sides:
-        asked = {move: moved for side in sides for move, moved in side.part(first, size).items()}
-        found = yield from _rows(session, name, (times, *asked.values()), draws, share)
-        kept, known = found[0], dict(zip(asked, found[1:], strict=True))
+        moves = {move: moved for side in sides for move, moved in side.part(first, size).items()}
+        rows_of_sets = yield from _rows(session, name, (times, *moves.values()), draws, share)
+        unmoved, losses = rows_of_sets[0], dict(zip(moves, rows_of_sets[1:], strict=True))
         if not first:
-            rows += [{"t": t, "moved_to": t, "moved_to_instant": t} | kept for t in times]
+            rows += [{"t": t, "moved_to": t, "moved_to_instant": t} | unmoved for t in times]
         for side in list(sides):
-            tried, ended = _up_to_the_first_beyond(side.part(first, size), known)
+            tried, ended = _up_to_the_first_beyond(side.part(first, size), losses)
             rows += tried
             if ended or len(side.sets) <= size:
                 sides.remove(side)
@@ -121,12 +101,12 @@ def _sides(times: Times, feasible: Feasible) -> list[_Side]:
 
 
 def _up_to_the_first_beyond(
-    moves: Mapping[Move, Times], known: Mapping[Move, Row]
+    moves: Mapping[Move, Times], losses: Mapping[Move, Row]
 ) -> tuple[list[Row], bool]:
     """The rows up to the first instant beyond the largest level, and whether there is one."""
     rows = list[Row]()
     for t, instant in moves:
-        rows.append({"t": t, "moved_to": instant, "moved_to_instant": instant} | known[t, instant])
+        rows.append({"t": t, "moved_to": instant, "moved_to_instant": instant} | losses[t, instant])
         if rows[-1][f"within_{max(WINDOW_PERCENTS)}"] == OUTSIDE:
             return rows, True
     return rows, False
@@ -135,7 +115,7 @@ def _up_to_the_first_beyond(
 def _rows(
     session: Session, name: str, sets: tuple[Times, ...], draws: int, share: float
 ) -> Generator[Batch, None, list[Row]]:
-    """Columns of the loss of each set against the first, which loses nothing."""
+    """Columns of the loss of each set against the first set, which loses nothing."""
     evaluator, seed, reporter = session.built.evaluator, session.built.job.seed, session.reporter
     work = Work(
         measurement_times=sets,
@@ -147,8 +127,11 @@ def _rows(
     )
     if evaluator.exact:
         (costs,) = (yield from mse_of_sets(session, [work])).tolist()
-        kept, *_ = costs
-        return [_exact_row((cost - kept) / kept if kept > 0.0 else math.nan) for cost in costs]
+        cost_unmoved, *_ = costs
+        return [
+            _exact_row((cost - cost_unmoved) / cost_unmoved if cost_unmoved > 0.0 else math.nan)
+            for cost in costs
+        ]
     losses, start = [RelativeLoss() for _ in sets], reporter.progress.done
     for piece in evaluator.pieces(work, MOST_SECONDS):
         mse = yield from mse_of_sets(session, [piece])

@@ -28,34 +28,26 @@ from pfdist.search.trust import (
 )
 from pfdist.times.measurement_times import Times
 
-_POLISHED, _UNPOLISHED = 3, 1  # so many polished sets race with so many of the search's own
+_POLISHED, _UNPOLISHED = 3, 1  # polished sets in the race, and sets of the search itself
 _CONTRADICTED = 2.0  # standard errors
-_REACH = 2.5  # mean gaps: an exchange that polishes moves a time at most so far
+_REACH = 2.5  # mean gaps by which an exchange that polishes may move a time
 
 
 @dataclass(frozen=True)
 class SearchEnd:
-    """How a search ended.
+    """How a search ended."""
 
-    Parameters
-    ----------
-    winners : dict of str to Evaluation
-        The search's own evaluation of each set that is compared, by name. It is on draws that
-        chose the set. Empty if every set at the end of the search or of the race had a degenerate
-        draw.
-    distrust : str or None
-        Why the search was run again by the squared error; None if it was not.
-    """
-
+    # The search's own evaluation of each compared set, by name, on draws that chose the set. Empty
+    # if every set at the end of the search or of the race had a degenerate draw.
     winners: dict[str, Evaluation]
-    distrust: str | None = None
+    distrust: str | None = None  # why the search was run again with the squared error, if it was
 
 
 @dataclass(frozen=True)
 class _Attempt:
-    """Sets that a search has found, the best first, its leaders, and whether it was polished."""
+    """Finalists of a search, the best first, its leaders, and whether the best were polished."""
 
-    found: list[Evaluation]
+    finalists: list[Evaluation]
     leaders: list[Evaluation]
     polished: bool
 
@@ -63,7 +55,7 @@ class _Attempt:
     def believed(self) -> dict[Times, Evaluation]:
         """The search's evaluation of each set; for a polished set, that of the exchanges."""
         believed: dict[Times, Evaluation] = {}
-        for evaluation in self.found:
+        for evaluation in self.finalists:
             believed.setdefault(evaluation.measurement_times, evaluation)
         return believed
 
@@ -71,17 +63,14 @@ class _Attempt:
 class _Runner:
     """Runs the phases of searches, one after another.
 
-    Parameters
-    ----------
-    session : Session
-        It receives a line if the estimator of a search fails or cannot be checked.
+    The session receives a line if the estimator of a search fails or cannot be checked.
     """
 
     def __init__(self, session: Session) -> None:
         self._session, self._built, self._study = session, session.built, session.built.study
 
     def run(self, search: NamedSearch) -> Generator[Batch, None, SearchEnd]:
-        """Winners of a search, which is run again by the squared error if its estimator fails."""
+        """Winners of a search, which is run again with the squared error if its estimator fails."""
         attempt, again = (yield from self.attempt(search)), search.again
         distrust = (yield from self.distrust(search, attempt)) if again else None
         if again is None or distrust is None:
@@ -101,24 +90,24 @@ class _Runner:
         return SearchEnd(self.winners(search.name, attempt, raced), distrust)
 
     def attempt(self, search: NamedSearch) -> Generator[Batch, None, _Attempt]:
-        """Search, and polish the best set found."""
+        """The finalists of a search, of which the best are polished."""
         searching = _searching(self._built, search)
-        found = yield from self._finalists(searching)
+        finalists = yield from self._finalists(searching)
         leaders = searching.leaders
-        if found and search.polishing:
-            polishing = _polishing(self._built, search, found[0].measurement_times)
+        if finalists and search.polishing:
+            polishing = _polishing(self._built, search, finalists[0].measurement_times)
             polished = yield from self._finalists(polishing)
             leaders = [*leaders, *polished[:1]]
-            found = [*polished[:_POLISHED], *found[:_UNPOLISHED]]
-        return _Attempt(found, leaders, search.polishing is not None)
+            finalists = [*polished[:_POLISHED], *finalists[:_UNPOLISHED]]
+        return _Attempt(finalists, leaders, search.polishing is not None)
 
     def distrust(
         self, search: NamedSearch, attempt: _Attempt
     ) -> Generator[Batch, None, str | None]:
-        """Say on which probe the estimator of a search failed, if it failed."""
+        """On which probe the estimator of a search failed; None if it did not."""
         sought = dict.fromkeys(
             Candidate(evaluation.measurement_times, evaluation.end)
-            for evaluation in self._study.probed(attempt.leaders, attempt.found)
+            for evaluation in self._study.probed(attempt.leaders, attempt.finalists)
         )
         phase = _probing(self._built, search, tuple(sought))
         probe = yield from run_phase(phase, self._session)
@@ -133,7 +122,7 @@ class _Runner:
     def race(
         self, search: NamedSearch, attempt: _Attempt
     ) -> Generator[Batch, None, list[Evaluation] | None]:
-        """Evaluations of the sets that raced, the winner first; None if no sets race."""
+        """Evaluations of the sets that raced, the winner first; None if there was no race."""
         sets = self._study.racing(attempt.believed)
         if not sets:
             return None
@@ -142,7 +131,7 @@ class _Runner:
     def winners(
         self, name: str, attempt: _Attempt, raced: Sequence[Evaluation] | None
     ) -> dict[str, Evaluation]:
-        """Sets that are compared, by name, with what the search believed of them."""
+        """Sets that are compared, by name, with the search's own evaluation of each."""
         believed = attempt.believed
         ranked = list(believed)
         if raced is not None:
@@ -152,9 +141,9 @@ class _Runner:
         return {key: believed[times] for key, times in winners.items()}
 
     def _finalists(self, phase: Phase) -> Generator[Batch, None, list[Evaluation]]:
-        """Finalists of a phase, without sets that degenerate draws have killed."""
-        found = yield from run_phase(phase, self._session)
-        return [evaluation for evaluation in found if np.isfinite(evaluation.cost)]
+        """Finalists of a phase whose cost is finite: no degenerate draw has killed them."""
+        finalists = yield from run_phase(phase, self._session)
+        return [evaluation for evaluation in finalists if np.isfinite(evaluation.cost)]
 
 
 def _uncontradicted(ranked: Sequence[Times], raced: Sequence[Evaluation]) -> list[Evaluation]:
@@ -173,31 +162,20 @@ def _uncontradicted(ranked: Sequence[Times], raced: Sequence[Evaluation]) -> lis
 
 
 def run_search(session: Session, search: NamedSearch) -> Generator[Batch, None, SearchEnd]:
-    """Winners of a search: run it to its end.
-
-    Parameters
-    ----------
-    session : Session
-        It receives a line if the search's estimator fails or cannot be checked.
-    search : NamedSearch
-
-    Raises
-    ------
-    TaskError, PoolError, StoreError
-        A task failed, no worker answers, or a file cannot be read or written.
-    """
+    """Winners of a search, which runs to its end."""
     built, reporter = session.built, session.reporter
     start = reporter.progress.done
     end = yield from _Runner(session).run(search)
     redone = search_steps(built, search.again) if search.again and end.distrust else 0.0
-    reporter.note(done=start + search_steps(built, search) + redone)  # as it was foreseen
+    # Searches may end sooner or later than foreseen: progress goes on from the forecast.
+    reporter.note(done=start + search_steps(built, search) + redone)
     return end
 
 
 def search_steps(built: Built, search: NamedSearch) -> float:
-    """About how many particle-steps a search and the phases after it take.
+    """Particle-steps of a search and the phases after it, approximately.
 
-    The forecast leaves out that the search may be run again by the squared error.
+    The forecast leaves out that the search may be run again with the squared error.
     """
     start = built.job.problem.feasible.regular()
     phases: list[Phase] = [_searching(built, search)]

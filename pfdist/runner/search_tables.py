@@ -18,16 +18,16 @@ _EVALUATIONS_AT_ONCE = 200  # evaluations that are read together when a phase is
 def evaluation_rows(
     phase: str,
     generation: int,
-    asked: list[Candidate],
+    candidates: list[Candidate],
     requests: Sequence[Any],
     evaluations: dict[Candidate, Any],
 ) -> pa.Table:
     """Rows of the table ``evaluations``: a row for each request of a generation.
 
-    A column holds the value of that name from the first record of the row that has the name.
+    A column has the value of that name from the first record of the row that has the name.
     """
-    table, copies = schema("evaluations"), Counter(asked)
-    individuals = {candidate: place for place, candidate in reversed([*enumerate(asked)])}
+    table, copies = schema("evaluations"), Counter(candidates)
+    individuals = {candidate: place for place, candidate in reversed([*enumerate(candidates)])}
     records = [
         (
             SimpleNamespace(
@@ -67,7 +67,11 @@ def unpublished(store: Store, phases: Iterable[str]) -> bool:
 
 
 def publish_search(store: Store, phase: str) -> None:
-    """Turn the parts of a search into tables; a repeated call gives the same tables."""
+    """Publish the parts of a search as tables; a repeated call gives the same tables.
+
+    Draws are published before evaluations, because the rows of evaluations say which draws belong
+    to the search. A kill in between leaves parts of evaluations, and the next call begins again.
+    """
     if not unpublished(store, [phase]):
         return
     store.settle("error_sums", phase)
@@ -95,6 +99,6 @@ def _draws_of(store: Store, wanted: dict[str, int]) -> Iterator[pa.Table]:
 
 
 def _column(name: str, records: Sequence[tuple[Any, ...]]) -> list[Any]:
-    """Give the values of a name, from the first record of each row that has the name."""
+    """The values of a name, from the first record of each row that has the name."""
     owner = next(place for place, record in enumerate(records[0]) if hasattr(record, name))
     return [getattr(row[owner], name) for row in records]  # all rows have the same records

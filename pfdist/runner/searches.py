@@ -19,29 +19,19 @@ from pfdist.sequential.planning import Planning
 _POLISH_DRAWS = 4096  # at most
 _RACE_DRAWS = 1000  # of the first round
 _NOTHING_OWN = EvaluationSettings()
-_BYTES_A_DRAW = 32  # the index and the MSE of a draw, in a worker's answer and in the table
+_BYTES_A_DRAW = 32  # index and MSE of a draw, in a worker's answer and in the table
 _BYTES_A_SET = 1000  # the times, the evaluation and the row of a set
 _SETS = {"population": 1, "chains": 2}
-"""Settings for the number of sets in a generation, and how many sets each unit stands for."""
+"""Settings that give the number of sets in a generation, with the sets of each unit."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How sets of times are evaluated.
+    """How sets of times are evaluated."""
 
-    Parameters
-    ----------
-    draws : int
-        Number of draws of an evaluation.
-    common_noise : bool
-        Whether all sets share their draws and their filter noise.
-    degenerate_policy : {"kill", "leave_out"}
-    estimation : Estimation
-    """
-
-    draws: int
-    common_noise: bool
-    degenerate_policy: str
+    draws: int  # of an evaluation
+    common_noise: bool  # whether all sets share draws and filter noise
+    degenerate_policy: str  # "kill" or "leave_out"
     estimation: Estimation
 
     @classmethod
@@ -50,13 +40,7 @@ class Settings:
     ) -> "Settings":
         """Settings of the job, replaced where a search has its own.
 
-        Parameters
-        ----------
-        job : Job
-        own : EvaluationSettings
-            The settings of the search.
-        guide : str
-            The estimator that "auto" stands for.
+        `guide` is the estimator that "auto" stands for.
         """
         estimator = own.estimator or job.evaluation.estimator
         return cls(
@@ -73,30 +57,15 @@ class Settings:
 
 @dataclass(frozen=True)
 class NamedSearch:
-    """An optimiser with its name in the tables and the settings of its evaluations.
-
-    Parameters
-    ----------
-    name : str
-    optimiser : Optimiser
-    settings : Settings
-        Settings of the search's evaluations.
-    polishing : Settings or None
-        Settings for exchanges that polish the best set found; None for no exchanges.
-    racing : Settings
-        Settings for the race between the sets found. The job's own filter decides the race by the
-        squared error.
-    again : NamedSearch or None
-        The same search by the squared error, with the particles of the job's own filter. It takes
-        the place of this search if the estimator cannot be trusted. None if this search uses the
-        squared error.
-    """
+    """An optimiser with its name in the tables and the settings of its evaluations."""
 
     name: str
     optimiser: Optimiser
     settings: Settings
-    polishing: Settings | None
-    racing: Settings
+    polishing: Settings | None  # of exchanges that polish the best set; None for no exchanges
+    racing: Settings  # of the race, which the job's own filter decides by the squared error
+    # The same search by the squared error, with the particles of the job's own filter. It takes the
+    # place of this search if the estimator cannot be trusted. None if this search uses it.
     again: "NamedSearch | None" = None
 
     @property
@@ -106,12 +75,12 @@ class NamedSearch:
 
     @property
     def polish(self) -> str:
-        """Name of the phase of exchanges, which polish the best set found."""
+        """Name of the phase of exchanges that polish the best set."""
         return f"{self.name}.polish"
 
     @property
     def shortlist(self) -> str:
-        """Name of the phase that decides between the sets found."""
+        """Name of the phase that decides between the sets at the end of the search."""
         return f"{self.name}.shortlist"
 
     @property
@@ -128,21 +97,10 @@ class NamedSearch:
 
 
 def named_search(study: Study, job: Job, section: SearchSection, guide: str) -> NamedSearch:
-    """Make the optimiser of a section [[search]], with the settings of its evaluations.
+    """The optimiser of a section [[search]], with the settings of its evaluations.
 
-    Parameters
-    ----------
-    study : Study
-        The study of the job.
-    job : Job
-    section : SearchSection
-    guide : str
-        The estimator that "auto" stands for.
-
-    Raises
-    ------
-    JobError
-        The optimiser cannot search this problem.
+    `guide` is the estimator that "auto" stands for. Raises `JobError` if the optimiser cannot
+    search this problem.
     """
     settings = Settings.from_job(job, section.evaluation, guide)
     if not METHODS[section.method].online:  # it asks for errors of instants, block by block
@@ -151,7 +109,8 @@ def named_search(study: Study, job: Job, section: SearchSection, guide: str) -> 
     optimiser = study.optimiser(section, settings.draws)
     search = _with_settings(job, section, section.name, optimiser, settings)
     estimation = settings.estimation
-    if estimation.estimator == SQUARED_ERROR.name or is_exact(job.filter.engine):  # which is exact
+    # Neither the squared error nor an exact engine needs to be checked.
+    if estimation.estimator == SQUARED_ERROR.name or is_exact(job.filter.engine):
         return search
     estimation = replace(estimation, estimator=SQUARED_ERROR.name, particles=job.filter.particles)
     settings = replace(settings, estimation=estimation)
@@ -164,7 +123,7 @@ def _with_settings(
 ) -> NamedSearch:
     own = Estimation(job.filter.particles, job.filter.resampling)
     polishing = replace(settings, draws=_POLISH_DRAWS, common_noise=True)
-    if settings.estimation.estimator == OWN_VARIANCE.name:  # it guides, and decides nothing
+    if settings.estimation.estimator == OWN_VARIANCE.name:  # it may guide a search, not decide
         believed = replace(settings.estimation, estimator=SQUARED_ERROR.name)
         polishing = replace(polishing, estimation=believed)
     racing = replace(settings, draws=_RACE_DRAWS, common_noise=True, estimation=own)
@@ -172,16 +131,7 @@ def _with_settings(
 
 
 def check_memory(job: Job, section: SearchSection, draws: int) -> None:
-    """Raise a `JobError` if a generation of a search does not fit into this machine's memory.
-
-    Parameters
-    ----------
-    job : Job
-    section : SearchSection
-        A section of the job.
-    draws : int
-        Draws of an evaluation.
-    """
+    """Raise a `JobError` if a generation of a search does not fit into this machine's memory."""
     for key, sets in _SETS.items():
         count = section.settings.get(key, 0)
         wanted = count * sets * (_BYTES_A_SET + _BYTES_A_DRAW * draws)
@@ -195,13 +145,9 @@ def check_memory(job: Job, section: SearchSection, draws: int) -> None:
 
 
 def planning_of(job: Job, cheapest: str) -> Planning:
-    """How the measurements that are left are planned, by the section [online] or its defaults.
+    """How the remaining measurements are planned, by the section [online] or its defaults.
 
-    Parameters
-    ----------
-    job : Job
-    cheapest : str
-        The estimator that "auto" stands for.
+    `cheapest` is the estimator that "auto" stands for.
     """
     online = job.online or Online()
     settings = Settings.from_job(job, online.search.evaluation, cheapest)

@@ -41,12 +41,12 @@ class _Kind:
 
 
 def _draws(built: Built, compared: int) -> int:
-    """Number of draws of a set alone; with several references, never more than were compared."""
+    """Number of draws of a set alone; with several references, at most those compared."""
     return min(SET_DRAWS, compared) if len(built.study.references) > 1 else SET_DRAWS
 
 
 def steps_of_sets(built: Built, sets: int, estimation: Estimation) -> int:
-    """About how many particle-steps it takes to filter so many sets alone."""
+    """Particle-steps that it takes to filter so many sets alone, approximately."""
     if built.evaluator.exact:
         return 0
     compared = built.job.comparison.draws
@@ -58,22 +58,9 @@ def steps_of_sets(built: Built, sets: int, estimation: Estimation) -> int:
 def sets_alone(
     session: Session, run: Run, sets: Mapping[str, Times], estimation: Estimation
 ) -> Generator[Batch, None, dict[str, SetAlone]]:
-    """Filter sets alone; what follows for each.
+    """The expected MSE of each compared set alone, and the parts of its gap.
 
-    Parameters
-    ----------
-    session : Session
-    run : Run
-        The finished run.
-    sets : mapping of str to tuple of int
-        Compared sets by name.
-    estimation : Estimation
-        An estimation by the variance of the particles.
-
-    Raises
-    ------
-    TaskError, PoolError, StoreError
-        A task failed, no worker answers, or a file cannot be read or written.
+    The run must be finished. The estimation uses the variance of the particles.
     """
     built = session.built
     if built.evaluator.exact:
@@ -87,10 +74,10 @@ def sets_alone(
     else:
         draws_stream = stream_of(built.study.purpose, seed, "draws")
     session.reporter.begin("sets alone")
-    found = dict[str, dict[str, Array]]()
+    errors = dict[str, dict[str, Array]]()
     for name, kind in kinds.items():
-        found[name] = yield from _per_draw(session, sets, kind, draws_stream, draws)
-    squared, whole = found.get("squared"), dict[str, Moments]()
+        errors[name] = yield from _per_draw(session, sets, kind, draws_stream, draws)
+    squared, whole = errors.get("squared"), dict[str, Moments]()
     if squared is None:
         rows, statistics = run.comparison(draws), run.statistics()
         squared = {name: rows[f"mse_{name}"].to_numpy(np.float64) for name in sets}
@@ -103,7 +90,7 @@ def sets_alone(
         for name, values in squared.items():
             whole[name] = Moments()
             whole[name].add(values)
-    by_truth, variance = found.get("by_truth", squared), found["variance"]
+    by_truth, variance = errors.get("by_truth", squared), errors["variance"]
     return {
         name: parts_of(whole[name], squared[name], by_truth[name], variance[name])
         if name in whole
@@ -145,13 +132,13 @@ def _per_draw(
         ids=tuple(ids.values()),
         knows_truth=kind.knows_truth,
     )
-    found = {id_: np.full(draws, math.nan) for id_ in work.ids}
+    errors = {id_: np.full(draws, math.nan) for id_ in work.ids}
     start, done = reporter.progress.done, 0
 
     def learn(piece: Work, result: Result) -> None:
         nonlocal done
         for id_, mse in piece.by_id(result).items():
-            found[id_][slice(*piece.draws)] = mse
+            errors[id_][slice(*piece.draws)] = mse
         done += result.mse.size
         reporter.reach(
             start + done * work.steps / (draws * len(sets)), evaluations=done // len(sets)
@@ -159,19 +146,15 @@ def _per_draw(
 
     phase = f"{BOUND_PHASE}.{stream_key(work.ids):016x}"
     yield Batch(session, phase, [work], PER_DRAW, learn)
-    return {name: found[id_] for name, id_ in ids.items()}
+    return {name: errors[id_] for name, id_ in ids.items()}
 
 
 def parts_of(whole: Moments, squared: Array, by_truth: Array, variance: Array) -> SetAlone:
-    """The parts for one set.
+    """The parts for one set, from errors of the same D draws.
 
-    Parameters
-    ----------
-    whole : Moments
-        Moments of the squared errors of all draws, the first of which are `squared`.
-    squared, by_truth, variance : array of float64, (D,)
-        Squared errors with the filter's model and with the true model, and variances of the
-        particles with the true model, of the same draws.
+    `squared` and `by_truth` are the squared errors with the filter's model and with the true model,
+    and `variance` is that of the particles with the true model. `whole` has the moments of the
+    squared errors of all draws, the first of which are `squared`.
     """
     if not (math.isfinite(whole.mean) and np.isfinite(squared + by_truth + variance).all()):
         return _DEGENERATE

@@ -23,23 +23,16 @@ from pfdist.times.measurement_times import Times
 
 @dataclass(frozen=True)
 class Study:
-    """The sets that a run seeks and compares.
-
-    Parameters
-    ----------
-    job : Job
-    feasible : Feasible
-        The feasible sets of the job's problem.
-    """
+    """The sets that a run seeks and compares."""
 
     job: Job
     feasible: Feasible
 
     @cached_property
     def axis(self) -> dict[int, Feasible]:
-        """Feasible sets by number of measurements, the least number first.
+        """Feasible sets by number of measurements, the smallest number first.
 
-        With costs, the number is that of regular times.
+        If measurements have costs, the number is that of regular times.
         """
         if self.job.budget is None:
             return {self.feasible.measurements: self.feasible}
@@ -58,7 +51,7 @@ class Study:
 
     @property
     def references(self) -> dict[str, Times]:
-        """Measurement times with which the found times of each number are compared, by name."""
+        """Times with which the sets of each number of measurements are compared, by name."""
         names = self.names(self.job.comparison.reference_name)
         return {name: self.unsearched[name] for name in names}
 
@@ -82,7 +75,7 @@ class Study:
         return round(math.sqrt(min(self.axis) * max(self.axis)))
 
     def proved(self, sets: dict[str, Times]) -> dict[str, Times]:
-        """Those of the compared sets whose gaps are proved: for a budget curve, the found sets."""
+        """The compared sets whose gaps are proved; a budget curve leaves out the references."""
         if self.job.budget is None:
             return sets
         return {name: times for name, times in sets.items() if name not in self.references}
@@ -94,12 +87,8 @@ class Study:
     def optimiser(self, section: SearchSection, draws: int) -> Optimiser:
         """Optimiser of a section [[search]] whose evaluations have so many draws.
 
-        For a budget curve, state-space relaxation finds the sets of all numbers at once.
-
-        Raises
-        ------
-        JobError
-            The optimiser cannot search this problem.
+        For a budget curve, state-space relaxation finds the sets of all numbers at once. Raises
+        `JobError` if the optimiser cannot search this problem.
         """
         if self.job.budget is not None:
             start, sought = relaxation_within(self.widest, self.usual, MOST_CELLS), (*self.axis,)
@@ -112,36 +101,30 @@ class Study:
             raise JobError(f"search.{section.name}: {error} ({self.job.path})") from error
 
     def probed(
-        self, leaders: Sequence[Evaluation], found: Sequence[Evaluation]
+        self, leaders: Sequence[Evaluation], finalists: Sequence[Evaluation]
     ) -> list[Evaluation]:
         """Evaluations on which the estimator of a search is checked.
 
-        A race compares the found sets by the squared error anyway.
-
-        Parameters
-        ----------
-        leaders : sequence of Evaluation
-            The evaluations that led the search.
-        found : sequence of Evaluation
-            The evaluations with which the search ended.
+        They are those that led the search, and those with which it ended, unless a race compares
+        the latter by the squared error anyway.
         """
-        races = self.racing(dict.fromkeys(each.measurement_times for each in found))
-        return [*leaders] if races else [*leaders, *found]
+        races = self.racing(dict.fromkeys(each.measurement_times for each in finalists))
+        return [*leaders] if races else [*leaders, *finalists]
 
-    def racing(self, found: Iterable[Times]) -> tuple[Times, ...]:
-        """The found sets that race on fresh draws: all, if they are more than are sought."""
-        sets = tuple(found)
+    def racing(self, finalists: Iterable[Times]) -> tuple[Times, ...]:
+        """The sets that race on fresh draws: all, if there are more of them than are sought."""
+        sets = tuple(finalists)
         return sets if len(sets) > len(self.axis) else ()
 
     def winners(self, search: str, ranked: Sequence[Times]) -> dict[str, Times]:
-        """The best set of each number of measurements by name; the best of all is the first."""
+        """The best set of each number of measurements, by name, from sets ranked best first."""
         best = dict[str, Times]()
         for times in ranked:
             best.setdefault(self._name(search, len(times)), times)
         return {name: best[name] for name in self.names(search) if name in best}
 
     def shown(self, gains: Callable[[], tuple[Found, ...]]) -> tuple[Found, ...]:
-        """Gains that the progress of the comparison shows: none if there are many references."""
+        """Gains that the progress of the comparison shows; none with several references."""
         return gains() if len(self.references) == 1 else ()
 
     def _name(self, name: str, number: int) -> str:

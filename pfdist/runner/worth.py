@@ -34,19 +34,11 @@ Rows = list[dict[str, Any]]
 
 @dataclass(frozen=True)
 class Worth:
-    """The answer for a set.
+    """The error over time of a set, and the worth of its measurements."""
 
-    Parameters
-    ----------
-    summary : dict
-        expected_mse, standard_error and degenerate_draws of the set.
-    profile, worth : list of dict
-        Rows of the tables of these names, without position, name and draws.
-    """
-
-    summary: dict[str, Any]
-    profile: Rows
-    worth: Rows
+    summary: dict[str, Any]  # expected_mse, standard_error and degenerate_draws of the set
+    profile: Rows  # of the table of this name, without position, name and draws
+    worth: Rows  # likewise
 
 
 def worth_of(
@@ -55,19 +47,9 @@ def worth_of(
     """The error of a set over time, and the worth of each measurement.
 
     The set up to every instant and all its changes share draws and noise. So common prefixes are
-    filtered once, and differences are paired.
-
-    Parameters
-    ----------
-    session : Session
-    name : str
-        Name of the set; keys the noise.
-    times : tuple of int
-    draws : int
-        Number of draws.
-    measured : list of arrays of float64, (N, m)
-        For each of some other draws, the measurements at these times. The effective sample size is
-        a mean over these draws.
+    filtered once, and differences are paired. The name of the set keys the noise. `measured` has
+    the measurements at these times for each of some other draws, (N, m) each. The effective sample
+    size is a mean over these draws.
     """
     built = session.built
     evaluator, seed, instants = built.evaluator, built.job.seed, built.evaluator.horizon + 1
@@ -83,7 +65,7 @@ def worth_of(
         draws=(0, draws),
         estimation=built.comparing,
     )
-    (cost, *found), degenerate = yield from _means(session, work)
+    (cost, *estimates), degenerate = yield from _means(session, work)
     sizes = dict(zip(times, _effective_sizes(built, stream, times, measured), strict=True))
     weights = built.job.problem.weights or (1.0,) * instants
     profile = [
@@ -96,10 +78,10 @@ def worth_of(
             "degenerate_draws": degenerate[t],
             "effective_sample_size": sizes.get(t, math.nan),
         }
-        for t, (mean, error) in enumerate(found[:instants])
+        for t, (mean, error) in enumerate(estimates[:instants])
     ]
     worth = {t: {"t": t} | dict.fromkeys(_COLUMNS, math.nan) for t in times}
-    for (t, change, _), (mean, error) in zip(changed, found[instants:], strict=True):
+    for (t, change, _), (mean, error) in zip(changed, estimates[instants:], strict=True):
         worth[t] |= {change: mean, f"{change}_error": error}
     summary = {"expected_mse": cost[0], "standard_error": cost[1]}
     return Worth(summary | {"degenerate_draws": degenerate[-1]}, profile, list(worth.values()))
@@ -122,7 +104,7 @@ def _effective_sizes(built: Built, stream: int, times: Times, measured: list[Arr
 
 
 def _changes(times: Times, feasible: Feasible) -> Iterator[tuple[int, str, Times]]:
-    """Yield each measurement with each change of it, and the set that follows.
+    """Yield each measurement with each change of it, and the changed set.
 
     Every measurement may be removed, but it moves only to instants that the job allows.
     """
@@ -147,11 +129,11 @@ def _means(
         mse = yield from mse_of_sets(session, [piece])
         prefixes = replace(piece.part(piece.draws, range(instants)), weighted=False)
         if evaluator.weights is None:
-            alike = mse[:, :instants]
+            unweighted = mse[:, :instants]
         else:
-            alike = yield from mse_of_sets(session, [prefixes])
-        degenerate += np.isnan(alike).sum(axis=0)
-        for moments, values in zip(columns, _columns(mse, alike).T, strict=True):
+            unweighted = yield from mse_of_sets(session, [prefixes])
+        degenerate += np.isnan(unweighted).sum(axis=0)
+        for moments, values in zip(columns, _columns(mse, unweighted).T, strict=True):
             moments.add(values[~np.isnan(values)])
         _, compared = piece.draws
         reporter.reach(start + compared / draws, evaluations=compared)
@@ -163,11 +145,7 @@ def _means(
 def mse_of_sets(session: Session, works: list[Work]) -> Generator[Batch, None, Array]:
     """MSE of each set for each draw, (D, S); for an exact engine (1, S).
 
-    Parameters
-    ----------
-    session : Session
-    works : list of Work
-        Their draws follow each other; an exact engine takes one work.
+    The draws of the works follow each other. An exact engine takes one work.
     """
     (first, _), (_, last) = works[0].draws, works[-1].draws
     evaluator, (work, *_) = session.built.evaluator, works
@@ -184,26 +162,17 @@ def mse_of_sets(session: Session, works: list[Work]) -> Generator[Batch, None, A
     return mse
 
 
-def _columns(mse: Array, alike: Array) -> Array:
-    """MSE, error at every instant, and rise of the MSE by each change, for each draw.
+def _columns(mse: Array, unweighted: Array) -> Array:
+    """MSE, error at every instant, and rise of the MSE by each change, (D, 1+T+1+V).
 
-    Parameters
-    ----------
-    mse : array of float64, (D, T+1+V)
-        Sum of the weighted errors up to every instant over T+1, then the MSE of each of V changed
-        sets.
-    alike : array of float64, (D, T+1)
-        The same sum up to every instant of the errors without weights.
-
-    Returns
-    -------
-    array of float64, (D, 1+T+1+V)
-        NaN where the unchanged set is degenerate.
+    `mse`, (D, T+1+V), has the sum of the weighted errors up to every instant over T+1, then the MSE
+    of each of V changed sets. `unweighted`, (D, T+1), has the same sums of errors without weights.
+    The result is NaN where the unchanged set is degenerate.
     """
-    instants = alike.shape[1]
+    instants = unweighted.shape[1]
     whole = mse[:, instants - 1 : instants]
     with np.errstate(invalid="ignore"):  # infinite errors have no difference
-        errors = np.diff(alike, axis=1, prepend=0.0) * instants
+        errors = np.diff(unweighted, axis=1, prepend=0.0) * instants
         rises = mse[:, instants:] - whole
     errors[np.isnan(whole[:, 0])] = np.nan  # also before the instant of the degeneracy
     return np.concatenate([whole, errors, rises], axis=1)

@@ -32,22 +32,13 @@ _SETS = 4  # random sets for each chain at first; their spread gives the first t
 
 @dataclass(frozen=True)
 class AnnealingState:
-    """State of all chains.
-
-    Parameters
-    ----------
-    temperature : float
-    step : int
-    chains : tuple of (Evaluation, Evaluation)
-        For each chain: the present set, and the neighbour that may replace it.
-    best : tuple of Evaluation
-        The best of all sets tried.
-    """
+    """State of all chains."""
 
     temperature: float = math.inf
     step: int = 0
+    # For each chain: the present set, and the neighbour that may replace it.
     chains: tuple[tuple[Evaluation, Evaluation], ...] = ()
-    best: tuple[Evaluation, ...] = ()
+    best: tuple[Evaluation, ...] = ()  # of all sets so far
 
 
 @method("annealing")
@@ -78,24 +69,24 @@ class Annealing:
 
     @property
     def evaluations(self) -> int:
-        """Number of evaluations, without those of the chains' present sets, which are known."""
+        """Number of evaluations, without those of present sets, which are known."""
         return self.chains * (_SETS + self.steps)
 
     def init(self) -> AnnealingState:
-        """Give the state before the first generation."""
+        """The state before the first generation."""
         return AnnealingState()
 
     def ask(self, state: AnnealingState, rng: np.random.Generator) -> list[Candidate]:
-        """Give the present set of each chain and a neighbour of it; at first, random sets."""
+        """The present set of each chain and a neighbour of it; at first, random sets."""
         if not state.chains:
             sets = self.feasible.random(_SETS * self.chains, rng)
             return [Candidate(times) for times in sets]
-        asked: list[Candidate] = []
+        candidates: list[Candidate] = []
         for present, neighbour in state.chains:
             moves = accepted(neighbour.cost - present.cost, state.temperature, rng)
             times = (neighbour if moves else present).measurement_times
-            asked += [Candidate(times), Candidate(self._neighbour(times, rng))]
-        return asked
+            candidates += [Candidate(times), Candidate(self._neighbour(times, rng))]
+        return candidates
 
     def tell(self, state: AnnealingState, evaluations: Sequence[Evaluation]) -> AnnealingState:
         """Lower the temperature; at first, start the chains from the best random sets."""
@@ -113,11 +104,11 @@ class Annealing:
         return state.step >= self.steps
 
     def finalists(self, state: AnnealingState) -> tuple[Evaluation, ...]:
-        """Give the best of all sets tried."""
+        """The best of all sets that were evaluated."""
         return state.best
 
     def _neighbour(self, times: Times, rng: np.random.Generator) -> Times:
-        """Give a set with one time exchanged; the set itself if it has no neighbour."""
+        """A set with one time exchanged; the set itself if it has no neighbour."""
         others = sorted({*self.feasible.allowed} - {*times})
         likely = self.feasible.counted and times and others
         for _ in range(_TRIES if likely else 0):  # faster than to list all neighbours
@@ -129,7 +120,7 @@ class Annealing:
 
 
 def first_temperature(evaluations: Sequence[Evaluation]) -> float:
-    """Give about how much an exchange changes the cost: the spread of random sets over root N.
+    """About how much an exchange changes the cost: the spread of random sets over root N.
 
     If the cost were a sum of N independent shares, one for each time, this would be the standard
     deviation of a share.
@@ -144,15 +135,8 @@ def first_temperature(evaluations: Sequence[Evaluation]) -> float:
 def accepted(rise: float, temperature: float, rng: np.random.Generator) -> bool:
     """Whether Metropolis' rule accepts a rise of the cost.
 
-    The probability is exp(-rise / temperature).
-
-    Parameters
-    ----------
-    rise : float
-        A rise of at most 0 is always accepted.
-    temperature : float
-        At 0, no positive rise is accepted.
-    rng : numpy.random.Generator
+    The probability is exp(-rise / temperature). A rise of at most 0 is always accepted. At
+    temperature 0, no positive rise is.
     """
     luck = rng.random()
     return not rise > 0 or (temperature > 0 and luck < math.exp(-rise / temperature))

@@ -40,20 +40,20 @@ class Candidate(NamedTuple):
 
 
 FINALISTS = 8
-"""Largest number of sets of a search that are tried on fresh draws."""
+"""Largest number of sets of a search that race on fresh draws."""
 
 
 def best_of(evaluations: Iterable[Evaluation]) -> tuple[Evaluation, ...]:
-    """Give the best evaluations of different sets, the best first, at most `FINALISTS`."""
+    """The best evaluations of different sets, the best first, at most `FINALISTS`."""
     different = {evaluation.measurement_times: evaluation for evaluation in evaluations}
     return tuple(sorted(different.values(), key=lambda evaluation: evaluation.cost)[:FINALISTS])
 
 
 class Optimiser(Protocol):
-    """A search as pure functions: it asks for evaluations, and is told their results.
+    """A search as pure functions: it asks for evaluations, and receives their results.
 
-    An optimiser is frozen. All that changes is in the state, which the caller keeps. The same
-    states, evaluations and generators give the same search.
+    An optimiser is frozen. Everything that changes is in the state, which the caller keeps. The
+    same states, evaluations and generators give the same search.
     """
 
     @property
@@ -65,16 +65,16 @@ class Optimiser(Protocol):
         """Approximate work, in evaluations of whole sets."""
 
     def init(self) -> Any:
-        """Give the state before the first generation."""
+        """The state before the first generation."""
 
     def ask(self, state: Any, rng: np.random.Generator) -> Sequence[Candidate]:
-        """Give the candidates of the next generation."""
+        """The candidates of the next generation."""
 
     def tell(self, state: Any, evaluations: Sequence[Evaluation]) -> Any:
-        """Give the next state, from the evaluations of the last candidates in their order."""
+        """The next state, from the evaluations of the last candidates in their order."""
 
     def done(self, state: Any) -> bool:
         """Whether the search has ended."""
 
     def finalists(self, state: Any) -> Sequence[Evaluation]:
-        """Give the best sets found, the best first. Fresh draws decide between them."""
+        """The best sets so far, the best first. Fresh draws decide between them."""

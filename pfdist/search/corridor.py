@@ -1,8 +1,8 @@
 """The corridor method: the survivor dynamic programme in a narrow corridor around a set of times.
 
-A set of times is good already. The dynamic programme moves each of its times by a few instants. If
-it finds a better set, the corridor is laid around that set, and so on. A corridor is narrow, so
-each round is quick. Times may drift far in several rounds.
+The search starts from a good set of times. The dynamic programme moves each of its times by a few
+instants. If it finds a better set, the corridor is laid around that set, and so on. A corridor is
+narrow, so each round is quick. Times may drift far in several rounds.
 
 References
 ----------
@@ -64,24 +64,24 @@ class Corridor(Survivors):
         return extended * self.generations / instants
 
     def init(self) -> SurvivorState:
-        """Give the state before the first generation, with a corridor around the first set."""
+        """The state before the first generation, with a corridor around the first set."""
         return self._around(self.start or self.feasible.regular())
 
     def ask(self, state: SurvivorState, rng: np.random.Generator) -> list[Candidate]:
-        """Give extensions in the corridor; at the end whole sets, with the corridor's middle."""
-        asked = super().ask(state, rng)
+        """Extensions in the corridor; at the end whole sets, with the corridor's middle."""
+        candidates = super().ask(state, rng)
         middle = Candidate(state.middle)
-        return asked if state.front or middle in asked else [*asked, middle]
+        return candidates if state.front or middle in candidates else [*candidates, middle]
 
     def _around(
         self, middle: Times, number: int = 0, whole: tuple[Evaluation, ...] = ()
     ) -> SurvivorState:
-        """Give the state at the beginning of a round, with a corridor around a set."""
+        """The state at the beginning of a round, with a corridor around a set."""
         limits = len(self.feasible.allowed), float(self._moved)
         return SurvivorState(*limits, whole=whole, middle=middle, round=number)
 
     def _next(self, state: SurvivorState, times: Times) -> Iterator[int]:
-        """Give the times in the corridor that may follow a prefix."""
+        """Yield the times in the corridor that may follow a prefix."""
         feasible = self.feasible
         spent_in_middle = accumulate((feasible.price[time] for time in state.middle), initial=0)
         number = bisect_left(list(spent_in_middle), feasible.spent(times))

@@ -34,20 +34,11 @@ _ROUNDS = 10
 
 @dataclass(frozen=True)
 class CrossEntropyState:
-    """Probabilities learnt so far, and the best sets.
+    """Probabilities learnt so far, and the best sets."""
 
-    Parameters
-    ----------
-    probabilities : tuple of float, (T+1,)
-        Empty before the first generation.
-    generation : int
-    best : tuple of Evaluation
-        The best of all sets tried.
-    """
-
-    probabilities: tuple[float, ...] = ()
+    probabilities: tuple[float, ...] = ()  # (T+1,); empty before the first generation
     generation: int = 0
-    best: tuple[Evaluation, ...] = ()
+    best: tuple[Evaluation, ...] = ()  # of all sets so far
 
 
 @method("cross_entropy")
@@ -80,11 +71,11 @@ class CrossEntropy:
         return self.population * self.generations
 
     def init(self) -> CrossEntropyState:
-        """Give the state before the first generation."""
+        """The state before the first generation."""
         return CrossEntropyState()
 
     def ask(self, state: CrossEntropyState, rng: np.random.Generator) -> list[Candidate]:
-        """Give sets drawn with the probabilities; at first, uniformly random sets."""
+        """Sets drawn with the probabilities; at first, uniformly random sets."""
         if not state.probabilities:
             return [Candidate(times) for times in self.feasible.random(self.population, rng)]
         probabilities = np.array(state.probabilities)
@@ -108,11 +99,11 @@ class CrossEntropy:
         return state.generation >= self.generations or (state.generation > 0 and not undecided)
 
     def finalists(self, state: CrossEntropyState) -> tuple[Evaluation, ...]:
-        """Give the best of all sets tried."""
+        """The best of all sets that were evaluated."""
         return state.best
 
     def _shares(self, evaluations: Sequence[Evaluation]) -> NDArray[np.float64]:
-        """Give, for each time, the share of the sets that contain it."""
+        """Share of the sets that contain each time, (T+1,)."""
         sets = (evaluation.measurement_times for evaluation in evaluations)
         counts = np.bincount([*chain.from_iterable(sets)], minlength=self.feasible.horizon + 1)
         return counts / len(evaluations)
@@ -121,28 +112,21 @@ class CrossEntropy:
 def conditional_bernoulli(
     feasible: Feasible, probabilities: NDArray[np.float64], sets: int, rng: np.random.Generator
 ) -> list[Times]:
-    """Draw feasible sets in which each time is chosen independently, with its probability.
+    """Random feasible sets in which each time is chosen independently, with its probability.
 
-    If too many sets are rejected, the missing sets are built by adding one time after another. Each
-    added time is drawn with the probabilities of the times that may be added. If smaller sets are
-    feasible, a set is left as it is with the probability that none of these times is chosen.
-
-    Parameters
-    ----------
-    feasible : Feasible
-    probabilities : array of float64, (T+1,)
-    sets : int
-        Number of sets.
-    rng : numpy.random.Generator
+    The probabilities have the shape (T+1,). If too many sets are rejected, the missing sets are
+    built by adding one time after another. Each added time is drawn with the probabilities of the
+    times that may be added. If smaller sets are feasible, a set is left as it is with the
+    probability that none of these times is chosen.
     """
-    found: list[Times] = []
+    drawn: list[Times] = []
     for _ in range(_ROUNDS):
         chosen = rng.random((_TRIES * sets, probabilities.size)) < probabilities
         tried = (tuple(np.flatnonzero(row).tolist()) for row in chosen)
-        found += [times for times in tried if feasible.accepts(times)]
-        if len(found) >= sets:
-            return found[:sets]
-    return found + [_built_up(feasible, probabilities, rng) for _ in range(sets - len(found))]
+        drawn += [times for times in tried if feasible.accepts(times)]
+        if len(drawn) >= sets:
+            return drawn[:sets]
+    return drawn + [_built_up(feasible, probabilities, rng) for _ in range(sets - len(drawn))]
 
 
 def _built_up(

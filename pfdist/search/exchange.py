@@ -1,9 +1,9 @@
 """Exchange search: it exchanges one time for another as long as this lowers the cost.
 
 The neighbours of the best set are first evaluated on few draws. If a paired test finds the best
-neighbour better than the best set, it takes its place at once. Otherwise neighbours that are worse
-than the best neighbour are dropped, and the others are evaluated on twice as many draws. The result
-is a local optimum as far as these draws can tell.
+neighbour better than the best set, the neighbour takes its place at once. Otherwise neighbours that
+are worse than the best neighbour are dropped, and the others are evaluated on twice as many draws.
+The result is a local optimum as far as these draws can tell.
 
 References
 ----------
@@ -34,25 +34,13 @@ _BETTER_AT_LAST = 1.5  # likewise, on all draws
 
 @dataclass(frozen=True)
 class ExchangeState:
-    """Progress of the search.
-
-    Parameters
-    ----------
-    best : tuple of int
-    neighbours : tuple of tuples of int
-        Neighbours of the best set that may be better.
-    draws : int
-        Number of draws of the next evaluations.
-    left : tuple of tuples of int
-        Former best sets.
-    evaluations : tuple of Evaluation
-        The result, the best first. Empty until the search ends.
-    """
+    """Progress of the search."""
 
     best: Times
-    neighbours: tuple[Times, ...] = ()
-    draws: int = _FEWEST
-    left: tuple[Times, ...] = ()
+    neighbours: tuple[Times, ...] = ()  # of the best set, which may be better
+    draws: int = _FEWEST  # of the next evaluations
+    left: tuple[Times, ...] = ()  # former best sets
+    # the result, the best first; empty until the search ends
     evaluations: tuple[Evaluation, ...] = ()
 
 
@@ -92,11 +80,11 @@ class Exchange:
         return self.generations / 3 * tried * self._fewest / self.draws
 
     def init(self) -> ExchangeState:
-        """Give the state before the first generation."""
+        """The state before the first generation."""
         return self._around(self._start)
 
     def ask(self, state: ExchangeState, rng: np.random.Generator) -> list[Candidate]:
-        """Give the best set and the neighbours that may be better."""
+        """The best set and the neighbours that may be better."""
         return [Candidate(times, draws=state.draws) for times in (state.best, *state.neighbours)]
 
     def tell(self, state: ExchangeState, evaluations: Sequence[Evaluation]) -> ExchangeState:
@@ -122,11 +110,11 @@ class Exchange:
         return replace(state, neighbours=names, draws=min(self.draws, 2 * state.draws))
 
     def done(self, state: ExchangeState) -> bool:
-        """Whether no neighbour was found better."""
+        """Whether the search has ended: no neighbour is better on all draws."""
         return bool(state.evaluations)
 
     def finalists(self, state: ExchangeState) -> tuple[Evaluation, ...]:
-        """Give the best set, and the neighbours that may be as good."""
+        """The best set, and the neighbours that may be as good."""
         return state.evaluations
 
     @cached_property

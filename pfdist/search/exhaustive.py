@@ -18,18 +18,10 @@ _BATCH = 500  # sets in a generation: neighbours share prefixes, and memory stay
 
 @dataclass(frozen=True)
 class ExhaustiveState:
-    """Progress of the search.
+    """Progress of the search."""
 
-    Parameters
-    ----------
-    tried : int
-        Number of sets evaluated.
-    best : tuple of Evaluation
-        The best of these sets, the best first.
-    """
-
-    tried: int = 0
-    best: tuple[Evaluation, ...] = ()
+    tried: int = 0  # number of evaluated sets
+    best: tuple[Evaluation, ...] = ()  # of these sets, the best first
 
 
 @method("exhaustive", curve="trials")
@@ -70,11 +62,11 @@ class Exhaustive:
         return self.feasible.size
 
     def init(self) -> ExhaustiveState:
-        """Give the state before the first generation."""
+        """The state before the first generation."""
         return ExhaustiveState()
 
     def ask(self, state: ExhaustiveState, rng: np.random.Generator) -> list[Candidate]:
-        """Give the next sets."""
+        """The next sets in lexicographic order."""
         following = islice(self.feasible.every(), state.tried, state.tried + _BATCH)
         return [Candidate(times) for times in following]
 
@@ -88,5 +80,5 @@ class Exhaustive:
         return state.tried >= self.feasible.size
 
     def finalists(self, state: ExhaustiveState) -> tuple[Evaluation, ...]:
-        """Give the best of all sets."""
+        """The best of all sets."""
         return state.best

@@ -36,17 +36,10 @@ from pfdist.times.measurement_times import Times
 
 @dataclass(frozen=True)
 class GeneticState:
-    """The last evaluated population, and the number of evaluated generations.
-
-    Parameters
-    ----------
-    evaluated_generations : int
-    evaluations : tuple of Evaluation
-        One evaluation for each individual, in the order of the population.
-    """
+    """The last evaluated population, and the number of evaluated generations."""
 
     evaluated_generations: int = 0
-    evaluations: tuple[Evaluation, ...] = ()
+    evaluations: tuple[Evaluation, ...] = ()  # of each individual, in the order of the population
 
 
 @method("genetic", evaluation=EvaluationSettings())
@@ -88,11 +81,11 @@ class GeneticAlgorithm:
         return self.population * self.generations
 
     def init(self) -> GeneticState:
-        """Give the state before the first generation."""
+        """The state before the first generation."""
         return GeneticState()
 
     def ask(self, state: GeneticState, rng: np.random.Generator) -> list[Candidate]:
-        """Give the next population: selected, crossed over and mutated; the first is random.
+        """The next population: selected, crossed over and mutated; the first is random.
 
         If every individual was killed, there are no parents, and the next population is random.
         """
@@ -112,7 +105,7 @@ class GeneticAlgorithm:
         return self._candidates([self.feasible.repair(child, rng) for child in mutated])
 
     def tell(self, state: GeneticState, evaluations: Sequence[Evaluation]) -> GeneticState:
-        """Give the state with the evaluated population."""
+        """The state with the evaluated population."""
         return GeneticState(state.evaluated_generations + 1, tuple(evaluations))
 
     def done(self, state: GeneticState) -> bool:
@@ -120,7 +113,7 @@ class GeneticAlgorithm:
         return state.evaluated_generations >= self.generations
 
     def finalists(self, state: GeneticState) -> list[Evaluation]:
-        """Give the best individual of the last generation, with its evaluation there."""
+        """The best individual of the last generation, with its evaluation there."""
         return sorted(state.evaluations, key=lambda evaluation: evaluation.cost)[:1]
 
     def _candidates(self, population: Sequence[Times]) -> list[Candidate]:
@@ -129,7 +122,7 @@ class GeneticAlgorithm:
         return [Candidate(times, individual=i) for i, times in enumerate(population)]
 
     def _mutate(self, individual: set[int], rng: np.random.Generator) -> set[int]:
-        """Give an individual whose genes were replaced, with some probability, by absent times.
+        """An individual whose genes were replaced, with some probability, by absent times.
 
         If smaller sets are feasible, a gene may also be removed, or an absent time added.
         """
@@ -145,20 +138,11 @@ class GeneticAlgorithm:
 
 
 def expected_offspring(costs: NDArray[np.float64], sigma_scaling: float) -> NDArray[np.float64]:
-    """Give each individual's expected offspring: max(0, 1 + (mean - cost) / (coefficient * sd)).
+    """Expected offspring of each individual: max(0, 1 + (mean - cost) / (coefficient * sd)), (P,).
 
-    Parameters
-    ----------
-    costs : array of float64, (P,)
-        An infinite cost marks a killed individual. It expects no offspring and does not count in
-        mean and sd.
-    sigma_scaling : float
-        The coefficient.
-
-    Returns
-    -------
-    array of float64, (P,)
-        1 for each living individual if all their costs are equal.
+    `sigma_scaling` is the coefficient. An infinite cost marks a killed individual, which expects no
+    offspring and does not count in mean and sd. If all costs are equal, each living individual
+    expects one.
     """
     living = np.isfinite(costs)
     mean, sd = np.mean(costs[living]), np.std(costs[living])
@@ -172,20 +156,10 @@ def expected_offspring(costs: NDArray[np.float64], sigma_scaling: float) -> NDAr
 def stochastic_universal_sampling(
     expected: NDArray[np.float64], count: int, rng: np.random.Generator
 ) -> NDArray[np.intp]:
-    """Give selected indices: one spin of a wheel with equally spaced pointers.
+    """Selected indices, (count,): one spin of a wheel with equally spaced pointers.
 
-    Parameters
-    ----------
-    expected : array of float64, (P,)
-        Proportional to the expected offspring.
-    count : int
-        Number of selected individuals.
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    array of int, (count,)
-        Each index occurs floor or ceil of its expected number of times.
+    Each index occurs floor or ceil of its expected number of times. `expected`, (P,), is
+    proportional to the expected offspring.
     """
     pointers = (np.arange(count) + rng.random()) / count
     wheel = np.cumsum(expected) / np.sum(expected)
@@ -195,17 +169,9 @@ def stochastic_universal_sampling(
 def count_preserving_crossover(
     a: set[int], b: set[int], rng: np.random.Generator
 ) -> tuple[set[int], set[int]]:
-    """Give two children: parents that swap a random number, at least 1, of differing elements.
+    """Two children: parents that swap a random number, at least 1, of differing elements.
 
-    Parameters
-    ----------
-    a, b : set of int
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    tuple of two sets of int
-        Each has the size of its parent.
+    Each child has the size of its parent.
     """
     only_a, only_b = sorted(a - b), sorted(b - a)
     most = min(len(only_a), len(only_b))

@@ -26,16 +26,10 @@ from pfdist.times.measurement_times import Times
 
 @dataclass(frozen=True)
 class GreedyState:
-    """The set chosen so far.
-
-    Parameters
-    ----------
-    chosen : tuple of int
-    evaluations : tuple of Evaluation
-        The best feasible sets of the last step; of all steps if smaller sets are feasible.
-    """
+    """The set chosen so far."""
 
     chosen: Times
+    # The best feasible sets of the last step; of all steps if smaller sets are feasible.
     evaluations: tuple[Evaluation, ...] = ()
 
 
@@ -44,7 +38,7 @@ class _Greedy:
     feasible: Feasible
 
     def ask(self, state: GreedyState, rng: np.random.Generator) -> list[Candidate]:
-        """Give all sets one step away from the chosen set; with prices also the chosen set."""
+        """All sets one step away from the chosen set; with prices also the chosen set."""
         before = [] if self.feasible.counted else [state.chosen]
         steps = self._steps(state.chosen) or [state.chosen]  # a set of all times has no next step
         return [Candidate(times) for times in (*steps, *before)]
@@ -73,7 +67,7 @@ class _Greedy:
         return bool(state.evaluations) and not self._steps(state.chosen)
 
     def finalists(self, state: GreedyState) -> tuple[Evaluation, ...]:
-        """Give the best feasible sets of the last step; of all steps if smaller sets count."""
+        """The best feasible sets of the last step; of all steps if smaller sets count."""
         return state.evaluations
 
     def _steps(self, times: Times) -> list[Times]:
@@ -101,7 +95,7 @@ class GreedyForward(_Greedy):
         return sum(len(self.feasible.allowed) - chosen for chosen in range(self.generations))
 
     def init(self) -> GreedyState:
-        """Give the state before the first generation: no measurement."""
+        """The state before the first generation: no measurement."""
         return GreedyState(())
 
     def _steps(self, times: Times) -> list[Times]:
@@ -129,7 +123,7 @@ class GreedyBackward(_Greedy):
         return sum(self.feasible.horizon + 1 - removed for removed in range(self.generations))
 
     def init(self) -> GreedyState:
-        """Give the state before the first generation: all times."""
+        """The state before the first generation: all times."""
         return GreedyState(tuple(range(self.feasible.horizon + 1)))
 
     def _steps(self, times: Times) -> list[Times]:

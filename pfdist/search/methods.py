@@ -22,27 +22,13 @@ Curve = Literal["generations", "trials", "best so far", "best of a step"]
 
 @dataclass(frozen=True)
 class Method:
-    """A search method.
+    """A search method."""
 
-    Parameters
-    ----------
-    name : str
-        The name in job files.
-    optimiser : type
-        The optimiser that searches.
-    section : type
-        The section [[search]] of a job file, with the settings of the method.
-    curve : str
-        The curve of the search in the figure ``cost``, which shows expected MSE by evaluation.
-    online : bool
-        Whether the method can plan the measurements that are left.
-    """
-
-    name: str
+    name: str  # in job files
     optimiser: Callable[..., Optimiser]
-    section: type[SearchSection]
-    curve: Curve
-    online: bool
+    section: type[SearchSection]  # the section [[search]], with the settings of the method
+    curve: Curve  # in the figure ``cost``, which shows expected MSE by evaluation
+    online: bool  # whether the method can plan the remaining measurements
 
     @property
     def description(self) -> str:
@@ -56,22 +42,11 @@ class Method:
         settings: dict[str, Any],
         start: Times | None = None,
     ) -> Optimiser:
-        """Make the optimiser.
+        """The optimiser with these settings.
 
-        Parameters
-        ----------
-        feasible : Feasible
-        draws : int
-            Number of simulated systems on which a set is evaluated.
-        settings : dict
-            Settings of the method, as in the section.
-        start : tuple of int, optional
-            A feasible set that is good already. Methods that search around a set start from it.
-
-        Raises
-        ------
-        JobError
-            The method cannot search this problem.
+        `draws` is the number of simulated systems on which a set is evaluated. Methods that search
+        around a set start from `start`, a good feasible set. Raises `JobError` if the method cannot
+        search this problem.
         """
         if "draws" in self.optimiser.__annotations__:
             settings = {"draws": draws, **settings}
@@ -110,8 +85,8 @@ def method(
     curve : str
         The curve of the search in the figure ``cost``, which shows expected MSE by evaluation.
     online : bool
-        Whether the method can plan the measurements that are left. A method that asks for the
-        errors of each instant cannot. It takes a whole number of blocks of 24 draws.
+        Whether the method can plan the remaining measurements. A method that asks for the errors
+        of each instant cannot. It takes a whole number of blocks of 24 draws.
     """
 
     def declare(optimiser: C) -> C:
@@ -139,12 +114,9 @@ def method(
 
 
 def any_section(*, online: bool = False) -> Any:
-    """Give the type of the section [[search]]: the union of all methods' sections.
+    """The type of the section [[search]]: the union of all methods' sections.
 
-    Parameters
-    ----------
-    online : bool
-        Whether only those methods count that can plan the measurements that are left.
+    If `online`, only methods count that can plan the remaining measurements.
     """
     methods = [method for method in METHODS.values() if method.online or not online]
     sections = reduce(or_, (method.section for method in methods))

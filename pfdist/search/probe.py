@@ -1,12 +1,8 @@
 """A probe of an estimator: sets on which it is compared with the squared error.
 
 The sets are the regular times, a few random sets, and the leaders of the search. While a result is
-open, the number of draws is doubled for the worse half of the undecided sets.
-
-References
-----------
-Karnin, Koren, Somekh, "Almost optimal exploration in multi-armed bandits", ICML 2013 (sequential
-halving).
+open, the number of draws is doubled for the worse half of the undecided sets: sequential halving
+(Karnin, Koren, Somekh, "Almost optimal exploration in multi-armed bandits", ICML 2013).
 """
 
 import math
@@ -29,24 +25,14 @@ _RANDOM_SETS = 3
 
 @dataclass(frozen=True)
 class ProbeState:
-    """Progress of a probe.
+    """Progress of a probe."""
 
-    Parameters
-    ----------
-    undecided : tuple of Candidate, optional
-        Sets of the next round. None before the first round.
-    draws : int
-        Number of draws of the next round.
-    failed : tuple of Evaluation
-        The two evaluations, by the estimator and by the squared error, of the set on which the
-        estimator failed; empty if it failed on none.
-    unknown : tuple of Evaluation
-        The two evaluations of the first set on which the estimator could not be tested.
-    """
-
-    undecided: tuple[Candidate, ...] | None = None
-    draws: int = PROBE_DRAWS
+    undecided: tuple[Candidate, ...] | None = None  # of the next round; None before the first
+    draws: int = PROBE_DRAWS  # of the next round
+    # The two evaluations, by the estimator and by the squared error, of the set on which the
+    # estimator failed; empty if it failed on none.
     failed: tuple[Evaluation, ...] = ()
+    # The two evaluations of the first set on which the estimator could not be tested.
     unknown: tuple[Evaluation, ...] = ()
 
 
@@ -54,13 +40,8 @@ class ProbeState:
 class Probe:
     """Optimiser that compares an estimator with the squared error of the job's own filter.
 
-    Parameters
-    ----------
-    feasible : Feasible
-    sought : tuple of Candidate
-        The leaders of the search: sets, and prefixes with their ends.
-    dearer : float
-        Time of an evaluation by the squared error, divided by that of one by the estimator.
+    `sought` has the leaders of the search: sets, and prefixes with their ends. `dearer` is the time
+    of an evaluation by the squared error, divided by the time of one by the estimator.
     """
 
     feasible: Feasible
@@ -82,11 +63,11 @@ class Probe:
         return (1 + _RANDOM_SETS + self.feasible.total / 4) * (1 + self.dearer)
 
     def init(self) -> ProbeState:
-        """Give the state before the first round."""
+        """The state before the first round."""
         return ProbeState()
 
     def ask(self, state: ProbeState, rng: np.random.Generator) -> list[Candidate]:
-        """Give each undecided set twice: for the estimator, and for the squared error."""
+        """Each undecided set twice: for the estimator, and for the squared error."""
         probes = state.undecided
         if probes is None:
             others = (self.feasible.regular(), *self.feasible.random(_RANDOM_SETS, rng))
@@ -124,26 +105,21 @@ class Probe:
         return state.undecided == ()
 
     def finalists(self, state: ProbeState) -> tuple[Evaluation, ...]:
-        """Give both evaluations of the set on which the estimator failed or could not be tested."""
+        """Both evaluations of the set on which the estimator failed or could not be tested."""
         return state.failed or state.unknown
 
 
-def new_leaders(told: Iterable[Evaluation], before: Iterable[Evaluation]) -> list[Evaluation]:
-    """Give the evaluations of a generation that beat all former leaders of their kind.
+def new_leaders(
+    evaluations: Iterable[Evaluation], before: Iterable[Evaluation]
+) -> list[Evaluation]:
+    """The evaluations of a generation that beat all former leaders of their kind.
 
     Whole sets with the same number of measurements are one kind, and so are prefixes. Prefixes are
     compared by their mean cost over the instants up to their ends.
-
-    Parameters
-    ----------
-    told : iterable of Evaluation
-        The evaluations of this generation.
-    before : iterable of Evaluation
-        The leaders of former generations.
     """
     best = {_kind(leader): leader for leader in before}
     new: dict[tuple[int, bool], Evaluation] = {}
-    for evaluation in told:
+    for evaluation in evaluations:
         kind = _kind(evaluation)
         leader = new.get(kind, best.get(kind))
         if math.isfinite(evaluation.cost) and (

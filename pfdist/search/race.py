@@ -1,13 +1,10 @@
 """A race between a few sets on fresh draws; most draws go to the sets that are hard to tell apart.
 
 All sets share the draws. After each round, sets that a paired test finds worse than the leader drop
-out. The worse half of the sets drops out in any case. The others continue on twice as many draws.
-
-References
-----------
-Karnin, Koren, Somekh, "Almost optimal exploration in multi-armed bandits", ICML 2013 (sequential
-halving). Birattari, Stützle, Paquete, Varrentrapp, "A racing algorithm for configuring
-metaheuristics", GECCO 2002 (paired tests under common conditions).
+out (Birattari, Stützle, Paquete, Varrentrapp, "A racing algorithm for configuring metaheuristics",
+GECCO 2002). The worse half of the sets drops out in any case, and the others continue on twice as
+many draws: sequential halving (Karnin, Koren, Somekh, "Almost optimal exploration in multi-armed
+bandits", ICML 2013).
 """
 
 from collections.abc import Sequence
@@ -24,40 +21,21 @@ _WORSE = 3.0  # standard errors from which a set is worse than the leader
 
 @dataclass(frozen=True)
 class RaceState:
-    """Progress of the race.
+    """Progress of the race."""
 
-    Parameters
-    ----------
-    running : tuple of tuples of int
-        Sets of the next round.
-    draws : int
-        Number of draws of the next round.
-    evaluations : tuple of Evaluation
-        Evaluations of the last round, the best first.
-    out : tuple of Evaluation
-        Last evaluations of the sets that dropped out before the last round.
-    """
-
-    running: tuple[Times, ...]
-    draws: int
-    evaluations: tuple[Evaluation, ...] = ()
+    running: tuple[Times, ...]  # sets of the next round
+    draws: int  # of the next round
+    evaluations: tuple[Evaluation, ...] = ()  # of the last round, the best first
+    # last evaluations of the sets that dropped out before the last round
     out: tuple[Evaluation, ...] = ()
 
 
 @dataclass(frozen=True)
 class Race:
-    """Optimiser that finds the best of a few sets.
-
-    Parameters
-    ----------
-    sets : tuple of tuples of int
-        The sets; all differ.
-    draws : int
-        Number of draws of the first round.
-    """
+    """Optimiser that finds the best of a few different sets."""
 
     sets: tuple[Times, ...]
-    draws: int
+    draws: int  # of the first round
 
     @property
     def generations(self) -> int:
@@ -73,11 +51,11 @@ class Race:
         return (1 + self.generations) / 2 * len(self.sets)
 
     def init(self) -> RaceState:
-        """Give the state before the first round."""
+        """The state before the first round."""
         return RaceState(self.sets, self.draws)
 
     def ask(self, state: RaceState, rng: np.random.Generator) -> list[Candidate]:
-        """Give the sets of the next round, with its number of draws."""
+        """The sets of the next round, with its number of draws."""
         return [Candidate(times, draws=state.draws) for times in state.running]
 
     def tell(self, state: RaceState, evaluations: Sequence[Evaluation]) -> RaceState:
@@ -97,9 +75,9 @@ class Race:
         return RaceState(tuple(running), 2 * state.draws, tuple(order), (*dropped, *state.out))
 
     def done(self, state: RaceState) -> bool:
-        """Whether one set is left."""
+        """Whether only one set is left."""
         return bool(state.evaluations) and len(state.running) == 1
 
     def finalists(self, state: RaceState) -> tuple[Evaluation, ...]:
-        """Give the last evaluation of every set: the winner first, sets of later rounds earlier."""
+        """The last evaluation of every set: the winner first, sets of later rounds earlier."""
         return *state.evaluations, *state.out

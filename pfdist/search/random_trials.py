@@ -16,18 +16,10 @@ _BATCH = 250  # sets in a generation: enough to keep the cores busy, and memory 
 
 @dataclass(frozen=True)
 class RandomState:
-    """Progress of the search.
+    """Progress of the search."""
 
-    Parameters
-    ----------
-    evaluated : int
-        Number of sets evaluated.
-    best : Evaluation, optional
-        The best of these sets.
-    """
-
-    evaluated: int = 0
-    best: Evaluation | None = None
+    evaluated: int = 0  # number of evaluated sets
+    best: Evaluation | None = None  # of these sets
 
 
 @method("random", evaluation=EvaluationSettings(), curve="trials")
@@ -51,18 +43,18 @@ class RandomTrials:
         return -(-self.evaluations // _BATCH)
 
     def init(self) -> RandomState:
-        """Give the state before the first generation."""
+        """The state before the first generation."""
         return RandomState()
 
     def ask(self, state: RandomState, rng: np.random.Generator) -> list[Candidate]:
-        """Give random feasible sets."""
+        """Random feasible sets."""
         sets = min(_BATCH, self.evaluations - state.evaluated)
         return [Candidate(times) for times in self.feasible.random(sets, rng)]
 
     def tell(self, state: RandomState, evaluations: Sequence[Evaluation]) -> RandomState:
         """Count the evaluations and keep the best set."""
-        known = [] if state.best is None else [state.best]
-        best = min([*known, *evaluations], key=lambda evaluation: evaluation.cost)
+        former_best = [] if state.best is None else [state.best]
+        best = min([*former_best, *evaluations], key=lambda evaluation: evaluation.cost)
         return RandomState(state.evaluated + len(evaluations), best)
 
     def done(self, state: RandomState) -> bool:
@@ -70,5 +62,5 @@ class RandomTrials:
         return state.evaluated >= self.evaluations
 
     def finalists(self, state: RandomState) -> list[Evaluation]:
-        """Give the best of all sets."""
+        """The best of all sets."""
         return [] if state.best is None else [state.best]

@@ -37,7 +37,7 @@ class EvaluationSettings(Section):
     estimator: Estimator | Literal["auto"] | None = None
 
     def particles_of(self, job_particles: int) -> int:
-        """Give the number of particles of the search, from that of the job."""
+        """Number of particles of the search, from that of the job."""
         return self.particles or job_particles
 
 
@@ -54,7 +54,7 @@ class CommonNoiseSettings(EvaluationSettings):
     estimator: Estimator | Literal["auto"] = AUTO
 
     def particles_of(self, job_particles: int) -> int:
-        """Give the number of particles of the search, from that of the job."""
+        """Number of particles of the search, from that of the job."""
         fewest = min(job_particles, max(_FEWEST_PARTICLES, job_particles // _SHARE))
         return self.particles or fewest
 

@@ -48,36 +48,20 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RelaxationState:
-    """Progress of the search.
+    """Progress of the search."""
 
-    Parameters
-    ----------
-    relaxation : Relaxation
-        The windows that are known, or asked for.
-    errors : mapping of tuple of int to array of float64
-        The errors of each window at the instants at which they count; NaN if a draw is degenerate.
-    level : int
-        Number of programmes with few draws that are solved.
-    sets : tuple of tuples of int
-        Sets to be evaluated next.
-    whole : tuple of Evaluation
-        Evaluated sets.
-    round : int
-        Number of rounds in which windows have grown.
-    done : bool
-    """
-
-    relaxation: Relaxation
+    relaxation: Relaxation  # its windows have errors, or are candidates of the next generation
+    # The errors of each window at the instants at which they count; NaN if a draw is degenerate.
     errors: Mapping[Window, Array] = field(default_factory=dict)
-    level: int = 0
-    sets: tuple[Times, ...] = ()
-    whole: tuple[Evaluation, ...] = ()
-    round: int = 0
+    level: int = 0  # number of programmes with few draws that are solved
+    sets: tuple[Times, ...] = ()  # to be evaluated next
+    whole: tuple[Evaluation, ...] = ()  # evaluated sets
+    round: int = 0  # number of rounds in which windows have grown
     done: bool = False
 
     @property
     def lacking(self) -> list[int]:
-        """Indices of the windows whose errors are not known, or not far enough."""
+        """Indices of the windows without errors, or with errors up to an earlier instant."""
         sizes = np.diff(self.relaxation.offsets).tolist()
         return [
             number
@@ -87,15 +71,15 @@ class RelaxationState:
 
     @property
     def degenerate(self) -> set[Window]:
-        """Windows whose errors are not known: a draw is degenerate in every block."""
+        """Windows without usable errors: a draw is degenerate in every block."""
         return {window for window, errors in self.errors.items() if np.isnan(errors).any()}
 
     def programme(self, most: int) -> Programme:
-        """Give the programme for all sums up to the largest."""
+        """The programme for all sums up to the largest."""
         relaxation = self.relaxation
         passable = (relaxation.windows[number] for number in np.flatnonzero(relaxation.passable))
-        known = np.concatenate([self.errors[window] for window in passable])
-        return Programme(relaxation, known, most)
+        errors = np.concatenate([self.errors[window] for window in passable])
+        return Programme(relaxation, errors, most)
 
     def least(self, spent: int) -> float:
         """Least cost of the evaluated sets for which a bound of this sum holds; inf for none."""
@@ -123,7 +107,7 @@ class StateSpaceRelaxation:
     draws : int
         Number of draws of an evaluation. Programmes with fewer draws come first, and leave few
         windows for the others. The best sets of the first programme with all draws are evaluated in
-        any case, because its relaxed costs vary with the draws. 0 for neither.
+        any case, because its relaxed costs vary with the draws. 0: neither.
     paths : int
         Number of sets that are evaluated, and whose windows grow, in a round.
     rounds : int
@@ -134,7 +118,7 @@ class StateSpaceRelaxation:
         Numbers of measurements, or sums of money, whose best sets are sought. By default those of
         the feasible sets.
     known : tuple of tuples of int
-        Sets that are good already; by default regular times, and the empty set if it is feasible.
+        Good sets to begin with; by default regular times, and the empty set if it is feasible.
     gap : float
         The search ends when the relaxed costs lie below those of the best sets by at most this
         share.
@@ -172,13 +156,15 @@ class StateSpaceRelaxation:
         return few + (self.rounds + 1) * self.paths
 
     def init(self) -> RelaxationState:
-        """Give the state before the first generation."""
+        """The state before the first generation."""
         nothing = ((),) if self.feasible.accepts(()) else ()
-        known = self.known or (self.feasible.regular(), *nothing)
-        return RelaxationState(self._start, level=0 if self.draws else len(_SCREENING), sets=known)
+        first_sets = self.known or (self.feasible.regular(), *nothing)
+        return RelaxationState(
+            self._start, level=0 if self.draws else len(_SCREENING), sets=first_sets
+        )
 
     def ask(self, state: RelaxationState, rng: np.random.Generator) -> list[Candidate]:
-        """Give the windows that are lacking, and the sets that are best in the relaxation."""
+        """The windows without errors, and the sets that are best in the relaxation."""
         relaxation = state.relaxation
         windows = [
             Candidate(
@@ -193,9 +179,9 @@ class StateSpaceRelaxation:
 
     def tell(self, state: RelaxationState, evaluations: Sequence[Evaluation]) -> RelaxationState:
         """Solve the programme, and let the windows grow along its best sets."""
-        state = _told(state, evaluations)
+        state = _with_evaluations(state, evaluations)
         if any(len(window) == 1 for window in state.degenerate):
-            # No relaxed cost is known. Exchanges may still improve the known sets.
+            # No relaxed cost is known. Exchanges may still improve the sets that were evaluated.
             return replace(state, done=True)
         exact = any(evaluation.exact is not None for evaluation in state.whole)
         relaxation = state.relaxation
@@ -207,17 +193,21 @@ class StateSpaceRelaxation:
         lower = {spent: programme.mse[spent] for spent in self._sought}
         screening = state.level < len(_SCREENING) and not exact
         by_draws = bool(self.draws) and not exact and state.round == 0
-        left = [  # neither few draws nor a relaxed cost that is high by chance end the search
+        # Sums whose search goes on. Only a later programme on all draws may end it: few draws err,
+        # and the first relaxed costs may be high by chance.
+        left = [
             spent for spent in self._sought if np.isfinite(lower[spent])
             and (screening or by_draws or lower[spent] < least[spent] * (1 - self.gap))
         ]  # fmt: skip
         if not left:
             return replace(state, done=True)
+        # First programmes on few draws drop windows that no good set passes. The errors are
+        # forgotten: the remaining windows are evaluated again on more draws.
         if screening:
             share = max(_SCREENED_EACH, self.screened // len(left)) // (1 + state.level)
-            kept = [t for spent in left for t in near_optimal(programme, spent, share, np.inf)]
+            best_sets = [t for spent in left for t in near_optimal(programme, spent, share, np.inf)]
             return replace(
-                state, relaxation=relaxation.restricted(kept), errors={}, level=state.level + 1
+                state, relaxation=relaxation.restricted(best_sets), errors={}, level=state.level + 1
             )
         together = max(_PATHS_IF_EXACT, self.paths) if exact else self.paths
         share = max(_PATHS_EACH, together // len(left))
@@ -226,9 +216,11 @@ class StateSpaceRelaxation:
         evaluated = {evaluation.measurement_times for evaluation in state.whole}
         whole = dict.fromkeys(self._whole(programme, paths))
         sets = tuple(times for times in whole if times not in evaluated)
+        # The new windows have no errors yet: the next generation asks for them, and for the sets.
         grown = relaxation.grown(*longer(relaxation, paths)).without(state.degenerate)
         added = len(grown.windows) - len(self._start.windows)
         if state.round == rounds or added > self.most_grown or grown == relaxation:
+            # Nothing grows any more: only the sets are evaluated, in a last generation.
             return replace(state, done=not sets, sets=sets, round=rounds + 1)
         return replace(state, relaxation=grown, sets=sets, round=state.round + 1)
 
@@ -237,7 +229,7 @@ class StateSpaceRelaxation:
         return state.done
 
     def finalists(self, state: RelaxationState) -> tuple[Evaluation, ...]:
-        """Give the best sets, as their own costs say; with several sums the best of each."""
+        """The best sets by their own costs; with several sums the best of each."""
         if not self.sought:
             return best_of(state.whole)
         best = dict[int, Evaluation]()
@@ -246,20 +238,20 @@ class StateSpaceRelaxation:
         return tuple(best[number] for number in sorted(best))
 
     def _whole(self, programme: Programme, paths: list[Times]) -> list[Times]:
-        """Give the paths that can be paid for, completed to feasible sets.
+        """The paths that can be paid for, completed to feasible sets.
 
         If prices are rounded down, all paths may cost too much. Then the paths of the largest sum
         follow of which one can be paid for.
         """
         if self.feasible.counted:
             return paths
-        spent, found = programme.most, paths
+        spent, tried = programme.most, paths
         while True:
-            paid = [*map(self.feasible.completed, filter(self.feasible.allows, found))]
+            paid = [*map(self.feasible.completed, filter(self.feasible.allows, tried))]
             if paid or programme.relaxation.unit == 1 or spent == 0:
                 return paid
             spent -= 1
-            found = near_optimal(programme, spent, len(paths), np.inf)
+            tried = near_optimal(programme, spent, len(paths), np.inf)
 
     @cached_property
     def _sought(self) -> tuple[int, ...]:
@@ -276,12 +268,12 @@ class StateSpaceRelaxation:
         return max(1, self.draws // _SCREENING[level]) if level < len(_SCREENING) else None
 
 
-def _told(state: RelaxationState, evaluations: Sequence[Evaluation]) -> RelaxationState:
-    """Give the state that knows what was asked for, without degenerate windows."""
+def _with_evaluations(state: RelaxationState, evaluations: Sequence[Evaluation]) -> RelaxationState:
+    """The state with the errors and sets of the last candidates, without degenerate windows."""
     lacking, relaxation, errors = state.lacking, state.relaxation, {**state.errors}
     for number, evaluation in zip(lacking, evaluations, strict=False):
         first, end = relaxation.first[number], relaxation.ends[number]
         errors[relaxation.windows[number]] = evaluation.known_errors[first : end + 1]
     whole = (*state.whole, *evaluations[len(lacking) :])
-    told = replace(state, errors=errors, whole=whole, sets=())
-    return replace(told, relaxation=relaxation.without(told.degenerate))
+    updated = replace(state, errors=errors, whole=whole, sets=())
+    return replace(updated, relaxation=relaxation.without(updated.degenerate))

@@ -40,39 +40,20 @@ WIDENING = 1.5  # factor by which limits grow that the best set reaches
 
 @dataclass(frozen=True)
 class SurvivorState:
-    """Progress of the programme. Distances count allowed times.
+    """Progress of the programme. Distances count allowed times."""
 
-    Parameters
-    ----------
-    largest_gap : int
-        Largest distance of two successive measurements that is tried.
-    corridor : float
-        Largest distance of a measurement from its proportional position: the position that
-        corresponds to the share of the budget spent before it.
-    front : tuple of tuples of int
-        The survivors to be extended next; all have spent the same.
-    waiting : tuple of Evaluation
-        Evaluated prefixes that have spent more than the front.
-    ended : tuple of tuples of int
-        Survivors that are whole sets.
-    whole : tuple of Evaluation
-        Evaluated whole sets, the best first.
-    done : bool
-    middle : tuple of int
-        The set around which measurements are tried; empty: around their proportional positions.
-    round : int
-        Number of sets around which measurements were tried before.
-    """
-
-    largest_gap: int
+    largest_gap: int  # largest distance of two successive measurements that is tried
+    # Largest distance of a measurement from its proportional position: the position that
+    # corresponds to the share of the budget spent before it.
     corridor: float
-    front: tuple[Times, ...] = ((),)
-    waiting: tuple[Evaluation, ...] = ()
-    ended: tuple[Times, ...] = ()
-    whole: tuple[Evaluation, ...] = ()
+    front: tuple[Times, ...] = ((),)  # survivors to be extended next; all have spent the same
+    waiting: tuple[Evaluation, ...] = ()  # evaluated prefixes that have spent more than the front
+    ended: tuple[Times, ...] = ()  # survivors that are whole sets
+    whole: tuple[Evaluation, ...] = ()  # evaluated whole sets, the best first
     done: bool = False
+    # The set around which measurements are tried; empty: around their proportional positions.
     middle: Times = ()
-    round: int = 0
+    round: int = 0  # number of sets around which measurements were tried before
 
 
 @method("survivors", polish=True, curve="best so far")
@@ -111,14 +92,14 @@ class Survivors:
         return 2 * extended * self.feasible.total / instants
 
     def init(self) -> SurvivorState:
-        """Give the state before the first generation, with the limits at first."""
+        """The state before the first generation, with the limits at first."""
         mean_gap = self.feasible.spent(self.feasible.allowed) / self.feasible.total
         largest_gap = max(2, math.ceil(LARGEST_GAPS * mean_gap))
         ended = ((),) if self.feasible.accepts(()) else ()
         return SurvivorState(largest_gap, max(2.0, CORRIDOR_GAPS * mean_gap), ended=ended)
 
     def ask(self, state: SurvivorState, rng: np.random.Generator) -> list[Candidate]:
-        """Give extensions of the survivors up to their last time; at the end whole sets up to T."""
+        """Extensions of the survivors up to their last time; at the end whole sets up to T."""
         if not state.front:
             return [Candidate(times) for times in state.ended]
         near = [(*times, t) for times in state.front for t in self._next(state, times)]
@@ -140,11 +121,11 @@ class Survivors:
         return state.done
 
     def finalists(self, state: SurvivorState) -> tuple[Evaluation, ...]:
-        """Give the best whole sets."""
+        """The best whole sets."""
         return state.whole
 
     def _next(self, state: SurvivorState, times: Times) -> Iterator[int]:
-        """Give the times within the limits that may follow a prefix."""
+        """Yield the times within the limits that may follow a prefix."""
         index, spent = self.feasible.index, self.feasible.spent(times)
         after = index[times[-1]] + 1 if times else 0
         for time in self.feasible.extensions(times):
@@ -197,7 +178,7 @@ class Survivors:
         return False
 
     def _corridor(self, state: SurvivorState, spent: int, time: int) -> tuple[int, int]:
-        """Give the first and last allowed index of a measurement, by the sum spent before it.
+        """The first and last allowed index of a measurement, by the sum spent before it.
 
         If smaller sets are feasible, money may be left over, so no index is too late.
         """
@@ -208,21 +189,10 @@ class Survivors:
 
 
 def surviving(prefixes: Iterable[Evaluation], survivors: int, by_previous: bool) -> list[Times]:
-    """Give the best prefixes of each state, in the order of the states.
+    """The times of the best prefixes of each state, in the order of the states.
 
-    Parameters
-    ----------
-    prefixes : iterable of Evaluation
-    survivors : int
-        Number of prefixes that survive in each state.
-    by_previous : bool
-        Whether a state is the last two measurement times. Otherwise it is the last alone.
-
-    Returns
-    -------
-    list of tuple of int
-        The times of the survivors. All prefixes have spent the same, so the sum spent need not be
-        part of the state here.
+    If `by_previous`, a state is the last two measurement times, else the last. All prefixes have
+    spent the same, so the sum spent need not be part of the state here.
     """
     reached: dict[Times, list[Evaluation]] = defaultdict(list)
     for prefix in prefixes:

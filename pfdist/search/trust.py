@@ -24,34 +24,20 @@ _SURE = 2.0  # standard errors above the limit, from which an estimator passes
 
 
 class Verdict(NamedTuple):
-    """Result of the test of an estimator on one set.
+    """Result of the test of an estimator on one set."""
 
-    Parameters
-    ----------
-    excess : float
-        Number of standard errors by which the estimate lies below the limit. Negative if it lies
-        above.
-    fails : bool
-    open : bool
-        Whether more draws may change the result.
-    known : bool
-        Whether there were enough usable draws for a result.
-    """
-
+    # Number of standard errors by which the estimate lies below the limit; negative if above.
     excess: float
     fails: bool
-    open: bool
-    known: bool = True
+    open: bool  # whether more draws may change the result
+    known: bool = True  # whether there were enough usable draws for a result
 
 
 def judged(estimated: Evaluation, squared: Evaluation) -> Verdict:
     """Test an estimator on one set, on the draws in which neither filter was degenerate.
 
-    Parameters
-    ----------
-    estimated, squared : Evaluation
-        Evaluations by the estimator, and by the squared error of the job's own filter. Both have
-        the same times, end and draws.
+    `squared` is the evaluation by the squared error of the job's own filter. Both evaluations have
+    the same times, end and draws.
     """
     usable = np.isfinite(estimated.mse) & np.isfinite(squared.mse)
     if np.sum(usable) < 2:
@@ -73,39 +59,27 @@ def _standard_scores(values: np.ndarray) -> float:
 def misordered(
     believed: Mapping[Times, Evaluation], squared: Sequence[Evaluation]
 ) -> tuple[Evaluation, Evaluation] | None:
-    """Give two finalists that an estimator puts in the wrong order, the better first; None if none.
+    """Two finalists that an estimator puts in the wrong order, the better first; None if none.
 
-    The squared error must distinguish the two, and the estimator must contradict it: the two
-    differences have opposite signs, and chance does not explain this.
-
-    Parameters
-    ----------
-    believed : mapping of tuple of int to Evaluation
-        Evaluation of each finalist by the estimator.
-    squared : sequence of Evaluation
-        Evaluation of each finalist by the squared error of the job's own filter, on common draws.
+    `believed` has the evaluations by the estimator, and `squared` those by the squared error of the
+    job's own filter on common draws. The squared error must distinguish the two, and the estimator
+    must contradict it: the two differences have opposite signs, and chance does not explain this.
     """
     for first, second in combinations(squared, 2):
         real = difference(first, second)
         better, worse = (first, second) if real.value < 0 else (second, first)
-        told_apart = real.is_positive() or real.is_negative()
-        if not math.isfinite(real.value) or not told_apart:
+        is_clear = real.is_positive() or real.is_negative()
+        if not math.isfinite(real.value) or not is_clear:
             continue
         seen = difference(*(believed[each.measurement_times] for each in (better, worse)))
-        apart = seen.plus(real.times(math.copysign(1.0, real.value)))
-        if seen.value > 0 and apart.is_positive():
+        contradiction = seen.plus(real.times(math.copysign(1.0, real.value)))
+        if seen.value > 0 and contradiction.is_positive():
             return better, worse
     return None
 
 
 def failed_probe(estimated: Evaluation, squared: Evaluation) -> str:
-    """Give a sentence that says how far an estimate is too small on a set.
-
-    Parameters
-    ----------
-    estimated, squared : Evaluation
-        As `judged` takes them.
-    """
+    """A sentence that says how far an estimate is too small on a set; arguments as of `judged`."""
     usable = np.isfinite(estimated.mse) & np.isfinite(squared.mse)
     estimate, error = np.mean(estimated.mse[usable]), Estimate.of_mean(squared.mse[usable])
     up_to = "" if estimated.end is None else f" up to t = {estimated.end}"
@@ -116,13 +90,7 @@ def failed_probe(estimated: Evaluation, squared: Evaluation) -> str:
 
 
 def unchecked_probe(estimated: Evaluation, squared: Evaluation) -> str:
-    """Give a sentence that says on which set an estimator could not be tested.
-
-    Parameters
-    ----------
-    estimated, squared : Evaluation
-        As `judged` takes them.
-    """
+    """A sentence about the set on which an estimator could not be tested, as for `judged`."""
     usable = int(np.sum(np.isfinite(estimated.mse) & np.isfinite(squared.mse)))
     return (
         f"in {_text(estimated.measurement_times)} only {usable} of {estimated.mse.size} draws had "
@@ -131,12 +99,9 @@ def unchecked_probe(estimated: Evaluation, squared: Evaluation) -> str:
 
 
 def wrong_order(better: Evaluation, worse: Evaluation) -> str:
-    """Give a sentence that says which two finalists an estimator puts in the wrong order.
+    """A sentence that says which two finalists an estimator puts in the wrong order.
 
-    Parameters
-    ----------
-    better, worse : Evaluation
-        Evaluations by the squared error, on common draws.
+    Both evaluations are by the squared error, on common draws.
     """
     apart = difference(worse, better)
     return (

@@ -17,8 +17,8 @@ from pfdist.models import StateSpaceModel
 Array = NDArray[np.float64]
 
 PREDICTIVE = 20_000
-"""Least number of predictive measurements that are simulated. The surprise of a measurement beyond
-all of them is below 2 over their number."""
+"""Smallest number of simulated predictive measurements. The surprise of a measurement beyond all of
+them is below 2 over their number."""
 _ROUNDING = 1e-12  # of an eigenvalue, relative to the largest
 
 
@@ -26,7 +26,7 @@ class Belief(Protocol):
     """A filter's belief of z(t)."""
 
     def effective_sample_size(self) -> float | None:
-        """Number of equal particles that are worth as much; None where there are no particles."""
+        """Number of equal particles that are worth as much; None without particles."""
 
     def quantiles(self, levels: Array) -> Array:
         """Quantiles of each component of z, (L, q)."""
@@ -34,17 +34,10 @@ class Belief(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Particles:
-    """Weighted values of z(t).
+    """Weighted values of z(t)."""
 
-    Parameters
-    ----------
-    z : array of float64, (q, P)
-    weight : array of float64, (P,)
-        In any unit.
-    """
-
-    z: Array
-    weight: Array
+    z: Array  # (q, P)
+    weight: Array  # (P,), in any unit
 
     def effective_sample_size(self) -> float:
         """The squared sum of the weights over the sum of their squares."""
@@ -53,26 +46,21 @@ class Particles:
     def quantiles(self, levels: Array) -> Array:
         """The smallest values of z at which the cumulative weight reaches the levels, (L, q)."""
         z, weight = self.z[:, self.weight > 0], self.weight[self.weight > 0]
-        found = np.empty((levels.size, len(z)))
+        quantiles = np.empty((levels.size, len(z)))
         for component, values in enumerate(z):
             order = np.argsort(values, kind="stable")
             reached = np.cumsum(weight[order])
             places = np.searchsorted(reached, levels * reached[-1])
-            found[:, component] = values[order][np.minimum(places, order.size - 1)]
-        return found
+            quantiles[:, component] = values[order][np.minimum(places, order.size - 1)]
+        return quantiles
 
 
 @dataclass(frozen=True, eq=False)
 class Normal:
-    """Normal distributions of the components of z(t).
+    """Normal distributions of the components of z(t)."""
 
-    Parameters
-    ----------
-    mean, standard_deviation : array of float64, (q,)
-    """
-
-    mean: Array
-    standard_deviation: Array
+    mean: Array  # (q,)
+    standard_deviation: Array  # (q,)
 
     def effective_sample_size(self) -> None:
         """None: there are no particles."""
@@ -87,19 +75,15 @@ class Normal:
 
 
 def weighed(model: StateSpaceModel, cloud: Cloud, y: Array) -> tuple[Array, float]:
-    """Weigh predicted particles of equal weight by a measurement.
+    """Shares, (P,), of predicted particles in the weight of a measurement, and the log mean weight.
 
-    Returns
-    -------
-    share : array of float64, (P,)
-        The weights, with a sum of 1.
-    log_mean : float
-        Logarithm of the mean of the unnormalised weights: of p(y(t) | earlier measurements), if the
-        model's log-likelihood is normalised.
+    The predicted particles have equal weights. The shares have a sum of 1. The other value is the
+    logarithm of the mean of the unnormalised weights: log p(y(t) | earlier measurements), if the
+    model's log-likelihood is normalised.
     """
     with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
-        found = model.log_likelihood(_components(y, cloud), tuple(cloud.x), cloud.t, model.p)
-    log_weight = np.broadcast_to(np.asarray(found, np.float64), (cloud.particles,))
+        values = model.log_likelihood(_components(y, cloud), tuple(cloud.x), cloud.t, model.p)
+    log_weight = np.broadcast_to(np.asarray(values, np.float64), (cloud.particles,))
     log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf)
     log_sum = float(logsumexp(log_weight))
     share: Array = np.exp(log_weight - log_sum)
@@ -107,7 +91,7 @@ def weighed(model: StateSpaceModel, cloud: Cloud, y: Array) -> tuple[Array, floa
 
 
 def quantity(model: StateSpaceModel, cloud: Cloud) -> Array:
-    """Give z of each particle, (q, P)."""
+    """Quantity of interest z of each particle, (q, P)."""
     with formulas_of(model.name, model.formulas), np.errstate(all="ignore"):
         z = model.quantity_of_interest(tuple(cloud.x), cloud.t, model.p)
     return np.stack([np.broadcast_to(np.asarray(part, np.float64), cloud.particles) for part in z])
@@ -116,20 +100,14 @@ def quantity(model: StateSpaceModel, cloud: Cloud) -> Array:
 def surprise_of_particles(
     model: StateSpaceModel, cloud: Cloud, y: Array, stream: int, draw: int
 ) -> float:
-    """Give the p-value of a measurement among simulated measurements of predicted particles.
+    """The p-value of a measurement among simulated measurements of predicted particles.
 
     A component's rank is uniform if the model is right. Ranks are two-sided, ties are broken by
     chance, and the smallest of m measured components counts m times (Bonferroni).
 
-    Parameters
-    ----------
-    model : StateSpaceModel
-    cloud : Cloud
-        Particles of equal weight, predicted for the instant of the measurement.
-    y : array of float64, (m,)
-        NaN marks a missing component.
-    stream, draw : int
-        Key of the filter's noise. A filter has no other noise of this role.
+    The particles have equal weights and are predicted for the instant of the measurement. y has the
+    shape (m,); NaN marks a missing component. The stream and the draw are the key of the filter's
+    noise. A filter has no other noise of this role.
     """
     copies = -(-PREDICTIVE // cloud.particles)
     number, kinds = copies * cloud.particles, model.measurement_noise
@@ -154,7 +132,7 @@ def surprise_of_particles(
 
 
 def two_sided(rank: float) -> float:
-    """Give the two-sided p-value of a rank in 0..1."""
+    """The two-sided p-value of a rank in 0..1."""
     return 2 * min(rank, 1 - rank)
 
 
@@ -166,16 +144,10 @@ def _components(y: Array, cloud: Cloud) -> tuple[Array, ...]:
 
 
 def explained_by_normal(model: StateSpaceModel, state: Gaussian, y: Array) -> tuple[float, float]:
-    """Give the log-density of a measurement, and its p-value, where x(t) has a normal distribution.
+    """Log-density and p-value of a measurement, (m,), if x(t) has a normal distribution.
 
-    Parameters
-    ----------
-    model : StateSpaceModel
-        A linear-Gaussian model.
-    state : Gaussian
-        The distribution of x(t) before the measurement.
-    y : array of float64, (m,)
-        NaN marks a missing component.
+    The model is linear-Gaussian, and `state` is the distribution of x(t) before the measurement.
+    NaN marks a missing component.
     """
     measured = ~np.isnan(y)
     expected = kalman.predicted_measurement(model, state)

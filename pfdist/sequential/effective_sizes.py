@@ -1,4 +1,4 @@
-"""The effective sample sizes of a filter that is given the measurements of one system."""
+"""The effective sample sizes of a filter that receives the measurements of one system."""
 
 import math
 from typing import cast
@@ -16,26 +16,12 @@ Array = NDArray[np.float64]
 
 
 def effective_sample_sizes(filtering: OneFilter, times: Times, y: Array) -> list[float]:
-    """Give the effective sample size after each measurement, before the particles are resampled.
+    """Effective sample size after each measurement, (N,), before the particles are resampled.
 
-    Parameters
-    ----------
-    filtering : OneFilter
-        A filter with particles, before the first of the times.
-    times : tuple of int, (N,)
-    y : array of float64, (N, m)
-        The measurement at each time.
-
-    Returns
-    -------
-    list of float, (N,)
-        NaN from the first measurement at which the filter fails: no particle explains it, or a
-        state is not finite.
-
-    References
-    ----------
-    Kong, Liu, Wong, "Sequential imputations and Bayesian missing data problems", Journal of the
-    American Statistical Association 89, 1994.
+    The filter has particles and stands before the first of N times; y, (N, m), has the measurement
+    at each. The sizes are NaN from the first measurement at which the filter fails: no particle
+    explains it, or a state is not finite. (Kong, Liu, Wong, "Sequential imputations and Bayesian
+    missing data problems", Journal of the American Statistical Association 89, 1994.)
     """
     sizes = [math.nan] * len(times)
     for number, (t, measured) in enumerate(zip(times, y, strict=True)):

@@ -20,7 +20,7 @@ class Estimate:
     ----------
     t : int
     measured : bool
-        Whether the measurement at t is among those that the filter knows.
+        Whether the filter has the measurement at t.
     mean, standard_deviation : array of float64, (q,)
     effective_sample_size : float or None
         Number of particles of equal weight that are worth as much as the weighted particles; None
@@ -58,7 +58,7 @@ class Estimate:
 def estimate_of(
     t: int, mean: Array, variance: Array, belief: Belief, surprise: float | None = None
 ) -> Estimate:
-    """Give the estimate at t by its moments; it is of a measured instant if it has a surprise."""
+    """The estimate at t, by its moments; t was measured if there is a surprise."""
     return Estimate(
         t,
         surprise is not None,

@@ -36,16 +36,18 @@ from pfdist.sequential.beliefs import (
     weighed,
 )
 from pfdist.sequential.estimate import Estimate, estimate_of
+from pfdist.sequential.formatted_instant import formatted_instant
 from pfdist.sequential.measurements import checked_instant, checked_measurement
 from pfdist.sequential.one_filter import OneFilter, begin
-from pfdist.sequential.told_instant import told_instant
 from pfdist.sequential.user_prior import as_prior
 
 Array = NDArray[np.float64]
 
 LAST = 32_000  # the largest horizon of a job
-SUSPICIOUS = 1e-3  # a smaller surprise is computed again, with this number of particles:
-MANY = 200_000  # 2 / 200,001 times 1,000 measurements is 1 %, the level of the alarm
+# A surprise below `SUSPICIOUS` is computed again with `MANY` particles: 2 / 200,001 times 1,000
+# measurements is 1 %, the level of the alarm.
+SUSPICIOUS = 1e-3
+MANY = 200_000
 _LARGEST_DRAW = 2**32 - 1
 
 
@@ -122,12 +124,13 @@ class Filter:
         self.stream = stream_of("filter", int(seed))
         """Key of the filter's noise, 64 bits."""
         check_filter(self.model, self.model, particles, resampling, dtype)
-        known = None if prior is None else as_prior(prior, self.model)
-        self._check_prior(known, engine)
-        settings = FilterSettings(particles, resampling, dtype, prior=known)
+        start = None if prior is None else as_prior(prior, self.model)
+        self._check_prior(start, engine)
+        settings = FilterSettings(particles, resampling, dtype, prior=start)
         self._filter, mean, variance = self._begun(settings, engine, draw)
         self._ahead = self._filter
-        # A filter with many particles stays at the last suspicious measurement.
+        # A filter with many particles is slow, so it does not follow each measurement. It stays at
+        # the last suspicious one, and `_unseen_by_many` has all measurements since then.
         many = replace(settings, particles=max(particles, MANY))
         self._many = begin(self.model, many, self.stream, draw, self._filter.engine)
         self._unseen_by_many: list[tuple[int, Array]] = []
@@ -143,8 +146,8 @@ class Filter:
     def cloud(self) -> Prior:
         """The particles at the instant of `now`, from which another filter may go on.
 
-        They know the measurement at this instant. The engine "kalman" has a normal distribution in
-        their place.
+        The measurement at this instant has changed them. The engine "kalman" has a normal
+        distribution in their place.
         """
         return _prior(self._filter)
 
@@ -192,9 +195,9 @@ class Filter:
             after = "after" if self._filter.measured else "not before"
             raise MeasurementsError(
                 f"measurements must be given in the order of time, each instant once: t must be "
-                f"{after} {self._told(self._filter.t)}, got {self._told(t)}"
+                f"{after} {self._formatted(self._filter.t)}, got {self._formatted(t)}"
             )
-        measurement = checked_measurement(y, self.model, self._told(t))
+        measurement = checked_measurement(y, self.model, self._formatted(t))
         predicted, mean, variance = self._moved(t)
         if measurement is None:
             self._filter = self._ahead = predicted
@@ -202,6 +205,8 @@ class Filter:
             return self._now
         moved, mean, variance = predicted.at(t, measurement)
         belief, log_density, surprise = self._explained(predicted, measurement, mean, variance)
+        # The filter moves only here, after everything that may raise an error. So it stays where it
+        # was if a measurement is refused.
         self._filter = self._ahead = moved
         self._unseen_by_many.append((t, measurement))
         self._evidence += log_density
@@ -209,7 +214,7 @@ class Filter:
         return self._now
 
     def predict(self, t: int) -> Estimate:
-        """Give what the filter believes of z(t), without moving the filter.
+        """The filter's belief of z(t); the filter does not move.
 
         Parameters
         ----------
@@ -227,18 +232,18 @@ class Filter:
         """
         t = checked_instant(t, 0, self.horizon)
         if t < self._filter.t:
-            first = self._told(self._filter.t)
-            raise MeasurementsError(f"t must not be before {first}, got {self._told(t)}")
+            first = self._formatted(self._filter.t)
+            raise MeasurementsError(f"t must not be before {first}, got {self._formatted(t)}")
         if t == self._now.t:
             return self._now
         self._ahead, mean, variance = self._moved(t)
         return self._estimate(mean[-1], variance[-1], self._ahead)
 
-    def _told(self, t: int) -> str:
-        return told_instant(self.model, t)
+    def _formatted(self, t: int) -> str:
+        return formatted_instant(self.model, t)
 
     def _moved(self, t: int) -> tuple[OneFilter, Array, Array]:
-        """Predict up to t, from the last prediction if this lies on the way."""
+        """Predict up to t, from the last prediction if that is on the way."""
         return (self._ahead if self._ahead.t <= t else self._filter).at(t)
 
     def _check_prior(self, prior: Prior | None, engine: str) -> None:
@@ -253,7 +258,7 @@ class Filter:
     def _begun(
         self, settings: FilterSettings, engine: str, draw: int
     ) -> tuple[OneFilter, Array, Array]:
-        """Give the filter at its first instant, and compile it."""
+        """The filter at its first instant, compiled, with mean and variance of z."""
         name = COMPILED.name if engine == AUTO else engine
         if name == "kalman":
             matrices_of(self.model, 0)
@@ -273,7 +278,7 @@ class Filter:
         return first.at(first.t)
 
     def _estimate(self, mean: Array, variance: Array, at: OneFilter | None = None) -> Estimate:
-        """Give the estimate of an instant that is not measured."""
+        """The estimate of an instant that is not measured."""
         prior = _prior(self._filter if at is None else at)
         belief: Belief = Normal(mean, np.sqrt(variance))
         if isinstance(prior, Cloud):
@@ -283,7 +288,7 @@ class Filter:
     def _explained(
         self, predicted: OneFilter, y: Array, mean: Array, variance: Array
     ) -> tuple[Belief, float, float]:
-        """Give the belief after a measurement, the measurement's log-density and its surprise."""
+        """The belief after a measurement, the measurement's log-density, and its surprise."""
         prior = _prior(predicted)
         if isinstance(prior, Gaussian):
             log_density, surprise = explained_by_normal(self.model, prior, y)
@@ -299,13 +304,12 @@ class Filter:
 
         Few particles miss the tails of x(t), and few simulated measurements put a floor under the
         p-value. The choice of measurements adds no false alarms: a result below `SUSPICIOUS` is
-        always a p-value of this filter, and one above it follows a smaller p-value.
-
-        References
-        ----------
-        Besag, Clifford, "Sequential Monte Carlo p-values", Biometrika 78, 1991.
+        always a p-value of this filter, and a result above it follows a smaller p-value (Besag,
+        Clifford, "Sequential Monte Carlo p-values", Biometrika 78, 1991).
         """
         try:
+            # A measurement is forgotten after the filter has moved past it. If it raises an error,
+            # the filter stays there, and every later surprise is that of few particles.
             while self._unseen_by_many:
                 self._many = self._many.at(*self._unseen_by_many[0])[0]
                 del self._unseen_by_many[0]

@@ -26,46 +26,23 @@ _TIME_WORDS = {"time", "instant", "step", "times", "k"}  # headers that probably
 
 @dataclass(frozen=True)
 class Measurements:
-    """Measurements of one system, in the order of time.
+    """Measurements of one system, in the order of time."""
 
-    Parameters
-    ----------
-    t : tuple of int, (K,)
-        The instants that were measured.
-    y : array of float64, (K, m)
-        The measurements; NaN marks a component that is missing.
-    missed : tuple of int
-        The instants that have a row without any component: they were not measured.
-    """
-
-    t: tuple[int, ...]
-    y: Array
-    missed: tuple[int, ...] = ()
+    t: tuple[int, ...]  # (K,); the instants that were measured
+    y: Array  # (K, m); NaN marks a component that is missing
+    missed: tuple[int, ...] = ()  # instants that have a row without any component
 
 
 def read_measurements(
     path: Path | pd.DataFrame, model: StateSpaceModel, clock: Clock, start: int = 0
 ) -> Measurements:
-    """Read a table with the columns t, y0, y1, ..., with rows in any order.
+    """Measurements from a table with the columns t, y0, y1, ..., with rows in any order.
 
-    If the model names the components of y, columns may have the names: y_concentration. A row
-    without any component is a time that was not measured.
-
-    Parameters
-    ----------
-    path : Path or DataFrame
-        A file in CSV or Parquet, or a table in memory.
-    model : StateSpaceModel
-        The model that has these measurements.
-    clock : Clock
-        The column t has times on it. It knows T.
-    start : int
-        The first instant that can be measured.
-
-    Raises
-    ------
-    MeasurementsError
-        The file cannot be read, its header does not fit, or a value is wrong.
+    The table is a file in CSV or Parquet, or in memory. If the model names the components of y,
+    columns may have the names: y_concentration. The column t has times on the clock, and `start` is
+    the first instant that can be measured. A row without any component is a time that was not
+    measured. Raises `MeasurementsError` if the file cannot be read, if its header does not fit, or
+    if a value is wrong.
     """
     allowed = [["t", *names] for names in user_columns("y", model)]
     try:
@@ -74,8 +51,8 @@ def read_measurements(
         times = [instant_on(clock, t, start) for t in columns["t"].tolist()]
         for t, following in pairwise(sorted(times)):
             if t == following:
-                told = told_time(clock.time(t))
-                raise MeasurementsError(f"a time must stand in one row, got t = {told} twice")
+                repeated = told_time(clock.time(t))
+                raise MeasurementsError(f"a time must stand in one row, got t = {repeated} twice")
         table = np.stack([columns[name] for name in wanted[1:]], axis=1)
         rows = [
             (t, checked_measurement(table[row], model, told_time(clock.time(t))))
@@ -95,12 +72,10 @@ def read_measurements(
 
 
 def instant_on(clock: Clock, t: Any, start: int = 0) -> int:
-    """Give the instant of a time on a clock, after checking it.
+    """The instant of a time on a clock, which is checked.
 
-    Raises
-    ------
-    MeasurementsError
-        No instant has this time, or it lies before the instant `start`.
+    Raises `MeasurementsError` if no instant has this time, or if it lies before the instant
+    `start`.
     """
     if clock.counts:
         return checked_instant(t, start, clock.horizon)
@@ -117,12 +92,9 @@ def instant_on(clock: Clock, t: Any, start: int = 0) -> int:
 
 
 def checked_instant(t: Any, start: int, horizon: int) -> int:
-    """Give an instant as an int, after checking it.
+    """An instant as an int, after it was checked.
 
-    Raises
-    ------
-    MeasurementsError
-        It is no whole number, or lies outside start..horizon.
+    Raises `MeasurementsError` if it is no whole number, or lies outside start..horizon.
     """
     number = isinstance(t, int | float | np.integer | np.floating) and not isinstance(t, bool)
     if not number or t != t // 1:
@@ -135,20 +107,11 @@ def checked_instant(t: Any, start: int, horizon: int) -> int:
 def checked_measurement(
     y: float | Sequence[float] | Array, model: StateSpaceModel, t: str
 ) -> Array | None:
-    """Give a measurement as an array (m,), after checking it; None if every component is missing.
+    """A measurement as an array (m,), after it was checked; None if every component is missing.
 
-    Parameters
-    ----------
-    y : float or sequence of float, (m,)
-    model : StateSpaceModel
-    t : str
-        The time as errors name it.
-
-    Raises
-    ------
-    MeasurementsError
-        It has another number of components than the model, or a component is no finite number. Or
-        a component is missing, and the model does not declare that it takes such measurements.
+    `t` is the time as errors name it. Raises `MeasurementsError` if the number of components is
+    wrong, if one is no finite number, or if one is missing though the model does not declare that
+    it takes such measurements.
     """
     components = model.components[1]
     if y is None:
@@ -204,7 +167,7 @@ def _check_header(allowed: list[list[str]], header: list[str]) -> None:
 
 
 def _meant(name: str, wanted: list[str]) -> str:
-    """Give the column that a wrong name probably means; empty if there is none."""
+    """The column that a wrong name probably means; empty if there is none."""
     if name in wanted:
         return ""
     plain = name.lower().replace("_", "").replace("[", "").replace("]", "").replace(" ", "")
@@ -227,5 +190,5 @@ def _is_number(text: str) -> bool:
 
 
 def _plain(value: Any) -> Any:
-    """Give a number of NumPy as Python writes it."""
+    """A number of NumPy as Python writes it."""
     return value.item() if isinstance(value, np.generic) else value

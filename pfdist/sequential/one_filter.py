@@ -1,6 +1,6 @@
 """A filter of one system that stops at a measurement and goes on from there.
 
-It gives the bits of the filter that is given all measurements at once and has the same keys.
+It gives the same bits as a filter with the same keys that receives all measurements at once.
 """
 
 from dataclasses import dataclass, replace
@@ -15,36 +15,23 @@ from pfdist.filters.draws import Draws
 from pfdist.filters.settings import FilterSettings
 from pfdist.models import StateSpaceModel, squared_error
 from pfdist.models.parameters import check_lengths
-from pfdist.sequential.told_instant import told_instant
+from pfdist.sequential.formatted_instant import formatted_instant
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class OneFilter:
-    """A filter's knowledge of one system at an instant. Use `begin` to make the first.
+    """A filter's knowledge of one system at an instant. Use `begin` to make the first."""
 
-    Parameters
-    ----------
-    model : StateSpaceModel
-        The filter's model, with the squared error.
-    settings : FilterSettings
-        With the prior: what is known of x(t). Without a prior, the filter starts from `initial`.
-    stream : int
-        Key of the filter's noise, 64 bits.
-    draw : int
-        Index of the draw in the stream.
-    engine : {"compiled", "numpy", "kalman"}
-    measured : bool
-        Whether the instant t was measured.
-    """
-
-    model: StateSpaceModel
+    model: StateSpaceModel  # the filter's model, with the squared error
+    # The prior in them is the distribution of x(t). Without a prior, the filter starts from
+    # `initial`.
     settings: FilterSettings
-    stream: int
-    draw: int = 0
-    engine: str = COMPILED.name
-    measured: bool = False
+    stream: int  # key of the filter's noise, 64 bits
+    draw: int = 0  # index of the draw in the stream
+    engine: str = COMPILED.name  # "compiled", "numpy" or "kalman"
+    measured: bool = False  # whether the instant t was measured
 
     @property
     def t(self) -> int:
@@ -52,28 +39,14 @@ class OneFilter:
         return 0 if self.settings.prior is None else self.settings.prior.t
 
     def at(self, t: int, y: Array | None = None) -> tuple["OneFilter", Array, Array]:
-        """Move the filter to an instant, which is measured if y is given.
+        """The filter at t, and weighted mean and variance of z, (K, q), at K instants up to t.
 
-        Parameters
-        ----------
-        t : int
-            The instant, not before that of this filter; after it if both are measured.
-        y : array of float64, (m,), optional
-            The measurement at t.
+        The K instants are those from this filter's to t. t must not be before this filter's
+        instant, and must be after it if both are measured. y, (m,), is the measurement at t, if it
+        is measured.
 
-        Returns
-        -------
-        OneFilter
-            The filter at t.
-        estimate, variance : arrays of float64, (K, q)
-            Weighted mean and variance of z at the K instants from this filter's to t.
-
-        Raises
-        ------
-        MeasurementsError
-            No particle explains the measurement, or a state is not finite.
-        ModelError
-            A formula failed.
+        Raises `MeasurementsError` if no particle explains the measurement, or if a state is not
+        finite. Raises `ModelError` if a formula failed.
         """
         check_lengths(self.model.parameters, t + 1)
         measurements, quantities = self.model.components[1:]
@@ -95,13 +68,13 @@ class OneFilter:
         if np.isnan(filtered.mse[0]):
             raise MeasurementsError(
                 f"no particle of {self.settings.particles} explains the measurement at t = "
-                f"{told_instant(self.model, t)}: "
+                f"{formatted_instant(self.model, t)}: "
                 "more particles help, or the model is wrong about this system"
             )
         if np.isinf(filtered.mse[0]):
             raise MeasurementsError(
                 f"the states of the filter's particles must stay finite, got an infinite one up "
-                f"to t = {told_instant(self.model, t)} (model {self.model.name})"
+                f"to t = {formatted_instant(self.model, t)} (model {self.model.name})"
             )
         (last,) = filtered.last
         prior = last if isinstance(last, Gaussian) else Cloud(t, last)
@@ -117,7 +90,7 @@ def begin(
     draw: int = 0,
     engine: str = COMPILED.name,
 ) -> OneFilter:
-    """Give the filter before anything is measured; see `OneFilter`."""
+    """The filter before anything is measured; see `OneFilter`."""
     if model.error is not squared_error:  # without a truth, a model's own error might fail
         model = replace(model, error=squared_error)
     return OneFilter(model, settings, stream, draw, engine)

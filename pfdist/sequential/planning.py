@@ -1,8 +1,8 @@
-"""Plan the measurements that are left, from what a filter knows of the system now.
+"""Plan the remaining measurements, from a filter's knowledge of the system now.
 
 A plan is sought on simulated systems that start from the filter's particles. Fresh simulated
-systems then decide, by a paired test, whether it takes the place of the plan at hand. So a plan is
-replaced only by a better one, but for chance.
+systems then decide, by a paired test, whether it replaces the plan at hand. So a plan is replaced
+only by a better one, but for chance.
 """
 
 import math
@@ -30,64 +30,41 @@ from pfdist.times.rest import rest_of
 
 _BETTER = 1.0  # standard errors by which a new plan must be better than the plan at hand
 _ROUNDING = 1e-9  # relative difference of exact costs that counts as none
-_POLICY = "leave_out"  # for degenerate draws: one of many must not decide about a plan
+_POLICY = "leave_out"  # for degenerate draws: a single draw must not decide about a plan
 
 
 @dataclass(frozen=True)
 class Planning:
-    """How the measurements that are left are planned.
+    """How the remaining measurements are planned."""
 
-    Parameters
-    ----------
-    search : SearchSection
-        The search method and its settings.
-    draws : int
-        Number of simulated systems on which the search compares plans.
-    judging_draws : int
-        Number of fresh simulated systems that decide between the new plan and the plan at hand.
-    estimation : Estimation
-        Particles, resampling and estimator of the filters that are simulated.
-    """
-
-    search: SearchSection
-    draws: int
-    judging_draws: int
-    estimation: Estimation
+    search: SearchSection  # the method and its settings
+    draws: int  # simulated systems on which the search compares plans
+    judging_draws: int  # fresh simulated systems that decide between the new plan and that at hand
+    estimation: Estimation  # of the simulated filters
 
     @property
     def judging(self) -> Estimation:
-        """The estimation that judges plans: by the squared error, whatever the search estimates by.
+        """The estimation that judges plans: by the squared error, whatever the search uses.
 
-        The variance of a few particles is smaller than the error of a filter that has lost its
-        system, as filters do whose particles are all near each other.
+        A filter that has lost its system has its particles near each other. Their variance is
+        small, and its error is large.
         """
         return replace(self.estimation, estimator=SQUARED_ERROR.name)
 
     def optimiser(self, rest: Feasible, start: Times | None = None) -> Optimiser:
-        """Make the optimiser of the measurements that are left; see `pfdist.search.methods`.
+        """The optimiser of the remaining measurements; see `pfdist.search.methods`.
 
-        Raises
-        ------
-        JobError
-            The method cannot search this problem.
+        Raises `JobError` if the method cannot search this problem.
         """
         method = METHODS[self.search.method]
         return method.make(rest, self.draws, self.search.settings, start)
 
 
 class Now(NamedTuple):
-    """A filter's knowledge of one system, from which a plan is made.
+    """A filter's knowledge of one system, from which a plan is made."""
 
-    Parameters
-    ----------
-    prior : Cloud or Gaussian, optional
-        Distribution of x(t); None before anything is measured, when `initial` gives x(0).
-    measured : bool
-        Whether t was measured, or can no longer be.
-    """
-
-    prior: Prior | None = None
-    measured: bool = False
+    prior: Prior | None = None  # of x(t); None before anything is measured: `initial` gives x(0)
+    measured: bool = False  # whether t was measured, or can no longer be
 
     @property
     def t(self) -> int:
@@ -102,50 +79,26 @@ class Now(NamedTuple):
 
 @dataclass(frozen=True)
 class Replanner:
-    """Plans the measurements that are left, for a model and constraints.
+    """Plans the remaining measurements, for a model and constraints.
 
-    Parameters
-    ----------
-    evaluator : Evaluator
-        Its model simulates systems from t = 0, and its filter model filters them.
-    feasible : Feasible
-        The feasible sets of the whole horizon.
-    planning : Planning
-    stream : int
-        Key of all noise of the planning, 64 bits.
-
-    Raises
-    ------
-    ModelError
-        The filter's model has states of another size than the true model.
+    Raises `ModelError` if the filter's model has states of another size than the true model.
     """
 
+    # Its model simulates systems from t = 0, and its filter model filters them.
     evaluator: Evaluator
-    feasible: Feasible
+    feasible: Feasible  # of the whole horizon
     planning: Planning
-    stream: int
+    stream: int  # key of all noise of the planning, 64 bits
 
     def __post_init__(self) -> None:
         check_plannable(self.evaluator)
 
     def plan(self, now: Now, taken: Times, plan: Times, draw: int = 0) -> Times:
-        """Give the plan for what is left: the plan at hand, or a better one.
+        """The plan for the remaining measurements: the plan at hand, or a better one.
 
-        Parameters
-        ----------
-        now : Now
-        taken : tuple of int
-            Times that were measured so far.
-        plan : tuple of int
-            The plan at hand; empty if there is none. If it is no longer feasible, another takes its
-            place that has as many of its times as can be.
-        draw : int
-            Index of the system, which keys the noise.
-
-        Raises
-        ------
-        ModelError
-            A formula failed.
+        `taken` has the times that were measured so far. The plan at hand may be empty. If it is no
+        longer feasible, another plan replaces it that has as many of its times as possible. `draw`
+        is the index of the system, which keys the noise. Raises `ModelError` if a formula failed.
         """
         first = now.first
         rest = rest_of(self.feasible, taken, first)
@@ -168,22 +121,10 @@ class Replanner:
         estimation: Estimation,
         draw: int = 0,
     ) -> list[Evaluation]:
-        """Estimate the expected MSE from now on with each plan, on draws that chose none of them.
+        """Evaluations of plans by the expected MSE from now on, on draws that chose none of them.
 
-        Parameters
-        ----------
-        now : Now
-        plans : sequence of tuples of int
-        draws : int
-            Number of simulated systems.
-        estimation : Estimation
-        draw : int
-            Index of the system.
-
-        Raises
-        ------
-        ModelError
-            A formula failed.
+        `draws` is the number of simulated systems, and `draw` the index of the system. Raises
+        `ModelError` if a formula failed.
         """
         evaluator = replace(self.evaluator, prior=now.prior, estimations=())
         ends = [evaluator.horizon] * len(plans)
@@ -205,12 +146,9 @@ class Replanner:
 
 
 def check_plannable(evaluator: Evaluator) -> None:
-    """Raise an error unless systems can be simulated from the particles of the filter.
+    """Raise a `ModelError` unless systems can be simulated from the particles of the filter.
 
-    Raises
-    ------
-    ModelError
-        The filter's model has states of another size than the true model.
+    They cannot if the filter's model has states of another size than the true model.
     """
     true, believed = evaluator.model.components[0], evaluator.believed.components[0]
     if true != believed:
@@ -230,21 +168,21 @@ class _Outlook:
     stream: int
 
     def search(self, rest: Feasible, start: Times) -> list[Times]:
-        """Search for a plan, from a start; empty if every plan has degenerate draws alone."""
+        """The best plan of a search from a start; empty if every plan has only degenerate draws."""
         planning = self.replanner.planning
         optimiser, draws = planning.optimiser(rest, start), self._draws(range(planning.draws))
         state, generation = optimiser.init(), 0
         while not optimiser.done(state):
-            asked = optimiser.ask(state, generator(self.stream, "search", generation))
-            state = optimiser.tell(state, self._evaluated(draws, asked, planning.estimation))
+            candidates = optimiser.ask(state, generator(self.stream, "search", generation))
+            state = optimiser.tell(state, self._evaluated(draws, candidates, planning.estimation))
             generation += 1
-        found = [each for each in optimiser.finalists(state)[:1] if math.isfinite(each.cost)]
-        return [each.measurement_times for each in found]
+        best = [each for each in optimiser.finalists(state)[:1] if math.isfinite(each.cost)]
+        return [each.measurement_times for each in best]
 
     def better(self, plans: Sequence[Times], *, keep: bool) -> Times:
-        """Give the better of one or two plans on fresh draws.
+        """The better of one or two plans on fresh draws.
 
-        If the first is to be kept, the second must be better by a paired test.
+        If `keep`, the second plan must be better than the first by a paired test.
         """
         plans = list(dict.fromkeys(plans))
         if len(plans) == 1:
@@ -252,12 +190,12 @@ class _Outlook:
         planning = self.replanner.planning
         fresh = range(planning.draws, planning.draws + planning.judging_draws)
         candidates = [Candidate(times) for times in plans]
-        kept, new = self._evaluated(self._draws(fresh), candidates, planning.judging)
-        gain = difference(new, kept)
-        rounding = _ROUNDING * kept.cost if math.isfinite(kept.cost) else 0.0
+        first, new = self._evaluated(self._draws(fresh), candidates, planning.judging)
+        gain = difference(new, first)
+        rounding = _ROUNDING * first.cost if math.isfinite(first.cost) else 0.0
         lower = gain.value < -rounding and gain.is_negative(_BETTER if keep else 0.0)
-        # The difference knows only the draws that both plans survive.
-        return plans[1] if lower and new.degenerate_draws <= kept.degenerate_draws else plans[0]
+        # The difference uses only draws that are degenerate with neither plan.
+        return plans[1] if lower and new.degenerate_draws <= first.degenerate_draws else plans[0]
 
     def _draws(self, index: range) -> Draws | None:
         return None if self.evaluator.exact else self.evaluator.draws(index, self.stream)
@@ -265,7 +203,7 @@ class _Outlook:
     def _evaluated(
         self, draws: Draws | None, candidates: Sequence[Candidate], estimation: Estimation
     ) -> list[Evaluation]:
-        """Evaluate candidates on common draws with common noise."""
+        """Evaluations of candidates on common draws with common noise."""
         evaluator, last = self.evaluator, self.evaluator.horizon
         first = self.now.first
         sets = [tuple(first + time for time in each.measurement_times) for each in candidates]

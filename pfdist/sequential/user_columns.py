@@ -4,13 +4,9 @@ from pfdist.models import StateSpaceModel
 
 
 def user_columns(kind: str, model: StateSpaceModel) -> list[list[str]]:
-    """Give the lists of columns that a table may have: x0, x1, ..., or those with names.
+    """Lists of columns that a table of x or y may have: x0, x1, ..., or those with names.
 
-    Parameters
-    ----------
-    kind : {"x", "y"}
-    model : StateSpaceModel
-        If it names these components, there is a second list.
+    There is a second list if the model names these components.
     """
     components = model.named(kind)
     numbered = [f"{kind}{number}" for number in range(len(components))]

@@ -20,16 +20,12 @@ Array = NDArray[np.float64]
 
 
 def as_prior(prior: Any, model: StateSpaceModel, clock: Clock | None = None) -> Prior:
-    """Give a prior of a model from what a user has: a prior, particles in an array, or a table.
+    """The prior of a model, from a prior, particles in an array, or a table.
 
     An array holds particles of x at the first instant, a row a component and a column a particle. A
     DataFrame holds a particle in each row, as `read_prior` reads it. The t of a `Cloud` or a
-    `Gaussian` is an instant, also if there is a clock.
-
-    Raises
-    ------
-    PriorError
-        It is neither a prior nor an array of finite numbers.
+    `Gaussian` is an instant, even if there is a clock. Raises `PriorError` if it is neither a prior
+    nor an array of finite numbers.
     """
     if isinstance(prior, Cloud | Gaussian):
         return prior
@@ -48,24 +44,13 @@ def as_prior(prior: Any, model: StateSpaceModel, clock: Clock | None = None) -> 
 def read_prior(
     path: Path | pd.DataFrame, model: StateSpaceModel, clock: Clock | None = None
 ) -> Cloud:
-    """Read particles from a table in Parquet or CSV, a row a particle.
+    """Particles from a table in Parquet or CSV, or in memory, a row a particle.
 
-    The columns are x0, x1, ..., or x_ with the names that the model gives to the states, and on
-    request weight (in any unit; else all are equal) and t, the time of the states, the same in all
-    rows (else the first).
-
-    Parameters
-    ----------
-    path : Path or DataFrame
-    model : StateSpaceModel
-        The model that has these states.
-    clock : Clock, optional
-        The column t has times on it; by default instants.
-
-    Raises
-    ------
-    PriorError
-        The file cannot be read, its columns do not fit, or a value is wrong.
+    The columns are x0, x1, ..., or x_ with the names that the model gives to the states. There may
+    also be columns weight (in any unit; else all are equal) and t. The column t has the time of the
+    states on the clock, or their instant without a clock. It is the same in all rows; else it is
+    the first instant. Raises `PriorError` if the file cannot be read, if its columns do not fit, or
+    if a value is wrong.
     """
     allowed = user_columns("x", model)
     try:

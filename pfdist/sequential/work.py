@@ -15,8 +15,8 @@ from pfdist.times.feasible import Feasible
 from pfdist.times.measurement_times import Times
 from pfdist.times.rest import rest_of
 
-# A step of a plan takes longer than a step of the comparison: stretches between two measurements
-# are short, particles are few, and the search itself takes time.
+# A step of a plan takes longer than a step of the comparison: measurements are near each other,
+# particles are few, and the search itself takes time.
 _SLOWER = 2.0
 
 
@@ -24,23 +24,13 @@ _SLOWER = 2.0
 class OnlineWork(Work):
     """Draws that are measured at the next planned time and planned anew, to the end of the budget.
 
-    The other parameters are those of `Work`, with one set: the plan before anything is measured.
-
-    Parameters
-    ----------
-    feasible : Feasible
-        The feasible sets.
-    planning : Planning
-    planning_stream : int
-        Key of the noise of the planning.
-    shown : int
-        Number of first draws whose estimates are wanted.
+    The other fields are those of `Work`, with one set: the plan before anything is measured.
     """
 
     feasible: Feasible
     planning: Planning
-    planning_stream: int
-    shown: int = 0
+    planning_stream: int  # key of the noise of the planning
+    shown: int = 0  # number of first draws whose estimates are wanted
 
     def result(self, evaluator: Evaluator) -> Result:
         """Per-draw MSE, (D, 1), and the times that were chosen for each draw.
@@ -58,7 +48,7 @@ class OnlineWork(Work):
 
     @property
     def steps_a_draw(self) -> int:
-        """About how many particle-steps a draw takes: nearly all of them plan."""
+        """Particle-steps of a draw, approximately: nearly all of them plan."""
         return _steps(self.feasible, self.planning) + super().steps_a_draw
 
     def _of_draw(self, evaluator: Evaluator, draw: int) -> Result:
@@ -75,7 +65,7 @@ class OnlineWork(Work):
         return replace(evaluator.filtered(filtered), measurement_times=(times,))
 
     def chosen(self, evaluator: Evaluator, draw: int) -> Times:
-        """Choose the times of one draw; if it is degenerate, the last plan stays."""
+        """The chosen times of one draw; if it is degenerate, the last plan stays."""
         replanner = Replanner(evaluator, self.feasible, self.planning, self.planning_stream)
         y = evaluator.draws(range(draw, draw + 1), self.draws_stream).y[0]
         estimation, (plan,) = self.estimation, self.measurement_times
@@ -100,12 +90,9 @@ class OnlineWork(Work):
 
 @lru_cache(maxsize=4)
 def _steps(feasible: Feasible, planning: Planning) -> int:
-    """About how many particle-steps the plans of one draw take, if it is measured at regular times.
+    """Particle-steps of the plans of one draw, approximately, if it is measured at regular times.
 
-    Raises
-    ------
-    JobError
-        The method of the planning cannot search this problem.
+    Raises `JobError` if the method of the planning cannot search this problem.
     """
     planning.optimiser(feasible)  # checks that the method can search; any rest has fewer sets
     times, steps = feasible.regular(), 0.0

@@ -1,7 +1,7 @@
 """A run on disk: Parquet tables, committed atomically, which are also the checkpoint.
 
-Only this package touches a run's files. It knows tables, columns and keys; what they mean for a
-search is the driver's.
+Only this package touches a run's files. It knows tables, columns and keys. The driver knows what
+they mean for a search.
 """
 
 from pfdist.store.about import (
@@ -25,7 +25,7 @@ from pfdist.store.folder import (
     check_entries,
     folder_of_run,
     holds_run,
-    is_kept_job,
+    is_job_of_run,
 )
 from pfdist.store.lock import check_not_held, held
 from pfdist.store.manifest import Manifest
@@ -75,7 +75,7 @@ __all__ = [
     "has_key",
     "held",
     "holds_run",
-    "is_kept_job",
+    "is_job_of_run",
     "key_of",
     "own_key",
     "read_run",

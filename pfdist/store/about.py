@@ -1,6 +1,6 @@
 """The files that say what a run is, run.json and job.toml, and the key of the run.
 
-They may have been edited or damaged, so all that is read is checked.
+They may have been edited or damaged, so everything that is read is checked.
 """
 
 import contextlib
@@ -24,7 +24,7 @@ _GROWS = {"comparison": ("draws", "until"), "online": ("draws",)}  # keys that m
 
 
 class _Part(BaseModel):
-    """Keys that are read; run.json may have others."""
+    """Keys that pfdist reads; run.json may have others."""
 
     model_config = ConfigDict(frozen=True, extra="allow", strict=True)
 
@@ -40,14 +40,14 @@ _PathText = Annotated[Any, AfterValidator(_is_path_text)]
 
 
 class _Processor(_Part):
-    """The versions and the machine with which a run was computed."""
+    """The processor on which a run was computed."""
 
     model: str
     compiled_for: str
 
 
 class _Estimation(_Part):
-    """The estimator with which a search began."""
+    """The estimation with which a search began."""
 
     particles: int
     resampling: str
@@ -66,7 +66,7 @@ class _Provenance(_Part):
 
 
 class _RunFile(_Part):
-    """The part of run.json that is read."""
+    """The part of run.json that pfdist reads."""
 
     schema_version: Annotated[int, Field(ge=1)]
     pfdist: str
@@ -79,12 +79,9 @@ class _RunFile(_Part):
 
 
 def read_run(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Read run.json, which is checked, and job.toml, whose meaning the caller checks.
+    """The contents of run.json, which is checked, and of job.toml, which the caller checks.
 
-    Raises
-    ------
-    StoreError
-        The folder holds no run, or one that cannot be read.
+    Raises `StoreError` if the folder holds no run, or one that cannot be read.
     """
     run, job = (
         _read(path, name, parse)
@@ -101,7 +98,7 @@ def read_run(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def unreadable(path: Path, name: str, reason: str) -> StoreError:
-    """Make the error of a run whose run.json or job.toml pfdist did not write."""
+    """The error for a run whose run.json or job.toml pfdist did not write."""
     return StoreError(
         f"cannot read {path / name}: {reason}; `pfdist verify {path}` says which files are not "
         "what was committed, and the job, run again, makes them anew"
@@ -124,7 +121,11 @@ def write_job(path: Path, toml: str) -> None:
 
 
 def write_run(path: Path, run: dict[str, Any], key: str) -> None:
-    """Write identity and provenance, and the run's key, which outlives the file."""
+    """Write identity and provenance, and the run's key, which outlives the file.
+
+    The key goes into the manifest first. If the process dies in between, the key stands there
+    without a run.json, and the next start of the same job finds its own key.
+    """
     Manifest(path).keep_key(key)
     _write(path / "run.json", json.dumps(run, indent=2) + "\n")
 
@@ -137,7 +138,10 @@ def add_to_provenance(path: Path, facts: dict[str, Any]) -> None:
 
 
 def confirm(path: Path, key: str) -> None:
-    """Record job.toml, run.json and the key in the manifest, if a kill prevented it before."""
+    """Record job.toml, run.json and the key in the manifest.
+
+    A kill between the renaming of a file and the line ``now`` may have prevented this before.
+    """
     manifest = Manifest(path)
     manifest.keep_key(key)
     for name in ABOUT:
@@ -152,21 +156,15 @@ def _write(path: Path, text: str) -> None:
 def key_of(identity: Mapping[str, Any], job: Mapping[str, Any]) -> str:
     """Hash of everything that must not change between two starts of a run.
 
-    Every file of the run's tables carries this key.
-
-    Parameters
-    ----------
-    identity : mapping
-        The content of run.json, without the provenance.
-    job : mapping
-        The content of job.toml.
+    Every file of the run's tables carries this key. `identity` is the content of run.json without
+    the provenance, and `job` that of job.toml. Numbers of draws may grow, so they are left out.
     """
-    kept = {
+    without_growth = {
         name: {key: value for key, value in job[name].items() if key not in grown}
         for name, grown in _GROWS.items()
         if name in job
     }
-    return f"{stream_key(identity, {**job, **kept}):016x}"
+    return f"{stream_key(identity, {**job, **without_growth}):016x}"
 
 
 def has_key(path: Path, key: str) -> bool:
@@ -175,10 +173,7 @@ def has_key(path: Path, key: str) -> bool:
 
 
 def own_key(path: Path) -> str | None:
-    """Compute the key of a run from job.toml and run.json.
-
-    It is None if the files are missing or damaged.
-    """
+    """The key that job.toml and run.json give; None if they are missing or damaged."""
     expected = Manifest(path).expected()
     try:
         for name in ABOUT:
@@ -191,12 +186,13 @@ def own_key(path: Path) -> str | None:
 
 
 def check_key(path: Path, run: dict[str, Any], job: dict[str, Any]) -> None:
-    """Raise a `StoreError` if the contents of run.json and job.toml are another run's.
+    """Raise a `StoreError` if run.json and job.toml are another run's.
 
-    The manifest does not vouch for them, and has another key: it came with another run's tables.
+    They are if the manifest has other contents for them, and another key: then these two files came
+    here from another run.
     """
-    kept = Manifest(path).kept_key()
-    if kept and _key_of_content(run, job) not in (None, kept) and own_key(path) is None:
+    key = Manifest(path).kept_key()
+    if key and _key_of_content(run, job) not in (None, key) and own_key(path) is None:
         raise StoreError(
             f"{path}: job.toml and run.json are not those of the run whose key {MANIFEST} holds; "
             f"`pfdist repair {path}` moves to quarantine what is not this run's"
@@ -213,23 +209,19 @@ def _key_of_content(run: dict[str, Any], job: dict[str, Any]) -> str | None:
 def run_key(path: Path) -> str | None:
     """Key of the run in a folder, which each of its tables' files carries.
 
-    It stands in the manifest and follows from job.toml and run.json. Where the two contradict each
-    other, the files of several runs lie in one folder. The key is None where there is no run yet,
-    or where its start was cut short.
-
-    Raises
-    ------
-    StoreError
-        The run is of another schema version; or the manifest has the key of another run, or none.
+    It stands in the manifest and follows from job.toml and run.json. If the two contradict each
+    other, the files of several runs lie in one folder. The key is None if there is no run yet, or
+    if its start was cut short. Raises `StoreError` if the run has another schema version, or if the
+    manifest has the key of another run, or none.
     """
     manifest = Manifest(path)
     if manifest.exists() and not is_plain_file(path / MANIFEST):
         check_version_of(path)  # up to version 2 the manifest was a folder
-        return None  # as of every strange entry: it is named before any file is read
-    kept, own = manifest.kept_key(), own_key(path)
-    if kept is not None and own in (None, kept):
-        return kept
-    if kept is None:
+        return None  # a strange entry, which `check_entries` names before any file is read
+    key, own = manifest.kept_key(), own_key(path)
+    if key is not None and own in (None, key):
+        return key
+    if key is None:
         check_version_of(path)
         if own is None and not (path / "run.json").exists():
             return None
@@ -240,7 +232,7 @@ def run_key(path: Path) -> str | None:
             )
     given = f"the key {own}, which job.toml and run.json give" if own else "the run's key"
     raise StoreError(
-        f"{path / MANIFEST} must hold {given}, got {kept or 'none'}: files of another run may lie "
+        f"{path / MANIFEST} must hold {given}, got {key or 'none'}: files of another run may lie "
         f"here; `pfdist repair {path}` moves them to quarantine"
     )
 

@@ -1,4 +1,9 @@
-"""Writes files so that a reader sees the whole file or no file."""
+"""Writes files so that a reader sees the whole file or no file.
+
+A file is written under a temporary name, flushed, and renamed; then the folder is flushed. A kill
+before the renaming leaves a temporary file, which the next start removes (`sweep`). After a power
+cut the new name never stands for an empty file, because its content was flushed before.
+"""
 
 import contextlib
 import hashlib
@@ -35,7 +40,7 @@ def writing(action: str, path: Path, temporary: Path | None = None) -> Iterator[
         yield
     except OSError as error:
         if temporary is not None:
-            with contextlib.suppress(OSError):  # else it is swept at the next start
+            with contextlib.suppress(OSError):  # the next start removes it in that case
                 temporary.unlink(missing_ok=True)
         raise StoreError(
             f"cannot {action} {path}: {error.strerror or error}; what was committed is kept, "
@@ -45,13 +50,7 @@ def writing(action: str, path: Path, temporary: Path | None = None) -> Iterator[
 
 @dataclass(frozen=True)
 class Prepared:
-    """A file that was written and flushed to disk, and has only a temporary name.
-
-    Parameters
-    ----------
-    temporary : Path
-    sha256 : str
-    """
+    """A file that was written and flushed to disk, and has only a temporary name."""
 
     temporary: Path
     sha256: str
@@ -79,7 +78,7 @@ def prepare_table(folder: Path, table: pa.Table) -> Prepared:
 
 
 def give_name(prepared: Prepared, path: Path) -> None:
-    """Give a file its final name, in one atomic step; a file already there gives way."""
+    """Rename a file to its final name, in one atomic step; it replaces a file that is there."""
     with writing("write", path, prepared.temporary):
         prepared.temporary.replace(path)
         _flush(path.parent, os.O_RDONLY)
@@ -91,11 +90,14 @@ def write_file(path: Path, write: Callable[[Path], Any]) -> None:
 
 
 def add_lines(path: Path, lines: list[str]) -> None:
-    """Append lines to a text file, and flush it. A kill may cut the last line short."""
+    """Append lines to a text file, and flush it.
+
+    A kill may cut the last line short. The next lines begin on a new line, so no other is damaged.
+    """
     with writing("write", path):
         is_new = not path.exists()
         _make_folder(path.parent)
-        # The first line break ends a line that was cut short.
+        # The first line break ends a line that a kill cut short.
         append_text(path, "\n" + "".join(f"{line}\n" for line in lines))
         _flush(path, os.O_RDWR)
         if is_new:
@@ -128,24 +130,21 @@ def move(path: Path, other: Path) -> None:
 
 
 def digest(path: Path) -> str:
-    """SHA-256 of a file.
-
-    Raises
-    ------
-    OSError
-        It is not there, or cannot be read.
-    """
+    """SHA-256 of a file; raises `OSError` if it is not there, or cannot be read."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def is_temporary(path: Path) -> bool:
-    """Whether a name is that of an unfinished file."""
+    """Whether a path is that of an unfinished file."""
     return _TEMPORARY.fullmatch(path.name) is not None
 
 
 def sweep(folder: Path) -> None:
-    """Remove unfinished files of killed processes of this machine below a folder."""
+    """Remove unfinished files of killed processes of this machine below a folder.
+
+    A process of another machine may still be at work, so its files stay.
+    """
     for temporary in folder.rglob(".*.tmp"):
         owner = _TEMPORARY.fullmatch(temporary.name)
         if owner and owner["host"] == _host() and not _alive(int(owner["process"])):
@@ -153,28 +152,18 @@ def sweep(folder: Path) -> None:
 
 
 def check_replaceable(path: Path, is_earlier: Callable[[Path], bool]) -> None:
-    """Raise an error unless a file is missing, or is an earlier result of this kind.
+    """Raise a `StoreError` unless a file is missing, or is an earlier result of this kind.
 
-    A result beside a user's own files replaces an earlier result, and no other file.
-
-    Parameters
-    ----------
-    path : Path
-    is_earlier : callable
-        Says whether a plain file is an earlier result.
-
-    Raises
-    ------
-    StoreError
-        Another file, or a link, has this name.
+    A result beside a user's own files replaces an earlier result, and no other file and no link.
+    `is_earlier` says whether a plain file is an earlier result.
     """
     if not os.path.lexists(path):
         return
     try:
-        known = path.is_file() and not path.is_symlink() and is_earlier(path)
+        is_result = path.is_file() and not path.is_symlink() and is_earlier(path)
     except OSError:
-        known = False  # nobody can tell
-    if not known:
+        is_result = False  # it cannot be read, so it may be anything
+    if not is_result:
         raise StoreError(f"{path} exists and is no earlier result: move it out of the way")
 
 
@@ -182,7 +171,7 @@ def _make_folder(folder: Path) -> None:
     if not folder.is_dir():
         _make_folder(folder.parent)
         folder.mkdir(exist_ok=True)
-        if folder.stat().st_mode & 0o700 != 0o700:  # nobody could use what it holds, or remove it
+        if folder.stat().st_mode & 0o700 != 0o700:  # its files could not be read or removed
             folder.rmdir()
             raise PermissionError("the umask of this process denies its owner access")
         _flush(folder.parent, os.O_RDONLY)
@@ -197,7 +186,7 @@ def _alive(process: int) -> bool:
         os.kill(process, 0)
     except ProcessLookupError:
         return False
-    except OSError:  # somebody else's
+    except OSError:  # a process of another user
         return True
     return True
 

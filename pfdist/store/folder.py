@@ -1,7 +1,8 @@
 """The entries of a run's folder, and which folders hold a run; no file of a run is read here.
 
-A run's folder may come from anywhere, in an archive for instance, which keeps links. A link would
-lead out of the folder, and opening a pipe would wait for ever: so neither is ever opened.
+A run's folder may come from anywhere, for instance from an archive, which keeps links. A link would
+lead out of the folder, and opening a pipe would wait for ever: neither is ever opened. So a caller
+checks the entries (`check_entries`, `strange_entries`) before it opens the first file.
 """
 
 import os
@@ -22,8 +23,8 @@ FORMATS = ("png", "svg")
 
 MISSING = "is missing"
 _FILES = (*ABOUT, ".lock", MANIFEST, REPORT)
-_FOLDERS = ("parts", "tables", QUARANTINE, FIGURES_FOLDER)  # other names are the user's
-_TABLES_DEEP = 2  # tables/<table>/ and parts/<table>/ hold files alone
+_FOLDERS = ("parts", "tables", QUARANTINE, FIGURES_FOLDER)  # entries of other names are the user's
+_TABLES_DEEP = 2  # tables/<table>/ and parts/<table>/ hold only files
 # A start that was cut short, and a run that has lost its run.json, have these.
 _TRACES = ({"job.toml", MANIFEST}, {"tables", MANIFEST})
 _MARK = b'<meta name="generator" content="pfdist">'
@@ -31,29 +32,32 @@ _START = 1024  # bytes of a report in which the mark stands
 
 
 def holds_run(path: Path) -> bool:
-    """Whether a folder holds a run, which has a run.json."""
+    """Whether a folder holds a run, which has a run.json.
+
+    A start writes job.toml first, and run.json last. So a start that was cut short has no run.json.
+    """
     with reading(path):
         return (path / "run.json").exists()
 
 
-def is_kept_job(job_file: Path) -> bool:
-    """Whether a job file is the job.toml that a run keeps in its folder."""
+def is_job_of_run(job_file: Path) -> bool:
+    """Whether a job file is the job.toml in the folder of a run."""
     return job_file.name == "job.toml" and _has_run_json(job_file.parent)
 
 
 def folder_of_run(job_file: Path) -> Path:
     """Folder of a job's run: results/NAME for NAME.toml.
 
-    The run of a kept job.toml is the run that keeps it.
+    A job.toml that a run keeps belongs to the run in its folder.
     """
-    if not is_kept_job(job_file):
+    if not is_job_of_run(job_file):
         return Path("results") / job_file.stem
     folder = job_file.parent
     return folder if folder.name not in ("", "..") else Path(os.path.abspath(folder))
 
 
 def no_run(path: Path, lacking: str = "run.json") -> StoreError:
-    """Make the error of a folder that lacks a file of a run; it names a run that may be meant."""
+    """The error for a folder that lacks a file of a run; it names a run that may be meant."""
     if path.suffix == ".toml" and path.is_file():
         run = folder_of_run(path)
         return StoreError(f"a run must be a folder, got the job file {path}: its run is {run}")
@@ -66,7 +70,7 @@ def _has_run_json(path: Path) -> bool:
 
 
 def is_plain_file(path: Path) -> bool:
-    """Whether a path is a plain file; nothing else is opened."""
+    """Whether a path is a plain file; nothing else is ever opened."""
     try:
         return stat.S_ISREG(os.lstat(path).st_mode)
     except OSError:
@@ -101,32 +105,22 @@ def figures_in(path: Path) -> Iterator[Path]:
 
 @dataclass(frozen=True)
 class Damage:
-    """A file that is not what was committed.
+    """A file that is not what was committed."""
 
-    Parameters
-    ----------
-    path : Path
-        Relative to the run's folder.
-    what : str
-        The damage.
-    """
-
-    path: Path
-    what: str
+    path: Path  # relative to the run's folder
+    what: str  # the damage
 
     @property
     def is_missing(self) -> bool:
-        """Whether the file is not there, so that nothing has to be moved: the job makes it."""
+        """Whether the file is not there: nothing has to be moved, and the job makes it again."""
         return self.what == MISSING
 
 
 def strange_entries(folder: Path) -> Iterator[Damage]:
     """Links, pipes, devices, and folders in place of files. Links are not followed.
 
-    Raises
-    ------
-    StoreError
-        A folder cannot be listed.
+    Each folder is looked at before its entries are listed. Raises `StoreError` if one cannot be
+    listed.
     """
     for name in (*_FILES, *_FOLDERS):
         path = folder / name
@@ -137,7 +131,7 @@ def strange_entries(folder: Path) -> Iterator[Damage]:
                 continue
         if wrong := _wrong(mode, file=name in _FILES, folder=name in _FOLDERS):
             yield Damage(Path(name), wrong)
-        elif stat.S_ISDIR(mode) and name != QUARANTINE:  # what lies in there is never opened
+        elif stat.S_ISDIR(mode) and name != QUARANTINE:  # files in quarantine are never opened
             yield from _strange_below(folder, Path(name))
 
 
@@ -156,7 +150,7 @@ def _strange_below(folder: Path, relative: Path) -> Iterator[Damage]:
         try:
             entries = sorted(os.scandir(folder / relative), key=lambda entry: entry.name)
             modes = [entry.stat(follow_symlinks=False).st_mode for entry in entries]
-        except FileNotFoundError:  # published or removed meanwhile
+        except FileNotFoundError:  # a driver published meanwhile: it works on this folder now
             return
     holds_files = relative.parts[0] in ("parts", "tables") and len(relative.parts) == _TABLES_DEEP
     for entry, mode in zip(entries, modes, strict=True):
@@ -182,20 +176,10 @@ def _wrong(mode: int, *, file: bool = False, folder: bool = False) -> str:
 def runs_below(folder: Path, depth: int) -> Iterator[Path]:
     """Yield the folders of runs, in the order of their names; numbers are ordered as numbers.
 
-    Links are not followed, and hidden folders are skipped. So are folders within a run. A folder
-    below that cannot be listed is yielded as if it held a run: whoever opens it is told why.
-
-    Parameters
-    ----------
-    folder : Path
-        If it holds a run, it is the only one.
-    depth : int
-        How many levels of folders below this one are looked into.
-
-    Raises
-    ------
-    StoreError
-        The folder itself cannot be listed.
+    A folder that holds a run is the only one, because folders within a run are skipped. So are
+    hidden folders, links, and folders more than `depth` levels below this one. A folder below that
+    cannot be listed is yielded as if it held a run: opening it says why. Raises `StoreError` if the
+    folder itself cannot be listed.
     """
     with reading(folder, "list"):
         entries = _listed(folder)
@@ -224,30 +208,22 @@ def _listed(folder: Path) -> dict[str, bool]:
 
 @dataclass(frozen=True)
 class Extent:
-    """How large a folder is, and when it changed last.
+    """How large a folder is, and when it changed last."""
 
-    Parameters
-    ----------
-    bytes : int
-        Sum of the lengths of all files.
-    changed : float
-        Seconds since 1970 at which the newest file or folder changed.
-    """
-
-    bytes: int
-    changed: float
+    bytes: int  # sum of the lengths of all files
+    changed: float  # seconds since 1970 at which the newest file or folder changed
 
 
 def extent(folder: Path) -> Extent:
-    """Measure a folder with all that lies in it; links count as themselves.
+    """The extent of a folder with everything in it; links count as themselves.
 
     Entries that cannot be read, or that vanish meanwhile, are left out.
     """
     total, changed, waiting = 0, 0.0, [os.fspath(folder)]
     while waiting:
         try:
-            with os.scandir(waiting.pop()) as found:
-                entries = list(found)
+            with os.scandir(waiting.pop()) as listing:
+                entries = list(listing)
         except OSError:
             continue
         for entry in entries:

@@ -27,15 +27,9 @@ _NO_LOCKS = {errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP}
 def held(folder: Path) -> Iterator[None]:
     """Hold the lock of a run's folder; the lock ends with this process, however it ends.
 
-    If the file system has no locks, nobody is refused. Two drivers then commit the same bytes under
-    the same names, and only do everything twice.
-
-    Raises
-    ------
-    BusyError
-        Another driver holds it; the error says who, and since when.
-    StoreError
-        It cannot be written to.
+    If the file system has no locks, every driver may go on. Two drivers then commit the same bytes
+    under the same names, and only do everything twice. Raises `BusyError` if another driver holds
+    the lock; the error says who, and since when.
     """
     files.make_folder(folder)
     with files.writing("lock", folder):
@@ -67,14 +61,9 @@ def try_lock(path: Path) -> None:
 
 
 def _opened(folder: Path, mode: int) -> int:
-    """Open the lock's file, but neither a link's target nor a pipe, which would wait.
+    """Descriptor of the lock's file; neither a link's target nor a pipe is opened.
 
-    Raises
-    ------
-    StoreError
-        It is not a plain file.
-    OSError
-        It cannot be opened.
+    Raises `StoreError` if it is not a plain file, and `OSError` if it cannot be opened.
     """
     path = folder / _LOCK
     try:

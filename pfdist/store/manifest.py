@@ -8,8 +8,11 @@ A file under ``parts/`` has its SHA-256 in its name. All others have lines in ``
     gone <path> <SHA-256>       a file that is not expected any more
 
 A line is appended and never changed, because drivers that no lock keeps apart may write at the same
-time. A line that a kill cut short means nothing. Between ``next`` and ``now`` a file may be the new
-one, the one before, or not be there yet.
+time. A line that a kill cut short means nothing.
+
+A kill between ``next`` and ``now`` does no harm: the file may be the new one, the one before, or
+not be there yet. Without ``next``, a file that has just got its name would look damaged. Without
+``now``, the content before would be accepted for ever, and a lost file would not be missed.
 """
 
 import errno
@@ -32,24 +35,19 @@ from pfdist.store.folder import (
 from pfdist.store.tables import rows_and_run
 
 _TABLE = r"tables/[a-z_]+/[a-z][a-z0-9_.]*-\d{5}\.parquet"
-# No other path: whoever changed the manifest could have any file moved to quarantine.
+# No other path: otherwise a changed manifest could have any file moved to quarantine.
 _LINE = re.compile(
     rf"(next|now|gone) (job\.toml|run\.json|{_TABLE}) ([0-9a-f]{{64}})|run ([0-9a-f]{{16}})"
 )
 _PART = re.compile(r"parts/.*\.([0-9a-f]{64})\.parquet", re.DOTALL)
-_UNKNOWN = "0" * 64
+_UNKNOWN = "0" * 64  # SHA-256 of no file: for a file that is expected, whatever its content was
 _PUBLISHED = re.compile(_TABLE)
 
 
 class Manifest:
     """The expected contents of the files of one run.
 
-    Parameters
-    ----------
-    folder : Path
-        The run's.
-    run_key : str, optional
-        The key that every file of a table must carry.
+    Every file of a table must carry the key of the run; None: it must carry none.
     """
 
     def __init__(self, folder: Path, run_key: str | None = None) -> None:
@@ -60,24 +58,28 @@ class Manifest:
         return os.path.lexists(self.folder / MANIFEST)
 
     def kept_key(self) -> str | None:
-        """The key of the run; None if the manifest has none."""
+        """The key of the run, by the last such line; None if the manifest has none."""
         keys = [key for *_, key in self._lines() if key]
         return keys[-1] if keys else None
 
     def keep_key(self, key: str) -> None:
-        """Record the key of the run."""
+        """Record the key of the run, if the manifest does not have it."""
         if self.kept_key() != key:
             self._add([f"run {key}"])
 
     def give_name(self, prepared: files.Prepared, path: Path) -> None:
-        """Give a prepared file its name, and record what it holds, before and after."""
+        """Rename a prepared file to its final name, and record its content before and after.
+
+        The content is announced first: a reader or a restart that finds the new file finds it
+        announced.
+        """
         what = f"{path.relative_to(self.folder)} {prepared.sha256}"
         self._add([f"next {what}"])
         files.give_name(prepared, path)
         self._add([f"now {what}"])
 
     def confirm(self, path: Path) -> None:
-        """Record what a file holds, if a kill prevented it before."""
+        """Record the content of a file as committed, if a kill prevented it before."""
         name = path.relative_to(self.folder)
         with files.reading(path):
             sha256 = files.digest(path)
@@ -85,7 +87,11 @@ class Manifest:
             self._add([f"{word} {name} {sha256}" for word in ("next", "now")])
 
     def forget_lost(self) -> None:
-        """Expect missing files no more, after everything that can be made was made again."""
+        """Expect missing files no more.
+
+        The caller has made everything again that can be made. Before that, a line ``gone`` would
+        hide a file that the next start must still compute.
+        """
         self._add([f"gone {path} {_UNKNOWN}" for path in self.lost()])
 
     def lost(self) -> list[Path]:
@@ -95,42 +101,42 @@ class Manifest:
     def expected(self) -> dict[Path, dict[str, bool]]:
         """The contents that each file may have, and whether it had them once.
 
-        Files are named by their paths relative to the run's folder, contents by their SHA-256.
+        Files are named by their paths relative to the run's folder, contents by their SHA-256. The
+        contents are in the order of their lines. False: the content was only announced, so it need
+        not be there.
         """
-        found: dict[Path, dict[str, bool]] = {}
+        contents_of_files: dict[Path, dict[str, bool]] = {}
         for word, name, sha256, _ in self._lines():
             if not name:
                 continue
-            contents = found.setdefault(Path(name), {})
+            contents = contents_of_files.setdefault(Path(name), {})
             if word == "gone":
-                del found[Path(name)]
-            elif word == "next":  # the last one from here on, as `now` needs it
+                del contents_of_files[Path(name)]
+            elif word == "next":  # moved to the end: `now` ends all contents announced before it
                 contents[sha256] = contents.pop(sha256, False)
             else:
-                # Another driver may have announced contents since then: they may be there, too.
+                # Another driver may have announced contents since this one: they stay possible.
                 since = list(contents)
                 for former in since[: since.index(sha256) if sha256 in since else 0]:
                     del contents[former]
                 contents.pop(sha256, None)
                 contents[sha256] = True
-        return found
+        return contents_of_files
 
     def damages(self) -> Iterator[Damage]:
-        """Read every file of the run and give those that are not what was committed.
+        """Read every file of the run and yield those that are not what was committed.
 
-        Where the folder holds strange entries (see `pfdist.store.folder`), these alone are given:
-        nothing is read past them.
-
-        Raises
-        ------
-        StoreError
-            A file cannot be read.
+        If the folder holds strange entries (see `pfdist.store.folder`), only these are yielded:
+        nothing is read past them. Raises `StoreError` if a file cannot be read.
         """
         if strange := list(strange_entries(self.folder)):
             yield from strange
             return
         present = {file.relative_to(self.folder) for file in self._files()}
-        expected = self.expected()  # after the files: each was announced before it was there
+        # The files are listed before the manifest is read, never after: each file was announced
+        # before it was there. So a file that a driver publishes meanwhile is announced, or not
+        # listed.
+        expected = self.expected()
         for path in sorted(present | expected.keys()):
             if path not in present:
                 if any(expected[path].values()):
@@ -139,15 +145,19 @@ class Manifest:
                 yield Damage(path, wrong)
 
     def quarantine(self, damage: Damage) -> Path | None:
-        """Move a damaged file out of the way, never delete it; give its new place, if it was there.
+        """The new place of a damaged file, which is moved, never deleted; None if it was missing.
 
-        It is expected from now on, if it is one that the run could have made.
+        If it is a published file, the manifest expects it from now on, so the next start makes it
+        again. Raises `StoreError` if the entry is the manifest or the quarantine, out of which
+        nothing is moved.
         """
         path, folder = self.folder / damage.path, self.folder / QUARANTINE / damage.path.parent
         if not os.path.lexists(path):
             return None
         if damage.path.parts[0] in (MANIFEST, QUARANTINE):
             raise StoreError(f"{path} {damage.what}: pfdist moves nothing out of it; remove it")
+        # Expected first, moved then. A kill in between leaves a file of unknown content, which is
+        # still damage. In the other order, a file that was never announced would not be missed.
         if _PUBLISHED.fullmatch(damage.path.as_posix()):
             self._add([f"now {damage.path} {_UNKNOWN}"])
         place, number = folder / path.name, 1
@@ -157,18 +167,18 @@ class Manifest:
         return place
 
     def _wrong(self, path: Path, expected: Iterable[str]) -> str:
-        """Say what is wrong with an existing file; empty if nothing is wrong."""
-        known = {sha256 for sha256 in expected if sha256 != _UNKNOWN}
-        if not known:
+        """The fault of an existing file; empty if nothing is wrong."""
+        possible = {sha256 for sha256 in expected if sha256 != _UNKNOWN}
+        if not possible:
             return "is not a file of this run"
         try:
-            if files.digest(self.folder / path) not in known:
+            if files.digest(self.folder / path) not in possible:
                 return "is not what was committed: its SHA-256 differs"
             return self._wrong_table(path) if path.suffix == ".parquet" else ""
-        except FileNotFoundError:  # published meanwhile
+        except FileNotFoundError:  # a part that was published meanwhile
             return ""
         except OSError as error:
-            if error.errno != errno.EIO:  # the disk's fault, and not that of who asks
+            if error.errno != errno.EIO:  # only EIO is the disk's fault, and so damage
                 raise StoreError(f"cannot read {path}: {error.strerror}") from error
             return f"cannot be read: {error.strerror}"
 
@@ -193,8 +203,8 @@ class Manifest:
         with files.reading(path):
             text = path.read_text(encoding="utf-8", errors="replace")
         for line in text.splitlines():
-            if found := _LINE.fullmatch(line):
-                word, name, sha256, key = found.groups(default="")
+            if match := _LINE.fullmatch(line):
+                word, name, sha256, key = match.groups(default="")
                 yield word, name, sha256, key
 
     def _files(self) -> Iterator[Path]:

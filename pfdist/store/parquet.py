@@ -41,23 +41,17 @@ from pfdist.store.tables import (
 
 ROWS_IN_A_FILE = {"draws": 1_000_000, "comparison": 50_000, "error_sums": 200}
 _MANY = 1_000_000_000  # rows of the other tables: one file a phase
-_ATTEMPTS, _PAUSE_SECONDS = 50, 0.02  # another driver may be publishing what is read
-Found = TypeVar("Found")
+_ATTEMPTS, _PAUSE_SECONDS = 50, 0.02  # another driver may be publishing the files that are read
+Value = TypeVar("Value")
 
 
 class Store:
     """Tables of one run, to be read and written.
 
-    Parameters
-    ----------
-    path : Path
-        The run's folder.
-    run_key : str, optional
-        The run that every file must belong to; that of the folder, unless it is given.
-    clock : ClockColumns, optional
-        The clock of the run. Callers hand over instants, and the tables hold times on the clock.
+    Every file must belong to the run with this key, or to that of the folder if no key is given.
+    With a clock, callers hand over instants, and the tables hold times on the clock.
 
-    Every reading raises a `StoreError` where a file cannot be read, is of another schema version,
+    Every reading raises a `StoreError` if a file cannot be read, has another schema version,
     belongs to another run, or is a published file without rows.
     """
 
@@ -68,11 +62,11 @@ class Store:
         self._run_key = run_key or folder_key(path)
         self._clock = clock
         self.manifest = Manifest(path, self._run_key)
-        # Files of the draws table by evaluation; None until somebody asks for them.
+        # Files of the draws table by evaluation; None until they are needed.
         self._holders: dict[str, set[Path]] | None = None
 
     def timed(self, rows: pa.Table) -> pa.Table:
-        """Rows with times on the clock of the run in the place of instants."""
+        """Rows with times on the clock of the run in place of instants."""
         return rows if self._clock is None else self._clock.table(rows)
 
     def own_schema(self, schema: pa.Schema) -> pa.Schema:
@@ -86,32 +80,21 @@ class Store:
     def commit(self, table: str, phase: str, key: str, rows: pa.Table) -> None:
         """Commit rows of a phase; committing the same rows again changes nothing.
 
-        Parameters
-        ----------
-        table : str
-        phase : str
-        key : str
-            Identifies the rows.
-        rows : pyarrow.Table
+        The key identifies the rows. The file gets its name in one step: before it nothing is
+        committed, and after it all rows are.
         """
         folder = self.path / "parts" / table
         prepared = files.prepare_table(folder, self._prepared(rows))
         path = folder / f"{phase}-{key}.{prepared.sha256}.parquet"
-        files.give_name(prepared, path)  # where it is already, it holds the same
+        files.give_name(prepared, path)  # a file with this name has the same content
         if table == "draws":
             self._note_holder(path, rows)
 
     def publish(self, table: str, phase: str, pieces: Iterable[pa.Table]) -> None:
         """Write all rows of a phase as files of its table, and remove the phase's parts.
 
-        If the process dies meanwhile, parts remain, and the next call writes the same files.
-
-        Parameters
-        ----------
-        table : str
-        phase : str
-        pieces : iterable of pyarrow.Table
-            All rows of the phase in their order, in pieces of any sizes.
+        The pieces have all rows of the phase in their order, in any sizes. If the process dies
+        meanwhile, parts remain, and the next call writes the same files.
         """
         for number, rows in enumerate(cut_rows(pieces, ROWS_IN_A_FILE.get(table, _MANY))):
             path = self.path / "tables" / table / f"{phase}-{number:05d}.parquet"
@@ -119,70 +102,61 @@ class Store:
             self.manifest.give_name(prepared, path)
             if table == "draws":
                 self._note_holder(path, rows)
-        gone = self._parts(table, phase)
-        for path in gone:
+        # All files are there before the first part goes: every row is in a file at any instant.
+        parts = self._parts(table, phase)
+        for path in parts:
             files.remove(path)
         for holders in (self._holders or {}).values():
-            holders.difference_update(gone)
+            holders.difference_update(parts)
 
     def _prepared(self, rows: pa.Table) -> pa.Table:
-        """Rows as files hold them."""
+        """Rows in the form in which files hold them."""
         return signed(self.timed(rows), self._run_key)
 
     def settle(self, table: str, phase: str) -> None:
-        """Publish all rows that a phase has committed so far, sorted by key, if it has parts."""
+        """Publish all committed rows of a phase, sorted by key, if it has parts."""
         if self.has_parts(table, phase):
             self.publish(table, phase, [unique(self._load(table, phase), KEYS[table])])
 
     def renew(self, table: str, phase: str, rows: pa.Table) -> None:
-        """Publish rows beside the published rows of a phase, and in the place of the same keys."""
-        pieces = [self.timed(rows), *self._load(table, phase)]
+        """Publish rows beside the published rows of a phase; they replace rows of the same keys."""
+        pieces = [self.timed(rows), *self._load(table, phase)]  # the first row of a key stays
         self.publish(table, phase, [unique(pieces, KEYS[table])])
 
     def read(self, table: str, draws: int | None = None, phase: str = "") -> pd.DataFrame:
-        """Read a table, parts and published files as one, sorted by key.
+        """A table, parts and published files as one, sorted by key.
 
-        Parameters
-        ----------
-        table : str
-        draws : int, optional
-            Only so many first draws.
-        phase : str, optional
-            Only the rows of a phase.
+        It may be limited to the first draws, or to the rows of a phase.
         """
-        wanted = None if draws is None else pc.field("draw") < draws
-        pieces = self._load(table, phase, filters=wanted)
+        condition = None if draws is None else pc.field("draw") < draws
+        pieces = self._load(table, phase, filters=condition)
         if not pieces:
             raise StoreError(f"the run {self.path} has no table {table!r} yet")
         frame: pd.DataFrame = pd.concat([frame_of(piece) for piece in pieces])
         return frame.drop_duplicates(KEYS[table]).sort_values(KEYS[table], ignore_index=True)
 
     def compared(self) -> pd.DataFrame:
-        """Read the table of the compared sets, and check their names.
+        """The table of the compared sets, whose names are checked.
 
-        The names become parts of the names of columns and files.
-
-        Raises
-        ------
-        StoreError
-            A name is not one that a job could have given; or as any reading.
+        The names become parts of the names of columns and files. Raises `StoreError` if a name is
+        not one that a job could have given.
         """
         rows = self.read("compared")
         check_names(rows["name"], self.path / "tables" / "compared")
         return rows
 
     def compared_names(self) -> list[str]:
-        """Read the names of the compared sets, the reference first; errors as `compared`."""
+        """The names of the compared sets, the reference first."""
         return [str(name) for name in self.compared()["name"]]
 
     def compared_sets(self) -> dict[str, tuple[int, ...]]:
-        """Read the compared sets by name, the reference first; times are those of the clock."""
+        """The compared sets by name, the reference first; times are those of the clock."""
         rows = self.compared()
         times = [tuple(each.tolist()) for each in rows["measurement_times"]]
         return dict(zip(map(str, rows["name"]), times, strict=True))
 
     def has(self, table: str, phase: str = "") -> bool:
-        """Whether anything of a table, or of a phase in it, was committed."""
+        """Whether rows of a table, or of a phase in it, were committed."""
         return bool(self._files(table, phase))
 
     def has_parts(self, table: str = "*", phase: str = "*", without: tuple[str, ...] = ()) -> bool:
@@ -202,7 +176,7 @@ class Store:
     def blocks(
         self, table: str, column: str, rows: int, last: int | None = None
     ) -> Iterator[pa.Table]:
-        """Give the rows whose column lies in 0..last-1, or all, in blocks of so many values.
+        """Yield the rows whose column lies in 0..last-1, or all, in blocks of so many values.
 
         The rows of a block are sorted and unique; empty blocks are skipped. Only the files that
         reach into a block are read, so memory does not grow with the table.
@@ -227,56 +201,50 @@ class Store:
                 yield block
 
     def pieces(self, table: str, columns: list[str]) -> Iterator[pa.Table]:
-        """Some columns of a table, a file at a time; rows may come twice."""
+        """Yield some columns of a table, a file at a time; rows may come twice."""
         for path in self._files(table):
             yield self._read(path, columns)
 
     def present(self, table: str, column: str, without: Container[Path] = ()) -> NDArray[np.bool_]:
-        """Whether each value 0..largest occurs in a column of counts.
-
-        Parameters
-        ----------
-        table, column : str
-        without : container of Path
-            Files that are not looked at.
-        """
+        """Whether each value 0..largest occurs in a column of counts, in all files but some."""
 
         def look() -> NDArray[np.bool_]:
-            found = np.zeros(0, np.bool_)
+            occurs = np.zeros(0, np.bool_)
             for path in self._files(table):
                 if path not in without:
                     values = self._read(path, [column])[column].to_numpy()
-                    found = np.pad(found, (0, max(0, int(values.max(initial=-1)) + 1 - found.size)))
-                    found[values] = True
-            return found
+                    occurs = np.pad(
+                        occurs, (0, max(0, int(values.max(initial=-1)) + 1 - occurs.size))
+                    )
+                    occurs[values] = True
+            return occurs
 
         return self._again(look)
 
     def per_draw(self, evaluations: Sequence[str]) -> pa.Table:
         """Rows of the draws table of these evaluations, in their order and by draw, each once."""
         ids = list(evaluations)
-        wanted = pc.field("evaluation").isin(ids)
+        condition = pc.field("evaluation").isin(ids)
 
         def look() -> list[pa.Table]:
-            paths = sorted(set[Path]().union(*(self._found_holders().get(id_, ()) for id_ in ids)))
-            return [self._read(path, filters=wanted) for path in paths]
+            paths = sorted(
+                set[Path]().union(*(self._files_by_evaluation().get(id_, ()) for id_ in ids))
+            )
+            return [self._read(path, filters=condition) for path in paths]
 
-        found = self._again(look)
-        if not found:
+        pieces = self._again(look)
+        if not pieces:
             return schema("draws").empty_table()
-        rows = pa.concat_tables(found)
+        rows = pa.concat_tables(pieces)
         place = pc.index_in(rows["evaluation"], pa.array(ids)).to_numpy()
         draw = rows["draw"].to_numpy()
         order = np.lexsort((draw, place))
         return rows.take(order[first_occurrences(place[order], draw[order])])
 
     def evaluations(self, *tables: str) -> dict[str, int]:
-        """Number of committed rows of each evaluation; a row that is found twice counts twice.
+        """Number of committed rows of each evaluation; a row in two files counts twice.
 
-        Parameters
-        ----------
-        tables : str
-            Where to look; ``draws`` and ``error_sums`` unless they are given.
+        By default, those of the tables ``draws`` and ``error_sums``.
         """
 
         def look() -> dict[str, int]:
@@ -291,8 +259,8 @@ class Store:
 
     def sums(self, evaluation: str, blocks: int) -> pa.Table:
         """Rows of the table of sums of one evaluation, for its first blocks of draws, in order."""
-        wanted = (pc.field("evaluation") == evaluation) & (pc.field("block") < blocks)
-        pieces = [schema("error_sums").empty_table(), *self._load("error_sums", filters=wanted)]
+        condition = (pc.field("evaluation") == evaluation) & (pc.field("block") < blocks)
+        pieces = [schema("error_sums").empty_table(), *self._load("error_sums", filters=condition)]
         return unique(pieces, KEYS["error_sums"])
 
     def _parts(self, table: str, phase: str) -> list[Path]:
@@ -300,7 +268,7 @@ class Store:
 
     def _files(self, table: str, phase: str = "") -> list[Path]:
         pattern = f"{phase}-*.parquet" if phase else "[!.]*.parquet"
-        # Parts are listed first, so a row that is published meanwhile is seen twice, not never.
+        # Parts are listed first: a row that is published meanwhile is read twice, never missed.
         parts = sorted((self.path / "parts" / table).glob(pattern))
         tables = sorted((self.path / "tables" / table).glob(pattern))
         return tables + parts
@@ -311,7 +279,7 @@ class Store:
         phase: str = "",
         filters: pc.Expression | None = None,
     ) -> list[pa.Table]:
-        """Read all files of a table, or those of one phase."""
+        """Contents of all files of a table, or of those of one phase."""
         return self._again(
             lambda: [self._read(path, filters=filters) for path in self._files(table, phase)]
         )
@@ -325,8 +293,8 @@ class Store:
                 spans.append((path, int(values.min()), int(values.max())))
         return spans
 
-    def _again(self, look: Callable[[], Found]) -> Found:
-        """Read files, and start again if another driver published a file meanwhile."""
+    def _again(self, look: Callable[[], Value]) -> Value:
+        """The value of a function that reads files; it starts again if a file was published."""
         for _ in range(_ATTEMPTS):
             try:
                 return look()
@@ -338,7 +306,7 @@ class Store:
     def _between(
         self, spans: list[tuple[Path, int, int]], column: str, first: int, last: int
     ) -> pa.Table | None:
-        """Sorted rows whose column lies in first..last-1, each once; None if there is none."""
+        """Sorted rows whose column lies in first..last-1, each once; None if there are none."""
         bounds = (pc.field(column) >= first) & (pc.field(column) < last)
         pieces = [
             # A file within the block is read as it is, which takes a third of the time.
@@ -348,8 +316,8 @@ class Store:
         ]
         if not pieces:
             return None
-        found = pa.concat_tables(pieces).sort_by(column)
-        return found.filter(pa.array(first_occurrences(found[column].to_numpy())))
+        rows = pa.concat_tables(pieces).sort_by(column)
+        return rows.filter(pa.array(first_occurrences(rows[column].to_numpy())))
 
     def _read(
         self,
@@ -362,8 +330,8 @@ class Store:
             raise StoreError(f"{path} has no rows; the job, run again, makes it anew")
         return rows
 
-    def _found_holders(self) -> dict[str, set[Path]]:
-        """Files of the draws table by evaluation, which are read at the first question."""
+    def _files_by_evaluation(self) -> dict[str, set[Path]]:
+        """Files of the draws table by evaluation, which are read when they are first needed."""
         if self._holders is None:
             self._holders = defaultdict(set)
             for path in self._files("draws"):

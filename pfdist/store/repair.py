@@ -13,19 +13,16 @@ from pfdist.store.schema import KEYS
 
 
 def verify_run(path: Path) -> Iterator[Damage]:
-    """Check every byte, row and key of a run.
+    """Every file and row of a run that is wrong: each byte, row and key is checked.
 
     First each file's SHA-256 and key; if all files are what was committed, the keys of the rows.
-
-    Raises
-    ------
-    StoreError
-        The folder holds no run, one of another schema version, or one that is being computed; or a
-        file cannot be read.
+    Raises `StoreError` if the folder holds no run, one of another schema version, or one that is
+    being computed, or if a file cannot be read.
     """
     _check_verifiable(path)
     check_not_held(path)
     store = Store(path)
+    # Rows are read only if every file is what was committed: a damaged table cannot be trusted.
     damages = list(store.manifest.damages())
     yield from damages or _wrong_rows(store)
 
@@ -33,16 +30,18 @@ def verify_run(path: Path) -> Iterator[Damage]:
 def repair_run(path: Path) -> Iterator[str]:
     """Move damaged files to quarantine, and say what the next start will compute.
 
-    Raises
-    ------
-    StoreError
-        As `verify_run`; or another process computes the run, or a file cannot be moved.
+    Errors are those of `verify_run`; or another process computes the run, or a file cannot be
+    moved.
+
+    The order matters: links and pipes go first, because nothing may be read past them. Then the
+    manifest gets the run's own key, without which no file can be said to belong to the run. Then
+    every file is read. A kill at any point leaves a folder that can be repaired again.
     """
     _check_verifiable(path)
     with held(path):
         manifest = Manifest(path)
-        moved = list(_moved(manifest, strange_entries(path)))  # first: no link is read past
-        moved += _with_one_key(path)
+        moved = list(_moved(manifest, strange_entries(path)))
+        moved += _with_own_key(path)
         store = Store(path)
         moved += _moved(store.manifest, store.manifest.damages())
         yield from moved
@@ -51,34 +50,39 @@ def repair_run(path: Path) -> Iterator[str]:
 
 
 def run_again(path: Path) -> str:
-    """Say which command computes what the run in a folder lacks."""
+    """The words that say which command computes the missing parts of a run."""
     job = path / "job.toml"
     return f"run `pfdist run {job}`" if job.is_file() else f"run its job with --results {path}"
 
 
-def _with_one_key(path: Path) -> Iterator[str]:
-    """Make the manifest hold the run's own key, and say what was done."""
+def _with_own_key(path: Path) -> Iterator[str]:
+    """Make the manifest hold the run's own key, and say what was done.
+
+    If neither the manifest nor job.toml and run.json say the key, all files go to quarantine: they
+    may be those of two runs.
+    """
     manifest, own = Manifest(path), own_key(path)
     try:
         run_key(path)
     except StoreError:
-        kept = manifest.kept_key() or "no key"
+        old_key = manifest.kept_key() or "no key"
     else:
         return
     if own is not None:
         manifest.keep_key(own)
-        yield f"manifest held {kept}: it holds {own} now, which job.toml and run.json give"
+        yield f"manifest held {old_key}: it holds {own} now, which job.toml and run.json give"
         return
-    yield f"manifest holds {kept}, and job.toml and run.json do not say which is the run's own"
-    found = [Path(name) for name in ABOUT]
+    yield f"manifest holds {old_key}, and job.toml and run.json do not say which is the run's own"
+    paths = [Path(name) for name in ABOUT]
     for files in ("tables/*/*.parquet", "parts/*/*.parquet"):
-        found += [file.relative_to(path) for file in sorted(path.glob(files))]
-    yield from _moved(manifest, [Damage(file, "may be another run's") for file in found])
-    manifest.forget_lost()  # so that either run may begin here again
+        paths += [file.relative_to(path) for file in sorted(path.glob(files))]
+    yield from _moved(manifest, [Damage(file, "may be another run's") for file in paths])
+    # After all files were moved: until then they are expected. Now either run may begin here again.
+    manifest.forget_lost()
 
 
 def _moved(manifest: Manifest, damages: Iterable[Damage]) -> Iterator[str]:
-    """Move damaged files to quarantine; say what was wrong with each and where it is now."""
+    """Move damaged files to quarantine; yield what was wrong with each and where it is now."""
     for damage in list(damages):
         place = manifest.quarantine(damage)
         moved = f": it is now {place.relative_to(manifest.folder)}" if place else ""
@@ -107,7 +111,7 @@ def _check_verifiable(path: Path) -> None:
 
 
 def _wrong_rows(store: Store) -> Iterator[Damage]:
-    """Keys of rows that are twice there, or lacking."""
+    """Keys of rows that are there twice, or missing."""
     if store.has("evaluations"):
         evaluations = store.read("evaluations")
         if evaluations.duplicated(KEYS["evaluations"]).any():

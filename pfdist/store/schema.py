@@ -18,9 +18,9 @@ from pfdist.common.component_names import Component
 from pfdist.errors import StoreError
 
 SCHEMA_VERSION = 3
-_RELEASES = {1: "0.1", 2: "0.2"}  # that read and write the former schema versions
+_RELEASES = {1: "0.1", 2: "0.2"}  # releases that read and write former schema versions
 RUN_KEY = b"pfdist_run"
-"""Under this name a file's metadata holds the key of the run that wrote it."""
+"""Name in a file's metadata of the key of the run that wrote it."""
 
 FILTERED_PERCENTS = (5, 25, 50, 75, 95)
 """Quantiles, in per cent, in the table of a user's filtered measurements."""
@@ -29,7 +29,7 @@ WINDOW_PERCENTS = (1, 5)
 """Largest losses, in per cent, within the sampling windows of a measurement."""
 
 LABELS = "labels"
-"""Under this name the attributes of a DataFrame hold the labels of its columns."""
+"""Name among the attributes of a DataFrame of the labels of its columns."""
 
 _MSE = "square of z's unit"
 _INSTANTS: Final = ("t", "moved_to", "end", "measurement_times", "path")
@@ -52,15 +52,15 @@ KEYS: dict[str, list[str]] = {
     "sampling_windows": ["position", "t", "moved_to"],
     "jitter": ["position", "percent"],
 }
-"""What identifies a row of each table."""
+"""Columns that identify a row of each table."""
 
 TABLES = tuple(KEYS)
 
 BOUND_PHASE, WHY_PHASE = "bound.proof", "why.measurements"
-"""Start of the phases of lower bounds, and the phase of all that `why` computes."""
+"""Start of the names of phases of lower bounds, and the phase of everything that `why` computes."""
 
 QUESTIONS = (BOUND_PHASE, WHY_PHASE)
-"""Phases of questions about a finished run. It is finished without them. No search is named so."""
+"""Phases of questions about a run, which is finished without them. No search has such a name."""
 
 
 def _column(name: str, kind: pa.DataType, unit: str, description: str) -> pa.Field:
@@ -235,14 +235,10 @@ _SCHEMAS = {
 
 
 def check_schema_version(path: Path, version: object) -> None:
-    """Raise a `StoreError` if a run or a file is of a former or newer schema version.
+    """Raise a `StoreError` if a run or a file has a former or newer schema version.
 
-    Parameters
-    ----------
-    path : Path
-        The run's folder or the file, for the error.
-    version : object
-        As read. If it is no version at all, nothing is raised.
+    `path` is the run's folder or the file, for the error. If the version that was read is no
+    number, nothing is raised.
     """
     if not isinstance(version, int) or version == SCHEMA_VERSION:
         return
@@ -269,7 +265,7 @@ def comparison_schema(names: Sequence[str]) -> pa.Schema:
 
 
 def distance_schema(names: Sequence[str]) -> pa.Schema:
-    """Schema of what the filters' noise adds to the error: a row a draw, a column a set."""
+    """Schema of the errors that the filters' noise adds: a row a draw, a column a set."""
     text = "half the squared distance of two filters' estimates; null: degenerate"
     return _of_sets("filter_distance", "distance", text, names)
 
@@ -344,21 +340,13 @@ def filtered_schema(quantities: Sequence[Component]) -> pa.Schema:
 
 @dataclass(frozen=True)
 class ClockColumns:
-    """Turns columns of instants into columns of times, in the clock's unit.
+    """Turns columns of instants into columns of times, in the clock's unit."""
 
-    Parameters
-    ----------
-    times : tuple of float, (T+1,)
-        The time of each instant.
-    unit : str
-        The unit, for the metadata of the columns.
-    """
-
-    times: tuple[float, ...]
-    unit: str
+    times: tuple[float, ...]  # (T+1,); the time of each instant
+    unit: str  # for the metadata of the columns
 
     def table(self, rows: pa.Table) -> pa.Table:
-        """Table with times in the place of instants; columns of times stay as they are."""
+        """Table with times in place of instants; columns of times stay as they are."""
         clock = np.array(self.times)
         for index, field in enumerate(rows.schema):
             if _holds_instants(field):
@@ -380,7 +368,7 @@ class ClockColumns:
 
 
 def frame_of(table: pa.Table) -> pd.DataFrame:
-    """DataFrame with what the metadata says of the columns.
+    """DataFrame with the unit and the labels that the metadata has for its columns.
 
     If the column t has times on a clock, the DataFrame has the attribute ``time_unit``. If columns
     are those of components with names, it has the attribute ``labels``: names and units by column.

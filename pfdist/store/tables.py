@@ -1,7 +1,7 @@
 """One Parquet file, written and read; and its rows, cut at fixed counts and made unique.
 
-Given a path as text, pyarrow takes ``a:b`` for the address of a file system and refuses names that
-are not UTF-8. So it is given open files, and these are opened by the bytes of their names.
+If a path is text, pyarrow takes ``a:b`` for the address of a file system and refuses names that are
+not UTF-8. So pyarrow gets open files, which are opened by the bytes of their names.
 """
 
 import os
@@ -30,7 +30,7 @@ def write_table(table: pa.Table, path: Path) -> None:
 
 
 def read_schema(path: Path) -> pa.Schema:
-    """Read the schema of a Parquet file."""
+    """The schema of a Parquet file."""
     with pa.OSFile(os.fsencode(path)) as file:
         return pq.read_schema(file)
 
@@ -38,12 +38,8 @@ def read_schema(path: Path) -> pa.Schema:
 def rows_and_run(path: Path) -> tuple[int, str | None]:
     """Number of rows of a file, and the key of the run that wrote it, if the file names one.
 
-    Raises
-    ------
-    FileNotFoundError
-        There is no such file.
-    StoreError
-        The file is not a readable Parquet file.
+    Raises `FileNotFoundError` if there is no such file, and `StoreError` if it is no readable
+    Parquet file.
     """
 
     def read() -> Any:
@@ -61,24 +57,11 @@ def read_file(
     filters: pc.Expression | None = None,
     run_key: str | None = None,
 ) -> pa.Table:
-    """Read columns and rows of a file of this schema version.
+    """Columns and rows of a file of this schema version, all of them by default.
 
-    Parameters
-    ----------
-    path : Path
-    columns : list of str, optional
-        All, unless they are given.
-    filters : pyarrow.compute.Expression, optional
-        Which rows are wanted.
-    run_key : str, optional
-        The run that the file must belong to; None: the file must carry no key.
-
-    Raises
-    ------
-    FileNotFoundError
-        There is no such file.
-    StoreError
-        The file cannot be read, is of another schema version, or belongs to another run.
+    The file must belong to the run with this key; None: it must carry no key. Raises
+    `FileNotFoundError` if there is no such file. Raises `StoreError` if it cannot be read, has
+    another schema version, or belongs to another run.
     """
 
     def read() -> pa.Table:
@@ -106,7 +89,7 @@ def read_file(
 
 
 def signed(table: pa.Table, run_key: str | None) -> pa.Table:
-    """Table whose metadata says which run it belongs to."""
+    """Table whose metadata says to which run it belongs."""
     if run_key is None:
         return table
     metadata = table.schema.metadata or {}
@@ -114,7 +97,7 @@ def signed(table: pa.Table, run_key: str | None) -> pa.Table:
 
 
 def cut_rows(pieces: Iterable[pa.Table], count: int) -> Iterator[pa.Table]:
-    """Cut a stream of tables into tables of a fixed number of rows, the last one shorter."""
+    """Yield a stream of tables as tables of a fixed number of rows, the last one shorter."""
     waiting: list[pa.Table] = []
     rows = 0
     for piece in pieces:
@@ -136,25 +119,16 @@ def first_occurrences(*columns: NDArray[Any]) -> NDArray[np.bool_]:
 
 
 def unique(pieces: list[pa.Table], key: list[str]) -> pa.Table:
-    """Rows sorted by their key, each once: of equal keys the first row."""
+    """Rows sorted by their key, each once: the first row of each key."""
     rows = pa.concat_tables(pieces)
     rows = rows.sort_by([(name, "ascending") for name in key])  # a stable sort
     return rows.filter(pa.array(first_occurrences(*(rows[name].to_numpy() for name in key))))
 
 
 def check_names(names: Iterable[object], where: Path) -> None:
-    """Raise an error unless each name of a compared set is one that a job could have given.
+    """Raise a `StoreError` unless each name of a compared set is one that a job could have given.
 
-    Parameters
-    ----------
-    names : iterable
-    where : Path
-        The table, for the error.
-
-    Raises
-    ------
-    StoreError
-        A name is no text, too long, or has other characters.
+    `where` is the table, for the error.
     """
     for name in names:
         if not (isinstance(name, str) and _NAME.fullmatch(name)):
@@ -165,7 +139,7 @@ def check_names(names: Iterable[object], where: Path) -> None:
 
 
 def _guarded(path: Path, read: Callable[[], Any]) -> Any:
-    """Call a function that reads a file, and name the file in its error."""
+    """The value of a function that reads a file; its errors name the file."""
     try:
         return read()
     except FileNotFoundError:

@@ -25,28 +25,14 @@ _MISSING = ("", "nan", "na", "null")  # texts of a number that is missing, in lo
 
 
 def read_user_table(path: Path | pd.DataFrame, check_header: CheckHeader) -> dict[str, Array]:
-    """Read a table of numbers; a number that is missing is NaN.
+    """The columns of a table of numbers by their names; a missing number is NaN.
 
-    Parameters
-    ----------
-    path : Path or DataFrame
-        A Parquet file if its name ends in ``.parquet``; else a CSV file, whose first line names the
-        columns. Or a table in memory, whose index counts as a column if it has a name.
-    check_header : callable
-        Takes the names of the columns, and raises an error if they are wrong. It is called before
-        any number is read.
+    A file is Parquet if its name ends in ``.parquet``, else CSV, whose first line names the
+    columns. The index of a table in memory counts as a column if it has a name. `check_header`
+    raises an error if the names of the columns are wrong; it is called before any number is read.
 
-    Returns
-    -------
-    dict of str to array of float64
-        The columns by their names.
-
-    Raises
-    ------
-    ValueError
-        The file is too large, is no such table, or holds other things than numbers.
-    OSError
-        The file cannot be read.
+    Raises `ValueError` if the file is too large, is no such table, or holds other things than
+    numbers. Raises `OSError` if it cannot be read.
     """
     if isinstance(path, pd.DataFrame):
         return _columns_of(path, check_header)
@@ -105,17 +91,17 @@ def _read_csv(path: Path, check_header: CheckHeader) -> dict[str, Array]:
 
 
 def _numbers(name: str, text: "pd.Series[str]") -> Array:
-    """Give a column of a CSV file as numbers."""
+    """A column of a CSV file as numbers."""
     missing = text.str.lower().isin(_MISSING).to_numpy(dtype=bool)
-    found: Array = pd.to_numeric(text, errors="coerce").to_numpy(np.float64, copy=True)
-    wrong = np.flatnonzero(np.isnan(found) & ~missing)
+    numbers: Array = pd.to_numeric(text, errors="coerce").to_numpy(np.float64, copy=True)
+    wrong = np.flatnonzero(np.isnan(numbers) & ~missing)
     if wrong.size:
         row = int(wrong[0])
         raise ValueError(
             f"column {shown(name)} must hold numbers, got {shown(text.iloc[row])} in row {row + 1}"
         )
-    found[missing] = np.nan
-    return found
+    numbers[missing] = np.nan
+    return numbers
 
 
 def _read_parquet(path: Path, check_header: CheckHeader) -> dict[str, Array]:
@@ -132,7 +118,7 @@ def _read_parquet(path: Path, check_header: CheckHeader) -> dict[str, Array]:
 
 
 def _values(name: str, column: pa.ChunkedArray) -> Array:
-    """Give a column of a Parquet file as numbers."""
+    """A column of a Parquet file as numbers."""
     kind = column.type
     if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_null(kind)):
         raise ValueError(f"column {shown(name)} must hold numbers, got {shown(str(kind))}")
@@ -155,18 +141,9 @@ def _check_size(header: list[str], rows: int) -> None:
 def write_user_table(path: Path, table: pa.Table) -> None:
     """Write a table for a user atomically: Parquet if the name ends in ``.parquet``, else CSV.
 
-    It replaces an earlier table of the same kind, and no other file.
-
-    Parameters
-    ----------
-    path : Path
-    table : pyarrow Table
-        With a schema of `pfdist.store.schema`, which says what kind of table it is.
-
-    Raises
-    ------
-    StoreError
-        The file cannot be written, or another file has this name.
+    It replaces an earlier table of the same kind, and no other file. The table has a schema of
+    `pfdist.store.schema`, which says its kind. Raises `StoreError` if the file cannot be written,
+    or if another file has this name.
     """
     check_table_replaceable(path, table.schema)
 
@@ -181,23 +158,17 @@ def write_user_table(path: Path, table: pa.Table) -> None:
 
 
 def check_table_replaceable(path: Path, schema: pa.Schema) -> None:
-    """Raise an error unless a file is missing, or is an earlier table with these columns.
-
-    Raises
-    ------
-    StoreError
-        Another file has this name.
-    """
+    """Raise a `StoreError` unless a file is missing, or is an earlier such table."""
     check_replaceable(path, partial(_is_earlier, schema))
 
 
 def _is_earlier(schema: pa.Schema, path: Path) -> bool:
     if is_parquet(path):
         try:
-            known = read_schema(path).metadata or {}
+            metadata = read_schema(path).metadata or {}
         except pa.ArrowException:
             return False
-        return bool(known.get(b"table") == schema.metadata[b"table"])
+        return bool(metadata.get(b"table") == schema.metadata[b"table"])
     line = ",".join(schema.names).encode() + b"\n"
     with path.open("rb") as file:
         return file.read(len(line)) == line

@@ -5,8 +5,8 @@ from pfdist.models import StateSpaceModel
 from pfdist.models.parameters import CLOCK
 
 
-def told_instant(model: StateSpaceModel, t: int) -> str:
-    """Give the time of an instant as text: p.time[t] of a model on a clock, else the number t."""
+def formatted_instant(model: StateSpaceModel, t: int) -> str:
+    """The time of an instant as text: p.time[t] of a model on a clock, else the number t."""
     on_clock = all(name in model.parameters for name in CLOCK)
     times = model.parameters["time"] if on_clock else ()
     return told_time(times[t]) if isinstance(times, tuple) and t < len(times) else str(t)
