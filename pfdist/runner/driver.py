@@ -43,7 +43,7 @@ def drive(session: Session) -> Generator[Batch, None, None]:
         # First everything is written again, then the lost files are forgotten. A kill before leaves
         # them expected, and the next start computes what is still missing.
         session.commit()
-        store.manifest.forget_lost()
+        store.manifest.forget(store.lost())  # answers to questions are not made again
     finally:  # also if the driver is closed early: rows that still wait are committed
         session.commit()
         for phase in (*built.phases, COMPARISON, ONLINE_TIMES):

@@ -86,13 +86,13 @@ class Manifest:
         if self.expected().get(name) != {sha256: True}:
             self._add([f"{word} {name} {sha256}" for word in ("next", "now")])
 
-    def forget_lost(self) -> None:
-        """Expect missing files no more.
+    def forget(self, lost: Iterable[Path]) -> None:
+        """Expect some missing files no more.
 
         The caller has made everything again that can be made. Before that, a line ``gone`` would
         hide a file that the next start must still compute.
         """
-        self._add([f"gone {path} {_UNKNOWN}" for path in self.lost()])
+        self._add([f"gone {path} {_UNKNOWN}" for path in lost])
 
     def lost(self) -> list[Path]:
         """Files that are expected and not there, relative to the run's folder."""

@@ -78,7 +78,7 @@ def _with_own_key(path: Path) -> Iterator[str]:
         paths += [file.relative_to(path) for file in sorted(path.glob(files))]
     yield from _moved(manifest, [Damage(file, "may be another run's") for file in paths])
     # After all files were moved: until then they are expected. Now either run may begin here again.
-    manifest.forget_lost()
+    manifest.forget(manifest.lost())
 
 
 def _moved(manifest: Manifest, damages: Iterable[Damage]) -> Iterator[str]:
