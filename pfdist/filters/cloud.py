@@ -135,12 +135,15 @@ class Cloud:
         on one state, the filters look worse than they are. `draws` are indices in the stream, and
         `stream` is the key of the filters' noise.
         """
-        known = particles, draws, stream, None if truths is None else truths.tobytes()
-        if known not in self._chosen:  # a search asks for the same particles again and again
+        arguments = particles, draws, stream, None if truths is None else truths.tobytes()
+        chosen = self._chosen.get(arguments)  # a search asks for the same particles again and again
+        if chosen is None:
             if len(self._chosen) == _KEPT:
-                self._chosen.clear()
-            self._chosen[known] = self._choose_for_filters(particles, draws, stream, truths)
-        return self._chosen[known]
+                self._chosen.clear()  # another thread may clear it, too
+            chosen = self._chosen[arguments] = self._choose_for_filters(
+                particles, draws, stream, truths
+            )
+        return chosen
 
     def _choose_for_filters(
         self, particles: int, draws: range, stream: int, truths: Indices | None

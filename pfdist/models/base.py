@@ -157,8 +157,11 @@ class StateSpaceModel:
         Raises
         ------
         ModelError
-            The model has a parameter of its own with one of these names.
+            There are fewer than two times, or the model has a parameter of its own with one of
+            these names.
         """
+        if len(time) < 2:
+            raise ModelError(f"model {self.name}: a clock needs two times or more, got {[*time]}")
         for name in CLOCK:
             if name in self.parameters:
                 raise ModelError(

@@ -143,6 +143,7 @@ def measured_with(noise):
         (lambda: GOOD.with_parameters({"scale": math.nan}), ["parameter scale", "got nan"]),
         (lambda: GOOD.with_parameters({"shift": math.nan}), ["shift", "finite", "got nan"]),
         (lambda: GOOD.with_parameters({"shift": -math.inf}), ["shift", "finite", "got -inf"]),
+        (lambda: GOOD.on_clock([0.0]), ["a clock needs two times or more, got [0.0]"]),
         # names of components
         (lambda: changed(z_names="dose"), ["z_names: must be a tuple", "got 'dose'"]),
         (lambda: changed(z_names=("a", "b")), ["a name for each of 3 components, got 2"]),
