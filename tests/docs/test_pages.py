@@ -3,6 +3,7 @@
 import re
 import shlex
 import shutil
+import tomllib
 from collections.abc import Iterator
 from doctest import ELLIPSIS, OutputChecker
 from pathlib import Path
@@ -212,3 +213,10 @@ def test_a_figure_of_a_benchmark_is_drawn_from_the_tables_that_lie_in_the_folder
     names = sorted(file.name for file in tmp_path.iterdir())
     assert names == ["genetic.csv", "genetic.png"]  # the tables of peers are not there
     assert matplotlib.image.imread(tmp_path / "genetic.png").shape[0] > 400
+
+
+def test_contributing_names_every_mark_of_tests() -> None:
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["pytest"]["ini_options"]
+    marks = {mark.partition(":")[0] for mark in settings["markers"]}
+    named = re.findall(r"`pytest -m (\w+)`", (ROOT / "CONTRIBUTING.md").read_text())
+    assert sorted(named) == sorted(marks)
