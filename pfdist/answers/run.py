@@ -109,10 +109,10 @@ def answer_of(run: Run, target: float | None = None, *, details: bool = False) -
     target : float, optional
         An expected MSE: how many measurements reach it.
     details : bool
-        Whether the searches are described, too.
+        Whether the proof and the searches are described, too.
     """
     subject = Subject(run, target=target)
-    chapters: Sequence[Chapter] = (answer, gains, compared, proof, online)
+    chapters: Sequence[Chapter] = (answer, gains, compared, online)
     if run.has_budget:
         chapters = (budget,)
     summary = subject.summary
@@ -120,7 +120,7 @@ def answer_of(run: Run, target: float | None = None, *, details: bool = False) -
         f"{summary['run']}: {summary['state']}, {summary['evaluations']:,} evaluations, "
         f"{summary['draws_compared']:,} draws compared"
     )
-    sections = _sections(subject, (*chapters, *([searches] if details else [])))
+    sections = _sections(subject, (*chapters, *([proof, searches] if details else [])))
     return Page("", line, sections, _warnings(subject))
 
 
@@ -186,8 +186,10 @@ def _gain(subject: Subject, result: Mapping[str, Any]) -> str:
 
 def _proof(subject: Subject, result: Mapping[str, Any]) -> str:
     proof = result.get("lower_bound")
-    if proof is None or proof["reason"]:
+    if proof is None:
         return ""
+    if proof["reason"]:
+        return f"There is no lower bound: {proof['reason']}."
     constrained = subject.summary["is_constrained"]
     return gap_sentence(proof, len(result["measurement_times"]), is_constrained=constrained)
 
