@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from pfdist.plots.figure import Plot
-from pfdist.plots.figures import save_plot
+from pfdist.plots.figure import Plot, save_plot
 from pfdist.plots.panel import (
+    MOST_COMPONENTS,
     axes_for,
     chosen,
     label_quantity,
@@ -25,7 +25,6 @@ from pfdist.plots.style import BLUE, GREY, ORANGE, RED
 from pfdist.store.files import check_replaceable
 from pfdist.store.schema import components_in
 
-MOST_COMPONENTS = 6  # components of z that are shown, each in a panel
 _TITLE = "pfdist: filtered measurements"
 _START = 4096  # bytes of a file in which its title stands
 _BANDS = ((5, 95, 0.22, "90 %"), (25, 75, 0.38, "50 %"))

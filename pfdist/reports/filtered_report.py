@@ -9,9 +9,9 @@ import pandas as pd
 from pfdist.common.component_names import Component
 from pfdist.common.rounding import rounded
 from pfdist.common.told_times import told_time, told_times
-from pfdist.plots.error_over_time import effective_sample_size
 from pfdist.plots.figure import Plot
 from pfdist.plots.filtered import filtered_plot
+from pfdist.plots.why import effective_sample_size
 from pfdist.reports.parts import (
     Block,
     Cell,

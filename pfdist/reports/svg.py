@@ -4,10 +4,8 @@ import io
 import re
 from xml.etree import ElementTree
 
-from pfdist.plots.figure import Plot
-from pfdist.plots.figures import drawn
-from pfdist.plots.library import styled
-from pfdist.plots.style import BLUE, GREEN, GREY, ORANGE, RED
+from pfdist.plots.figure import Plot, drawn
+from pfdist.plots.style import BLUE, GREEN, GREY, ORANGE, RED, SCREEN, styled
 
 _SVG, _LINK = "http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"
 _COLOURS = {
@@ -40,7 +38,7 @@ def as_svg(plot: Plot, name: str, description: str) -> str:
     str
     """
     file = io.StringIO()
-    with styled():
+    with styled(SCREEN):
         drawn(plot).savefig(file, format="svg", transparent=True, metadata={"Date": None})
     ElementTree.register_namespace("", _SVG)
     svg = ElementTree.fromstring(file.getvalue())  # noqa: S314  it was written just above

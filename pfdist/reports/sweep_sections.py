@@ -14,9 +14,9 @@ from pfdist.common.told_times import told_times
 from pfdist.errors import one_line
 from pfdist.plots import against, found_times, heat_map
 from pfdist.plots.figure import Plot
-from pfdist.plots.study_lines import lines_inches
-from pfdist.plots.study_map import map_inches
-from pfdist.plots.study_times import MOST_ROWS, row_inches
+from pfdist.plots.panel import height_of_rows
+from pfdist.plots.sweeps import ROW_OF_MAP
+from pfdist.plots.times_axis import times_inches
 from pfdist.reports.parts import (
     Block,
     Cell,
@@ -27,6 +27,7 @@ from pfdist.reports.parts import (
     Text,
     without_empty_columns,
 )
+from pfdist.reports.subject import number_of
 from pfdist.reports.svg import as_svg
 from pfdist.reports.sweep_subject import Point, SweepSubject
 
@@ -189,7 +190,7 @@ def _said_of_intervals(subject: SweepSubject) -> str:
 def _against(subject: SweepSubject, key: str) -> Picture:
     frame, held = subject.held([key], _MOST_LINES)
     plot = Plot(
-        lines_inches(frame, key), lambda panels: against(frame, key, ax=panels[0]),
+        2.6, lambda panels: against(frame, key, ax=panels[0]),
         title=_title_of_lines(subject, key, held),
     )  # fmt: skip
     return _picture(f"against-{subject.keys.index(key)}", plot, _LINES)
@@ -244,7 +245,8 @@ def _heat_map(subject: SweepSubject) -> list[Block]:
     names = f"{subject.short[x]} and {subject.short[y]}"
     title = f"{told} by {names}{_told_held(subject, held)}{hatched}."
     plot = Plot(
-        map_inches(frame, y), lambda panels: heat_map(frame, x, y, value, ax=panels[0]),
+        height_of_rows(len(values_of(frame, y)), ROW_OF_MAP),
+        lambda panels: heat_map(frame, x, y, value, ax=panels[0]),
         title=title,
     )  # fmt: skip
     return [_picture("map", plot, _MAP)]
@@ -252,11 +254,10 @@ def _heat_map(subject: SweepSubject) -> list[Block]:
 
 def _found_times(subject: SweepSubject) -> Picture:
     rows = int(subject.frame["measurement_times"].notna().sum())
-    left = f", of {rows:,} rows 1 in {-(-rows // MOST_ROWS)}" if rows > MOST_ROWS else ""
     last = max(run.problem.clock.times[-1] for run in subject.runs)
     plot = Plot(
-        row_inches(rows), lambda panels: found_times(subject.frame, horizon=last, ax=panels[0]),
-        title=f"The times that were found at each point{left}.",
+        times_inches(rows), lambda panels: found_times(subject.frame, horizon=last, ax=panels[0]),
+        title=f"The times that were found at {number_of(len(subject.points), 'point')}.",
     )  # fmt: skip
     return _picture("times", plot, _TIMES)
 

@@ -8,7 +8,6 @@ shortest missing curve changes.
 """
 
 from collections.abc import Callable
-from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -19,20 +18,15 @@ from matplotlib.figure import Figure
 from matplotlib.testing.compare import compare_images
 from matplotlib.text import Text
 
-from pfdist.analysis.runs_table import RESULTS
 from pfdist.plots import (
-    against,
     budget,
     error_profile,
-    found_times,
     gain,
-    heat_map,
     one_draw,
     sampling_windows,
-    times,
     worth,
 )
-from pfdist.plots.library import styled
+from pfdist.plots.style import styled
 
 BASELINE = Path(__file__).parent / "baseline"
 DPI = 100
@@ -97,27 +91,12 @@ def _trajectory() -> pd.DataFrame:
     return pd.DataFrame({"t": T, "z_0": z, **estimates})
 
 
-def _study() -> pd.DataFrame:
-    sets, budgets, sizes, seeds = ("genetic", "random"), (3, 5, 9), (20, 40), (1, 2, 3)
-    rows = []
-    for name, number, size, seed in product(sets, budgets, sizes, seeds):
-        mse = 90.0 / (number + 2) + size / 20 + seed**2 / 3 + 2 * (name == "random")
-        row = dict.fromkeys(RESULTS, 0.0) | {"set": name, "expected_mse": mse, "reference": "a"}
-        row |= {"reference_mse": 100.0 / (number + 1), "measurement_times": (0, seed + number, 14)}
-        rows.append({"run": f"{len(rows)}", "seed": seed, "N": number, "size": size} | row)
-    return pd.DataFrame(rows)
-
-
 SETS = {"regular": [0, 5, 10, 15, 20], "found": [1, 4, 8, 9, 17]}
 PICTURES: dict[str, Callable[[Axes], Axes]] = {
-    "against": lambda ax: against(_study(), "N", ax=ax),
     "budget": lambda ax: budget(_budget(), target=8.0, ax=ax),
     "error_profile": lambda ax: error_profile(_profile(), draws=500, ax=ax),
-    "found_times": lambda ax: found_times(_study(), horizon=15, ax=ax),
     "gain": lambda ax: gain(_comparison(), "found", beside="other", ax=ax),
-    "heat_map": lambda ax: heat_map(_study().iloc[3:18], "N", "size", "expected_mse", ax=ax),
     "one_draw": lambda ax: one_draw(_trajectory(), SETS, title="draw 3", ax=ax),
-    "times": lambda ax: times(SETS, forbidden=[11, 12, 13], ax=ax),
     "sampling_windows": lambda ax: sampling_windows(_windows(), ax=ax),
     "worth": lambda ax: worth(_worth(), ax=ax),
 }
@@ -127,7 +106,7 @@ every = pytest.mark.parametrize("name", PICTURES)
 
 def _save(file: Path, name: str, change: Callable[[Axes], object] = lambda axes: None) -> Path:
     with styled():
-        figure = Figure(figsize=(3.5, 1.4 if name == "times" else 2.2), layout="none")
+        figure = Figure(figsize=(3.5, 2.2), layout="none")
         axes = PICTURES[name](figure.add_axes((0.05, 0.1, 0.9, 0.85)))
         change(axes)
         legend = axes.get_legend()

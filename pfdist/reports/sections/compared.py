@@ -40,7 +40,7 @@ def compared(subject: Subject) -> Section | None:
     blocks: list[Block] = [
         without_empty_columns(sets),
         Text(_EXACT if subject.is_exact else _MEANING),
-        *pictures(subject.tables, ["compared"] if subject.found else ["compared", "times"]),
+        *pictures(subject.tables, ["compared"] if subject.found else ["times", "compared"]),
         Table("Pairs of sets", _PAIRS_HEAD, rows, folded=len(rows) > _MOST_OPEN),
     ]
     return Section("How the sets compare", blocks)
