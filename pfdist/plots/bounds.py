@@ -65,12 +65,12 @@ def _title(table: pd.DataFrame, target: float | None) -> str:
     """Say how many found times do what regular times do, or how many reach a target."""
     if target is not None:
         least = {kind: row["measurements"] for kind, row in reaching(table, target).items()}
-        found, regular = (
-            "no number of" if least[kind] is None else str(least[kind])
-            for kind in ("found", "regular")
+        numbers = {kind: "no number of" if n is None else str(n) for kind, n in least.items()}
+        times = "time" if least["found"] == 1 else "times"
+        return (
+            f"An expected MSE of {target:g} takes {numbers['found']} found {times}, or "
+            f"{numbers['regular']} regular."
         )
-        times = "time" if found == "1" else "times"
-        return f"An expected MSE of {target:g} takes {found} found {times}, or {regular} regular."
     costs = table.pivot_table(index="measurements", columns="kind", values="expected_mse")
     both = costs.dropna()
     if both.empty:
@@ -112,9 +112,9 @@ def budget(
             label=f"{kind} times", **style,
         )  # fmt: skip
         curves.append(points(rows["measurements"], mean, style["color"], kind))
-    found = table[table["kind"] == "found"]
-    if found["bound"].notna().any():
-        numbers, low, limit = found["measurements"], found["bound"], found["bound_low"]
+    rows = table[table["kind"] == "found"]
+    if rows["bound"].notna().any():
+        numbers, low, limit = rows["measurements"], rows["bound"], rows["bound_low"]
         ax.plot(numbers, low, color=GREEN, lw=thin(0.9), label="lower bound (95 %)")
         ax.fill_between(numbers, limit, low, color=GREEN, alpha=0.3, linewidth=0)
     ax.set_xlabel("number of measurements $N$")
@@ -205,26 +205,30 @@ def bound(rows: Run | pd.DataFrame, *, ax: Axes | None = None) -> Axes:
     """
     rows, ax = table_of(rows, "rows", "bounds"), axes_for(ax)
     rows = _last_proof(rows) if len(rows) else rows
-    found = rows[rows["position"] > 0]
-    proved = found[found["bound"].notna()]
+    others = rows[rows["position"] > 0]  # than the reference
+    proved = others[others["bound"].notna()]
     if proved.empty:
         return write_instead(ax, "there is no lower bound of the found times")
     proved = proved[proved["name"] == proved["name"].iloc[0]]  # all have as many measurements
-    last = found[found["draws"] == rows["draws"].max()].sort_values("position")
+    last = others[others["draws"] == rows["draws"].max()].sort_values("position")
     for number, (name, mse) in enumerate(zip(last["name"], last["expected_mse"], strict=True)):
         style: dict[str, Any] = {"color": SERIES[number % len(SERIES)], "ls": _DASHES[number % 3]}
         ax.axhline(mse, lw=thin(0.9), label=f"expected MSE of {verbatim(name)}", **style)
+    ax.set_ylabel("expected MSE")
     steps = proved["steps"] / 1e9
+    if not steps.all():  # an exact bound takes none
+        ax.axhline(proved["bound"].max(), color=GREY, ls=(0, (4, 1.5)), label="lower bound (exact)")
+        ax.set_xticks([])
+        legend_above(ax)
+        return ax
     ax.errorbar(
         steps, proved["bound"], BAND * proved["bound_error"],
         color=GREY, marker="o", ms=marker(), lw=thin(0.9), elinewidth=thin(), ls=(0, (4, 1.5)),
         label="lower bound (95 %)",
     )  # fmt: skip
-    if steps.all():  # an exact bound takes none
-        ax.set_xscale("log")
+    ax.set_xscale("log")
     ax.set_xticks(steps, [f"{value:.2g}" for value in steps])
     ax.set_xticks([], minor=True)
     ax.set_xlabel(r"particle-steps of the proof [$10^9$]")
-    ax.set_ylabel("expected MSE")
     legend_above(ax)
     return ax

@@ -241,7 +241,7 @@ def cost(
                 label=f"{verbatim(name)}, {kind}", marker=_MARKERS[position % len(_MARKERS)],
                 markevery=(0.2 * position / len(curves), 0.2), ms=marker(0.9), mew=0,
             )  # fmt: skip
-    for line, dashes in ((reference, ":"), (best, "-")):
+    for line, dashes in ((best, "-"), (None if best == reference else reference, ":")):
         if line is not None and math.isfinite(line[1]):
             text = verbatim(f"{line[0]}: {line[1]:.4g}")
             differences.append(100 * (line[1] / base - 1))
@@ -256,7 +256,7 @@ def cost(
 
 
 def _scale(ax: Axes, differences: np.ndarray[Any, Any]) -> None:
-    """Have a linear axis of small differences, and else an axis that is linear near 0 alone."""
+    """Have a linear axis of small differences, and else an axis that is linear only near 0."""
     sizes = np.abs(differences[differences != 0])
     if sizes.size and sizes.max() > _LINEAR:
         near = 10 ** np.floor(np.log10(np.clip(np.quantile(sizes, 0.1), 0.1, 1.0)))
@@ -330,7 +330,7 @@ def comparison(ranks: Run | pd.DataFrame, *, ax: Axes | None = None) -> Axes:
     least = table["expected_mse"].iloc[0]
     table = table[np.isfinite(table["difference"])]
     if table.empty or not np.isfinite(least):
-        return write_instead(ax, "no expected MSE is known and finite")
+        return write_instead(ax, "no expected MSE is finite")
     at = least + table["difference"].to_numpy()
     bars = np.stack([table["difference"] - table["low"], table["high"] - table["difference"]])
     ax.axvline(least, color=GREY, lw=thin(0.6), ls=(0, (4, 1.5)), zorder=0)

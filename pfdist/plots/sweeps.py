@@ -1,6 +1,7 @@
 """Figures of many runs: a result against a key, a heat map over two keys, and the found times."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -117,7 +118,7 @@ def against(
         )
     ax = axes_for(ax, 2.2 + 0.08 * len(lines))
     if not lines:
-        return write_instead(ax, "no result is known and finite")
+        return write_instead(ax, "no result is finite")
     places = _places(ax, values_of(frame, key))
     colours, dashes = ([*dict.fromkeys(at[part] for at, _ in lines)] for part in _PARTS)
     curves = []
@@ -135,7 +136,8 @@ def against(
         others = [name for name in not_told_by(frame, [key]) if name not in (key, SET)]
         references = _lines(frame, [key, "reference", *others], "reference_mse")
         name = str(references[0][0][0]) if len({at[0] for at, _ in references}) == 1 else ""
-        for number, (_, line) in enumerate(references):
+        for number, (_, means) in enumerate(references):
+            line = [replace(each, low=math.nan, high=math.nan, replicates=()) for each in means]
             style = {"color": GREY, "marker": "_", "ls": _DASHES[1], "label": name or "references"}
             _draw_line(ax, line, places, value, style | ({"label": ""} if number else {}))
     ax.set_xlabel(verbatim(short_names(keys_of(frame))[key]))
@@ -202,7 +204,7 @@ def heat_map(
         cells[place] = _factor(value) * each.mean
     ax = axes_for(ax, height_of_rows(len(down), ROW_OF_MAP))
     if not np.isfinite(cells).any():
-        return write_instead(ax, "no result is known and finite")
+        return write_instead(ax, "no result is finite")
     mesh = ax.pcolormesh(np.ma.masked_invalid(cells), cmap=_SHADES, edgecolors="face", lw=0.1)
     ax.figure.colorbar(mesh, ax=ax, label=_label(value)).outline.set_visible(False)
     short = short_names(keys_of(frame))
@@ -355,11 +357,15 @@ def _draw_line(
     label = verbatim(style["label"]) or "_"
     shape |= style | {"label": label, "ls": style["ls"] if has_numbers else ""}
     ax.errorbar(x, mean, ends, transform=shift, **shape)
+    reached = [*mean - ends[0], *mean + ends[1]]  # limits know no artists that are shifted
+    ax.update_datalim(np.column_stack([[*x, *x], reached]))
     for place, each in zip(x, line, strict=True):
         y = _factor(value) * np.array(each.replicates)
         if y.size > 1:
             small = {"ms": marker(0.6), "mew": 0, "alpha": 0.6, "zorder": 1, "transform": right}
             ax.plot(np.full(y.size, place), y, "o", color=style["color"], **small)
+            ax.update_datalim([(place, end) for end in y])
+    ax.autoscale_view()
     return points(x, mean, style["color"], style["label"])
 
 

@@ -145,12 +145,12 @@ def uncertainty(
             f"names must be at most {_MOST_LINES} sets, got {len(names)}", argument="names"
         )
     squares = {name: _squared_errors(table, name, suffix) for name in names}
-    known = pd.DataFrame(squares).assign(t=table["t"]).dropna()  # the same draws for all sets
+    errors = pd.DataFrame(squares).assign(t=table["t"]).dropna()  # the same draws for all sets
     ax, curves = axes_for(ax), []
-    if known.empty:
+    if errors.empty:
         return write_instead(ax, "no draw with a trajectory has an estimate")
     for position, name in enumerate(names):
-        style, at_each = set_style(position), known.groupby("t")[name]
+        style, at_each = set_style(position), errors.groupby("t")[name]
         mean, half = at_each.mean(), BAND * at_each.sem().fillna(0.0)
         error, low, high = (np.sqrt(np.maximum(0.0, mean + side * half)) for side in (0, -1, 1))
         ax.fill_between(mean.index, low, high, color=style["color"], alpha=0.12, lw=0)

@@ -4,6 +4,8 @@ import io
 import re
 from xml.etree import ElementTree
 
+from matplotlib import rc_context
+
 from pfdist.plots.figure import Plot, drawn
 from pfdist.plots.style import BLUE, GREEN, GREY, ORANGE, RED, SCREEN, styled
 
@@ -18,6 +20,8 @@ _COLOURS = {
     GREY.lower(): "var(--grey)",
 }
 _COLOUR = re.compile("|".join(_COLOURS), re.IGNORECASE)
+_INCHES = (5.4, 3.0)
+"""Text of the screen's size is then as large as the page's, and still legible on a phone."""
 _NOT_DRAWN = ("metadata", "style")
 """Elements that Matplotlib writes and a page does not need."""
 
@@ -38,7 +42,7 @@ def as_svg(plot: Plot, name: str, description: str) -> str:
     str
     """
     file = io.StringIO()
-    with styled(SCREEN):
+    with styled(SCREEN), rc_context({"figure.figsize": _INCHES}):
         drawn(plot).savefig(file, format="svg", transparent=True, metadata={"Date": None})
     ElementTree.register_namespace("", _SVG)
     svg = ElementTree.fromstring(file.getvalue())  # noqa: S314  it was written just above

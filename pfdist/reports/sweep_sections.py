@@ -1,6 +1,7 @@
 """The sections of a sweep's report: the answer, all points, the figures, how it was computed."""
 
 import math
+from collections import Counter
 from collections.abc import Hashable, Mapping
 from typing import Any
 
@@ -10,7 +11,7 @@ from pfdist.analysis.studies import SEED, SET, Average, averages, is_numeric, se
 from pfdist.analysis.table_cells import is_missing, told_gain, told_mse, told_value
 from pfdist.common.rounding import with_interval
 from pfdist.common.told_counts import told_seconds
-from pfdist.common.told_times import told_times
+from pfdist.common.told_times import told_time, told_times
 from pfdist.errors import one_line
 from pfdist.plots import against, found_times, heat_map
 from pfdist.plots.figure import Plot
@@ -27,7 +28,6 @@ from pfdist.reports.parts import (
     Text,
     without_empty_columns,
 )
-from pfdist.reports.subject import number_of
 from pfdist.reports.svg import as_svg
 from pfdist.reports.sweep_subject import Point, SweepSubject
 
@@ -253,11 +253,14 @@ def _heat_map(subject: SweepSubject) -> list[Block]:
 
 
 def _found_times(subject: SweepSubject) -> Picture:
-    rows = int(subject.frame["measurement_times"].notna().sum())
+    sets = subject.frame["measurement_times"].dropna()
+    often = [(count, -t) for t, count in Counter(t for times in sets for t in times).items()]
+    most, t = max(often, default=(0, 0))
     last = max(run.problem.clock.times[-1] for run in subject.runs)
     plot = Plot(
-        times_inches(rows), lambda panels: found_times(subject.frame, horizon=last, ax=panels[0]),
-        title=f"The times that were found at {number_of(len(subject.points), 'point')}.",
+        times_inches(len(sets)),
+        lambda panels: found_times(subject.frame, horizon=last, ax=panels[0]),
+        title=f"The time t = {told_time(-t)} was found most often, in {most} of {len(sets)} sets.",
     )  # fmt: skip
     return _picture("times", plot, _TIMES)
 

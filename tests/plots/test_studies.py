@@ -144,6 +144,17 @@ def test_each_combination_of_the_other_keys_has_a_line_and_the_reference_is_grey
     assert GREY not in {to_hex(line.get_color()) for line in gains.get_lines()}
 
 
+@pytest.mark.parametrize("budgets", [(3, 5), (3, 50, 900), ("few", "many")])
+def test_all_points_and_intervals_lie_within_the_axes(budgets: Sequence[Any]) -> None:
+    table = study(particles=[20, 40], budgets=budgets)
+    axes = plots.against(table, BUDGET, ax=axes_of())
+    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+    assert (high - low) < 2 * np.ptp([*table["expected_mse"], 80.0])
+    for x, *values in bars_of(axes).values():
+        assert left < min(x) <= max(x) < right
+        assert low < min(map(min, values)) <= max(map(max, values)) < high
+
+
 def test_a_key_that_changes_with_the_axis_makes_no_lines() -> None:
     table = study(seeds=[1])
     table[PARTICLES] = 10 * table[BUDGET]
