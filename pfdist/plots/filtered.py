@@ -134,8 +134,8 @@ def belief(
     suffix = quantities[chosen(component, range(len(quantities)), "component")].suffix
     t, ax = table["t"].to_numpy(), axes_for(ax)
     for low, high, alpha, label in _BANDS:
-        ends = (table[f"q{percent:02d}_{suffix}"].to_numpy() for percent in (low, high))
-        ax.fill_between(t, *ends, color=BLUE, alpha=alpha, lw=0, label=f"{label} band")
+        below, above = (table[f"q{percent:02d}_{suffix}"].to_numpy() for percent in (low, high))
+        ax.fill_between(t, below, above, color=BLUE, alpha=alpha, lw=0, label=f"{label} band")
     ax.plot(t, table[f"mean_{suffix}"].to_numpy(), color=BLUE, label="mean")
     label_quantity(ax, quantities, component)
     bottom, top = ax.get_ylim()

@@ -119,7 +119,7 @@ def against(
     ax = axes_for(ax, 2.2 + 0.08 * len(lines))
     if not lines:
         return write_instead(ax, "no result is finite")
-    places = _places(ax, values_of(frame, key))
+    places, factor = _places(ax, values_of(frame, key)), _factor(value)
     colours, dashes = ([*dict.fromkeys(at[part] for at, _ in lines)] for part in _PARTS)
     curves = []
     for number, (at, line) in enumerate(lines):
@@ -131,15 +131,9 @@ def against(
             "label": clipped(told_at(names, at, keys_of(frame)), _LONGEST_LABEL),
         }  # fmt: skip
         aside = _BESIDE * (number - (len(lines) - 1) / 2)
-        curves.append(_draw_line(ax, line, places, value, style, aside))
+        curves.append(_draw_line(ax, line, places, factor, style, aside))
     if value == "expected_mse":
-        others = [name for name in not_told_by(frame, [key]) if name not in (key, SET)]
-        references = _lines(frame, [key, "reference", *others], "reference_mse")
-        name = str(references[0][0][0]) if len({at[0] for at, _ in references}) == 1 else ""
-        for number, (_, means) in enumerate(references):
-            line = [replace(each, low=math.nan, high=math.nan, replicates=()) for each in means]
-            style = {"color": GREY, "marker": "_", "ls": _DASHES[1], "label": name or "references"}
-            _draw_line(ax, line, places, value, style | ({"label": ""} if number else {}))
+        _draw_references(ax, frame, key, places)
     ax.set_xlabel(verbatim(short_names(keys_of(frame))[key]))
     ax.set_ylabel(_label(value))
     cut_outliers(ax, curves)
@@ -213,16 +207,17 @@ def heat_map(
         axis.set_ticks(np.arange(len(values)) + 0.5, list(map(_tick, values)))
     ax.tick_params(length=0)
     ax.spines[["left", "bottom"]].set_visible(False)
+    is_light = np.asarray(mesh.norm(np.ma.masked_invalid(cells))) > 0.5
     texts = [_number(each, _factor(value)) for each in results]
     inches = ax.get_window_extent().width / ax.figure.dpi / len(across)
     size = min(rcParams["font.size"], 90 * inches / (1 + max(map(len, texts))))
     for (row, column), text in zip(places, texts, strict=True):
         if size > 0.55 * rcParams["font.size"] and np.isfinite(cells[row, column]):
-            colour = _DARK if mesh.norm(cells[row, column]) > 0.5 else _LIGHT
+            colour = _DARK if is_light[row, column] else _LIGHT
             ax.text(column + 0.5, row + 0.5, text, ha="center", va="center", size=size, c=colour)
     if not np.isfinite(cells).all():
-        whole = {"transform": ax.transAxes, "fill": False, "lw": 0, "zorder": 0}
-        ax.add_patch(Rectangle((0, 0), 1, 1, hatch="////", edgecolor=GREY, **whole))
+        hatched = Rectangle((0, 0), 1, 1, transform=ax.transAxes, fill=False, hatch="////")
+        ax.add_patch(hatched).set(edgecolor=GREY, lw=0, zorder=0)
     return ax
 
 
@@ -302,7 +297,7 @@ def _key(
 
 def _result(frame: pd.DataFrame, value: str) -> str:
     """The column with this result, if it holds numbers."""
-    results = frame.loc[:, SET:].select_dtypes("number")
+    results = map(str, frame.loc[:, SET:].select_dtypes("number"))
     return chosen(value, [n for n in results if not n.endswith(("_low", "_high"))], "value")
 
 
@@ -338,33 +333,50 @@ def _lines(frame: pd.DataFrame, names: list[str], value: str) -> list[Line]:
     return list(lines.items())
 
 
+def _draw_references(ax: Axes, frame: pd.DataFrame, key: str, places: dict[Any, float]) -> None:
+    """Draw the expected MSE of the references, a line for each combination of the other keys."""
+    others = [name for name in not_told_by(frame, [key]) if name not in (key, SET)]
+    lines = _lines(frame, [key, "reference", *others], "reference_mse")
+    names = {str(at[0]) for at, _ in lines}
+    label = names.pop() if len(names) == 1 else "references"
+    for _, means in lines:
+        line = [replace(each, low=math.nan, high=math.nan, replicates=()) for each in means]
+        style = {"color": GREY, "marker": "_", "ls": _DASHES[1], "label": label}
+        _draw_line(ax, line, places, 1.0, style)
+        label = ""
+
+
 def _draw_line(
-    ax: Axes, line: list[Average], places: dict[Any, float], value: str, style: dict[str, Any],
+    ax: Axes, line: list[Average], places: dict[Any, float], factor: float, style: dict[str, Any],
     aside: float = 0.0,
 ) -> Points:  # fmt: skip
     """Draw means with their intervals, and replicates, so many points beside their places."""
     line = sorted(line, key=lambda each: places[each.point[0]])
     x = np.array([places[each.point[0]] for each in line], np.float64)
-    numbers = np.array([(each.mean, each.low, each.high) for each in line])
-    mean, low, high = _factor(value) * numbers.T
+    mean, low, high = factor * np.array([(each.mean, each.low, each.high) for each in line]).T
     ends = np.nan_to_num([mean - low, high - mean], nan=0.0, posinf=0.0, neginf=0.0)
     shift, right = (
         ax.transData + ScaledTranslation(inches, 0.0, ax.figure.dpi_scale_trans)
         for inches in (aside / 72, (aside + marker()) / 72)
     )
-    shape = {"ms": marker(), "lw": thin(0.9), "elinewidth": thin(0.7), "capsize": marker(0.5)}
-    has_numbers = is_numeric(list(places))
-    label = verbatim(style["label"]) or "_"
-    shape |= style | {"label": label, "ls": style["ls"] if has_numbers else ""}
-    ax.errorbar(x, mean, ends, transform=shift, **shape)
-    reached = [*mean - ends[0], *mean + ends[1]]  # limits know no artists that are shifted
-    ax.update_datalim(np.column_stack([[*x, *x], reached]))
-    for place, each in zip(x, line, strict=True):
-        y = _factor(value) * np.array(each.replicates)
-        if y.size > 1:
-            small = {"ms": marker(0.6), "mew": 0, "alpha": 0.6, "zorder": 1, "transform": right}
-            ax.plot(np.full(y.size, place), y, "o", color=style["color"], **small)
-            ax.update_datalim([(place, end) for end in y])
+    shape = style | {"label": verbatim(style["label"]) or "_", "transform": shift}
+    shape["ls"] = style["ls"] if is_numeric(list(places)) else ""
+    ax.errorbar(
+        x, mean, ends, ms=marker(), lw=thin(0.9), elinewidth=thin(0.7), capsize=marker(0.5), **shape
+    )
+    seeds = [
+        (at, factor * y)
+        for at, each in zip(x, line, strict=True)
+        for y in each.replicates * (len(each.replicates) > 1)
+    ]
+    if seeds:
+        ax.plot(
+            *np.array(seeds).T, "o", color=style["color"], alpha=0.6, ms=marker(0.6), mew=0,
+            zorder=1, transform=right,
+        )  # fmt: skip
+    # Limits know no artists that are shifted.
+    ax.update_datalim([*zip(x, mean - ends[0], strict=True), *zip(x, mean + ends[1], strict=True)])
+    ax.update_datalim(seeds or [(x[0], mean[0])])
     ax.autoscale_view()
     return points(x, mean, style["color"], style["label"])
 
