@@ -97,11 +97,7 @@ def _is_earlier(path: Path) -> bool:
 
 
 def belief(
-    source: object,
-    *,
-    component: int = 0,
-    times: Times | None = None,
-    ax: Axes | None = None,
+    source: object, *, component: int = 0, times: Times | None = None, ax: Axes | None = None
 ) -> Axes:
     """Draw the mean of a component of z with its 50 and 90 % bands, and the measurement times.
 

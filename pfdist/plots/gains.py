@@ -194,16 +194,13 @@ def _shown_bins(relative: Gain) -> tuple[int, int]:
 @figure("draw", applies=one_number, each_set=True)
 def draw_figure(tables: Tables, name: str) -> Plot:
     """Truth, estimates and times of the draw with the median gain (the paper's figure 3)."""
-    gains = tables.gains_of_trajectories[f"gain_{name}"].dropna()
-    reference = tables.run.names[0]
-    if gains.empty:
+    trajectories, sets, draw, gain = _of_run(tables, name)
+    if np.isnan(gain):
         return no_draw()
-    draw, sets = typical_draw(gains), tables.run.sets()
-    trajectory = tables.trajectories[tables.trajectories["draw"] == draw]
+    reference = label(tables.run.names[0])
     return plot_of_draw(
-        trajectory, {key: sets[key] for key in (reference, name)},
-        f"{_draw_and_gain(draw, gains[draw])}, the median",
-        title_of_draw(float(gains[draw]), f"the times of {name}", label(reference)),
+        trajectories[trajectories["draw"] == draw], sets, f"{_legend(draw, gain)}, the median",
+        title_of_draw(gain, f"the times of {name}", reference),
     )  # fmt: skip
 
 
@@ -223,7 +220,7 @@ def title_of_draw(gain: float, which: str, reference: str) -> str:
     )
 
 
-def _draw_and_gain(draw: int, gain: float) -> str:
+def _legend(draw: int, gain: float) -> str:
     return minus(f"draw {draw}, relative gain {100 * gain:.1f} %")
 
 
@@ -295,8 +292,8 @@ def one_draw(
     """
     check_kind(trajectory, (Run, pd.DataFrame), "trajectory")
     if isinstance(trajectory, Run):
-        trajectory, sets, draw, legend = _of_run(trajectory, sets, draw)
-        title = title or legend
+        trajectory, sets, draw, gain = _of_run(Tables(trajectory), str(sets), draw)
+        title = title or _legend(draw, gain)
     elif isinstance(sets, str):
         raise JobError(f"sets must be times by name, got {sets!r}", argument="sets")
     if "draw" in trajectory:
@@ -313,19 +310,18 @@ def one_draw(
     return ax
 
 
-def _of_run(run: Run, name: str | Sets, draw: int | None) -> tuple[pd.DataFrame, Sets, int, str]:
-    """Trajectories of a run, two of its sets, the draw to show, and the title of the legend."""
-    reference, *others = run.names
-    name = chosen(str(name or others[0]), others, "sets")
-    trajectories, sets = run.trajectories(), run.sets()
-    gains = run.gains(draws=int(trajectories["draw"].max()) + 1).set_index("draw")[f"gain_{name}"]
-    gains = gains[gains.index.isin(trajectories["draw"])]
+def _of_run(
+    tables: Tables, name: str, draw: int | None = None
+) -> tuple[pd.DataFrame, Sets, int, float]:
+    """Trajectories of a run, the reference and another set, a draw, and the gain in this draw."""
+    (reference, *others), sets = tables.run.names, tables.run.sets()
+    name = chosen(name or others[0], others, "sets")
+    gains = tables.gains_of_trajectories[f"gain_{name}"]
+    gains = gains[gains.index.isin(tables.trajectories["draw"])]
     if draw is None:
-        usable = gains.dropna()
-        draw = typical_draw(usable) if len(usable) else int(trajectories["draw"].min())
-    chosen(draw, gains.index.tolist(), "draw")
-    shown = {key: sets[key] for key in (reference, name)}
-    return trajectories, shown, draw, _draw_and_gain(draw, gains[draw])
+        draw = typical_draw(gains.dropna() if gains.notna().any() else gains)
+    gain = float(gains[chosen(draw, gains.index.tolist(), "draw")])
+    return tables.trajectories, {key: sets[key] for key in (reference, name)}, draw, gain
 
 
 def _draw_trajectory(ax: Axes, trajectory: pd.DataFrame, sets: Sets, suffix: str) -> None:

@@ -21,7 +21,6 @@ from pfdist.plots.panel import (
     axes_for,
     chosen,
     cut_outliers,
-    draw_zero,
     height_of_rows,
     label_times,
     legend_above,
@@ -126,7 +125,7 @@ def _rises(
     for column, (shape, _) in columns.items():
         if shape:
             ax.plot([], [], shape, color=GREY, ms=marker(0.9), label=f"one instant {column}")
-    draw_zero(ax)
+    ax.axhline(0.0, color=GREY, lw=thin(0.6), zorder=0)
     cut_outliers(ax, curves, keep=[0.0])
     ax.set_ylabel(f"MSE rise if {change}")
     label_times(ax, table)

@@ -112,11 +112,7 @@ def online_shares(
 
 
 def online_raster(
-    source: Source,
-    *,
-    planned: Times = (),
-    horizon: int | None = None,
-    ax: Axes | None = None,
+    source: Source, *, planned: Times = (), horizon: int | None = None, ax: Axes | None = None
 ) -> Axes:
     """Draw a row for each draw, dark where it is measured; draws with like times are neighbours.
 

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pfdist.common.component_names import Component
 from pfdist.errors import JobError, shown
-from pfdist.plots.style import GREY, set_style
+from pfdist.plots.style import set_style
 
 T = TypeVar("T")
 Array = NDArray[np.float64]
@@ -210,11 +210,6 @@ def rows_of_sets(
         (name, table[table["name"] == name].sort_values("t"), set_style(position))
         for position, name in enumerate(drawn)
     ]
-
-
-def draw_zero(ax: Axes) -> None:
-    """Draw a thin line at 0."""
-    ax.axhline(0.0, color=GREY, lw=thin(0.6), zorder=0)
 
 
 def write_instead(ax: Axes, text: str) -> Axes:

@@ -53,7 +53,7 @@ _MARKERS = ("o", "s", "^", "D", "v", "P")
 _DASHES = ("-", (0, (4, 1.5)), (0, (1, 1)), (0, (6, 1.5, 1, 1.5)))
 _PARTS = (slice(1), slice(1, None))  # values that colours tell apart, and dashes
 _BESIDE = 2.5  # points between two lines at one value
-_LONGEST_LABEL, _LONGEST_TICK = 42, 16
+_LONGEST_LABEL, _LONGEST_TEXT = 42, 16  # letters
 _MOST_TICKS, _CLOSEST = 8, 0.08  # ticks at the values, and their least distance over the axis
 _SHADES = colormaps["cividis"].resampled(64)  # even in lightness, so also in grey print
 _DARK, _LIGHT = "#111111", "#fafafa"  # of texts on cells; a page changes black and white
@@ -204,11 +204,12 @@ def heat_map(
     short = short_names(keys_of(frame))
     for axis, name, values in ((ax.xaxis, x, across), (ax.yaxis, y, down)):
         axis.set_label_text(verbatim(short[name]))
-        axis.set_ticks(np.arange(len(values)) + 0.5, list(map(_tick, values)))
+        axis.set_ticks(np.arange(len(values)) + 0.5, [verbatim(_text(each)) for each in values])
     ax.tick_params(length=0)
     ax.spines[["left", "bottom"]].set_visible(False)
     is_light = np.asarray(mesh.norm(np.ma.masked_invalid(cells))) > 0.5
-    texts = [_number(each, _factor(value)) for each in results]
+    intervals = np.array([(each.mean, each.low, each.high) for each in results])
+    texts = [minus(with_interval(*numbers)[0]) for numbers in _factor(value) * intervals]
     inches = ax.get_window_extent().width / ax.figure.dpi / len(across)
     size = min(rcParams["font.size"], 90 * inches / (1 + max(map(len, texts))))
     for (row, column), text in zip(places, texts, strict=True):
@@ -250,7 +251,7 @@ def found_times(
     rows = {}
     for row in in_order(frame, names):
         if not is_missing(row["measurement_times"]):
-            label = ", ".join(clipped(_text(row[name]), _LONGEST_TICK) for name in names)
+            label = ", ".join(_text(row[name]) for name in names)
             rows[f"{label}, {row['run']}" if label in rows else label] = row["measurement_times"]
     if not rows:
         return write_instead(axes_for(ax), "no run has found times")
@@ -311,17 +312,7 @@ def _factor(value: str) -> float:
 
 
 def _text(value: Any) -> str:
-    return told_value(value) or "none"
-
-
-def _tick(value: Any) -> str:
-    return verbatim(clipped(_text(value), _LONGEST_TICK))
-
-
-def _number(average: Average, factor: float) -> str:
-    """The mean with the digits that its interval allows; three if it has none."""
-    ends = (factor * part for part in (average.mean, average.low, average.high))
-    return minus(with_interval(*ends)[0])
+    return clipped(told_value(value) or "none", _LONGEST_TEXT)
 
 
 def _lines(frame: pd.DataFrame, names: list[str], value: str) -> list[Line]:
@@ -348,35 +339,27 @@ def _draw_references(ax: Axes, frame: pd.DataFrame, key: str, places: dict[Any, 
 
 def _draw_line(
     ax: Axes, line: list[Average], places: dict[Any, float], factor: float, style: dict[str, Any],
-    aside: float = 0.0,
+    aside: float = 0.0
 ) -> Points:  # fmt: skip
     """Draw means with their intervals, and replicates, so many points beside their places."""
     line = sorted(line, key=lambda each: places[each.point[0]])
     x = np.array([places[each.point[0]] for each in line], np.float64)
     mean, low, high = factor * np.array([(each.mean, each.low, each.high) for each in line]).T
     ends = np.nan_to_num([mean - low, high - mean], nan=0.0, posinf=0.0, neginf=0.0)
-    shift, right = (
-        ax.transData + ScaledTranslation(inches, 0.0, ax.figure.dpi_scale_trans)
-        for inches in (aside / 72, (aside + marker()) / 72)
-    )
+    shift = ax.transData + ScaledTranslation(aside / 72, 0.0, ax.figure.dpi_scale_trans)
     shape = style | {"label": verbatim(style["label"]) or "_", "transform": shift}
     shape["ls"] = style["ls"] if is_numeric(list(places)) else ""
     ax.errorbar(
         x, mean, ends, ms=marker(), lw=thin(0.9), elinewidth=thin(0.7), capsize=marker(0.5), **shape
     )
-    seeds = [
-        (at, factor * y)
-        for at, each in zip(x, line, strict=True)
-        for y in each.replicates * (len(each.replicates) > 1)
-    ]
-    if seeds:
-        ax.plot(
-            *np.array(seeds).T, "o", color=style["color"], alpha=0.6, ms=marker(0.6), mew=0,
-            zorder=1, transform=right,
-        )  # fmt: skip
-    # Limits know no artists that are shifted.
-    ax.update_datalim([*zip(x, mean - ends[0], strict=True), *zip(x, mean + ends[1], strict=True)])
-    ax.update_datalim(seeds or [(x[0], mean[0])])
+    seeds = factor * np.array([y for each in line for y in each.replicates])  # one: below its mean
+    at = np.repeat(x, [len(each.replicates) for each in line])
+    ax.plot(
+        at, seeds, "o", color=style["color"], alpha=0.6, ms=marker(0.6), mew=0, zorder=1,
+        transform=shift,
+    )  # fmt: skip
+    reached = np.concatenate([mean - ends[0], mean + ends[1], seeds])
+    ax.update_datalim(np.column_stack([[*x, *x, *at], reached]))  # not done where axes are shifted
     ax.autoscale_view()
     return points(x, mean, style["color"], style["label"])
 
@@ -384,7 +367,7 @@ def _draw_line(
 def _places(ax: Axes, values: list[Any]) -> dict[Any, float]:
     """The place of each value on the horizontal axis: a number, or the position of a category."""
     if not is_numeric(values):
-        ax.set_xticks(range(len(values)), list(map(_tick, values)))
+        ax.set_xticks(range(len(values)), [verbatim(_text(each)) for each in values])
         ax.set_xlim(-0.5, len(values) - 0.5)
         return {value: float(place) for place, value in enumerate(values)}
     at = np.array(values, np.float64)
@@ -394,6 +377,6 @@ def _places(ax: Axes, values: list[Any]) -> dict[Any, float]:
             ax.set_xscale("log")
     gaps = np.diff(np.log(at) if ax.get_xscale() == "log" else at)
     if len(at) <= _MOST_TICKS and np.all(gaps >= _CLOSEST * gaps.sum()):
-        ax.set_xticks(at, list(map(_tick, values)))
+        ax.set_xticks(at, [verbatim(_text(each)) for each in values])
         ax.set_xticks([], minor=True)
     return dict(zip(values, at.tolist(), strict=True))

@@ -95,11 +95,7 @@ def filters_figure(tables: Tables) -> Plot:
 
 
 def error_profile(
-    profile: object,
-    names: Sequence[str] = (),
-    *,
-    draws: int | None = None,
-    ax: Axes | None = None,
+    profile: object, names: Sequence[str] = (), *, draws: int | None = None, ax: Axes | None = None
 ) -> Axes:
     """Draw the expected error over time with its 95 % band, and the measurement times.
 

@@ -104,7 +104,7 @@ def test_runs_that_differ_in_their_seeds_are_points_around_their_mean() -> None:
     for group, down, up in zip(groups, low, high, strict=True):
         ends = stats.t.interval(0.95, 2, group.mean(), group.std(ddof=1) / math.sqrt(3))
         assert (down, up) == pytest.approx(ends)
-    [seeds] = [line for line in axes.get_lines() if line.get_alpha()]
+    [seeds] = [line for line in axes.get_lines() if line.get_alpha() and len(line.get_xdata())]
     assert list(seeds.get_xdata()) == [3.0] * 3 + [5.0] * 3
     assert list(seeds.get_ydata()) == table["expected_mse"].tolist()
 
