@@ -251,6 +251,7 @@ def cost(
     of_what = "estimated cost" if best is None else "expected MSE"
     ax.set_ylabel(f"estimated cost above\nthe least {of_what} [%]")
     ax.set_xlim(left=0)
+    ax.margins(y=0.08)
     legend_above(ax, columns=_columns(methods), title=title)
     return ax
 

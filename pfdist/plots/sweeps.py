@@ -346,18 +346,20 @@ def _draw_line(
     x = np.array([places[each.point[0]] for each in line], np.float64)
     mean, low, high = factor * np.array([(each.mean, each.low, each.high) for each in line]).T
     ends = np.nan_to_num([mean - low, high - mean], nan=0.0, posinf=0.0, neginf=0.0)
-    shift = ax.transData + ScaledTranslation(aside / 72, 0.0, ax.figure.dpi_scale_trans)
+    shift, right = (
+        ax.transData + ScaledTranslation(inches, 0.0, ax.figure.dpi_scale_trans)
+        for inches in (aside / 72, (aside + marker()) / 72)
+    )
     shape = style | {"label": verbatim(style["label"]) or "_", "transform": shift}
     shape["ls"] = style["ls"] if is_numeric(list(places)) else ""
     ax.errorbar(
         x, mean, ends, ms=marker(), lw=thin(0.9), elinewidth=thin(0.7), capsize=marker(0.5), **shape
     )
-    seeds = factor * np.array([y for each in line for y in each.replicates])  # one: below its mean
-    at = np.repeat(x, [len(each.replicates) for each in line])
-    ax.plot(
-        at, seeds, "o", color=style["color"], alpha=0.6, ms=marker(0.6), mew=0, zorder=1,
-        transform=shift,
-    )  # fmt: skip
+    several = [(at, y) for at, each in zip(x, line, strict=True) for y in each.replicates
+               if len(each.replicates) > 1]  # fmt: skip
+    at, seeds = np.array(several).reshape(-1, 2).T * [[1.0], [factor]]
+    small = marker(0.6)
+    ax.plot(at, seeds, "o", color=style["color"], alpha=0.6, ms=small, mew=0, transform=right)
     reached = np.concatenate([mean - ends[0], mean + ends[1], seeds])
     ax.update_datalim(np.column_stack([[*x, *x, *at], reached]))  # not done where axes are shifted
     ax.autoscale_view()
