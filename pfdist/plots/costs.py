@@ -226,9 +226,10 @@ def cost(
     }
     ax = axes_for(ax)
     least = min((curve.min().min() for curve in curves.values() if len(curve)), default=math.nan)
+    best = best if best is not None and 0 < best[1] < math.inf else None
     base = least if best is None else best[1]
-    if not (math.isfinite(least) and math.isfinite(base) and base > 0):
-        return write_instead(ax, "no search has a finite cost")
+    if not 0 < least < math.inf:
+        return write_instead(ax, "no search has a finite cost other than 0")
     differences = []
     for position, (name, curve) in enumerate(curves.items()):
         many = len(curves) > len(SERIES)
