@@ -220,13 +220,14 @@ def write_instead(ax: Axes, text: str) -> Axes:
 
 
 def stack(panels: Sequence[Axes], components: int = 0) -> None:
-    """Let panels with one horizontal axis share its labels and the legend of the first.
+    """Let panels with one horizontal axis share its labels, and a legend that is the same for all.
 
     If there are more components of z than panels, the last label says how many are left out.
     """
+    labels = panels[0].get_legend_handles_labels()[1]
     for ax in panels[1:]:
         legend = ax.get_legend()
-        if legend is not None:
+        if legend is not None and ax.get_legend_handles_labels()[1] == labels:
             legend.remove()
     for ax in panels[:-1]:
         ax.set_xlabel("")

@@ -62,11 +62,8 @@ def times_figure(tables: Tables) -> Plot:
         *above, below = panels
         for component, ax in enumerate(above):
             uncertainty(tables.trajectories, names, component=component, ax=ax)
-        stack(above, len(components))
-        left_out = above[-1].get_xlabel().partition(";")[1:]
-        above[-1].set_xlabel("")
         times(run, ax=below)
-        below.set_xlabel(below.get_xlabel() + "".join(left_out))
+        stack([*above, below], 1 + len(components))
 
     return Plot(
         0.3 + _PANEL * number + rows, draw, number + 1, share_x=True,
@@ -133,11 +130,14 @@ def uncertainty(
     table = trajectories.trajectories() if isinstance(trajectories, Run) else trajectories
     quantities = components_in(table, "z_")
     suffix = quantities[chosen(component, range(len(quantities)), "component")].suffix
-    end = f"_{suffix}"
+    columns = list(map(str, table.columns))
+    ends = [
+        column.removeprefix("estimate_") for column in columns if column.startswith("estimate_")
+    ]
     every = [
-        str(column).removeprefix("estimate_").removesuffix(end)
-        for column in table.columns
-        if str(column).startswith("estimate_") and str(column).endswith(end)
+        name
+        for name in (end.removesuffix(f"_{suffix}") for end in ends if end.endswith(f"_{suffix}"))
+        if all(f"estimate_{name}_{each.suffix}" in columns for each in quantities)
     ]
     names = [chosen(name, every, "names") for name in names] or every
     if len(names) > _MOST_LINES:

@@ -197,6 +197,17 @@ def test_the_error_over_time_is_that_of_the_draws_in_which_every_set_has_an_esti
         uncertainty(table, ["his"], ax=_axes())
 
 
+def test_a_component_is_that_of_its_name_and_not_of_the_end_of_another() -> None:
+    table = pd.DataFrame(
+        {"draw": [0, 0, 1, 1], "t": [0, 1, 0, 1], "z_mass": 1.0, "z_dry_mass": 2.0}
+    )
+    table = table.assign(estimate_mine_mass=2.0, estimate_mine_dry_mass=5.0)
+    for component, (error, label) in enumerate([(1.0, "mass"), (3.0, "dry_mass")]):
+        axes = uncertainty(table, component=component, ax=_axes())
+        assert _lines(axes) == {"mine": ([0, 1], [error, error])}
+        assert axes.get_ylabel().split()[-1] == label
+
+
 def test_the_figure_of_times_has_the_errors_above_and_the_times_below(
     plain: Run, several: Run
 ) -> None:
