@@ -51,13 +51,7 @@ def axes_for(ax: Axes | None, height: float | None = None) -> Axes:
 
 
 def table_of(source: object, argument: str, *names: str) -> pd.DataFrame:
-    """A table: the DataFrame itself, or the first of these attributes or methods of an object.
-
-    Raises
-    ------
-    TypeError
-        The object has none of these attributes, or the attribute is no table.
-    """
+    """A table: the DataFrame itself, or the first of these attributes or methods of an object."""
     if isinstance(source, pd.DataFrame):
         return source
     for name in names:

@@ -214,13 +214,14 @@ def times(
         clock = _clock_of(given | barred, max(given) if horizon is None else horizon)
     ax = axes_for(ax, times_inches(len(sets)))
     others = [name for name in sets if name not in references]
+    size = 1.1 * min(1.0, _MOST_NAMED / max(1, len(sets)))
     each_differs = len(others) < _MOST_LINES and len(references) < 2
     for row, (name, at) in enumerate(sets.items()):
         position = 1 + others.index(name) * each_differs if name in others else 0
         style = set_style(position) | {"ls": ""}
         if len(sets) <= _MOST_NAMED:
             ax.axhline(row, color=GREY, lw=thin(0.4), zorder=0)
-        ax.plot(list(at), [row] * len(at), ms=marker(1.1), mew=thin(0.8), zorder=3, **style)
+        ax.plot(list(at), [row] * len(at), ms=marker(size), mew=thin(0.8), zorder=3, **style)
     _shade(ax, barred, clock)
     first, last = clock.times[0], clock.times[-1] if horizon is None else horizon
     beside = 0.75 * (last - first) / max(1, clock.horizon) or 0.75
@@ -255,14 +256,11 @@ def _clock_of(times: Iterable[float], last: float) -> Clock:
 
 def _shade(ax: Axes, forbidden: set[float], clock: Clock) -> None:
     """Shade each stretch of successive forbidden instants, half a step beyond both ends."""
+    at = np.array(clock.times, np.float64)
+    middles = (at[1:] + at[:-1]) / 2 if at.size > 1 else at + 0.5
+    edges = np.concatenate([[2 * at[0] - middles[0]], middles, [2 * at[-1] - middles[-1]]])
     instants = np.flatnonzero([time in forbidden for time in clock.times])
-    at = np.array(clock.times)
-    steps = np.diff(at) if at.size > 1 else np.ones(1)
-    before, after = np.append(steps[:1], steps) / 2, np.append(steps, steps[-1:]) / 2
     for stretch in np.split(instants, np.flatnonzero(np.diff(instants) > 1) + 1):
         if stretch.size:
-            first, last = stretch[0], stretch[-1]
-            ax.axvspan(
-                at[first] - before[first], at[last] + after[last], color=GREY, alpha=0.25, lw=0,
-                zorder=-1, label="forbidden",
-            )  # fmt: skip
+            ends = edges[stretch[0]], edges[stretch[-1] + 1]
+            ax.axvspan(*ends, color=GREY, alpha=0.25, lw=0, zorder=-1, label="forbidden")

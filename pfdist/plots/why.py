@@ -57,15 +57,21 @@ def why_figure(tables: Tables, name: str) -> Plot:
 
 
 def _title(measurements: pd.DataFrame, names: tuple[str, str]) -> str:
-    """Say which measurement is worth most."""
-    rows = measurements[measurements["name"] == names[1]].dropna(subset="removed")
-    if rows.empty:
-        return f"{names[1]} measures nothing."
-    most = rows.iloc[rows["removed"].argmax()]
-    return (
-        f"The measurement of {names[1]} at t = {told_time(most['t'])} is worth most: without it, "
-        f"the expected MSE rises by {most['removed']:.3g}; {label(names[0])} are shown beside it."
+    """Say which measurement of each set is worth most."""
+    reference, name = names
+    rows = measurements.dropna(subset="removed").sort_values("removed").groupby("name").last()
+    if name not in rows.index:
+        return f"The set {name} measures nothing."
+    most = rows.loc[name].to_dict()
+    title = (
+        f"The measurement of {name} at t = {told_time(most['t'])} is worth most: without it, the "
+        f"expected MSE rises by {most['removed']:.3g}."
     )
+    if reference not in rows.index:
+        return title
+    most = rows.loc[reference].to_dict()
+    rise = f"at most {most['removed']:.3g}, without t = {told_time(most['t'])}"
+    return f"{title[:-1]}; that of {label(reference)} rises by {rise}."
 
 
 @figure("filters", applies=_has_particles)
