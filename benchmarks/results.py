@@ -12,7 +12,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from benchmarks.measure import Say
-from pfdist.plots.library import styled
+from pfdist.plots.style import styled
 
 Tables = dict[str, pd.DataFrame]
 

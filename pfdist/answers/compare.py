@@ -39,7 +39,7 @@ def compared(subject: Subject) -> Section | None:
     blocks: list[Block] = [
         without_empty_columns(sets),
         Text(_EXACT if subject.is_exact else _MEANING, detail=True),
-        Figures(["compared"] if subject.found else ["compared", "times"]),
+        Figures(["compared"] if subject.found else ["times", "compared"]),
         Table("Pairs of sets", _PAIRS_HEAD, rows, detail=len(rows) > _MOST_OPEN),
     ]
     return Section("How the sets compare", blocks)

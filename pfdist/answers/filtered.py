@@ -21,9 +21,9 @@ from pfdist.documents.parts import (
     Text,
     without_empty_columns,
 )
-from pfdist.plots.error_over_time import effective_sample_size
 from pfdist.plots.figure import Plot
 from pfdist.plots.filtered import filtered_plot
+from pfdist.plots.why import effective_sample_size
 from pfdist.store.schema import components_in
 
 _P_DIGITS = 2

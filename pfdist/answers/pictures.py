@@ -6,12 +6,12 @@ from collections.abc import Iterator
 from dataclasses import replace
 from xml.etree import ElementTree
 
+from matplotlib import rc_context
+
 from pfdist.analysis import Run
 from pfdist.documents.parts import Block, Figures, Page, Picture, Section
-from pfdist.plots.figure import FIGURES, Plot, Tables
-from pfdist.plots.figures import drawn
-from pfdist.plots.library import styled
-from pfdist.plots.style import BLUE, GREEN, GREY, ORANGE, RED
+from pfdist.plots.figure import FIGURES, Plot, Tables, drawn
+from pfdist.plots.style import BLUE, GREEN, GREY, ORANGE, RED, SCREEN, styled
 
 _SVG, _LINK = "http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"
 _COLOURS = {
@@ -24,6 +24,8 @@ _COLOURS = {
     GREY.lower(): "var(--grey)",
 }
 _COLOUR = re.compile("|".join(_COLOURS), re.IGNORECASE)
+_INCHES = (5.4, 3.0)
+"""Text of the screen's size is then as large as the page's, and still legible on a phone."""
 _NOT_DRAWN = ("metadata", "style")
 """Elements that Matplotlib writes and a page does not need."""
 
@@ -73,7 +75,7 @@ def as_svg(plot: Plot, name: str, description: str) -> str:
     str
     """
     file = io.StringIO()
-    with styled():
+    with styled(SCREEN), rc_context({"figure.figsize": _INCHES}):
         drawn(plot).savefig(file, format="svg", transparent=True, metadata={"Date": None})
     ElementTree.register_namespace("", _SVG)
     svg = ElementTree.fromstring(file.getvalue())  # noqa: S314  it was written just above

@@ -1,6 +1,7 @@
 """The results of the points of a sweep, and how their times do at the other points."""
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,7 +24,7 @@ from pfdist.answers.subject import number_of
 from pfdist.answers.sweep_subject import Point, SweepSubject
 from pfdist.common.rounding import rounded, with_interval
 from pfdist.common.told_counts import told_seconds
-from pfdist.common.told_times import told_times
+from pfdist.common.told_times import told_time, told_times
 from pfdist.documents.parts import (
     Block,
     Cell,
@@ -38,9 +39,9 @@ from pfdist.documents.parts import (
 from pfdist.errors import one_line
 from pfdist.plots import against, found_times, heat_map
 from pfdist.plots.figure import Plot
-from pfdist.plots.study_lines import lines_inches
-from pfdist.plots.study_map import map_inches
-from pfdist.plots.study_times import MOST_ROWS, row_inches
+from pfdist.plots.panel import height_of_rows
+from pfdist.plots.sweeps import ROW_OF_MAP
+from pfdist.plots.times_axis import times_inches
 
 _LINKS = "Its links lead to the reports of the points, in the folders beside it."
 
@@ -203,7 +204,7 @@ def _said_of_intervals(subject: SweepSubject) -> str:
 def _against(subject: SweepSubject, key: str) -> Picture:
     frame, held = subject.held([key], _MOST_LINES)
     plot = Plot(
-        lines_inches(frame, key), lambda panels: against(frame, key, ax=panels[0]),
+        2.6, lambda panels: against(frame, key, ax=panels[0]),
         title=_title_of_lines(subject, key, held),
     )  # fmt: skip
     return picture(plot, f"against-{subject.keys.index(key)}", _LINES)
@@ -258,19 +259,22 @@ def _heat_map(subject: SweepSubject) -> list[Block]:
     names = f"{subject.short[x]} and {subject.short[y]}"
     title = f"{result} by {names}{_held_phrase(subject, held)}{hatched}."
     plot = Plot(
-        map_inches(frame, y), lambda panels: heat_map(frame, x, y, value, ax=panels[0]),
+        height_of_rows(len(values_of(frame, y)), ROW_OF_MAP),
+        lambda panels: heat_map(frame, x, y, value, ax=panels[0]),
         title=title,
     )  # fmt: skip
     return [picture(plot, "map", _MAP)]
 
 
 def _found_times(subject: SweepSubject) -> Picture:
-    rows = int(subject.frame["measurement_times"].notna().sum())
-    left = f", of {rows:,} rows 1 in {-(-rows // MOST_ROWS)}" if rows > MOST_ROWS else ""
+    sets = subject.frame["measurement_times"].dropna()
+    often = [(count, -t) for t, count in Counter(t for times in sets for t in times).items()]
+    most, t = max(often, default=(0, 0))
     last = max(run.problem.clock.times[-1] for run in subject.runs)
     plot = Plot(
-        row_inches(rows), lambda panels: found_times(subject.frame, horizon=last, ax=panels[0]),
-        title=f"The times that were found at each point{left}.",
+        times_inches(len(sets)),
+        lambda panels: found_times(subject.frame, horizon=last, ax=panels[0]),
+        title=f"The time t = {told_time(-t)} was found most often, in {most} of {len(sets)} sets.",
     )  # fmt: skip
     return picture(plot, "times", _TIMES)
 

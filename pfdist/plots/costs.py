@@ -1,78 +1,143 @@
-"""Cost against the number of evaluations (the paper's figure 2)."""
+"""Costs: how close each search came to the best (the paper's figure 2), and how sets compare."""
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from matplotlib import colormaps
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.ticker import FuncFormatter, SymmetricalLogLocator
 
-from pfdist.analysis import Run
+from pfdist.analysis import ComparisonStatistics, Run
+from pfdist.analysis.pairs import told_ranks
 from pfdist.analysis.reference import label
 from pfdist.errors import JobError
-from pfdist.plots.cost_curves import curve_of
 from pfdist.plots.figure import Plot, Tables, figure, one_number
-from pfdist.plots.outliers import cut_outliers, points
 from pfdist.plots.panel import (
     axes_for,
     check_kind,
     chosen,
+    height_of_rows,
     legend_above,
     marker,
+    minus,
+    table_of,
     thin,
     verbatim,
+    write_instead,
 )
-from pfdist.plots.style import GREY, SERIES
+from pfdist.plots.style import BLUE, GREY, SERIES
+from pfdist.search.methods import METHODS
 
-_PANEL_INCHES = 1.9  # height of a panel without the legend above it
-_LINE_INCHES = 0.15  # height of a line of a legend
-_LONGEST_NAME = 22  # characters of a name with which a legend has room for two columns
+_PANEL, _LEGEND_LINE = 1.9, 0.15  # inches of a panel without its legend, and of a legend's line
+_LONGEST_NAME = 12  # characters of a name with which the legend has two columns
+_ROW, _MOST_ROWS = 0.2, 40  # inches of a row of the comparison; rows up to which a figure grows
+_MOST_IN_TITLE = 3
 _MARKERS = "osD^vPX<>*"
-_DASHES = {"average": "-", "minimum": "--", "best so far": "--", "best of a step": "--"}
+_LINEAR = 10.0  # per cent, up to which the axis of costs is linear
+Curve = Callable[[pd.DataFrame], pd.DataFrame]
 
 
-def _has_searches(run: Run) -> bool:
-    return one_number(run) and bool(run.job["search"])
+def _by_generation(rows: pd.DataFrame) -> pd.DataFrame:
+    """Average and minimum of the finite costs of each generation (the paper's curves)."""
+    alive = rows[np.isfinite(rows["expected_mse"])]
+    total = (alive["expected_mse"] * alive["copies"]).groupby(alive["generation"]).sum()
+    groups = alive.groupby("generation")
+    curve = pd.DataFrame(
+        {"average": total / groups["copies"].sum(), "minimum": groups["expected_mse"].min()}
+    )
+    population = rows.groupby("generation")["copies"].sum().cumsum()
+    return curve.set_index(population.reindex(curve.index))
 
 
-@figure("cost", applies=_has_searches)
+def _one_by_one(rows: pd.DataFrame) -> pd.DataFrame:
+    """Average and minimum of all evaluations so far."""
+    rows = rows.sort_values(["generation", "individual"])
+    cost = rows["expected_mse"].where(np.isfinite(rows["expected_mse"]))
+    curve = pd.DataFrame({"average": cost.expanding().mean(), "minimum": cost.cummin().ffill()})
+    return curve.set_index(rows["copies"].cumsum())
+
+
+def _best_of_each_step(rows: pd.DataFrame) -> pd.DataFrame:
+    """Least cost of each generation, for sets that grow or shrink by one time a generation."""
+    return _by_generation(rows)[["minimum"]].rename(columns={"minimum": "best of a step"})
+
+
+def _best_so_far(rows: pd.DataFrame) -> pd.DataFrame:
+    """Least cost of all complete sets so far that were evaluated on all draws.
+
+    Prefixes, and sets that were evaluated on fewer draws, only count as evaluations.
+    """
+    rows = rows.sort_values(["generation", "individual"])
+    whole = (rows["end"] == rows["end"].max()) & (rows["draws"] == rows["draws"].max())
+    cost = rows["expected_mse"].where(whole & np.isfinite(rows["expected_mse"]))
+    curve = pd.DataFrame({"best so far": cost.cummin().ffill()})
+    return curve.set_index(rows["copies"].cumsum()).dropna()
+
+
+_CURVES: dict[str, Curve] = {
+    "generations": _by_generation,
+    "trials": _one_by_one,
+    "best so far": _best_so_far,
+    "best of a step": _best_of_each_step,
+}
+
+
+def curve_of(method: str) -> Curve:
+    """The curves of a search method; those of generations if the method is unknown."""
+    return _CURVES[METHODS[method].curve if method in METHODS else "generations"]
+
+
+@figure("cost", applies=lambda run: one_number(run) and bool(run.job["search"]))
 def cost_figure(tables: Tables) -> Plot:
-    """Cost against the number of evaluations (the paper's figure 2).
+    """Estimated cost against the number of evaluations, relative to the best (paper, figure 2).
 
-    Costs of different estimators are not comparable, so each estimator has a panel. The reference
-    is shown in the panel of the searches that estimate costs as the comparison does.
+    Costs of different estimators are not comparable, so each estimator has a panel. In the panel of
+    the searches that estimate costs as the comparison does, costs are relative to the least
+    expected MSE on fresh draws, and the reference is shown. Elsewhere they are relative to the
+    least estimated cost.
     """
     run = tables.run
     groups, evaluations = groups_of(run), shown_evaluations(run)
-    reference = (label(run.names[0]), tables.statistics.mse[run.names[0]].mean)
-    height = _PANEL_INCHES + max(map(legend_inches, groups.values()))
+    on_fresh_draws = _on_fresh_draws(run, tables.statistics)
 
     def draw(panels: Sequence[Axes]) -> None:
         for ax, (difference, names) in zip(panels, groups.items(), strict=True):
-            line = None if difference else reference
-            cost(evaluations, _methods(run, names), reference=line, title=_told(difference), ax=ax)
+            lines = {} if difference else on_fresh_draws
+            cost(evaluations, _methods(run, names), **lines, title=_way(difference), ax=ax)
 
-    return Plot(height * len(groups), draw, len(groups), title=_title(tables))
+    height = _PANEL + max(map(legend_inches, groups.values()))
+    title = _title(evaluations, _methods(run, [search["name"] for search in run.job["search"]]))
+    return Plot(height * len(groups), draw, len(groups), title=title)
 
 
-def _title(tables: Tables) -> str:
-    run, mse = tables.run, tables.statistics.mse
-    reference = run.names[0]
-    best = min(run.found, key=lambda name: _known(mse[name].mean))
-    cost_of_best, cost_of_reference = (f"{mse[name].mean:.4g}" for name in (best, reference))
+def _title(evaluations: pd.DataFrame, methods: Mapping[str, str]) -> str:
+    """Say how many evaluations each search needed to come close to its best."""
+    parts = []
+    for name, method in methods.items():
+        curve = curve_of(method)(evaluations[evaluations["phase"] == name]).min(axis=1).dropna()
+        if len(curve):
+            near = curve.index[(curve <= 1.01 * curve.min()).argmax()]
+            parts.append(f"{name} after {near:,} of {curve.index[-1]:,}")
+    if not parts:
+        return "No search has a finite cost."
+    left_out = f" and {len(parts) - _MOST_IN_TITLE} more" * (len(parts) > _MOST_IN_TITLE)
     return (
-        f"The times of {best} have an expected MSE of {cost_of_best} on fresh draws; "
-        f"{label(reference)} have {cost_of_reference}."
+        "Evaluations until a search came within 1 % of the least cost in its curve: "
+        f"{', '.join(parts[:_MOST_IN_TITLE])}{left_out}."
     )
 
 
-def _known(mse: float) -> float:
-    return mse if math.isfinite(mse) else math.inf
+def _on_fresh_draws(run: Run, statistics: ComparisonStatistics) -> dict[str, tuple[str, float]]:
+    """The reference and the best set, each with its expected MSE, as `cost` takes them."""
+    mse = {name: float(np.nan_to_num(statistics.mse[name].mean, nan=np.inf)) for name in run.names}
+    reference, best = run.names[0], min(mse, key=lambda name: mse[name])
+    return {"reference": (label(reference), mse[reference]), "best": (label(best), mse[best])}
 
 
-def _told(difference: str) -> str:
+def _way(difference: str) -> str:
     return f"estimated otherwise than the comparison:\n{difference}" if difference else ""
 
 
@@ -85,22 +150,16 @@ def groups_of(run: Run) -> dict[str, list[str]]:
     """Names of the searches that estimate alike, by how they differ from the comparison."""
     groups: dict[str, list[str]] = {}
     for search in run.job["search"]:
-        estimation = run.own_estimation(search["name"])
-        groups.setdefault(_difference(estimation), []).append(search["name"])
+        own = run.own_estimation(search["name"])
+        parts = [str(own.get("estimator", ""))]
+        parts += [f"{own[key]} {key}" for key in ("particles", "resampling") if key in own]
+        difference = ", ".join(part.replace("_", " ") for part in parts if part)
+        groups.setdefault(difference, []).append(search["name"])
     return dict(sorted(groups.items()))
 
 
-def _difference(estimation: dict[str, Any]) -> str:
-    """Say how a search estimates costs otherwise than the comparison; empty if it does not."""
-    particles = f"{estimation['particles']} particles" if "particles" in estimation else ""
-    resampling = f"{estimation['resampling']} resampling" if "resampling" in estimation else ""
-    estimator = str(estimation.get("estimator", ""))
-    parts = (part.replace("_", " ") for part in (estimator, particles, resampling))
-    return ", ".join(filter(None, parts))
-
-
 def shown_evaluations(run: Run) -> pd.DataFrame:
-    """Give the table of evaluations; of a search that was repeated, only the repetition."""
+    """The table of evaluations; of a search that was repeated, only the repetition."""
     evaluations = run.evaluations()
     names = [search["name"] for search in run.job["search"]]
     repeated = {f"{name}.again": name for name in names if run.distrust(name)}
@@ -113,10 +172,14 @@ def cost(
     searches: Mapping[str, str] | Collection[str] = (),
     *,
     reference: tuple[str, float] | None = None,
+    best: tuple[str, float] | None = None,
     title: str = "",
     ax: Axes | None = None,
 ) -> Axes:
-    """Draw the costs that searches have reached against their numbers of evaluations.
+    """Draw how far estimated costs lie above the best, against the number of evaluations.
+
+    The difference is in per cent. Beyond 10 % the axis is logarithmic except near 0, so that
+    differences of 1 % are seen beside those of 100 %.
 
     Parameters
     ----------
@@ -127,7 +190,10 @@ def cost(
         the searches of a run that estimate the expected MSE as the comparison does, or else those
         that estimate in another, common way. Costs of different estimators are not comparable.
     reference : (str, float), optional
-        Label and expected MSE of the reference, drawn as a line; a run gives its own.
+        Label and expected MSE of the reference, drawn as a line; a run has its own.
+    best : (str, float), optional
+        Label and expected MSE of the set to which costs are relative: that of a run with the least
+        expected MSE on fresh draws. By default costs are relative to the least cost that is drawn.
     title : str
         Title of the legend; a run says how these searches estimate, if not as the comparison.
     ax : matplotlib Axes, optional
@@ -147,74 +213,142 @@ def cost(
     check_kind(evaluations, (Run, pd.DataFrame), "evaluations")
     if isinstance(evaluations, Run):
         run, way, names = evaluations, *_alike(groups_of(evaluations), list(searches))
-        searches, title = _methods(run, names), title or _told(way)
-        if not way and reference is None and run.draws_compared and not run.has_budget:
-            reference = (label(run.names[0]), run.statistics().mse[run.names[0]].mean)
+        searches, title = _methods(run, names), title or _way(way)
+        if not way and run.draws_compared and not run.has_budget:
+            lines = _on_fresh_draws(run, run.statistics())
+            reference, best = reference or lines["reference"], best or lines["best"]
         evaluations = shown_evaluations(run)
     methods = searches if isinstance(searches, Mapping) else dict.fromkeys(searches, "")
     methods = methods or dict.fromkeys(map(str, evaluations["phase"].unique()), "")
+    curves = {
+        name: curve_of(method)(evaluations[evaluations["phase"] == name])
+        for name, method in methods.items()
+    }
     ax = axes_for(ax)
-    shown = []
-    for position, (name, method) in enumerate(methods.items()):
-        curve = curve_of(method)(evaluations[evaluations["phase"] == name])
-        colour, shape = _colour(position, len(methods)), _MARKERS[position % len(_MARKERS)]
-        start = 0.2 * position / len(methods)
+    least = min((curve.min().min() for curve in curves.values() if len(curve)), default=math.nan)
+    best = best if best is not None and 0 < best[1] < math.inf else None
+    base = least if best is None else best[1]
+    if not 0 < least < math.inf:
+        return write_instead(ax, "no search has a finite cost other than 0")
+    differences = []
+    for position, (name, curve) in enumerate(curves.items()):
+        many = len(curves) > len(SERIES)
+        colour = colormaps["viridis"](position / len(curves)) if many else SERIES[position]
         for kind, costs in curve.items():
+            above = 100 * (costs / base - 1)
+            differences += above.dropna().tolist()
             ax.plot(
-                costs.index, costs, color=colour, ls=_DASHES[str(kind)],
-                label=f"{verbatim(name)}, {kind}", marker=shape,
-                markevery=(start, 0.2), ms=marker(0.9), mew=0,
+                above.index, above, color=colour, ls="-" if kind == "average" else "--",
+                label=f"{verbatim(name)}, {kind}", marker=_MARKERS[position % len(_MARKERS)],
+                markevery=(0.2 * position / len(curves), 0.2), ms=marker(0.9), mew=0,
             )  # fmt: skip
-            shown.append(points(costs.index, costs, colour, f"{name} {kind}"))
-    if reference is not None:
-        told, mse = reference
-        ax.axhline(mse, color=GREY, lw=thin(0.9), ls=":", label=verbatim(told))
+    for line, dashes in ((best, "-"), (None if best == reference else reference, ":")):
+        if line is not None and math.isfinite(line[1]):
+            text = verbatim(f"{line[0]}: {line[1]:.4g}")
+            differences.append(100 * (line[1] / base - 1))
+            ax.axhline(differences[-1], color=GREY, lw=thin(0.9), ls=dashes, label=text)
+    _scale(ax, np.array(differences))
     ax.set_xlabel("number of cost function evaluations")
-    ax.set_ylabel(r"$\hat{\mathbb{E}}_{\mathrm{MSE}}$" if reference else "estimated cost")
+    of_what = "estimated cost" if best is None else "expected MSE"
+    ax.set_ylabel(f"estimated cost above\nthe least {of_what} [%]")
     ax.set_xlim(left=0)
-    cut_outliers(ax, shown, [] if reference is None else [reference[1]])
-    legend_above(ax, _in_rows(ax), columns=_columns(methods), title=title)
+    ax.margins(y=0.08)
+    legend_above(ax, columns=_columns(methods), title=title)
     return ax
 
 
+def _scale(ax: Axes, differences: np.ndarray[Any, Any]) -> None:
+    """Have a linear axis of small differences, and else an axis that is linear only near 0."""
+    sizes = np.abs(differences[differences != 0])
+    if sizes.size and sizes.max() > _LINEAR:
+        near = 10 ** np.floor(np.log10(np.clip(np.quantile(sizes, 0.1), 0.1, 1.0)))
+        ax.set_yscale("symlog", linthresh=near, linscale=0.5)
+        ax.yaxis.set_major_locator(SymmetricalLogLocator(base=10, linthresh=near, subs=(1, 3)))
+        ax.yaxis.set_minor_locator(
+            SymmetricalLogLocator(base=10, linthresh=near, subs=range(1, 10))
+        )
+    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: minus(f"{value:g}")))
+
+
 def _alike(groups: Mapping[str, list[str]], names: list[str]) -> tuple[str, list[str]]:
-    """Give how some searches estimate, and their names; of no names, those of the first group."""
+    """How some searches estimate, and their names; without names, those of the first group."""
     way_of = {name: way for way, group in groups.items() for name in group}
     names = [chosen(name, way_of, "searches") for name in names] or next(iter(groups.values()))
     ways = {way_of[name] for name in names}
     if len(ways) > 1:
-        told = "; ".join(f"{name}: {way_of[name] or 'as the comparison'}" for name in names)
-        raise JobError(f"searches must estimate costs alike, got {told}", argument="searches")
+        each = "; ".join(f"{name}: {way_of[name] or 'as the comparison'}" for name in names)
+        raise JobError(f"searches must estimate costs alike, got {each}", argument="searches")
     return ways.pop(), names
 
 
-def _in_rows(ax: Axes) -> list[Artist]:
-    """Order the legend's entries by columns, so that both curves of a search share a row."""
-    handles = ax.get_legend_handles_labels()[0]
-    curves = [handle for handle in handles if ", " in str(handle.get_label())]
-    others = [handle for handle in handles if handle not in curves]
-    names = [str(handle.get_label()).rpartition(",")[0] for handle in curves]
-    if any(names.count(name) != 2 for name in names):
-        return handles
-    return [*curves[::2], *others, *curves[1::2]]
-
-
 def legend_inches(names: Collection[str]) -> float:
-    """Give the height of a panel's legend, at least 0.5 inches.
-
-    Parameters
-    ----------
-    names : collection of str
-        Names of the searches in the panel; each has at most two curves.
-    """
-    return max(0.5, _LINE_INCHES * math.ceil(2 * len(names) / _columns(names)))
+    """Height of a panel's legend over searches of these names, which have two curves at most."""
+    return _LEGEND_LINE * max(3, math.ceil(2 * (1 + len(names)) / _columns(names)))
 
 
 def _columns(names: Collection[str]) -> int:
-    """Number of columns of the legend."""
     return 2 if max(map(len, names)) <= _LONGEST_NAME else 1
 
 
-def _colour(position: int, count: int) -> Any:
-    """Colour of a search; many searches take colours of rising lightness."""
-    return SERIES[position] if count <= len(SERIES) else colormaps["viridis"](position / count)
+@figure("compared", applies=lambda run: bool(run.named))
+def compared_figure(tables: Tables) -> Plot:
+    """Expected MSE of each compared set, with the 95 % interval of its difference to the best."""
+    ranks = tables.run.ranks()
+    best, *others = ranks.to_dict("records")
+    rivals = [str(each["name"]) for each in others if each["best_rank"] == 1]
+    if best["best_rank"] == best["worst_rank"]:
+        title = f"The times of {best['name']} are clearly the best of {len(ranks)} sets."
+    elif len(rivals) > _MOST_IN_TITLE:
+        title = f"The best may be any of {1 + len(rivals)} of {len(ranks)} sets."
+    else:
+        names = ", ".join([str(best["name"]), *rivals])
+        title = f"The best of {len(ranks)} sets may be any of these: {names}."
+    return Plot(_height(ranks), lambda panels: comparison(ranks, ax=panels[0]), title=title)
+
+
+def _height(ranks: pd.DataFrame) -> float:
+    return height_of_rows(min(len(ranks), _MOST_ROWS), _ROW)
+
+
+def comparison(ranks: Run | pd.DataFrame, *, ax: Axes | None = None) -> Axes:
+    """Draw the expected MSE of each set, the best on top, and how far it is from the best.
+
+    The bar of a set is the 95 % interval of the difference to the best set on the same draws. The
+    numbers on the right are the ranks.
+
+    Parameters
+    ----------
+    ranks : Run or DataFrame
+        A run, or its table `pfdist.analysis.Run.ranks`.
+    ax : matplotlib Axes, optional
+        By default those of a new figure.
+
+    Returns
+    -------
+    matplotlib Axes
+    """
+    table = table_of(ranks, "ranks", "ranks")
+    ax = axes_for(ax, _height(table))
+    least = table["expected_mse"].iloc[0]
+    table = table[np.isfinite(table["difference"])]
+    if table.empty or not np.isfinite(least):
+        return write_instead(ax, "no expected MSE is finite")
+    at = least + table["difference"].to_numpy()
+    bars = np.stack([table["difference"] - table["low"], table["high"] - table["difference"]])
+    ax.axvline(least, color=GREY, lw=thin(0.6), ls=(0, (4, 1.5)), zorder=0)
+    ax.errorbar(
+        at, np.arange(len(table)), xerr=np.nan_to_num(bars), color=BLUE, ls="", marker="o",
+        ms=marker(0.9), elinewidth=thin(1.2), capsize=marker(0.5), capthick=thin(),
+    )  # fmt: skip
+    ax.set_ylim(len(table) - 0.5, -0.5)
+    beside = ax.twinx()
+    beside.set_ylim(ax.get_ylim())
+    beside.set_ylabel("rank")
+    step = math.ceil(len(table) / _MOST_ROWS)
+    names = list(map(verbatim, table["name"]))
+    numbers = list(map(told_ranks, table["best_rank"], table["worst_rank"]))
+    for axis, labels in ((ax, names), (beside, numbers)):
+        axis.set_yticks(range(0, len(labels), step), labels[::step])
+        axis.tick_params(axis="y", length=0)
+    ax.set_xlabel("expected MSE (bars: 95 % of the difference to the best)")
+    return ax

@@ -1,16 +1,27 @@
-"""Figures of a run. Each is one file of `pfdist.plots` and declares itself."""
+"""Figures of a run: how a figure is declared, which a run has, and their files.
 
-from collections.abc import Callable, Iterator, Sequence
+A module of `pfdist.plots` declares its figures; nothing else lists them.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
+from matplotlib import rcParams
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Canvas
 
 from pfdist.analysis import ComparisonStatistics, Run
 from pfdist.analysis.online import OnlineDraws, online_draws
 from pfdist.common.registry import Registry
+from pfdist.errors import StoreError
+from pfdist.plots.panel import scaled
+from pfdist.plots.style import styled
+from pfdist.store import remove_file, write_file
+from pfdist.store.folder import FIGURES_FOLDER, FORMATS, figures_in
 
 Applies = Callable[[Run], bool]
 
@@ -33,6 +44,8 @@ class Plot:
     title : str
         One sentence that says what to see in the data. It is not drawn; reports show it beside the
         figure, and files hold it as their title.
+    heights : sequence of float, optional
+        Relative heights of the panels; by default all are equal.
     """
 
     height: float
@@ -40,6 +53,7 @@ class Plot:
     panels: int = 1
     share_x: bool = False
     title: str = ""
+    heights: Sequence[float] | None = None
 
 
 class Tables:
@@ -86,7 +100,7 @@ class Figure:
     description : str
         The figure in one line: what it shows of any run. Reports take it as alternative text.
     plot : callable
-        Gives the plot of `Tables`; with ``each_set`` of `Tables` and the name of a set.
+        The plot of `Tables`; with ``each_set`` of `Tables` and the name of a set.
     applies : callable
         Says whether a run has the figure.
     each_set : bool
@@ -100,11 +114,11 @@ class Figure:
     each_set: bool = False
 
     def files(self, run: Run) -> list[str]:
-        """Give the names of the figure's files of a run, without suffix."""
+        """Names of the figure's files of a run, without suffix."""
         return list(self._arguments(run))
 
     def plots(self, tables: Tables) -> Iterator[tuple[str, Plot]]:
-        """Give the name of each file, without suffix, and the plot in it."""
+        """The name of each file, without suffix, and the plot in it."""
         for file, arguments in self._arguments(tables.run).items():
             yield file, self.plot(tables, *arguments)
 
@@ -120,19 +134,9 @@ class Figure:
 FIGURES: Registry[Figure] = Registry("pfdist.plots")
 
 
-def every_run(run: Run) -> bool:
-    """Whether a run has a figure that all runs have."""
-    return True
-
-
 def one_number(run: Run) -> bool:
-    """Whether the found sets of a run have one number of measurements."""
+    """Whether the sets of a run have one number of measurements."""
     return not run.has_budget
-
-
-def several_numbers(run: Run) -> bool:
-    """Whether a run has found sets of several numbers of measurements."""
-    return run.has_budget
 
 
 def has_online(run: Run) -> bool:
@@ -141,7 +145,7 @@ def has_online(run: Run) -> bool:
 
 
 def figure(
-    name: str, *, applies: Applies = every_run, each_set: bool = False
+    name: str, *, applies: Applies = lambda run: True, each_set: bool = False
 ) -> Callable[[Callable[..., Plot]], Callable[..., Plot]]:
     """Declare a function as a figure; the first line of the docstring describes the figure.
 
@@ -150,7 +154,7 @@ def figure(
     name : str
         File name without suffix; with ``each_set`` the first part of it.
     applies : callable
-        Says whether a run has the figure.
+        Says whether a run has the figure; by default every run has it.
     each_set : bool
         Whether there is a file ``<name>-<set>`` for each compared set but the reference. The
         function is then called with the name of a set, too.
@@ -162,3 +166,87 @@ def figure(
         return plot
 
     return declare
+
+
+def figure_files(run: Run) -> list[Path]:
+    """Files of all figures that a run has, whose comparison has begun."""
+    names = [name for figure in FIGURES.values() for name in figure.files(run)]
+    return [file for name in names for file in _files(run, name)]
+
+
+def remove_figures(path: Path) -> None:
+    """Remove the figures of the run in this folder."""
+    for file in figures_in(path):
+        remove_file(file)
+
+
+def draw_figures(run: Run, only: str = "") -> list[Path]:
+    """Draw all figures of a run from its tables, or one, into its folder ``figures``.
+
+    Parameters
+    ----------
+    run : Run
+    only : str
+        Name of one figure, as its file declares it; empty for all.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+
+    Raises
+    ------
+    StoreError
+        The comparison has not begun, so there is nothing to draw; a table cannot be read; or a
+        file cannot be written.
+    """
+    if run.state == "searching" or not run.draws_compared:
+        raise StoreError(f"{run.path} has no compared draws yet: run the job on, then plot")
+    tables, wanted = Tables(run), [FIGURES[only]] if only else FIGURES.values()
+    return save_plots(run, (plot for figure in wanted for plot in figure.plots(tables)))
+
+
+def save_plots(run: Run, plots: Iterable[tuple[str, Plot]]) -> list[Path]:
+    """Draw plots in the style for print into the folder ``figures`` of a run.
+
+    The plots come with the names of their files, without suffix. Each has a file of each format.
+    """
+    saved = []
+    with styled():
+        for name, plot in plots:
+            canvas, files = drawn(plot), _files(run, name)
+            for file in files:
+                write_file(file, partial(_save, canvas, file.suffix.removeprefix("."), plot.title))
+            saved += files
+    return saved
+
+
+def save_plot(path: Path, plot: Plot, title: str) -> None:
+    """Draw a plot in the style for print into a PNG file anywhere.
+
+    The title is in ASCII. The file holds it unseen near its start.
+    """
+    with styled():
+        write_file(path, partial(_save, drawn(plot), "png", title))
+
+
+def drawn(plot: Plot) -> Canvas:
+    """The plot, as large as the style in use makes it; it belongs to no window."""
+    width, height = rcParams["figure.figsize"][0], scaled(plot.height)
+    canvas = Canvas(figsize=(width, height), layout="constrained")
+    panels = canvas.subplots(
+        plot.panels, squeeze=False, sharex=plot.share_x, height_ratios=plot.heights
+    )
+    plot.draw(panels[:, 0].tolist())
+    return canvas
+
+
+def _files(run: Run, name: str) -> list[Path]:
+    return [run.path / FIGURES_FOLDER / f"{name}.{suffix}" for suffix in FORMATS]
+
+
+def _save(canvas: Canvas, suffix: str, title: str, path: Path) -> None:
+    about: dict[str, str | None] = {"Title": title} if title else {}
+    if suffix == "svg":
+        about["Date"] = None  # without a date, the same figure gives the same bytes
+    canvas.savefig(path, format=suffix, metadata=about)

@@ -1,16 +1,14 @@
 """A filter's belief of z over time, by real measurements, with 50 and 90 % bands."""
 
-from collections.abc import Iterable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from pfdist.plots.figure import Plot
-from pfdist.plots.figures import save_plot
+from pfdist.plots.figure import Plot, save_plot
 from pfdist.plots.panel import (
+    MOST_COMPONENTS,
     axes_for,
     chosen,
     label_quantity,
@@ -25,7 +23,6 @@ from pfdist.plots.style import BLUE, GREY, ORANGE, RED
 from pfdist.store.files import check_replaceable
 from pfdist.store.schema import components_in
 
-MOST_COMPONENTS = 6  # components of z that are shown, each in a panel
 _TITLE = "pfdist: filtered measurements"
 _START = 4096  # bytes of a file in which its title stands
 _BANDS = ((5, 95, 0.22, "90 %"), (25, 75, 0.38, "50 %"))
@@ -38,7 +35,7 @@ after the last measurement."""
 
 
 def filtered_plot(table: pd.DataFrame, times: Times) -> Plot:
-    """Give the plot of each component of z: mean, bands, and the times of measurements.
+    """Plot of each component of z: mean, bands, and the times of measurements.
 
     Parameters
     ----------
@@ -48,21 +45,22 @@ def filtered_plot(table: pd.DataFrame, times: Times) -> Plot:
         Planned times that were not measured, measured times that were not planned, and planned
         times after the last measurement.
     """
-    number = len(components_in(table, "mean_"))
-    panels = min(number, MOST_COMPONENTS)
-    draw = partial(_draw, table, number, times)
-    return Plot(1.3 + 1.45 * panels, draw, panels, share_x=True, title=_sentence(table))
-
-
-def _sentence(table: pd.DataFrame) -> str:
-    """Say how sure the filter is in the end."""
-    last, first = table.iloc[-1], components_in(table, "mean_")[0]
+    quantities = components_in(table, "mean_")
+    number = min(len(quantities), MOST_COMPONENTS)
+    last, first = table.iloc[-1], quantities[0]
     mean, low, high = (f"{last[f'{name}_{first.suffix}']:.3g}" for name in ("mean", "q05", "q95"))
     unit = f" {first.unit}" if first.unit else ""
-    return (
+
+    def draw(panels: Sequence[Axes]) -> None:
+        for component, ax in enumerate(panels):
+            belief(table, component=component, times=times, ax=ax)
+        stack(panels, len(quantities))
+
+    title = (
         f"In the end the filter believes {first.name or 'z'} to be {mean}{unit}, and with 90 % "
         f"between {low} and {high}{unit}."
     )
+    return Plot(1.3 + 1.45 * number, draw, number, share_x=True, title=title)
 
 
 def draw_filtered(path: Path, plot: Plot) -> None:
@@ -98,25 +96,8 @@ def _is_earlier(path: Path) -> bool:
         return _TITLE.encode() in file.read(_START)
 
 
-def _draw(
-    table: pd.DataFrame,
-    number: int,
-    times: Times,
-    panels: Sequence[Axes],
-) -> None:
-    for component, ax in enumerate(panels):
-        belief(table, component=component, times=times, ax=ax)
-    stack(panels)
-    if number > len(panels):
-        panels[-1].set_xlabel(f"$t$; {number - len(panels)} more components are left out")
-
-
 def belief(
-    source: object,
-    *,
-    component: int = 0,
-    times: Times | None = None,
-    ax: Axes | None = None,
+    source: object, *, component: int = 0, times: Times | None = None, ax: Axes | None = None
 ) -> Axes:
     """Draw the mean of a component of z with its 50 and 90 % bands, and the measurement times.
 
@@ -143,43 +124,30 @@ def belief(
         There is no such component.
     """
     table = table_of(source, "source", "table")
-    if times is None:
-        missing, extra, to_come = (
-            getattr(source, key, ()) for key in ("missing", "extra", "to_come")
-        )
-    else:
-        missing, extra, to_come = times
+    keys = ("missing", "extra", "to_come")
+    missing, extra, to_come = times or (getattr(source, key, ()) for key in keys)
     quantities = components_in(table, "mean_")
-    chosen(component, range(len(quantities)), "component")
-    ax = axes_for(ax)
-    _plot(ax, table, quantities[component].suffix)
-    label_quantity(ax, quantities, component)
-    low, high = ax.get_ylim()
-    ax.set_ylim(low - 0.08 * (high - low), high)  # room for the markers
-    measured = table["t"].to_numpy()[table["measured"].to_numpy(bool)]
-    planned = sorted(set(measured) - set(extra))
-    _mark(ax, planned, "|", "black", "measured as planned")
-    _mark(ax, extra, "D", ORANGE, "measured, not planned")
-    _mark(ax, missing, "x", RED, "planned, not measured")
-    _mark(ax, to_come, "o", GREY, "planned, to come")
-    label_times(ax, table)
-    legend_above(ax)
-    return ax
-
-
-def _plot(ax: Axes, table: pd.DataFrame, suffix: str) -> None:
-    t = table["t"].to_numpy()
+    suffix = quantities[chosen(component, range(len(quantities)), "component")].suffix
+    t, ax = table["t"].to_numpy(), axes_for(ax)
     for low, high, alpha, label in _BANDS:
         below, above = (table[f"q{percent:02d}_{suffix}"].to_numpy() for percent in (low, high))
         ax.fill_between(t, below, above, color=BLUE, alpha=alpha, lw=0, label=f"{label} band")
     ax.plot(t, table[f"mean_{suffix}"].to_numpy(), color=BLUE, label="mean")
-
-
-def _mark(ax: Axes, times: Iterable[float], shape: str, colour: str, label: str) -> None:
-    """Mark some times at the lower edge of a panel; no times have no entry in the legend."""
-    at = np.array(list(times))
-    if at.size:
-        ax.plot(
-            at, np.full(at.size, _LEVEL), shape, ms=marker(1.2), mew=thin(0.9), color=colour,
-            mfc="white", transform=ax.get_xaxis_transform(), label=label, clip_on=False,
-        )  # fmt: skip
+    label_quantity(ax, quantities, component)
+    bottom, top = ax.get_ylim()
+    ax.set_ylim(bottom - 0.08 * (top - bottom), top)  # room for the markers
+    planned = sorted({*t[table["measured"].to_numpy(bool)]} - {*extra})
+    for at, shape, colour, label in (
+        (planned, "|", "black", "measured as planned"),
+        (extra, "D", ORANGE, "measured, not planned"),
+        (missing, "x", RED, "planned, not measured"),
+        (to_come, "o", GREY, "planned, to come"),
+    ):
+        if len(at):
+            ax.plot(
+                at, [_LEVEL] * len(at), shape, ms=marker(1.2), mew=thin(0.9), color=colour,
+                mfc="white", transform=ax.get_xaxis_transform(), label=label, clip_on=False,
+            )  # fmt: skip
+    label_times(ax, table)
+    legend_above(ax)
+    return ax

@@ -1,30 +1,46 @@
-"""The worth of each measurement of a set: the rise of the error without it, or if it is moved."""
+"""What each measurement is worth, and its sampling window: how far it can move at a small loss."""
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from numpy.typing import NDArray
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
-from pfdist.plots.error_over_time import BAND, rows_of_sets
-from pfdist.plots.outliers import Points, cut_outliers, points
+from pfdist.analysis.sampling_windows import (
+    STRICT,
+    WIDE,
+    runs_of,
+    sentences,
+    windows_of,
+)
+from pfdist.common.told_times import told_time
+from pfdist.plots.figure import Plot, Tables, figure
 from pfdist.plots.panel import (
+    BAND,
     axes_for,
-    draw_zero,
+    chosen,
+    cut_outliers,
+    height_of_rows,
     label_times,
     legend_above,
     marker,
+    points,
+    rows_of_sets,
     step_of,
     table_of,
     thin,
     verbatim,
     write_instead,
 )
-from pfdist.plots.style import GREY
+from pfdist.plots.style import BLUE, GREY, RED
+from pfdist.times.clock import Time
 
-Array = NDArray[np.float64]
 _WIDTH = 0.4  # of the instants over which the stems of all sets at one instant are spread
+_ROW, _TALLEST = 0.14, 6.0  # inches of a row, and of a figure
+_MOST_LABELS = 30  # rows that have room for their names
+_LENGTH = 0.8  # of a bar, in instants
+_BARS = ((WIDE, BLUE, 0.28), (STRICT, RED, 0.72))  # level, colour and height over that of a row
 
 
 def worth(measurements: object, names: Sequence[str] = (), *, ax: Axes | None = None) -> Axes:
@@ -49,23 +65,7 @@ def worth(measurements: object, names: Sequence[str] = (), *, ax: Axes | None = 
     JobError
         The table has no set of this name.
     """
-    table, curves = table_of(measurements, "measurements", "worth", "measurements"), list[Points]()
-    sets, ax = rows_of_sets(table, names), axes_for(ax)
-    if table.empty:
-        return write_instead(ax, "there is no table of what measurements are worth")
-    for (name, rows, style), aside in zip(sets, _aside(len(sets)), strict=True):
-        t = rows["t"].to_numpy() + aside * step_of(table)
-        rise = rows["removed"].to_numpy()
-        ax.vlines(t, 0.0, rise, color=style["color"], lw=thin())
-        _intervals(ax, t, rise, rows["removed_error"].to_numpy(), style)
-        ax.plot([], [], label=verbatim(name) or None, **style | {"ls": ""}, ms=marker(0.9))
-        curves.append(points(t, rise, style["color"], name))
-    draw_zero(ax)
-    cut_outliers(ax, curves, keep=[0.0])
-    ax.set_ylabel("MSE rise if removed")
-    label_times(ax, table)
-    legend_above(ax)
-    return ax
+    return _rises(measurements, names, ax, "removed", {"removed": ("", 0.0)})
 
 
 def shifts(measurements: object, names: Sequence[str] = (), *, ax: Axes | None = None) -> Axes:
@@ -90,34 +90,138 @@ def shifts(measurements: object, names: Sequence[str] = (), *, ax: Axes | None =
     JobError
         The table has no set of this name.
     """
-    table, curves = table_of(measurements, "measurements", "worth", "measurements"), list[Points]()
+    changes = {"earlier": ("<", -0.3), "later": (">", 0.3)}
+    return _rises(measurements, names, ax, "shifted", changes)
+
+
+def _rises(
+    source: object,
+    names: Sequence[str],
+    ax: Axes | None,
+    change: str,
+    columns: Mapping[str, tuple[str, float]],
+) -> Axes:
+    """Draw the rises in these columns, each with its marker, so many instants beside t.
+
+    Without a marker the column has stems. The stems of all sets at one instant are spread.
+    """
+    table, curves = table_of(source, "measurements", "worth", "measurements"), []
     sets, ax = rows_of_sets(table, names), axes_for(ax)
     if table.empty:
         return write_instead(ax, "there is no table of what measurements are worth")
-    for name, _, style in sets:
-        ax.plot([], [], label=verbatim(name) or None, **style | {"ls": ""}, ms=marker(0.9))
-    for change, shape, aside in (("earlier", "<", -0.3), ("later", ">", 0.3)):
-        for name, found, style in sets:
-            rows = found.dropna(subset=change)
-            t = rows["t"].to_numpy() + aside * step_of(table)
-            rise = rows[change].to_numpy()
-            _intervals(ax, t, rise, rows[f"{change}_error"].to_numpy(), style | {"marker": shape})
+    spread = np.linspace(-_WIDTH / 2, _WIDTH / 2, len(sets)) if len(sets) > 1 else [0.0]
+    for (name, rows, plain), beside in zip(sets, spread, strict=True):
+        style = plain | {"ls": "", "ms": marker(0.9)}
+        ax.plot([], [], label=verbatim(name) or None, **style)
+        for column, (shape, aside) in columns.items():
+            present = rows.dropna(subset=column)
+            t = present["t"].to_numpy() + (aside or beside) * step_of(table["t"])
+            rise, half = present[column].to_numpy(), BAND * present[f"{column}_error"].to_numpy()
+            if not shape:
+                ax.vlines(t, 0.0, rise, color=style["color"], lw=thin())
+            shaped = style | ({"marker": shape} if shape else {})
+            ax.errorbar(t, rise, half, elinewidth=thin(0.6), **shaped)
             curves.append(points(t, rise, style["color"], name))
-        told = f"one instant {change}"
-        ax.plot([], [], shape, color=GREY, ms=marker(0.9), label=told)
-    draw_zero(ax)
+    for column, (shape, _) in columns.items():
+        if shape:
+            ax.plot([], [], shape, color=GREY, ms=marker(0.9), label=f"one instant {column}")
+    ax.axhline(0.0, color=GREY, lw=thin(0.6), zorder=0)
     cut_outliers(ax, curves, keep=[0.0])
-    ax.set_ylabel("MSE rise if shifted")
+    ax.set_ylabel(f"MSE rise if {change}")
     label_times(ax, table)
     legend_above(ax)
     return ax
 
 
-def _aside(sets: int) -> list[float]:
-    """Give how far from the instant each set is drawn, so that no set hides another."""
-    return [0.0] if sets == 1 else np.linspace(-_WIDTH / 2, _WIDTH / 2, sets).tolist()
+@figure(
+    "sampling_windows",
+    applies=lambda run: run.has("sampling_windows") and run.has("jitter"),
+    each_set=True,
+)
+def sampling_windows_figure(tables: Tables, name: str) -> Plot:
+    """Sampling windows: instants to which each measurement alone can move at a small loss."""
+    rows, jitter = (
+        table[table["name"] == name]
+        for table in (tables.run.sampling_windows(), tables.run.jitter())
+    )
+    is_found = name in tables.run.found
+    said = sentences(rows.to_dict("records"), jitter.to_dict("records"), is_found=is_found)
+    return Plot(
+        _height(rows["t"].nunique()),
+        lambda panels: sampling_windows(rows, name, ax=panels[0]),  # none: it measures nothing
+        title=f"Sampling windows of {name}. {said[0] if said else 'Nothing can move.'}",
+    )
 
 
-def _intervals(ax: Axes, t: Array, rise: Array, error: Array, style: dict[str, Any]) -> None:
-    shape = style | {"ls": ""}
-    ax.errorbar(t, rise, BAND * error, ms=marker(0.9), elinewidth=thin(0.6), **shape)
+def _height(rows: int) -> float:
+    return min(height_of_rows(rows, _ROW), _TALLEST)
+
+
+def sampling_windows(table: object, name: str = "", *, ax: Axes | None = None) -> Axes:
+    """Draw the instants to which each measurement alone can move at a loss of at most 1 and 5 %.
+
+    Each measurement is a row. A thick bar covers the instants within 1 %, a thin bar those within
+    5 %. Hollow bars cover the instants that the draws leave open. A grey line ends where the job or
+    a neighbouring measurement ends what was tried.
+
+    Parameters
+    ----------
+    table : DataFrame or object
+        A table with the columns t, moved_to, within_1 and within_5, and name if there are several
+        sets. Or an object that has it as ``sampling_windows``, such as a run or the result of
+        `pfdist.why`.
+    name : str
+        The set that is drawn; by default the last set.
+    ax : matplotlib Axes, optional
+        By default those of a new figure.
+
+    Returns
+    -------
+    matplotlib Axes
+
+    Raises
+    ------
+    JobError
+        The table has no set of this name.
+    """
+    every = table_of(table, "table", "sampling_windows")
+    if "name" in every and len(every):
+        names = list(dict.fromkeys(map(str, every["name"])))
+        every = every[every["name"] == (chosen(name, names, "name") if name else names[-1])]
+    rows = every.sort_values(["t", "moved_to"])
+    if rows.empty:
+        return write_instead(axes_for(ax), "there is no measurement that can be moved")
+    moved = rows.groupby("t")["moved_to"].agg(["min", "max"])
+    times, places = moved.index.tolist(), range(len(moved))
+    ax = axes_for(ax, _height(len(times)))
+    ax.hlines(places, moved["min"], moved["max"], color=GREY, lw=thin(0.6), zorder=1)
+    length = _LENGTH * step_of(rows["moved_to"])
+    for order, (percent, color, height) in enumerate(_BARS, start=2):
+        for place, window in enumerate(windows_of(rows.to_dict("records"), percent)):
+            y = (place - height / 2, height)
+            sure, left_open = _spans(window.inside, length), _spans(window.open, length)
+            ax.broken_barh(sure, y, color=color, lw=0, zorder=order)
+            if left_open:
+                ax.broken_barh(left_open, y, fc="none", ec=color, lw=thin(0.5), zorder=order)
+    ax.plot(times, places, "o", color="black", ms=marker(0.5), zorder=5)
+    step = -(-len(times) // _MOST_LABELS)
+    ax.set_ylim(max(len(times), 3) - 0.4, -0.6)  # the first measurement on top
+    ax.set_yticks(places[::step], list(map(told_time, times[::step])))
+    ax.tick_params(axis="y", length=0)
+    ax.set_ylabel("measurement at")
+    label_times(ax, rows)
+    (_, blue, _), (_, red, _) = _BARS
+    handles = [
+        Patch(fc=red, lw=0, label=f"loss at most {STRICT} %"),
+        Patch(fc=blue, lw=0, label=f"at most {WIDE} % (thin)"),
+        Patch(fc="white", ec=red, lw=thin(0.5), label="open (hollow)"),
+        Line2D([], [], color=GREY, lw=thin(0.6), marker="o", mfc="black", mec="black",
+               ms=marker(0.5), label="the set's own; tried up to here"),
+    ]  # fmt: skip
+    legend_above(ax, handles, columns=2)
+    return ax
+
+
+def _spans(instants: Mapping[Time, int], length: float) -> list[tuple[float, float]]:
+    """The first end and the length of the bar over each stretch of successive instants."""
+    return [(run[0] - length / 2, run[-1] - run[0] + length) for run in runs_of(instants)]

@@ -1,38 +1,43 @@
-"""Parts that panels share: axes, tables, legends, and sizes that the style gives."""
+"""Parts that panels share: axes, tables, labels, legends, and axes that outliers do not flatten.
 
-from collections.abc import Collection, Sequence
+Sizes are those of the style in use.
+"""
+
+import math
+from collections.abc import Collection, Iterable, Sequence
 from textwrap import wrap
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import pandas as pd
 from matplotlib import rcParams
 from matplotlib.axes import Axes
 from matplotlib.ticker import Formatter, MaxNLocator
+from numpy.typing import ArrayLike, NDArray
 
 from pfdist.common.component_names import Component
 from pfdist.errors import JobError, shown
-from pfdist.plots.style import GREY
+from pfdist.plots.style import set_style
 
 T = TypeVar("T")
+Array = NDArray[np.float64]
+BAND = 1.96  # standard errors in half of a 95 % interval
+MOST_COMPONENTS = 6  # components of z that a figure shows, each in a panel
 _POINTS = 8  # of the font for which heights are given
 _THIN = 0.7  # width of a thin line over that of a line of the style
 _LABEL_LINE = 24  # characters of a line of a vertical axis's label
+_LEGEND_LETTERS = 24  # longest label with which a legend has two columns
+_SHARE = 0.1  # of all values that may be cut off; one value always may
+_STRETCH = 4.0  # values are cut off only if the axis would be so many times longer with them
+_MARGIN = 0.08  # room beyond the last value that is shown, over the length of the axis
+_LABELLED = 2  # of more points beyond the axis, only the farthest has a number
 
 
 def axes_for(ax: Axes | None, height: float | None = None) -> Axes:
-    """Give the axes to draw into: those given, or those of a new figure of pyplot.
+    """The axes to draw into: those given, or those of a new figure of pyplot.
 
-    Parameters
-    ----------
-    ax : matplotlib Axes or None
-    height : float, optional
-        Height of a new figure, in inches where the style has 8 points; by default the style's own.
-
-    Raises
-    ------
-    TypeError
-        These are no axes, for instance an array of axes.
+    The height of a new figure is in inches where the style has 8 points; by default it is the
+    style's own.
     """
     if ax is not None:
         check_kind(ax, (Axes,), "ax")
@@ -46,27 +51,13 @@ def axes_for(ax: Axes | None, height: float | None = None) -> Axes:
 
 
 def table_of(source: object, argument: str, *names: str) -> pd.DataFrame:
-    """Give a table: the DataFrame itself, or the table that an object has.
-
-    Parameters
-    ----------
-    source : DataFrame or object
-    argument : str
-        Name of the argument, for errors.
-    *names : str
-        The first of these attributes that the object has is the table, or a method that reads it.
-
-    Raises
-    ------
-    TypeError
-        The object has none of these attributes, or the attribute is no table.
-    """
+    """A table: the DataFrame itself, or the first of these attributes or methods of an object."""
     if isinstance(source, pd.DataFrame):
         return source
     for name in names:
-        found = getattr(source, name, None)
-        if found is not None:
-            table: pd.DataFrame = found() if callable(found) else found
+        attribute = getattr(source, name, None)
+        if attribute is not None:
+            table: pd.DataFrame = attribute() if callable(attribute) else attribute
             check_kind(table, (pd.DataFrame,), f"{argument}.{name}")
             return table
     wanted = " or ".join(f"`{name}`" for name in names)
@@ -75,11 +66,7 @@ def table_of(source: object, argument: str, *names: str) -> pd.DataFrame:
 
 
 def check_kind(value: object, kinds: Sequence[type], argument: str) -> None:
-    """Raise an error unless a value is of one of some types.
-
-    Raises
-    ------
-    TypeError
+    """Raise a `TypeError` unless a value is of one of some types.
 
     Examples
     --------
@@ -93,8 +80,17 @@ def check_kind(value: object, kinds: Sequence[type], argument: str) -> None:
         raise TypeError(f"{argument} must be of type {allowed}, got {type(value).__name__}")
 
 
+def chosen(name: T, among: Collection[T], argument: str) -> T:
+    """The name itself; a `JobError` lists the allowed names if it is none of them."""
+    if name in among:
+        return name
+    allowed = ", ".join(map(str, among))
+    message = f"{argument} must be one of {allowed}, got {shown(name)}"
+    raise JobError(message, argument=argument)
+
+
 def verbatim(name: object) -> str:
-    r"""Give a name as texts of a figure show it letter by letter, also its dollar signs.
+    r"""A name as texts of a figure show it letter by letter, also its dollar signs.
 
     Matplotlib takes text between two dollar signs for a formula.
 
@@ -107,7 +103,7 @@ def verbatim(name: object) -> str:
 
 
 def clipped(text: str, letters: int) -> str:
-    """Give the start of a text, with an ellipsis in the place of the rest.
+    """The start of a text, with an ellipsis in the place of the rest.
 
     Examples
     --------
@@ -117,24 +113,14 @@ def clipped(text: str, letters: int) -> str:
     return text if len(text) <= letters else f"{text[: letters - 1]}…"
 
 
-def chosen(name: T, among: Collection[T], argument: str) -> T:
-    """Give back a name, if it is among some names.
-
-    Raises
-    ------
-    JobError
-        It is not.
-    """
-    if name in among:
-        return name
-    allowed = ", ".join(map(str, among))
-    message = f"{argument} must be one of {allowed}, got {shown(name)}"
-    raise JobError(message, argument=argument)
-
-
 def scaled(inches: float) -> float:
-    """Scale a height for a font of 8 points to the font of the style in use."""
+    """A height for a font of 8 points, scaled to the font of the style in use."""
     return inches * float(rcParams["font.size"]) / _POINTS
+
+
+def height_of_rows(rows: int, inches: float) -> float:
+    """Height of a figure with a row for each set, of this height where the style has 8 points."""
+    return 0.9 + inches * max(rows, 3)
 
 
 def thin(share: float = _THIN) -> float:
@@ -148,43 +134,29 @@ def marker(share: float = 1.0) -> float:
 
 
 def minus(text: str) -> str:
-    """Give a text with true minus signs in the place of hyphens, if the style has them."""
+    """A text with true minus signs in the place of hyphens, if the style has them."""
     return Formatter.fix_minus(text)
 
 
 def legend_above(
-    ax: Axes, handles: Sequence[Any] | None = None, *, columns: int = 2, title: str = ""
+    ax: Axes, handles: Sequence[Any] | None = None, *, columns: int = 0, title: str = ""
 ) -> None:
-    """Put the legend above the axes, where it covers no curve.
+    """Put the legend above the axes, where it covers no curve; by default with two columns.
 
-    Parameters
-    ----------
-    ax : matplotlib Axes
-    handles : sequence of artists, optional
-        By default everything that has a label.
-    columns : int
-    title : str
+    Long labels have one column. The handles are by default everything that has a label.
     """
-    given: dict[str, Any] = {} if handles is None else {"handles": handles}
-    if handles is None and not ax.get_legend_handles_labels()[0]:
-        return
-    ax.legend(
-        **given, ncols=columns, title=title or None, loc="lower center", bbox_to_anchor=(0.5, 1.0),
-        borderaxespad=0.3,
-    )  # fmt: skip
+    if handles is None:
+        handles = ax.get_legend_handles_labels()[0]
+    if handles:
+        longest = max(len(str(handle.get_label())) for handle in handles)
+        ax.legend(
+            handles=handles, ncols=columns or 1 + (longest <= _LEGEND_LETTERS), title=title or None,
+            loc="lower center", bbox_to_anchor=(0.5, 1.0), borderaxespad=0.3,
+        )  # fmt: skip
 
 
 def label_instants(ax: Axes, unit: str = "", *, whole: bool = True) -> None:
-    """Label the horizontal axis as time.
-
-    Parameters
-    ----------
-    ax : matplotlib Axes
-    unit : str
-        The unit of the clock.
-    whole : bool
-        Whether the axis has whole numbers alone, because it counts instants.
-    """
+    """Label the horizontal axis as time, with the unit of the clock and whole numbers or not."""
     ax.set_xlabel(f"$t$ [{verbatim(unit)}]" if unit else "$t$")
     ax.xaxis.set_major_locator(MaxNLocator(integer=whole, steps=[1, 2, 5, 10]))
 
@@ -194,26 +166,44 @@ def label_times(ax: Axes, table: pd.DataFrame) -> None:
     label_instants(ax, table.attrs.get("time_unit", ""), whole=table["t"].dtype.kind != "f")
 
 
-def label_quantity(ax: Axes, quantities: Sequence[Component], number: int) -> None:
-    """Label the vertical axis as a component of z: by its name and unit, if the model has them."""
-    label = quantities[number].label
-    if label:
-        ax.set_ylabel(verbatim("\n".join(wrap(label, _LABEL_LINE))))
-    else:
-        ax.set_ylabel("$z$" if len(quantities) == 1 else f"$z_{{{number}}}$")
+def label_quantity(ax: Axes, quantities: Sequence[Component], number: int, of: str = "{}") -> None:
+    """Label the vertical axis as a component of z, by its name and unit if the model has them.
+
+    The text `of` says what of the component is drawn.
+    """
+    symbol = "$z$" if len(quantities) == 1 else f"$z_{{{number}}}$"
+    text = of.format(verbatim(quantities[number].label) or symbol)
+    ax.set_ylabel("\n".join(wrap(text, _LABEL_LINE)))
 
 
-def step_of(table: pd.DataFrame) -> float:
-    """Give the least difference of two times in the column t of a table; 1 for instants."""
-    if table["t"].dtype.kind != "f":
+def step_of(times: Iterable[float]) -> float:
+    """The least difference of two times; 1 for instants, which are whole numbers."""
+    different = np.unique(np.asarray(list(times)))
+    if different.dtype.kind != "f" or different.size < 2:
         return 1.0
-    differences = np.diff(np.unique(table["t"].to_numpy()))
-    return float(differences.min()) if differences.size else 1.0
+    return float(np.diff(different).min())
 
 
-def draw_zero(ax: Axes) -> None:
-    """Draw a thin line at 0."""
-    ax.axhline(0.0, color=GREY, lw=thin(0.6), zorder=0)
+def rows_of_sets(
+    table: pd.DataFrame, names: Sequence[str]
+) -> list[tuple[str, pd.DataFrame, dict[str, Any]]]:
+    """The name, the rows in order of time and the style of each set of a table; by default of all.
+
+    Without a column name the table has one set, whose name is empty. An empty table has no set. One
+    name is a sequence of itself.
+    """
+    check_kind(names, (Sequence,), "names")
+    names = [names] if isinstance(names, str) else names
+    if table.empty:
+        return []
+    if "name" not in table:
+        return [("", table.sort_values("t"), set_style(1))]
+    every = list(dict.fromkeys(map(str, table["name"])))
+    drawn = [chosen(name, every, "names") for name in names] or every
+    return [
+        (name, table[table["name"] == name].sort_values("t"), set_style(position))
+        for position, name in enumerate(drawn)
+    ]
 
 
 def write_instead(ax: Axes, text: str) -> Axes:
@@ -223,12 +213,114 @@ def write_instead(ax: Axes, text: str) -> Axes:
     return ax
 
 
-def stack(panels: Sequence[Axes]) -> None:
-    """Let panels with one horizontal axis share its labels and the legend of the first."""
+def stack(panels: Sequence[Axes], components: int = 0) -> None:
+    """Let panels with one horizontal axis share its labels, and a legend that is the same for all.
+
+    If there are more components of z than panels, the last label says how many are left out.
+    """
+    labels = panels[0].get_legend_handles_labels()[1]
     for ax in panels[1:]:
         legend = ax.get_legend()
-        if legend is not None:
+        if legend is not None and ax.get_legend_handles_labels()[1] == labels:
             legend.remove()
     for ax in panels[:-1]:
         ax.set_xlabel("")
         ax.tick_params(labelbottom=False)
+    if components > len(panels):
+        left_out = components - len(panels)
+        panels[-1].set_xlabel(f"{panels[-1].get_xlabel()}; {left_out} more components are left out")
+
+
+class Points(NamedTuple):
+    """The points of a curve, as arrows at the edge of the axes would show them, (n,)."""
+
+    x: Array
+    y: Array
+    colour: str
+    name: str
+
+
+def points(x: ArrayLike, y: ArrayLike, colour: str, name: str) -> Points:
+    """The points of a curve that have a value; infinite values have one."""
+    at, values = np.asarray(x, np.float64), np.asarray(y, np.float64)
+    present = ~np.isnan(values)
+    return Points(at[present], values[present], colour, name)
+
+
+def cut_outliers(
+    ax: Axes, curves: Sequence[Points], keep: Iterable[float] = (), *, zero: bool = False
+) -> None:
+    """Limit the vertical axis if outliers flatten it; arrows show where the outliers are.
+
+    Everything is drawn already. The arrows have labels with the numbers, so a legend must follow.
+    The values in `keep` are shown. With `zero`, the axis begins at 0.
+    """
+    limits = shown_range(np.concatenate([curve.y for curve in curves] or [np.zeros(0)]))
+    if zero:
+        ax.set_ylim(bottom=0)
+    if limits is None:
+        return
+    must = [value for value in (*keep, *([0.0] if zero else [])) if math.isfinite(value)]
+    low, high = min([limits[0], *must]), max([limits[1], *must])
+    room = _MARGIN * (high - low or 1.0)
+    ax.set_ylim(0.0 if zero else low - room, high + room)
+    for curve in curves:
+        _mark_beyond(ax, curve, curve.y > high, 1.0, "^")
+        _mark_beyond(ax, curve, curve.y < low, 0.0, "v")
+
+
+def shown_range(values: Array) -> tuple[float, float] | None:
+    """The least and the largest value to show; None if no value need be cut off.
+
+    Up to a tenth of the values, those farthest from the median, are cut off if the axis would
+    otherwise be four times as long. As few are cut off as this takes. Infinite values are.
+
+    Examples
+    --------
+    >>> shown_range(np.array([2.0, 3.0, 5.0, 400.0]))
+    (2.0, 5.0)
+    >>> shown_range(np.array([2.0, 3.0, 5.0, 12.0]))
+    """
+    finite = values[np.isfinite(values)]
+    if finite.size < 2:
+        return None
+    ordered = finite[np.argsort(np.abs(finite - np.median(finite)), kind="stable")]
+    for count in range(1, max(1, int(_SHARE * finite.size)) + 1):
+        rest = ordered[:-count]
+        if 0 < np.ptp(rest) * _STRETCH < np.ptp(ordered):
+            return float(rest.min()), float(rest.max())
+    is_infinite = finite.size < values.size
+    return (float(finite.min()), float(finite.max())) if is_infinite else None
+
+
+def number(value: float) -> str:
+    r"""A number with three digits, as text in a figure.
+
+    Examples
+    --------
+    >>> number(1234.5), number(0.01234), number(1.2e7), number(np.inf)
+    ('1,234', '0.0123', '$1.2\\times 10^{7}$', '∞')
+    """
+    if math.isinf(value):
+        return minus("-∞" if value < 0 else "∞")
+    if 1e-3 <= abs(value) < 1e5 or value == 0.0:
+        return minus(f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}")
+    mantissa, _, exponent = f"{value:.2g}".partition("e")
+    return minus(rf"${mantissa}\times 10^{{{int(exponent)}}}$")
+
+
+def _mark_beyond(
+    ax: Axes, curve: Points, beyond: NDArray[np.bool_], edge: float, shape: str
+) -> None:
+    """Draw an arrow at the edge for each point beyond it; the legend has their numbers."""
+    if not beyond.any():
+        return
+    farthest = sorted(curve.y[beyond].tolist(), key=abs, reverse=True)
+    text = " and ".join(map(number, farthest))
+    if len(farthest) > _LABELLED:
+        text = f"{len(farthest)} {'up' if edge else 'down'} to {number(farthest[0])}"
+    ax.plot(
+        curve.x[beyond], np.full(len(farthest), edge), shape, color=curve.colour, ms=marker(),
+        mfc=curve.colour, transform=ax.get_xaxis_transform(), clip_on=False, zorder=5,
+        label=f"{verbatim(curve.name)}: {text}" if curve.name else text,
+    )  # fmt: skip

@@ -1,10 +1,31 @@
-"""Colours, and how sets of times differ in figures: apart for colour-blind readers and in grey.
+"""Matplotlib, imported such that no setting of the machine changes a figure; styles and colours.
 
-The styles ``print.mplstyle`` and ``screen.mplstyle`` hold fonts and sizes. Figures take their sizes
-from the style in use, so these two and any other style of Matplotlib apply.
+Sets of times differ for colour-blind readers and in grey. The styles ``print.mplstyle`` and
+``screen.mplstyle`` hold fonts and sizes. Figures take their sizes from the style in use, so these
+two and any other style of Matplotlib apply.
 """
 
+import contextlib
+import logging
+import os
+import sys
+from contextlib import AbstractContextManager
 from typing import Any
+
+# Matplotlib warns if it cannot write a folder for settings; a run needs no such folder.
+logging.getLogger("matplotlib").addHandler(logging.NullHandler())
+
+# A backend shows windows, which runs never open. An unknown backend would fail the import.
+_backend = None if "matplotlib" in sys.modules else os.environ.pop("MPLBACKEND", None)
+try:
+    import matplotlib as mpl
+    from matplotlib import style
+finally:
+    if _backend is not None:
+        os.environ["MPLBACKEND"] = _backend
+if _backend:
+    with contextlib.suppress(ValueError):  # an unknown backend is as good as none
+        mpl.rcParams["backend"] = _backend
 
 BLUE, RED, ORANGE, GREEN, PURPLE = "#0077bb", "#bb2211", "#dd8800", "#228833", "#cc79a7"
 GREY = "#666666"
@@ -25,3 +46,8 @@ _SETS: tuple[dict[str, Any], ...] = (
 def set_style(position: int) -> dict[str, Any]:
     """Colour, dashes and marker of a set of times; position 0 is the reference, hollow and blue."""
     return dict(_SETS[position % len(_SETS)])
+
+
+def styled(name: str = PRINT) -> AbstractContextManager[Any]:
+    """Context in which files are drawn: the defaults of Matplotlib, and a style of pfdist."""
+    return style.context(["default", name])

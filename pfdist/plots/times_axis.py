@@ -1,67 +1,169 @@
-"""Sets of measurement times on one axis, a row for each, and the instants that are forbidden."""
+"""When to measure: the error of each set over time, and its measurement times on one axis."""
 
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
+import pandas as pd
 from matplotlib import rcParams
 from matplotlib.axes import Axes
-from matplotlib.font_manager import FontProperties
 
 from pfdist.analysis import Run
 from pfdist.analysis.reference import label
-from pfdist.errors import shown
+from pfdist.errors import JobError, shown
 from pfdist.plots.figure import Plot, Tables, figure
 from pfdist.plots.panel import (
+    BAND,
     axes_for,
     check_kind,
+    chosen,
+    cut_outliers,
+    height_of_rows,
     label_instants,
+    label_quantity,
+    label_times,
     legend_above,
     marker,
+    points,
+    stack,
     thin,
     verbatim,
+    write_instead,
 )
 from pfdist.plots.style import GREY, set_style
+from pfdist.store.schema import components_in
 from pfdist.times.clock import Clock
 
-_AXIS_INCHES = 0.9  # height of all but the rows
-_ROW_INCHES, _SMALL_ROW_INCHES = 0.2, 0.13  # heights of the first rows, and of the others
-_MOST_LARGE = 15  # first rows
+_MOST_LINES = 5  # sets that differ in colours and dashes
+_MOST_COMPONENTS = 3  # of z, each with a panel above the times
+_ROW, _PANEL = 0.17, 1.6  # inches
 _MOST_NAMED = 40  # rows up to which a new figure grows, so that each has its name and its line
-_MOST_IN_TITLE = 3  # sets that the title names
 _MARGIN = 0.03  # part of the axis beside times that are not whole
 _LEADING = 1.25  # distance of two names over the size of their font
 
 
 @figure("times")
 def times_figure(tables: Tables) -> Plot:
-    """Measurement times of every compared set, and the instants that are forbidden."""
-    run = tables.run
-    return Plot(_height(len(run.names)), lambda panels: times(run, ax=panels[0]), title=_title(run))
+    """Root mean square error of the estimates over time, and the measurement times of every set."""
+    run, sets = tables.run, tables.run.sets()
+    rows = times_inches(len(sets))
+    if run.has_budget or len(sets) < 2 or not run.has("trajectories"):
+        numbers = sorted({len(times) for times in sets.values()})
+        each = f"{numbers[0]} to {numbers[-1]}" if len(numbers) > 1 else f"{numbers[0]}"
+        title = f"Measurement times of {len(sets)} sets, with {each} measurements each."
+        return Plot(rows, lambda panels: times(run, ax=panels[0]), title=title)
+    reference, *others = run.names
+    mse = {name: tables.statistics.mse[name].mean for name in others}
+    best = min(mse, key=lambda name: np.nan_to_num(mse[name], nan=np.inf))
+    names = run.names if len(run.names) <= _MOST_LINES else [reference, best]
+    components = components_in(tables.trajectories, "z_")
+    number = min(len(components), _MOST_COMPONENTS)
+
+    def draw(panels: Sequence[Axes]) -> None:
+        *above, below = panels
+        for component, ax in enumerate(above):
+            uncertainty(tables.trajectories, names, component=component, ax=ax)
+        times(run, ax=below)
+        stack([*above, below], 1 + len(components))
+
+    return Plot(
+        0.3 + _PANEL * number + rows, draw, number + 1, share_x=True,
+        title=_title(tables.trajectories, best, reference),
+        heights=[*[_PANEL] * number, rows - 0.75],
+    )  # fmt: skip
 
 
-def _height(rows: int) -> float:
-    """Give the height of a figure in which each of up to 40 rows has its name."""
-    large = min(rows, _MOST_LARGE)
-    small = min(rows, _MOST_NAMED) - large
-    return _AXIS_INCHES + _ROW_INCHES * large + _SMALL_ROW_INCHES * small
+def _title(trajectories: pd.DataFrame, best: str, reference: str) -> str:
+    """Say at how many instants the best set has the lower error."""
+    suffixes = [each.suffix for each in components_in(trajectories, "z_")]
+    errors = [
+        sum(_squared_errors(trajectories, name, suffix) for suffix in suffixes)
+        for name in (best, reference)
+    ]
+    both = pd.DataFrame({"t": trajectories["t"], "best": errors[0], "reference": errors[1]})
+    means = both.dropna().groupby("t").mean()
+    lower = int((means["best"] < means["reference"]).sum())
+    return (
+        f"The root mean square error with the times of {best} is lower than with "
+        f"{label(reference)} at {lower} of {len(means)} instants, over "
+        f"{trajectories['draw'].nunique()} fresh draws."
+    )
 
 
-def _title(run: Run) -> str:
-    """Say how many instants each compared set shares with the reference."""
-    if run.has_budget:
-        numbers = sorted({len(chosen) for chosen in run.sets().values()})
-        return f"Regular times and found times, from {numbers[0]} to {numbers[-1]} measurements."
-    (reference, first), *others = run.sets().items()
-    shared = {name: len({*chosen} & {*first}) for name, chosen in others}
-    what = "other times" if run.named else "found times"
-    if len(shared) > _MOST_IN_TITLE:
-        least, most = min(shared.values()), max(shared.values())
-        return (
-            f"{what.capitalize()} share {least} to {most} of their instants with "
-            f"{label(reference)}."
+def _squared_errors(trajectories: pd.DataFrame, name: str, suffix: str) -> "pd.Series[float]":
+    with np.errstate(over="ignore"):
+        return (trajectories[f"estimate_{name}_{suffix}"] - trajectories[f"z_{suffix}"]) ** 2
+
+
+def uncertainty(
+    trajectories: Run | pd.DataFrame,
+    names: Sequence[str] = (),
+    *,
+    component: int = 0,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw the root mean square error of the estimates of z over time, with 95 % bands.
+
+    Parameters
+    ----------
+    trajectories : Run or DataFrame
+        A run, or its table ``trajectories``: truth and estimates of fresh draws.
+    names : sequence of str
+        Sets that are drawn, the reference first; by default all in the table, which must be at
+        most five.
+    component : int
+        Component of z.
+    ax : matplotlib Axes, optional
+        By default those of a new figure.
+
+    Returns
+    -------
+    matplotlib Axes
+
+    Raises
+    ------
+    JobError
+        There is no such set or component, or there are more than five sets.
+    TypeError
+        The trajectories are neither a run nor a table.
+    """
+    check_kind(trajectories, (Run, pd.DataFrame), "trajectories")
+    table = trajectories.trajectories() if isinstance(trajectories, Run) else trajectories
+    quantities = components_in(table, "z_")
+    suffix = quantities[chosen(component, range(len(quantities)), "component")].suffix
+    columns = list(map(str, table.columns))
+    ends = [
+        column.removeprefix("estimate_") for column in columns if column.startswith("estimate_")
+    ]
+    every = [
+        name
+        for name in (end.removesuffix(f"_{suffix}") for end in ends if end.endswith(f"_{suffix}"))
+        if all(f"estimate_{name}_{each.suffix}" in columns for each in quantities)
+    ]
+    names = [chosen(name, every, "names") for name in names] or every
+    if len(names) > _MOST_LINES:
+        raise JobError(
+            f"names must be at most {_MOST_LINES} sets, got {len(names)}", argument="names"
         )
-    parts = [f"{name} {shared[name]} of {len(chosen)}" for name, chosen in others]
-    return f"Instants that {what} share with {label(reference)}: {', '.join(parts)}."
+    squares = {name: _squared_errors(table, name, suffix) for name in names}
+    errors = pd.DataFrame(squares).assign(t=table["t"]).dropna()  # the same draws for all sets
+    ax, curves = axes_for(ax), []
+    if errors.empty:
+        return write_instead(ax, "no draw with a trajectory has an estimate")
+    for position, name in enumerate(names):
+        style, at_each = set_style(position), errors.groupby("t")[name]
+        mean, half = at_each.mean(), BAND * at_each.sem().fillna(0.0)
+        error, low, high = (np.sqrt(np.maximum(0.0, mean + side * half)) for side in (0, -1, 1))
+        ax.fill_between(mean.index, low, high, color=style["color"], alpha=0.12, lw=0)
+        ax.plot(
+            mean.index, error, color=style["color"], ls=style["ls"], lw=thin(0.9),
+            label=verbatim(name),
+        )  # fmt: skip
+        curves.append(points(mean.index, error, style["color"], name))
+    cut_outliers(ax, curves, zero=True)
+    label_quantity(ax, quantities, component, "root mean square error of {}")
+    label_times(ax, table)
+    legend_above(ax, columns=3 if max(map(len, names)) <= 12 else 0)
+    return ax
 
 
 def times(
@@ -101,24 +203,25 @@ def times(
     check_kind(sets, (Run, Mapping), "sets")
     barred, references, clock = set[float](forbidden), set[str](), None
     if is_of_run := isinstance(sets, Run):
-        run, problem = sets, sets.problem
-        clock = problem.clock
-        barred.update(clock.times_of(problem.feasible.forbidden))
+        run, clock = sets, sets.problem.clock
+        barred.update(clock.times_of(run.problem.feasible.forbidden))
         sets = run.sets()
         references = {*run.names} - {*run.references}
-    for name, chosen in sets.items():
-        check_kind(chosen, (Sequence, np.ndarray), f"sets[{shown(name)}]")
+    for name, at in sets.items():
+        check_kind(at, (Sequence, np.ndarray), f"sets[{shown(name)}]")
     if clock is None:
-        given = {t for chosen in sets.values() for t in chosen} or {0}
+        given = {t for at in sets.values() for t in at} or {0}
         clock = _clock_of(given | barred, max(given) if horizon is None else horizon)
-    ax = axes_for(ax, _height(len(sets)))
-    size = (_height(len(sets)) - _AXIS_INCHES) / (_ROW_INCHES * max(1, len(sets)))
-    for row, (name, chosen) in enumerate(sets.items()):
-        style = set_style(0 if name in references else 1) | {"ls": ""}
+    ax = axes_for(ax, times_inches(len(sets)))
+    others = [name for name in sets if name not in references]
+    size = 1.1 * min(1.0, _MOST_NAMED / max(1, len(sets)))
+    each_differs = len(others) < _MOST_LINES and len(references) < 2
+    for row, (name, at) in enumerate(sets.items()):
+        position = 1 + others.index(name) * each_differs if name in others else 0
+        style = set_style(position) | {"ls": ""}
         if len(sets) <= _MOST_NAMED:
             ax.axhline(row, color=GREY, lw=thin(0.4), zorder=0)
-        at = list(chosen)
-        ax.plot(at, [row] * len(at), ms=marker(1.2 * size), mew=thin(0.8 * size), zorder=3, **style)
+        ax.plot(list(at), [row] * len(at), ms=marker(size), mew=thin(0.8), zorder=3, **style)
     _shade(ax, barred, clock)
     first, last = clock.times[0], clock.times[-1] if horizon is None else horizon
     beside = 0.75 * (last - first) / max(1, clock.horizon) or 0.75
@@ -126,45 +229,38 @@ def times(
         beside = min(beside, _MARGIN * (last - first))
     ax.set_xlim(first - beside, last + beside)
     ax.set_ylim(len(sets) - 0.5, -0.5)  # the first set on top
-    step = max(1, -(-len(sets) // _room_for_names(ax)))
-    names = list(map(verbatim, sets))[::step]
-    ax.set_yticks(range(0, len(sets), step), names)
+    inches = ax.get_window_extent().height / ax.figure.dpi
+    room = 72 * inches / (_LEADING * 0.875 * rcParams["font.size"])
+    step = -(-len(sets) // max(1, int(room)))
+    ax.set_yticks(range(0, len(sets), step), list(map(verbatim, sets))[::step])
     if step > 1:
         ax.set_ylabel(f"{len(sets)} sets, 1 of {step} is named")
     ax.tick_params(axis="y", length=0)
     label_instants(ax, clock.unit, whole=clock.counts)
-    if barred:
-        legend_above(ax, ax.patches[:1])
+    legend_above(ax, ax.patches[:1])
     return ax
 
 
+def times_inches(sets: int) -> float:
+    """Height of the figure `times`, in which each of up to 40 sets has its name."""
+    return height_of_rows(min(sets, _MOST_NAMED), _ROW)
+
+
 def _clock_of(times: Iterable[float], last: float) -> Clock:
-    """Give the clock of times without a run: whole numbers from 0 on, or else the times alone."""
+    """The clock of times without a run: whole numbers from 0 on, or else only these times."""
     instants = {0, last, *(t for t in times if t <= last)}
     if all(t == int(t) for t in instants):
         return Clock.counting(int(last))
     return Clock(tuple(sorted(map(float, instants))))
 
 
-def _room_for_names(ax: Axes) -> int:
-    """Give the number of names that have room on the vertical axis, one below another."""
-    points = FontProperties(size=rcParams["ytick.labelsize"]).get_size_in_points()
-    figure = ax.get_figure(root=True)
-    inches = ax.get_window_extent().height / figure.dpi if figure else 0.0
-    return max(1, int(72 * inches / (_LEADING * points)))
-
-
-def _shade(ax: Axes, forbidden: Iterable[float], clock: Clock) -> None:
+def _shade(ax: Axes, forbidden: set[float], clock: Clock) -> None:
     """Shade each stretch of successive forbidden instants, half a step beyond both ends."""
-    known = set(forbidden)
-    instants = np.array([t for t, time in enumerate(clock.times) if time in known], np.int64)
-    times = np.array(clock.times)
-    steps = np.diff(times) if times.size > 1 else np.ones(1)
-    before, after = np.append(steps[:1], steps) / 2, np.append(steps, steps[-1:]) / 2
+    at = np.array(clock.times, np.float64)
+    middles = (at[1:] + at[:-1]) / 2 if at.size > 1 else at + 0.5
+    edges = np.concatenate([[2 * at[0] - middles[0]], middles, [2 * at[-1] - middles[-1]]])
+    instants = np.flatnonzero([time in forbidden for time in clock.times])
     for stretch in np.split(instants, np.flatnonzero(np.diff(instants) > 1) + 1):
         if stretch.size:
-            first, last = stretch[0], stretch[-1]
-            ax.axvspan(
-                times[first] - before[first], times[last] + after[last], color=GREY, alpha=0.25,
-                lw=0, zorder=-1, label="forbidden",
-            )  # fmt: skip
+            ends = edges[stretch[0]], edges[stretch[-1] + 1]
+            ax.axvspan(*ends, color=GREY, alpha=0.25, lw=0, zorder=-1, label="forbidden")

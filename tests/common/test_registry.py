@@ -6,7 +6,7 @@ import pytest
 
 from pfdist.common.registry import Registry
 from pfdist.errors import PfdistError
-from pfdist.plots.cost_curves import curve_of
+from pfdist.plots.costs import curve_of
 from pfdist.search.methods import METHODS
 
 

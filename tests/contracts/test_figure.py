@@ -9,7 +9,7 @@ from matplotlib.figure import Figure as Canvas
 
 import pfdist
 from pfdist.analysis import Run
-from pfdist.plots import figures
+from pfdist.plots import figure as figures
 from pfdist.plots.figure import FIGURES, Tables
 
 ROOT = Path(__file__).parents[1]

@@ -18,7 +18,7 @@ from pfdist.filters import plain
 from pfdist.filters.particle_filter import filter_draws
 from pfdist.filters.simulation import simulate
 from pfdist.models import installed_models
-from pfdist.plots import figures
+from pfdist.plots import figure as figures
 from pfdist.times.measurement_times import regular
 
 SHIPPED = sorted(name for name, (module, _) in installed_models().items() if "pfdist." in module)

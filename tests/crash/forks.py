@@ -19,7 +19,7 @@ from pfdist import load_job
 from pfdist.cli.main import main
 from pfdist.evaluation.evaluator import Evaluator
 from pfdist.evaluation.work import Work
-from pfdist.plots import figures
+from pfdist.plots import figure as figures
 from pfdist.runner.build import build
 
 

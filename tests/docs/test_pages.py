@@ -121,7 +121,7 @@ def test_the_page_about_figures_draws_what_it_says(
     names: dict[str, object] = {}
     for _, text in _blocks(DOCS / "figures.md", "python"):
         exec(compile(text, "figures.md", "exec"), names)
-    assert len(pyplot.get_fignums()) == 8
+    assert len(pyplot.get_fignums()) == 9
     assert Path("mine.pdf").read_bytes().count(b"/FontFile2")  # TrueType fonts are embedded
 
 

@@ -22,16 +22,14 @@ from pfdist.plots import (
     online_raster,
     online_shares,
     shifts,
+    uncertainty,
     worth,
 )
 from pfdist.plots.costs import legend_inches
-from pfdist.plots.draws import plot_of, typical_draw
-from pfdist.plots.figure import FIGURES, Tables
-from pfdist.plots.figures import drawn
-from pfdist.plots.library import styled
-from pfdist.plots.measured_online import measured_at
-from pfdist.plots.online_draw import with_online
-from pfdist.plots.style import COLUMN_INCHES
+from pfdist.plots.figure import FIGURES, Tables, drawn
+from pfdist.plots.gains import plot_of_draw, typical_draw
+from pfdist.plots.online import measured_at, with_online
+from pfdist.plots.style import COLUMN_INCHES, styled
 from pfdist.times.clock import Clock
 
 EVALUATIONS = pd.DataFrame(
@@ -71,11 +69,24 @@ def test_cost_of_a_population_is_averaged_over_copies_and_of_trials_over_all_so_
     methods = {"genetic": "genetic", "random": "random"}
     axes = cost(EVALUATIONS, methods, reference=("regular times", 31.2), ax=_axes())
     lines = _lines(axes)
-    assert lines["genetic, average"] == ([4, 8], [37.5, 20.0])
-    assert lines["genetic, minimum"] == ([4, 8], [30.0, 20.0])
-    assert lines["random, average"] == ([1, 2, 3], [50.0, 40.0, 40.0])
-    assert lines["random, minimum"] == ([1, 2, 3], [50.0, 30.0, 30.0])
-    assert lines["regular times"][1] == [31.2, 31.2]
+    above = {label: (x, [round(percent, 9) for percent in y]) for label, (x, y) in lines.items()}
+    assert above["genetic, average"] == ([4, 8], [87.5, 0.0])  # 37.5 and 20, over 20
+    assert above["genetic, minimum"] == ([4, 8], [50.0, 0.0])
+    assert above["random, average"] == ([1, 2, 3], [150.0, 100.0, 100.0])
+    assert above["random, minimum"] == ([1, 2, 3], [150.0, 50.0, 50.0])
+    assert above["regular times: 31.2"][1] == [56.0, 56.0]
+    axes = cost(EVALUATIONS, methods, best=("genetic", 25.0), ax=_axes())
+    assert _lines(axes)["genetic, minimum"][1] == pytest.approx([20.0, -20.0])
+    assert _lines(axes)["genetic: 25"][1] == [0.0, 0.0]
+
+
+@pytest.mark.parametrize("worst", [1.05, 1.5, 200.0])
+def test_differences_of_1_percent_are_seen_beside_larger_ones(worst: float) -> None:
+    rows = EVALUATIONS[EVALUATIONS["phase"] == "random"]
+    rows = rows.assign(expected_mse=[20.0 * worst, 20.2, 20.0])
+    axes = cost(rows, {"random": "random"}, ax=_axes())
+    bottom, near, top = axes.transData.transform([(0, 0.0), (0, 1.0), (0, 100 * (worst - 1))])[:, 1]
+    assert near - bottom > 0.07 * (top - bottom)
 
 
 def test_a_run_has_a_panel_of_costs_for_each_way_to_estimate(
@@ -84,14 +95,20 @@ def test_a_run_has_a_panel_of_costs_for_each_way_to_estimate(
     """The reference is known for the estimator of the comparison alone."""
     [(_, plot)] = FIGURES["cost"].plots(Tables(plain))
     comparable, other = drawn(plot).axes
-    assert {*_lines(comparable)} == {"genetic, average", "genetic, minimum", "regular times"}
+    curves = {"genetic, average", "genetic, minimum"}
+    mse = {name: each.mean for name, each in plain.statistics().mse.items()}
+    names = {"regular": "regular times"} | {name: f"the times of {name}" for name in plain.found}
+    on_fresh_draws = {
+        f"{names[name]}: {mse[name]:.4g}" for name in ("regular", min(mse, key=mse.get))
+    }
+    assert {*_lines(comparable)} == curves | on_fresh_draws
     assert {*_lines(other)} == {"survivors, best so far"}
     assert {*_lines(cost(plain, ax=_axes()))} == {*_lines(comparable)}
     axes = cost(plain, ["survivors"], ax=_axes())
     assert {*_lines(axes)} == {*_lines(other)}
     assert "estimated otherwise" in axes.get_legend().get_title().get_text()
     run = pfdist.open_run(finished("comparison.reference=[0, 3, 9]"))
-    assert "the reference" in _lines(cost(run, ax=_axes()))
+    assert any(label.startswith("the reference: ") for label in _lines(cost(run, ax=_axes())))
 
 
 def test_of_prefixes_and_of_short_tests_the_work_counts_and_not_the_cost() -> None:
@@ -107,9 +124,11 @@ def test_of_prefixes_and_of_short_tests_the_work_counts_and_not_the_cost() -> No
         columns=["generation", "individual", "copies", "end", "draws", "expected_mse"],
     ).assign(phase="mine")
     axes = cost(rows, {"mine": "survivors"}, ax=_axes())
-    assert _lines(axes)["mine, best so far"] == ([3, 4, 5], [30.0, 25.0, 25.0])
+    numbers, above = _lines(axes)["mine, best so far"]
+    assert (numbers, np.round(above, 9).tolist()) == ([3, 4, 5], [20.0, 0.0, 0.0])
     axes = cost(rows, {"mine": "greedy_forward"}, ax=_axes())
-    assert _lines(axes)["mine, best of a step"] == ([2, 4, 5], [1.0, 25.0, 28.0])
+    numbers, above = _lines(axes)["mine, best of a step"]
+    assert (numbers, np.round(above, 9).tolist()) == ([2, 4, 5], [0.0, 2400.0, 2700.0])
 
 
 def _trajectory(components: int) -> pd.DataFrame:
@@ -123,7 +142,7 @@ def _trajectory(components: int) -> pd.DataFrame:
 
 def test_one_draw_shows_each_component_its_estimates_and_stars_and_plus_signs() -> None:
     trajectory, sets = _trajectory(3), {"regular": [0, 2], "genetic": [1]}
-    panels = drawn(plot_of(trajectory, sets, "draw 3, relative gain 10 %", "Title.")).axes
+    panels = drawn(plot_of_draw(trajectory, sets, "draw 3, relative gain 10 %", "Title.")).axes
     assert [axes.get_legend() is not None for axes in panels] == [True, False, False]
     assert panels[0].get_legend().get_title().get_text() == "draw 3, relative gain 10 %"
     for k, axes in enumerate(panels):
@@ -142,7 +161,7 @@ def test_one_draw_shows_each_component_its_estimates_and_stars_and_plus_signs() 
 
 def test_components_beyond_the_sixth_are_counted_below_the_panels() -> None:
     sets = {"regular": [0], "genetic": [1]}
-    panels = drawn(plot_of(_trajectory(8), sets, "", "")).axes
+    panels = drawn(plot_of_draw(_trajectory(8), sets, "", "")).axes
     assert len(panels) == 6
     assert panels[-1].get_xlabel() == "$t$; 2 more components are left out"
 
@@ -156,6 +175,61 @@ def test_the_draw_of_median_gain_is_shown_unless_another_is_wanted(plain: Run) -
     assert told.startswith(f"draw {median}, relative gain ")
     z = plain.trajectories().query("draw == 7")["z_0"].tolist()
     assert _lines(one_draw(plain, draw=7, ax=_axes()))["$z(t)$"][1] == z
+
+
+def test_the_error_over_time_is_that_of_the_draws_in_which_every_set_has_an_estimate() -> None:
+    rng = np.random.default_rng(4)
+    z, errors = rng.normal(size=60), rng.normal(size=(2, 60)) * [[1.0], [2.0]]
+    table = pd.DataFrame({"draw": np.repeat(range(20), 3), "t": [0, 1, 2] * 20, "z_0": z})
+    table = table.assign(estimate_mine_0=z + errors[0], estimate_yours_0=z + errors[1])
+    table.loc[table["draw"] == 7, "estimate_yours_0"] = np.nan  # degenerate
+    axes = uncertainty(table, ax=_axes())
+    usable = errors.reshape(2, 20, 3)[:, np.arange(20) != 7]
+    squares = usable**2
+    for line, band, square in zip(axes.get_lines(), axes.collections, squares, strict=True):
+        np.testing.assert_allclose(line.get_ydata(), np.sqrt(square.mean(axis=0)))
+        half = 1.96 * square.std(axis=0, ddof=1) / np.sqrt(19)
+        top = np.sqrt(square.mean(axis=0) + half).max()
+        assert band.get_paths()[0].vertices[:, 1].max() == pytest.approx(top)
+    assert [*_lines(axes)] == ["mine", "yours"]
+    assert [*_lines(uncertainty(table, ["yours"], ax=_axes()))] == ["yours"]
+    with pytest.raises(JobError, match="names must be one of mine, yours, got 'his'"):
+        uncertainty(table, ["his"], ax=_axes())
+
+
+def test_a_component_is_that_of_its_name_and_not_of_the_end_of_another() -> None:
+    table = pd.DataFrame(
+        {"draw": [0, 0, 1, 1], "t": [0, 1, 0, 1], "z_mass": 1.0, "z_dry_mass": 2.0}
+    )
+    table = table.assign(estimate_mine_mass=2.0, estimate_mine_dry_mass=5.0)
+    for component, (error, label) in enumerate([(1.0, "mass"), (3.0, "dry_mass")]):
+        axes = uncertainty(table, component=component, ax=_axes())
+        assert _lines(axes) == {"mine": ([0, 1], [error, error])}
+        assert axes.get_ylabel().split()[-1] == label
+
+
+def test_the_figure_of_times_has_the_errors_above_and_the_times_below(
+    plain: Run, several: Run
+) -> None:
+    [(_, plot)] = FIGURES["times"].plots(Tables(plain))
+    above, below = drawn(plot).axes
+    assert [*_lines(above)] == plain.names
+    rows = [line for line in below.get_lines() if line.get_marker() != "None"]
+    assert [tuple(line.get_xdata()) for line in rows] == [*plain.sets().values()]
+    colours = [[line.get_color() for line in lines] for lines in (above.get_lines(), rows)]
+    assert colours[0] == colours[1]
+    assert above.get_xlim() == below.get_xlim()
+    table, (reference, *others) = plain.trajectories(), plain.names
+    mse = {name: each.mean for name, each in plain.statistics().mse.items()}
+    best = min(others, key=mse.get)
+    errors = [
+        table.eval(f"(estimate_{name}_0 - z_0) ** 2").groupby(table["t"]).mean()
+        for name in (best, reference)
+    ]
+    lower = int((errors[0] < errors[1]).sum())
+    assert f"times of {best} is lower than with regular times at {lower} of " in plot.title
+    [(_, plot)] = FIGURES["times"].plots(Tables(several))
+    assert len(drawn(plot).axes) == 1
 
 
 def _gain(relative: np.ndarray) -> Gain:

@@ -21,10 +21,8 @@ from pfdist.analysis import Run
 from pfdist.analysis.runs_table import RESULTS
 from pfdist.common.component_names import numbered_components
 from pfdist.errors import JobError
-from pfdist.plots.figure import FIGURES, Tables
-from pfdist.plots.figures import drawn
-from pfdist.plots.library import styled
-from pfdist.plots.style import PRINT, SCREEN
+from pfdist.plots.figure import FIGURES, Tables, drawn
+from pfdist.plots.style import PRINT, SCREEN, styled
 from pfdist.store import filtered_schema
 
 NAMES = [
@@ -169,6 +167,7 @@ def drawings(plain: Run, proved: Run, several: Run) -> dict[str, list[Draw]]:
         "online_shares": [call(proved), call(proved.online(), planned=(0, 3), plan="it")],
         "shifts": [call(WORTH), call(WHY)],
         "times": [call(proved), call(several), call(sets, forbidden=[5, 6])],
+        "uncertainty": [call(proved), call(plain, ["regular", "genetic"]), call(_trajectory())],
         "sampling_windows": [
             call(proved),
             call(WINDOWS, "mine"),
@@ -185,7 +184,7 @@ every = pytest.mark.parametrize("name", NAMES)
 
 def test_plots_are_found_under_pfdist() -> None:
     assert pfdist.plots is plots
-    assert len(NAMES) == 20
+    assert len(NAMES) == 21
 
 
 @every
@@ -203,6 +202,20 @@ def test_it_draws_into_given_axes_and_makes_new_ones_in_the_users_style(
         assert new.figure.get_facecolor()[:3] == (0.9, 0.9, 0.9)
         assert _shapes(new) == _shapes(axes)
         pyplot.close("all")
+
+
+@every
+def test_most_of_what_it_draws_lies_within_the_axes(
+    name: str, drawings: dict[str, list[Draw]]
+) -> None:
+    for draw in drawings[name]:
+        axes = draw(ax=_axes())
+        axes.figure.draw_without_rendering()
+        lines = [line for line in axes.get_lines() if np.isfinite(line.get_xydata()).any()]
+        points = [line.get_transform().transform(line.get_xydata()) for line in lines]
+        box = axes.get_window_extent().padded(1)
+        inside = [box.contains(*point) for point in np.concatenate([*points, np.empty((0, 2))])]
+        assert np.mean(inside or [True]) > 0.7
 
 
 def _shapes(axes: Axes) -> list[list[float]]:
@@ -258,9 +271,10 @@ def test_the_reference_of_a_run_is_hollow_and_its_forbidden_instants_are_shaded(
     axes = plots.times(proved, ax=_axes())
     names = [label.get_text() for label in axes.get_yticklabels()]
     assert names == list(proved.sets()) == ["regular", "genetic", "random"]
-    rows = [line for line in axes.get_lines() if line.get_marker() == "o"]
+    rows = [line for line in axes.get_lines() if line.get_marker() != "None"]
     assert [list(line.get_xdata()) for line in rows] == [list(t) for t in proved.sets().values()]
     assert [line.get_markerfacecolor() == "white" for line in rows] == [True, False, False]
+    assert len({line.get_color() for line in rows}) == 3
     shaded = [(patch.get_x(), patch.get_x() + patch.get_width()) for patch in axes.patches]
     assert shaded == [(6.5, 7.5), (8.5, 10.5)]
     assert axes.get_xlim() == (-0.75, 12.75)

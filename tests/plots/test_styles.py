@@ -14,8 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ft2font import FT2Font
 
 from pfdist.plots import style as ours
-from pfdist.plots.library import styled
-from pfdist.plots.style import COLUMN_INCHES, PRINT, SCREEN, SERIES, set_style
+from pfdist.plots.style import COLUMN_INCHES, PRINT, SCREEN, SERIES, set_style, styled
 
 NAMES = ("blue", "red", "orange", "green", "purple", "grey")
 COLOURS = {"black": "#000000"} | {name: getattr(ours, name.upper()) for name in NAMES}
@@ -126,7 +125,7 @@ def _printed(code: str, settings: dict[str, str]) -> str:
 @pytest.mark.slow
 def test_figures_that_are_saved_need_no_pyplot() -> None:
     code = (
-        "import sys, pfdist.plots.figures; from pfdist.plots.library import styled\n"
+        "import sys, pfdist.plots.figure; from pfdist.plots.style import styled\n"
         "with styled(): pass\n"
         "print('matplotlib.pyplot' in sys.modules)"
     )

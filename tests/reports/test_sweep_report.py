@@ -91,7 +91,7 @@ def test_it_has_figures_for_each_key_a_map_and_the_found_times(made: Path, see: 
         "From measurement_budget = 3 to 5, the lowest expected MSE goes from",
         "The lowest expected MSE is that of model.name = linear_gaussian.",
         "Gain of means by model.name and measurement_budget.",
-        "The times that were found at each point.",
+        "was found most often, in ",
         "Small points are the runs of single seeds.",
     ):
         assert told in page.text

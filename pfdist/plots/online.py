@@ -1,7 +1,6 @@
-"""When draws are measured whose times are chosen one after another: a raster, and shares."""
+"""Times that are chosen one after another: when draws are measured, what they gain, one draw."""
 
 from collections.abc import Collection, Sequence
-from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -9,20 +8,32 @@ from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from numpy.typing import NDArray
 
-from pfdist.analysis import Run
+from pfdist.analysis import Run, relative_gain
 from pfdist.analysis.online import OnlineDraws, online_draws
+from pfdist.analysis.reference import label
 from pfdist.common.arguments import whole_argument
 from pfdist.plots.figure import Plot, Tables, figure, has_online
+from pfdist.plots.gains import (
+    gain,
+    no_draw,
+    plot_of_draw,
+    title_of_draw,
+    title_of_gain,
+    typical_draw,
+)
 from pfdist.plots.panel import (
     axes_for,
     check_kind,
     label_instants,
     legend_above,
     marker,
+    minus,
     stack,
+    step_of,
     verbatim,
 )
 from pfdist.plots.style import BLUE, RED
+from pfdist.store.schema import components_in
 from pfdist.times.clock import Clock
 from pfdist.times.measurement_times import Times
 
@@ -37,21 +48,20 @@ def online_times_figure(tables: Tables) -> Plot:
     draws = tables.online
     differ = 100 * float(np.mean(draws.differ)) if len(draws.rows) else 0.0
     title = f"In {differ:.0f} % of the draws, online times differ from the plan, {draws.plan}."
-    return Plot(4.2, partial(_draw, draws), panels=2, share_x=True, title=title)
 
+    def draw(panels: Sequence[Axes]) -> None:
+        online_shares(draws, ax=panels[0])
+        online_raster(draws, ax=panels[1])
+        stack(panels)
 
-def _draw(draws: OnlineDraws, panels: Sequence[Axes]) -> None:
-    above, below = panels
-    online_shares(draws, ax=above)
-    online_raster(draws, ax=below)
-    stack(panels)
+    return Plot(4.2, draw, panels=2, share_x=True, title=title)
 
 
 def measured_at(times: Collection[Sequence[int]], horizon: int) -> NDArray[np.bool_]:
     """Say whether each draw is measured at each instant, (D, T+1)."""
     measured = np.zeros((len(times), horizon + 1), np.bool_)
-    for row, chosen in zip(measured, times, strict=True):
-        row[np.asarray(chosen, np.int64)] = True
+    for row, instants in zip(measured, times, strict=True):
+        row[np.asarray(instants, np.int64)] = True
     return measured
 
 
@@ -86,8 +96,11 @@ def online_shares(
     """
     measured, clock, planned, plan = _measured(source, planned, plan, horizon)
     share, ax = 100 * measured.mean(axis=0), axes_for(ax)
-    label, step = f"online, {len(measured):,} draws", _least_step(clock)
-    ax.bar(clock.times, share, 0.8 * step, color=BLUE, alpha=0.75, lw=0, label=label)
+    step = step_of(clock.times)
+    ax.bar(
+        clock.times, share, 0.8 * step, color=BLUE, alpha=0.75, lw=0,
+        label=f"online, {len(measured):,} draws",
+    )  # fmt: skip
     _mark(ax, planned, f"the plan, {verbatim(plan)}" if plan else "the plan")
     ax.set_ylim(0, 108)
     ax.set_yticks([0, 50, 100])
@@ -99,11 +112,7 @@ def online_shares(
 
 
 def online_raster(
-    source: Source,
-    *,
-    planned: Times = (),
-    horizon: int | None = None,
-    ax: Axes | None = None,
+    source: Source, *, planned: Times = (), horizon: int | None = None, ax: Axes | None = None
 ) -> Axes:
     """Draw a row for each draw, dark where it is measured; draws with like times are neighbours.
 
@@ -124,7 +133,7 @@ def online_raster(
     """
     measured, clock, planned, _ = _measured(source, planned, "", horizon)
     measured, ax = measured[:MOST_ROWS], axes_for(ax)
-    rows, step = len(measured), _least_step(clock)
+    rows, step = len(measured), step_of(clock.times)
     in_order = measured[np.lexsort(~measured.T[::-1])]  # early measurements come first
     first, last = clock.times[0] - step / 2, clock.times[-1] + step / 2
     if clock.is_even:
@@ -144,10 +153,6 @@ def online_raster(
     ax.set_yticks([])
     label_instants(ax, clock.unit, whole=clock.counts)
     return ax
-
-
-def _least_step(clock: Clock) -> float:
-    return float(np.diff(clock.times).min()) if clock.horizon else 1.0
 
 
 def _measured(
@@ -178,3 +183,70 @@ def _mark(ax: Axes, planned: Times, label: str) -> None:
         list(planned), [1.0] * len(planned), "v", transform=ax.get_xaxis_transform(), clip_on=False,
         color=RED, ms=marker(1.2), mew=0, label=label or None, zorder=5,
     )  # fmt: skip
+
+
+@figure("online_gain", applies=has_online)
+def online_gain_figure(tables: Tables) -> Plot:
+    """Histogram of the relative gain of online times; the plan's gain on the same draws."""
+    draws = tables.online
+    over_reference = draws.gain("online", draws.reference)
+    title = title_of_gain(over_reference, "online times", label(draws.reference))
+    return Plot(2.9, lambda panels: online_gain(draws, ax=panels[0]), title=title)
+
+
+def online_gain(source: Run | OnlineDraws, *, ax: Axes | None = None) -> Axes:
+    """Draw the histogram of the relative gain of online times, and that of the plan.
+
+    Parameters
+    ----------
+    source : Run or OnlineDraws
+        A run with online times, or its draws that have them.
+    ax : matplotlib Axes, optional
+        By default those of a new figure.
+
+    Returns
+    -------
+    matplotlib Axes
+
+    Raises
+    ------
+    TypeError
+        The source is neither a run nor its draws.
+    """
+    check_kind(source, (Run, OnlineDraws), "source")
+    draws = online_draws(source) if isinstance(source, Run) else source
+    online, plan = (draws.gain(name, draws.reference) for name in ("online", draws.plan))
+    return gain(
+        online, "online", reference=label(draws.reference), beside=(draws.plan, plan), ax=ax
+    )
+
+
+@figure("online_draw", applies=has_online)
+def online_draw_figure(tables: Tables) -> Plot:
+    """Truth, estimates and times of the draw with the median gain of online times over the plan."""
+    draws, trajectories = tables.online, tables.trajectories
+    rows = draws.rows[draws.rows["estimate"].notna()].set_index("draw")
+    rows = rows[rows.index.isin(trajectories["draw"])]
+    plan, online = (rows[f"mse_{name}"].to_numpy() for name in (draws.plan, "online"))
+    gains = pd.Series(relative_gain(online, plan), index=rows.index).dropna()
+    if gains.empty:
+        return no_draw()
+    draw = typical_draw(gains)
+    sets = {draws.plan: list(draws.planned_times), "online": list(rows["measurement_times"][draw])}
+    trajectory = with_online(trajectories[trajectories["draw"] == draw], rows["estimate"][draw])
+    median = float(gains[draw])
+    over = f"relative gain over {verbatim(draws.plan)}"
+    legend = minus(f"draw {draw}, {over} {100 * median:.1f} %, the median")
+    title = title_of_draw(median, "online times", f"the times of {draws.plan}")
+    return plot_of_draw(trajectory, sets, legend, title)
+
+
+def with_online(trajectory: pd.DataFrame, estimate: np.ndarray) -> pd.DataFrame:
+    """Add the estimate with the online times, ((T+1) q,), to the trajectory of a draw."""
+    quantities = components_in(trajectory, "z_")
+    estimates = np.reshape(estimate, (-1, len(quantities)))
+    columns = {
+        f"estimate_online_{quantity.suffix}": estimates[:, k]
+        for k, quantity in enumerate(quantities)
+    }
+    return trajectory.sort_values("t").assign(**columns)
