@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from pfdist.analysis.relative_loss import INSIDE, OPEN
+from pfdist.common.formatted_times import formatted_time, formatted_times
 from pfdist.common.percent import percent_with_interval
-from pfdist.common.told_times import told_time, told_times
 from pfdist.store import WINDOW_PERCENTS
 from pfdist.times.clock import Time
 
@@ -63,7 +63,7 @@ class SamplingWindow:
         >>> SamplingWindow(12, {12: 12}, {}, True).text
         'only 12'
         """
-        inside = spelled(self.inside) if self.is_wide else f"only {told_time(self.t)}"
+        inside = spelled(self.inside) if self.is_wide else f"only {formatted_time(self.t)}"
         return f"{inside} (open: {spelled(self.open)})" if self.open else inside
 
 
@@ -116,9 +116,9 @@ def spelled(instants: Mapping[Time, int]) -> str:
     '3, 4, 9 to 12'
     """
     return ", ".join(
-        told_times(run)
+        formatted_times(run)
         if len(run) <= _LONGEST_LIST
-        else f"{told_time(run[0])} to {told_time(run[-1])}"
+        else f"{formatted_time(run[0])} to {formatted_time(run[-1])}"
         for run in runs_of(instants)
     )
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import pandas as pd
 
+from pfdist.common.formatted_times import formatted_time
 from pfdist.common.percent import times_100
 from pfdist.common.rounding import rounded, with_error, with_interval
-from pfdist.common.told_times import told_time
 
 Row = Mapping[Any, Any]
 _LEADING = ("run", "set")
@@ -41,7 +41,7 @@ def told_value(value: Any) -> str:
         return ""
     if isinstance(value, bool):
         return str(value).lower()
-    return told_time(value) if isinstance(value, float) else str(value)
+    return formatted_time(value) if isinstance(value, float) else str(value)
 
 
 def is_missing(value: Any) -> bool:

@@ -9,7 +9,7 @@ import tomli_w
 
 from pfdist.analysis import read_recorded
 from pfdist.answers.subject import Subject, number_of, without_folder
-from pfdist.common.told_times import told_time, told_times
+from pfdist.common.formatted_times import formatted_time, formatted_times
 from pfdist.documents.parts import Code, Facts, Section, Text
 from pfdist.job.problem_section import ProblemSection
 from pfdist.store import run_key
@@ -94,11 +94,13 @@ def _measurements(job: Mapping[str, Any]) -> str:
 
 def _instants(subject: Subject) -> str:
     clock = subject.run.problem.clock
-    ends = f"t = {told_time(clock.times[0])} to {told_times(clock.times[-1:], clock.unit)}"
+    ends = (
+        f"t = {formatted_time(clock.times[0])} to {formatted_times(clock.times[-1:], clock.unit)}"
+    )
     if clock.counts:
         return ends
     if clock.is_even:
-        step = told_times([clock.times[1] - clock.times[0]], clock.unit)
+        step = formatted_times([clock.times[1] - clock.times[0]], clock.unit)
         return f"{ends}, in steps of {step}"
     return f"{len(clock.times)} instants, {ends}"
 

@@ -9,8 +9,8 @@ import pandas as pd
 from pfdist.answers.pictures import picture
 from pfdist.answers.subject import number_of
 from pfdist.common.component_names import Component
+from pfdist.common.formatted_times import formatted_time, formatted_times
 from pfdist.common.rounding import rounded
-from pfdist.common.told_times import told_time, told_times
 from pfdist.documents.parts import (
     Block,
     Cell,
@@ -72,14 +72,14 @@ def _times(answer: Mapping[str, Any]) -> list[tuple[str, str]]:
         "to_come": "planned, to come",
         "extra": "measured, not planned",
     }
-    return [(name, told_times(answer[key], unit) or "none") for key, name in names.items()]
+    return [(name, formatted_times(answer[key], unit) or "none") for key, name in names.items()]
 
 
 def _surprise(answer: Mapping[str, Any]) -> list[tuple[str, str]]:
     most = answer["most_surprising"]
     if not most:
         return []
-    at, p = told_time(most["t"]), rounded(most["surprise"], _P_DIGITS)
+    at, p = formatted_time(most["t"]), rounded(most["surprise"], _P_DIGITS)
     among = rounded(answer["surprise_of_all"], _P_DIGITS)
     return [("most surprising", f"t = {at}, p = {p} ({among} among all measurements)")]
 
@@ -100,7 +100,7 @@ def _fit(answer: Mapping[str, Any], table: pd.DataFrame) -> Section:
         among = rounded(answer["surprise_of_all"], _P_DIGITS)
         blocks.append(
             Text(
-                f"The most surprising measurement is that at t = {told_time(most['t'])}: p = "
+                f"The most surprising measurement is that at t = {formatted_time(most['t'])}: p = "
                 f"{rounded(most['surprise'], _P_DIGITS)}, and {among} among all measurements. A "
                 "p-value near 0 means that the model hardly ever gives such a measurement."
             )
@@ -111,7 +111,7 @@ def _fit(answer: Mapping[str, Any], table: pd.DataFrame) -> Section:
     if len(known):
         least = known.iloc[known["effective_sample_size"].argmin()]
         title = (
-            f"At t = {told_time(least['t'])} the fewest particles count: "
+            f"At t = {formatted_time(least['t'])} the fewest particles count: "
             f"{least['effective_sample_size']:.0f}."
         )
         plot = Plot(2.0, lambda panels: effective_sample_size(table, ax=panels[0]), title=title)
@@ -133,7 +133,7 @@ def _instants(table: pd.DataFrame) -> Section:
 
 
 def _row(row: Mapping[Hashable, Any], quantities: Sequence[Component]) -> list[Cell]:
-    cells = [Cell(told_time(row["t"]), row["t"]), Cell("yes" if row["measured"] else "no")]
+    cells = [Cell(formatted_time(row["t"]), row["t"]), Cell("yes" if row["measured"] else "no")]
     for each in quantities:
         mean, low, high = (row[f"{name}_{each.suffix}"] for name in ("mean", "q05", "q95"))
         cells.append(Cell(rounded(mean), mean))

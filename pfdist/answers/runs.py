@@ -9,10 +9,10 @@ import pandas as pd
 
 from pfdist.analysis.listed_run import FINISHED
 from pfdist.analysis.table_cells import keys_of, told_gain, told_mse, told_value
+from pfdist.common.formatted_counts import formatted_age, formatted_seconds, formatted_size
 from pfdist.common.percent import times_100
 from pfdist.common.rounding import rounded
 from pfdist.common.short_names import short_names
-from pfdist.common.told_counts import told_age, told_seconds, told_size
 from pfdist.documents.parts import Cell, Page, Section, Table, Text
 
 _LEFT_OUT = ("state", "billion steps")
@@ -52,7 +52,7 @@ def _row(row: Mapping[Any, Any], keys: list[str]) -> list[Cell]:
         Cell(told_value(row["set"])),
         Cell(told_mse(row) or state),
         Cell(told_gain(row)),
-        Cell(told_seconds(seconds), seconds),
+        Cell(formatted_seconds(seconds), seconds),
     ]
 
 
@@ -78,8 +78,8 @@ def list_page(frame: pd.DataFrame, folder: str) -> Page:
         [
             Cell(row["run"]),
             Cell(row["state"]),
-            Cell(told_age((now - row["changed"]).total_seconds())),
-            Cell(told_size(row["bytes"])),
+            Cell(formatted_age((now - row["changed"]).total_seconds())),
+            Cell(formatted_size(row["bytes"])),
             Cell(_result(row)),
         ]
         for row in frame.to_dict("records")

@@ -10,9 +10,9 @@ from typing import Any
 from pfdist.analysis import Run
 from pfdist.analysis.exact import names_by_error
 from pfdist.analysis.reference import label
+from pfdist.common.formatted_times import formatted_time, formatted_times
 from pfdist.common.percent import percent, range_of, times_100
 from pfdist.common.rounding import rounded, with_interval
-from pfdist.common.told_times import told_time, told_times
 from pfdist.documents.parts import Cell, Table, Text
 
 MOST_SETS = 4
@@ -111,7 +111,7 @@ class Subject:
     def reference(self) -> str:
         """The reference as sentences call it: ``every 3 instants``, or its name."""
         name, times = next(iter(self.results)), self.reference_times
-        steps = {told_time(later - earlier) for earlier, later in pairwise(times)}
+        steps = {formatted_time(later - earlier) for earlier, later in pairwise(times)}
         if len(steps) != 1:
             return label(name)
         step = steps.pop()
@@ -126,7 +126,7 @@ class Subject:
 
     def listed(self, times: Sequence[float]) -> str:
         """Give measurement times as text, with the unit of the clock."""
-        return told_times(times, self.unit)
+        return formatted_times(times, self.unit)
 
 
 def percent_and_interval(fraction: float, interval: list[float]) -> tuple[str, str]:

@@ -22,9 +22,9 @@ from pfdist.analysis.table_cells import is_missing, told_gain, told_mse, told_va
 from pfdist.answers.pictures import picture
 from pfdist.answers.subject import number_of
 from pfdist.answers.sweep_subject import Point, SweepSubject
+from pfdist.common.formatted_counts import formatted_seconds
+from pfdist.common.formatted_times import formatted_time, formatted_times
 from pfdist.common.rounding import rounded, with_interval
-from pfdist.common.told_counts import told_seconds
-from pfdist.common.told_times import told_time, told_times
 from pfdist.documents.parts import (
     Block,
     Cell,
@@ -119,7 +119,7 @@ def computed(subject: SweepSubject) -> Section:
     facts = [
         ("points", f"{len(subject.points):,}"),
         *((state, f"{subject.count(state):,}") for state in states),
-        ("time of all workers", f"{told_seconds(float(per_run.sum()))} s"),
+        ("time of all workers", f"{formatted_seconds(float(per_run.sum()))} s"),
         ("models", ", ".join(subject.models)),
         ("pfdist, of the runs", ", ".join(versions)),
         ("pfdist, of this page", pfdist.__version__),
@@ -175,8 +175,8 @@ def _row(subject: SweepSubject, keys: list[str], row: Row) -> list[Cell]:
         Cell("" if is_finished else point.state),
         Cell(told_mse(row), None if is_missing(mse) else mse),
         Cell(told_gain(row), None if is_missing(gain) else gain),
-        Cell("" if is_missing(times) else told_times(times, unit)),
-        Cell(told_seconds(row["worker_seconds"]), row["worker_seconds"]),
+        Cell("" if is_missing(times) else formatted_times(times, unit)),
+        Cell(formatted_seconds(row["worker_seconds"]), row["worker_seconds"]),
     ]
 
 
@@ -274,7 +274,7 @@ def _found_times(subject: SweepSubject) -> Picture:
     plot = Plot(
         times_inches(len(sets)),
         lambda panels: found_times(subject.frame, horizon=last, ax=panels[0]),
-        title=f"The time t = {told_time(-t)} was found most often, in {most} of {len(sets)} sets.",
+        title=f"The time t = {formatted_time(-t)} was found most often, in {most} of {len(sets)} sets.",
     )  # fmt: skip
     return picture(plot, "times", _TIMES)
 

@@ -6,9 +6,9 @@ from typing import Any
 
 from pfdist.analysis.sampling_windows import STRICT, WIDE, sentences, windows_of
 from pfdist.answers.subject import Subject, number_of
+from pfdist.common.formatted_times import formatted_time
 from pfdist.common.percent import cost
 from pfdist.common.rounding import with_error
-from pfdist.common.told_times import told_time
 from pfdist.documents.parts import Block, Cell, Figures, Page, Section, Table, Text
 
 _HEAD = ("t", "if removed", "if one instant earlier", "if one instant later")
@@ -97,7 +97,7 @@ def _of_set(
         return blocks
     levels = (windows_of(rows, STRICT), windows_of(rows, WIDE))
     cells = [
-        [Cell(told_time(strict.t), strict.t), Cell(strict.text), Cell(wide.text)]
+        [Cell(formatted_time(strict.t), strict.t), Cell(strict.text), Cell(wide.text)]
         for strict, wide in zip(*levels, strict=True)
     ]
     table = Table(f"Sampling windows, times of {name}", _WINDOWS_HEAD, cells, detail)
@@ -106,7 +106,7 @@ def _of_set(
 
 
 def _rises(measurement: Mapping[Any, Any], mse: float) -> list[Cell]:
-    cells = [Cell(told_time(measurement["t"]), measurement["t"])]
+    cells = [Cell(formatted_time(measurement["t"]), measurement["t"])]
     for change in _CHANGES:
         rise, error = measurement[change], measurement[f"{change}_error"]
         if rise is None or math.isnan(rise):  # the shift is impossible

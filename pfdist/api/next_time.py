@@ -16,7 +16,7 @@ from pfdist.api.planned_run import planned_run
 from pfdist.api.planner import Planner
 from pfdist.api.run_of_job import asked_run
 from pfdist.api.user_table import Table, table_argument
-from pfdist.common.told_times import told_time
+from pfdist.common.formatted_times import formatted_time
 from pfdist.documents.notebook import Shown
 from pfdist.documents.parts import Page
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
@@ -231,8 +231,10 @@ def _instant_now(now: Time, last: int, clock: Clock) -> int:
         raise MeasurementsError(f"now must be an integer, got {shown(now)}", argument="now")
     first = clock.time(last) if last >= 0 else -1
     if isinstance(now, Real) and not first <= now <= clock.times[-1]:
-        ends = f"{told_time(first)}..{told_time(clock.times[-1])}"
-        raise MeasurementsError(f"now must lie in {ends}, got {told_time(now)}", argument="now")
+        ends = f"{formatted_time(first)}..{formatted_time(clock.times[-1])}"
+        raise MeasurementsError(
+            f"now must lie in {ends}, got {formatted_time(now)}", argument="now"
+        )
     try:
         return int(now) if clock.counts else clock.instant(now, "now")
     except MeasurementTimesError as error:

@@ -8,8 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pfdist.api.filter_of import filter_of
 from pfdist.common.arguments import whole_argument
+from pfdist.common.formatted_times import formatted_time
 from pfdist.common.streams import stream_of
-from pfdist.common.told_times import told_time
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.evaluation.estimate import Evaluation
 from pfdist.filters.cloud import Prior
@@ -203,7 +203,7 @@ class Planner:
         wanted = [validated_instants(plan, self.clock) for plan in plans or (self.plan(),)]
         for plan in wanted:
             if plan and plan[0] < first:
-                least, got = (told_time(self.clock.time(t)) for t in (first, plan[0]))
+                least, got = (formatted_time(self.clock.time(t)) for t in (first, plan[0]))
                 raise MeasurementTimesError(
                     f"times that are left must be at least {least}, got {got}"
                 )
@@ -244,10 +244,10 @@ class Planner:
         if t is not None:
             instant = instant_on(self.clock, t)
             if instant < self._now.first:
-                first = told_time(self.clock.time(self._now.first))
+                first = formatted_time(self.clock.time(self._now.first))
                 raise MeasurementsError(
                     f"t must be at least {first}, the first instant that has not passed, got "
-                    f"{told_time(t)}"
+                    f"{formatted_time(t)}"
                 )
             return instant
         if not self._plan:

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pfdist.common.estimate import Estimate
+from pfdist.common.formatted_times import formatted_times
 from pfdist.common.percent import heavy_tail_warning
 from pfdist.common.rounding import with_error
-from pfdist.common.told_times import told_times
 from pfdist.documents.notebook import Shown
 from pfdist.documents.parts import Facts, Page, Section
 from pfdist.times.measurement_times import Times
@@ -104,7 +104,7 @@ class Evaluation(Shown):
         count = len(self.measurement_times)
         on = "exact" if self.exact is not None else f"on {self.draws:,} draws"
         title = f"evaluation of {count} measurement{'s' * (count != 1)}: expected MSE {mse}, {on}"
-        rows = [("measured at t", told_times(self.measurement_times))]
+        rows = [("measured at t", formatted_times(self.measurement_times))]
         if self.degenerate_draws:
             rows.append(("degenerate draws", f"{self.degenerate_draws:,}"))
         if warning := heavy_tail_warning({"": self.top_percent_share}):

@@ -14,7 +14,7 @@ from pfdist.analysis.sampling_windows import (
     sentences,
     windows_of,
 )
-from pfdist.common.told_times import told_time
+from pfdist.common.formatted_times import formatted_time
 from pfdist.plots.figure import Plot, Tables, figure
 from pfdist.plots.panel import (
     BAND,
@@ -206,7 +206,7 @@ def sampling_windows(table: object, name: str = "", *, ax: Axes | None = None) -
     ax.plot(times, places, "o", color="black", ms=marker(0.5), zorder=5)
     step = -(-len(times) // _MOST_LABELS)
     ax.set_ylim(max(len(times), 3) - 0.4, -0.6)  # the first measurement on top
-    ax.set_yticks(places[::step], list(map(told_time, times[::step])))
+    ax.set_yticks(places[::step], list(map(formatted_time, times[::step])))
     ax.tick_params(axis="y", length=0)
     ax.set_ylabel("measurement at")
     label_times(ax, rows)

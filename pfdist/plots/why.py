@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 
 from pfdist.analysis import Run
 from pfdist.analysis.reference import label
-from pfdist.common.told_times import told_time
+from pfdist.common.formatted_times import formatted_time
 from pfdist.plots.figure import Plot, Tables, figure
 from pfdist.plots.measurements import shifts, worth
 from pfdist.plots.panel import (
@@ -64,13 +64,13 @@ def _title(measurements: pd.DataFrame, names: tuple[str, str]) -> str:
         return f"The set {name} measures nothing."
     most = rows.loc[name].to_dict()
     title = (
-        f"The measurement of {name} at t = {told_time(most['t'])} is worth most: without it, the "
+        f"The measurement of {name} at t = {formatted_time(most['t'])} is worth most: without it, the "
         f"expected MSE rises by {most['removed']:.3g}."
     )
     if reference not in rows.index:
         return title
     most = rows.loc[reference].to_dict()
-    rise = f"at most {most['removed']:.3g}, without t = {told_time(most['t'])}"
+    rise = f"at most {most['removed']:.3g}, without t = {formatted_time(most['t'])}"
     return f"{title[:-1]}; that of {label(reference)} rises by {rise}."
 
 
@@ -92,7 +92,7 @@ def filters_figure(tables: Tables) -> Plot:
 
     least = sizes.iloc[sizes["effective_sample_size"].argmin()]
     title = (
-        f"The fewest particles count at t = {told_time(least['t'])} of {least['name']}: on average "
+        f"The fewest particles count at t = {formatted_time(least['t'])} of {least['name']}: on average "
         f"{least['effective_sample_size']:.0f} of {particles}."
     )
     if is_degenerate:

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from pfdist.common.told_times import told_time
+from pfdist.common.formatted_times import formatted_time
 from pfdist.errors import MeasurementsError, MeasurementTimesError, shown
 from pfdist.models import StateSpaceModel
 from pfdist.sequential.user_columns import user_columns
@@ -51,11 +51,11 @@ def read_measurements(
         times = [instant_on(clock, t, start) for t in columns["t"].tolist()]
         for t, following in pairwise(sorted(times)):
             if t == following:
-                repeated = told_time(clock.time(t))
+                repeated = formatted_time(clock.time(t))
                 raise MeasurementsError(f"a time must stand in one row, got t = {repeated} twice")
         table = np.stack([columns[name] for name in wanted[1:]], axis=1)
         rows = [
-            (t, checked_measurement(table[row], model, told_time(clock.time(t))))
+            (t, checked_measurement(table[row], model, formatted_time(clock.time(t))))
             for row, t in sorted(enumerate(times), key=itemgetter(1))
         ]
     except (MeasurementsError, ValueError) as error:
@@ -85,8 +85,8 @@ def instant_on(clock: Clock, t: Any, start: int = 0) -> int:
         raise MeasurementsError(str(error)) from error
     if instant < start:
         raise MeasurementsError(
-            f"t must lie in {told_time(clock.times[start])}..{clock.told(clock.horizon)}, got "
-            f"{told_time(t)}"
+            f"t must lie in {formatted_time(clock.times[start])}..{clock.told(clock.horizon)}, got "
+            f"{formatted_time(t)}"
         )
     return instant
 

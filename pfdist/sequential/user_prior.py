@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from pfdist.common.told_times import told_time
+from pfdist.common.formatted_times import formatted_time
 from pfdist.errors import MeasurementTimesError, PriorError, shown
 from pfdist.filters.cloud import Cloud, Gaussian, Prior
 from pfdist.models import StateSpaceModel
@@ -81,7 +81,7 @@ def _instant(column: Array | None, clock: Clock | None) -> int:
     if (counts and not t.is_integer()) or (column != t).any():
         kind = "integer" if counts else "time"
         other = column[np.argmax(column != t)] if t.is_integer() or not counts else t
-        raise PriorError(f"t must be one {kind} for all particles, got {told_time(other)}")
+        raise PriorError(f"t must be one {kind} for all particles, got {formatted_time(other)}")
     if clock is None or clock.counts:
         return int(t)
     try:

@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from pfdist.common.told_times import told_time
+from pfdist.common.formatted_times import formatted_time
 from pfdist.errors import MeasurementTimesError, shown
 from pfdist.times.measurement_times import Times
 
@@ -45,8 +45,8 @@ class Clock:
         for time, later in pairwise(self.times):
             if not time < later:
                 raise MeasurementTimesError(
-                    f"times must be in ascending order, got {told_time(time)} before "
-                    f"{told_time(later)}"
+                    f"times must be in ascending order, got {formatted_time(time)} before "
+                    f"{formatted_time(later)}"
                 )
 
     @classmethod

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from pfdist.common.formatted_times import formatted_time
 from pfdist.common.number_list import MOST_NUMBERS, ranges, whole_numbers
 from pfdist.common.parsing import (
     MOST_BYTES,
@@ -15,7 +16,6 @@ from pfdist.common.parsing import (
     read_text,
     whole_number,
 )
-from pfdist.common.told_times import told_time
 from pfdist.errors import one_line, shown
 
 DEEP = 100_000
@@ -71,7 +71,7 @@ def test_a_file_of_any_size_is_read_up_to_a_limit(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("number", [0.0, -3.5, 1e-7, 0.1, 1.7e12, 1.25e40, -2.5e-20])
 def test_numbers_that_pfdist_prints_are_read_again(number: float) -> None:
-    assert finite_number(told_time(number)) == finite_number(repr(number)) == number
+    assert finite_number(formatted_time(number)) == finite_number(repr(number)) == number
 
 
 @pytest.mark.parametrize("text", ["1e", "e3", "1e999", ".5", "nan", "inf", "1e1.5"])

@@ -6,10 +6,10 @@ _SPANS = (("day", 86_400.0), ("h", 3600.0), ("min", 60.0), ("s", 1.0))
 _SIZES = (("GB", 10**9), ("MB", 10**6), ("kB", 10**3))
 
 
-def told_seconds(seconds: float) -> str:
+def formatted_seconds(seconds: float) -> str:
     """Seconds with two significant digits below 10, otherwise whole; empty if they are unknown.
 
-    >>> told_seconds(0.0276), told_seconds(1234.5), told_seconds(math.nan)
+    >>> formatted_seconds(0.0276), formatted_seconds(1234.5), formatted_seconds(math.nan)
     ('0.028', '1,234', '')
     """
     if math.isnan(seconds):
@@ -17,10 +17,10 @@ def told_seconds(seconds: float) -> str:
     return f"{seconds:.2g}" if seconds < 9.95 else f"{seconds:,.0f}"
 
 
-def told_age(seconds: float) -> str:
+def formatted_age(seconds: float) -> str:
     """A span of time in the largest unit that fits; a span below zero is 0 s.
 
-    >>> told_age(12.3), told_age(3 * 3600 + 1), told_age(86_400), told_age(40 * 86_400)
+    >>> formatted_age(12.3), formatted_age(3 * 3600 + 1), formatted_age(86_400), formatted_age(40 * 86_400)
     ('12 s', '3 h', '1 day', '40 days')
     """
     for unit, length in _SPANS:
@@ -30,10 +30,10 @@ def told_age(seconds: float) -> str:
     return "0 s"
 
 
-def told_size(count: int) -> str:
+def formatted_size(count: int) -> str:
     """A number of bytes in the largest unit that fits.
 
-    >>> told_size(999), told_size(340_000), told_size(1_200_000), told_size(12_000_000)
+    >>> formatted_size(999), formatted_size(340_000), formatted_size(1_200_000), formatted_size(12_000_000)
     ('999 B', '340 kB', '1.2 MB', '12 MB')
     """
     for unit, length in _SIZES:
