@@ -20,8 +20,8 @@ def formatted_seconds(seconds: float) -> str:
 def formatted_age(seconds: float) -> str:
     """A span of time in the largest unit that fits; a span below zero is 0 s.
 
-    >>> formatted_age(12.3), formatted_age(3 * 3600 + 1), formatted_age(86_400), formatted_age(40 * 86_400)
-    ('12 s', '3 h', '1 day', '40 days')
+    >>> [formatted_age(seconds) for seconds in (12.3, 3 * 3600 + 1, 86_400, 40 * 86_400)]
+    ['12 s', '3 h', '1 day', '40 days']
     """
     for unit, length in _SPANS:
         number = int(seconds // length)
@@ -33,8 +33,8 @@ def formatted_age(seconds: float) -> str:
 def formatted_size(count: int) -> str:
     """A number of bytes in the largest unit that fits.
 
-    >>> formatted_size(999), formatted_size(340_000), formatted_size(1_200_000), formatted_size(12_000_000)
-    ('999 B', '340 kB', '1.2 MB', '12 MB')
+    >>> [formatted_size(size) for size in (999, 340_000, 1_200_000, 12_000_000)]
+    ['999 B', '340 kB', '1.2 MB', '12 MB']
     """
     for unit, length in _SIZES:
         if count >= length:

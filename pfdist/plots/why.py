@@ -64,8 +64,8 @@ def _title(measurements: pd.DataFrame, names: tuple[str, str]) -> str:
         return f"The set {name} measures nothing."
     most = rows.loc[name].to_dict()
     title = (
-        f"The measurement of {name} at t = {formatted_time(most['t'])} is worth most: without it, the "
-        f"expected MSE rises by {most['removed']:.3g}."
+        f"The measurement of {name} at t = {formatted_time(most['t'])} is worth most: without it, "
+        f"the expected MSE rises by {most['removed']:.3g}."
     )
     if reference not in rows.index:
         return title
@@ -92,8 +92,8 @@ def filters_figure(tables: Tables) -> Plot:
 
     least = sizes.iloc[sizes["effective_sample_size"].argmin()]
     title = (
-        f"The fewest particles count at t = {formatted_time(least['t'])} of {least['name']}: on average "
-        f"{least['effective_sample_size']:.0f} of {particles}."
+        f"The fewest particles count at t = {formatted_time(least['t'])} of {least['name']}: on "
+        f"average {least['effective_sample_size']:.0f} of {particles}."
     )
     if is_degenerate:
         return Plot(3.4, draw, panels=2, share_x=True, title=title)
