@@ -274,7 +274,7 @@ def _found_times(subject: SweepSubject) -> Picture:
     plot = Plot(
         times_inches(len(sets)),
         lambda panels: found_times(subject.frame, horizon=last, ax=panels[0]),
-        title=f"The time found most often is t = {formatted_time(-t)}, in {most} of {len(sets)} sets.",
+        title=f"t = {formatted_time(-t)} was found most often, in {most} of {len(sets)} sets.",
     )  # fmt: skip
     return picture(plot, "times", _TIMES)
 
