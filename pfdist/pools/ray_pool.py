@@ -24,6 +24,7 @@ from collections.abc import Iterable, Iterator
 from concurrent.futures import Future
 from functools import lru_cache
 from importlib.metadata import version
+from itertools import chain
 from queue import Empty, SimpleQueue
 from typing import Any, Self
 
@@ -58,6 +59,7 @@ _BUSY = Task("", repr, None)  # there may be more tasks, for which no thread is 
 
 Call = Future[Any]
 """An answer that is owed."""
+_Owed = Task | int | None
 
 
 class RayPool:
@@ -263,10 +265,10 @@ class RayPool:
         self._lost, self._last_loss, self._was_silent = Counter(), "", False
         self._looked = self._heard = time.monotonic()
         for worker in self._members:
-            for call, task in list(worker.owed.items()):
-                if task is not None:
+            for call, what in list(worker.owed.items()):
+                if isinstance(what, Task):
                     del worker.owed[call], self._owners[call]
-            worker.tasks = 0
+            worker.tasks, worker.waiting = 0, {key: [] for key in worker.waiting}
             self._set_free(worker)
 
     def _hand_out(self, todo: Iterator[Task | None]) -> Task | None:
@@ -301,18 +303,22 @@ class RayPool:
                 self._end(worker)
 
     def _hand(self, worker: "_Worker", task: Task) -> None:
+        """Hand a task to a worker; if the worker must first load its function, the task waits."""
         key, content = self._sent(task.function)
-        if key not in worker.functions:
-            worker.functions.add(key)
-            self._owe(worker, worker.actor.load.remote(key, content))
-        self._owe(worker, worker.actor.do.remote(key, content, task.work), task)
         worker.tasks += 1
         self._set_free(worker)
+        if key in worker.functions:
+            self._owe(worker, worker.actor.do.remote(key, content, task.work), task)
+        elif key in worker.waiting:
+            worker.waiting[key].append(task)
+        else:
+            worker.waiting[key] = [task]
+            self._owe(worker, worker.actor.load.remote(key, content), key)
 
-    def _owe(self, worker: "_Worker", answer: Any, task: Task | None = None) -> None:
-        """Note that a worker owes an answer, which a task waits for."""
+    def _owe(self, worker: "_Worker", answer: Any, what: "_Owed" = None) -> None:
+        """Note that a worker owes an answer: to a task, of a function's load, or who it is."""
         call: Call = answer.future()
-        worker.owed[call], self._owners[call] = task, worker
+        worker.owed[call], self._owners[call] = what, worker
         call.add_done_callback(self._answers.put)
 
     def _set_free(self, worker: "_Worker") -> None:
@@ -338,12 +344,17 @@ class RayPool:
             yield from self._lose(worker, f"{type(error).__name__}: {error}", DEATHS)
             return
         self._heard = time.monotonic()
-        task, answer = worker.owed.pop(call), call.result()
-        if task is not None:
+        what, answer = worker.owed.pop(call), call.result()
+        if isinstance(what, Task):
             worker.tasks -= 1
             self._unfinished -= 1
-            yield Outcome(task, *answer)
-        elif not worker.has_started:
+            yield Outcome(what, *answer)
+        elif what is not None:
+            worker.functions.add(what)
+            for task in worker.waiting.pop(what):
+                worker.tasks -= 1
+                self._hand(worker, task)
+        else:
             worker.has_started = True
             self._check_version(worker, answer)
         self._set_free(worker)
@@ -385,7 +396,7 @@ class RayPool:
         self._last_loss = f" (the last was lost by {why.splitlines()[0]})"
         self._last_node, self._was_silent = worker.node, most == SILENCES
         self._end(worker)
-        for task in filter(None, worker.owed.values()):
+        for task in worker.all_tasks:
             self._lost[task.key] += worker.tasks == 1
             if self._lost[task.key] < most:
                 self._suspects.append(task)
@@ -422,12 +433,14 @@ class _Worker:
     has_started : bool
         Whether it has said who it is.
     owed : dict
-        The answers that it owes, the oldest first, and the task of each; None where it starts or
-        loads a function.
+        The answers that it owes, the oldest first: each to a task, of the load of a function with
+        this key, or (None) who it is.
+    waiting : dict
+        Tasks that wait until a function is loaded, by its key.
     tasks : int
         How many tasks it has.
     functions : set of int
-        Those that it has been given.
+        Those that it has loaded.
     since : float
         When a look first found the oldest answer to be the oldest, on the monotonic clock.
     """
@@ -438,7 +451,8 @@ class _Worker:
             num_cpus=cores, max_concurrency=max(1, cores), scheduling_strategy=where
         ).remote()
         self.node, self.cores, self.has_started = node, cores, False
-        self.owed: dict[Call, Task | None] = {}
+        self.owed: dict[Call, _Owed] = {}
+        self.waiting: dict[int, list[Task]] = {}
         self.tasks = 0
         self.functions = set[int]()
         self._oldest: Call | None = None
@@ -457,9 +471,15 @@ class _Worker:
         return 0.0 if oldest is None else now - self.since
 
     @property
+    def all_tasks(self) -> list[Task]:
+        """Its tasks, those that it was handed first."""
+        handed = [what for what in self.owed.values() if isinstance(what, Task)]
+        return [*handed, *chain.from_iterable(self.waiting.values())]
+
+    @property
     def is_loading(self) -> bool:
         """Whether it starts, or loads a function."""
-        return None in self.owed.values()
+        return not all(isinstance(what, Task) for what in self.owed.values())
 
     @property
     def patience(self) -> float:
@@ -469,7 +489,7 @@ class _Worker:
     @property
     def task_patience(self) -> float:
         """Seconds for which it may do its tasks."""
-        return patience(max((task.seconds for task in self.owed.values() if task), default=0.0))
+        return patience(max((task.seconds for task in self.all_tasks), default=0.0))
 
     def end(self) -> threading.Thread:
         """End the worker in a thread, because the request may never return."""
