@@ -27,6 +27,7 @@ from collections.abc import Iterable, Iterator
 from concurrent.futures import Future
 from functools import lru_cache
 from importlib.metadata import version
+from itertools import chain
 from queue import Empty, SimpleQueue
 from typing import Any, Self
 
@@ -61,6 +62,7 @@ _BUSY = Task("", repr, None)  # no thread was free to take another task
 
 Call = Future[Any]
 """An answer for which the driver waits."""
+_Owed = Task | int | None  # for a task; for the load of a function with this key; who it is
 
 
 class RayPool:
@@ -255,10 +257,10 @@ class RayPool:
         self._lost, self._last_loss, self._was_silent = Counter(), "", False
         self._looked = self._heard = time.monotonic()
         for worker in self._members:
-            for call, task in list(worker.owed.items()):
-                if task is not None:
+            for call, what in list(worker.owed.items()):
+                if isinstance(what, Task):
                     del worker.owed[call], self._owners[call]
-            worker.tasks = 0
+            worker.tasks, worker.waiting = 0, {key: [] for key in worker.waiting}
             self._set_free(worker)
 
     def _hand_out(self, todo: Iterator[Task | None]) -> Task | None:
@@ -294,20 +296,25 @@ class RayPool:
                 self._end(worker)
 
     def _hand(self, worker: "_Worker", task: Task) -> None:
+        """Hand a task to a worker; the task waits if the worker must first load its function.
+
+        A load may compile for a minute, and the patience with a task does not cover this.
+        """
         key, content = self._sent(task.function)
-        # The function is loaded by a call of its own, before its first task: loading may compile
-        # for a minute, and the patience with a task does not cover this.
-        if key not in worker.functions:
-            worker.functions.add(key)
-            self._owe(worker, worker.actor.load.remote(key, content))
-        self._owe(worker, worker.actor.do.remote(key, content, task.work), task)
         worker.tasks += 1
         self._set_free(worker)
+        if key in worker.functions:
+            self._owe(worker, worker.actor.do.remote(key, content, task.work), task)
+        elif key in worker.waiting:
+            worker.waiting[key].append(task)
+        else:
+            worker.waiting[key] = [task]
+            self._owe(worker, worker.actor.load.remote(key, content), key)
 
-    def _owe(self, worker: "_Worker", answer: Any, task: Task | None = None) -> None:
-        """Note an answer that a worker owes, with its task if there is one."""
+    def _owe(self, worker: "_Worker", answer: Any, what: "_Owed" = None) -> None:
+        """Note an answer that a worker owes."""
         call: Call = answer.future()
-        worker.owed[call], self._owners[call] = task, worker
+        worker.owed[call], self._owners[call] = what, worker
         call.add_done_callback(self._answers.put)
 
     def _set_free(self, worker: "_Worker") -> None:
@@ -335,12 +342,17 @@ class RayPool:
             yield from self._lose(worker, f"{type(error).__name__}: {error}", DEATHS)
             return
         self._heard = time.monotonic()
-        task, answer = worker.owed.pop(call), call.result()
-        if task is not None:
+        what, answer = worker.owed.pop(call), call.result()
+        if isinstance(what, Task):
             worker.tasks -= 1
             self._unfinished -= 1
-            yield Outcome(task, *answer)
-        elif not worker.has_started:
+            yield Outcome(what, *answer)
+        elif what is not None:
+            worker.functions.add(what)
+            for task in worker.waiting.pop(what):
+                worker.tasks -= 1
+                self._hand(worker, task)
+        else:
             worker.has_started = True
             self._check_version(worker, answer)
         self._set_free(worker)
@@ -388,7 +400,7 @@ class RayPool:
         self._last_loss = f" (the last was lost by {why.splitlines()[0]})"
         self._last_node, self._was_silent = worker.node, most == SILENCES
         self._end(worker)
-        for task in filter(None, worker.owed.values()):
+        for task in worker.all_tasks:
             # With other tasks beside it, the task may be innocent: only a loss alone counts.
             self._lost[task.key] += worker.tasks == 1
             if self._lost[task.key] < most:
@@ -423,10 +435,10 @@ class _Worker:
         ).remote()
         self.node, self.cores = node, cores
         self.has_started = False  # whether it has reported its version
-        # The answers that it owes, the oldest first, with their tasks; None for a start or a load.
-        self.owed: dict[Call, Task | None] = {}
-        self.tasks = 0  # in its hands
-        self.functions = set[int]()  # keys of the functions that it has
+        self.owed: dict[Call, _Owed] = {}  # the answers that it owes, the oldest first
+        self.waiting: dict[int, list[Task]] = {}  # for a function that is loading, by its key
+        self.tasks = 0  # that it has, or that wait
+        self.functions = set[int]()  # keys of the functions that it has loaded
         self._oldest: Call | None = None
         self.since = time.monotonic()  # when a look first found `_oldest` to be the oldest answer
 
@@ -443,9 +455,15 @@ class _Worker:
         return 0.0 if oldest is None else now - self.since
 
     @property
+    def all_tasks(self) -> list[Task]:
+        """Its tasks, those that it was handed first."""
+        handed = [what for what in self.owed.values() if isinstance(what, Task)]
+        return [*handed, *chain.from_iterable(self.waiting.values())]
+
+    @property
     def is_loading(self) -> bool:
         """Whether it starts, or loads a function."""
-        return None in self.owed.values()
+        return not all(isinstance(what, Task) for what in self.owed.values())
 
     @property
     def patience(self) -> float:
@@ -455,7 +473,7 @@ class _Worker:
     @property
     def task_patience(self) -> float:
         """Seconds for which it may be silent while it does its tasks."""
-        return patience(max((task.seconds for task in self.owed.values() if task), default=0.0))
+        return patience(max((task.seconds for task in self.all_tasks), default=0.0))
 
     def end(self) -> threading.Thread:
         """End the worker in a thread, because the request may never return."""

@@ -235,11 +235,14 @@ def _tables(run: Path) -> dict[str, str]:
 
 
 @pytest.mark.parametrize(
-    "online",
-    ["", pytest.param(ONLINE.format(draws=40), marks=pytest.mark.slow)],
-    ids=["", "online"],
+    ("kills", "online"),
+    [
+        pytest.param(5, "", id="5"),
+        pytest.param(5, ONLINE.format(draws=40), id="5-online", marks=pytest.mark.slow),
+        pytest.param(200, "", id="200", marks=pytest.mark.crash),
+        pytest.param(40, ONLINE.format(draws=40), id="40-online", marks=pytest.mark.crash),
+    ],
 )
-@pytest.mark.parametrize("kills", [5, pytest.param(200, marks=pytest.mark.crash)])
 def test_a_run_killed_at_any_instant_ends_with_the_same_bytes_and_computes_nothing_again(
     kills: int,
     online: str,
