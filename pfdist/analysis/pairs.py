@@ -177,12 +177,12 @@ def ranks_table(pairs: pd.DataFrame, costs: Mapping[str, tuple[float, float]]) -
     return pd.DataFrame(rows, columns=list(RANK_COLUMNS))
 
 
-def told_ranks(best: int, worst: int) -> str:
+def formatted_ranks(best: int, worst: int) -> str:
     """Give an interval of ranks as text.
 
     Examples
     --------
-    >>> told_ranks(1, 1), told_ranks(2, 3)
+    >>> formatted_ranks(1, 1), formatted_ranks(2, 3)
     ('1', '2 to 3')
     """
     return str(best) if best == worst else f"{best} to {worst}"

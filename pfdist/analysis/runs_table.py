@@ -52,7 +52,7 @@ def runs_table(runs: Sequence[Run]) -> pd.DataFrame:
     versions = [run.version or None for run in runs]
     if len(set(versions)) > 1:
         keys["pfdist"] = versions
-    names = _told_apart([run.path for run in runs])
+    names = _differ([run.path for run in runs])
     rows, units = list[Row](), set[str]()
     for number, run in enumerate(runs):
         summary = run.summary()
@@ -138,7 +138,7 @@ def _seconds(run: Run) -> float | None:
     return float(run.timings()["seconds"].sum()) if run.has("timings") else None
 
 
-def _told_apart(paths: Sequence[Path]) -> list[str]:
+def _differ(paths: Sequence[Path]) -> list[str]:
     """Give the name of each folder, after as much of the path as tells equal names apart."""
     parts = [path.absolute().parts for path in paths]
     depths = [1] * len(parts)

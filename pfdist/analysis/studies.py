@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pfdist.analysis.table_cells import is_missing, keys_of, told_value
+from pfdist.analysis.table_cells import formatted_value, is_missing, keys_of
 from pfdist.common.estimate import Estimate
 from pfdist.common.natural_order import natural_key
 from pfdist.common.short_names import short_names
@@ -89,7 +89,7 @@ def is_numeric(values: Sequence[Any]) -> bool:
     )
 
 
-def not_told_by(frame: pd.DataFrame, names: Sequence[str]) -> list[str]:
+def still_varying(frame: pd.DataFrame, names: Sequence[str]) -> list[str]:
     """Give the columns that tell rows apart whose values of some columns are the same.
 
     A key that changes together with these columns tells no more rows apart, and is left out.
@@ -134,7 +134,9 @@ def averages(frame: pd.DataFrame, names: Sequence[str], value: str) -> list[Aver
     return [_average(at, list(rows.values()), value, has_replicates) for at, rows in found.items()]
 
 
-def told_at(names: Sequence[str], values: Values, keys: Sequence[str], link: str = " ") -> str:
+def formatted_point(
+    names: Sequence[str], values: Values, keys: Sequence[str], link: str = " "
+) -> str:
     """Give values of columns as text.
 
     Parameters
@@ -150,15 +152,15 @@ def told_at(names: Sequence[str], values: Values, keys: Sequence[str], link: str
 
     Examples
     --------
-    >>> told_at(["set", "filter.particles"], ("genetic", 20), ["filter.particles"])
+    >>> formatted_point(["set", "filter.particles"], ("genetic", 20), ["filter.particles"])
     'genetic, particles 20'
-    >>> told_at(["set", "filter.particles"], ("genetic", 20), ["filter.particles"], " = ")
+    >>> formatted_point(["set", "filter.particles"], ("genetic", 20), ["filter.particles"], " = ")
     'set = genetic, particles = 20'
     """
     short = short_names(keys)
     return ", ".join(
-        told_value(value) or "no set" if name == SET and link == " "
-        else f"{short.get(name, name)}{link}{told_value(value) or 'none'}"
+        formatted_value(value) or "no set" if name == SET and link == " "
+        else f"{short.get(name, name)}{link}{formatted_value(value) or 'none'}"
         for name, value in zip(names, values, strict=True)
     )  # fmt: skip
 
@@ -197,7 +199,7 @@ def _order(value: Any) -> tuple[int, float, list[tuple[int, str]]]:
         return 2, 0.0, []
     if is_numeric([value]):
         return 0, float(value), []
-    return 1, 0.0, natural_key(told_value(value))
+    return 1, 0.0, natural_key(formatted_value(value))
 
 
 def selected(frame: pd.DataFrame, held: Mapping[str, Any]) -> pd.DataFrame:

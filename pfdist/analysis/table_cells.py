@@ -21,22 +21,22 @@ def keys_of(frame: pd.DataFrame) -> list[str]:
     return columns[first + 1 : last]
 
 
-def told_by_keys(frame: pd.DataFrame, keys: list[str]) -> bool:
+def differ_by_keys(frame: pd.DataFrame, keys: list[str]) -> bool:
     """Whether no two runs of a table have the same values of all these keys."""
-    texts = [tuple(told_value(row[key]) for key in keys) for row in frame.to_dict("records")]
+    texts = [tuple(formatted_value(row[key]) for key in keys) for row in frame.to_dict("records")]
     return len(set(zip(frame["run"], texts, strict=True))) == len(set(texts))
 
 
-def told_value(value: Any) -> str:
+def formatted_value(value: Any) -> str:
     """Give the value of a key as text; empty if the job lacks it.
 
     Examples
     --------
-    >>> told_value(0.25), told_value((0, 3.5)), told_value(True), told_value(math.nan)
-    ('0.25', '0 3.5', 'true', '')
+    >>> [formatted_value(value) for value in (0.25, (0, 3.5), True, math.nan)]
+    ['0.25', '0 3.5', 'true', '']
     """
     if isinstance(value, tuple | list):
-        return " ".join(map(told_value, value))
+        return " ".join(map(formatted_value, value))
     if is_missing(value):
         return ""
     if isinstance(value, bool):
@@ -49,14 +49,14 @@ def is_missing(value: Any) -> bool:
     return value is None or value is pd.NA or (isinstance(value, float) and math.isnan(value))
 
 
-def told_mse(row: Row) -> str:
+def formatted_mse(row: Row) -> str:
     """Give the expected MSE of a row with its standard error; empty if nothing was compared."""
     if math.isnan(row["expected_mse"]):
         return ""
     return with_error(row["expected_mse"], row["standard_error"])
 
 
-def told_gain(row: Row, *, interval: bool = True) -> str:
+def formatted_gain(row: Row, *, interval: bool = True) -> str:
     """Give the gain of means of a row in per cent, with its 95 % interval if wanted."""
     ends = (row["gain_of_means"], row["gain_of_means_low"], row["gain_of_means_high"])
     if math.isnan(ends[0]):

@@ -60,10 +60,10 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
         ("required", "always measured at"),
     ):
         if asked.get(key):
-            yield name, told_spelling(asked[key], subject.unit)
+            yield name, formatted_spelling(asked[key], subject.unit)
     if asked.get("minimum_spacing"):
         what = "time" if subject.run.problem.has_clock else "instants"
-        spacing = told_spelling(asked["minimum_spacing"], subject.unit)
+        spacing = formatted_spelling(asked["minimum_spacing"], subject.unit)
         yield f"{what} between measurements, at least", spacing
     filtering = job["filter"]
     particles = f"particle filter with {number_of(filtering['particles'], 'particle')}"
@@ -118,7 +118,7 @@ def _weights(asked: Mapping[str, Any], section: ProblemSection) -> Iterator[tupl
     yield "weights of instants in the MSE", text
 
 
-def told_spelling(value: Any, unit: str) -> str:
+def formatted_spelling(value: Any, unit: str) -> str:
     """Give times as the job spells them, with the unit."""
     entries = value if isinstance(value, list | tuple) else [value]
     text = ", ".join(map(str, entries))

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from pfdist.analysis.pairs import told_ranks
+from pfdist.analysis.pairs import formatted_ranks
 from pfdist.answers.subject import Subject, number_of, percent_cell
 from pfdist.common.percent import cost, range_of
 from pfdist.common.rounding import with_error, with_interval
@@ -49,7 +49,7 @@ def _set_row(subject: Subject, row: Mapping[str, Any]) -> list[Cell]:
     result, mse = subject.results[row["name"]], cost(row["expected_mse"])
     number = len(result["measurement_times"])
     return [
-        Cell(told_ranks(row["best_rank"], row["worst_rank"]), row["best_rank"]),
+        Cell(formatted_ranks(row["best_rank"], row["worst_rank"]), row["best_rank"]),
         Cell(row["name"]),
         Cell(str(number), number),
         Cell(with_error(mse, row["standard_error"]), mse),

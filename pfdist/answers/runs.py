@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 
 from pfdist.analysis.listed_run import FINISHED
-from pfdist.analysis.table_cells import keys_of, told_gain, told_mse, told_value
+from pfdist.analysis.table_cells import formatted_gain, formatted_mse, formatted_value, keys_of
 from pfdist.common.formatted_counts import formatted_age, formatted_seconds, formatted_size
 from pfdist.common.percent import times_100
 from pfdist.common.rounding import rounded
@@ -48,10 +48,10 @@ def _row(row: Mapping[Any, Any], keys: list[str]) -> list[Cell]:
     seconds = row["worker_seconds"]
     return [
         Cell(str(row["run"])),
-        *(Cell(told_value(row[key]), _number(row[key])) for key in keys),
-        Cell(told_value(row["set"])),
-        Cell(told_mse(row) or state),
-        Cell(told_gain(row)),
+        *(Cell(formatted_value(row[key]), _number(row[key])) for key in keys),
+        Cell(formatted_value(row["set"])),
+        Cell(formatted_mse(row) or state),
+        Cell(formatted_gain(row)),
         Cell(formatted_seconds(seconds), seconds),
     ]
 

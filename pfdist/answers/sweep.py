@@ -18,7 +18,7 @@ from pfdist.analysis.studies import (
     selected,
     values_of,
 )
-from pfdist.analysis.table_cells import is_missing, told_gain, told_mse, told_value
+from pfdist.analysis.table_cells import formatted_gain, formatted_mse, formatted_value, is_missing
 from pfdist.answers.pictures import picture
 from pfdist.answers.subject import number_of
 from pfdist.answers.sweep_subject import Point, SweepSubject
@@ -171,10 +171,10 @@ def _row(subject: SweepSubject, keys: list[str], row: Row) -> list[Cell]:
     unit = subject.frame.attrs.get("time_unit", "")
     return [
         *cells,
-        Cell(told_value(row[SET])),
+        Cell(formatted_value(row[SET])),
         Cell("" if is_finished else point.state),
-        Cell(told_mse(row), None if is_missing(mse) else mse),
-        Cell(told_gain(row), None if is_missing(gain) else gain),
+        Cell(formatted_mse(row), None if is_missing(mse) else mse),
+        Cell(formatted_gain(row), None if is_missing(gain) else gain),
         Cell("" if is_missing(times) else formatted_times(times, unit)),
         Cell(formatted_seconds(row["worker_seconds"]), row["worker_seconds"]),
     ]
@@ -185,7 +185,7 @@ def _linked(point: Point) -> str:
 
 
 def _value(value: Any) -> Cell:
-    return Cell(one_line(told_value(value)), value if is_numeric([value]) else None)
+    return Cell(one_line(formatted_value(value)), value if is_numeric([value]) else None)
 
 
 def _said_of_intervals(subject: SweepSubject) -> str:
@@ -223,7 +223,7 @@ def _title_of_lines(subject: SweepSubject, key: str, held: Mapping[str, Any]) ->
     if not order:
         return f"Expected MSE against {name}."
     if subject.numeric(key) and len(order) > 1:
-        first, last = (told_value(order[end]) for end in (0, -1))
+        first, last = (formatted_value(order[end]) for end in (0, -1))
         start, end = (_number(least[order[end]]) for end in (0, -1))
         text = (
             f"From {name} = {first} to {last}, the lowest expected MSE goes from {start} to {end}"
@@ -376,7 +376,7 @@ def _values_by_run(subject: SweepSubject) -> dict[str, Row]:
 
 def _key_values(subject: SweepSubject, row: Row) -> list[str]:
     """Give the values of a point's keys as texts; without keys, the point's name."""
-    return [one_line(told_value(row[key])) for key in subject.keys] or [one_line(row["run"])]
+    return [one_line(formatted_value(row[key])) for key in subject.keys] or [one_line(row["run"])]
 
 
 def _phrase(subject: SweepSubject, row: Row) -> str:

@@ -20,11 +20,11 @@ from pfdist.analysis.studies import (
     SET,
     Average,
     averages,
+    formatted_point,
     in_order,
     is_numeric,
-    not_told_by,
     selected,
-    told_at,
+    still_varying,
     values_of,
 )
 from pfdist.analysis.table_cells import keys_of
@@ -128,14 +128,14 @@ class SweepSubject:
         """Keys in which the jobs differ, other than the seed and those that change with others."""
         found = list[str]()
         for name in self.keys:
-            if name != SEED and name in not_told_by(self.frame, found):
+            if name != SEED and name in still_varying(self.frame, found):
                 found.append(name)
         return found
 
     @cached_property
     def columns(self) -> list[str]:
         """The varying keys, and the set if it tells rows apart, too."""
-        return [*self.varying, *({SET} & {*not_told_by(self.frame, self.varying)})]
+        return [*self.varying, *({SET} & {*still_varying(self.frame, self.varying)})]
 
     @property
     def models(self) -> list[str]:
@@ -167,7 +167,7 @@ class SweepSubject:
 
     def phrase(self, names: Sequence[str], values: Sequence[Any]) -> str:
         """Give values of columns as a phrase."""
-        return told_at(names, tuple(values), self.keys, " = ")
+        return formatted_point(names, tuple(values), self.keys, " = ")
 
     def held(self, free: Sequence[str], most: int) -> tuple[pd.DataFrame, dict[str, Any]]:
         """Give the rows for a figure, with the last columns held at their best values.

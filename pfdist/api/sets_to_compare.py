@@ -178,13 +178,13 @@ class SetsToCompare:
         for t, (time, time_of_run) in enumerate(zip(first.times, own.times, strict=False)):
             if not math.isclose(time, time_of_run, rel_tol=_SAME, abs_tol=_SAME):
                 raise JobError(
-                    f"{must} whose instant {t} is {first.told(t)}, got a run whose instant {t} is "
-                    f"{own.told(t)} ({run.path})"
+                    f"{must} whose instant {t} is {first.formatted(t)}, got a run whose instant "
+                    f"{t} is {own.formatted(t)} ({run.path})"
                 )
         if own.horizon > first.horizon:
             raise JobError(
-                f"{must} and ends at {first.told(first.horizon)}, got a run that ends at "
-                f"{own.told(own.horizon)} ({run.path})"
+                f"{must} and ends at {first.formatted(first.horizon)}, got a run that ends at "
+                f"{own.formatted(own.horizon)} ({run.path})"
             )
 
 
@@ -192,7 +192,7 @@ def _differences(run: Run, first: ProblemSection) -> list[str]:
     """Say how the problem of a run differs from the first, of the same clock."""
     own, found = run.problem, []
     if own.clock.horizon != first.clock.horizon:
-        ends = [each.clock.told(each.clock.horizon) for each in (own, first)]
+        ends = [each.clock.formatted(each.clock.horizon) for each in (own, first)]
         found.append(f"its horizon is {ends[0]}, not {ends[1]}")
     if _weights(own) != _weights(first):
         found.append("its errors have other weights of instants")

@@ -10,12 +10,12 @@ import pyarrow as pa
 
 from pfdist.analysis.runs_table import RESULTS
 from pfdist.analysis.table_cells import (
+    differ_by_keys,
+    formatted_gain,
+    formatted_mse,
+    formatted_value,
     is_missing,
     keys_of,
-    told_by_keys,
-    told_gain,
-    told_mse,
-    told_value,
 )
 from pfdist.common.arguments import path_argument
 from pfdist.common.short_names import short_names
@@ -94,16 +94,16 @@ def tex(frame: pd.DataFrame) -> str:
         As `pfdist.table` gives it.
     """
     keys = keys_of(frame)
-    names = ([] if told_by_keys(frame, keys) else ["run"]) + keys + ["set"]
+    names = ([] if differ_by_keys(frame, keys) else ["run"]) + keys + ["set"]
     unit = frame.attrs.get("time_unit", "")
     short = short_names(names)
     heads = [*(short[name] for name in names), "expected MSE", "gain of means [%] (95 %)"]
     heads.append(f"measurement times [{unit}]" if unit else "measurement times")
     lines = [
         [
-            *(_in_tex(told_value(row[name])) for name in names),
-            *map(_number_in_tex, (told_mse(row), told_gain(row))),
-            ", ".join(map(told_value, row["measurement_times"] or ())),
+            *(_in_tex(formatted_value(row[name])) for name in names),
+            *map(_number_in_tex, (formatted_mse(row), formatted_gain(row))),
+            ", ".join(map(formatted_value, row["measurement_times"] or ())),
         ]
         for row in frame.to_dict("records")
     ]
@@ -135,7 +135,7 @@ def _number_in_tex(text: str) -> str:
 def _write_csv(frame: pd.DataFrame, path: Path) -> None:
     plain = frame.copy()
     for name in frame.select_dtypes(object):
-        texts = [told_value(cell) if isinstance(cell, tuple) else cell for cell in frame[name]]
+        texts = [formatted_value(cell) if isinstance(cell, tuple) else cell for cell in frame[name]]
         plain[name] = pd.Series(texts, dtype=object)
     with path.open("w", encoding="utf-8", errors="surrogateescape", newline="") as file:
         plain.to_csv(file, index=False, lineterminator="\n")
@@ -159,7 +159,7 @@ def _arrow(column: "pd.Series[Any]") -> pa.Array:
 
 
 def _in_utf8(value: Any) -> str:
-    return told_value(value).encode(errors="replace").decode()
+    return formatted_value(value).encode(errors="replace").decode()
 
 
 def _write_tex(frame: pd.DataFrame, path: Path) -> None:

@@ -17,7 +17,7 @@ from pfdist.kernels.choices import CHOICES
 from pfdist.kernels.compile_errors import NOT_COMPILED, reason_of
 from pfdist.kernels.melting import melted
 from pfdist.kernels.overloads import ELEMENTARY, log_to_base
-from pfdist.models.mistakes import frames_of, is_interrupt, place_of, remedy, told
+from pfdist.models.mistakes import error_line, frames_of, is_interrupt, place_of, remedy
 from pfdist.models.seeing import seeing
 from pfdist.models.syntax import Function, node_of
 
@@ -172,7 +172,7 @@ def compiled_formulas(model: str, again: Callable[[], Any]) -> Iterator[None]:
     except BaseException as error:  # a formula may raise whatever it likes
         what = again()
         raise ModelError(
-            f"model {model}: a compiled formula failed in {what}: {told(error)}; it does not fail "
+            f"model {model}: a compiled formula failed in {what}: {error_line(error)}; it does not fail "
             "in NumPy"
         ) from error
 
@@ -194,7 +194,7 @@ def formulas_of(model: str, formulas: Mapping[str, Callable[..., Any]]) -> Itera
         name, instant = _formula_at_fault(error, formulas)
         at = "" if instant is None else f" at t = {instant}"
         raise ModelError(
-            f"model {model}: {name} failed: {told(error)}{at}{remedy(error)}{place}"
+            f"model {model}: {name} failed: {error_line(error)}{at}{remedy(error)}{place}"
         ) from error
 
 

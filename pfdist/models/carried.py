@@ -21,7 +21,7 @@ from pfdist.common.streams import stream_key
 from pfdist.errors import ModelError
 from pfdist.models.base import StateSpaceModel
 from pfdist.models.fingerprint import Fingerprint, inspected
-from pfdist.models.mistakes import told
+from pfdist.models.mistakes import error_line
 from pfdist.models.parameters import Parameter
 from pfdist.models.seeing import with_named_modules
 
@@ -52,7 +52,7 @@ class CarriedModel:
             raise
         except Exception as error:
             raise ModelError(
-                f"model {self.name} cannot be made from what travels to the workers: {told(error)}"
+                f"model {self.name} cannot be made from what travels to the workers: {error_line(error)}"
             ) from error
 
     @cached_property
@@ -89,7 +89,9 @@ def carried(
         with _sent_by_value(inspection.modules):
             content = cloudpickle.dumps((fields, inspection.texts))
     except Exception as error:  # an object of the user may raise any exception
-        raise ModelError(f"model {model.name} cannot be sent to workers: {told(error)}") from error
+        raise ModelError(
+            f"model {model.name} cannot be sent to workers: {error_line(error)}"
+        ) from error
     result = CarriedModel(name, content, inspection.fingerprint)
     result.model  # noqa: B018  made here first, to find what cannot be made
     return result

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from pfdist.errors import ModelError, shown
-from pfdist.models.mistakes import is_interrupt, place_of, place_of_function, remedy, told
+from pfdist.models.mistakes import error_line, is_interrupt, place_of, place_of_function, remedy
 from pfdist.models.parameters import Parameter, values_of_parameter
 
 NOISE_KINDS = ("normal", "uniform")
@@ -156,7 +156,7 @@ def _call(model: Any, name: str, *arguments: Any) -> Any:
         if is_interrupt(error):
             raise
         raise ModelError(
-            f"model {model.name}: {name} failed on arrays: {told(error)}"
+            f"model {model.name}: {name} failed on arrays: {error_line(error)}"
             f"{_advice(model, name, arguments, error)}{place_of(error)}"
         ) from error
     wrong = _wrong_kind(name, value) or _wrong_shape(value)

@@ -22,7 +22,7 @@ from pfdist.errors import ModelError, shown
 from pfdist.models.base import StateSpaceModel
 from pfdist.models.carried import PYTHON, CarriedModel, carried
 from pfdist.models.fingerprint import file_of
-from pfdist.models.mistakes import is_interrupt, place_of, ships, told
+from pfdist.models.mistakes import error_line, is_interrupt, place_of, ships
 from pfdist.models.parameters import Parameter
 from pfdist.models.syntax import imported_by
 
@@ -226,11 +226,11 @@ def _errors_in_one_line(fails: str) -> Iterator[None]:
     except BaseException as error:  # a model may raise any exception
         if is_interrupt(error):
             raise
-        relative = "attempted relative import" in told(error)
+        relative = "attempted relative import" in error_line(error)
         remedy = (
             "; write `import helper` in the place of `from . import helper`" if relative else ""
         )
-        raise ModelError(f"{fails}: {told(error)}{remedy}{place_of(error)}") from error
+        raise ModelError(f"{fails}: {error_line(error)}{remedy}{place_of(error)}") from error
 
 
 def _model_of(module: types.ModuleType, attribute: str, file: Path) -> StateSpaceModel:

@@ -31,7 +31,7 @@ def is_interrupt(error: BaseException) -> bool:
     return type(error) is KeyboardInterrupt
 
 
-def told(error: BaseException) -> str:
+def error_line(error: BaseException) -> str:
     """An exception of a model in a line: its class and the beginning of its text."""
     return ": ".join(part for part in (type(error).__name__, text_of(error)) if part)
 

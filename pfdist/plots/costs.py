@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, SymmetricalLogLocator
 
 from pfdist.analysis import ComparisonStatistics, Run
-from pfdist.analysis.pairs import told_ranks
+from pfdist.analysis.pairs import formatted_ranks
 from pfdist.analysis.reference import label
 from pfdist.errors import JobError
 from pfdist.plots.figure import Plot, Tables, figure, one_number
@@ -346,7 +346,7 @@ def comparison(ranks: Run | pd.DataFrame, *, ax: Axes | None = None) -> Axes:
     beside.set_ylabel("rank")
     step = math.ceil(len(table) / _MOST_ROWS)
     names = list(map(verbatim, table["name"]))
-    numbers = list(map(told_ranks, table["best_rank"], table["worst_rank"]))
+    numbers = list(map(formatted_ranks, table["best_rank"], table["worst_rank"]))
     for axis, labels in ((ax, names), (beside, numbers)):
         axis.set_yticks(range(0, len(labels), step), labels[::step])
         axis.tick_params(axis="y", length=0)

@@ -17,13 +17,13 @@ from pfdist.analysis.studies import (
     Average,
     averages,
     columns_of,
+    formatted_point,
     in_order,
     is_numeric,
-    not_told_by,
-    told_at,
+    still_varying,
     values_of,
 )
-from pfdist.analysis.table_cells import is_missing, keys_of, told_value
+from pfdist.analysis.table_cells import formatted_value, is_missing, keys_of
 from pfdist.common.rounding import with_interval
 from pfdist.common.short_names import short_names
 from pfdist.errors import ArgumentError, shown
@@ -108,7 +108,7 @@ def against(
     frame = _runs(table)
     key, value = _key(frame, key, "key"), _result(frame, value)
     first = [] if group is None else [_key(frame, group, "group", SET)]
-    names = [name for name in (*first, *not_told_by(frame, [key, *first])) if name != key]
+    names = [name for name in (*first, *still_varying(frame, [key, *first])) if name != key]
     lines = _lines(frame, [key, *names], value)
     if len(lines) > MOST_LINES:
         raise ArgumentError(
@@ -128,7 +128,7 @@ def against(
         style = {
             "color": colour, "mfc": "white" if dash else colour, "ls": _DASHES[dash % len(_DASHES)],
             "marker": _MARKERS[(shade + shade // len(SERIES)) % len(_MARKERS)],
-            "label": clipped(told_at(names, at, keys_of(frame)), _LONGEST_LABEL),
+            "label": clipped(formatted_point(names, at, keys_of(frame)), _LONGEST_LABEL),
         }  # fmt: skip
         aside = _BESIDE * (number - (len(lines) - 1) / 2)
         curves.append(_draw_line(ax, line, places, factor, style, aside))
@@ -184,7 +184,7 @@ def heat_map(
     y, value = _key(frame, y, "y", without=x), _result(frame, value)
     if x == y:
         raise ArgumentError(f"x and y must be different keys, got {shown(x)} twice", argument="y")
-    if others := not_told_by(frame, [x, y]):
+    if others := still_varying(frame, [x, y]):
         several = values_of(frame, others[0])
         raise ArgumentError(
             f"the table must have one value of {others[0]}, got {len(several)}: select rows, as "
@@ -312,7 +312,7 @@ def _factor(value: str) -> float:
 
 
 def _text(value: Any) -> str:
-    return clipped(told_value(value) or "none", _LONGEST_TEXT)
+    return clipped(formatted_value(value) or "none", _LONGEST_TEXT)
 
 
 def _lines(frame: pd.DataFrame, names: list[str], value: str) -> list[Line]:
@@ -326,7 +326,7 @@ def _lines(frame: pd.DataFrame, names: list[str], value: str) -> list[Line]:
 
 def _draw_references(ax: Axes, frame: pd.DataFrame, key: str, places: dict[Any, float]) -> None:
     """Draw the expected MSE of the references, a line for each combination of the other keys."""
-    others = [name for name in not_told_by(frame, [key]) if name not in (key, SET)]
+    others = [name for name in still_varying(frame, [key]) if name not in (key, SET)]
     lines = _lines(frame, [key, "reference", *others], "reference_mse")
     names = {str(at[0]) for at, _ in lines}
     label = names.pop() if len(names) == 1 else "references"

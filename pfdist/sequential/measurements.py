@@ -85,8 +85,8 @@ def instant_on(clock: Clock, t: Any, start: int = 0) -> int:
         raise MeasurementsError(str(error)) from error
     if instant < start:
         raise MeasurementsError(
-            f"t must lie in {formatted_time(clock.times[start])}..{clock.told(clock.horizon)}, got "
-            f"{formatted_time(t)}"
+            f"t must lie in {formatted_time(clock.times[start])}.."
+            f"{clock.formatted(clock.horizon)}, got {formatted_time(t)}"
         )
     return instant
 

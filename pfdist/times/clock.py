@@ -124,7 +124,7 @@ class Clock:
         first, last = self.times[0], self.times[-1]
         if not first - self.slack <= time <= last + self.slack:
             raise MeasurementTimesError(
-                f"{name} must lie in {first:.10g}..{self.told(self.horizon)}, got {time:.10g}"
+                f"{name} must lie in {first:.10g}..{self.formatted(self.horizon)}, got {time:.10g}"
             )
 
     def between(self, first: Time, last: Time) -> range:
@@ -147,7 +147,7 @@ class Clock:
         """The times of some instants, in the same order."""
         return [self.times[t] for t in instants]
 
-    def told(self, instant: int) -> str:
+    def formatted(self, instant: int) -> str:
         """The time of an instant as text, with the unit."""
         return f"{self.times[instant]:.10g}{self._suffix}"
 

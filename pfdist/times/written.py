@@ -64,7 +64,7 @@ def validated_instants(
         twice = [t for t, following in pairwise(sorted(entries)) if t == following]
         if twice:
             raise MeasurementTimesError(
-                f"{name} must differ from each other, got {clock.told(twice[0])} twice"
+                f"{name} must differ from each other, got {clock.formatted(twice[0])} twice"
                 f"{f' ({where})' if where not in ('', name) else ''}"
             )
     return validated(entries, clock.horizon, where)
