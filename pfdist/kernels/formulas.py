@@ -172,8 +172,8 @@ def compiled_formulas(model: str, again: Callable[[], Any]) -> Iterator[None]:
     except BaseException as error:  # a formula may raise whatever it likes
         what = again()
         raise ModelError(
-            f"model {model}: a compiled formula failed in {what}: {error_line(error)}; it does not fail "
-            "in NumPy"
+            f"model {model}: a compiled formula failed in {what}: {error_line(error)}; it does not "
+            "fail in NumPy"
         ) from error
 
 

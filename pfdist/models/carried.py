@@ -52,7 +52,8 @@ class CarriedModel:
             raise
         except Exception as error:
             raise ModelError(
-                f"model {self.name} cannot be made from what travels to the workers: {error_line(error)}"
+                f"model {self.name} cannot be made from what travels to the workers: "
+                f"{error_line(error)}"
             ) from error
 
     @cached_property
